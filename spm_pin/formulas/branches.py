@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 from spm_pin.formulas.operations import COS_30, both, either, sqrt, where
 from spm_pin.formulas.stages import cartesian, in_home_aspect
-from spm_pin.formulas.vectors import Rows, Vector, combined, dot, magnitude, minus, scaled, transposed
+from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, larger, magnitude, minus, scaled, transposed
+from spm_pin.formulas.wrenches import is_stage_at_home
 
 Complex = tuple[float, float]
 
@@ -73,15 +74,15 @@ def quaternion(rotation: Rows) -> tuple[float, float, float, float]:
     (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation
     trace = r00 + r11 + r22
     x0, x1, x2, x3, largest = 1.0 + trace, r21 - r12, r02 - r20, r10 - r01, trace
-    larger = r22 > largest
-    x0, x1, x2 = where(larger, r10 - r01, x0), where(larger, r20 + r02, x1), where(larger, r21 + r12, x2)
-    x3, largest = where(larger, 1.0 - trace + 2.0 * r22, x3), where(larger, r22, largest)
-    larger = r11 > largest
-    x0, x1, x3 = where(larger, r02 - r20, x0), where(larger, r10 + r01, x1), where(larger, r21 + r12, x3)
-    x2, largest = where(larger, 1.0 - trace + 2.0 * r11, x2), where(larger, r11, largest)
-    larger = r00 > largest
-    x0, x2, x3 = where(larger, r21 - r12, x0), where(larger, r10 + r01, x2), where(larger, r20 + r02, x3)
-    x1 = where(larger, 1.0 - trace + 2.0 * r00, x1)
+    is_larger = r22 > largest
+    x0, x1, x2 = where(is_larger, r10 - r01, x0), where(is_larger, r20 + r02, x1), where(is_larger, r21 + r12, x2)
+    x3, largest = where(is_larger, 1.0 - trace + 2.0 * r22, x3), where(is_larger, r22, largest)
+    is_larger = r11 > largest
+    x0, x1, x3 = where(is_larger, r02 - r20, x0), where(is_larger, r10 + r01, x1), where(is_larger, r21 + r12, x3)
+    x2, largest = where(is_larger, 1.0 - trace + 2.0 * r11, x2), where(is_larger, r11, largest)
+    is_larger = r00 > largest
+    x0, x2, x3 = where(is_larger, r21 - r12, x0), where(is_larger, r10 + r01, x2), where(is_larger, r20 + r02, x3)
+    x1 = where(is_larger, 1.0 - trace + 2.0 * r00, x1)
     scale = 1.0 / sqrt(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3)
     return x0 * scale, x1 * scale, x2 * scale, x3 * scale
 
@@ -149,7 +150,10 @@ def _family(
     lower: float,
     plus: float,
 ) -> Family:
-    """Return a family of a group; the axes are those of w_a and conj(w_b)."""
+    """Return a family of a group; the axes are those of w_a and conj(w_b).
+
+    `kinematics.exact_discriminants` has the same quadratic in P and Q, unnormalised, with whole coefficients.
+    """
     f, g, scale_u, scale_v = weights
     return Family(
         sign * form[0] - frame.h,
@@ -214,6 +218,13 @@ def middle_joints(
     return (square + across - y, square + 2.0 * y, square - across - y), (z + c - s, z + 2.0 * s, z - c - s)
 
 
+def branch_balls(family: Family, sign: float, frame: PoseFrame, position: Vector, r: float, least: float) -> Rows:
+    """Return the b_i of the branch + or - of a family, as if its discriminant were at least `least`."""
+    u, v, square = root(family, sign, sqrt(larger(discriminant(family), least)))
+    radii, heights = middle_joints(u, v, r / where(square > 0.0, square, 1.0), family, frame, position)
+    return cartesian(radii, heights)
+
+
 def platform_corners(rotation: Rows, position: Vector, platform_radius: float) -> Rows:
     """Return c_1, c_2, c_3 in {B}."""
     first, second, _ = transposed(rotation)
@@ -268,6 +279,33 @@ def stands_at_home(
     upright = both(upright, below[0] + below[1] + below[2] > 0.0)
     aspects = both(in_home_aspect(radii, heights, base_radius), in_home_aspect(upper, below, platform_radius))
     return both(upright, aspects), lower_sum + upper_sum
+
+
+def is_upright(b: Rows, rotation: Rows, position: Vector) -> bool:
+    """Return whether both stages of any machine are in mode T, each on the outer side of its platform."""
+    identity = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    (p1, p2, p3), (z1, z2, z3) = seen_from_platform(b, identity, (0.0, 0.0, 0.0))
+    lower = both(p1 + p2 + p3 > 0.0, z1 + z2 + z3 < 0.0)
+    (p1, p2, p3), (z1, z2, z3) = seen_from_platform(b, rotation, position)
+    return both(lower, both(p1 + p2 + p3 > 0.0, z1 + z2 + z3 > 0.0))
+
+
+def is_physical(
+    b: Rows, c: Rows, lower: Rows, upper: Rows, axes: Rows, upper_axes: Rows, rotation: Rows, position: Vector
+) -> bool:
+    """Return whether a state of any machine is physical, leg limits aside: upright, both stages in their home's aspect.
+
+    b and c are the balls of the lower and of the upper legs, `lower` and `upper` the legs' vectors upwards, all in {B}.
+    """
+    aspects = both(is_stage_at_home(b, lower, axes), is_stage_at_home(c, upper, upper_axes))
+    return both(is_upright(b, rotation, position), aspects)
+
+
+def tilt_cosine_sum(b: Rows, rotation: Rows) -> float:
+    """Return the sum of the cosines of the two stages' tilts: 2 for a straight machine."""
+    normal = cross(minus(b[0], b[2]), minus(minus(b[1], b[0]), minus(b[2], b[1])))
+    along = normal[2] + dot(normal, (rotation[0][2], rotation[1][2], rotation[2][2]))
+    return along / sqrt(dot(normal, normal))
 
 
 def is_other_preferred(rank: float, tilts: float, other_rank: float, other_tilts: float) -> bool:

@@ -62,6 +62,16 @@ def _beside(corner: Vector, weights: Vector, p: Vector, q: Vector, n: Vector) ->
     return combined(combined(combined(corner, weights[0], p), weights[1], q), weights[2], n)
 
 
+def upper_ball_weights(lower: Rows, upper: Rows) -> Rows:
+    """Return the weights of `upper_balls` from the balls in {n}: exactly zero where they coincide."""
+    first, second = minus(lower[1], lower[0]), minus(lower[2], lower[0])
+    normal = cross(first, second)
+    scale = 1.0 / dot(normal, normal)
+    dual = scaled(scale, cross(second, normal)), scaled(scale, cross(normal, first)), scaled(scale, normal)
+    x, y, z = minus(upper[0], lower[0]), minus(upper[1], lower[1]), minus(upper[2], lower[2])
+    return times(dual, x), times(dual, y), times(dual, z)
+
+
 class StagePlanes(NamedTuple):
     """Planes of the three legs of a stage."""
 

@@ -15,6 +15,8 @@ COS_30 = float(np.sqrt(0.75))
 
 sqrt: Callable[[float], float] = np.sqrt
 """The square root, not a number of a negative one."""
+cos: Callable[[float], float] = np.cos
+sin: Callable[[float], float] = np.sin
 
 
 ARRAYS: dict[str, Any] = {"sqrt": np.sqrt, "where": np.where, "both": np.logical_and, "either": np.logical_or}
@@ -44,8 +46,8 @@ def bind(formula: F, **operations: Any) -> F:
     formula : callable
         A function of `spm_pin.formulas`.
     **operations
-        What stands for `sqrt`, `where`, `both`, `either`, and perhaps `COS_30`, in the copies. What is not given stays
-        that of floats.
+        What stands for `sqrt`, `cos`, `sin`, `where`, `both`, `either`, and perhaps `COS_30`, in the copies. What is
+        not given stays that of floats.
     """
     copy: F = _copied(formula, operations, {})
     return copy
@@ -59,6 +61,19 @@ def on_arrays(formula: Callable[..., Any]) -> Callable[..., Any]:
 def rows_of(array: Any) -> tuple[tuple[Any, ...], ...]:
     """Return matrices (..., 3, 3) as formulas take them: nine arrays (...), row by row."""
     return tuple(tuple(array[..., i, j] for j in range(3)) for i in range(3))
+
+
+def mapped(function: Callable[..., Any], tree: Any, *trees: Any) -> Any:
+    """Apply a function to the entries of nested tuples, or to those of several of equal structure."""
+    if not isinstance(tree, tuple):
+        return function(tree, *trees)
+    entries = [mapped(function, *parts) for parts in zip(tree, *trees, strict=True)]
+    return type(tree)(*entries) if hasattr(tree, "_fields") else tuple(entries)
+
+
+def vector_of(array: Any) -> tuple[Any, Any, Any]:
+    """Return vectors (..., 3) as formulas take them: three arrays (...)."""
+    return array[..., 0], array[..., 1], array[..., 2]
 
 
 def _copied(formula: Any, operations: dict[str, Any], copies: dict[Any, Any]) -> Any:

@@ -1,6 +1,6 @@
 """The equations of one 3RPS stage: `docs/theory/forward_displacement.md`.
 
-A stage is three legs of given lengths from hips at radius E, each in the vertical plane of its hip, to a triangle of
+A stage is three legs of given lengths from pivots at radius E, each in its pivot's vertical plane, to a triangle of
 circumradius r. Units are r: ε = E/r, ζ the height of the triangle's centre, w = x1 + i x2 of its quaternion, and of the
 squared leg lengths over the three azimuths m the mean and λ the first harmonic, κ = 2ε - 1.
 
@@ -32,6 +32,9 @@ State = tuple[float, float, float, float]
 Pairs = tuple[float, float, float, float, float, float]
 """Quantities of the pairs of legs 12, 23, 31, 21, 32, 13."""
 
+ANY_ASPECT, HOME_ASPECT = 0.0, 2.0
+"""Aspects of a stage, beside 1 and -1, those with this sign of the determinant."""
+
 EPS = 2.0**-52
 """The distance from 1 to the next larger double."""
 
@@ -48,7 +51,7 @@ class StageEquations(NamedTuple):
 
 
 def stage_equations(first: float, second: float, third: float, epsilon: float) -> StageEquations:
-    """Set up f = 0 for leg lengths and a signed hip radius in units of r."""
+    """Set up f = 0 for leg lengths and a signed radius of the pivots in units of r."""
     # Differences of squares as products: exact where legs are equal.
     real, imag = _harmonic(
         (second - first) * (second + first), (second - third) * (second + third), (first - third) * (first + third)
@@ -190,25 +193,31 @@ def corners(x0: float, x1: float, x2: float, x3: float, zeta: float) -> tuple[Ve
     return radii, (zeta + c - s, zeta + 2.0 * s, zeta - c - s)
 
 
-def stage_pairs(radii: Vector, heights: Vector, hips: float) -> Pairs:
+def stage_pairs(radii: Vector, heights: Vector, base_radius: float) -> Pairs:
     """Return c_ij = (b_i - b_j)·w_i of a drawn stage, w_i = z_i u_i - (ρ_i - E) Z normal to leg i and to its axis.
 
     The same as `wrenches.pairs`, from u_i·u_j = -1/2, where δ is not divided by its length.
     """
     (p1, p2, p3), (z1, z2, z3) = radii, heights
     return (
-        z1 * (p1 + 0.5 * p2) - (p1 - hips) * (z1 - z2),
-        z2 * (p2 + 0.5 * p3) - (p2 - hips) * (z2 - z3),
-        z3 * (p3 + 0.5 * p1) - (p3 - hips) * (z3 - z1),
-        z2 * (p2 + 0.5 * p1) - (p2 - hips) * (z2 - z1),
-        z3 * (p3 + 0.5 * p2) - (p3 - hips) * (z3 - z2),
-        z1 * (p1 + 0.5 * p3) - (p1 - hips) * (z1 - z3),
+        z1 * (p1 + 0.5 * p2) - (p1 - base_radius) * (z1 - z2),
+        z2 * (p2 + 0.5 * p3) - (p2 - base_radius) * (z2 - z3),
+        z3 * (p3 + 0.5 * p1) - (p3 - base_radius) * (z3 - z1),
+        z2 * (p2 + 0.5 * p1) - (p2 - base_radius) * (z2 - z1),
+        z3 * (p3 + 0.5 * p2) - (p3 - base_radius) * (z3 - z2),
+        z1 * (p1 + 0.5 * p3) - (p1 - base_radius) * (z1 - z3),
     )
 
 
 def pair_determinant(c: Pairs) -> float:
     """Return D = c12 c23 c31 + c21 c32 c13, minus the determinant of the six forces of a stage."""
     return c[0] * c[1] * c[2] + c[3] * c[4] * c[5]
+
+
+def pair_determinant_slope(c: Pairs, slopes: Pairs) -> float:
+    """Return the derivative of D where the c_ij have these derivatives."""
+    a, b = slopes[0] * c[1] * c[2] + slopes[1] * c[2] * c[0], slopes[3] * c[4] * c[5] + slopes[4] * c[5] * c[3]
+    return a + slopes[2] * c[0] * c[1] + b + slopes[5] * c[3] * c[4]
 
 
 def pair_inverse(c: Pairs) -> Rows:
@@ -230,9 +239,9 @@ def is_home_aspect(c: Pairs) -> bool:
     return both(pair_determinant(c) > 0.0, negative <= 1.0)
 
 
-def in_home_aspect(radii: Vector, heights: Vector, hips: float) -> bool:
+def in_home_aspect(radii: Vector, heights: Vector, base_radius: float) -> bool:
     """Return whether a drawn stage is in the aspect of its home."""
-    return is_home_aspect(stage_pairs(radii, heights, hips))
+    return is_home_aspect(stage_pairs(radii, heights, base_radius))
 
 
 def _sign_bit(x: float) -> float:

@@ -54,6 +54,13 @@ def directions(a: Rows) -> Rows:
     return direction(a[0]), direction(a[1]), direction(a[2])
 
 
+def directions_and_lengths(a: Rows) -> tuple[Rows, Vector]:
+    """Return three vectors over their lengths, and the lengths."""
+    x, y, z = a
+    lengths = sqrt(dot(x, x)), sqrt(dot(y, y)), sqrt(dot(z, z))
+    return (scaled(1.0 / lengths[0], x), scaled(1.0 / lengths[1], y), scaled(1.0 / lengths[2], z)), lengths
+
+
 def weighted(weights: Vector, rows: Rows) -> Vector:
     """Return the sum of three vectors with these weights: the transpose of a matrix times a vector."""
     return combined(combined(scaled(weights[0], rows[0]), weights[1], rows[1]), weights[2], rows[2])
@@ -98,3 +105,8 @@ def larger(x: float, y: float) -> float:
 def largest(a: Vector) -> float:
     """Return the largest magnitude of three numbers."""
     return larger(larger(magnitude(a[0]), magnitude(a[1])), magnitude(a[2]))
+
+
+def least(a: Vector) -> float:
+    """Return the least of three numbers."""
+    return -larger(larger(-a[0], -a[1]), -a[2])

@@ -17,8 +17,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from spm_pin.formulas.leg_constants import TANGENT_SIGNS
 from spm_pin.formulas.operations import sqrt
-from spm_pin.formulas.stages import Pairs, inverse, pair_determinant, pair_inverse
+from spm_pin.formulas.stages import Pairs, inverse, is_home_aspect, pair_determinant, pair_inverse
 from spm_pin.formulas.vectors import (
     Rows,
     Vector,
@@ -62,6 +63,12 @@ def pairs(b: Rows, w: Rows) -> Pairs:
 def determinant(b: Rows, f: Rows, a: Rows) -> float:
     """Return the determinant of the six forces of a stage, rows (f, (b - o) x f) and then (a, (b - o) x a)."""
     return -pair_determinant(pairs(b, normals(f, a)))
+
+
+def is_stage_at_home(b: Rows, f: Rows, a: Rows) -> bool:
+    """Return whether an upright stage of any machine is in the aspect of its home; f_i are along the legs, upwards."""
+    tangents = scaled(TANGENT_SIGNS[0], a[0]), scaled(TANGENT_SIGNS[1], a[1]), scaled(TANGENT_SIGNS[2], a[2])
+    return is_home_aspect(pairs(b, normals(tangents, f)))
 
 
 def stage_rates(b: Rows, f: Rows, a: Rows) -> StageRates:

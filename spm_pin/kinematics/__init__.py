@@ -1,12 +1,7 @@
 """The closed form: branches, assembly modes, rates, forces and singularities, without iteration in the inverse."""
 
 from spm_pin.kinematics.batches import compile_kernels, set_threads, threads
-from spm_pin.kinematics.forward_displacement import (
-    ASSEMBLY_MODES,
-    STAGE_MODES,
-    forward_displacement,
-    forward_physical,
-)
+from spm_pin.kinematics.forward_displacement import ASSEMBLY_MODES, STAGE_MODES, forward_displacement, forward_physical
 from spm_pin.kinematics.inverse_displacement import (
     branch_lengths,
     complex_middle_joints,

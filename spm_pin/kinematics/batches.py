@@ -149,9 +149,9 @@ def read_pose(geometry: Geometry, pose: PoseLike) -> tuple[tuple[int, ...], Floa
     farthest = 2.0 * (LARGEST_RATIO + 1.0) * size
     # The sum of all squares is enough but for very large batches. Not by BLAS, which takes threads of its own to it.
     if not np.einsum("ni,ni->", places, places) <= farthest * farthest:
-        beyond = np.abs(position).max(axis=-1) > farthest
-        if beyond.any():
-            index = first_offender(beyond)
+        too_far = np.abs(position).max(axis=-1) > farthest
+        if too_far.any():
+            index = first_offender(too_far)
             expected = f"a position in metres within {farthest:.3g} m, {2.0 * LARGEST_RATIO:.0e} times the machine"
             where = f" at index {index}" if index else ""
             raise PoseError("pose", expected, f"{position[index].tolist()}{where}", "A position in another unit?")

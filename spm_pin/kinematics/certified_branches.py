@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.formulas.leg_planes import upper_balls
+from spm_pin.formulas.leg_planes import upper_ball_weights, upper_balls
 from spm_pin.formulas.vectors import combined, cross, dot, minus, scaled, times
 from spm_pin.kinematics.exact_discriminants import ExactPose, largest_component, quaternions, scaled_rotation
 from spm_pin.kinematics.intervals import SQRT_3, Interval
@@ -117,15 +117,9 @@ def _legs(geometry: Geometry) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     """Return axes and pivots of the six legs, enclosures of `upper_ball_weights`, and the squared distances."""
     legs = geometry.legs
     axes, pivots, balls = ([_vector(row) for row in array] for array in (legs.axes, legs.pivots, legs.balls))
-    p, q = minus(balls[1], balls[0]), minus(balls[2], balls[0])
-    n = cross(p, q)
-    weights = []
-    for i in range(3):
-        apart = minus(balls[3 + i], balls[i])
-        parts = dot(cross(apart, q), n), dot(cross(p, apart), n), dot(apart, n)
-        weights.append([part / dot(n, n) for part in parts])
     edges = [minus(balls[i], balls[(i + 1) % 3]) for i in range(3)]
-    return axes, pivots, weights, [dot(edge, edge) for edge in edges]
+    lower_and_upper: Vectors = balls[:3], balls[3:]
+    return axes, pivots, upper_ball_weights(*lower_and_upper), [dot(edge, edge) for edge in edges]
 
 
 def _drawn_legs(geometry: Geometry) -> tuple[Vectors, Vectors, Vectors, Vectors]:

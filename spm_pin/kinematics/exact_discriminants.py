@@ -6,7 +6,8 @@ matrix, S' = S, iS, -iS, S and P = √σ P', the quadratic of a family times σ 
     d Re(iS [σ W³ e_q (Q - S'P')² + conj(W)³ e_p (S'Q - σP')²]) - √3 g (σP'² + Q² - 2κP'Q),    g = σ |W|² SW·o,
 
 so its coefficients are α + β√3 with whole α and β, and so is its discriminant, whose sign is therefore known without
-rounding. Notation and derivation: `docs/theory/inverse_displacement.md`.
+rounding. `spm_pin.formulas.branches._family` has the same quadratic for floats, in u and v. Notation and derivation:
+`docs/theory/inverse_displacement.md`.
 """
 
 from __future__ import annotations
@@ -67,14 +68,14 @@ class ExactPose:
 
     The pose is that of the quaternion which the doubles of the rotation matrix define, without rounding, by the formula
     of its largest component; the matrix is orthogonal to rounding only. `matrix` and `norm` are σR and σ, `position`
-    and `side` o and d in units of 1 / `one` metre; `vertical` is True if the Z axes are parallel.
+    and `side` o and d in units of 1 / `scale` metre; `vertical` is True if the Z axes are parallel.
     """
 
     def __init__(self, rotation: FloatArray, position: FloatArray, side: float) -> None:
-        entries, one = _whole(rotation.ravel())
+        entries, unit = _whole(rotation.ravel())
         largest = int(largest_component(rotation))
-        x0, x1, x2, x3 = self._quaternion = quaternions(entries, one)[largest]
-        (x, y, z, d), self.one = _whole([*position, side])
+        x0, x1, x2, x3 = self._quaternion = quaternions(entries, unit)[largest]
+        (x, y, z, d), self.scale = _whole([*position, side])
         self.position, self.side = (x, y, z), d
         s, w = (x0, x3), (x1, x2)
         self._w_square = x1 * x1 + x2 * x2
@@ -116,7 +117,7 @@ class ExactPose:
         """Return the joints of a real branch (3, 3) [m], and how far the exact ones, of `BITS` bits, can be."""
         iv.prec = BITS
         family, root_3 = branch // 2, iv.sqrt(iv.mpf(3))
-        length, r = iv.sqrt(iv.mpf(self.norm)), iv.mpf(self.side) / self.one / root_3
+        length, r = iv.sqrt(iv.mpf(self.norm)), iv.mpf(self.side) / self.scale / root_3
         x0, x1, x2, x3 = (iv.mpf(x) / length for x in self._quaternion)
         s, w, kappa = iv.mpc(x0, x3), iv.mpc(x1, x2), self._turned[family][0]
         pp, pq, qq = (_surd(pair) for pair in self._coefficients[family])
@@ -134,7 +135,7 @@ class ExactPose:
         # o + R t_b = t_a along the tilt of {m} gives the upper height, and along Z the lower.
         rows = [[iv.mpf(entry) / self.norm for entry in row] for row in self.matrix]
         x, y, z = (
-            iv.mpf(o) / self.one + row[0] * above.real + row[1] * above.imag
+            iv.mpf(o) / self.scale + row[0] * above.real + row[1] * above.imag
             for o, row in zip(self.position, rows, strict=True)
         )
         tilt = iv.mpc(rows[0][2], rows[1][2])
@@ -155,18 +156,18 @@ def largest_component(rotation: FloatArray) -> IntArray:
     return np.asarray(np.argmax([a + b + c, c, b, a], axis=0))
 
 
-def quaternions(rotation: Sequence[Any], one: Any) -> tuple[tuple[Any, Any, Any, Any], ...]:
+def quaternions(rotation: Sequence[Any], unit: Any) -> tuple[tuple[Any, Any, Any, Any], ...]:
     """Return x0, x1, x2, x3, of any length, computed from x0, x3, x2 and x1 of a rotation matrix.
 
-    The nine entries, row by row and in units of 1 / `one`, are whole numbers or intervals.
+    The nine entries, row by row and in units of 1 / `unit`, are whole numbers or intervals.
     """
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation
     trace = r00 + r11 + r22
     return (
-        (one + trace, r21 - r12, r02 - r20, r10 - r01),
-        (r10 - r01, r20 + r02, r21 + r12, one - trace + 2 * r22),
-        (r02 - r20, r10 + r01, one - trace + 2 * r11, r21 + r12),
-        (r21 - r12, one - trace + 2 * r00, r10 + r01, r20 + r02),
+        (unit + trace, r21 - r12, r02 - r20, r10 - r01),
+        (r10 - r01, r20 + r02, r21 + r12, unit - trace + 2 * r22),
+        (r02 - r20, r10 + r01, unit - trace + 2 * r11, r21 + r12),
+        (r21 - r12, unit - trace + 2 * r00, r10 + r01, r20 + r02),
     )
 
 

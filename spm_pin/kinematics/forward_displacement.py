@@ -15,14 +15,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.batches import LARGEST_RATIO, flat_batch, radii, run_kernel, with_batch_shape
-from spm_pin.mechanism.arguments import (
-    BoolArray,
-    FloatArray,
-    broadcastable,
-    check_instance,
-    first_offender,
-    real_array,
-)
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, broadcastable, check_instance, first_offender, real_array
 from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, unit_hint
@@ -89,7 +82,7 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
 
     checked = _read_lengths(geometry, readings)
     if not geometry.is_nominal:
-        cause = "forward_physical finds the physical mode of a machine as built; all modes are those of its .nominal"
+        cause = "The physical mode alone is found (forward_physical), or all of its drawing (geometry.nominal)"
         raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     results = (*((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((4,), np.int8), ((), np.int8))
@@ -262,9 +255,9 @@ def _follow_from_home(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArr
 
 def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
     """Return R, o and the b_i (N, ...) of the physical state of a drawn machine with leg lengths (N, 6)."""
-    from spm_pin.kinematics.kernels.mode_kernels import home_modes
+    from spm_pin.kinematics.kernels.mode_kernels import home_aspect_states
 
-    return run_kernel(home_modes, (lengths,), radii(geometry), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    return run_kernel(home_aspect_states, (lengths,), radii(geometry), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
 
 
 def _solve_ill_conditioned(geometry: Geometry, lengths: FloatArray, solved: tuple[Any, ...]) -> None:

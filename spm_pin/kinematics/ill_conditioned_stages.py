@@ -33,16 +33,16 @@ _DIGITS = 60
 _REAL, _SOLVED, _SAME = 1e-20, 1e-40, 1e-14
 
 
-def solve_stage_with_more_digits(lengths: FloatArray, hip_radius: float, side: float, above: float) -> FloatArray:
+def solve_stage_with_more_digits(lengths: FloatArray, pivot_radius: float, side: float, above: float) -> FloatArray:
     """Return the sixteen assembly modes of a stage (16, 5), as `kernels.mode_kernels` orders them, NaN where none is.
 
-    `hip_radius` is E or C [m], and `above` 1 where the sheet + is above the hips, -1 where it is below.
+    `pivot_radius` is E or C [m], and `above` 1 where the sheet + is above the pivots, -1 where it is below.
     """
     modes = np.full((4 * PLACES, 5), np.nan)
     with mpmath.workdps(_DIGITS):
         r = mpmath.mpf(float(side)) / mpmath.sqrt(3)
         legs = [mpmath.mpf(float(x)) / r for x in lengths]
-        epsilon = mpmath.mpf(float(hip_radius)) / r
+        epsilon = mpmath.mpf(float(pivot_radius)) / r
         for mode, signed in enumerate((epsilon, -epsilon)):
             stage = bind(stage_equations, COS_30=mpmath.sqrt(3) / 2)(legs[0], legs[1], legs[2], signed)
             for place, state in enumerate(_in_order(_solutions(stage), mode == 1)[:PLACES]):

@@ -16,13 +16,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.branches import ROUNDING
-from spm_pin.kinematics.batches import (
-    BRANCH_RESULTS,
-    radii,
-    read_pose,
-    run_kernel,
-    with_batch_shape,
-)
+from spm_pin.kinematics.batches import BRANCH_RESULTS, radii, read_pose, run_kernel, with_batch_shape
 from spm_pin.mechanism.arguments import FloatArray, as_bool
 from spm_pin.mechanism.branch_of_state import BRANCHES
 from spm_pin.mechanism.configuration import Configuration

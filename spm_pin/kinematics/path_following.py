@@ -20,6 +20,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical, modes_near
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.singularity_analysis import determinants
+from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
@@ -110,6 +111,16 @@ class FollowedPath:
         return (
             f"<FollowedPath: {ends}, {len(self.parameters)} states of {labels}; {events or 'no events'}{more}{inside}>"
         )
+
+    def _repr_html_(self) -> str:
+        rows = [(f"{event.parameter:.6f}", str(event.kind), event.detail) for event in self.events]
+        marks = [event.parameter for event in self.events]
+        picture = notebook.curves(self.parameters, self.configurations.readings, "legs [m] along the path", marks)
+        return notebook.table(repr(self), ("parameter", "event", "") if rows else (), rows, picture)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure of the legs and of the distances to singularities, with the events."""
+        return notebook.plot("path_figure", self)
 
     @property
     def complete(self) -> bool:

@@ -56,12 +56,13 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     -------
     ndarray, shape (..., 6, 6)
         Maps (f, m) at o in {B} [N, N m] to a displacement of o [m] and a small rotation [rad] in {B}; symmetric.
-        Of rank less than 6 at an inverse singularity with rigid structures. NaN for a member that does not exist.
+        Of rank less than 6 at an inverse singularity with rigid structures. NaN for a member of a batch that does not
+        exist or is singular as below.
 
     Raises
     ------
     SingularConfigurationError
-        At a forward or a constraint singularity, where the legs do not hold the platform.
+        For a single state at a forward or a constraint singularity, where the legs do not hold the platform.
     """
     check_configuration(configuration)
     along = _inverses(legs, "legs", configuration)
@@ -85,13 +86,13 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     -------
     ndarray, shape (..., 6, 6)
         Maps a displacement of o [m] and a small rotation [rad] to (f, m) at o [N, N m], all in {B}; symmetric and
-        positive definite. NaN for a member that does not exist.
+        positive definite. NaN for a member of a batch that does not exist or is singular as below.
 
     Raises
     ------
     SingularConfigurationError
-        At a forward or a constraint singularity; with a rigid structure at an inverse one as well, where the legs'
-        lengths do not show some motion of the platform: its stiffness is infinite there, `compliance` is not.
+        For a single state at a forward or a constraint singularity; with a rigid structure at an inverse one as well,
+        where the legs' lengths do not show some motion of the platform: its stiffness is infinite there, `compliance`
 
     Examples
     --------

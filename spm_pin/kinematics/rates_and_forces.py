@@ -3,7 +3,8 @@
 Every leg acts on the middle platform through its ball along the leg, where its actuator holds, and along its revolute
 axis, where its structure holds: six forces in each stage, the rows of J_b and of J_c; K are the six structural ones.
 No 6 x 6 is decomposed, see `spm_pin.formulas.wrenches`; singular values decide about the few states that
-may be singular. Derivation: `docs/theory/rates_forces_singularities.md`.
+may be singular. One that is raises if it is a single state; in a batch its result is NaN, and the `kind` of
+`singularities` says why. Derivation: `docs/theory/rates_forces_singularities.md`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.batches import Result, run_on_states
-from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, real_array
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, broadcastable, real_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import upper_ball_weights
@@ -41,14 +42,14 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
     -------
     ndarray, shape (..., 6, 6)
         Rows r_b1, r_b2, r_b3, r_c1, r_c2, r_c3; columns the twist (v, ω): velocity of o [m/s], angular velocity
-        of m [rad/s], both in {B}. NaN for a member that does not exist. Singular, but right, at a forward
-        singularity.
+        of m [rad/s], both in {B}. NaN for a member of a batch that does not exist or is singular as below. Singular,
+        but right, at a forward singularity.
 
     Raises
     ------
     SingularConfigurationError
-        At an inverse or a constraint singularity, where a twist has no leg rates or no unique ones. Also, as
-        "forward", where a leg has no length, hence no direction.
+        For a single state at an inverse or a constraint singularity, where a twist has no leg rates or no unique ones.
+        Also, as "forward", where a leg has no length, hence no direction.
 
     Notes
     -----
@@ -71,12 +72,12 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
     -------
     ndarray, shape (..., 6, 6)
         Rows the twist (v, ω) of m at o, in {B} [m/s, rad/s]; columns the legs, as in `inverse_jacobian`. Singular, but
-        right, at an inverse singularity.
+        right, at an inverse singularity. NaN for a member of a batch that does not exist or is singular as below.
 
     Raises
     ------
     SingularConfigurationError
-        At a forward or a constraint singularity, where the legs do not hold the platform.
+        For a single state at a forward or a constraint singularity, where the legs do not hold the platform.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
 
@@ -96,12 +97,7 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., 6)
-        Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s]; NaN for a member that does not exist.
-
-    Raises
-    ------
-    SingularConfigurationError
-        As for `inverse_jacobian`.
+        Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s]; at singularities as `inverse_jacobian`.
     """
     value = _broadcast_argument(twist, "twist", "(v, ω) at o in {B} in m/s and rad/s", configuration)
     return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
@@ -122,12 +118,12 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     -------
     ndarray, shape (..., 6)
         Forces of the legs r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [N]; positive pushes, to extend the leg. Weights and
-        friction are left out. NaN for a member that does not exist.
+        friction are left out. NaN for a member of a batch that does not exist or is singular as below.
 
     Raises
     ------
     SingularConfigurationError
-        At a forward or a constraint singularity, where the legs cannot hold every wrench.
+        For a single state at a forward or a constraint singularity, where the legs cannot hold every wrench.
 
     Notes
     -----
@@ -138,18 +134,25 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
     forces, suspect = run_on_states(stage_forces, configuration, _constants(configuration), _results(6), load=load)
     if suspect.any():
-        # A state is as singular under any wrench: raises where one is.
-        platform_jacobian(configuration)
+        # A state is as singular under any wrench.
+        forces[np.broadcast_to(_without_hold(configuration), forces.shape[:-1])] = np.nan
     return np.asarray(forces)
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
-    """Return the matrices of a kernel, shape (..., 6, 6), or raise at a singularity of this kind."""
+    """Return the matrices of a kernel, shape (..., 6, 6); NaN at a singularity of this kind, or raise for one state."""
     check_configuration(configuration)
     matrices, suspect = run_on_states(kernel, configuration, _constants(configuration), _results(6, 6))
     if suspect.any():
-        _refuse_singular(configuration, np.argwhere(suspect), kind)
+        singular = suspect.astype(bool)
+        singular[singular] = _are_singular(configuration, np.argwhere(suspect), kind)
+        matrices[singular] = np.nan
     return np.asarray(matrices)
+
+
+def _without_hold(configuration: Configuration) -> BoolArray:
+    """Return which members of a batch are forward singular, or do not exist; a single one that is singular raises."""
+    return np.asarray(np.isnan(platform_jacobian(configuration)).any(axis=(-1, -2)))
 
 
 def _constants(configuration: Configuration) -> tuple[FloatArray, float, float]:
@@ -194,35 +197,34 @@ def force_matrices(configuration: Configuration) -> FloatArray:
 def stage_inverses(configuration: Configuration) -> FloatArray:
     """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), with twists (v, ω) at o in {B} [m/s, rad/s] for rows.
 
-    Raises
-    ------
-    SingularConfigurationError
-        At a forward or a constraint singularity.
+    NaN where `platform_jacobian` is; a single state that is singular raises.
     """
-    platform_jacobian(configuration)
-    inverses = np.linalg.inv(force_matrices(configuration)[..., :2, :, :])
+    held = ~_without_hold(configuration)[..., None, None, None]
+    matrices = force_matrices(configuration)[..., :2, :, :]
+    inverses = np.where(held, np.linalg.inv(np.where(held, matrices, np.eye(6))), np.nan)
     lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
     angular = inverses[..., 3:, :] / configuration.geometry.middle_side
     linear = inverses[..., :3, :] + np.cross(angular, lever[..., None, :, None], axis=-2)
     return np.concatenate([linear, angular], axis=-2)
 
 
-def _refuse_singular(configuration: Configuration, indices: IntArray, kind: str) -> None:
-    """Raise if one of the states at these indices (n, axes) is singular to rounding, "forward" or "inverse"."""
+def _are_singular(configuration: Configuration, indices: IntArray, kind: str) -> BoolArray:
+    """Return which states at these indices (n, axes) are singular to rounding, "forward" or "inverse".
+
+    For a single configuration, raise if it is.
+    """
     some = configuration[tuple(indices.T)] if configuration.shape else configuration
     matrices = force_matrices(some).reshape(-1, 3, 6, 6)
     # What exists has a row of NaN where a leg has no length.
     is_short = np.asarray(np.isnan(matrices).any(axis=(-1, -2, -3)))
     values = np.linalg.svd(np.nan_to_num(matrices[:, :2] if kind == "forward" else matrices[:, 2:]), compute_uv=False)
     smallest = np.where(values[..., -1] <= SINGULAR * values[..., 0], values[..., -1], np.inf).min(axis=-1)
-    singular = is_short | (smallest < np.inf)
-    if not singular.any():
-        return
-    first = int(singular.argmax())
-    index = tuple(int(k) for k in indices[first])
-    if is_short[first]:
-        raise SingularConfigurationError("forward", 0.0, index)
-    structure = np.linalg.svd(matrices[first, :2, 3:], compute_uv=False)
+    singular = np.asarray(is_short | (smallest < np.inf))
+    if configuration.shape or not singular.any():
+        return singular
+    if is_short.any():
+        raise SingularConfigurationError("forward", 0.0)
+    structure = np.linalg.svd(matrices[0, :2, 3:], compute_uv=False)
     if (structure[:, -1] <= SINGULAR * structure[:, 0]).any():
-        raise SingularConfigurationError("constraint", float(structure[:, -1].min()), index)
-    raise SingularConfigurationError(kind, float(smallest[first]), index)
+        raise SingularConfigurationError("constraint", float(structure[:, -1].min()))
+    raise SingularConfigurationError(kind, float(smallest.min()))

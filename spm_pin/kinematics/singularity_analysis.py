@@ -24,10 +24,12 @@ from spm_pin.formulas.vectors import direction
 from spm_pin.formulas.wrenches import determinant, structure_determinant
 from spm_pin.kinematics.batches import run_kernel, run_on_states
 from spm_pin.kinematics.rates_and_forces import SINGULAR, leg_constants, platform_jacobian
-from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, real_number, shaped_array
+from spm_pin.mechanism import notebook
+from spm_pin.mechanism.arguments import FloatArray, IntArray, real_number, shaped_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 _MIN_BATCH_PER_THREAD = 1 << 11
+_MATRICES = ("J_b", "J_c", "K")
 _STEP = 1e-100
 """Imaginary step of derivatives, in metres of leg length: its square is nothing beside one."""
 
@@ -105,6 +107,23 @@ class Singularities:
         shown = f"{self.kind.shape} states, {np.count_nonzero(exists)} exist, {counts or 'all regular'}"
         return f"<Singularities: {shown}; smallest singular values of J_b, J_c, K: {sigmas}>"
 
+    def _repr_html_(self) -> str:
+        if self.kind.shape:
+            header = ("index", "kind", *(f"smallest singular value of {name}" for name in _MATRICES), "mobility")
+            return notebook.table(repr(self), header, notebook.first_rows(self.kind.shape, self._cells))
+        columns = zip(_MATRICES, self.scaled_determinants, self.sigma, self.condition, strict=True)
+        rows = [(name, *(f"{value:.3g}" for value in values)) for name, *values in columns]
+        header = ("matrix", "determinant [d³]", "smallest singular value", "condition")
+        return notebook.table(repr(self), header, rows)
+
+    def _cells(self, index: tuple[int, ...]) -> tuple[str, ...]:
+        """Return the cells of a state in a notebook's table."""
+        if not self.rank[index].any():
+            return ("does not exist",)
+        kind, mobility = SingularityKind(int(self.kind[index])), int(self.mobility[index])
+        free = "not defined" if mobility < 0 else str(mobility)
+        return (str(kind), *(f"{value:.3g}" for value in self.sigma[index]), free)
+
 
 def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) -> Singularities:
     """Describe the singularities of a configuration, or how near they are.
@@ -120,7 +139,8 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     Raises
     ------
     SingularConfigurationError
-        Where a leg has no length, hence no direction.
+        Where a leg of a single state has no length, hence no direction. In a batch such a member is NaN, of rank 0 and
+        of the kind FORWARD.
 
     Notes
     -----
@@ -141,12 +161,17 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     dets, largest, smallest, rank, flags, twists, wrench = described
     dependent, short = flags[..., 0], flags[..., 1]
     if short.any():
-        raise SingularConfigurationError("forward", 0.0, first_offender(short))
+        if not configuration.shape:
+            raise SingularConfigurationError("forward", 0.0)
+        rank[short] = 0
+        for values in (dets, largest, smallest, twists, wrench):
+            values[short] = np.nan
     kind = (
         np.where(rank[..., 2] < 6, SingularityKind.INVERSE, 0)
         | np.where((rank[..., :2] < 6).any(axis=-1), SingularityKind.FORWARD, 0)
         | np.where(dependent, SingularityKind.CONSTRAINT, 0)
     )
+    kind = np.where(short, SingularityKind.FORWARD, kind)
     held = (rank[..., :2] == 6).all(axis=-1)
     with np.errstate(divide="ignore"):
         condition = largest / smallest
@@ -223,13 +248,13 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
     -------
     ndarray, shape (..., 3, 6)
         Row per determinant, column per leg r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m²]; finite at an inverse
-        singularity. NaN for a member that does not exist. For the derivative along a motion of the platform
-        multiply with `inverse_jacobian`.
+        singularity. NaN for a member of a batch that does not exist or is singular as below. For the derivative along
+        a motion of the platform multiply with `inverse_jacobian`.
 
     Raises
     ------
     SingularConfigurationError
-        At a forward or a constraint singularity, where the leg lengths do not determine the motion.
+        For a single state at a forward or a constraint singularity, where the leg lengths do not determine the motion.
     """
     # Twists (v, ω) of m at o per unit leg rate, (..., 6, 6); the middle platform moves with the lower legs only.
     twists = np.swapaxes(platform_jacobian(configuration), -1, -2)
@@ -250,11 +275,12 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
     fixed = np.broadcast_to(axes[..., None, :3, :], lower.shape)
     turned = axes[..., None, 3:, :] + 1j * _STEP * np.cross(angular[..., None, :], axes[..., None, 3:, :])
     b, c, first, second, a, a_m = (_rows(x) for x in (lower, upper, below, above, fixed, turned))
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         along, across = ((direction(x), direction(y), direction(z)) for x, y, z in (first, second))
         values = determinant(b, along, a), determinant(c, across, a_m), structure_determinant(b, c, a, a_m)
     # Without subtraction, a complex step loses no digits.
-    return np.where(configuration.exists[..., None, None], np.stack(values, axis=-2).imag / _STEP, np.nan)
+    known = np.asarray(~np.isnan(twists).any(axis=(-1, -2), keepdims=True))
+    return np.where(known, np.stack(values, axis=-2).imag / _STEP, np.nan)
 
 
 def _rows(array: Any) -> Any:

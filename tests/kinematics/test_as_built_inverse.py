@@ -15,17 +15,19 @@ import spm_pin as spm
 from spm_pin.kinematics import complex_middle_joints
 
 PAPER = spm.Geometry.paper()
-NOMINAL = PAPER
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 DIRECTION = np.random.default_rng(1).standard_normal(54)
 SIZES = (1e-9, 1e-5, 1e-3, 1e-2, 5e-2)
 
 
 def along(size: float) -> spm.Geometry:
-    return NOMINAL.from_parameters(NOMINAL.parameters + size * DIRECTION)
+    return PAPER.from_parameters(PAPER.parameters + size * DIRECTION)
 
 
-def check_counts(name: str, size: float, machines: int, poses: int) -> None:
+@pytest.mark.parametrize(("machines", "poses"), [(5, 3), pytest.param(40, 5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_all_eight_roots_are_certified(name: str, size: float, machines: int, poses: int) -> None:
     geometry, families = GEOMETRIES[name], spm.mechanism.FAMILIES
     for seed in range(machines):
         built = as_built(geometry, size, seed)
@@ -42,25 +44,11 @@ def check_counts(name: str, size: float, machines: int, poses: int) -> None:
             assert proved == solutions.count[k], (name, size, seed, k)
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("name", GEOMETRIES)
-def test_all_eight_roots_are_certified(name: str, size: float) -> None:
-    check_counts(name, size, machines=5, poses=3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("name", GEOMETRIES)
-def test_all_eight_roots_of_many_machines_are_certified(name: str, size: float) -> None:
-    check_counts(name, size, machines=100, poses=5)
-
-
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_vanishing_errors_lead_to_the_nominal_branches_under_their_labels(name: str) -> None:
     geometry = GEOMETRIES[name]
     pose = random_branches(geometry, "TT", 300, seed=8).pose
     nominal = spm.inverse_displacement(geometry, pose)
-    assert nominal.discriminants is not None
     # Away from the singularities at which branches of a family or of two families meet.
     apart = np.abs(nominal.middle_joints[:, :, None] - nominal.middle_joints[:, None]).max(axis=(-1, -2))
     apart = np.where(np.eye(8, dtype=bool) | np.isnan(apart), np.inf, apart) / geometry.middle_side
@@ -70,7 +58,6 @@ def test_vanishing_errors_lead_to_the_nominal_branches_under_their_labels(name: 
     for size in (1e-11, 1e-9):
         built = spm.inverse_displacement(as_built(geometry, size, seed=9), pose)
         np.testing.assert_array_equal(built.exists[clear], nominal.exists[clear])
-        assert built.merged is not None
         assert not built.merged[clear].any()
         moved = np.abs(built.middle_joints - nominal.middle_joints)[clear][nominal.exists[clear]]
         errors.append(np.median(moved.max(axis=(-1, -2))) / geometry.middle_side)
@@ -109,7 +96,6 @@ def test_labels_are_continuous_in_the_errors_until_branches_meet() -> None:
     lost = np.zeros(before.exists.shape, dtype=bool)
     for size in np.linspace(0.0, 2e-4, 201)[1:]:
         now = spm.inverse_displacement(along(float(size)), pose)
-        assert now.merged is not None
         assert not (lost & ~now.merged).any(), "a label that was lost came back as if nothing had been"
         kept = before.exists & ~lost & now.exists & ~now.merged
         distance = np.abs(before.middle_joints[:, :, None] - now.middle_joints[:, None]).max(axis=(-1, -2))
@@ -130,65 +116,39 @@ def test_labels_are_continuous_in_the_errors_until_branches_meet() -> None:
     assert lost.any()
 
 
-def test_two_branches_of_the_papers_example_end_where_they_meet() -> None:
-    def both(size: float) -> spm.SolutionSet:
-        return spm.inverse_displacement(along(size), EXAMPLE)
-
+def meeting(resolution: float) -> tuple[float, float]:
+    """Sizes of the errors below and above which two branches of the paper's example meet, to a relative resolution."""
     low, high = 1e-6, 1e-4
-    assert both(low).count == 6
-    assert both(high).count == 4
-    while high / low - 1.0 > 1e-9:
+    assert [spm.inverse_displacement(along(size), EXAMPLE).count for size in (low, high)] == [6, 4]
+    while high / low - 1.0 > resolution:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if both(middle).count == 6 else (low, middle)
-    before, after = both(low), both(high)
-    gone = np.flatnonzero(before.exists & ~after.exists)
-    assert len(gone) == 2
-    joints = before.middle_joints[gone]
-    assert np.abs(joints[0] - joints[1]).max() < 1e-4
-    assert after.merged is not None
-    np.testing.assert_array_equal(np.flatnonzero(after.merged), gone)
+        low, high = (middle, high) if spm.inverse_displacement(along(middle), EXAMPLE).count == 6 else (low, middle)
+    return low, high
+
+
+def test_two_branches_of_the_papers_example_end_where_they_meet_in_an_inverse_singularity() -> None:
+    before, after = (spm.inverse_displacement(along(size), EXAMPLE) for size in meeting(1e-10))
+    gone = before.exists & ~after.exists
+    assert gone.sum() == 2
+    assert np.abs(np.diff(before.middle_joints[gone], axis=0)).max() < 1e-4
+    np.testing.assert_array_equal(after.merged, gone)
     np.testing.assert_allclose(after.middle_joints[after.exists], before.middle_joints[after.exists], atol=1e-8)
-
-
-@pytest.mark.parametrize("shape", [(), (1,), (0,), (3, 1, 2)])
-def test_a_batch_is_solved_like_its_members(shape: tuple[int, ...]) -> None:
-    built = as_built(PAPER, 1e-3, seed=4)
-    poses = random_branches(PAPER, "TT", int(np.prod(shape)), seed=6).pose.as_matrix().reshape(*shape, 4, 4)
-    solutions = spm.inverse_displacement(built, poses)
-    roots = complex_middle_joints(built, poses)
-    assert solutions.middle_joints.shape == (*shape, 8, 3, 3) == roots.shape
-    assert solutions.leg_lengths.shape == (*shape, 8, 6)
-    for index in np.ndindex(shape):
-        alone = spm.inverse_displacement(built, poses[index])
-        np.testing.assert_array_equal(alone.middle_joints, solutions.middle_joints[index])
-        np.testing.assert_array_equal(alone.leg_lengths, solutions.leg_lengths[index])
-        np.testing.assert_array_equal(alone.merged, np.asarray(solutions.merged)[index])
-        np.testing.assert_array_equal(complex_middle_joints(built, poses[index]), roots[index])
-        np.testing.assert_allclose(
-            spm.inverse_physical(built, poses[index]).leg_lengths, alone.physical().leg_lengths, rtol=1e-13
-        )
-
-
-def test_threads_do_not_change_a_bit() -> None:
-    built = as_built(PAPER, 1e-3, seed=4)
-    pose = in_leg_space(PAPER, 1500, seed=7).pose
-    try:
-        spm.set_threads(1)
-        first = spm.inverse_displacement(built, pose)
-        spm.set_threads(2)
-        second = spm.inverse_displacement(built, pose)
-    finally:
-        spm.set_threads(None)
-    np.testing.assert_array_equal(first.middle_joints, second.middle_joints)
-
-
-def test_the_physical_branch_of_a_small_error_is_near_the_nominal_one() -> None:
-    pose = in_leg_space(PAPER, 300, seed=8).pose
-    nominal = spm.inverse_physical(PAPER, pose)
-    built = spm.inverse_physical(as_built(PAPER, 1e-6, seed=5), pose)
-    assert built.exists.mean() > 0.97
-    moved = np.abs(built.leg_lengths - nominal.leg_lengths).max(axis=-1)
-    assert np.nanmedian(moved) < 1e-4
+    described = spm.singularities(before.configurations)
+    assert (described.sigma[gone, 2] < 1e-6).all()
+    assert (described.sigma[before.exists & ~gone, 2] > 1e-5).all()
+    assert np.sign(spm.determinants(before.configurations)[gone, 2]).sum() == 0
+    near = spm.singularities(before.configurations, tolerance=1e-5)
+    assert (near.kind[gone] == spm.kinematics.SingularityKind.INVERSE).all()
+    assert (near.mobility[gone] == 5).all()
+    # No motion of the platform does work on the lost wrench: the legs do not carry it.
+    state = before.configurations[int(np.flatnonzero(gone)[0])]
+    assert np.abs(spm.leg_forces(state, described.lost_wrench[gone][0])).max() < 1e-4
+    # The middle platform moves with both ends at rest, from one branch to the other.
+    gap = np.diff(before.configurations[gone].balls, axis=0)[0]
+    twist = described.inner_twist[gone][0]
+    velocity = twist[:3] + np.cross(twist[3:], state.balls - state.translation)
+    cosine = (gap * velocity).sum() / np.linalg.norm(gap) / np.linalg.norm(velocity)
+    assert abs(cosine) == pytest.approx(1.0, abs=1e-4)
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-3, 1e-2])
@@ -278,8 +238,8 @@ def test_the_physical_branch_of_reachable_poses_is_that_of_all_branches() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(10))
-def test_the_physical_branch_of_ten_million_reachable_poses_is_that_of_all_branches(part: int) -> None:
+@pytest.mark.parametrize("part", range(4))
+def test_the_physical_branch_of_four_million_reachable_poses_is_that_of_all_branches(part: int) -> None:
     assert check_physical_branches(range(4 + 20 * part, 24 + 20 * part), 50_000) > 990_000
 
 
@@ -308,18 +268,20 @@ def test_poses_too_far_away_to_be_resolved_are_refused(distance: float) -> None:
 
 
 def test_results_are_written_into_memory_of_the_same_machine_only() -> None:
-    built, poses = as_built(PAPER, 1e-4, seed=2), in_leg_space(PAPER, 40, seed=3).pose
+    built, poses = as_built(PAPER, 1e-4, seed=2), in_leg_space(PAPER, 40, seed=3).pose.as_matrix().reshape(2, 20, 4, 4)
     for machine in (PAPER, built):
-        first = spm.inverse_displacement(machine, poses[:20])
-        expected = spm.inverse_displacement(machine, poses[20:])
-        again = spm.inverse_displacement(machine, poses[20:], out=first)
+        first, expected = (spm.inverse_displacement(machine, pose) for pose in poses)
+        again = spm.inverse_displacement(machine, poses[1], out=first)
         assert np.shares_memory(again.middle_joints, first.middle_joints)
-        np.testing.assert_array_equal(again.middle_joints, expected.middle_joints)
-        np.testing.assert_array_equal(again.leg_lengths, expected.leg_lengths)
+        for name in ("rotation", "translation", "middle_joints", "leg_lengths", "discriminants", "status"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(expected, name), err_msg=name)
         np.testing.assert_array_equal(first.rotation, expected.rotation)
         for other in (spm.Geometry(0.7, 0.35, 0.8), as_built(PAPER, 1e-4, seed=3), replace(PAPER, limits=None)):
             with pytest.raises(spm.ArgumentError, match="out: expected what `inverse_displacement` returned for this"):
-                spm.inverse_displacement(other, poses[20:], out=first)
+                spm.inverse_displacement(other, poses[1], out=first)
+        for wrong in (poses[0], expected[:5], spm.forward_displacement(PAPER, [1.3] * 6)):
+            with pytest.raises(spm.ArgumentError, match=r"^out: expected"):
+                spm.inverse_displacement(machine, poses[1], out=wrong)
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-2])
@@ -327,7 +289,6 @@ def test_certified_radii_hold_the_roots_of_ball_arithmetic(size: float) -> None:
     built, pose = as_built(PAPER, size, seed=11), in_leg_space(PAPER, 12, seed=11).pose
     plain, certified = spm.inverse_displacement(built, pose), spm.inverse_displacement(built, pose, certify=True)
     assert plain.radius is None
-    assert certified.radius is not None
     np.testing.assert_array_equal(certified.middle_joints, plain.middle_joints)
     assert certified.certain is None
     proved = np.isfinite(certified.radius)
@@ -349,8 +310,6 @@ def test_near_double_roots_labels_and_radii_hold(family: int) -> None:
         pose = RigidTransform.concatenate([at_discriminant(pose, family, beyond, PAPER) for pose in poses])
         built, drawn = as_built(PAPER, share * beyond, seed=22), spm.inverse_displacement(PAPER, pose)
         branches = spm.inverse_displacement(built, pose, certify=True)
-        assert branches.merged is not None
-        assert branches.radius is not None
         kept = drawn.exists & branches.exists & ~branches.merged
         signs = [np.sign(spm.determinants(solutions.configurations)[kept][:, 2]) for solutions in (drawn, branches)]
         np.testing.assert_array_equal(*signs)
@@ -368,15 +327,11 @@ def test_near_double_roots_labels_and_radii_hold(family: int) -> None:
 
 
 def test_near_a_double_root_the_radius_holds_or_is_missing() -> None:
-    low, high = 1e-6, 1e-4
-    while high / low - 1.0 > 1e-13:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if spm.inverse_displacement(along(middle), EXAMPLE).count == 6 else (low, middle)
+    low, _ = meeting(1e-13)
     matrix = EXAMPLE.as_matrix()
     for size in low * (1.0 - np.array([1e-3, 1e-6, 1e-9, 1e-12, 0.0])):
         built = along(float(size))
         branches = spm.inverse_displacement(built, EXAMPLE, certify=True)
-        assert branches.radius is not None
         for joints, radius in zip(branches.middle_joints, branches.radius, strict=True):
             if np.isfinite(radius):
                 assert distance_to_root(built, matrix[:3, :3], matrix[:3, 3], joints) <= radius

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, as_built, in_leg_space, random_branches
+from problems import GEOMETRIES, as_built, in_leg_space, random_branches, wrench_matrices
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -76,24 +75,6 @@ def test_offsets_are_taken_off_the_readings() -> None:
     )
 
 
-@pytest.mark.parametrize("shape", [(), (1,), (0,), (3, 1, 2)])
-def test_a_batch_is_solved_like_its_members(shape: tuple[int, ...]) -> None:
-    built = as_built(PAPER, 1e-3)
-    legs = np.random.default_rng(1).uniform(1.15, 1.45, (*shape, 6))
-    found = spm.forward_physical(built, legs)
-    assert found.shape == shape
-    jacobian, determinants = spm.inverse_jacobian(found), spm.determinants(found)
-    described = spm.singularities(found)
-    assert jacobian.shape == (*shape, 6, 6)
-    assert determinants.shape == (*shape, 3) == described.sigma.shape
-    assert described.gained_twist.shape == (*shape, 2, 6)
-    for index in np.ndindex(shape):
-        alone = spm.forward_physical(built, legs[index])
-        np.testing.assert_array_equal(alone.middle_joints, found.middle_joints[index])
-        np.testing.assert_allclose(spm.inverse_jacobian(alone), jacobian[index], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(spm.singularities(alone).sigma, described.sigma[index], rtol=1e-12)
-
-
 def moved(pose: spm.mechanism.PoseLike, twist: np.ndarray, step: float) -> np.ndarray:
     matrix = np.array(pose)
     matrix[..., :3, 3] += step * twist[:3]
@@ -122,123 +103,18 @@ def test_forces_do_the_work_of_the_wrench() -> None:
     np.testing.assert_allclose(work, -(wrench * twist).sum(axis=-1), rtol=1e-9, atol=1e-9)
 
 
-def test_determinants_are_those_of_the_jacobian() -> None:
+def test_determinants_are_those_of_the_matrices_and_of_the_jacobian() -> None:
     state = states(size=5e-3)
+    expected = np.linalg.det(wrench_matrices(state))
+    np.testing.assert_allclose(spm.singularities(state).scaled_determinants, expected, rtol=1e-9, atol=1e-12)
     lower, upper, structure = np.moveaxis(spm.determinants(state), -1, 0)
     np.testing.assert_allclose(np.linalg.det(spm.inverse_jacobian(state)), lower * upper / structure, rtol=1e-9)
     np.testing.assert_allclose(spm.singularities(state).determinants, spm.determinants(state), rtol=1e-9)
 
 
-def test_a_pair_of_branches_meets_at_an_inverse_singularity() -> None:
-    """The errors are bisected to where two branches of the paper's example end; K is singular there and only there."""
-    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-    nominal = PAPER
-    direction = np.random.default_rng(1).standard_normal(54)
-
-    def branches(size: float) -> spm.SolutionSet:
-        return spm.inverse_displacement(nominal.from_parameters(nominal.parameters + size * direction), pose)
-
-    low, high = 1e-6, 1e-4
-    while high / low - 1.0 > 1e-10:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if branches(middle).count == 6 else (low, middle)
-    before, after = branches(low), branches(high)
-    gone = before.exists & ~after.exists
-    described = spm.singularities(before.configurations)
-    assert gone.sum() == 2
-    assert (described.sigma[gone, 2] < 1e-6).all()
-    signs = np.sign(spm.determinants(before.configurations)[gone, 2])
-    assert signs.sum() == 0
-    assert (described.sigma[before.exists & ~gone, 2] > 1e-5).all()
-    near = spm.singularities(before.configurations, tolerance=1e-5)
-    assert (near.kind[gone] == spm.kinematics.SingularityKind.INVERSE).all()
-    assert (near.mobility[gone] == 5).all()
-    # No motion of the platform does work on the lost wrench: the legs do not carry it.
-    state = before.configurations[int(np.flatnonzero(gone)[0])]
-    forces = spm.leg_forces(state, described.lost_wrench[gone][0])
-    assert np.abs(forces).max() < 1e-4
-    # The middle platform moves with both ends at rest, from one branch to the other.
-    gap = np.diff(before.configurations[gone].balls, axis=0)[0]
-    twist = described.inner_twist[gone][0]
-    velocity = twist[:3] + np.cross(twist[3:], state.balls - state.translation)
-    cosine = (gap * velocity).sum() / np.linalg.norm(gap) / np.linalg.norm(velocity)
-    assert abs(cosine) == pytest.approx(1.0, abs=1e-4)
-
-
-def test_states_that_do_not_exist_give_nan() -> None:
-    built = as_built(PAPER, 1e-3)
-    found = spm.forward_physical(built, [[1.25, 1.15, 1.40, 1.30, 1.20, 1.40], [1.3, 1.3, 9.0, 1.3, 1.3, 1.3]])
-    assert found.exists.tolist() == [True, False]
-    assert np.isnan(spm.determinants(found)[1]).all()
-    assert np.isfinite(spm.determinants(found)[0]).all()
-    described = spm.singularities(found)
-    assert described.rank[1].tolist() == [0, 0, 0]
-    assert np.isnan(described.sigma[1]).all()
-    assert np.isnan(described.lost_wrench[1]).all()
-    results = (
-        spm.leg_forces(found, np.ones(6)),
-        spm.leg_rates(found, np.ones(6)),
-        spm.inverse_jacobian(found),
-        spm.stiffness(found, 1e7),
-    )
-    for result in results:
-        assert np.isfinite(result[0]).all()
-        assert np.isnan(result[1]).all()
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda built, state: spm.forward_physical(built, np.full(6, -1.0)), "readings.*exceed their offset.*r_b1"),
-        (lambda built, state: spm.forward_physical(built, np.full(6, 1e9)), "readings.*another unit"),
-        (lambda built, state: spm.forward_physical(PAPER, np.full(6, 1.3), near=state), "near.*of this geometry"),
-        (
-            lambda built, state: spm.forward_physical(as_built(PAPER, 2e-3), np.full(6, 1.3), near=state),
-            "near.*of this geometry",
-        ),
-        (
-            lambda built, state: spm.forward_physical(
-                built, np.full(6, 1.3), near=spm.Configuration(built, state.pose, state.middle_joints + 0.01)
-            ),
-            "near.*closes",
-        ),
-    ],
-)
-def test_bad_arguments_are_named(call: Callable[[object, object], object], message: str) -> None:
-    built = as_built(PAPER, 1e-3)
-    state = spm.forward_physical(built, np.full(6, 1.3))
-    with pytest.raises(spm.ArgumentError, match=message):
-        call(built, state)
-
-
-def test_rounding_errors_change_nothing() -> None:
-    """Six legs that differ from the drawing by rounding have its rates, forces and singularities."""
-    drawn = spm.forward_physical(PAPER, np.random.default_rng(3).uniform(1.1, 1.5, (200, 6)))
-    drawn = drawn[drawn.exists]
-    drawn = drawn[spm.singularities(drawn).sigma.min(axis=-1) > 1e-2]
-    built = spm.Configuration(as_built(PAPER, 1e-14), drawn.pose, drawn.middle_joints)
-    assert not built.geometry.is_nominal
-    functions = (
-        spm.inverse_jacobian,
-        spm.kinematics.platform_jacobian,
-        spm.determinants,
-        spm.kinematics.determinant_gradients,
-        lambda state: spm.singularities(state).sigma,
-        lambda state: spm.leg_forces(state, [10.0, -20.0, 30.0, 1.0, 2.0, -3.0]),
-    )
-    for function in functions:
-        expected, value = function(drawn), function(built)
-        np.testing.assert_allclose(value, expected, atol=1e-9 * np.abs(expected).max())
-
-
-def test_gradients_of_determinants_are_differences() -> None:
-    state, step = states(count=20), 1e-5
-    gradients = spm.kinematics.determinant_gradients(state)
-    for leg in range(6):
-        change = step * np.eye(6)[leg]
-        ends = [spm.forward_physical(state.geometry, state.readings + s * change, near=state) for s in (1.0, -1.0)]
-        expected = (spm.determinants(ends[0]) - spm.determinants(ends[1])) / (2.0 * step)
-        np.testing.assert_allclose(gradients[..., leg], expected, atol=1e-6)
+def test_readings_below_their_offsets_are_refused() -> None:
+    with pytest.raises(spm.ArgumentError, match=r"readings.*exceed their offset.*r_b1"):
+        spm.forward_physical(as_built(PAPER, 1e-3), np.full(6, -1.0))
 
 
 def test_a_path_of_a_machine_as_built_is_followed() -> None:

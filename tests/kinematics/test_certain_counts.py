@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import pickle
-
 import mpmath
 import numpy as np
 import pytest
-from oracle import certified_count, discriminants, quaternion_of
+from oracle import discriminants, quaternion_of
 from problems import GEOMETRIES, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -45,7 +43,6 @@ def folds(geometry: spm.Geometry, family: int, count: int, seed: int, beyond: fl
 
         def value(s: float, position: np.ndarray = position) -> np.ndarray:
             found = spm.inverse_displacement(geometry, spm.pose(position + s * normal, rotation=rotation))
-            assert found.discriminants is not None
             return found.discriminants[:, family]
 
         low, middle, high = value(-shift), value(0.0), value(shift)
@@ -59,26 +56,24 @@ def folds(geometry: spm.Geometry, family: int, count: int, seed: int, beyond: fl
     return spm.pose(position + beyond * rng.uniform(-1.0, 1.0, (count, 1)) * normal, rotation=rotation)
 
 
-def check_against_balls(geometry: spm.Geometry, solutions: spm.SolutionSet) -> None:
-    """Check that no family is said to be certainly real, or not, that is otherwise."""
-    certain, exists = solutions.certain, solutions.exists
-    assert certain is not None
-    rotation, position = solutions.rotation[:, 0], solutions.translation[:, 0]
+def check_against_balls(geometry: spm.Geometry, *answers: spm.SolutionSet) -> None:
+    """Check of answers for the same poses that no family is said to be certainly real, or not, that is otherwise."""
+    rotation, position = answers[0].rotation[:, 0], answers[0].translation[:, 0]
+    claims = [(solutions.certain, solutions.exists[:, ::2]) for solutions in answers]
     for n in range(len(position)):
         values = discriminants(rotation[n], position[n], geometry.middle_side)
-        for family in np.flatnonzero(certain[n]):
-            real = exists[n, 2 * family]
-            value = values[family]
-            if not (value > 0 or value < 0):
-                value = discriminants(rotation[n], position[n], geometry.middle_side, bits=2000)[family]
-            assert value >= 0 if real else value < 0
+        for certain, exists in claims:
+            for family in np.flatnonzero(certain[n]):
+                value = values[family]
+                if not (value > 0 or value < 0):
+                    value = discriminants(rotation[n], position[n], geometry.middle_side, bits=2000)[family]
+                assert value >= 0 if exists[n, family] else value < 0
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_rounding_error_of_a_discriminant_is_below_its_bound(name: str) -> None:
     geometry = GEOMETRIES[name]
     solutions = spm.inverse_displacement(geometry, poses(400, 3, geometry.middle_side))
-    assert solutions.discriminants is not None
     position = solutions.translation[:, 0]
     allowed = (1.0 + np.abs(position[:, :2]).sum(axis=-1) / geometry.middle_radius) ** 2
     for n in range(400):
@@ -91,17 +86,8 @@ def test_rounding_error_of_a_discriminant_is_below_its_bound(name: str) -> None:
 def test_generic_poses_are_certain_and_right() -> None:
     for geometry in GEOMETRIES.values():
         solutions = spm.inverse_displacement(geometry, poses(300, 4, geometry.middle_side))
-        assert solutions.certain is not None
         assert solutions.certain[::2].all()
         check_against_balls(geometry, solutions)
-
-
-def test_counts_are_those_of_the_isolated_roots_of_the_octic() -> None:
-    pose = poses(60, 5)
-    solutions = spm.inverse_displacement(PAPER, pose, certify=True)
-    for n in range(0, 60, 2):
-        x0, *rest = quaternion_of(solutions.rotation[n, 0])
-        assert solutions.count[n] == certified_count([*rest, x0], solutions.translation[n, 0], PAPER.middle_side)
 
 
 @pytest.mark.parametrize("family", range(4))
@@ -109,13 +95,9 @@ def test_folds_are_uncertain_and_their_counts_then_corrected(family: int) -> Non
     pose = folds(PAPER, family, 80, family, 2e-16)
     plain = spm.inverse_displacement(PAPER, pose)
     settled = spm.inverse_displacement(PAPER, pose, certify=True)
-    assert plain.certain is not None
-    assert settled.certain is not None
-    assert settled.radius is not None
     assert not plain.certain[:, family].any()
     assert settled.certain.all()
-    check_against_balls(PAPER, plain)
-    check_against_balls(PAPER, settled)
+    check_against_balls(PAPER, plain, settled)
     assert np.isfinite(settled.radius[settled.exists]).all()
     np.testing.assert_array_equal(np.isnan(settled.radius), ~settled.exists)
     assert (settled.residual[settled.exists] < 1e-13).all()
@@ -170,7 +152,7 @@ def newton(solutions: spm.SolutionSet, n: int, branch: int, side: float) -> np.n
 
 
 def test_exact_joints_are_within_the_radius() -> None:
-    for name, problem in (("leg space", in_leg_space(PAPER, 6, 1)), ("any", random_branches(PAPER, "TF", 6, 2))):
+    for name, problem in (("leg space", in_leg_space(PAPER, 2, 1)), ("any", random_branches(PAPER, "TF", 2, 2))):
         solutions = spm.inverse_displacement(PAPER, problem.pose, certify=True)
         assert solutions.radius is not None, name
         for n, branch in zip(*np.nonzero(solutions.exists), strict=True):
@@ -180,7 +162,6 @@ def test_exact_joints_are_within_the_radius() -> None:
 
 def test_branches_that_nearly_meet_are_told_apart_by_their_radii() -> None:
     solutions = spm.inverse_displacement(PAPER, folds(PAPER, 3, 20, 6, 1e-13), certify=True)
-    assert solutions.radius is not None
     real = solutions.exists[:, 6]
     between = np.linalg.norm(solutions.middle_joints[:, 6] - solutions.middle_joints[:, 7], axis=-1).max(axis=-1)[real]
     assert real.any()
@@ -192,31 +173,23 @@ def test_branches_that_nearly_meet_are_told_apart_by_their_radii() -> None:
 
 def test_continuous_families_and_parallel_axes_are_not_certain() -> None:
     home = spm.inverse_displacement(PAPER, spm.pose([0, 0, 2.5], rotation=np.eye(3)), certify=True)
-    assert home.certain is not None
     assert not home.certain.any()
     # A rotation about the axis of a leg, on the axis of the base: all four families are continuous.
     axis = PAPER.revolute_axes[0]
     symmetric = spm.inverse_displacement(
         PAPER, spm.pose([0, 0, 2.5], rotation=Rotation.from_rotvec(0.4 * axis)), certify=True
     )
-    assert symmetric.degeneracy is not None
-    assert symmetric.certain is not None
     assert not (symmetric.certain & symmetric.degeneracy.families).any()
     assert symmetric.status is spm.Status.DEGENERATE
 
 
-def test_proofs_are_kept_by_parts_and_copies() -> None:
+def test_proofs_are_kept_by_parts() -> None:
     pose = folds(PAPER, 1, 4, 7, 1e-15)
     solutions = spm.inverse_displacement(PAPER, pose, certify=True)
-    assert solutions.certain is not None
-    assert solutions.radius is not None
-    copied = pickle.loads(pickle.dumps(solutions))
-    np.testing.assert_array_equal(copied.radius, solutions.radius)
-    np.testing.assert_array_equal(copied[1].certain, solutions.certain[1])
+    np.testing.assert_array_equal(solutions[1].certain, solutions.certain[1])
     np.testing.assert_array_equal(solutions[2].radius, solutions.radius[2])
     few = solutions.within(spm.LegLimits(0.5, 0.9))
     np.testing.assert_array_equal(few.certain, solutions.certain)
-    assert few.radius is not None
     assert np.isnan(few.radius[~few.exists]).all()
     alone = spm.inverse_displacement(PAPER, pose[0], certify=True)
     np.testing.assert_array_equal(alone.radius, solutions.radius[0])
@@ -224,10 +197,9 @@ def test_proofs_are_kept_by_parts_and_copies() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_false_proof_at_a_hundred_thousand_poses(seed: int) -> None:
     solutions = spm.inverse_displacement(PAPER, poses(100_000, seed))
-    assert solutions.certain is not None
     assert solutions.certain[::2].all()
     check_against_balls(PAPER, solutions)
 
@@ -235,10 +207,7 @@ def test_no_false_proof_at_a_hundred_thousand_poses(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("family", range(4))
 def test_no_false_proof_at_many_folds(family: int) -> None:
-    for seed in range(5):
-        pose = folds(PAPER, family, 5000, 10 * family + seed, 1e-15)
-        check_against_balls(PAPER, spm.inverse_displacement(PAPER, pose))
-        settled = spm.inverse_displacement(PAPER, pose, certify=True)
-        assert settled.certain is not None
-        assert settled.certain.mean() > 0.99
-        check_against_balls(PAPER, settled)
+    pose = folds(PAPER, family, 2000, family, 1e-15)
+    plain, settled = spm.inverse_displacement(PAPER, pose), spm.inverse_displacement(PAPER, pose, certify=True)
+    assert settled.certain.mean() > 0.99
+    check_against_balls(PAPER, plain, settled)

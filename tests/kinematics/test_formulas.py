@@ -1,4 +1,4 @@
-"""Formulas: the same functions on many kinds of numbers, and derivatives and determinants against plain matrices."""
+"""Formulas: the same functions on many kinds of numbers, and derivatives against complex steps and differences."""
 
 from __future__ import annotations
 
@@ -10,20 +10,16 @@ from typing import Any
 import casadi as ca
 import flint
 import mpmath
-import numba
 import numpy as np
 import pytest
-from numba.extending import register_jitable
-from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.formulas import branches, joint_values, leg_planes, operations, stages, vectors, wrenches
+from spm_pin.formulas import branches, leg_planes, stages, vectors, wrenches
 from spm_pin.formulas.operations import bind
 from spm_pin.kinematics.intervals import Interval
-from spm_pin.mechanism.joint_angles import home_leans, home_lengths, joint_angles, leg_placements
-from spm_pin.mechanism.legs import axis_directions, triangle_frames, upper_ball_weights
 
 PAPER = spm.Geometry.paper()
+MACHINE = PAPER.perturbed(3, length=1e-2, angle=1e-2)
 R, E, C = PAPER.middle_radius, PAPER.base_radius, PAPER.platform_radius
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])).as_matrix()
 BRANCHES = spm.inverse_displacement(PAPER, POSE)
@@ -71,25 +67,7 @@ def of_casadi(formula: Any, *arguments: Any) -> Any:
     return mapped(lambda _: next(values), result)
 
 
-COMPILED: dict[Any, Any] = {}
-
-
-def of_numba(formula: Any, *arguments: Any) -> Any:
-    """Compile a formula as the kernels do: what it calls is registered with Numba as it stands."""
-    if not COMPILED:
-        for module in (operations, vectors, stages, branches, wrenches, leg_planes, joint_values):
-            for member in vars(module).values():
-                if (
-                    callable(member)
-                    and getattr(member, "__module__", "") == module.__name__
-                    and hasattr(member, "__code__")
-                ):
-                    register_jitable(error_model="numpy")(member)
-    if formula not in COMPILED:
-        COMPILED[formula] = numba.njit(error_model="numpy")(formula)
-    return COMPILED[formula](*arguments)
-
-
+# Compiled, they run in the kernels: `test_compiling.py` compares those with the interpreter, bit by bit.
 RUNNERS = {
     "float": Runner(lambda formula, *arguments: formula(*arguments), float, float),
     "NumPy": Runner(
@@ -97,7 +75,6 @@ RUNNERS = {
         lambda x: np.full(2, x),
         lambda x: float(x[1]),
     ),
-    "Numba": Runner(of_numba, float, float),
     "CasADi": Runner(of_casadi, float, float),
     "mpmath": Runner(interpreted(sqrt=mpmath.sqrt, COS_30=mpmath.sqrt(3) / 2), mpmath.mpf, float),
     "arb": Runner(interpreted(sqrt=lambda x: x.sqrt(), COS_30=flint.arb(3).sqrt() / 2), flint.arb, float),
@@ -129,7 +106,6 @@ def test_all_branches_on_every_kind_of_number(name: str) -> None:
             assert bool(runner.read(home)) == (k == PHYSICAL)
 
 
-MACHINE = PAPER.perturbed(3, length=1e-2, angle=1e-2)
 LENGTHS = (1.2, 1.25, 1.4)
 NEAR_STATE = (0.97, 0.1, np.sqrt(1.0 - 0.97**2 - 0.01), 1.3)
 
@@ -178,50 +154,6 @@ def test_the_residual_of_a_stage_has_its_derivatives_and_vanishes_at_a_solution(
     np.testing.assert_allclose(R * np.array(stages.cartesian(radii, heights)), STATE.middle_joints, atol=8 * EPS)
 
 
-def stage_arrays(state: spm.Configuration) -> tuple[Any, ...]:
-    """Return the balls, directions and axes of the lower and of the upper stage, and o."""
-    directions = state.leg_vectors / state.leg_lengths[:, None]
-    arrays = state.balls, directions, state.leg_axes
-    return *(rows(a[:3]) for a in arrays), *(rows(a[3:]) for a in arrays), tuple(state.translation.tolist())
-
-
-def force_rows(forces: np.ndarray, points: np.ndarray, o: np.ndarray) -> np.ndarray:
-    return np.concatenate([forces, np.cross(points - o, forces)], axis=-1)
-
-
-def matrix(twists: Any) -> np.ndarray:
-    return np.array([[*linear, *angular] for linear, angular in twists])
-
-
-@pytest.mark.parametrize("machine", [PAPER, MACHINE], ids=["drawn", "as built"])
-def test_wrenches_are_those_of_the_matrices_of_six_forces(machine: spm.Geometry) -> None:
-    state = spm.inverse_physical(machine, POSE)
-    b, lower, a, c, upper, a_m, o = stage_arrays(state)
-    j_b, j_c = (force_rows(np.array(f + s), np.array(p + p), o) for f, s, p in ((lower, a, b), (upper, a_m, c)))
-    k = force_rows(np.array(a + a_m), np.array(b + c), o)
-    np.testing.assert_allclose(wrenches.determinant(b, lower, a), np.linalg.det(j_b), rtol=1e-12)
-    np.testing.assert_allclose(wrenches.determinant(c, upper, a_m), np.linalg.det(j_c), rtol=1e-12)
-    carried = [tuple(wrenches.force_row(f, p, o) for f, p in zip(f, p, strict=True)) for f, p in ((a, b), (a_m, c))]
-    np.testing.assert_allclose(wrenches.mixed_determinant(*carried), np.linalg.det(k), rtol=1e-10, atol=1e-15)
-    twists = wrenches.stage_twists(b, lower, a, o), wrenches.stage_twists(c, upper, a_m, o)
-    columns = np.linalg.inv(j_b)[:, :3].T, np.linalg.inv(j_c)[:, :3].T
-    for found, expected in zip(twists, columns, strict=True):
-        np.testing.assert_allclose(matrix(found), expected, atol=1e-13)
-    jacobian = np.concatenate([matrix(m) for m in wrenches.inverse_jacobian(b, c, lower, upper, a, a_m, o)])
-    np.testing.assert_allclose(jacobian @ np.concatenate(columns).T, np.eye(6), atol=1e-12)
-    if machine is PAPER:
-        drawn = wrenches.drawn_inverse_jacobian(b, lower, upper, a, a_m, o)
-        np.testing.assert_allclose(np.concatenate([matrix(m) for m in drawn]), jacobian, atol=1e-12)
-        in_stage = stages.stage_pairs(*(tuple(x) for x in plane_coordinates(state)), E)
-        # The axis of leg 1 has the other sense.
-        lengths = state.leg_lengths[[0, 1, 2, 1, 2, 0]] * [-1, 1, 1, 1, 1, -1]
-        general = wrenches.pairs(b, wrenches.normals(lower, a))
-        np.testing.assert_allclose(np.array(general) * lengths, in_stage, atol=1e-14)
-    wrench = (1.0, 2.0, 3.0), (4.0, 5.0, 6.0)
-    forces = [x for stage in twists for x in wrenches.stage_forces(stage, wrench)]
-    np.testing.assert_allclose(forces, -np.concatenate(columns) @ [1, 2, 3, 4, 5, 6], atol=1e-12)
-
-
 def test_the_aspect_of_general_legs_is_that_of_a_drawn_stage() -> None:
     solutions = spm.forward_displacement(PAPER, STATE.leg_lengths)
     # The axis of leg 1 has the other sense; the upper stage is a lower one upside down.
@@ -246,61 +178,6 @@ def plane_coordinates(state: spm.Configuration) -> tuple[list[float], list[float
     return (joints * PAPER.radial_directions).sum(axis=-1).tolist(), joints[:, 2].tolist()
 
 
-@pytest.mark.parametrize("machine", [PAPER, MACHINE], ids=["drawn", "as built"])
-def test_legs_are_carried_and_joint_values_turn_the_rods_into_the_platform(machine: spm.Geometry) -> None:
-    state = spm.inverse_physical(machine, POSE)
-    b, rotation, o = rows(state.middle_joints), rows(state.rotation), tuple(state.translation.tolist())
-    upper = leg_planes.carried(
-        leg_planes.StageLegs(rows(machine.legs.axes[3:]), rows(machine.legs.pivots[3:])), rotation, o
-    )
-    balls = leg_planes.upper_balls(b, rows(upper_ball_weights(machine.legs.balls)))
-    np.testing.assert_allclose(np.concatenate([b, balls]), state.balls, atol=4 * EPS)
-    np.testing.assert_allclose(upper.pivots, state.leg_bases[3:], atol=4 * EPS)
-    np.testing.assert_allclose(upper.axes, state.leg_axes[3:], atol=4 * EPS)
-
-    expected = joint_angles(state)
-    axes = joint_values.triangle_axes(b)
-    seen = tuple(tuple(state.rotation.T @ axis) for axis in axes)
-    corner_axes = triangle_frames(machine.legs.balls[:3]).T @ np.stack(axis_directions(), axis=-1)
-    placements, home = leg_placements(machine), home_leans(machine)
-    for leg in range(6):
-        frame = joint_values.LegFrame(
-            rows(placements[leg, :3, :3].T),
-            tuple(placements[leg, :3, :3].T @ placements[leg, :3, 3]),
-            rows(corner_axes[leg].T),
-            math.cos(home[leg]),
-            math.sin(home[leg]),
-            home_lengths(machine)[leg // 3],
-        )
-        ball = state.balls[leg] if leg < 3 else state.rotation.T @ (state.balls[leg] - state.translation)
-        values = joint_values.leg_values(tuple(ball), frame)
-        assert abs(values.plane_distance) < 1e-12
-        angles = joint_values.ball_angles(values, frame, axes if leg < 3 else seen, 1.0 if leg < 3 else -1.0)
-        found = [math.atan2(*values.hip), *(math.atan2(*angle) for angle in angles), values.slide]
-        known = [getattr(expected, name)[leg] for name in ("hip", "ball_x", "ball_y", "ball_z", "slide")]
-        np.testing.assert_allclose(found, known, atol=1e-12)
-
-
-def test_the_quadrics_of_a_machine_as_built_vanish_at_its_configurations() -> None:
-    solutions = spm.inverse_displacement(MACHINE, POSE)
-    normals = np.concatenate([MACHINE.legs.axes[:3], MACHINE.legs.axes[3:] @ POSE[:3, :3].T])
-    heights = (MACHINE.legs.axes * MACHINE.legs.pivots).sum(axis=-1)
-    heights[3:] += normals[3:] @ POSE[:3, 3]
-    null_space = np.linalg.svd(normals.T)[2][3:]
-    planes = [
-        leg_planes.StagePlanes(rows(normals[s]), tuple(heights[s]), rows(MACHINE.legs.balls[s]))
-        for s in (slice(0, 3), slice(3, 6))
-    ]
-    for weights in null_space:
-        form = leg_planes.quadric(tuple(weights[:3]), tuple(weights[3:]), *planes)
-        xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = form
-        q = np.array([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]])
-        for branch in np.flatnonzero(solutions.exists):
-            x = solutions.configurations[branch].middle_pose.rotation.as_quat()
-            assert abs(x @ q @ x) < 1e-12
-    np.testing.assert_allclose(vectors.rotation_of(*x), Rotation.from_quat(x).as_matrix(), atol=4 * EPS)
-
-
 def test_intervals_hold_what_floats_give() -> None:
     widths = np.array([1e-3, 0.1])
 
@@ -322,3 +199,42 @@ def test_a_bound_formula_leaves_the_formula_as_it_is() -> None:
     with mpmath.workdps(50):
         assert abs(vectors.dot(many((third, third, third)), many((third, third, third))) - 1) < 1e-48
     assert isinstance(vectors.direction((1.0, 2.0, 2.0))[0], float)
+
+
+@pytest.mark.parametrize("name", RUNNERS)
+def test_what_is_physical_on_every_kind_of_number(name: str) -> None:
+    runner = RUNNERS[name]
+    known = spm.inverse_physical(MACHINE, POSE)
+    for k, state in enumerate([known, *spm.inverse_displacement(MACHINE, POSE).configurations]):
+        if not state.exists:
+            continue
+        vectors_of_legs = state.balls, state.leg_vectors, state.leg_axes
+        halves = [mapped(runner.convert, rows(half)) for x in vectors_of_legs for half in (x[:3], x[3:])]
+        rotation = mapped(runner.convert, rows(state.rotation))
+        position = mapped(runner.convert, tuple(state.translation.tolist()))
+        physical = runner.run(branches.is_physical, *halves, rotation, position)
+        is_same = np.allclose(state.middle_joints, known.middle_joints, atol=1e-9)
+        assert bool(runner.read(physical)) == (k == 0 or is_same)
+        b1, b2, b3 = state.middle_joints
+        normal = np.cross(b2 - b1, b3 - b1) / np.linalg.norm(np.cross(b2 - b1, b3 - b1))
+        normal *= np.sign(normal @ state.middle_pose.as_matrix()[:3, 2])
+        tilts = runner.read(runner.run(branches.tilt_cosine_sum, halves[0], rotation))
+        assert tilts == pytest.approx(normal[2] + normal @ state.rotation[:, 2], abs=1e-14)
+    balls = MACHINE.legs.balls
+    weights = runner.run(
+        leg_planes.upper_ball_weights, *(mapped(runner.convert, rows(b)) for b in (balls[:3], balls[3:]))
+    )
+    sides = balls[1] - balls[0], balls[2] - balls[0]
+    for weight, arm in zip(weights, balls[3:] - balls[:3], strict=True):
+        numbers = [runner.read(x) for x in weight]
+        np.testing.assert_allclose(numbers @ np.stack([*sides, np.cross(*sides)]), arm, rtol=0, atol=1e-16)
+
+
+def test_the_slope_of_the_determinant_of_pairs() -> None:
+    pairs, slopes = (tuple(x) for x in np.random.default_rng(0).normal(size=(2, 6)).tolist())
+
+    def along(t: mpmath.mpf) -> mpmath.mpf:
+        return stages.pair_determinant(tuple(c + t * slope for c, slope in zip(pairs, slopes, strict=True)))
+
+    expected = mpmath.diff(along, 0)
+    assert stages.pair_determinant_slope(pairs, slopes) == pytest.approx(float(expected), rel=1e-14)

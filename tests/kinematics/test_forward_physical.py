@@ -1,11 +1,12 @@
-"""The physical configuration of six leg lengths: the one continued from home, alone in its aspect, or none."""
+"""The configuration of six leg lengths that is continued from home, or from a seed, to where its mode ends."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, distance
-from stages import StageModes, solve_stage
+from problems import GEOMETRIES, as_built, distance
+from scipy.integrate import solve_ivp
+from stages import solve_stage
 
 import spm_pin as spm
 from spm_pin.formulas import stages, wrenches
@@ -14,77 +15,124 @@ from spm_pin.kinematics.forward_displacement import forward_displacement, forwar
 
 PAPER = spm.Geometry.paper()
 RADIAL = PAPER.radial_directions
+UP = np.array([0.0, 0.0, 1.0])
 LEGS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
 
 
-def planes(radii: np.ndarray, heights: np.ndarray, ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """Joints b_i and normals w_i of a stage's leg planes, up to a positive factor, in units of r."""
-    up = np.array([0.0, 0.0, 1.0])
-    b = radii[..., None] * RADIAL + heights[..., None] * up
-    return b, heights[..., None] * RADIAL - (radii[..., None] - ratio) * up
+# --- Both stages followed by the angles of their legs, without the package ----------------------------------------
 
 
-def pairs(modes: StageModes, ratio: float) -> tuple[np.ndarray, ...]:
-    """The c_ij of a stage."""
-    return on_arrays(wrenches.pairs)(*map(rows_of, planes(modes.radii, modes.heights, ratio)))
+def hips(geometry: spm.Geometry) -> np.ndarray:
+    return np.array([[geometry.base_radius], [geometry.platform_radius]])
 
 
-def is_home(modes: StageModes, ratio: float) -> np.ndarray:
-    return on_arrays(stages.is_home_aspect)(pairs(modes, ratio))
+def stage_joints(state: spm.Configuration) -> np.ndarray:
+    """The b_i seen from {B} and from {m}, (..., 2, 3, 3) [m]."""
+    local = (state.middle_joints - state.translation[..., None, :]) @ state.rotation
+    return np.stack([state.middle_joints, local], axis=-3)
+
+
+def leg_angles(geometry: spm.Geometry, joints: np.ndarray) -> np.ndarray:
+    """Angles of the legs in their planes, (..., 2, 3) [rad]."""
+    return np.arctan2(joints[..., 2], (joints * RADIAL).sum(axis=-1) - hips(geometry))
+
+
+def joints_at(geometry: spm.Geometry, legs: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """The b_i of legs at their angles, (..., 2, 3, 3) [m]."""
+    rho, z = hips(geometry) + legs * np.cos(theta), legs * np.sin(theta)
+    return rho[..., None] * RADIAL + z[..., None] * UP
+
+
+def side_errors(geometry: spm.Geometry, legs: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Errors of the squared sides 12, 23, 31, |b_i - b_j|² = ρ_i² + ρ_j² + ρ_i ρ_j + (z_i - z_j)², (..., 2, 3) [m²].
+
+    Returns them with their derivatives by θ_i, by θ_j, and by l_i and l_j, (..., 2, 3, 2).
+    """
+    cos, sin = np.cos(theta), np.sin(theta)
+    rho, z = hips(geometry) + legs * cos, legs * sin
+    rho_j, z_j, cos_j, sin_j, legs_j = (np.roll(x, -1, axis=-1) for x in (rho, z, cos, sin, legs))
+    by_rho, by_rho_j, by_z = 2 * rho + rho_j, 2 * rho_j + rho, 2 * (z - z_j)
+    gap = rho**2 + rho_j**2 + rho * rho_j + (z - z_j) ** 2 - geometry.middle_side**2
+    by_own = legs * (by_z * cos - by_rho * sin)
+    by_next = -legs_j * (by_z * cos_j + by_rho_j * sin_j)
+    by_legs = np.stack([by_rho * cos + by_z * sin, by_rho_j * cos_j - by_z * sin_j], axis=-1)
+    return gap, by_own, by_next, by_legs
+
+
+def cyclic_solution(by_own: np.ndarray, by_next: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve by_own_i x_i + by_next_i x_(i+1) = right_i by Cramer's rule; the solution (..., 3) and the determinant."""
+    (a1, a2, a3), (c1, c2, c3), (g1, g2, g3) = (np.moveaxis(x, -1, 0) for x in (by_own, by_next, right))
+    determinant = a1 * a2 * a3 + c1 * c2 * c3
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first = (g1 * a2 * a3 - c1 * (g2 * a3 - c2 * g3)) / determinant
+        second = (a1 * (g2 * a3 - c2 * g3) + c3 * c2 * g1) / determinant
+        third = (a1 * a2 * g3 - c3 * (g1 * a2 - c1 * g2)) / determinant
+    return np.stack([first, second, third], axis=-1), determinant
+
+
+def follow_finely(
+    geometry: spm.Geometry, theta: np.ndarray, start: np.ndarray, end: np.ndarray, steps: int, newton: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Follow both stages by some steps of Newton's method on the angles of the legs (N, 2, 3) at equal distances.
+
+    Returns the joints as `stage_joints`, and whether no determinant changed its sign and every step converged.
+    """
+    sign, regular = None, np.ones(len(start), dtype=bool)
+    with np.errstate(invalid="ignore", over="ignore"):
+        for t in np.linspace(0.0, 1.0, steps + 1):
+            legs = start + t * (end - start)
+            for _ in range(newton):
+                gap, by_own, by_next, _ = side_errors(geometry, legs, theta)
+                step, determinant = cyclic_solution(by_own, by_next, -gap)
+                theta = theta + step
+            sign = np.sign(determinant) if sign is None else sign
+            closed = np.abs(gap).max(axis=-1) < 1e-9 * geometry.middle_side**2
+            regular &= ((np.sign(determinant) == sign) & closed).all(axis=-1)
+            theta = np.where(regular[:, None, None], theta, np.nan)
+    return joints_at(geometry, end, theta), regular
 
 
 def continued_from_home(geometry: spm.Geometry, lengths: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Follow both stages from equal legs in small steps by Newton's method on the legs' angles.
-
-    Returns the corners' radii and heights over each stage's hips (N, 2, 3) [m], stacked, and whether no determinant
-    changed its sign.
-    """
-    r, d = geometry.middle_radius, geometry.middle_side
-    hips = np.array([geometry.base_radius, geometry.platform_radius])[:, None]
+    """Follow both stages from equal legs, the upper one below its hips."""
+    r, side = geometry.middle_radius, np.array([[1.0], [-1.0]])
     target = lengths.reshape(-1, 2, 3)
-    home = np.maximum(target.mean(axis=-1, keepdims=True), 1.001 * np.abs(r - hips) + 1e-3 * r)
-    theta = np.broadcast_to(np.arccos(np.clip((r - hips) / home, -1.0, 1.0)), target.shape).copy()
-    whole = np.ones(len(target), dtype=bool)
-    sign = None
-    for t in np.linspace(0.0, 1.0, steps + 1):
-        legs = home + t * (target - home)
-        for _ in range(4):
-            rho, z = hips + legs * np.cos(theta), legs * np.sin(theta)
-            rho2, z2 = np.roll(rho, -1, axis=-1), np.roll(z, -1, axis=-1)
-            gap = rho**2 + rho2**2 + rho * rho2 + (z - z2) ** 2 - d * d
-            a = -(2 * rho + rho2) * z + 2 * (z - z2) * (rho - hips)
-            b = -(2 * rho2 + rho) * z2 - 2 * (z - z2) * (rho2 - hips)
-            matrix = a[..., None] * np.eye(3) + b[..., None] * np.roll(np.eye(3), 1, axis=1)
-            determinant = a.prod(axis=-1) + b.prod(axis=-1)
-            sign = np.sign(determinant) if sign is None else sign
-            whole &= (determinant * sign > 0.0).all(axis=-1)
-            matrix[~whole] = np.eye(3)
-            theta -= np.where(whole[:, None, None], np.linalg.solve(matrix, gap[..., None])[..., 0], 0.0)
-        whole &= (np.abs(gap) < 1e-6 * d * d).all(axis=(-1, -2))
-    return np.stack([hips + legs * np.cos(theta), legs * np.sin(theta)], axis=-1), whole
+    home = np.maximum(target.mean(axis=-1, keepdims=True), 1.001 * np.abs(r - hips(geometry)) + 1e-3 * r)
+    theta = side * np.arccos(np.clip((r - hips(geometry)) / home, -1.0, 1.0)) * np.ones(3)
+    return follow_finely(geometry, theta, home * np.ones(3), target, steps, newton=4)
 
 
-def stage_corners(state: spm.Configuration) -> np.ndarray:
-    """Return radii and heights of the middle joints over the hips of both stages, (N, 2, 3, 2) [m]."""
-    radial = state.geometry.radial_directions
-    b = state.middle_joints
-    hanging = (b - state.translation[..., None, :]) @ state.rotation
-    return np.stack(
-        [
-            np.stack([(b * radial).sum(axis=-1), b[..., 2]], axis=-1),
-            np.stack([(hanging * radial).sum(axis=-1), -hanging[..., 2]], axis=-1),
-        ],
-        axis=-3,
+def follow_adaptively(seed: spm.Configuration, end: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Follow one state as `follow_finely` does, by integrating θ' with SciPy, whose steps get as short as needed."""
+    start = np.asarray(seed.leg_lengths).reshape(2, 3)
+    rates = end.reshape(2, 3) - start
+
+    def slopes(t: float, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        _, by_own, by_next, by_legs = side_errors(PAPER, start + t * rates, theta.reshape(2, 3))
+        change = by_legs[..., 0] * rates + by_legs[..., 1] * np.roll(rates, -1, axis=-1)
+        return cyclic_solution(by_own, by_next, -change)
+
+    angles = leg_angles(PAPER, stage_joints(seed))
+    path = solve_ivp(
+        lambda t, theta: slopes(t, theta)[0].ravel(), (0.0, 1.0), angles.ravel(), "DOP853", rtol=1e-12, atol=1e-13
     )
+    determinants = np.array([slopes(t, theta)[1] for t, theta in zip(path.t, path.y.T, strict=True)])
+    legs, theta = end.reshape(2, 3), path.y[:, -1].reshape(2, 3)
+    # A step that jumps over a singularity leaves the sides open.
+    closed = np.abs(side_errors(PAPER, legs, theta)[0]).max() < 1e-9
+    regular = bool(path.success and closed and (np.sign(determinants) == np.sign(determinants[0])).all())
+    return joints_at(PAPER, legs, theta if regular else np.full((2, 3), np.nan)), regular
+
+
+# --- From home ----------------------------------------------------------------------------------------------------
 
 
 def test_the_physical_configuration_is_the_one_continued_from_home() -> None:
     lengths = np.random.default_rng(5).uniform(1.1, 1.5, (10_000, 6))
     state = forward_physical(PAPER, lengths)
     assert state.exists.all()
-    corners, whole = continued_from_home(PAPER, lengths, steps=40)
+    joints, whole = continued_from_home(PAPER, lengths, steps=40)
     assert whole.all()
-    np.testing.assert_allclose(stage_corners(state), corners, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(stage_joints(state), joints, rtol=0, atol=1e-11)
     assert spm.determinants(state)[:, :2].min() > 0.0
 
 
@@ -97,10 +145,10 @@ def test_far_from_home_the_physical_configuration_is_continued_or_absent(name: s
     spread = rng.uniform(0.0, 0.4, (1_500, 1))
     lengths = size * rng.uniform(0.6, 2.0, (1_500, 1)) * np.abs(1.0 + spread * rng.normal(size=(1_500, 6))).clip(0.05)
     state = forward_physical(geometry, lengths)
-    corners, whole = continued_from_home(geometry, lengths, steps=200)
+    joints, whole = continued_from_home(geometry, lengths, steps=200)
     assert 0.1 < whole.mean() < 0.97
     assert state.exists[whole].all()
-    np.testing.assert_allclose(stage_corners(state)[whole], corners[whole], rtol=0, atol=1e-7)
+    np.testing.assert_allclose(stage_joints(state)[whole], joints[whole], rtol=0, atol=1e-7)
     # A straight path may leave what is reachable and come back, but seldom.
     assert (state.exists & ~whole).mean() < 0.01
     assert np.isnan(state.rotation[~state.exists]).all()
@@ -114,6 +162,26 @@ def test_physical_configurations_are_among_all_modes_and_so_named() -> None:
     # The same solution, reached from another start.
     for same in (solutions["T1+/T1+"], solutions.physical()):
         assert distance(same, state).max() < 16 * np.finfo(float).eps
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.5, 1.0, 3.0])
+def test_the_home_aspect_holds_one_solution_at_most(ratio: float) -> None:
+    rng = np.random.default_rng(9)
+    size = rng.uniform(0.3, 1.6, (4_000, 1)) * (1.0 + ratio)
+    modes = solve_stage(size * (1.0 + 0.3 * rng.normal(size=(4_000, 3))).clip(0.05), ratio)
+    normals = modes.heights[..., None] * RADIAL - (modes.radii[..., None] - ratio) * UP
+    joints = modes.radii[..., None] * RADIAL + modes.heights[..., None] * UP
+    pairs = on_arrays(wrenches.pairs)(rows_of(joints), rows_of(normals))
+    home = on_arrays(stages.is_home_aspect)(pairs)[:, 0]
+    assert home.sum(axis=-1).max() == 1
+    assert not home[:, 1:].any(), "it is T1"
+    # The determinant's sign alone would let others pass.
+    same_sign = stages.pair_determinant(pairs)[:, 0] > 0.0
+    assert same_sign[home].all()
+    assert (same_sign & ~home).any()
+
+
+# --- From a seed --------------------------------------------------------------------------------------------------
 
 
 def test_a_seed_is_followed_in_its_own_mode() -> None:
@@ -130,15 +198,41 @@ def test_a_seed_is_followed_in_its_own_mode() -> None:
     np.testing.assert_allclose(ahead.translation - every.translation, rates[:, :3], atol=1e-5)
 
 
-def test_continuation_from_a_seed_ends_at_a_singularity() -> None:
-    start = [0.6, 0.6, 0.6, 1.2, 1.2, 1.2]
-    seed = forward_physical(PAPER, start)
+def test_a_path_through_a_half_turn_ends_there() -> None:
+    """Stages of mode F that turn half round meet mode T: a forward singularity of the stage."""
+    start = [1.2287530, 1.8342318, 1.9010653, 1.0366928, 1.3572947, 0.9828041]
+    end = [1.1288651, 1.9396405, 1.4737952, 0.8767962, 1.3590058, 1.0512802]
+    seed = spm.forward_displacement(PAPER, start)["F1+/F1+"]
     assert seed.exists
-    beyond = [0.6, 0.6, 1.9, 1.2, 1.2, 1.2]
-    assert forward_displacement(PAPER, beyond).status is spm.Status.UNREACHABLE
-    end = forward_physical(PAPER, [start, beyond, start], near=seed)
-    np.testing.assert_array_equal(end.exists, [True, False, True])
-    assert np.isnan(end.rotation[1]).all()
+    assert not spm.forward_physical(PAPER, end, near=seed).exists
+    assert not follow_adaptively(seed, np.array(end))[1]
+    # The way that stays on this side of the singularity is followed.
+    assert spm.forward_physical(PAPER, 0.95 * np.array(start) + 0.05 * np.array(end), near=seed).exists
+
+
+@pytest.mark.parametrize(
+    ("count", "draw"),
+    [(300, 0), pytest.param(9_000, 1, marks=pytest.mark.slow)],
+)
+def test_the_solution_stays_on_its_path(count: int, draw: int) -> None:
+    """Random modes, followed far: no arrival jumps, and no determinant changes its sign on the way to one."""
+    rng = np.random.default_rng(draw)
+    lengths = rng.uniform(0.6, 2.0, (count, 6))
+    modes = spm.forward_displacement(PAPER, lengths)
+    some = np.flatnonzero(modes.exists.any(axis=-1))
+    place = np.where(modes.exists[some], rng.random((len(some), 256)), -1.0).argmax(axis=-1)
+    seeds = modes.configurations[some, place]
+    ends = seeds.leg_lengths * rng.uniform(0.75, 1.3, (len(some), 6))
+    found = spm.forward_physical(PAPER, ends, near=seeds)
+    assert 0.2 < found.exists.mean() < 0.9
+    as_stages = (lengths.reshape(-1, 2, 3) for lengths in (seeds.leg_lengths, ends))
+    joints, regular = follow_finely(PAPER, leg_angles(PAPER, stage_joints(seeds)), *as_stages, 2000, newton=3)
+    # Equal steps jump over what happens beside a singularity: there the steps follow the error.
+    for k in np.flatnonzero(found.exists != regular):
+        joints[k], regular[k] = follow_adaptively(seeds[k], ends[k])
+    np.testing.assert_array_equal(found.exists, regular)
+    apart = np.abs(joints - stage_joints(found)).max(axis=(-1, -2, -3))
+    assert np.nanmax(apart) < 1e-8
 
 
 def test_where_modes_vanish_their_seeds_end_and_no_two_end_in_one_mode() -> None:
@@ -152,26 +246,13 @@ def test_where_modes_vanish_their_seeds_end_and_no_two_end_in_one_mode() -> None
     assert len(set(np.nanargmin(apart, axis=-1).tolist())) == len(alive)
 
 
-@pytest.mark.parametrize("ratio", [0.05, 0.5, 1.0, 3.0])
-def test_the_home_aspect_holds_one_solution_at_most(ratio: float) -> None:
-    rng = np.random.default_rng(9)
-    size = rng.uniform(0.3, 1.6, (8_000, 1)) * (1.0 + ratio)
-    modes = solve_stage(size * (1.0 + 0.3 * rng.normal(size=(8_000, 3))).clip(0.05), ratio, ("T",))
-    home = is_home(modes, ratio)[:, 0]
-    assert home.sum(axis=-1).max() == 1
-    assert not home[:, 1:].any(), "it is T1"
-    # The determinant's sign alone would let others pass.
-    same_sign = stages.pair_determinant(pairs(modes, ratio))[:, 0] > 0.0
-    assert same_sign[home].all()
-    assert (same_sign & ~home).any()
-
-
-def test_invalid_seeds_are_refused() -> None:
-    state = forward_physical(PAPER, LEGS)
-    torn = spm.Configuration(PAPER, state.pose, state.middle_joints + np.diag([0.0, 0.0, 0.01]))
-    absent = forward_physical(PAPER, LEGS * 100)
-    other = forward_physical(spm.Geometry(0.7, 0.35, 0.8), LEGS)
-    batch = forward_physical(PAPER, [LEGS] * 3)
+@pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
+def test_invalid_seeds_are_refused(machine: spm.Geometry) -> None:
+    state = forward_physical(machine, LEGS)
+    torn = spm.Configuration(machine, state.pose, state.middle_joints + np.diag([0.0, 0.0, 0.01]))
+    absent = forward_physical(machine, LEGS * 100)
+    other = forward_physical(as_built(PAPER, 2e-3), LEGS)
+    batch = forward_physical(machine, [LEGS] * 3)
     for seed, words in (
         (state.middle_joints, "a Configuration"),
         (torn, "that closes"),
@@ -180,4 +261,4 @@ def test_invalid_seeds_are_refused() -> None:
         (batch, "broadcast"),
     ):
         with pytest.raises(spm.ArgumentError, match=words):
-            forward_physical(PAPER, np.array([LEGS] * 2), near=seed)  # type: ignore[arg-type]
+            forward_physical(machine, np.array([LEGS] * 2), near=seed)  # type: ignore[arg-type]

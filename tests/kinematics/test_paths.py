@@ -41,7 +41,7 @@ def of_kind(found: FollowedPath, kind: EventKind) -> list[float]:
     return [event.parameter for event in found.events if event.kind is kind]
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_along_poses_a_solution_keeps_its_label(seed: int) -> None:
     """Labels are continuous up to a fold, so whatever is followed must not change its own."""
     problem = in_leg_space(PAPER, 3, seed=seed)
@@ -101,6 +101,8 @@ def excess(ends: RigidTransform, label: str, leg: int, bound: float) -> Callable
 def test_a_limit_is_crossed_where_the_leg_is_as_long_as_it_may_be() -> None:
     checked = 0
     for seed in range(8):
+        if checked >= 8:
+            break
         problem = in_leg_space(PAPER, 2, seed=200 + seed)
         found = follow(PAPER, problem.pose, problem.configuration[0])
         label = found.labels[0]
@@ -234,16 +236,6 @@ def test_invalid_paths_are_refused(path: object, start: str | None, words: str) 
         follow(PAPER, path, start)  # type: ignore[arg-type]
 
 
-def test_a_followed_path_is_shown_by_its_events() -> None:
-    first, second = [1.25, 1.15, 1.40, 1.30, 1.20, 1.40], [1.24, 1.16, 1.40, 1.30, 1.20, 1.41]
-    path = follow(PAPER, np.array([first, second]), samples=10)
-    assert repr(path) == f"<FollowedPath: complete, {len(path.parameters)} states of T1+/T1+; no events>"
-    beyond = follow(PAPER, np.array([first, [0.5, 1.15, 1.4, 1.3, 1.2, 3.0]]), samples=10)
-    assert repr(beyond).startswith(f"<FollowedPath: ends at {beyond.parameters[-1]:.4g}, ")
-    assert f"leg limit at {beyond.events[0].parameter:.4g}" in repr(beyond)
-    assert len(repr(beyond)) < 250
-
-
 def test_the_share_of_a_line_in_the_home_mode_is_that_of_the_followed_path() -> None:
     start = spm.inverse_displacement(FREE, in_leg_space(PAPER, 1, seed=3).pose[0]).physical()
     ends = np.random.default_rng(5).uniform(0.2, 3.0, (8, 6))
@@ -268,3 +260,13 @@ def test_another_mode_is_followed_along_a_line_to_its_end() -> None:
     assert 0.0 < share < 1.0
     line = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31]) - start.leg_lengths
     np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * line, atol=1e-9)
+
+
+def test_a_followed_path_is_shown_by_its_events() -> None:
+    first, second = [1.25, 1.15, 1.40, 1.30, 1.20, 1.40], [1.24, 1.16, 1.40, 1.30, 1.20, 1.41]
+    path = follow(PAPER, np.array([first, second]), samples=10)
+    assert repr(path) == f"<FollowedPath: complete, {len(path.parameters)} states of T1+/T1+; no events>"
+    beyond = follow(PAPER, np.array([first, [0.5, 1.15, 1.4, 1.3, 1.2, 3.0]]), samples=10)
+    assert repr(beyond).startswith(f"<FollowedPath: ends at {beyond.parameters[-1]:.4g}, ")
+    assert f"leg limit at {beyond.events[0].parameter:.4g}" in repr(beyond)
+    assert len(repr(beyond)) < 250

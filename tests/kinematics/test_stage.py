@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from problems import GEOMETRIES, stage
-from stage_oracle import certified_modes, equations
+from stage_oracle import certified_modes
 from stages import MODES, StageModes, solve_stage
 
 import spm_pin as spm
@@ -74,15 +74,6 @@ def length_samples(kind: str, hips: float, d: float, count: int, seed: int) -> n
 KINDS = ("all different", "alike", "symmetric", "nearly symmetric", "nearly equal")
 
 
-def assert_certified(kind: str, hips: float, d: float, count: int, seed: int) -> None:
-    lengths = length_samples(kind, hips, d, count, seed)
-    found = counted(solved(lengths, hips, d))
-    certified = [certified_modes(legs, hips, d) for legs in lengths]
-    decided = np.array([number is not None for number in certified])
-    assert decided.mean() > 0.97
-    np.testing.assert_array_equal(found[decided], np.array([n for n in certified if n is not None]))
-
-
 @pytest.mark.parametrize("name", STAGES)
 @pytest.mark.parametrize("mode", MODES)
 def test_a_known_solution_is_found_in_its_mode(name: str, mode: str) -> None:
@@ -122,19 +113,17 @@ def test_every_solution_has_the_lengths_and_the_order_of_its_name(name: str) -> 
     assert (modes.exists.sum(axis=-1) % 2 == 0).all()
 
 
+@pytest.mark.parametrize(("count", "seed"), [(60, 3), pytest.param(1_000, 4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", STAGES)
-def test_the_number_of_modes_is_certified(name: str, kind: str) -> None:
+def test_the_number_of_modes_is_certified(name: str, kind: str, count: int, seed: int) -> None:
     hips, d = STAGES[name]
-    assert_certified(kind, hips, d, 60, seed=3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", STAGES)
-def test_number_of_modes_is_certified_on_many_lengths(name: str, kind: str) -> None:
-    hips, d = STAGES[name]
-    assert_certified(kind, hips, d, 4_000, seed=4)
+    lengths = length_samples(kind, hips, d, count, seed)
+    found = counted(solved(lengths, hips, d))
+    certified = [certified_modes(legs, hips, d) for legs in lengths]
+    decided = np.array([number is not None for number in certified])
+    assert decided.mean() > 0.97
+    np.testing.assert_array_equal(found[decided], np.array([n for n in certified if n is not None]))
 
 
 def folds(mode: str, hips: float, r: float, count: int, seed: int) -> Iterator[np.ndarray]:
@@ -174,7 +163,7 @@ def test_beside_a_fold_both_solutions_are_found_or_none(name: str, mode: str) ->
     hips, d = STAGES[name]
     rng = np.random.default_rng(5)
     counts = set()
-    for lengths in folds(mode, hips, d / np.sqrt(3.0), 12, seed=6):
+    for lengths in folds(mode, hips, d / np.sqrt(3.0), 6, seed=6):
         for away in (1e-10, 1e-8, 1e-6, 1e-4):
             direction = rng.normal(size=3)
             pair = [lengths * (1.0 + sign * away * direction) for sign in (1.0, -1.0)]
@@ -218,43 +207,6 @@ def family_lengths(hips: float, r: float, leg: int) -> np.ndarray:
     return lengths
 
 
-def family_member(epsilon: float, half_sine: float, azimuth: float) -> np.ndarray:
-    """Squared lengths, in units of r², of a member of the family of leg 2 in mode T or, ε negative, F."""
-    c = 2.0 * epsilon + 1.0
-    p = half_sine**2
-    zeta2 = c - 2.0 * epsilon * p - p * p
-    w = half_sine * np.exp(1j * azimuth)
-    lam = 4.0 * epsilon**2 - 1.0
-    zeta = ((lam * w).real - (2.0 * epsilon - 1.0 + 2.0 * p) * (w**3).real) / (2.0 * np.sqrt(1.0 - p) * p)
-    assert abs(zeta * zeta - zeta2) < 1e-12
-    turn = np.exp(1j * np.deg2rad([-30.0, 90.0, 210.0]))
-    radii = 1.0 - p - 2.0 * (w * w * turn).imag
-    heights = zeta + 2.0 * np.sqrt(1.0 - p) * (np.conj(w) * turn).imag
-    return (radii - epsilon) ** 2 + heights**2
-
-
-@pytest.mark.parametrize("ratio", [0.3, 0.75, 0.9])
-def test_members_of_the_families_have_the_same_lengths(ratio: float) -> None:
-    for epsilon in (ratio, -ratio):
-        kappa = 2.0 * epsilon - 1.0
-        members = 0
-        for azimuth in np.linspace(-np.pi / 2, np.pi / 2, 41):
-            p = (kappa + 2.0) / (1.0 + 2.0 * np.cos(2.0 * azimuth))
-            if 0.01 < p < 0.99:
-                squares = family_member(epsilon, np.sqrt(p), azimuth)
-                np.testing.assert_allclose(np.sqrt(squares), family_lengths(ratio, 1.0, 1), atol=1e-12)
-                members += 1
-        assert members >= 3
-
-
-def test_the_family_is_exact() -> None:
-    """E = 1, d = 2, legs (1, 3, 1): with leg 2 across the base, t_2 at infinity, two of the three sides always fit."""
-    sides = equations((1.0, 3.0, 1.0), 1.0, 2.0)
-    assert [side.degrees()[1] for side in sides] == [1, 1, 0]
-    near = equations((1.0, 3.0 + 2**-40, 1.0), 1.0, 2.0)
-    assert [side.degrees()[1] for side in near] == [2, 2, 0]
-
-
 @pytest.mark.parametrize("leg", range(3))
 @pytest.mark.parametrize("ratio", [0.2, 0.75, 0.99])
 def test_families_are_recognised_and_what_is_isolated_is_kept(ratio: float, leg: int) -> None:
@@ -276,16 +228,5 @@ def test_the_family_of_equal_legs() -> None:
     np.testing.assert_array_equal(
         modes.continuous, [[True, False], [False, False], [False, False], [True, True], [False, False]]
     )
-    # Re(w³) = -ζ x0 with ζ² = c - p - p²: a member beside the level platform.
-    c, azimuth = 0.8**2 - 0.25, 0.1
-    tilts = np.linspace(0.0, 1.0, 100_001)
-    gap = (tilts**1.5 * np.cos(3 * azimuth)) ** 2 - (c - tilts - tilts**2) * (1.0 - tilts)
-    p = tilts[np.flatnonzero(np.diff(np.sign(gap)))[0]]
-    w = np.sqrt(p) * np.exp(1j * azimuth)
-    turn = np.exp(1j * np.deg2rad([-30.0, 90.0, 210.0]))
-    zeta = -(w**3).real / np.sqrt(1.0 - p)
-    radii = 1.0 - p - 2.0 * (w * w * turn).imag
-    heights = zeta + 2.0 * np.sqrt(1.0 - p) * (np.conj(w) * turn).imag
-    np.testing.assert_allclose(np.hypot(radii - 0.5, heights), 0.8, atol=1e-4)
     np.testing.assert_allclose(modes.radii[0, 0, 0], 1.0, atol=1e-14)
     np.testing.assert_array_equal(modes.exists[0], [[True, False, False, False], [False] * 4])

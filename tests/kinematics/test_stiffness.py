@@ -123,14 +123,6 @@ def test_principal_stiffness_is_force_over_displacement_in_its_directions() -> N
         np.testing.assert_allclose(matrix[3:, 3:] @ direction, direction / value, rtol=0, atol=1e-9 / value)
 
 
-def test_absent_members_are_not_numbers() -> None:
-    states = spm.forward_physical(PAPER, [LENGTHS, [1.2, 1.2, 9.0, 1.2, 1.2, 1.2]])
-    assert np.isnan(compliance(states, 1e7)[1]).all()
-    assert np.isnan(spm.stiffness(states, 1e7)[1]).all()
-    assert np.isfinite(spm.stiffness(states, 1e7)[0]).all()
-    assert np.isnan(principal_stiffness(compliance(states, 1e7)).translational[1]).all()
-
-
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [

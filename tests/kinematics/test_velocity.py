@@ -1,4 +1,4 @@
-"""Leg rates and the platform's twist: symmetries, finite differences of the displacement, singular states."""
+"""Leg rates and the platform's twist: finite differences of the displacement, singular states."""
 
 from __future__ import annotations
 
@@ -9,38 +9,17 @@ import numpy as np
 import problems
 import pytest
 from finite_differences import extrapolated
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_rates, platform_jacobian
+from spm_pin.errors import SingularConfigurationError
+from spm_pin.kinematics import SingularityKind
+from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces, leg_rates, platform_jacobian
+from spm_pin.kinematics.singularity_analysis import determinant_gradients
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
-POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-POOL = problems.in_leg_space(PAPER, 400, seed=41).configuration
 EVERY_FAMILY = [(name, family) for name in problems.GEOMETRIES for family in spm.mechanism.FAMILIES]
-
-batches = st.sampled_from([(), (1,), (3, 1, 2), (0,)])
-seeds = st.integers(0, 2**32 - 1)
-
-
-members = functools.partial(problems.members, POOL)
-
-
-def wrench_matrices(state: spm.Configuration) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """J_b, J_c and K at the middle platform's centre, lengths in units of d."""
-    b = state.middle_joints
-    arms = (b - b.mean(axis=-2, keepdims=True)) / state.geometry.middle_side
-    legs = state.leg_vectors / state.leg_lengths[..., None]
-    axes = np.broadcast_to(state.geometry.revolute_axes, b.shape), state.platform_axes
-
-    def rows(*forces: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.concatenate([f, np.cross(arms, f)], axis=-1) for f in forces], axis=-2)
-
-    return rows(legs[..., :3, :], axes[0]), rows(legs[..., 3:, :], axes[1]), rows(*axes)
 
 
 def smallest(matrix: np.ndarray) -> np.ndarray:
@@ -59,63 +38,17 @@ def norm(matrices: np.ndarray) -> np.ndarray:
     return np.linalg.norm(matrices, axis=(-1, -2))
 
 
-@settings(max_examples=60)
-@given(batches, seeds)
-def test_a_batch_is_its_members(shape, seed):
-    rng = np.random.default_rng(seed)
-    state, twist = members(shape, rng, absent=0.2), rng.normal(size=(*shape, 6))
-    everything = inverse_jacobian(state), platform_jacobian(state), leg_rates(state, twist)
-    for result, inner in zip(everything, ((6, 6), (6, 6), (6,)), strict=True):
-        assert result.shape == (*shape, *inner)
-        exists = state.exists.reshape(*shape, *[1] * len(inner))
-        assert np.array_equal(np.isfinite(result), np.broadcast_to(exists, result.shape))
-    for index in np.ndindex(shape):
-        member = state[index] if shape else state
-        alone = inverse_jacobian(member), platform_jacobian(member), leg_rates(member, twist[index])
-        for batch, single in zip(everything, alone, strict=True):
-            assert np.array_equal(batch[index], single, equal_nan=True)
-
-
-@settings(max_examples=60)
-@given(batches, seeds)
-def test_jacobians_are_inverse_to_each_other(shape, seed):
-    check_inverse(members(shape, np.random.default_rng(seed)))
-
-
-def check_inverse(state: spm.Configuration) -> None:
+@pytest.mark.parametrize(("name", "family"), EVERY_FAMILY)
+def test_the_two_jacobians_are_inverse_in_every_family(name, family):
+    state = problems.random_branches(problems.GEOMETRIES[name], family, 500, seed=42).configuration
     product = platform_jacobian(state) @ inverse_jacobian(state)
     scales = scaling(state)
     error = norm(scales[..., :, None] * (product - np.eye(6)) / scales[..., None, :])
-    lower, upper, both = (smallest(matrix) for matrix in wrench_matrices(state))
+    lower, upper, both = np.moveaxis(smallest(problems.wrench_matrices(state)), -1, 0)
     # G is off by eps κ |G|, with |G| = 1/σ of J_b or J_c, times |J_f|; J_f by eps / σ(K)², times |G|.
     g = np.maximum(1 / lower, 1 / upper)
     size = norm(inverse_jacobian(state) / scales[..., None, :])
     assert (error <= 8 * EPS * (g**2 * size + g / both**2)).all()
-
-
-@pytest.mark.parametrize(("name", "family"), EVERY_FAMILY)
-def test_symmetries_in_every_family(name, family):
-    state = problems.random_branches(problems.GEOMETRIES[name], family, 500, seed=42).configuration
-    check_inverse(state)
-    check_determinant(state)
-
-
-def check_determinant(state: spm.Configuration) -> None:
-    lower, upper, both = spm.determinants(state).T
-    matrix = inverse_jacobian(state)
-    expected = lower * upper / both
-    error = np.abs(np.linalg.det(matrix) / expected - 1)
-    # d log det A = tr(A⁻¹ dA), six times the error of J_f (as above) times |G|; J_b, J_c and K have their own.
-    s_b, s_c, s_k = (smallest(each) for each in wrench_matrices(state))
-    scaled = matrix / scaling(state)[..., None, :]
-    g = np.maximum(1 / s_b, 1 / s_c)
-    assert (error <= 6 * 8 * EPS * (g / s_k**2 + g * norm(scaled) + 1 / s_b + 1 / s_c + 1 / s_k)).all()
-
-
-def test_determinant_in_leg_space():
-    """det J_f = det J_b det J_c / det K, sign included; both signs of det K occur."""
-    check_determinant(POOL)
-    assert set(np.sign(np.linalg.det(inverse_jacobian(POOL)))) == {-1.0, 1.0}
 
 
 def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -167,14 +100,6 @@ def check_finite_differences(problem: problems.Problem) -> None:
     telling = tolerance < 1e-4 * size
     assert telling.mean() >= 0.9
     assert (error <= tolerance)[telling].all()
-
-
-def test_leading_axes_broadcast():
-    twists = np.random.default_rng(5).normal(size=(4, 1, 6))
-    rates = leg_rates(POOL[:3], twists)
-    assert rates.shape == (4, 3, 6)
-    assert np.array_equal(rates[2, 1], leg_rates(POOL[1], twists[2, 0]))
-    assert leg_rates(POOL[0], twists).shape == (4, 1, 6)
 
 
 def in_stages(geometry: spm.Geometry, lower: tuple[float, ...], upper: tuple[float, ...]) -> spm.Configuration:
@@ -246,17 +171,36 @@ def test_singular_states(name):
         assert values[-1] < 1e-12 < 1e-6 < values[-2]
 
 
-def test_the_first_singular_member_is_named():
+def test_singular_members_of_a_batch_are_marked_and_the_others_computed():
     good, bad = in_stages(PAPER, *REGULAR), in_stages(PAPER, *FLAT)
     absent = np.full((3, 3), np.nan)
     joints = np.array([[good.middle_joints, absent], [bad.middle_joints, bad.middle_joints]])
     pose = np.array([[good.pose.as_matrix()] * 2, [bad.pose.as_matrix()] * 2])
-    with pytest.raises(SingularConfigurationError, match=r"^forward singularity at batch index \(1, 0\)") as caught:
-        platform_jacobian(spm.Configuration(PAPER, pose, joints))
-    assert caught.value.index == (1, 0)
-    joints[1] = absent
-    masked = platform_jacobian(spm.Configuration(PAPER, pose, joints))
-    assert np.array_equal(np.isfinite(masked).all(axis=(-1, -2)), [[True, False], [False, False]])
+    joints[1, 1, 0] = PAPER.base_joints[0]  # a leg of no length
+    states = spm.Configuration(PAPER, pose, joints)
+    alone = [[True, False], [False, False]]
+    functions = {
+        platform_jacobian: (),
+        leg_forces: (np.ones(6),),
+        determinant_gradients: (),
+        spm.kinematics.compliance: (1e7, 1e8),
+        spm.calibration.error_jacobian: (),
+    }
+    for function, arguments in functions.items():
+        result = function(states, *arguments)
+        assert np.array_equal(np.isfinite(result).reshape(2, 2, -1).all(axis=-1), alone), function
+        assert np.array_equal(np.isnan(result).reshape(2, 2, -1).all(axis=-1), np.logical_not(alone)), function
+        np.testing.assert_allclose(result[0, 0], function(good, *arguments), rtol=1e-12)
+    kinds = spm.singularities(states).kind
+    assert np.array_equal((kinds & SingularityKind.FORWARD) > 0, [[False, False], [True, True]])
+    # The leg rates of the flat stage exist; with a leg of no length nothing does.
+    assert np.array_equal(np.isfinite(leg_rates(states, np.ones(6))).all(axis=-1), [[True, False], [True, False]])
+    for function in (inverse_jacobian, platform_jacobian):
+        with pytest.raises(SingularConfigurationError, match=r"^forward singularity: "):
+            function(states[1, 1])
+    level = spm.forward_physical(PAPER, [[1.3] * 6, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40]])
+    assert np.array_equal(np.isnan(inverse_jacobian(level)).any(axis=(-1, -2)), [True, False])
+    assert list(spm.singularities(level).kind) == [SingularityKind.INVERSE, SingularityKind.REGULAR]
 
 
 @pytest.mark.parametrize("path", [inverse_path, forward_path])
@@ -267,7 +211,7 @@ def test_singular_means_singular_to_rounding(path):
     decisions = []
     for offset in np.logspace(-16, -10, 121):
         state = make(value + offset)
-        sigma = np.linalg.svd(wrench_matrices(state)[matrix], compute_uv=False)
+        sigma = np.linalg.svd(problems.wrench_matrices(state)[matrix], compute_uv=False)
         relative = sigma[-1] / (64 * EPS * sigma[0])
         if abs(relative - 1) < 0.1:  # as good as on the line
             continue
@@ -279,17 +223,3 @@ def test_singular_means_singular_to_rounding(path):
                 function(state)
             assert caught.value.sigma_min == pytest.approx(sigma[-1], abs=8 * EPS)
     assert set(decisions) == {False, True}
-
-
-def test_a_leg_of_no_length_is_refused():
-    joints = in_stages(PAPER, *REGULAR).middle_joints.copy()
-    joints[1] = PAPER.base_joints[1]
-    state = spm.Configuration(PAPER, POSE, joints)
-    for function in (inverse_jacobian, platform_jacobian):
-        with pytest.raises(SingularConfigurationError, match="forward"):
-            function(state)
-
-
-def test_twists_that_do_not_broadcast_are_refused():
-    with pytest.raises(ArgumentError, match=r"twist: expected leading axes that broadcast .* \(3,\)"):
-        leg_rates(POOL[:3], np.zeros((2, 6)))

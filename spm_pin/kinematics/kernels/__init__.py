@@ -6,10 +6,13 @@ results into other rows of it, so that the compiler takes several problems into 
 problem is computed exactly like a million. With several arrays in a loop the compiler cannot know that they do not
 overlap, and takes one problem after another.
 
-Nothing here checks an argument; the public functions do. Importing this package imports Numba, so they do it when
-called.
+Nothing here checks an argument; the public functions do. Its modules import Numba, so they are imported when
+functions are called.
 
 No fast-math flag is set, not even the contraction of a product and a sum into one instruction: NaN marks a solution
 that is not real, infinity a division whose result is discarded, and without contraction straight-line arithmetic gives
 the same bits on every processor, in every place of a batch, and in the interpreter.
 """
+
+RESOLUTION = 1e-9
+"""Distances of a search for states are found to this share of the machine's size."""

@@ -22,28 +22,17 @@ from spm_pin.formulas.branches import (
     families,
     is_continuous,
     is_other_preferred,
+    is_physical,
     middle_joints,
     pose_frame,
     quaternion,
     root,
-    seen_from_platform,
+    tilt_cosine_sum,
 )
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.leg_planes import StageLegs, StagePlanes, carried, quadric
-from spm_pin.formulas.stages import cartesian, is_home_aspect
-from spm_pin.formulas.vectors import (
-    Rows,
-    Vector,
-    combined,
-    cross,
-    differences,
-    dot,
-    minus,
-    rotation_of,
-    scaled,
-    times,
-)
-from spm_pin.formulas.wrenches import normals, pairs
+from spm_pin.formulas.stages import cartesian
+from spm_pin.formulas.vectors import Rows, Vector, combined, differences, dot, rotation_of, times
 from spm_pin.kinematics.kernels.branch_kernels import put_complex_branches
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.kinematics.kernels.quadric_newton import (
@@ -68,6 +57,7 @@ Planes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Normals (6, 3) and heights (6,) of planes in {B}, the balls (6, 3) in {n} that lie in them, and the factors (6, 9) of
 the normals N = Qᵀ R: R in factors[:3, :3], and Q, whose last three rows are the null space, in factors[:, 3:]."""
 
+# The numbers of `Status`, which stands in a file that the digest of kernels does not cover.
 OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
 _SHORTEST_STEPS = 1.0, 0.02, 1e-7
 """Shortest steps of the errors, as parts of them: a branch that needs shorter ones meets another. The shorter ones are
@@ -84,12 +74,11 @@ _LARGE = 5e-3
 _LEVEL = 0.25
 """Largest error of a leg's plane, in units of r, over the sine of the platform's tilt, at which roots of other families
 stay far from physical: towards a level pose the equations shrink with the tilt, and the errors do not."""
-_IDENTITY, _ORIGIN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0)
 _DISPUTED = -2
 """Label of a root at which two branches seem to have arrived."""
 
 
-class Scratch(NamedTuple):
+class PoseScratch(NamedTuple):
     """Arrays that poses are solved in, one after another."""
 
     planes: Planes  # of the machine as built
@@ -105,9 +94,9 @@ def _allocate_planes() -> Planes:
 
 
 @jit_inline
-def _allocate_scratch() -> Scratch:
+def _allocate_pose_scratch() -> PoseScratch:
     targets, forms = np.ones(_LEVELS), np.empty((_LEVELS, 3, 10))
-    return Scratch(_allocate_planes(), _allocate_planes(), targets, forms, np.empty(ROWS * POINTS))
+    return PoseScratch(_allocate_planes(), _allocate_planes(), targets, forms, np.empty(ROWS * POINTS))
 
 
 @jit_inline
@@ -244,7 +233,7 @@ def _is_real_branch(b: ComplexArray) -> bool:
 
 @jit
 def _follow(
-    rotation: Rows, position: Vector, machines: FloatArray, shortest: float, roots: FloatArray, scratch: Scratch
+    rotation: Rows, position: Vector, machines: FloatArray, shortest: float, roots: FloatArray, scratch: PoseScratch
 ) -> None:
     """Follow real roots while the errors grow from zero to those of the machine.
 
@@ -326,9 +315,9 @@ def as_built_branches(
     under its label, 0 where it ended on the way or where a real root has a label left over, 2 where neither machine
     has the branch; `Status` (N,); and the b_i of all roots (N, 8, 3, 3) if the last array has a length.
     """
-    scratch, elimination = _allocate_scratch(), allocate_elimination()
+    scratch, elimination = _allocate_pose_scratch(), allocate_elimination()
     roots, followed = np.empty(8 * POINTS), np.empty(9 * POINTS)
-    drawn, found = np.empty((8, 3, 3), np.complex128), np.empty((8, 3, 3), np.complex128)
+    drawn, joints_of_roots = np.empty((8, 3, 3), np.complex128), np.empty((8, 3, 3), np.complex128)
     label_of, root_of = np.empty(8, np.int64), np.empty(8, np.int64)
     for n in range(len(position)):
         turn, place = _read_pose(rotation, position, n, unit)
@@ -364,15 +353,15 @@ def as_built_branches(
             for k in range(8):
                 label_of[k] = max(label_of[k], -1)
                 balls, _ = _image(point(roots, k), scratch.planes)
-                _put_balls(balls, 1.0, found[k])
-            _assign_left_over(drawn, found, label_of, root_of)
+                _put_balls(balls, 1.0, joints_of_roots[k])
+            _assign_left_over(drawn, joints_of_roots, label_of, root_of)
         status[n] = UNREACHABLE
         for label in range(8):
             k = root_of[label]
             if len(complex_joints):
                 for i in range(3):
                     for j in range(3):
-                        complex_joints[n, label, i, j] = found[k, i, j] * unit
+                        complex_joints[n, label, i, j] = joints_of_roots[k, i, j] * unit
             if k >= 0 and is_real(roots, k):
                 status[n] = OK
                 is_carried[n, label] = is_carried[n, label] % 2
@@ -411,7 +400,7 @@ def _claim(
 
 @jit
 def _assign_left_over(
-    drawn: ComplexArray, found: ComplexArray, label_of: npt.NDArray[np.int64], root_of: npt.NDArray[np.int64]
+    drawn: ComplexArray, joints_of_roots: ComplexArray, label_of: npt.NDArray[np.int64], root_of: npt.NDArray[np.int64]
 ) -> None:
     """Give the labels left over to the roots left over, the pairs nearest in their ball centres first."""
     while True:
@@ -422,7 +411,7 @@ def _assign_left_over(
                     distance = 0.0
                     for i in range(3):
                         for j in range(3):
-                            gap = found[k, i, j] - drawn[label, i, j]
+                            gap = joints_of_roots[k, i, j] - drawn[label, i, j]
                             distance = max(distance, gap.real * gap.real + gap.imag * gap.imag)
                     if best_label < 0 or distance < nearest:
                         nearest, best_label, best_root = distance, label, k
@@ -432,7 +421,7 @@ def _assign_left_over(
 
 
 @jit
-def _put_nearest(rotation: Rows, position: Vector, scratch: Scratch, nearest: FloatArray) -> bool:
+def _put_nearest(rotation: Rows, position: Vector, scratch: PoseScratch, nearest: FloatArray) -> bool:
     """Write the roots that Newton's method leads to from TT+ and TT- of the drawn machine; whether it does at once."""
     frame = pose_frame(rotation, position, 1.0)
     tt, tf, ft, ff = families(frame, 1.0)
@@ -451,33 +440,6 @@ def _put_nearest(rotation: Rows, position: Vector, scratch: Scratch, nearest: Fl
     polish(scratch.forms[0], nearest, False, True, 10)
     arrived = nearest[STATE] == CONVERGED and nearest[STATE + 1] == CONVERGED
     return arrived and not is_same_point(real_part(nearest, 0), real_part(nearest, 1), _SAME_ROOT)
-
-
-@jit_inline
-def _tangents(axes: Rows) -> Rows:
-    """Return the axes of a stage as tangents of its platform, counterclockwise about z: see `TANGENT_SIGNS`."""
-    return axes[0], scaled(-1.0, axes[1]), scaled(-1.0, axes[2])
-
-
-@jit
-def _is_physical(
-    b: Rows, c: Rows, lower: Rows, upper: Rows, axes: Rows, upper_axes: Rows, rotation: Rows, position: Vector
-) -> bool:
-    """Return whether a state is physical, leg limits aside; legs and axes as `_leg_vectors` returns them."""
-    (p1, p2, p3), (z1, z2, z3) = seen_from_platform(b, _IDENTITY, _ORIGIN)
-    upright = (p1 + p2 + p3 > 0.0) & (z1 + z2 + z3 < 0.0)
-    (p1, p2, p3), (z1, z2, z3) = seen_from_platform(b, rotation, position)
-    upright = upright & (p1 + p2 + p3 > 0.0) & (z1 + z2 + z3 > 0.0)
-    at_home = is_home_aspect(pairs(b, normals(_tangents(axes), lower)))
-    return upright & at_home & is_home_aspect(pairs(c, normals(_tangents(upper_axes), upper)))
-
-
-@jit
-def _tilt_cosine_sum(b: Rows, rotation: Rows) -> float:
-    """Return the sum of the cosines of the stages' tilts."""
-    normal = cross(minus(b[0], b[2]), minus(minus(b[1], b[0]), minus(b[2], b[1])))
-    along = normal[2] + dot(normal, (rotation[0][2], rotation[1][2], rotation[2][2]))
-    return float(along / math.sqrt(dot(normal, normal)))
 
 
 @kernel(
@@ -500,7 +462,7 @@ def as_built_physical_branches(
     Poses and machines as for `as_built_branches`, limits and results as for `physical_branches` of drawn machines; the
     lengths are those without offsets.
     """
-    scratch, elimination, own = _allocate_scratch(), allocate_elimination(), np.empty(6)
+    scratch, elimination, own = _allocate_pose_scratch(), allocate_elimination(), np.empty(6)
     all_roots, nearest = np.empty(8 * POINTS), np.zeros(ROWS * POINTS)
     axes, error = rows_at(machines[1, 0], 0), 0.0
     for row in range(3):
@@ -527,10 +489,10 @@ def as_built_physical_branches(
                     continue
                 b, c = _image(real_part(roots, k), scratch.planes)
                 lower, upper, upper_axes = _leg_vectors(b, c, machines[1], turn, place)
-                if not _is_physical(b, c, lower, upper, axes, upper_axes, turn, place):
+                if not is_physical(b, c, lower, upper, axes, upper_axes, turn, place):
                     continue
                 _put_lengths(lower, upper, unit, own)
-                rank, tilts = 2.0, _tilt_cosine_sum(b, turn)
+                rank, tilts = 2.0, tilt_cosine_sum(b, turn)
                 for i in range(6):
                     rank = rank if limits[0, i] <= own[i] <= limits[1, i] else 1.0
                 if is_other_preferred(best_rank, best_tilts, rank, tilts):

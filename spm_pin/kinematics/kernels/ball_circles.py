@@ -12,7 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spm_pin.formulas.ball_motions import (
+    frame_of_triangle,
+    leg_vectors,
+    points_from_platform,
+    pose_of_frames,
+    squared_sides,
+)
 from spm_pin.formulas.joint_values import triangle_axes
+from spm_pin.formulas.leg_planes import upper_ball_weights, upper_balls
 from spm_pin.formulas.stages import pair_inverse
 from spm_pin.formulas.vectors import (
     Rows,
@@ -26,14 +34,11 @@ from spm_pin.formulas.vectors import (
     larger,
     largest,
     magnitude,
-    matrix_product,
     minus,
     scaled,
-    times,
-    transposed,
     weighted,
 )
-from spm_pin.formulas.wrenches import mean, pairs
+from spm_pin.formulas.wrenches import pairs
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.kinematics.kernels.quadric_newton import has_converged
 from spm_pin.mechanism.arguments import FloatArray
@@ -60,13 +65,9 @@ class Circles(NamedTuple):
 
 
 @jit_inline
-def _norm(a: Vector) -> float:
-    return math.sqrt(dot(a, a))
-
-
-@jit_inline
 def _sides(b: Rows) -> Vector:
-    return _norm(minus(b[0], b[1])), _norm(minus(b[1], b[2])), _norm(minus(b[2], b[0]))
+    d12, d23, d31 = squared_sides(b)
+    return math.sqrt(d12), math.sqrt(d23), math.sqrt(d31)
 
 
 @jit_inline
@@ -114,9 +115,8 @@ def _balls(stage: Circles, towards: Rows) -> Rows:
 @jit_inline
 def _errors(stage: Circles, balls: Rows) -> Vector:
     """Return half the errors of the squared distances."""
-    e12, e23, e31 = minus(balls[0], balls[1]), minus(balls[1], balls[2]), minus(balls[2], balls[0])
     d12, d23, d31 = stage.sides
-    return 0.5 * (dot(e12, e12) - d12 * d12), 0.5 * (dot(e23, e23) - d23 * d23), 0.5 * (dot(e31, e31) - d31 * d31)
+    return scaled(0.5, minus(squared_sides(balls), (d12 * d12, d23 * d23, d31 * d31)))
 
 
 @jit_inline
@@ -195,14 +195,7 @@ def _followed(start: Circles, end: Circles, first: Rows) -> tuple[Rows, bool]:
 @jit_inline
 def _placement(local: Rows, balls: Rows) -> tuple[Rows, Vector]:
     """Return the rotation and the position that take balls from their own frame to where they are."""
-    rotation = matrix_product(transposed(triangle_axes(balls)), triangle_axes(local))
-    return rotation, minus(mean(balls), times(rotation, mean(local)))
-
-
-@jit_inline
-def _radii(balls: Rows, pivots: Rows) -> Vector:
-    a, b, c = differences(balls, pivots)
-    return _norm(a), _norm(b), _norm(c)
+    return frame_of_triangle(triangle_axes(balls), triangle_axes(local), balls, local)
 
 
 @kernel(
@@ -226,29 +219,24 @@ def follow_states(
     path meets a singularity before the end. `lengths` (N, 6) are the distances from pivots to balls at the end [m],
     `start` and `end` (3, 6, 3) axes, pivots and balls of the machines [m].
     """
+    weights = upper_ball_weights(rows_at(start[2], 0), rows_at(start[2], 3))
     for n in range(len(lengths)):
         end_rotation[n], end_position[n], end_joints[n] = np.nan, np.nan, np.nan
         r, o, b = rows_at(rotation[n], 0), (position[n, 0], position[n, 1], position[n, 2]), rows_at(joints[n], 0)
-        middle, place = _placement(rows_at(start[2], 0), b)
-        # The upper balls as they are seen from {m}.
-        p, to_platform = rows_at(start[2], 3), transposed(r)
-        c = (
-            times(to_platform, minus(combined(place, 1.0, times(middle, p[0])), o)),
-            times(to_platform, minus(combined(place, 1.0, times(middle, p[1])), o)),
-            times(to_platform, minus(combined(place, 1.0, times(middle, p[2])), o)),
-        )
-        lower = _circles(start, 0, _radii(b, rows_at(start[1], 0)))
+        c = points_from_platform(upper_balls(b, weights), r, o)
+        _, radii = leg_vectors(b, rows_at(start[1], 0))
+        lower = _circles(start, 0, radii)
         b, arrived = _followed(lower, _circles(end, 0, (lengths[n, 0], lengths[n, 1], lengths[n, 2])), b)
         if not arrived:
             continue
-        upper = _circles(start, 3, _radii(c, rows_at(start[1], 3)))
+        _, radii = leg_vectors(c, rows_at(start[1], 3))
+        upper = _circles(start, 3, radii)
         c, arrived = _followed(upper, _circles(end, 3, (lengths[n, 3], lengths[n, 4], lengths[n, 5])), c)
         if not arrived:
             continue
         middle, place = _placement(rows_at(end[2], 0), b)
         middle_m, place_m = _placement(rows_at(end[2], 3), c)
-        r = matrix_product(middle, transposed(middle_m))
-        o = minus(place, times(r, place_m))
+        r, o = pose_of_frames(middle, place, middle_m, place_m)
         for i in range(3):
             end_position[n, i] = o[i]
             for j in range(3):

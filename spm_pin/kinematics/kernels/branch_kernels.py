@@ -27,13 +27,12 @@ from spm_pin.formulas.branches import (
 )
 from spm_pin.formulas.stages import cartesian
 from spm_pin.formulas.vectors import Rows, Vector, cross, dot
-from spm_pin.kinematics.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array, rows_at
+from spm_pin.kinematics.kernels.compilation import TILE, ByteArray, jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.mechanism.arguments import FloatArray
 
 VERTICAL = 16
 """Flag of a pose, besides bit k for a continuous family k: the two Z axes are parallel, without a common normal."""
 
-ByteArray = npt.NDArray[np.uint8]
 """An array of bytes: flags that compiled loops write."""
 
 # Rows of a tile: R, o, the discriminants over r²; b_i and leg lengths, branch by branch; 1 if a branch is real; flags;
@@ -183,13 +182,13 @@ def all_branches(
     joints: FloatArray,
     lengths: FloatArray,
     discriminants: FloatArray,
-    choice: ByteArray,
+    preference: ByteArray,
     status: npt.NDArray[np.int8],
     flagged: ByteArray,
 ) -> None:
     """Solve N poses R (N, 3, 3), o (N, 3) [m], with circumradii of the middle, base and terminal platforms [m].
 
-    Written are the poses; b_i (N, 8, 3, 3) and leg lengths (N, 8, 6) [m]; discriminants over r² (N, 4); as `choice`
+    Written are the poses; b_i (N, 8, 3, 3) and leg lengths (N, 8, 6) [m]; discriminants over r² (N, 4); as `preference`
     (N, 3) whether TT+ is physical, whether TT- is, and whether TT- is tilted less; as `status` (N,) 0 or 1, the first
     two of `Status`, continuous families not counted; as `flagged` (N,) bit k for a continuous family k, and `VERTICAL`.
     """
@@ -209,8 +208,8 @@ def all_branches(
         _store(tile, _DISCRIMINANTS, start, width, discriminants)
         _store_status(tile, start, width, status, flagged)
         for k in range(width):
-            choice[start + k, 0], choice[start + k, 1] = np.uint8(tile[_RANK, k]), np.uint8(tile[_RANK + 1, k])
-            choice[start + k, 2] = 1 if tile[_TILTS + 1, k] > tile[_TILTS, k] else 0
+            preference[start + k, 0], preference[start + k, 1] = np.uint8(tile[_RANK, k]), np.uint8(tile[_RANK + 1, k])
+            preference[start + k, 2] = 1 if tile[_TILTS + 1, k] > tile[_TILTS, k] else 0
 
 
 @kernel(f"void({_POSES}, f8, f8, f8, {readonly_array(2)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1])")

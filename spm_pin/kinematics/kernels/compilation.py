@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import numba
+import numpy as np
+import numpy.typing as npt
 from numba.core import event
 from numba.extending import register_jitable
 
@@ -24,6 +26,8 @@ from spm_pin.mechanism.arguments import FloatArray
 P = ParamSpec("P")
 R = TypeVar("R")
 
+ByteArray = npt.NDArray[np.uint8]
+Int64Array = npt.NDArray[np.int64]
 TILE = 16
 """Problems computed side by side: two or more registers' worth on every processor, and small enough for its cache."""
 
@@ -42,6 +46,7 @@ _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for folder in _FOLDERS for p i
 
 def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
     """Let kernels call a function, which becomes part of their loops."""
+    # Passed on to `njit`. Left to LLVM, formulas stay calls in the loop, which then takes one problem at a time.
     _register(error_model="numpy", forceinline=True)(function)
     return function
 
@@ -113,11 +118,6 @@ class Kernel(Generic[P, R]):
     def _dispatcher(self, cache: bool) -> Callable[P, R]:
         compiled: Callable[P, R] = _njit(self._signature, error_model="numpy", nogil=True, cache=cache)(self.py_func)
         return compiled
-
-    def assembly(self) -> str:
-        """Compile anew, and return the machine code as assembly language."""
-        compiled: Any = self._dispatcher(cache=False)
-        return "".join(compiled.inspect_asm().values())
 
 
 class _Announcement(event.Listener):

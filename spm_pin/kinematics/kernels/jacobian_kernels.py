@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.formulas.leg_planes import StageLegs, carried, upper_balls
 from spm_pin.formulas.vectors import Rows, Vector, differences, directions, largest
@@ -26,10 +25,9 @@ from spm_pin.formulas.wrenches import (
     structure_determinant,
 )
 from spm_pin.formulas.wrenches import stage_forces as forces_of_stage
-from spm_pin.kinematics.kernels.compilation import TILE, jit, jit_inline, kernel, readonly_array, rows_at
+from spm_pin.kinematics.kernels.compilation import TILE, ByteArray, jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.mechanism.arguments import FloatArray
 
-ByteArray = npt.NDArray[np.uint8]
 STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
 MACHINE = "f8[:,::1]"
 # Rows of a tile: b_1 to b_3, R, o; then the load of a state, and its results, the last of which is a flag.

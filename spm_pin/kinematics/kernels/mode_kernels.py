@@ -53,7 +53,7 @@ _OF_FAMILY = 1e6
 _BLUR, _RANK, _AZIMUTH = 11, 12, 13
 
 
-class Scratch(NamedTuple):
+class StageScratch(NamedTuple):
     """Arrays that stages are solved in, one after another."""
 
     roots: npt.NDArray[np.complex128]  # of the quartic (4,)
@@ -122,9 +122,9 @@ def _other_side_of_fold(stage: StageEquations, state: State) -> State:
 
 
 @jit_inline
-def allocate_scratch() -> Scratch:
+def allocate_stage_scratch() -> StageScratch:
     """Allocate the arrays that stages are solved in, one after another."""
-    return Scratch(np.empty(4, np.complex128), np.empty((8, 4)), np.empty((16, 5)), np.empty((16, 14)))
+    return StageScratch(np.empty(4, np.complex128), np.empty((8, 4)), np.empty((16, 5)), np.empty((16, 14)))
 
 
 @jit_inline
@@ -178,7 +178,7 @@ def _append(stage: StageEquations, start: State, ends: FloatArray, count: int) -
 
 
 @jit
-def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, scratch: Scratch) -> int:
+def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, scratch: StageScratch) -> int:
     """Find the solutions of one mode, and count them.
 
     They are put into the first rows of `scratch.kept`, by falling mean radius of the corners; where nine digits of it
@@ -230,7 +230,7 @@ def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, sc
 
 
 @jit
-def home_state(first: float, second: float, third: float, epsilon: float, scratch: Scratch) -> State:
+def home_aspect_state(first: float, second: float, third: float, epsilon: float, scratch: StageScratch) -> State:
     """Return the solution of mode T in the home's aspect, NaN if there is none.
 
     There is one at most, so whatever way leads into that aspect leads to it: Newton's method from the level position,
@@ -272,11 +272,11 @@ def _put_composed(
 
 @jit
 def _sheets(
-    first: float, second: float, third: float, epsilon: float, above: float, scratch: Scratch, modes: FloatArray
+    first: float, second: float, third: float, epsilon: float, above: float, scratch: StageScratch, modes: FloatArray
 ) -> tuple[bool, bool]:
     """Write the sixteen assembly modes of a stage (16, 5), NaN where there is none; tell which of T, F is continuous.
 
-    The sheet + is above the hips, or below, by the sign of `above`; the other is mirrored at their plane, where a
+    The sheet + is above the pivots, or below, by the sign of `above`; the other is mirrored at their plane, where a
     rotation keeps its part about the normal.
     """
     kept = scratch.kept
@@ -322,7 +322,7 @@ def all_modes(
     dimensions of the continuous families in TT, TF, FT, FF (N, 4); and as `status` (N,) 0 or 1, the first two of
     `Status`, continuous families not counted.
     """
-    scratch = allocate_scratch()
+    scratch = allocate_stage_scratch()
     below, above = np.empty((STAGE, 5)), np.empty((STAGE, 5))
     for n in range(len(lengths)):
         q = lengths[n]
@@ -348,7 +348,7 @@ def all_modes(
 
 
 @kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
-def home_modes(
+def home_aspect_states(
     lengths: FloatArray,
     r: float,
     base_radius: float,
@@ -358,12 +358,12 @@ def home_modes(
     joints: FloatArray,
 ) -> None:
     """Write R, o and the b_i in the home's aspect; NaN proves that there is none. Arguments as for `all_modes`."""
-    scratch = allocate_scratch()
+    scratch = allocate_stage_scratch()
     for n in range(len(lengths)):
         q = lengths[n]
-        lower = home_state(q[0] / r, q[1] / r, q[2] / r, base_radius / r, scratch)
-        upper = home_state(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, scratch)
-        # The upper stage hangs below its hips.
+        lower = home_aspect_state(q[0] / r, q[1] / r, q[2] / r, base_radius / r, scratch)
+        upper = home_aspect_state(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, scratch)
+        # The upper stage hangs below its pivots.
         below = lower[0], lower[1], lower[2], 0.0, lower[3]
         above = upper[0], -upper[1], -upper[2], 0.0, -upper[3]
         _put_composed(below, above, r, rotation[n], translation[n], joints[n])

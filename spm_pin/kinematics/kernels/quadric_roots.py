@@ -80,14 +80,14 @@ def _at(s, z):  # type: ignore[no-untyped-def]
 
 
 @jit_inline
-def _identities(rest, z):  # type: ignore[no-untyped-def]
+def _identities(right_sides, z):  # type: ignore[no-untyped-def]
     """Return the 3 x 3 matrix at z, by rows, that takes (x, y, 1) to the three identities.
 
-    `rest` has x², y², x y as (d z + e) x + (f z + g) y + h z² + i z + j.
+    `right_sides` have x², y², x y as (d z + e) x + (f z + g) y + h z² + i z + j.
     """
-    a1, a2, a3 = _at(rest[0], z)
-    b1, b2, b3 = _at(rest[1], z)
-    c1, c2, c3 = _at(rest[2], z)
+    a1, a2, a3 = _at(right_sides[0], z)
+    b1, b2, b3 = _at(right_sides[1], z)
+    c1, c2, c3 = _at(right_sides[2], z)
     # x (x y) = y x², y (x y) = x y², (x y)² = x² y², their squares and products replaced.
     first = c1 * c2 + c3 - a2 * b1, c1 * a2 + (c2 - a1) * c2 - a2 * b2 - a3, c1 * a3 + (c2 - a1) * c3 - a2 * b3
     second = (c1 - b2) * c1 + c2 * b1 - b1 * a1 - b3, c1 * c2 + c3 - b1 * a2, (c1 - b2) * c3 + c2 * b3 - b1 * a3
@@ -150,17 +150,17 @@ def _eliminate(forms: FloatArray, turn: FloatArray, turned: FloatArray, block: F
 
 
 @jit_inline
-def _rest(block, i):  # type: ignore[no-untyped-def]
-    """Return a row of `rest` as scalars."""
+def _right_side(block, i):  # type: ignore[no-untyped-def]
+    """Return the right side of a reduced row as scalars."""
     return block[i, 3], block[i, 4], block[i, 5], block[i, 6], block[i, 7], block[i, 8], block[i, 9]
 
 
 @jit
 def _put_polynomial(block: FloatArray, points: FloatArray, polynomial: FloatArray) -> None:
     """Write the determinant's nine coefficients, from its values at the ninth roots of unity."""
-    rest = _rest(block, 0), _rest(block, 1), _rest(block, 2)
+    right_sides = _right_side(block, 0), _right_side(block, 1), _right_side(block, 2)
     for k in range(POINTS):
-        first, second, third = _identities(rest, complex(_COSINES[k], _SINES[k]))
+        first, second, third = _identities(right_sides, complex(_COSINES[k], _SINES[k]))
         normal = cross(first, second)
         value = normal[0] * third[0] + normal[1] * third[1] + normal[2] * third[2]
         points[_VALUE + k], points[_VALUE_I + k] = value.real, value.imag
@@ -246,11 +246,11 @@ def _chosen(is_a, a, is_b, b, c):  # type: ignore[no-untyped-def]
 @jit
 def _put_vectors(block: FloatArray, turn: FloatArray, points: FloatArray) -> None:
     """Write the unit vectors that belong to the roots of the determinant."""
-    rest = _rest(block, 0), _rest(block, 1), _rest(block, 2)
+    right_sides = _right_side(block, 0), _right_side(block, 1), _right_side(block, 2)
     t0, t1, t2, t3 = _column(turn, 0), _column(turn, 1), _column(turn, 2), _column(turn, 3)
     for k in range(POINTS):
         z = complex(points[_RE + k], points[_IM + k])
-        first, second, third = _identities(rest, z)
+        first, second, third = _identities(right_sides, z)
         # The best of three is compared at the scale of the rows, whose degrees in z differ.
         a, b, c = cross(first, second), cross(first, third), cross(second, third)
         size_a, size_b, size_c = _size(a) * _size(third), _size(b) * _size(second), _size(c) * _size(first)
@@ -287,9 +287,9 @@ def _put_starts(forms: FloatArray, attempt: int, work: Elimination) -> bool:
 
 
 @jit
-def _put_partner(forms: FloatArray, found: FloatArray, points: FloatArray, k: int) -> None:
+def _put_partner(forms: FloatArray, roots: FloatArray, points: FloatArray, k: int) -> None:
     """Write the start for a root close to root k: along the direction in which the quadrics hardly change."""
-    x = point(found, k)
+    x = point(roots, k)
     p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
     a, b, c = symmetric_product(p, x), symmetric_product(q, x), symmetric_product(r, x)
     half = complex(0.5, 0.0)
@@ -335,19 +335,19 @@ def _made_real(points: FloatArray, k: int) -> bool:
 
 
 @jit
-def _add(found: FloatArray, count: int, points: FloatArray, k: int, sign: float) -> int:
+def _add(roots: FloatArray, count: int, points: FloatArray, k: int, sign: float) -> int:
     """Append point k, its imaginary part times a sign, if it is none of the roots found; return their number."""
     y = imaginary_part(points, k)
-    put_real_part(found, count, real_part(points, k))
-    put_imaginary_part(found, count, (sign * y[0], sign * y[1], sign * y[2], sign * y[3]))
+    put_real_part(roots, count, real_part(points, k))
+    put_imaginary_part(roots, count, (sign * y[0], sign * y[1], sign * y[2], sign * y[3]))
     for j in range(count):
-        if is_same_point(point(found, count), point(found, j), _SEPARATE):
+        if is_same_point(point(roots, count), point(roots, j), _SEPARATE):
             return count
     return count + 1
 
 
 @jit
-def _collect(forms: FloatArray, points: FloatArray, found: FloatArray, count: int) -> int:
+def _collect(forms: FloatArray, points: FloatArray, roots: FloatArray, count: int) -> int:
     """Improve the points, append them and their conjugates to the roots found as far as they are new."""
     polish(forms, points, True, False, 30)
     for k in range(POINTS):
@@ -356,15 +356,15 @@ def _collect(forms: FloatArray, points: FloatArray, found: FloatArray, count: in
     polish(forms, points, False, False, 10)
     for k in range(POINTS):
         if count < 8 and points[STATE + k] == CONVERGED:
-            before, count = count, _add(found, count, points, k, 1.0)
+            before, count = count, _add(roots, count, points, k, 1.0)
             if before < count < 8 and not is_real(points, k):
-                count = _add(found, count, points, k, -1.0)
+                count = _add(roots, count, points, k, -1.0)
     return count
 
 
 @jit
-def eight_roots(forms: FloatArray, work: Elimination, found: FloatArray) -> int:
-    """Write the common points of three quadrics (3, 10) as the first rows of `found`, and return how many they are.
+def eight_roots(forms: FloatArray, work: Elimination, roots: FloatArray) -> int:
+    """Write the common points of three quadrics (3, 10) as the first rows of `roots`, and return how many they are.
 
     Eight is all; real ones have imaginary parts of exactly zero. Fewer are found where some are not isolated.
     """
@@ -372,13 +372,13 @@ def eight_roots(forms: FloatArray, work: Elimination, found: FloatArray) -> int:
     for attempt in range(len(_COORDINATES)):
         if count == 8 or not _put_starts(forms, attempt, work):
             continue
-        count = _collect(forms, points, found, count)
+        count = _collect(forms, points, roots, count)
         if count == 8:
             continue
         # Pairs so close that Newton's method ended twice in one of them.
         for k in range(POINTS):
             points[STATE + k] = FAILED
             if k < count:
-                _put_partner(forms, found, points, k)
-        count = _collect(forms, points, found, count)
+                _put_partner(forms, roots, points, k)
+        count = _collect(forms, points, roots, count)
     return count

@@ -202,8 +202,8 @@ def singular_values(matrices: FloatArray, values: FloatArray) -> None:
         put_norms(rows, norms)
         for k in range(width):
             for i in range(count):
-                at = i
-                while at > 0 and values[start + k, at - 1] < norms[i, k]:
-                    values[start + k, at] = values[start + k, at - 1]
-                    at -= 1
-                values[start + k, at] = norms[i, k]
+                rank = i
+                while rank > 0 and values[start + k, rank - 1] < norms[i, k]:
+                    values[start + k, rank] = values[start + k, rank - 1]
+                    rank -= 1
+                values[start + k, rank] = norms[i, k]

@@ -15,29 +15,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from spm_pin.formulas.stages import inverse, is_home_aspect, pair_determinant
-from spm_pin.formulas.vectors import (
-    Rows,
-    Vector,
-    combined,
-    cross,
-    dot,
-    largest,
-    minus,
-    scaled,
-    times,
-    weighted,
+from spm_pin.formulas.stages import (
+    ANY_ASPECT,
+    EPS,
+    HOME_ASPECT,
+    inverse,
+    is_home_aspect,
+    pair_determinant,
+    pair_determinant_slope,
 )
-from spm_pin.formulas.vectors import (
-    rotation_of as rotation_of_quaternion,
-)
+from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, largest, minus, scaled, times, weighted
+from spm_pin.formulas.vectors import rotation_of as rotation_of_quaternion
 from spm_pin.formulas.wrenches import pairs
-from spm_pin.kinematics.kernels.compilation import jit, kernel
+from spm_pin.kinematics.kernels.compilation import Int64Array, jit, kernel
 from spm_pin.mechanism.arguments import FloatArray
-
-IntArray = npt.NDArray[np.int64]
 
 AXIS, PIVOT, BALL, OFFSET = 0, 3, 6, 9
 """Places of a leg's numbers in a row of `legs`."""
@@ -48,13 +40,10 @@ SPIN, VELOCITY, RATES, SLOPE_NUMBERS = 0, 3, 6, 10
 determinant's; and their number."""
 NO_STATE, OTHER_ASPECT, BEYOND, INSIDE = 0, 1, 2, 3
 """Where a stage is: nowhere, in another aspect, slightly beyond a forward singularity, or in the wanted aspect."""
-ANY_ASPECT, HOME_ASPECT = 0.0, 2.0
-"""The aspects wanted of a stage, beside 1 and -1: any with this sign of the determinant."""
 _BEYOND = -0.05
 """Determinant down to which a search may step beyond a forward singularity; it is about 1 at home."""
 _STEPS = 12
 """Newton steps for x3 and the centre at most."""
-_EPS = float(np.finfo(np.float64).eps)
 
 
 @jit
@@ -105,7 +94,7 @@ def evaluate_stage(
     x, y, z = coordinates[0], coordinates[1], radius * coordinates[2]
     axes, pivots, corners = vectors(legs, AXIS), vectors(legs, PIVOT), vectors(legs, BALL)
     centre, s = (-2.0 * radius * x * y, radius * (y * y - x * x), z), 0.0
-    tolerance, last, gap = 4.0 * _EPS * (radius + abs(z)), _STEPS - 1, np.inf
+    tolerance, last, gap = 4.0 * EPS * (radius + abs(z)), _STEPS - 1, np.inf
     for step in range(_STEPS):
         square = 1.0 - x * x - y * y - s * s
         if not square > 0.0:
@@ -176,10 +165,7 @@ def evaluate_stage(
             cross(axes[1], scaled(upward / lengths[1], combined(moved[1], -rates[1], u[1]))),
             cross(axes[2], scaled(upward / lengths[2], combined(moved[2], -rates[2], u[2]))),
         )
-        by_balls, by_normals, slope = pairs(moved, normals), pairs(balls, tilted), 0.0
-        for i in range(6):
-            first = 3 * (i // 3)
-            slope += (by_balls[i] + by_normals[i]) * c[first + (i + 1) % 3] * c[first + (i + 2) % 3]
+        slope = pair_determinant_slope(c, pairs(moved, normals)) + pair_determinant_slope(c, pairs(balls, tilted))
         for i in range(3):
             slopes[SPIN + i, k], slopes[VELOCITY + i, k] = turning[i], velocity[i]
             slopes[RATES + i, k] = upward * rates[i]
@@ -208,7 +194,7 @@ def stage_states(
     aspect: float,
     values: FloatArray,
     slopes: FloatArray,
-    places: IntArray,
+    places: Int64Array,
 ) -> None:
     """Write the values (N, 16) of a stage, their derivatives (N, 10, 3), and where it is (N,), see `evaluate_stage`."""
     for n in range(len(coordinates)):
@@ -224,8 +210,8 @@ def nearby_stages(
     offsets: FloatArray,
     table: FloatArray,
     spacing: float,
-    stages: IntArray,
-    cells: IntArray,
+    stages: Int64Array,
+    cells: Int64Array,
     distances: FloatArray,
 ) -> None:
     """Look points (N, 3) up in a table of distances, seen from lower stages (n, 3, 3) and (n, 3) [cells] in G groups.

@@ -10,10 +10,11 @@ import math
 
 import numpy as np
 
+from spm_pin.formulas.stages import ANY_ASPECT
 from spm_pin.formulas.vectors import combined, cross, minus, scaled, times, weighted
-from spm_pin.kinematics.kernels.compilation import jit, kernel
+from spm_pin.kinematics.kernels import RESOLUTION
+from spm_pin.kinematics.kernels.compilation import Int64Array, jit, kernel
 from spm_pin.kinematics.kernels.stage_states import (
-    ANY_ASPECT,
     BEYOND,
     CENTRE,
     DETERMINANT,
@@ -25,7 +26,6 @@ from spm_pin.kinematics.kernels.stage_states import (
     SPIN,
     STAGE_NUMBERS,
     VELOCITY,
-    IntArray,
     evaluate_stage,
     put,
     rotation_of,
@@ -45,8 +45,6 @@ _DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e-13, 1e3
 """Damping of the first step, relative to the matrix, its least value, and the one at which a search ends."""
 _DIFFERENCE = 1e-4
 """Step in the coordinates for second derivatives."""
-RESOLUTION = 1e-9
-"""Distances are found to this share of the machine's size."""
 _DOUBT = 1e-4
 """Residual norm, over the size, up to which a search that has stalled leaves its point undecided."""
 _SAME_STATE = 1e-6
@@ -282,7 +280,7 @@ def _minimise(
     """
     machine, state, trial, matrix, factor = search
     values, slopes, residual, jacobian = state
-    size, gradient, flatter, step, there = machine[2], np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3))
+    size, gradient, flatter, step, tried = machine[2], np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3))
     damping, norm, rounding, fresh = _DAMPING, _norm(residual), 0.25 * _ROUNDING * size, True
     largest, before = _put_gradient(jacobian, residual, gradient), norm
     for count in range(1, min(most, _STEPS[method]) + 1):
@@ -303,15 +301,15 @@ def _minimise(
             damping *= 10.0
             continue
         for k in range(6):
-            there[k // 3, k % 3] = coordinates[k // 3, k % 3] - step[k]
+            tried[k // 3, k % 3] = coordinates[k // 3, k % 3] - step[k]
         better = False
-        if _evaluate(machine, there, target, weight, shifts, trial) >= BEYOND:
+        if _evaluate(machine, tried, target, weight, shifts, trial) >= BEYOND:
             # At the end, what a step gains is less than the norm's rounding.
             change = _norm(trial[2]) - norm
             steepest = _put_gradient(trial[3], trial[2], flatter)
             better = change < -rounding or (change < rounding and steepest < largest)
         if better:
-            coordinates[:], values[:], slopes[:] = there, trial[0], trial[1]
+            coordinates[:], values[:], slopes[:] = tried, trial[0], trial[1]
             residual[:], jacobian[:] = trial[2], trial[3]
             norm, largest = _norm(residual), _put_gradient(jacobian, residual, gradient)
             damping, fresh = max(0.1 * damping, _LEAST_DAMPING), True
@@ -370,7 +368,7 @@ def search_points(
     machine: Machine,
     coordinates: FloatArray,
     readings: FloatArray,
-    outcome: IntArray,
+    outcome: Int64Array,
 ) -> None:
     """Search, from `starts` (N, M, 2, 3) one after the other, for a state with o at the `targets` (N, 3).
 

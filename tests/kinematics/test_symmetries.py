@@ -1,71 +1,28 @@
-"""Symmetries of the inverse displacement, over batch shapes."""
+"""Symmetries of the inverse and of the forward displacement."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from problems import GEOMETRIES, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
+from spm_pin.kinematics.forward_displacement import ASSEMBLY_MODES, forward_displacement, forward_physical
 
 PAPER = spm.Geometry.paper()
-SHAPES = [(), (1,), (3, 1, 2), (0,), (5,)]
 seeds = st.integers(0, 2**32 - 1)
 families = st.sampled_from(spm.mechanism.FAMILIES)
 geometries = st.sampled_from(sorted(GEOMETRIES))
 
 
+# --- Inverse -----------------------------------------------------------------------------------------------------
+
+
 def poses(family: str, shape: tuple[int, ...], seed: int, geometry: spm.Geometry = PAPER) -> RigidTransform:
     matrix = random_branches(geometry, family, int(np.prod(shape)), seed).pose.as_matrix()
     return RigidTransform.from_matrix(matrix.reshape(*shape, 4, 4))
-
-
-def assert_same_bits(found: spm.SolutionSet, expected: spm.SolutionSet) -> None:
-    for name in ("middle_joints", "leg_lengths", "discriminants", "exists", "status", "residual"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-@given(family=families, seed=seeds)
-def test_a_batch_is_its_singles(shape: tuple[int, ...], family: str, seed: int) -> None:
-    pose = poses(family, shape, seed)
-    batch = spm.inverse_displacement(PAPER, pose)
-    assert batch.shape == shape
-    assert batch.middle_joints.shape == (*shape, 8, 3, 3)
-    roots = spm.kinematics.complex_middle_joints(PAPER, pose)
-    assert roots.shape == (*shape, 8, 3, 3)
-    if not shape:
-        return
-    for index in np.ndindex(shape):
-        single = pose.as_matrix()[index]
-        assert_same_bits(spm.inverse_displacement(PAPER, single), batch[index])
-        np.testing.assert_array_equal(spm.kinematics.complex_middle_joints(PAPER, single), roots[index])
-
-
-@pytest.mark.parametrize("length", [4000, 4001, 4567])
-def test_a_large_batch_is_its_parts(length: int) -> None:
-    """Kernels fetch the memory of large batches ahead of writing it, beyond the end as well."""
-    pose = random_branches(PAPER, "TT", length, seed=8).pose
-    whole, lengths = spm.inverse_displacement(PAPER, pose), spm.kinematics.branch_lengths(PAPER, pose)[0]
-    np.testing.assert_array_equal(lengths, whole.leg_lengths)
-    for first in range(0, length, 500):
-        part = slice(first, min(first + 500, length))
-        assert_same_bits(spm.inverse_displacement(PAPER, pose[part]), whole[part])
-
-
-@given(family=families, seed=seeds)
-def test_results_do_not_depend_on_neighbours_in_the_batch(family: str, seed: int) -> None:
-    """A degenerate, an unreachable and a regular pose side by side are what each is alone."""
-    regular = poses(family, (3,), seed).as_matrix()
-    odd = [spm.pose([0, 0, 2], rotation=np.eye(3)), spm.pose([9, 9, 2], rotation=np.diag([1.0, -1, -1]))]
-    mixed = np.stack([regular[0], odd[0].as_matrix(), regular[1], odd[1].as_matrix(), regular[2]])
-    batch = spm.inverse_displacement(PAPER, mixed)
-    assert list(batch.status[[1, 3]]) == [spm.Status.DEGENERATE, spm.Status.UNREACHABLE]
-    for k, pose in enumerate(mixed):
-        assert_same_bits(spm.inverse_displacement(PAPER, pose), batch[k])
 
 
 def assert_same_branches(found: np.ndarray, expected: np.ndarray, size: float) -> None:
@@ -77,7 +34,6 @@ def assert_same_branches(found: np.ndarray, expected: np.ndarray, size: float) -
 def regular(solutions: spm.SolutionSet) -> np.ndarray:
     """Poses whose branches are all away from a fold and whose platform is tilted."""
     tilt = np.abs(np.linalg.norm(solutions.rotation[:, 0, :2, 2], axis=-1))
-    assert solutions.discriminants is not None
     return np.asarray((np.abs(solutions.discriminants) > 1e-4).all(axis=-1) & (tilt > 0.05))
 
 
@@ -123,19 +79,6 @@ def test_seen_from_the_platform_the_stages_change_places(family: str, seed: int,
     np.testing.assert_allclose(*sets, rtol=0, atol=1e-8 * geometry.middle_side)
 
 
-@given(family=families, seed=seeds, scale=st.floats(1e-3, 1e3))
-def test_lengths_scale(family: str, seed: int, scale: float) -> None:
-    small, large = PAPER, spm.Geometry(*(scale * x for x in (PAPER.base_radius, PAPER.platform_radius, 0.8)))
-    pose = poses(family, (20,), seed)
-    scaled = spm.pose(scale * pose.translation, rotation=pose.rotation)
-    before, after = spm.inverse_displacement(small, pose), spm.inverse_displacement(large, scaled)
-    keep = regular(before)
-    assert_same_branches(after.middle_joints[keep] / scale, before.middle_joints[keep], 1.0)
-    np.testing.assert_allclose(
-        np.asarray(after.discriminants)[keep], np.asarray(before.discriminants)[keep], rtol=1e-9, atol=1e-12
-    )
-
-
 @given(family=families, seed=seeds)
 def test_the_sizes_of_base_and_platform_do_not_matter_for_the_joints(family: str, seed: int) -> None:
     pose = poses(family, (10,), seed)
@@ -143,3 +86,75 @@ def test_the_sizes_of_base_and_platform_do_not_matter_for_the_joints(family: str
     np.testing.assert_array_equal(
         spm.inverse_displacement(PAPER, pose).middle_joints, spm.inverse_displacement(other, pose).middle_joints
     )
+
+
+# --- Forward -----------------------------------------------------------------------------------------------------
+
+legs = st.lists(st.floats(0.9, 1.6), min_size=6, max_size=6)
+"""The paper's stages close over all of this box, with between two and all sixteen modes each."""
+
+
+def assert_same(left: spm.SolutionSet, rotation: np.ndarray, translation: np.ndarray, order: np.ndarray) -> None:
+    """Mode k of `left` is mode order[k] of the set that has these poses, up to the order of equal mean radii."""
+    np.testing.assert_array_equal(left.exists, ~np.isnan(translation[order, 0]))
+    np.testing.assert_allclose(left.translation, translation[order], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(left.rotation, rotation[order], rtol=0, atol=1e-8)
+
+
+@given(legs)
+def test_a_third_of_a_turn_permutes_the_legs(lengths: list[float]) -> None:
+    solutions = forward_displacement(PAPER, lengths)
+    assume(well_separated(solutions))
+    turned = forward_displacement(PAPER, np.roll(np.reshape(lengths, (2, 3)), 1, axis=1).reshape(-1))
+    turn = Rotation.from_euler("z", 120, degrees=True).as_matrix()
+    assert_same(turned, turn @ solutions.rotation @ turn.T, solutions.translation @ turn.T, np.arange(256))
+
+
+@given(legs)
+def test_reflection_in_the_plane_of_leg_2_exchanges_legs_1_and_3(lengths: list[float]) -> None:
+    solutions = forward_displacement(PAPER, lengths)
+    assume(well_separated(solutions))
+    reflected = forward_displacement(PAPER, np.array(lengths)[[2, 1, 0, 5, 4, 3]])
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    assert_same(reflected, mirror @ solutions.rotation @ mirror, solutions.translation @ mirror, np.arange(256))
+
+
+@given(legs)
+def test_reflection_in_the_base_exchanges_the_sheets_of_both_stages(lengths: list[float]) -> None:
+    solutions = forward_displacement(PAPER, lengths)
+    mirror = np.diag([1.0, 1.0, -1.0])
+    swapped = [label.translate(str.maketrans("+-", "-+")) for label in ASSEMBLY_MODES]
+    order = np.array([ASSEMBLY_MODES.index(label) for label in swapped])
+    assert_same(solutions, mirror @ solutions.rotation @ mirror, solutions.translation @ mirror, order)
+
+
+def test_exchanging_the_stages_inverts_the_pose() -> None:
+    """Seen from {m} and turned over, the manipulator with C for E stands on its head."""
+    rng = np.random.default_rng(4)
+    swapped = spm.Geometry(PAPER.platform_radius, PAPER.base_radius, PAPER.middle_side)
+    for _ in range(20):
+        lengths = rng.uniform(1.1, 1.5, 6)
+        state = forward_physical(PAPER, lengths)
+        # Turned over about Y, legs 1 and 3 change places.
+        other = forward_physical(swapped, lengths[[5, 4, 3, 2, 1, 0]])
+        over = np.diag([-1.0, 1.0, -1.0])
+        np.testing.assert_allclose(other.rotation, over @ state.rotation.T @ over, atol=1e-12)
+        np.testing.assert_allclose(other.translation, -over @ state.rotation.T @ state.translation, atol=1e-12)
+
+
+def well_separated(solutions: spm.SolutionSet) -> bool:
+    """No two modes of a stage so close, or of so nearly equal mean radius, that rounding decides their number or order.
+
+    What symmetric legs do is a matter of `test_stage.py`.
+    """
+    b = solutions.middle_joints
+    radial = PAPER.radial_directions
+    lower = (b * radial).sum(axis=(-1, -2))
+    hanging = (b - solutions.translation[:, None]) @ solutions.rotation
+    upper = (hanging * radial).sum(axis=(-1, -2))
+    for radii in (lower.reshape(16, 16).T, upper.reshape(16, 16)):
+        values = radii[np.argmax(~np.isnan(radii).all(axis=-1))][::2]
+        values = np.sort(values[~np.isnan(values)])
+        if np.any(np.diff(values) < 1e-5):
+            return False
+    return True

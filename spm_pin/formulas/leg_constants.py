@@ -1,0 +1,67 @@
+"""Constants of the legs from the drawing, the 54 parameters and the limits: `docs/mechanism.md`."""
+
+from __future__ import annotations
+
+from spm_pin.formulas.joint_values import LegFrame
+from spm_pin.formulas.operations import COS_30, both, cos, sin, sqrt, where
+from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, magnitude, scaled, times
+
+UP = (0.0, 0.0, 1.0)
+RADIAL = ((COS_30, -0.5, 0.0), (0.0, 1.0, 0.0), (-COS_30, -0.5, 0.0))
+"""Unit vectors towards the drawn legs 1, 2, 3, in {B} and in {m}."""
+AXES = ((0.5, COS_30, 0.0), (1.0, 0.0, 0.0), (-0.5, COS_30, 0.0))
+"""The drawn revolute axes."""
+TANGENT_SIGNS = (1.0, -1.0, -1.0)
+"""Signs that make the axes tangents of their platform, counterclockwise about z: a turn about them leads outwards."""
+INFINITY = float("inf")
+
+
+def drawn_triangle(radius: float) -> Rows:
+    """Return the points at a radius along the `RADIAL` directions."""
+    return scaled(radius, RADIAL[0]), scaled(radius, RADIAL[1]), scaled(radius, RADIAL[2])
+
+
+def mean_radius(points: Rows) -> float:
+    """Return the mean of three points along the `RADIAL` directions."""
+    return (dot(RADIAL[0], points[0]) + dot(RADIAL[1], points[1]) + dot(RADIAL[2], points[2])) / 3.0
+
+
+def turned_axis(axis: Vector, first: float, second: float) -> Vector:
+    """Return a drawn axis after a turn of two components, see `spm_pin.Geometry.parameters`."""
+    square = first * first + second * second
+    small = square < 1e-8
+    angle = sqrt(where(small, 1.0, square))
+    cosine = where(small, 1.0 - square / 2.0 + square * square / 24.0, cos(angle))
+    sinc = where(small, 1.0 - square / 6.0 + square * square / 120.0, sin(angle) / angle)
+    across = combined(scaled(first, cross(UP, axis)), second, UP)
+    return combined(scaled(cosine, axis), sinc, across)
+
+
+def home_length(radius: float, r: float, low: float, high: float) -> float:
+    """Return the leg length at home of a stage with limits, see `spm_pin.mechanism.joint_angles.home_lengths`."""
+    middle, reach = 0.5 * (low + high), magnitude(r - radius)
+    stands = both(both(low < high, reach < middle), middle < INFINITY)
+    return where(stands, middle, low + sqrt(reach * reach + (r + radius) * (r + radius)))
+
+
+def leg_axes(axis: Vector) -> Rows:
+    """Return the axes of a leg's frame: x along its revolute axis, z as near to {B}'s or {m}'s as that allows."""
+    z = combined(UP, -axis[2], axis)
+    scale = 1.0 / sqrt(dot(z, z))
+    # The second is z x, without what rounding would leave of its third component.
+    return axis, scaled(scale, cross(UP, axis)), scaled(scale, z)
+
+
+def leg_frame(
+    axis: Vector, pivot: Vector, drawn_axis: Vector, own_axes: Rows, home: tuple[float, float, float, float]
+) -> LegFrame:
+    """Return the constants of a leg.
+
+    `own_axes` are the axes of the lower balls' triangle in {n}; `home` is the leg's length there, r - radius of the
+    platform, the leg's `TANGENT_SIGNS`, and +1 of a lower leg or -1 of an upper.
+    """
+    length, offset, outward, up = home
+    rows = leg_axes(axis)
+    corner = times(own_axes, drawn_axis), times(own_axes, cross(UP, drawn_axis)), times(own_axes, UP)
+    lean_cos = up * sqrt((length - offset) * (length + offset)) / length
+    return LegFrame(rows, times(rows, pivot), corner, lean_cos, outward * offset / length, length)
