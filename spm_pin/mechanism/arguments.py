@@ -109,9 +109,7 @@ def number_pair(
     return float(array[0]), float(array[1])
 
 
-def whole_number(
-    value: Any, argument: str, expected: str = "", *, least: int = 0, most: int = 10**12, cause: str = ""
-) -> int:
+def whole_number(value: Any, argument: str, expected: str = "", *, least: int = 0, most: int = 10**12) -> int:
     """Read a whole number from `least` to `most`, by default more than any memory holds; a float, even 2.0, is none."""
     expected = expected or f"a whole number from {least} to {most}"
     try:
@@ -122,7 +120,7 @@ def whole_number(
         raise ArgumentError(argument, expected, type_and_value(value))
     if not least <= number <= most:
         received = number if abs(number) < _PRINTED else "an integer of many digits"
-        raise ArgumentError(argument, expected, received, cause)
+        raise ArgumentError(argument, expected, received)
     return number
 
 
@@ -133,11 +131,11 @@ def as_bool(value: Any, argument: str) -> bool:
     return bool(value)
 
 
-def choice(value: Any, argument: str, choices: Collection[str], *, cause: str = "") -> str:
+def choice(value: Any, argument: str, choices: Collection[str]) -> str:
     """Read one word out of `choices`."""
     if not isinstance(value, str) or value not in choices:
         received = repr(value) if isinstance(value, str) else type_and_value(value)
-        raise ArgumentError(argument, f"one of {', '.join(map(repr, choices))}", received, cause)
+        raise ArgumentError(argument, f"one of {', '.join(map(repr, choices))}", received)
     return value
 
 
@@ -165,8 +163,9 @@ def file_path(
 
 @contextlib.contextmanager
 def writing(path: Path, argument: str = "path", *, error: type[ArgumentError] = ArgumentError) -> Iterator[None]:
-    """Turn an `OSError` of a block that writes a file into an error that names the argument."""
+    """Make the folders of a file, and turn an `OSError` of a block that writes it into an error with the argument."""
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         yield
     except OSError as failed:
         raise error(argument, "a file that can be written", path, str(failed.strerror)) from failed
@@ -210,6 +209,19 @@ def broadcastable(
         raise error(argument, expected, f"{shape}") from None
 
 
+def check_shapes(shapes: dict[str, tuple[int, ...]], last: dict[str, tuple[int, ...]]) -> None:
+    """Check the last axes of arguments, or of their fields, by the last of their names, and that the others broadcast.
+
+    Arguments that `last` does not have are vectors of any length.
+    """
+    batch: tuple[int, ...] = ()
+    for k, (argument, shape) in enumerate(shapes.items()):
+        axes = last.get(argument.rpartition(".")[2], ())
+        if shape[len(shape) - len(axes) :] != axes:
+            raise ArgumentError(argument, f"shape (..., {', '.join(map(str, axes))})", f"shape {shape}")
+        batch = broadcastable(argument, shape[: len(shape) - max(len(axes), 1)], ", ".join([*shapes][:k]), batch)
+
+
 def real_array(
     value: npt.ArrayLike,
     argument: str,
@@ -236,14 +248,52 @@ def leg_values(value: npt.ArrayLike, argument: str, meaning: str, *, most: float
     return np.full(6, numbers) if single else numbers
 
 
+def leg_bounds(
+    value: npt.ArrayLike, argument: str, meaning: str, *, most: float, count: int = 6
+) -> tuple[FloatArray, FloatArray]:
+    """Read the least and the largest of `count` quantities, each of shape (count,).
+
+    Of one positive number for all, or one each (count,), for both senses; or of a least and a largest (2, count).
+    """
+    array = as_array(value)
+    if array is None or array.shape != (2, count):
+        shapes = f"shape () or ({count},), the largest in either sense, or (2, {count}), the least and the largest"
+        if array is None or array.shape not in ((), (count,)):
+            received = type_and_value(value) if array is None else f"shape {array.shape}"
+            raise ArgumentError(argument, f"{meaning} of {shapes}", received)
+        largest = np.broadcast_to(real_array(value, argument, (), meaning), (count,))
+        lower, upper = -largest, largest
+    else:
+        lower, upper = real_array(array, argument, (2, count), f"the least and the largest, {meaning}")
+    if (lower >= upper).any() or max(np.abs(lower).max(initial=0.0), np.abs(upper).max(initial=0.0)) > most:
+        expected = f"{meaning}, least ones below the largest, of at most {most:g}"
+        received = str(array if array is not None and array.size <= 1 else [lower.tolist(), upper.tolist()])
+        raise ArgumentError(argument, expected, received, "Rows exchanged, or no positive numbers?")
+    return np.array(lower), np.array(upper)
+
+
 def symmetric_matrices(
-    value: npt.ArrayLike, argument: str, size: int, meaning: str, *, allow_nan: bool = False
+    value: npt.ArrayLike,
+    argument: str,
+    size: int,
+    meaning: str,
+    *,
+    allow_nan: bool = False,
+    positive: bool = False,
 ) -> FloatArray:
-    """Read matrices (..., size, size), symmetric to 1e-9 of their largest entry; else as `real_array` does."""
+    """Read matrices (..., size, size), symmetric to 1e-9 of their largest entry; else as `real_array` does.
+
+    With `positive`, only positive definite ones.
+    """
     matrices = real_array(value, argument, (size, size), meaning, allow_nan=allow_nan)
     off = np.abs(matrices - matrices.swapaxes(-1, -2)).max(axis=(-1, -2), initial=0.0)
     if (off > 1e-9 * np.abs(matrices).max(axis=(-1, -2), initial=0.0)).any():
         raise ArgumentError(argument, "symmetric matrices", f"an asymmetry of {np.nanmax(off):.1e}")
+    if positive:
+        present = np.where(np.isnan(matrices).any(axis=(-1, -2), keepdims=True), np.eye(size), matrices)
+        least = np.linalg.eigvalsh(present).min(initial=1.0)
+        if least <= 0.0:
+            raise ArgumentError(argument, "positive definite matrices", f"an eigenvalue of {least:.3g}")
     return matrices
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.formulas import stages, wrenches
+from spm_pin.formulas import branches, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration
@@ -20,12 +20,14 @@ FAMILIES = ("TT", "TF", "FT", "FF")
 BRANCHES = ("TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-")
 """Canonical order of the eight branches of an inverse displacement."""
 
-TANGENT_SIGNS = np.array([1.0, -1.0, -1.0] * 2)
-"""Signs that make the legs' axes tangents of their platforms, counterclockwise about z."""
-
-_normals, _pairs, _is_home_aspect, _structure_determinant = (
+_is_upright, _is_stage_at_home, _tilt_cosine_sum, _structure_determinant = (
     on_arrays(formula)
-    for formula in (wrenches.normals, wrenches.pairs, stages.is_home_aspect, wrenches.structure_determinant)
+    for formula in (
+        branches.is_upright,
+        wrenches.is_stage_at_home,
+        branches.tilt_cosine_sum,
+        wrenches.structure_determinant,
+    )
 )
 
 
@@ -100,10 +102,7 @@ def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatA
 
 def tilt_cosine_sum(configuration: Configuration) -> FloatArray:
     """Return the sum of the cosines of the two stages' tilts, shape (...): 2 for a straight machine."""
-    b1, b2, b3 = np.moveaxis(configuration.middle_joints, -2, 0)
-    normal = np.cross(b1 - b3, 2.0 * b2 - b1 - b3)
-    along = normal[..., 2] + np.einsum("...i,...i->...", normal, configuration.rotation[..., :, 2])
-    return np.asarray(along / np.sqrt(np.einsum("...i,...i->...", normal, normal)))
+    return np.asarray(_tilt_cosine_sum(rows_of(configuration.middle_joints), rows_of(configuration.rotation)))
 
 
 def physical(configuration: Configuration) -> BoolArray:
@@ -115,11 +114,8 @@ def physical(configuration: Configuration) -> BoolArray:
     home's aspect at most one of them is negative; see `docs/theory/forward_displacement.md`. Of a machine as built, the
     nominal directions determine the mode, and the machine's own axes the aspect.
     """
-    centre = configuration.middle_joints.mean(axis=-2)
-    upward = configuration.rotation[..., :, 2]
-    heights = centre[..., 2], np.einsum("...i,...i->...", configuration.translation - centre, upward)
-    radii = _mean_radii(configuration)
-    upright = np.logical_and.reduce([value > 0.0 for value in (*radii, *heights)])
+    position = tuple(np.moveaxis(configuration.translation, -1, 0))
+    upright = np.asarray(_is_upright(rows_of(configuration.middle_joints), rows_of(configuration.rotation), position))
     if configuration.shape:
         # Few are upright, and the aspect takes longer.
         at_home: BoolArray = upright.copy()
@@ -130,9 +126,6 @@ def physical(configuration: Configuration) -> BoolArray:
 
 def _in_home_aspects(configuration: Configuration) -> BoolArray:
     """Return for which states both stages are in the home's aspect, shape (...)."""
-    tangents = TANGENT_SIGNS[:, None] * configuration.leg_axes
-    halves = zip(*map(_stages, (configuration.balls, tangents, configuration.leg_vectors)), strict=True)
-    aspects = [
-        _is_home_aspect(_pairs(rows_of(balls), _normals(rows_of(axes), rows_of(legs)))) for balls, axes, legs in halves
-    ]
+    vectors = configuration.balls, configuration.leg_vectors, configuration.leg_axes
+    aspects = [_is_stage_at_home(*map(rows_of, of_stage)) for of_stage in zip(*map(_stages, vectors), strict=True)]
     return np.asarray(np.logical_and(*aspects))

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SelectionError
+from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
@@ -22,8 +23,12 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
 )
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_limits import LEGS
 from spm_pin.mechanism.legs import triangle_frames, triangle_sides, upper_ball_weights
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
+
+_COLUMNS = ("o in {B} [m]", "roll, pitch, yaw [°]", *(f"{leg} [m]" for leg in LEGS))
+"""Heading of a notebook's table."""
 
 
 class Configuration:
@@ -130,6 +135,22 @@ class Configuration:
         if not self.exists:
             return f"<Configuration: does not exist{self.missing_reason and ': '}{self.missing_reason}>"
         return f"<Configuration: leg lengths ({', '.join(f'{length:.4f}' for length in self.leg_lengths)}) m>"
+
+    def _repr_html_(self) -> str:
+        if not self.shape:
+            picture = notebook.stick_figure(self.leg_bases, self.balls) if self.exists else ""
+            return notebook.table(repr(self), _COLUMNS, [self._cells()] if self.exists else [], picture)
+        rows = notebook.first_rows(self.shape, lambda index: self[index]._cells())
+        return notebook.table(repr(self), ("index", *_COLUMNS), rows)
+
+    def _cells(self) -> tuple[str, ...]:
+        """Return the cells of a single state in a notebook's table."""
+        if not self.exists:
+            return (f"does not exist{self.missing_reason and ': '}{self.missing_reason}",)
+        x, y, z = self.translation
+        roll, pitch, yaw = self.pose.rotation.as_euler("xyz", degrees=True)
+        lengths = (f"{length:.4f}" for length in self.readings)
+        return (f"{x:.4f}, {y:.4f}, {z:.4f}", f"{roll:.2f}, {pitch:.2f}, {yaw:.2f}", *lengths)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -238,7 +259,7 @@ class Configuration:
         # The axes and the planes' distances from O: exact zeros in a drawn machine, whose planes go through Z.
         lower = (b * legs.axes[:3]).sum(axis=-1) - (legs.pivots[:3] * legs.axes[:3]).sum(axis=-1)
         upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)
-        sides = triangle_sides(b) - triangle_sides(legs.balls[:3])
+        sides = triangle_sides(b) - legs.sides
         return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
 

@@ -18,7 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import GeometryError
-from spm_pin.mechanism import geometry_files
+from spm_pin.formulas.leg_constants import turned_axis
+from spm_pin.formulas.operations import on_arrays
+from spm_pin.mechanism import geometry_files, notebook
 from spm_pin.mechanism.arguments import FloatArray, check_instance, dimension, generator, real_number
 from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.mechanism.legs import AXES, RADIAL, Legs, axis_directions, bounded_array, drawn_legs
@@ -27,6 +29,7 @@ _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ba
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in _COMPONENTS)
 """Names of the 54 parameters of the legs, nine for each, in the order of `Geometry.parameters`."""
 
+_turned_axis = on_arrays(turned_axis)
 _MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
 """Largest standard deviations of random errors: normal numbers then do not leave the ranges accepted."""
 
@@ -92,11 +95,33 @@ class Geometry:
         )
         if self.is_nominal:
             return f"{text})"
+        angles, *lengths = self._deviations()
+        length = max(float(deviations.max()) for deviations in lengths)
+        return f"{text}, legs off the drawing by up to {length:.3g} m, {float(angles.max()):.3g} rad)"
+
+    def _repr_html_(self) -> str:
+        dimensions = zip(("E, base radius", "C, platform radius", "d, middle side"), self.dimensions, strict=True)
+        rows = [(name, f"{value:.6g} m") for name, value in dimensions]
+        ends = () if self.limits is None else (self.limits.minimum, self.limits.maximum)
+        pairs = [f"{low:.6g} to {high:.6g} m" for low, high in zip(*ends, strict=True)]
+        if len(set(pairs)) <= 1:
+            rows.append(("leg limits", pairs[0] if pairs else "none"))
+        else:
+            rows += [(f"limits of {leg}", pair) for leg, pair in zip(LEGS, pairs, strict=True)]
+        if not self.is_nominal:
+            for name, deviations in zip(("axes", "pivots", "balls", "offsets"), self._deviations(), strict=True):
+                unit, leg = "mrad" if name == "axes" else "mm", int(deviations.argmax())
+                rows.append((f"{name} off the drawing", f"up to {1e3 * deviations[leg]:.3g} {unit}, {LEGS[leg]}"))
+        title = "Geometry as drawn" if self.is_nominal else "Geometry as built"
+        return notebook.table(title, ("dimension", ""), rows)
+
+    def _deviations(self) -> tuple[FloatArray, ...]:
+        """Return by how much each leg differs from the drawing: axis [rad], and pivot, ball, offset [m], (6,) each."""
         drawn = self.nominal.legs
-        length = max(float(np.abs(a - b).max()) for a, b in zip(self.legs.arrays[1:], drawn.arrays[1:], strict=True))
         sine = np.sqrt((np.cross(self.legs.axes, drawn.axes) ** 2).sum(axis=-1))
-        angle = float(np.arctan2(sine, (self.legs.axes * drawn.axes).sum(axis=-1)).max())
-        return f"{text}, legs off the drawing by up to {length:.3g} m, {angle:.3g} rad)"
+        angles = np.arctan2(sine, (self.legs.axes * drawn.axes).sum(axis=-1))
+        _, pivots, balls, offsets = map(np.abs, map(np.subtract, self.legs.arrays, drawn.arrays))
+        return angles, pivots.max(axis=-1), balls.max(axis=-1), offsets
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Geometry, (*self.dimensions, self.limits, None if self.is_nominal else self.legs)
@@ -191,14 +216,12 @@ class Geometry:
     def from_parameters(self, parameters: npt.ArrayLike) -> Geometry:
         """Return the machine of the same dimensions and limits whose legs have these 54 `parameters`."""
         values = bounded_array(parameters, "parameters", (54,), "radians and metres, see PARAMETERS").reshape(6, 9)
-        drawn, first, second = axis_directions()
         angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
         if (angle > np.pi / 2.0).any():
             leg = int(angle.argmax())
             expected = "directions of the axes within a quarter turn of the drawn ones, in radians"
             raise GeometryError("parameters", expected, f"{angle[leg]:g} rad at {LEGS[leg]}", "Given in degrees?")
-        across = np.sinc(angle / np.pi)[:, None] * values[:, :2]
-        axes = np.cos(angle)[:, None] * drawn + across[:, :1] * first + across[:, 1:] * second
+        axes = np.stack(_turned_axis(tuple(np.tile(AXES, (2, 1)).T), values[:, 0], values[:, 1]), axis=-1)
         legs = Legs(axes, values[:, 2:5], values[:, 5:8], values[:, 8])
         return Geometry(*self.dimensions, self.limits, legs)
 

@@ -28,6 +28,7 @@ _IMPLAUSIBLE = 20.0
 """A file with a larger dimension [m] is suspected to be in another unit."""
 _LEG_KEYS = ("axis", "pivot", "ball", "offset")
 _HEADING = "# A 3RPS-3SPR manipulator, lengths in metres: see Geometry of spm_pin.\n"
+_SYMBOLS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)
 
 
@@ -115,7 +116,11 @@ class _Node:
         for entry, value in self.node.value:
             key = _Node(entry, self.path)
             if not isinstance(entry, yaml.ScalarNode) or (entry.value not in keys and entry.value not in optional):
-                raise key.error(expected, f"the key {key.error('').received}")
+                wrong = key.error(expected, f"the key {key.error('').received}")
+                meant = _SYMBOLS.get(str(entry.value))
+                if meant in keys or meant in optional:
+                    raise GeometryError(wrong.argument, expected, wrong.received, f"{entry.value} is {meant}")
+                raise wrong
             if entry.value in values:
                 raise key.error(expected, f"the key {entry.value!r} twice")
             values[entry.value] = _Node(value, self.path)

@@ -20,17 +20,22 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas import joint_values as formulas
+from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS, home_length, leg_frame
 from spm_pin.formulas.leg_planes import upper_balls
 from spm_pin.formulas.operations import ARRAYS, bind
 from spm_pin.formulas.vectors import dot, minus, times, transposed
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import axis_directions, triangle_frames, triangle_sides, upper_ball_weights
-from spm_pin.mechanism.pose import homogeneous
+from spm_pin.mechanism.legs import upper_ball_weights
 
-_OUTWARD = (1.0, -1.0, -1.0)
-"""Signs that turn a leg outwards about its revolute axis."""
+JOINTS = (
+    *("leg_b1_hip", "leg_b1_slide", "ball_b1_x", "ball_b1_y", "ball_b1_z"),
+    *("ball_c1_z", "ball_c1_y", "ball_c1_x", "leg_c1_slide", "leg_c1_hip"),
+    *("leg_b2_hip", "leg_b2_slide", "leg_b3_hip", "leg_b3_slide"),
+    *("leg_c2_hip", "leg_c2_slide", "leg_c3_hip", "leg_c3_slide"),
+)
+"""The eighteen joints of the URDF: up the first legs to the terminal platform, then the other lower and upper legs."""
 # Configurations computed together: intermediate arrays stay in the processor's cache.
 _BLOCK = 2048
 
@@ -43,40 +48,13 @@ def home_lengths(geometry: Geometry) -> tuple[float, float]:
     as the sum of its two radii.
     """
     limits = geometry.limits
-    r = geometry.middle_radius
     lengths = []
     for stage, radius in enumerate((geometry.base_radius, geometry.platform_radius)):
         legs = slice(3 * stage, 3 * stage + 3)
         low = max(limits.minimum[legs]) if limits else 0.0
         high = min(limits.maximum[legs]) if limits else math.inf
-        middle, reach = 0.5 * (low + high), abs(r - radius)
-        stands = low < high and reach < middle < math.inf
-        lengths.append(middle if stands else low + math.hypot(reach, r + radius))
+        lengths.append(float(home_length(radius, geometry.middle_radius, low, high)))
     return lengths[0], lengths[1]
-
-
-def home_leans(geometry: Geometry) -> tuple[float, ...]:
-    """Return the angle of each leg at home about its revolute axis, from z of {B} or {m} to its direction [rad]."""
-    leans: list[float] = []
-    radii = (geometry.base_radius, geometry.platform_radius)
-    for radius, length, up in zip(radii, home_lengths(geometry), (1.0, -1.0), strict=True):
-        offset = geometry.middle_radius - radius
-        height = up * math.sqrt((length - offset) * (length + offset))
-        leans.extend(math.atan2(outward * offset, height) for outward in _OUTWARD)
-    return tuple(leans)
-
-
-def leg_placements(geometry: Geometry) -> FloatArray:
-    """Return the frames (6, 4, 4) of the legs, the lower in {B}, the upper in {m}."""
-    x = geometry.legs.axes
-    z = np.array([0.0, 0.0, 1.0]) - x[:, 2:] * x
-    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
-    return homogeneous(np.stack([x, np.cross(z, x), z], axis=-1), geometry.legs.pivots)
-
-
-def ball_placements(geometry: Geometry) -> FloatArray:
-    """Return the frames (6, 4, 4) at the balls in {n}."""
-    return homogeneous(np.stack(axis_directions(), axis=-1), geometry.legs.balls)
 
 
 class _Formulas(NamedTuple):
@@ -87,10 +65,11 @@ class _Formulas(NamedTuple):
     leg_values: Callable[..., Any]
     triangle_axes: Callable[..., Any]
     ball_angles: Callable[..., Any]
+    leg_frame: Callable[..., Any]
 
     @classmethod
     def from_operations(cls, **operations: Any) -> _Formulas:
-        used = upper_balls, formulas.leg_values, formulas.triangle_axes, formulas.ball_angles
+        used = upper_balls, formulas.leg_values, formulas.triangle_axes, formulas.ball_angles, leg_frame
         return cls(operations["sqrt"], *(bind(formula, **operations) for formula in used))
 
 
@@ -105,19 +84,14 @@ class _Constants(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def _constants(geometry: Geometry) -> _Constants:
-    balls = geometry.legs.balls
-    homes = [
-        (math.cos(lean), math.sin(lean), float(length))
-        for lean, length in zip(home_leans(geometry), np.repeat(home_lengths(geometry), 3), strict=True)
-    ]
-    turns = np.swapaxes(leg_placements(geometry)[:, :3, :3], -1, -2)
-    shifts = (turns @ geometry.legs.pivots[..., None])[..., 0]
-    columns = np.swapaxes(triangle_frames(balls[:3]).T @ ball_placements(geometry)[:, :3, :3], -1, -2)
-    legs = tuple(
-        formulas.LegFrame(_tuples(rows), tuple(shift), _tuples(corner), *home)
-        for home, rows, shift, corner in zip(homes, turns, shifts.tolist(), columns, strict=True)
-    )
-    return _Constants(legs, tuple(triangle_sides(balls[:3]).tolist()), _tuples(upper_ball_weights(balls)))
+    axes, pivots, balls = map(_tuples, geometry.legs.arrays[:3])
+    own_axes, legs = _ON_NUMBERS.triangle_axes(balls[:3]), []
+    for leg in range(6):
+        radius, up = ((geometry.base_radius, 1.0), (geometry.platform_radius, -1.0))[leg // 3]
+        home = home_lengths(geometry)[leg // 3], geometry.middle_radius - radius, TANGENT_SIGNS[leg % 3], up
+        legs.append(_ON_NUMBERS.leg_frame(axes[leg], pivots[leg], AXES[leg % 3], own_axes, home))
+    weights = upper_ball_weights(geometry.legs.balls)
+    return _Constants(tuple(legs), tuple(geometry.legs.sides.tolist()), _tuples(weights))
 
 
 def _tuples(matrix: FloatArray) -> Any:

@@ -11,16 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import GeometryError
+from spm_pin.formulas import ball_motions, leg_constants, leg_planes
 from spm_pin.formulas.joint_values import triangle_axes
-from spm_pin.formulas.operations import COS_30, on_arrays, rows_of
+from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, FloatArray, real_array
 from spm_pin.mechanism.leg_limits import LEGS
 
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
-RADIAL = np.array([[COS_30, -0.5, 0.0], [0.0, 1.0, 0.0], [-COS_30, -0.5, 0.0]])
-AXES = np.array([[0.5, COS_30, 0.0], [1.0, 0.0, 0.0], [-0.5, COS_30, 0.0]])
+RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
 
-_triangle_axes = on_arrays(triangle_axes)
+_triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(ball_motions.squared_sides)
+_upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
 _FLAT = 1e-6
@@ -87,6 +88,13 @@ class Legs:
         """Axes, pivots, balls and offsets."""
         return self.axes, self.pivots, self.balls, self.offsets
 
+    @functools.cached_property
+    def sides(self) -> FloatArray:
+        """Distances 12, 23, 31 of the lower legs' balls [m], shape (3,)."""
+        sides = triangle_sides(self.balls[:3])
+        sides.flags.writeable = False
+        return sides
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Legs):
             return NotImplemented
@@ -130,18 +138,12 @@ def triangle_frames(b: FloatArray) -> FloatArray:
 
 def triangle_sides(b: FloatArray) -> FloatArray:
     """Return the sides b_1 b_2, b_2 b_3 and b_3 b_1 (..., 3) of triangles (..., 3, 3)."""
-    return np.asarray(np.sqrt(((b - np.roll(b, -1, axis=-2)) ** 2).sum(axis=-1)))
+    return np.asarray(np.sqrt(np.stack(_squared_sides(rows_of(b)), axis=-1)))
 
 
 def upper_ball_weights(balls: FloatArray) -> FloatArray:
-    """Return where the last three of six balls (6, 3) are, seen from the first three, as rows (3, 3).
-
-    Coordinates along b_2 - b_1, b_3 - b_1 and their cross product, from the first ball of the same corner; exactly zero
-    where the two coincide.
-    """
-    first, second = balls[1] - balls[0], balls[2] - balls[0]
-    basis = np.stack([first, second, np.cross(first, second)], axis=-1)
-    return np.asarray(np.linalg.solve(basis, (balls[3:] - balls[:3]).T).T)
+    """Return the weights of `leg_planes.upper_balls` for six balls (6, 3) in {n}, as rows (3, 3)."""
+    return np.array(_upper_ball_weights(rows_of(balls[:3]), rows_of(balls[3:])))
 
 
 def bounded_array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning: str) -> FloatArray:

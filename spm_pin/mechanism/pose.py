@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 import warnings
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -12,6 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.errors import PoseError
 from spm_pin.mechanism.arguments import (
     FloatArray,
+    as_array,
     broadcastable,
     finite_array,
     first_offender,
@@ -21,10 +25,20 @@ from spm_pin.mechanism.arguments import (
 
 ORTHONORMALITY_TOLERANCE = 1e-6
 """Largest entry of RᵀR - I taken for rounding, as of single precision, and repaired; more is an error."""
+UNIT = "a quaternion of length 1"
+_UNIT_TOLERANCE = 1e-3
+"""Quaternions whose length differs from 1 by no more are rounded, and are normalised."""
 EXACT = 16.0 * float(np.finfo(np.float64).eps)
 """Up to this, the rounding of a product of rotations, the matrix is kept to the last bit."""
 
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_WRITTEN_OUT = {
+    6: "Position and three angles, in which convention? spm.pose(a[..., :3], rpy=a[..., 3:]), or xyx=..., rotvec=...",
+    7: "Position and quaternion? spm.pose(a[..., :3], quat=a[..., 3:]), scalar last: x, y, z, w",
+}
+"""How to say a pose that comes as six or seven numbers."""
+_TRANSFORM = "A homogeneous transform? That is a pose already: scipy.spatial.transform.RigidTransform.from_matrix(a)"
+_ALREADY = "That is a pose already; its parts are a.translation and a.rotation"
 _ROTATION = "a rotation matrix"
 _POSITION = "a position in metres"
 
@@ -45,6 +59,10 @@ def pose(
     translation: npt.ArrayLike,
     *,
     xyx: npt.ArrayLike | None = None,
+    rpy: npt.ArrayLike | None = None,
+    quat: npt.ArrayLike | None = None,
+    rotvec: npt.ArrayLike | None = None,
+    matrix: npt.ArrayLike | None = None,
     rotation: Rotation | npt.ArrayLike | None = None,
 ) -> RigidTransform:
     """Make the pose of the terminal platform {m} in the base {B}.
@@ -55,10 +73,19 @@ def pose(
         Position of o in {B} [m].
     xyx : array_like, shape (..., 3), optional
         The paper's Euler angles α, β, λ [rad]: about X, then the new Y, then the new X. Eq. (3).
-        A warning is given for angles beyond 2π, which are often degrees.
+    rpy : array_like, shape (..., 3), optional
+        Roll, pitch, yaw [rad] about the fixed axes X, Y, Z in this order, as in URDF.
+    quat : array_like, shape (..., 4), optional
+        Unit quaternion, scalar last: x, y, z, w.
+    rotvec : array_like, shape (..., 3), optional
+        Rotation vector: the axis times the angle [rad].
+    matrix : array_like, shape (..., 3, 3), optional
+        Rotation matrix from {m} to {B}.
     rotation : Rotation or array_like, shape (..., 3, 3), optional
-        Rotation from {m} to {B}, instead of `xyx`. One of the two is required: the identity is no default,
-        because at R = I the manipulator is singular or cannot be assembled.
+        SciPy's rotation from {m} to {B}, or its matrix.
+
+        Exactly one orientation is required: the identity is no default, because at R = I the manipulator is singular or
+        cannot be assembled. A warning is given for angles beyond 2π, which are often degrees.
 
     Returns
     -------
@@ -71,23 +98,85 @@ def pose(
     >>> spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])).translation
     array([0.6889, 0.4963, 2.253 ])
     """
-    position = real_array(translation, "translation", (3,), "the position of o in {B} in metres", error=PoseError)
-    if (xyx is None) == (rotation is None):
-        received = "neither" if xyx is None else "both"
-        raise PoseError("rotation", "either xyx=... or rotation=...", received)
-    if xyx is not None:
-        angles = real_array(xyx, "xyx", (3,), "X-Y-X Euler angles in radians", error=PoseError)
-        largest = float(np.abs(angles).max(initial=0.0))
+    position = _read_translation(translation)
+    values = {"xyx": xyx, "rpy": rpy, "quat": quat, "rotvec": rotvec, "matrix": matrix, "rotation": rotation}
+    named = [name for name, value in values.items() if value is not None]
+    if len(named) != 1:
+        expected = f"exactly one orientation: {', '.join(f'{name}=...' for name in values)}"
+        raise PoseError("rotation", expected, " and ".join(named) or "none")
+    (name,) = named
+    value: Any = values[name]
+    matrices = np.asarray(value.as_matrix()) if isinstance(value, Rotation) else _read_orientation(value, name)
+    return unchecked_transform(*_broadcast(_rotations(matrices, name), position, "translation"))
+
+
+def _read_translation(value: Any) -> FloatArray:
+    """Return positions (..., 3), or raise `PoseError`, with a way to say it for what looks like a whole pose."""
+    try:
+        return real_array(value, "translation", (3,), "the position of o in {B} in metres", error=PoseError)
+    except PoseError as error:
+        raise _with_way_to_say(error, value) from None
+
+
+def _with_way_to_say(error: PoseError, value: Any) -> PoseError:
+    """Return an error about numbers that look like a whole pose, with the way to make one of them."""
+    if isinstance(value, HasRotationTranslation):
+        return PoseError(error.argument, error.expected, f"a {type(value).__name__}", _ALREADY)
+    array = as_array(value)
+    if array is None or not array.ndim:
+        return error
+    way = _TRANSFORM if array.shape[-2:] == (4, 4) else _WRITTEN_OUT.get(array.shape[-1])
+    return error if way is None else PoseError(error.argument, error.expected, error.received, way)
+
+
+_ORIENTATIONS: dict[str, tuple[int, str, Callable[[FloatArray], Rotation]]] = {
+    "xyx": (3, "X-Y-X Euler angles in radians", partial(Rotation.from_euler, "XYX")),
+    "rpy": (3, "roll, pitch, yaw in radians", partial(Rotation.from_euler, "xyz")),
+    "rotvec": (3, "a rotation vector in radians", Rotation.from_rotvec),
+    "quat": (4, "a unit quaternion x, y, z, w", Rotation.from_quat),
+}
+"""Of each way to write an orientation: how many numbers, what they are, and SciPy's reader."""
+
+
+def _read_orientation(value: Any, name: str) -> FloatArray:
+    """Return the matrices (..., 3, 3) of an orientation, by the name of its argument."""
+    if name not in _ORIENTATIONS:
+        try:
+            return shaped_array(value, name, (3, 3), _ROTATION, error=PoseError)
+        except PoseError as error:
+            raise _with_way_to_say(error, value) from None
+    size, meaning, read = _ORIENTATIONS[name]
+    numbers = real_array(value, name, (size,), meaning, error=PoseError)
+    if name == "quat":
+        wrong = first_wrong_quaternion(numbers)
+        if wrong is not None:
+            index, received, cause = wrong
+            raise PoseError(name, UNIT, received + (f" at index {index}" if index else ""), cause)
+    else:
+        largest = float(np.abs(numbers).max(initial=0.0))
         if largest > 2.0 * np.pi * (1.0 + EXACT):
             cause = "Angles are in radians; numpy.deg2rad converts"
-            warnings.warn(f"xyx: an angle of {largest:g} rad is beyond a full turn. {cause}", stacklevel=2)
-        # scipy reads shape (3,) as one rotation and (..., 3) as a batch, empty ones included.
-        matrices = np.asarray(Rotation.from_euler("XYX", angles).as_matrix())
-    elif isinstance(rotation, Rotation):
-        matrices = np.asarray(rotation.as_matrix())
-    else:
-        matrices = shaped_array(rotation, "rotation", (3, 3), _ROTATION, error=PoseError)  # type: ignore[arg-type]
-    return unchecked_transform(*_broadcast(_rotations(matrices, "rotation"), position, "translation"))
+            warnings.warn(f"{name}: an angle of {largest:g} rad is beyond a full turn. {cause}", stacklevel=3)
+    return np.asarray(read(numbers).as_matrix())
+
+
+def first_wrong_quaternion(quaternions: FloatArray) -> tuple[tuple[int, ...], str, str] | None:
+    """Return index, length and likely cause of the first quaternion of (..., 4) that is not `UNIT`, or None."""
+    lengths = np.linalg.norm(quaternions, axis=-1)
+    wrong = np.abs(lengths - 1.0) > _UNIT_TOLERANCE
+    if not wrong.any():
+        return None
+    index = first_offender(wrong)
+    # Nothing is known of a length far from 1.
+    cause = "Rounded to few digits?" if abs(lengths[index] - 1.0) < 0.1 else ""
+    return index, f"length {lengths[index]:g}", cause
+
+
+def inverse_command(translation: FloatArray, xyx: FloatArray, geometry_file: str | None = None) -> str:
+    """Return the command that solves one pose: translation (3,) [m], X-Y-X angles (3,) in degrees."""
+    numbers = [" ".join(repr(float(x)) for x in part) for part in (translation, xyx)]
+    robot = "" if geometry_file is None else f" --geometry {shlex.quote(geometry_file)}"
+    return f"spm-pin inverse --translation {numbers[0]} --xyx {numbers[1]}{robot}"
 
 
 def as_rigid_transform(value: PoseLike, argument: str = "pose") -> RigidTransform:
@@ -109,7 +198,14 @@ def unchecked_pose(value: PoseLike, argument: str = "pose") -> tuple[FloatArray,
         rotation = shaped_array(turn, f"{argument}.rotation", (3, 3), _ROTATION, error=PoseError)
         position = shaped_array(place, f"{argument}.translation", (3,), _POSITION, error=PoseError)
         return _broadcast(rotation, position, f"{argument}.translation")
-    matrices = shaped_array(value, argument, (4, 4), "a homogeneous transform", error=PoseError)
+    try:
+        matrices = shaped_array(value, argument, (4, 4), "a homogeneous transform", error=PoseError)
+    except PoseError as error:
+        array = as_array(value)
+        way = _WRITTEN_OUT.get(array.shape[-1]) if array is not None and array.ndim else None
+        if way is None:
+            raise
+        raise PoseError(argument, "a rigid transform", error.received, way) from None
     if not (matrices[..., 3, :] == _LAST_ROW).all():
         finite_array(matrices, argument, (4, 4), "a homogeneous transform", error=PoseError)
         index = first_offender((matrices[..., 3, :] != _LAST_ROW).any(axis=-1))

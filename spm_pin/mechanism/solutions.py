@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, NotOneSolutionError, SelectionError
+from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
@@ -26,7 +27,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration, batch_index, compared_points
 from spm_pin.mechanism.geometry import Geometry, unit_hint
-from spm_pin.mechanism.leg_limits import LegLimits
+from spm_pin.mechanism.leg_limits import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
 _PARALLEL = 1e-12
@@ -102,7 +103,7 @@ class SolutionSet:
 
     configurations: Configuration
     labels: tuple[str, ...]
-    status: Any
+    status: Status | npt.NDArray[np.int8]
     discriminants: FloatArray | None = None
     degeneracy: Degeneracy | None = None
     physical_hint: npt.NDArray[np.uint8] | None = None
@@ -232,7 +233,7 @@ class SolutionSet:
     @overload
     def __getitem__(self, index: str) -> Configuration: ...
     @overload
-    def __getitem__(self, index: Any) -> Any: ...
+    def __getitem__(self, index: Any) -> Configuration | SolutionSet: ...
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, str):
             if index not in self.labels:
@@ -269,6 +270,28 @@ class SolutionSet:
         shown = (", ".join(real[:8]) + ", …" * (len(real) > 8)) or "none"
         hint = _hint(self, ()) if self.status is Status.UNREACHABLE else ""
         return f"<SolutionSet: {self.status}, {self.count} of {len(self.labels)} real: {shown}{hint}>"
+
+    def _repr_html_(self) -> str:
+        if self.shape:
+            tally = [(str(status), np.count_nonzero(self.status == status)) for status in Status]
+            return notebook.table(repr(self), ("status", "problems"), [(name, f"{count:,}") for name, count in tally])
+        places = np.flatnonzero(self.exists)[: notebook.MOST_ROWS]
+        names = {int(k): self.labels[k] + ", physical" * bool(self.is_physical[k]) for k in places}
+        if self.labels == BRANCHES:
+            header = ("branch", *(f"{leg} [m]" for leg in LEGS))
+            rows = [[names[k], *(f"{length:.4f}" for length in self.readings[k])] for k in names]
+        else:  # assembly modes: they share their leg lengths and differ in their pose
+            header = ("mode", "x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]")
+            angles = self.configurations[places].pose.rotation.as_euler("xyz", degrees=True)
+            rows = [
+                [name, *(f"{x:.4f}" for x in self.translation[k]), *(f"{angle:.2f}" for angle in turn)]
+                for (k, name), turn in zip(names.items(), angles, strict=True)
+            ]
+        if self.count > len(rows):
+            rows.append([f"and {self.count - len(rows)} more"])
+        legs = self.configurations
+        pictures = "".join(notebook.stick_figure(legs.leg_bases[k], legs.balls[k], names[k]) for k in list(names)[:8])
+        return notebook.table(repr(self), header, rows, pictures)
 
     def pick(self, index: IntArray, exists: BoolArray) -> Configuration:
         """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False."""

@@ -107,8 +107,6 @@ def test_a_machine_without_errors_is_the_drawn_one() -> None:
         ("pivots", np.full((6, 3), 1e10), "pivots.*1e\\+10"),
         ("balls", np.outer(np.arange(6.0), [1.0, 2.0, 3.0]), "balls.*lower legs on one line"),
         ("balls", np.zeros((6, 3)), "on one line"),
-        ("offsets", np.zeros(5), "offsets"),
-        ("offsets", "long", "offsets"),
         ("offsets", np.zeros((2, 6)), "offsets"),
     ],
 )
@@ -118,15 +116,9 @@ def test_what_is_no_machine_is_an_error_that_names_the_argument(name: str, value
         replace(built.legs, **{name: value})
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: machine().from_parameters(np.full(54, 3.0)), "parameters.*degrees"),
-    ],
-)
-def test_bad_arguments_are_named(call: object, message: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=message):
-        call()  # type: ignore[operator]
+def test_parameters_in_degrees_are_refused() -> None:
+    with pytest.raises(spm.ArgumentError, match=r"parameters.*degrees"):
+        machine().from_parameters(np.full(54, 3.0))
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,7 @@ BOMB = "".join(
         (GOOD.replace("1.20", ".nan"), "a number of metres"),
         (GOOD.replace("1.20", "true"), "a number of metres"),
         (GOOD.replace("1.20", "'1.2'"), "a number of metres"),
+        (GOOD.replace("middle_side", "d"), r"robot\.yaml:2: .*got the key 'd'\. d is middle_side"),
         ("? [a, b]\n: 1\n" + GOOD, "the key a sequence"),
         ("<<: {middle_side: 1}\n" + GOOD, "the key '<<'"),
         (GOOD + "---\n" + GOOD, "a YAML file"),

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.mechanism import FAMILIES, joint_angles
-from spm_pin.mechanism.joint_angles import home_leans, home_lengths
+from spm_pin.mechanism.joint_angles import home_lengths
 
 PAPER = GEOMETRIES["paper"]
 NAMES = ("hip", "slide", "ball_x", "ball_y", "ball_z", "closure_residual")
@@ -25,7 +25,8 @@ def frame_about(axis: np.ndarray) -> np.ndarray:
 def check_turns(states: spm.Configuration) -> None:
     """The turns of a leg's joints lead from its platform to the middle one."""
     geometry, angles = states.geometry, joint_angles(states)
-    leans, homes = home_leans(geometry), np.repeat(home_lengths(geometry), 3)
+    homes, reach = np.repeat(home_lengths(geometry), 3), np.repeat(geometry.dimensions[:2], 3) - geometry.middle_radius
+    leans = np.arctan2(reach * [-1, 1, 1, -1, 1, 1], np.sqrt(homes**2 - reach**2) * [1, 1, 1, -1, -1, -1])
     middle, terminal = states.middle_pose.rotation.as_matrix(), states.rotation
     for leg in range(6):
         frame, corner = frame_about(geometry.legs.axes[leg]), frame_about(geometry.revolute_axes[leg % 3])

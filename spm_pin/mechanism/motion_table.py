@@ -1,0 +1,132 @@
+"""CSV tables of motions and measurements: a heading that names the columns, then rows of numbers in SI units.
+
+`time` [s]; `r_b1` to `r_c3`, readings of the legs [m]; `x`, `y`, `z`, the position of o in {B} [m]; `qx`, `qy`, `qz`,
+`qw`, the rotation from {m} to {B} as a unit quaternion, scalar last; joints as `name.position` and so on. Each reader
+takes the columns that it needs by their names, in any order, and passes over others.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import FloatArray, file_path, writing
+from spm_pin.mechanism.pose import UNIT, first_wrong_quaternion, pose
+
+TIME, POSITION, QUATERNION = "time", ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+
+
+class MotionTable:
+    """A table read from a file; columns become numbers when they are taken. Errors are of the type `error`."""
+
+    def __init__(self, path: str | Path, *, error: type[ArgumentError] = ArgumentError) -> None:
+        self.path = file_path(path, suffixes=(".csv",), error=error)
+        self._error = error
+        try:
+            with self.path.open(encoding="utf-8-sig", newline="") as file:
+                reader = csv.reader(file)
+                lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+        except (OSError, UnicodeDecodeError, csv.Error) as failed:
+            reason = getattr(failed, "strerror", None) or str(failed)
+            raise error(str(self.path), "a readable CSV file in UTF-8", reason) from failed
+        lines = [(number, row) for number, row in lines if any(row) and not row[0].startswith("#")]
+        if len(lines) < 2:
+            raise error(str(self.path), "a heading that names the columns, then rows of numbers", f"{len(lines)} lines")
+        (number, self.names), *self._rows = lines
+        if all(map(_is_number, self.names)):
+            cause = "The first line looks like numbers: no heading?"
+            expected = "a heading that names the columns"
+            raise error(f"{self.path}:{number}", expected, ", ".join(self.names[:3]) + ", …", cause)
+        twice = [name for name, count in Counter(self.names).items() if count > 1]
+        if twice:
+            raise error(f"{self.path}:{number}", "a heading with each column once", f"twice {', '.join(twice[:3])}")
+        for number, cells in self._rows:
+            if len(cells) != len(self.names):
+                expected = f"{len(self.names)} values, one per column of the heading"
+                raise error(f"{self.path}:{number}", expected, len(cells))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def lines(self) -> list[int]:
+        """The lines of the file on which the rows end."""
+        return [line for line, _ in self._rows]
+
+    def has(self, names: Sequence[str]) -> bool:
+        """Return whether the table has one of these columns at least."""
+        return not set(names).isdisjoint(self.names)
+
+    def columns(self, names: Sequence[str]) -> FloatArray:
+        """Return columns as an array (n, number of names)."""
+        missing = [name for name in names if name not in self.names]
+        if missing:
+            expected = f"a heading with the columns {', '.join(names)}"
+            raise self._error(f"{self.path}:1", expected, f"one without {', '.join(missing)}")
+        places = [self.names.index(name) for name in names]
+        return np.array([[self._number(line, cells, place) for place in places] for line, cells in self._rows])
+
+    def _number(self, line: int, cells: list[str], place: int) -> float:
+        cell = cells[place]
+        try:
+            number = float(cell)
+        except ValueError:
+            number = np.nan
+        if not np.isfinite(number):
+            cause = "A decimal comma?" if "," in cell else ""
+            where = f"column {self.names[place]} in {self.path}:{line}"
+            raise self._error(where, "a finite number", repr(cell) if cell else "nothing", cause)
+        return number
+
+    def poses(self) -> RigidTransform | FloatArray | None:
+        """Return poses (n,), or positions (n, 3) if there is no quaternion; None if there are no positions."""
+        if not self.has(POSITION + QUATERNION):
+            return None
+        position = self.columns(POSITION)
+        if not self.has(QUATERNION):
+            return position
+        quaternion = self.columns(QUATERNION)
+        wrong = first_wrong_quaternion(quaternion)
+        if wrong is not None:
+            (row,), received, cause = wrong
+            raise self._error(f"columns qx to qw in {self.path}:{self.lines[row]}", UNIT, received, cause)
+        return pose(position, quat=quaternion)
+
+    def times(self) -> FloatArray | None:
+        """Return increasing times (n,) [s]; None if there are none."""
+        if not self.has([TIME]):
+            return None
+        times = self.columns([TIME])[:, 0]
+        backward = np.diff(times) <= 0.0
+        if backward.any():
+            row = 1 + int(backward.argmax())
+            place = f"column {TIME} in {self.path}:{self._rows[row][0]}"
+            raise self._error(place, "increasing times in seconds", f"{times[row]:g} after {times[row - 1]:g}")
+        return np.asarray(times)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def table_text(columns: Mapping[str, FloatArray]) -> str:
+    """Return columns (n,) by their names as the text of a CSV file, with the digits that float64 needs."""
+    rows = np.column_stack(list(columns.values())) + 0.0  # no negative zeros
+    return "".join(",".join(row) + "\n" for row in (list(columns), *(map(repr, row) for row in rows.tolist())))
+
+
+def write_table(columns: Mapping[str, FloatArray], path: str | Path) -> None:
+    """Write columns (n,) by their names as a CSV file."""
+    path = file_path(path, suffixes=(".csv",))
+    with writing(path):
+        path.write_text(table_text(columns), encoding="utf-8")
