@@ -1,0 +1,149 @@
+"""Joint values, Jacobian, leg forces and distances to singularities of states on arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from spm_pin.arrays.displacement import State
+from spm_pin.arrays.library import Array, library_of, quietly
+from spm_pin.arrays.machines import read_machine, state_arrays
+from spm_pin.formulas import ball_motions, leg_constants, leg_planes, vectors, wrenches
+from spm_pin.formulas import joint_values as values
+from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS, UP
+from spm_pin.formulas.operations import mapped, rows_of, vector_of
+from spm_pin.mechanism import Configuration, Geometry
+from spm_pin.mechanism.joint_angles import JOINTS
+
+
+class _Legs:
+    """The six legs of a state, seen from {B}."""
+
+    def __init__(self, geometry: Geometry | Array, state: State | Configuration, **further: Array) -> None:
+        self.library = library_of(geometry=geometry, **state_arrays(state, "state"), **further)
+        self.machine = read_machine(self.library, geometry)
+        pose = rows_of(state.rotation), vector_of(state.translation)
+        placeholder = self.library.run(ball_motions.placeholder_state, self.machine.r)
+        self.exists = state.exists
+        # Selected before anything is computed, or derivatives were NaN where nothing exists.
+        self.b, self.pose = self.library.select(state.exists, (rows_of(state.middle_joints), pose), placeholder)
+        self.zero = 0.0 * (self.pose[1][0] + self.pose[0][0][0] + self.b[0][0] + self.machine.r)
+        self.lower = self.machine.legs[0]
+        self.upper = self.library.run(leg_planes.carried, self.machine.legs[1], *self.pose)
+        self.c = self.machine.upper_balls(self.library, self.b)
+        self.lower_directions, _ = self.library.run(ball_motions.leg_vectors, self.b, self.lower.pivots)
+        towards, _ = self.library.run(ball_motions.leg_vectors, self.c, self.upper.pivots)
+        self.upper_directions = mapped(lambda x: -x, towards)
+
+    def regular(self, stage: Any, *determinants: Any) -> Any:
+        """Return balls and six forces; regular ones where nothing exists, or a determinant is zero to rounding."""
+        run, r, is_regular = self.library.run, self.machine.r, self.exists
+        for determinant in determinants:
+            is_regular = is_regular & (run(vectors.magnitude, determinant) > self.library.least * r**3)
+        return self.library.select(is_regular, stage, (run(leg_constants.drawn_triangle, r), (UP, UP, UP), AXES))
+
+
+@quietly
+def inverse_jacobian(geometry: Geometry | Array, state: State | Configuration) -> Array:
+    """Compute J_f (..., 6, 6), which maps the twist (v, ω) at o to the leg rates; arguments as for `leg_forces`.
+
+    At an inverse singularity, as the level home is, there is none: the numbers are finite and mean nothing.
+    """
+    legs = _Legs(geometry, state)
+    library, run = legs.library, legs.library.run
+    directions, stage = (legs.lower_directions, legs.upper_directions), (legs.b, legs.upper.axes, legs.lower.axes)
+    determinant = run(wrenches.determinant, *stage)
+    if legs.machine.is_drawn:
+        b, a_m, a = legs.regular(stage, determinant)
+        stages = run(wrenches.drawn_inverse_jacobian, b, *directions, a, a_m, legs.pose[1])
+    else:
+        side = run(ball_motions.structure_side, legs.b, legs.c, legs.lower, legs.upper)
+        b, a_m, a = legs.regular(stage, determinant, side)
+        c = legs.machine.upper_balls(library, b)
+        stages = run(wrenches.inverse_jacobian, b, c, *directions, a, a_m, legs.pose[1])
+    return library.stacked([(*force, *moment) for stage in stages for force, moment in stage], legs.zero)
+
+
+@quietly
+def leg_forces(geometry: Geometry | Array, state: State | Configuration, wrench: Array) -> Array:
+    """Compute the leg forces (..., 6) [N], positive pushes, that hold a wrench.
+
+    Parameters
+    ----------
+    geometry : Geometry or array, shape (..., 3) or (..., 54)
+        As for `inverse_physical`.
+    state : State or Configuration
+        Of shape (...).
+    wrench : array, shape (..., 6)
+        Force [N] and moment [N m] at o in {B}, applied to the platform from outside.
+    """
+    legs = _Legs(geometry, state, wrench=wrench)
+    library, zero = legs.library, legs.zero + 0.0 * wrench[..., 0]
+    stages = (legs.b, legs.lower_directions, legs.lower.axes), (legs.c, legs.upper_directions, legs.upper.axes)
+    stage = library.together(stages, zero)
+    stage = legs.regular(stage, library.run(wrenches.determinant, *stage))
+    twists = library.run(wrenches.stage_twists, *stage, legs.pose[1])
+    forces = library.run(wrenches.stage_forces, twists, (vector_of(wrench[..., :3]), vector_of(wrench[..., 3:])))
+    return library.stacked([x[i, ...] for i in range(2) for x in forces], zero)
+
+
+@quietly
+def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Array:
+    """Compute the values of the eighteen joints of the URDF, shape (..., 18), in the order of `JOINTS`.
+
+    Angles in radians, slides in metres: with these a simulator of the open tree is reset to a closed state.
+
+    Parameters
+    ----------
+    geometry : Geometry or array, shape (..., 3) or (..., 54)
+        As for `inverse_physical`. Its leg limits decide where the joints are at zero; dimensions and parameters have
+        none.
+    state : State or Configuration
+        Of shape (...).
+    """
+    legs = _Legs(geometry, state)
+    library, machine, run = legs.library, legs.machine, legs.library.run
+    triangle, columns = run(values.triangle_axes, legs.b), run(vectors.transposed, legs.pose[0])
+    own = run(values.triangle_axes, machine.balls[0])
+    upper_balls = run(ball_motions.points_from_platform, legs.c, *legs.pose)
+    homes = [
+        (length, machine.r - radius, outward, up)
+        for length, radius, up in zip(machine.home_lengths(library), machine.radii, (1.0, -1.0), strict=True)
+        for outward in TANGENT_SIGNS
+    ]
+    constants = [
+        run(leg_constants.leg_frame, axis, pivot, AXES[k % 3], own, homes[k])
+        for k, (axis, pivot) in enumerate((x, p) for half in machine.legs for x, p in zip(*half, strict=True))
+    ]
+    balls = library.together([*legs.b, *upper_balls], legs.zero)
+    frames = library.together(constants, legs.zero)
+    of_legs = run(values.leg_values, balls, frames)
+    seen = tuple(run(vectors.times, columns, axis) for axis in triangle)
+    first = mapped(lambda x: library.xp.stack([x[0, ...], x[3, ...]]), (of_legs, frames))
+    signs, axes = library.together([1.0, -1.0], legs.zero), library.together([triangle, seen], legs.zero)
+    angles = [*run(values.ball_angles, *first, axes, signs), of_legs.hip]
+    turns = [library.xp.atan2(sine, cosine) for sine, cosine in angles]
+    named = {f"ball_{leg}_{x}": turns[k][i, ...] for i, leg in enumerate(("b1", "c1")) for k, x in enumerate("xyz")}
+    for i, leg in enumerate(("b1", "b2", "b3", "c1", "c2", "c3")):
+        named |= {f"leg_{leg}_hip": turns[3][i, ...], f"leg_{leg}_slide": of_legs.slide[i, ...]}
+    return library.stacked([named[name] for name in JOINTS], legs.zero)
+
+
+@quietly
+def singularity_distance(geometry: Geometry | Array, state: State | Configuration) -> Array:
+    """Compute the smallest singular values of J_b, J_c and K, shape (..., 3).
+
+    Dimensionless, and zero at a forward singularity of the lower or of the upper stage, or at an inverse one; see
+    `spm_pin.Singularities.sigma`. Arguments are as for `leg_forces`.
+    """
+    legs = _Legs(geometry, state)
+    run, side = legs.library.run, legs.machine.r * 3.0**0.5
+    centre = run(wrenches.mean, legs.b)
+    lower, upper = (run(wrenches.arms, b, centre, side) for b in (legs.b, legs.c))
+
+    def rows(forces: Any, arms: Any) -> Any:
+        return run(wrenches.force_rows, forces, arms, (0.0, 0.0, 0.0))
+
+    a, a_m = rows(legs.lower.axes, lower), rows(legs.upper.axes, upper)
+    matrices = (rows(legs.lower_directions, lower), a), (rows(legs.upper_directions, upper), a_m), (a, a_m)
+    stacked = legs.library.stacked(matrices, legs.zero)
+    return legs.library.xp.linalg.svdvals(legs.library.xp.reshape(stacked, (*legs.zero.shape, 3, 6, 6)))[..., -1]

@@ -1,0 +1,164 @@
+"""Inverse and forward displacement on NumPy's and strict arrays, against the compiled kernels."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import array_api_strict as strict
+import numpy as np
+import pytest
+from arrays.array_problems import BUILT, PAPER, random_poses, random_readings
+
+import spm_pin as spm
+from spm_pin import arrays
+
+MACHINES = {"drawn": PAPER, "as built": BUILT}
+COUNTS = (3000, pytest.param(100_000, marks=pytest.mark.slow))
+
+
+def parts(pose: Any) -> tuple[np.ndarray, np.ndarray]:
+    return pose.rotation.as_matrix(), pose.translation
+
+
+def conditioning(states: spm.Configuration) -> np.ndarray:
+    """Return how much larger an error of a state may be than that of its readings or pose."""
+    return 1.0 / np.maximum(spm.singularities(states).sigma.min(axis=-1), 1e-9)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_all_branches_are_those_of_the_kernels(count: int) -> None:
+    poses = random_poses(count)
+    expected, found = spm.inverse_displacement(PAPER, poses), arrays.inverse_displacement(PAPER, *parts(poses))
+    clear = np.repeat(np.abs(expected.discriminants) > 1e-12, 2, axis=-1)
+    assert (found.exists == expected.exists)[clear].all()
+    assert 0.2 < expected.exists.mean() < 0.8
+    real = clear & expected.exists
+    np.testing.assert_allclose(found.middle_joints[real], expected.middle_joints[real], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.leg_lengths[real], expected.leg_lengths[real], rtol=0, atol=1e-9)
+    assert np.isfinite(found.middle_joints).all()
+
+
+@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("count", COUNTS)
+def test_the_physical_branch_is_that_of_the_kernels(name: str, count: int) -> None:
+    machine, poses = MACHINES[name], random_poses(count)
+    expected, found = spm.inverse_physical(machine, poses), arrays.inverse_physical(machine, *parts(poses))
+    both = expected.exists & found.exists
+    assert (found.exists == expected.exists).mean() >= 1.0 - 1e-4
+    assert both.mean() > 0.01
+    error = np.abs(found.middle_joints - expected.middle_joints)[both].max(axis=(-1, -2))
+    assert (error <= 1e-13 * conditioning(expected[both])).all()
+    assert (np.abs(found.readings - expected.readings)[both].max(axis=-1) <= 1e-13 * conditioning(expected[both])).all()
+
+
+@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("count", COUNTS)
+def test_the_state_of_readings_is_that_of_the_kernels(name: str, count: int) -> None:
+    machine, readings = MACHINES[name], random_readings(count)
+    expected, found = spm.forward_physical(machine, readings), arrays.forward_physical(machine, readings)
+    both = expected.exists & found.exists
+    assert (found.exists == expected.exists).mean() >= 1.0 - 1e-4
+    assert 0.5 < both.mean() < 0.9
+    for field in ("rotation", "translation", "middle_joints"):
+        error = np.abs(getattr(found, field) - getattr(expected, field))[both].reshape(both.sum(), -1).max(axis=-1)
+        assert (error <= 1e-13 * conditioning(expected[both])).all()
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_a_state_beside_another_is_on_its_branch(name: str) -> None:
+    machine = MACHINES[name]
+    states = arrays.forward_physical(machine, random_readings(500))
+    states = arrays.State(*(x[states.exists] for x in states))
+    moved = arrays.forward_physical(machine, states.readings + 1e-6, near=states)
+    assert moved.exists.all()
+    np.testing.assert_allclose(moved.middle_joints, states.middle_joints, atol=1e-4)
+    back = arrays.inverse_physical(machine, moved.rotation, moved.translation, near=states)
+    well = arrays.singularity_distance(machine, states).min(axis=-1) > 1e-3
+    assert back.exists[well].all()
+    np.testing.assert_allclose(back.readings[well], moved.readings[well], atol=1e-11)
+    # An unphysical branch is followed as well.
+    branch = spm.inverse_displacement(PAPER, spm.pose([0.6889, 0.4963, 2.253], xyx=[-0.1934, 0.5754, -0.2248]))["FF+"]
+    followed = arrays.inverse_physical(PAPER, branch.rotation, branch.translation, near=branch)
+    assert followed.exists
+    np.testing.assert_allclose(followed.middle_joints, branch.middle_joints, atol=1e-12)
+
+
+def test_dimensions_and_parameters_are_machines_of_their_own() -> None:
+    readings = random_readings(200)
+    for geometry, machine in ((np.array(PAPER.dimensions), PAPER), (BUILT.parameters, BUILT)):
+        found, expected = arrays.forward_physical(geometry, readings), arrays.forward_physical(machine, readings)
+        assert (found.exists == expected.exists).all()
+        np.testing.assert_allclose(found.rotation[found.exists], expected.rotation[found.exists], rtol=0, atol=1e-10)
+    machines = [PAPER.perturbed(k) for k in range(3)]
+    together = arrays.forward_physical(np.stack([m.parameters for m in machines])[:, None], readings)
+    assert together.rotation.shape == (3, 200, 3, 3)
+    alone = arrays.forward_physical(machines[1], readings)
+    np.testing.assert_allclose(together.translation[1][alone.exists], alone.translation[alone.exists], atol=1e-10)
+
+
+def test_one_problem_is_a_batch_without_axes() -> None:
+    readings = random_readings(4)
+    one, batch = arrays.forward_physical(PAPER, readings[1]), arrays.forward_physical(PAPER, readings)
+    for x, y in zip(one, batch, strict=True):
+        assert np.array_equal(x, y[1])
+    branches = arrays.inverse_displacement(PAPER, one.rotation, one.translation)
+    assert branches.middle_joints.shape == (8, 3, 3)
+    assert branches.leg_lengths.shape == (8, 6)
+    assert branches.exists.shape == (8,)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("name", MACHINES)
+def test_the_kind_of_array_that_comes_in_goes_out(name: str, dtype: str) -> None:
+    machine = MACHINES[name]
+    readings = strict.asarray(random_readings(5), dtype=getattr(strict, dtype))
+    state = arrays.forward_physical(machine, readings)
+    again = arrays.inverse_physical(machine, state.rotation, state.translation)
+    results = [*state[:4], *again[:4], arrays.joint_values(machine, state), arrays.inverse_jacobian(machine, state)]
+    results += [arrays.leg_forces(machine, state, readings), arrays.singularity_distance(machine, state)]
+    if machine is PAPER:
+        results += arrays.inverse_displacement(machine, state.rotation, state.translation)[:2]
+    for array in results:
+        assert isinstance(array, type(readings))
+        assert array.dtype == readings.dtype
+    assert state.exists.dtype == strict.bool
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_single_precision_keeps_five_digits_away_from_singularities(name: str) -> None:
+    machine, readings = MACHINES[name], random_readings(20_000)
+    exact = arrays.forward_physical(machine, readings.astype(np.float32).astype(float))
+    single = arrays.forward_physical(machine, readings.astype(np.float32))
+    sigma = arrays.singularity_distance(machine, exact).min(axis=-1)
+    assert (exact.exists == single.exists).mean() > 0.999
+    well = exact.exists & single.exists & (sigma > 0.05)
+    assert well.mean() > 0.3
+    assert np.abs(single.rotation - exact.rotation)[well].max() < 2e-5
+    assert np.abs(single.translation - exact.translation)[well].max() < 2e-5
+
+
+def test_what_is_wrong_is_named() -> None:
+    state = arrays.forward_physical(PAPER, random_readings(2))
+    with pytest.raises(spm.ArgumentError, match=re.escape("rotation")):
+        arrays.inverse_physical(PAPER, np.eye(4), np.zeros(3))
+    with pytest.raises(spm.ArgumentError, match="floating-point"):
+        arrays.forward_physical(PAPER, np.ones(6, dtype=int))
+    with pytest.raises(spm.ArgumentError, match="arrays of one library"):
+        arrays.inverse_physical(PAPER, state.rotation, strict.asarray(state.translation))
+    with pytest.raises(spm.ArgumentError, match="a machine as drawn"):
+        arrays.inverse_displacement(BUILT, state.rotation, state.translation)
+    with pytest.raises(spm.ArgumentError, match=re.escape("(..., 54)")):
+        arrays.forward_physical(np.ones(7), np.ones(6))
+    with pytest.raises(spm.ArgumentError, match="as 54 parameters always count"):
+        arrays.inverse_displacement(BUILT.parameters, state.rotation, state.translation)
+    with pytest.raises(spm.ArgumentError, match=re.escape("near.middle_joints: expected shape (..., 3, 3)")):
+        arrays.forward_physical(PAPER, state.readings, near=state._replace(middle_joints=np.ones((2, 3))))
+    with pytest.raises(spm.ArgumentError, match=re.escape("those of rotation, (2,), got (3,)")):
+        arrays.inverse_physical(PAPER, state.rotation, np.ones((3, 3)))
+    with pytest.raises(spm.ArgumentError, match=re.escape("readings is array_api_strict. Convert")):
+        arrays.forward_physical(np.array(PAPER.dimensions), strict.asarray(state.readings))
+    with pytest.raises(spm.ArgumentError, match="dtype float16"):
+        arrays.forward_physical(PAPER, np.ones(6, dtype=np.float16))
+    with pytest.raises(spm.ArgumentError, match="near"):
+        arrays.forward_physical(PAPER, np.ones(6), near=np.ones(6))

@@ -1,0 +1,94 @@
+"""Joint values, Jacobians, forces and singular values on arrays, against the kernels and the URDF's tree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arrays.array_problems import BUILT, LEVEL, NOWHERE, PAPER, random_readings
+
+import spm_pin as spm
+from spm_pin import arrays
+from spm_pin.description import JOINTS, joint_values
+
+
+@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["drawn", "as built"])
+def test_what_a_state_determines_is_what_the_kernels_compute(machine: spm.Geometry) -> None:
+    states = spm.forward_physical(machine, random_readings(300))
+    states = states[states.exists]
+    sigma = spm.singularities(states).sigma
+    np.testing.assert_allclose(arrays.singularity_distance(machine, states), sigma, rtol=0, atol=1e-14)
+    found, expected = arrays.inverse_jacobian(machine, states), spm.inverse_jacobian(states)
+    size = np.abs(expected).max(axis=(-1, -2), keepdims=True)
+    assert (np.abs(found - expected) <= 1e-13 * size / sigma.min(axis=-1)[:, None, None]).all()
+    wrench = np.random.default_rng(2).normal(size=(len(states), 6))
+    found, expected = arrays.leg_forces(machine, states, wrench), spm.leg_forces(states, wrench)
+    assert (np.abs(found - expected) <= 1e-13 / sigma[:, :2].min(axis=-1)[:, None] ** 2).all()
+
+
+@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["drawn", "as built"])
+def test_joint_values_are_those_of_the_tree(machine: spm.Geometry) -> None:
+    assert arrays.JOINTS == JOINTS
+    states = spm.forward_physical(machine, random_readings(60))
+    states = states[states.exists]
+    expected = [list(joint_values(states[k]).values()) for k in range(len(states))]
+    np.testing.assert_allclose(arrays.joint_values(machine, states), expected, rtol=0, atol=1e-13)
+
+
+FUNCTIONS: dict[str, Any] = {
+    "joint_values": arrays.joint_values,
+    "inverse_jacobian": arrays.inverse_jacobian,
+    "leg_forces": lambda geometry, state: arrays.leg_forces(geometry, state, state.readings),
+    "singularity_distance": arrays.singularity_distance,
+}
+GEOMETRIES = {
+    "drawn": PAPER,
+    "as built": BUILT,
+    "dimensions": np.array(PAPER.dimensions),
+    "parameters": BUILT.parameters,
+    "drawn parameters": PAPER.parameters,
+}
+
+
+def absent_and_level(geometry: Any) -> list[arrays.State]:
+    """Return states of readings and of poses; some do not exist, and two stand level."""
+    readings = np.array([*NOWHERE, [2.1, 1.6, 0.416, 1.57, 0.8, 0.57], *LEVEL, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40]])
+    forward = arrays.forward_physical(geometry, readings)
+    assert forward.exists.tolist() == [False] * 4 + [True] * 3
+    rotation = np.concatenate([forward.rotation[-3:], np.broadcast_to(np.eye(3), (4, 3, 3))])
+    translation = np.concatenate(
+        [forward.translation[-3:], [[3.0, 2.0, 9.0], [0.0, 0.0, 0.0], [1.0, 0.0, 2.0], [0.0, 0.0, 1.0]]]
+    )
+    inverse = arrays.inverse_physical(geometry, rotation, translation)
+    assert inverse.exists[2]
+    assert not inverse.exists.all()
+    return [forward, inverse]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("kind", GEOMETRIES)
+def test_all_is_finite_where_nothing_exists_and_at_level_states(kind: str, name: str) -> None:
+    for state in absent_and_level(GEOMETRIES[kind]):
+        assert np.isfinite(FUNCTIONS[name](GEOMETRIES[kind], state)).all()
+
+
+@pytest.mark.parametrize("name", [pytest.param("joint_values", marks=pytest.mark.slow), *list(FUNCTIONS)[1:]])
+@pytest.mark.parametrize("kind", ["dimensions", "parameters"])
+def test_what_does_not_exist_leaves_a_masked_gradient_finite(kind: str, name: str) -> None:
+    geometry, before = GEOMETRIES[kind], jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", True)
+    try:
+        for found in absent_and_level(geometry):
+            state = arrays.State(*map(jnp.asarray, found))
+
+            def cost(fields: Any, machine: Any, state: Any = state) -> Any:
+                values = FUNCTIONS[name](machine, arrays.State(*fields, state.exists))
+                return jnp.where(state.exists, values.reshape(len(values), -1).sum(axis=-1), 0.0).sum()
+
+            slopes = jax.grad(cost, argnums=(0, 1))(state[:4], jnp.asarray(geometry))
+            assert all(jnp.isfinite(x).all() for x in jax.tree.leaves(slopes))
+    finally:
+        jax.config.update("jax_enable_x64", before)
