@@ -1,0 +1,24 @@
+"""Wrenches, twists and accelerations of the platform that limits of legs and bearings allow."""
+
+from spm_pin.capability.polytopes import (
+    Ellipsoid,
+    HalfSpaces,
+    Polytope,
+    Section,
+    acceleration_polytope,
+    velocity_polytope,
+    wrench_polytope,
+)
+from spm_pin.capability.reactions import JointReactions, joint_reactions
+
+__all__ = [
+    "Ellipsoid",
+    "HalfSpaces",
+    "JointReactions",
+    "Polytope",
+    "Section",
+    "acceleration_polytope",
+    "joint_reactions",
+    "velocity_polytope",
+    "wrench_polytope",
+]

@@ -1,0 +1,366 @@
+"""Sets of wrenches, twists and accelerations that the legs allow, as polytopes of states.
+
+Six legs and six freedoms: with x what the platform does and y what the legs do, y = N x for a regular matrix N, so that
+limits of the legs, a box of y, are a parallelotope of x. Its twelve facets are the rows of N and its 64 vertices the
+corners of the box through N⁻¹, and of both matrices there is a closed form:
+
+    wrench onto m    f = -Gᵀ w         w = -J_fᵀ f
+    twist of m       ṙ = J_f t         t = G ṙ
+    acceleration     f = Gᵀ (Λ ṫ + h)  ṫ = Λ⁻¹ (J_fᵀ f - h)
+
+Facets therefore also hold where the other matrix does not exist: at an inverse singularity the structure holds some
+wrenches without any leg, at a forward singularity some twists need no leg rates, and the set has no end there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial, reduce
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics import inverse_jacobian, platform_jacobian
+from spm_pin.mechanism import Configuration
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    as_array,
+    broadcastable,
+    choice,
+    leg_bounds,
+    real_array,
+    symmetric_matrices,
+)
+from spm_pin.mechanism.configuration import check_configuration
+
+_PARTS = {"linear": slice(3), "angular": slice(3, 6)}
+_CORNERS = (np.arange(64)[:, None] >> np.arange(6)) & 1 == 1
+_MOST = 1e100
+
+
+class HalfSpaces(NamedTuple):
+    """Half-spaces A x <= b of polytopes of shape (...) with n rows each."""
+
+    A: FloatArray
+    """Outward normals, not of unit length, shape (..., 2 n, 6): upper limits, then lower ones."""
+    b: FloatArray
+    """Shape (..., 2 n), in the unit of the limits."""
+
+
+class Ellipsoid(NamedTuple):
+    """Ellipsoids of shape (...) in the space of forces, moments, or of what they stand for."""
+
+    centre: FloatArray
+    """Shape (..., 3)."""
+    semi_axes: FloatArray
+    """From large to small, shape (..., 3)."""
+    directions: FloatArray
+    """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
+
+
+class Section(NamedTuple):
+    """A convex polyhedron."""
+
+    vertices: FloatArray
+    """Shape (n, 3)."""
+    faces: IntArray
+    """Triangles, counter-clockwise seen from outside, shape (m, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Polytope:
+    """Points x with lower <= rows · x <= upper, for states of shape (...); NaN for a state that does not exist.
+
+    x is a wrench (f, m) [N, N m], a twist (v, ω) [m/s, rad/s] or its time derivative, at o in {B}; its "linear" part
+    is (x_1, x_2, x_3), the "angular" one the rest. Made by `wrench_polytope`, `velocity_polytope` and
+    `acceleration_polytope`.
+    """
+
+    rows: FloatArray
+    """Derivatives of the limited quantities by x, legs r_b1 to r_c3 first, shape (..., n, 6)."""
+    lower: FloatArray
+    """Least values, shape (..., n)."""
+    upper: FloatArray
+    """Largest values, shape (..., n)."""
+    columns: Callable[[], FloatArray] | None = None
+    """Returns the inverse (..., 6, 6) of the rows of a parallelotope; None for other polytopes."""
+
+    def __repr__(self) -> str:
+        return f"<Polytope: shape {self.lower.shape[:-1]}, {2 * self.lower.shape[-1]} half-spaces>"
+
+    @property
+    def half_spaces(self) -> HalfSpaces:
+        """All points x with A x <= b."""
+        return HalfSpaces(
+            np.concatenate([self.rows, -self.rows], axis=-2), np.concatenate([self.upper, -self.lower], axis=-1)
+        )
+
+    @cached_property
+    def vertices(self) -> FloatArray:
+        """The 64 vertices, shape (..., 64, 6): in number k leg i is at its upper limit if bit i of k is set.
+
+        Raises `SingularConfigurationError` where the set has no end: wrenches at an inverse singularity, twists and
+        accelerations at a forward one. With rows added by `within` only a `section` has vertices.
+        """
+        if self.columns is None:
+            cause = "Its vertices have no closed form: take a section, or scipy.spatial.HalfspaceIntersection"
+            raise ArgumentError("vertices", "a parallelotope, of limits of six legs alone", repr(self), cause)
+        corners = np.where(_CORNERS, self.upper[..., None, :], self.lower[..., None, :])
+        return np.asarray(corners @ np.swapaxes(self.columns(), -1, -2))
+
+    def within(self, rows: npt.ArrayLike, limits: npt.ArrayLike, *, load: npt.ArrayLike | None = None) -> Polytope:
+        """Return the part of the polytope in which other linear functions of x keep their limits as well.
+
+        Parameters
+        ----------
+        rows : array_like, shape (6,) or (..., k, 6)
+            The functions, such as the rows of `joint_reactions`.
+        limits : array_like, shape (), (k,) or (2, k)
+            Largest values, of either sign; or the least and the largest.
+        load : array_like, shape (..., 6), optional
+            What is there besides x and adds to the functions: for reactions, the payload's part of the polytope's load.
+        """
+        given = as_array(rows)
+        count = given.shape[-2] if given is not None and given.ndim > 1 else 1
+        trailing = (6,) if given is not None and given.ndim == 1 else (count, 6)
+        added = np.atleast_2d(real_array(rows, "rows", trailing, "functions of x at o in {B}", allow_nan=True))
+        bounds = leg_bounds(limits, "limits", "values of the rows", count=count, most=_MOST)
+        shape = broadcastable("rows", added.shape[:-2], "the polytope", self.lower.shape[:-1])
+        offset = _taken(added, load, "the polytope", shape)
+        shape = np.broadcast_shapes(shape, offset.shape[:-1])
+        pairs = (self.lower, bounds[0] - offset), (self.upper, bounds[1] - offset)
+        whole = ([np.broadcast_to(x, (*shape, x.shape[-1])) for x in pair] for pair in pairs)
+        lower, upper = (np.concatenate(pair, axis=-1) for pair in whole)
+        both = [np.broadcast_to(x, (*shape, *x.shape[-2:])) for x in (self.rows, added)]
+        return Polytope(np.concatenate(both, axis=-2), lower, upper)
+
+    def contains(self, points: npt.ArrayLike) -> BoolArray:
+        """Return which points x (..., 6) are inside; their leading axes broadcast with those of the polytope."""
+        values = self._values(points, "points")
+        return np.asarray(((values >= self.lower) & (values <= self.upper)).all(axis=-1))
+
+    def extent(self, direction: npt.ArrayLike) -> FloatArray:
+        """Return the largest multiple (...) of x = `direction` (..., 6) that is inside, with all smaller ones.
+
+        Infinite where nothing limits it, 0 where zero is outside: where not even the weights are held, for instance.
+        """
+        values = self._values(direction, "direction")
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.where(values > 0.0, self.upper / values, self.lower / values)
+        # Where a limit is zero and the function too, nothing is limited; where a state is absent all are NaN.
+        ends = np.where(values == 0.0, np.inf, ends)
+        return self._around_zero(ends.min(axis=-1))
+
+    def ball(self, part: str = "linear") -> FloatArray:
+        """Return the radius (...) of the largest ball about zero of one part, the other part zero.
+
+        Parameters
+        ----------
+        part : str
+            "linear": the force held, or the speed of o reached, in every direction; "angular": the moment, or the
+            angular velocity. 0 where zero is outside, infinite where nothing is limited.
+        """
+        x = self.rows[..., _PARTS[choice(part, "part", tuple(_PARTS))]]
+        # Term by term: NumPy takes several times as long to reduce a short last axis.
+        squares = x[..., 0] * x[..., 0] + x[..., 1] * x[..., 1] + x[..., 2] * x[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            radii = np.where(squares == 0.0, np.inf, np.minimum(self.upper, -self.lower) / np.sqrt(squares))
+        return self._around_zero(np.asarray(reduce(np.minimum, np.moveaxis(radii, -1, 0))))
+
+    def ellipsoid(self, part: str = "linear") -> Ellipsoid:
+        """Return the section, where the other part is zero, of the ellipsoid Σ ((y_i - middle_i) / half range_i)² <= 1.
+
+        Parameters
+        ----------
+        part : str
+            "linear" or "angular".
+
+        Returns
+        -------
+        Ellipsoid
+            NaN where the ellipsoid has no such section. Of a parallelotope, the ellipsoid in six dimensions is the one
+            of largest volume inside it, which touches all twelve facets. With other rows it is inside, not the largest.
+        """
+        half = 0.5 * (self.upper - self.lower)
+        scaled = self.rows[..., _PARTS[choice(part, "part", tuple(_PARTS))]] / half[..., None]
+        middle = 0.5 * (self.upper + self.lower) / half
+        matrix = np.swapaxes(scaled, -1, -2) @ scaled
+        absent = np.asarray(~np.isfinite(matrix).all(axis=(-1, -2)))
+        values, vectors = np.linalg.eigh(np.where(absent[..., None, None], np.eye(3), matrix))
+        towards = np.swapaxes(scaled @ vectors, -1, -2) @ middle[..., None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            centre = (vectors @ (towards / values[..., None]))[..., 0]
+            left = 1.0 - ((middle - (scaled @ centre[..., None])[..., 0]) ** 2).sum(axis=-1)
+            axes = np.sqrt(np.where(left < 0.0, np.nan, left)[..., None] / values)
+        nowhere = np.isnan(axes).any(axis=-1, keepdims=True) | absent[..., None]
+        directions = np.where(nowhere[..., None], np.nan, np.swapaxes(vectors, -1, -2))
+        return Ellipsoid(np.where(nowhere, np.nan, centre), np.where(nowhere, np.nan, axes), directions)
+
+    def section(self, part: str = "linear") -> Section:
+        """Return the polyhedron of one part with the other part zero, of a single state; it has to have some volume."""
+        from scipy.optimize import linprog
+        from scipy.spatial import ConvexHull, HalfspaceIntersection
+
+        columns = _PARTS[choice(part, "part", tuple(_PARTS))]
+        if self.lower.ndim > 1 or not np.isfinite(self.rows).all():
+            received = "one that does not exist" if self.lower.ndim == 1 else f"shape {self.lower.shape[:-1]}"
+            raise ArgumentError("polytope", "that of a single state", received, "Make it of one of the states")
+        matrix, b = self.half_spaces
+        norms = np.linalg.norm(matrix[:, columns], axis=-1)
+        limits = norms > 0.0
+        normals, ends = matrix[limits, columns] / norms[limits, None], b[limits] / norms[limits]
+        endless = np.linalg.matrix_rank(normals, tol=1e-9) < 3
+        # The centre of the largest ball anywhere inside.
+        unknowns = np.column_stack([normals, np.ones(len(ends))])
+        inner = linprog([0.0, 0.0, 0.0, -1.0], A_ub=unknowns, b_ub=ends, bounds=[(None, None)] * 3 + [(0.0, None)])
+        if endless or inner.status != 0 or inner.x is None or inner.x[3] <= 0.0:
+            received = "one without end" if endless else "an empty one"
+            raise ArgumentError("polytope", f"a section ({part}) of some volume", received)
+        points = HalfspaceIntersection(np.column_stack([normals, -ends]), inner.x[:3]).intersections
+        hull = ConvexHull(points)
+        # SciPy leaves the sense of a triangle open.
+        corners = points[hull.simplices]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        inward = (normal * hull.equations[:, :3]).sum(axis=-1) < 0.0
+        faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
+        return Section(points, faces.astype(np.intp))
+
+    def _values(self, points: npt.ArrayLike, argument: str) -> FloatArray:
+        array = real_array(points, argument, (6,), "linear part, then angular part, at o in {B}")
+        broadcastable(argument, array.shape[:-1], "the polytope", self.lower.shape[:-1])
+        return np.asarray((self.rows @ array[..., None])[..., 0])
+
+    def _around_zero(self, sizes: FloatArray) -> FloatArray:
+        """Return sizes of what is around zero, 0 and not -0 where zero is outside, NaN where a state does not exist."""
+        outside = ((self.lower > 0.0) | (self.upper < 0.0)).any(axis=-1)
+        return np.where(np.isnan(self.rows[..., 0, 0]), np.nan, np.where(outside, 0.0, sizes + 0.0))
+
+
+def wrench_polytope(
+    configuration: Configuration, force_limits: npt.ArrayLike, *, load: npt.ArrayLike | None = None
+) -> Polytope:
+    """Return the wrenches onto the terminal platform that the legs hold within limits of their forces.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    force_limits : array_like, shape (), (6,) or (2, 6)
+        Largest force of each leg [N], pushing as pulling; or the least (pulling, negative) and the largest.
+    load : array_like, shape (..., 6), optional
+        A wrench onto the platform that is there besides [N, N m]: the weight of a payload, or of all bodies,
+        ``-chain.platform_dynamics(q, v).gravity``. Leading axes broadcast with those of `configuration`.
+
+    Returns
+    -------
+    Polytope
+        Of wrenches (f, m) [N, N m] at o in {B}, applied from outside as those of `leg_forces`; what the platform exerts
+        has the opposite sign.
+
+    Raises
+    ------
+    SingularConfigurationError
+        At a forward or a constraint singularity, where the legs cannot hold every wrench; NaN in a batch.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> state = spm.forward_physical(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> held = spm.capability.wrench_polytope(state, 1000.0)
+    >>> held.vertices.shape, float(held.ball("linear").round(1)), float(held.extent([0, 0, -1, 0, 0, 0]).round(1))
+    ((64, 6), 492.1, 933.9)
+    """
+    bounds = leg_bounds(force_limits, "force_limits", "forces of the legs in N", most=_MOST)
+    rows = -np.swapaxes(platform_jacobian(configuration), -1, -2)
+    offset = _taken(rows, load, "the configuration", configuration.shape)
+    return _polytope(rows, bounds, offset, partial(_wrenches_of_forces, configuration))
+
+
+def velocity_polytope(configuration: Configuration, rate_limits: npt.ArrayLike) -> Polytope:
+    """Return the twists of the platform that limits of the leg rates allow.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    rate_limits : array_like, shape (), (6,) or (2, 6)
+        Largest rate of each leg [m/s], extending as retracting; or the least (negative) and the largest.
+
+    Returns
+    -------
+    Polytope
+        Of twists (v, ω) [m/s, rad/s] at o in {B}.
+
+    Raises
+    ------
+    SingularConfigurationError
+        At an inverse or a constraint singularity, where a twist has no leg rates or no unique ones; NaN in a batch.
+    """
+    bounds = leg_bounds(rate_limits, "rate_limits", "rates of the legs in m/s", most=_MOST)
+    rows = inverse_jacobian(configuration)
+    return _polytope(rows, bounds, np.zeros(rows.shape[:-1]), partial(platform_jacobian, configuration))
+
+
+def acceleration_polytope(
+    configuration: Configuration,
+    force_limits: npt.ArrayLike,
+    mass: npt.ArrayLike,
+    load: npt.ArrayLike | None = None,
+) -> Polytope:
+    """Return the accelerations of the platform that limits of the leg forces allow.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    force_limits : array_like, shape (), (6,) or (2, 6)
+        As for `wrench_polytope`.
+    mass : array_like, shape (..., 6, 6)
+        Λ of ``chain.platform_dynamics(q, v)``, the mass of all bodies reflected at o, or of the platform alone.
+    load : array_like, shape (..., 6), optional
+        The wrench onto the platform besides [N, N m]; with `dynamics` from that call, ``-dynamics.bias -
+        dynamics.gravity`` for the robot's own velocity and weight.
+
+    Returns
+    -------
+    Polytope
+        Of time derivatives of the twist [m/s², rad/s²] at o in {B}; singularities as in `wrench_polytope`.
+    """
+    bounds = leg_bounds(force_limits, "force_limits", "forces of the legs in N", most=_MOST)
+    matrix = symmetric_matrices(mass, "mass", 6, "in kg, kg m, kg m²", allow_nan=True, positive=True)
+    check_configuration(configuration)
+    broadcastable("mass", matrix.shape[:-2], "the configuration", configuration.shape)
+    forces = -np.swapaxes(platform_jacobian(configuration), -1, -2)
+    offset = _taken(forces, load, "the configuration", configuration.shape) + np.zeros(matrix.shape[:-1])
+    return _polytope(-forces @ matrix, bounds, offset, partial(_accelerations_of_forces, configuration, matrix))
+
+
+def _taken(rows: FloatArray, load: npt.ArrayLike | None, other: str, shape: tuple[int, ...]) -> FloatArray:
+    """Return what a load takes of the limits of rows (..., n, 6), 0 without one."""
+    if load is None:
+        return np.zeros(rows.shape[:-1])
+    wrench = real_array(load, "load", (6,), "(f, m) at o in {B} in N and N m", allow_nan=True)
+    broadcastable("load", wrench.shape[:-1], other, shape)
+    return np.asarray((rows @ wrench[..., None])[..., 0])
+
+
+def _polytope(
+    rows: FloatArray, bounds: tuple[FloatArray, FloatArray], offset: FloatArray, columns: Callable[[], FloatArray]
+) -> Polytope:
+    lower, upper = (bound - offset for bound in bounds)
+    return Polytope(np.broadcast_to(rows, (*lower.shape, 6)), lower, upper, columns)
+
+
+def _wrenches_of_forces(configuration: Configuration) -> FloatArray:
+    return -np.swapaxes(inverse_jacobian(configuration), -1, -2)
+
+
+def _accelerations_of_forces(configuration: Configuration, mass: FloatArray) -> FloatArray:
+    absent = np.isnan(mass).any(axis=(-1, -2), keepdims=True)
+    wrenches = np.where(absent, np.nan, np.swapaxes(inverse_jacobian(configuration), -1, -2))
+    return np.linalg.solve(np.where(absent, np.eye(6), mass), wrenches)

@@ -1,0 +1,100 @@
+"""Reactions at the legs' joints, against equilibrium, and the forces in Pinocchio's closures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import spm_pin as spm
+from spm_pin.capability import joint_reactions, wrench_polytope
+
+PAPER = spm.Geometry.paper()
+MACHINE = PAPER.perturbed(2, length=0.01, angle=0.02)
+LENGTHS = [[1.20, 1.20, 1.40, 1.25, 1.20, 1.50], [1.30, 1.42, 1.17, 1.22, 1.36, 1.28]]
+WRENCH = np.array([30.0, -20.0, -50.0, 4.0, 3.0, -2.0])
+
+
+def leg_loads(states: spm.Configuration) -> tuple[np.ndarray, np.ndarray]:
+    """Return the force (..., 6, 3) that each leg exerts on what it carries, and where its line passes: the ball."""
+    reactions = joint_reactions(states)
+    along = states.leg_vectors / states.leg_lengths[..., None]
+    axial = (reactions.axial @ WRENCH)[..., None]
+    return spm.leg_forces(states, WRENCH)[..., None] * along + axial * states.leg_axes, states.balls
+
+
+@pytest.mark.parametrize("geometry", [PAPER, MACHINE], ids=["drawn", "as built"])
+def test_both_platforms_are_in_equilibrium(geometry: spm.Geometry) -> None:
+    states = spm.forward_physical(geometry, LENGTHS)
+    forces, points = leg_loads(states)
+    o = states.translation[:, None]
+    for legs in (slice(3), slice(3, 6)):
+        part, arms = forces[:, legs], points[:, legs] - o
+        np.testing.assert_allclose(part.sum(axis=1), -np.broadcast_to(WRENCH[:3], (2, 3)), atol=1e-9)
+        moment = np.cross(arms, part).sum(axis=1)
+        np.testing.assert_allclose(moment, -np.broadcast_to(WRENCH[3:], (2, 3)), atol=1e-9)
+
+
+@pytest.mark.parametrize("geometry", [PAPER, MACHINE], ids=["drawn", "as built"])
+def test_the_forces_in_the_cut_balls_are_those_of_pinocchio(geometry: spm.Geometry) -> None:
+    states = spm.forward_physical(geometry, LENGTHS)
+    chain = spm.ClosedChain.from_urdf(geometry=geometry)
+    cuts = chain.cut_forces(chain.joint_values(states), WRENCH)
+    forces, _ = leg_loads(states)
+    for number, closure in enumerate(chain.closures):
+        name = f"{closure.frame_a} {closure.frame_b}"
+        leg = next(k for k, leg in enumerate(spm.mechanism.LEGS) if f"leg_{leg[2:]}_" in name)
+        # Onto the leg, or onto the middle platform: of an upper leg the force goes on, a lower leg's is answered.
+        sign = (1.0 if "leg_" in closure.frame_b else -1.0) * (1.0 if leg >= 3 else -1.0)
+        np.testing.assert_allclose(sign * cuts[:, number], forces[:, leg], atol=1e-9)
+
+
+def test_bending_is_the_moment_of_the_ball_s_force_about_the_pivot() -> None:
+    states = spm.forward_physical(MACHINE, LENGTHS)
+    forces, balls = leg_loads(states)
+    # The pivot of a lower leg is at its foot; an upper leg's ball is at the foot.
+    moments = np.cross(balls - states.leg_bases, forces)
+    towards = states.leg_vectors / states.leg_lengths[..., None]
+    about = np.cross(towards, states.leg_axes)
+    sign = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    found = joint_reactions(states).bending @ WRENCH
+    np.testing.assert_allclose(found, sign * (moments * about).sum(axis=-1), rtol=1e-9, atol=1e-9)
+    # Of legs without an offset of the ball along the axis nothing else acts about the axis or the leg.
+    np.testing.assert_allclose(np.linalg.norm(moments, axis=-1), np.abs(found), rtol=0.05)
+
+
+def test_a_ball_s_rows_bound_its_resultant_to_two_percent() -> None:
+    states = spm.forward_physical(PAPER, LENGTHS)
+    forces, _ = leg_loads(states)
+    resultant = np.linalg.norm(forces, axis=-1)
+    largest = np.abs(joint_reactions(states).ball @ WRENCH).reshape(2, 6, 8).max(axis=-1)
+    assert (largest >= resultant * (1.0 - 1e-12)).all()
+    assert (largest <= 1.02 * resultant).all()
+
+
+def test_a_bearing_s_limit_counts() -> None:
+    state = spm.forward_physical(PAPER, LENGTHS[0])
+    reactions, held = joint_reactions(state), wrench_polytope(state, 1000.0)
+    side = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    bearing = 0.5 * np.abs(reactions.bending @ side).max() * held.extent(side)
+    limited = held.within(reactions.bending, bearing)
+    assert limited.extent(side) == pytest.approx(0.5 * held.extent(side), rel=1e-12)
+    assert limited.half_spaces.A.shape == (24, 6)
+    both = limited.within(reactions.ball, 900.0)
+    assert both.ball() <= limited.ball() < held.ball()
+    assert len(both.section().vertices) > 8
+    batch = spm.forward_physical(PAPER, LENGTHS)
+    rows = joint_reactions(batch).axial
+    assert wrench_polytope(batch, 1000.0).within(rows, [100.0] * 6).ball().shape == (2,)
+
+
+def test_the_numbers_of_the_page_on_capability() -> None:
+    state = spm.forward_physical(PAPER, [1.20, 1.20, 1.40, 1.25, 1.20, 1.40])
+    held, reactions = wrench_polytope(state, 1000.0), joint_reactions(state)
+    limited = held.within(reactions.bending, 250.0).within(reactions.ball, 1500.0)
+    assert held.ball() == pytest.approx(509.0, abs=0.5)
+    assert limited.ball() == pytest.approx(274.0, abs=0.5)
+    chain = spm.ClosedChain.from_urdf()
+    gravity = chain.platform_dynamics(chain.joint_values(state), np.zeros(18)).gravity
+    down = [0.0, 0.0, -1.0, 0.0, 0.0, 0.0]
+    assert held.extent(down) == pytest.approx(1065.0, abs=0.5)
+    assert wrench_polytope(state, 1000.0, load=-gravity).extent(down) == pytest.approx(464.0, abs=0.5)
