@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import physical_mode_share
+from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -42,7 +44,8 @@ class Certificate:
     upper: StageProof
     """The subdivision of the upper stage."""
     witness: Configuration | None
-    """A forward singular configuration within the limits, where one was found; None otherwise."""
+    """A forward singular configuration within the limits, where one was found; None otherwise. It lies in a box that is
+    joined to the home through other boxes, so it may still not be joined to the home itself."""
     errors: tuple[float, float] = (0.0, 0.0)
     """The `length_error` [m] and `angle_error` [rad] of the machines it is proved for, see `certify`."""
 
@@ -111,8 +114,9 @@ class Certificate:
         elif self.witness is not None:
             lengths = ", ".join(f"{length:.6f}" for length in self.witness.readings)
             lines += [
-                "Does not hold: a configuration within the limits is forward singular, with legs",
-                f"({lengths}) m.",
+                "Not proved: a configuration within the limits is forward singular, with legs",
+                f"({lengths}) m,",
+                "in a box that touches, box by box, that of the home.",
             ]
         else:
             lines.append("Undecided: no singular configuration was found, and none was excluded.")
@@ -123,8 +127,21 @@ class Certificate:
                 lines.append(f"{len(boxes):,} boxes of the {name} stage, tilted by up to {tilt:.0f}°.")
         return "\n".join(lines)
 
+    def _repr_html_(self) -> str:
+        names, least = ("lower", "upper"), (self.lower, self.upper)
+        rows = [
+            (name, f"{proof.boxes:,}", f"{len(proof.undecided):,}", f"{bound:.3g} d³")
+            for name, proof, bound in zip(names, least, self.bounds, strict=True)
+        ]
+        header = ("stage", "boxes", "undecided", "least |det J|, proved")
+        return notebook.table(self.explain(), header, rows)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure of the proved and the undecided boxes, over the tilt of the middle platform."""
+        return notebook.plot("certificate_figure", self)
+
     def __repr__(self) -> str:
-        failed = "undecided" if self.witness is None else "does not hold"
+        failed = "undecided" if self.witness is None else "not proved: singular within the limits"
         return f"<Certificate: {'holds' if self.holds else failed}>"
 
 

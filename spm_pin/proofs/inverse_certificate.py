@@ -110,7 +110,8 @@ def certify_inverse(
     """
     check_instance(geometry, Geometry, "geometry")
     if not geometry.is_nominal:
-        raise GeometryError("geometry", "a drawn machine", "a machine as built", "Its .nominal is one")
+        cause = "Its drawing is one: geometry.nominal, or the file without its legs"
+        raise GeometryError("geometry", "a drawn machine", "a machine as built", cause)
     whole_number(boxes, "boxes", least=1)
     if forward is None:
         forward = certify(geometry, limits, boxes=boxes)
@@ -167,7 +168,7 @@ class _StageCells:
         radii, rises = region.corners(x, y, Interval.from_numbers(0.0))
         lowest, highest = np.full(len(position), -np.inf), np.full(len(position), np.inf)
         for radius, rise, length in zip(radii, rises, region.lengths, strict=True):
-            across = (radius - region.leg_base_radius).square()
+            across = (radius - Interval.from_numbers(region.leg_base_radius)).square()
             room = Interval.from_numbers(length.high).square() - across
             top = np.where(room.high < 0.0, -np.inf, room.root().high)
             bottom = (Interval.from_numbers(length.low).square() - across).root().low if self._upward else -top

@@ -57,11 +57,13 @@ class StageProof:
 
 
 Boxes = npt.NDArray[np.void]
-_BOX = np.dtype([("level", np.int64), ("position", np.int64, 3), ("bound", np.float64), ("centre", np.float64)])
-"""A dyadic box of the cube: its level of division, its integer position, a lower bound of |det J|, and |det J| at its
-centre, infinity where that has no lengths within the limits."""
+_BOX = np.dtype(
+    [("stage", np.int64), ("level", np.int64), ("position", np.int64, 3), ("bound", np.float64), ("centre", np.float64)]
+)
+"""A dyadic box of the cube of a stage: its level of division, its integer position, a lower bound of |det J|, and
+|det J| at its centre, infinity where that has no lengths within the limits."""
 
-_DEEPEST = 14
+DEEPEST = 14
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
 _NEIGHBOURS = np.array(list(product((-1, 0, 1), repeat=3)))
 
@@ -70,30 +72,23 @@ def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000) 
     """Divide the cube of states until D is proved positive on the component of `start`, or `most` boxes were seen.
 
     `start` is a state (x, y, Z) within the limits, known to rounding; a box that is not divided further has
-    2⁻ⁿ of the cube's edge, n = `_DEEPEST`.
+    2⁻ⁿ of the cube's edge, n = `DEEPEST`.
     """
-    scale = np.array([1.0, 1.0, 2.0 ** np.ceil(np.log2(region.height))])
-    side = np.arange(1 << _FIRST_LEVEL)
-    cells = np.zeros(len(side) ** 3, _BOX)
-    cells["level"] = _FIRST_LEVEL
-    cells["position"] = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
-    kept, at_start = _examine(region, scale, cells), float(_value(region, [Interval.from_numbers(x) for x in start]))
+    scale, cells = edges(region), first_boxes(_FIRST_LEVEL)
+    kept, at_start = _measure(region, scale, cells), float(_value(region, [Interval.from_numbers(x) for x in start]))
     seen, singular, search_at = len(cells), None, _SEARCH
     while True:
-        kept = kept[_joined(scale, kept, start)]
+        kept = kept[joined(scale, kept, start)]
         # A proved box is divided again while its bound is far below the least value met: a bound is to be of use.
         least = float(kept["centre"][kept["bound"] > 0.0].min(initial=at_start))
-        unfinished = (kept["bound"] <= 0.5 * least) & (kept["level"] < _DEEPEST)
+        unfinished = (kept["bound"] <= 0.5 * least) & (kept["level"] < DEEPEST)
         count = int(unfinished.sum())
         if seen >= search_at or not count or seen + 8 * count > most:
             singular = _singular_state(region, _ends(scale, kept[kept["bound"] <= 0.0]))
             search_at = 4 * seen
         if singular is not None or not count or seen + 8 * count > most:
             break
-        halves = np.repeat(kept[unfinished], 8)
-        halves["level"] += 1
-        halves["position"] = 2 * halves["position"] + np.tile(_CORNERS, (count, 1))
-        kept = np.concatenate([kept[~unfinished], _examine(region, scale, halves)])
+        kept = np.concatenate([kept[~unfinished], _measure(region, scale, halves(kept[unfinished]))])
         seen += 8 * count
     positive = kept["bound"] > 0.0
     proved = _ends(scale, kept[positive])
@@ -108,14 +103,44 @@ def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000) 
     )
 
 
+def edges(region: StageRegion) -> FloatArray:
+    """Return half the edges of the cube, shape (..., 3)."""
+    height = 2.0 ** np.ceil(np.log2(region.height))
+    return np.stack([np.ones_like(height), np.ones_like(height), height], axis=-1)
+
+
+def first_boxes(level: int) -> Boxes:
+    """Return all boxes of a level."""
+    side = np.arange(1 << level)
+    cells = np.zeros(len(side) ** 3, _BOX)
+    cells["level"] = level
+    cells["position"] = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+    return cells
+
+
+def halves(boxes: Boxes) -> Boxes:
+    """Return the eight boxes that each of N is divided into."""
+    parts = np.repeat(boxes, 8)
+    parts["level"] += 1
+    parts["position"] = 2 * parts["position"] + np.tile(_CORNERS, (len(boxes), 1))
+    return parts
+
+
 def _ends(scale: FloatArray, boxes: Boxes) -> FloatArray:
     """Return the low and high ends of boxes, shape (N, 3, 2): exact, so that neighbours share theirs."""
     size, position = np.ldexp(1.0, 1 - boxes["level"])[:, None], boxes["position"]
     return np.stack([(position * size - 1.0) * scale, ((position + 1) * size - 1.0) * scale], axis=-1)
 
 
-def _examine(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
+def _measure(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
     """Return the boxes that may hold lengths within the limits, with what is known of |det J| in them."""
+    boxes = examine(region, scale, boxes)
+    boxes["centre"] = _value(region, [Interval.from_numbers(x) for x in _ends(scale, boxes).mean(axis=-1).T])
+    return boxes
+
+
+def examine(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
+    """Return the boxes that may hold lengths within the limits, with lower bounds of |det J| in them."""
     ends = _ends(scale, boxes)
     x, y, z = (Interval(ends[:, i, 0], ends[:, i, 1]) for i in range(3))
     tilt = x.square() + y.square()
@@ -132,9 +157,7 @@ def _examine(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
     boxes["bound"] = np.maximum(
         np.where(straight, np.nextafter(determinant.low / product_of_lengths, -np.inf), 0.0), 0.0
     )
-    boxes, ends = boxes[~outside], ends[~outside]
-    boxes["centre"] = _value(region, [Interval.from_numbers(0.5 * ends[:, i].sum(axis=-1)) for i in range(3)])
-    return boxes
+    return boxes[~outside]
 
 
 def _value(region: StageRegion, state: Sequence[Interval]) -> FloatArray:
@@ -150,8 +173,8 @@ def _product(factors: Sequence[Interval]) -> Interval:
     return reduce(operator.mul, factors)
 
 
-def _joined(scale: FloatArray, boxes: Boxes, start: FloatArray) -> BoolArray:
-    """Return which boxes are joined, through boxes that touch, to one that may hold `start`."""
+def joined(scale: FloatArray, boxes: Boxes, start: FloatArray) -> BoolArray:
+    """Return which boxes are joined, through boxes of their stage that touch, to one that may hold `start`."""
     if not len(boxes):
         return np.zeros(0, dtype=np.bool_)
     pairs = _touching(boxes)
@@ -166,30 +189,33 @@ def _joined(scale: FloatArray, boxes: Boxes, start: FloatArray) -> BoolArray:
 def _touching(boxes: Boxes) -> Int64Array:
     """Return the pairs of boxes that have a point in common, shape (N, 2)."""
     pairs = [np.empty((0, 2), dtype=np.int64)]
-    level, position = boxes["level"], np.ascontiguousarray(boxes["position"])
+    stage, level, position = boxes["stage"], boxes["level"], np.ascontiguousarray(boxes["position"])
     levels = np.unique(level)
     ordered = {}
     for size in levels:
         members = np.flatnonzero(level == size)
-        keys = _keys(position[members], size)
+        keys = _keys(stage[members], position[members], size)
         order = np.argsort(keys)
         ordered[size] = members[order], keys[order]
     for fine in levels:
         members = ordered[fine][0]
-        around = position[members][:, None, :] + _NEIGHBOURS
-        inside = ((around >= 0) & (around < 1 << int(fine))).all(axis=-1)
-        sources = np.broadcast_to(members[:, None], inside.shape)[inside]
         for coarse in levels[levels <= fine]:
+            # Of its own size half of those around it: of their other half it is one. Larger ones are at its corners.
+            steps = _NEIGHBOURS[14:] if coarse == fine else 2 * _CORNERS - 1
+            around = position[members][:, None, :] + steps
+            inside = ((around >= 0) & (around < 1 << int(fine))).all(axis=-1)
+            sources = np.broadcast_to(members[:, None], inside.shape)[inside]
             targets, keys = ordered[coarse]
-            wanted = _keys(around[inside] >> int(fine - coarse), coarse)
+            wanted = _keys(stage[sources], around[inside] >> int(fine - coarse), coarse)
             place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
             hit = keys[place] == wanted
             pairs.append(np.stack([sources[hit], targets[place[hit]]], axis=-1))
     return np.concatenate(pairs)
 
 
-def _keys(position: Int64Array, level: int) -> Int64Array:
-    return np.asarray((position[..., 0] << 2 * int(level)) + (position[..., 1] << int(level)) + position[..., 2])
+def _keys(stage: Int64Array, position: Int64Array, level: int) -> Int64Array:
+    x, y, z = position.T
+    return np.asarray((((((stage << int(level)) + x) << int(level)) + y) << int(level)) + z)
 
 
 def _singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None:
@@ -295,7 +321,7 @@ def _krawczyk(region: StageRegion, box: FloatArray) -> bool:
 
 def _slopes(region: StageRegion, x: Interval, y: Interval, z: Interval) -> list[list[Interval]]:
     """Return enclosures of the derivatives of the three squared lengths with respect to x, y and Z."""
-    r = Interval.from_numbers(region.side) * SQRT_3.reciprocal()
+    r, base = Interval.from_numbers(region.side) * SQRT_3.reciprocal(), Interval.from_numbers(region.leg_base_radius)
     x0 = (1.0 - (x.square() + y.square())).root()
     radii, heights = region.corners(x, y, z)
     slopes = []
@@ -310,8 +336,7 @@ def _slopes(region: StageRegion, x: Interval, y: Interval, z: Interval) -> list[
         lever = b * x - a * y
         up = b * x0 - x * lever / x0, -(a * x0) - y * lever / x0
         slope = [
-            2.0 * (r * ((radius - region.leg_base_radius) * part + 2.0 * (height * rise)))
-            for part, rise in zip(out, up, strict=True)
+            2.0 * (r * ((radius - base) * part + 2.0 * (height * rise))) for part, rise in zip(out, up, strict=True)
         ]
         slopes.append([*slope, 2.0 * height])
     return slopes

@@ -18,10 +18,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from spm_pin.formulas.stages import pair_determinant
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
@@ -52,17 +54,20 @@ class ErrorBounds:
     """A ball's height without torsion [m]."""
     factor: Interval
     """m_ij, by the direction of the axis [m²]."""
-    torsion: float
+    torsion: FloatArray
     """|x0 x3|."""
 
 
 @dataclass(frozen=True)
 class StageRegion:
-    """The states of a stage that are searched, those of one machine or of all within errors."""
+    """The states of a stage that are searched, those of one machine or of all within errors.
 
-    leg_base_radius: float
+    Of N stages at once, whose boxes are then N, it has arrays (N,) for numbers, and (3, N) for the lengths.
+    """
+
+    leg_base_radius: float | FloatArray
     """Distance of the legs' revolute joints from the axis: E or C [m]."""
-    side: float
+    side: float | FloatArray
     """Side of the middle platform's triangle [m]."""
     minimum: FloatArray
     """Least leg lengths as they are read [m], shape (3,)."""
@@ -72,7 +77,7 @@ class StageRegion:
     """Largest error of each coordinate of a pivot and of a ball, and of a reading [m]."""
     angle_error: float = 0.0
     """Largest turn of a revolute axis about either direction perpendicular to it [rad]."""
-    margin: float = 0.0
+    margin: float | FloatArray = 0.0
     """By how much a length may be outside its limits, by rounding [m]."""
 
     @cached_property
@@ -81,17 +86,18 @@ class StageRegion:
         all_legs = Interval(self.minimum - self.margin, self.maximum + self.margin)
         if self.length_error:
             all_legs = all_legs + self.error_bounds.length
-        return [Interval(np.array(max(a, 0.0)), np.array(b)) for a, b in zip(all_legs.low, all_legs.high, strict=True)]
+        ends = zip(np.maximum(all_legs.low, 0.0), all_legs.high, strict=True)
+        return [Interval(np.asarray(low), np.asarray(high)) for low, high in ends]
 
     @cached_property
-    def longest(self) -> float:
+    def longest(self) -> FloatArray:
         """Bound of the distance from pivot to ball [m]."""
-        return float(self.maximum.max() + self.margin + self.length_error) * _UP
+        return np.asarray((self.maximum.max(axis=0) + self.margin + self.length_error) * _UP)
 
     @property
-    def height(self) -> float:
+    def height(self) -> FloatArray:
         """Bound of |Z| [m]: the mean of the z_k is Z but for errors of the balls, and none exceeds its leg."""
-        return (self.longest + 3.0 * self.length_error) * _UP
+        return np.asarray((self.longest + 3.0 * self.length_error) * _UP)
 
     @cached_property
     def error_bounds(self) -> ErrorBounds:
@@ -107,7 +113,7 @@ class StageRegion:
             radius=Interval.within((np.sqrt(4.0 / 3.0) * corner + ball) * _UP),
             height=Interval.within(ball),
             factor=Interval.within(leaning * (self.side + 2.0 * ball) * _UP),
-            torsion=float(np.sqrt(0.75) * corner / self.side * _UP),
+            torsion=np.asarray(np.sqrt(0.75) * corner / self.side * _UP),
         )
 
     def corners(self, x: Interval, y: Interval, z: Interval) -> tuple[list[Interval], list[Interval]]:
@@ -144,7 +150,8 @@ class StageRegion:
             upward = rises[i] * (base + 0.5 * radii[j] + bounds.sideways)
             return upward + (heights[j] + bounds.length) * slopes[i] + bounds.factor
 
-        return squares, m(0, 1) * m(1, 2) * m(2, 0) + m(1, 0) * m(2, 1) * m(0, 2)
+        pairs: Any = m(0, 1), m(1, 2), m(2, 0), m(1, 0), m(2, 1), m(0, 2)
+        return squares, pair_determinant(pairs)  # type: ignore[return-value]  # an Interval, as its arguments
 
 
 def region_coordinates(configuration: Configuration) -> FloatArray:

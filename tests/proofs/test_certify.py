@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import product
 
 import mpmath
@@ -13,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import spm_pin as spm
-from spm_pin.formulas import stages
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism.arguments import FloatArray
@@ -127,21 +125,6 @@ def test_boxes_contain_the_values_of_forty_digits(seed: int) -> None:
             assert mpmath.mpf(float(square.low)) <= length**2 <= mpmath.mpf(float(square.high))
 
 
-def test_the_determinant_is_the_jacobian_of_the_lengths() -> None:
-    with mpmath.workdps(40):
-        for state in np.random.default_rng(3).uniform([-0.6, -0.6, -2.0], [0.6, 0.6, 2.0], (10, 3)):
-
-            def half_square(k, *at):  # type: ignore[no-untyped-def]
-                return stage_of_digits(at)[0][k] ** 2 / 2
-
-            x, y, height = (mpmath.mpf(float(value)) for value in state)
-            orders = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-            rows = [[mpmath.diff(partial(half_square, k), (x, y, height), n) for n in orders] for k in range(3)]
-            determinant = stage_of_digits((x, y, height))[1]
-            expected = determinant * 8 / (3 * mpmath.mpf(PAPER.middle_side) * (1 - x * x - y * y))
-            assert abs(mpmath.det(mpmath.matrix(rows)) / expected - 1) < mpmath.mpf("1e-15")
-
-
 def test_stage_coordinates_and_back() -> None:
     legs = np.random.default_rng(2).uniform(1.1, 1.5, 6)
     state = spm.forward_physical(PAPER, legs)
@@ -161,7 +144,7 @@ def first_fold(geometry: spm.Geometry, middle: np.ndarray, direction: np.ndarray
     return ray[np.argmax(missing)] if missing.any() else None
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_limits_with_a_known_singularity_are_never_certified(seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.2, 1.0)
@@ -178,9 +161,8 @@ def test_limits_with_a_known_singularity_are_never_certified(seed: int) -> None:
 
 def test_counterexample_is_singular_in_fifty_digits_and_within_the_limits() -> None:
     limits = spm.LegLimits(1.0, 1.6)
-    found = spm.certify(PAPER, limits, boxes=100_000)
+    found = spm.certify(PAPER, limits, boxes=30_000)
     assert not found.holds
-    assert found.witness is not None
     assert limits.contains(found.witness.leg_lengths)
     assert found.witness.closure_residual < 1e-14
     assert "forward singular" in found.explain()
@@ -198,9 +180,6 @@ def test_counterexample_is_singular_in_fifty_digits_and_within_the_limits() -> N
 
 def stage_in_digits(state, hips):  # type: ignore[no-untyped-def]
     return stage(state, hips, PAPER.middle_side, mpmath.mpf, mpmath.sqrt)
-
-
-stage_of_digits = partial(stage_in_digits, hips=PAPER.base_radius)
 
 
 def half_width_of_the_first_fold(geometry: spm.Geometry, middle: float) -> float:
@@ -252,23 +231,6 @@ def test_a_singular_state_that_is_not_joined_to_the_home_does_not_narrow_the_wid
     assert found.limits.maximum[0] - 3.6 > 0.85
 
 
-def test_the_determinant_is_that_of_the_formulas() -> None:
-    """`StageRegion` has other expressions of it and of the corners, which are tighter and have room for errors."""
-    states = np.random.default_rng(5).uniform([-0.6, -0.6, 0.5], [0.6, 0.6, 2.0], (50, 3))
-    side, hips = 0.8, 0.7
-    region = StageRegion(hips, side, np.zeros(3), np.full(3, 3.0))
-    squares, determinant = region.evaluate(*map(Interval.from_numbers, states.T))
-    r = side / np.sqrt(3.0)
-    x, y, z = states.T
-    radii, heights = stages.corners(np.sqrt(1.0 - x * x - y * y), x, y, 0.0, z / r)
-    expected = stages.pair_determinant(stages.stage_pairs(radii, heights, hips / r)) * r**6
-    np.testing.assert_allclose(0.5 * (determinant.low + determinant.high), expected, atol=1e-13)
-    assert ((determinant.low <= expected + 1e-13) & (expected - 1e-13 <= determinant.high)).all()
-    for k in range(3):
-        length = (radii[k] * r - hips) ** 2 + (heights[k] * r) ** 2
-        np.testing.assert_allclose(0.5 * (squares[k].low + squares[k].high), length, atol=1e-13)
-
-
 def test_the_widest_limits_hold() -> None:
     found = spm.largest_certified_limits(PAPER, 1.3, tolerance=0.2, boxes=60_000)
     assert found.holds
@@ -296,11 +258,9 @@ def test_too_few_boxes_leave_it_undecided() -> None:
 def test_states_of_a_path_in_certified_limits(certificate: spm.Certificate) -> None:
     inside, outside = [1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.2, 1.2, 1.4, 1.25, 1.2, 1.6]
     straight = spm.follow(PAPER, np.array([inside, [1.3] * 6]), samples=20, certificate=certificate)
-    assert straight.certified is not None
     assert straight.certified.all()
     assert "in certified limits" in repr(straight)
     leaving = spm.follow(PAPER, np.array([inside, outside]), samples=20, certificate=certificate)
-    assert leaving.certified is not None
     beyond = (leaving.configurations.leg_lengths > 1.5).any(axis=-1)
     np.testing.assert_array_equal(leaving.certified, ~beyond)
     assert spm.follow(PAPER, np.array([inside, outside]), samples=5).certified is None

@@ -15,14 +15,13 @@ from spm_pin.proofs.stage_region import region_coordinates
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
-NOMINAL = PAPER
 CORNERS = np.array(np.meshgrid(*[[1.1, 1.5]] * 6)).reshape(6, -1).T
 
 
 def machine_within(length: float, angle: float, rng: np.random.Generator) -> spm.Geometry:
     """Return a random machine; half of them are at corners of the set."""
     share = rng.uniform(-1.0, 1.0, 54) if rng.uniform() < 0.5 else rng.choice([-1.0, 1.0], 54)
-    return NOMINAL.from_parameters(NOMINAL.parameters + np.tile(np.repeat([angle, length], [2, 7]), 6) * share)
+    return PAPER.from_parameters(PAPER.parameters + np.tile(np.repeat([angle, length], [2, 7]), 6) * share)
 
 
 @pytest.fixture(scope="module")
@@ -109,20 +108,20 @@ def test_a_machine_as_built_is_proved_with_its_own_errors() -> None:
     assert found.errors[0] <= 2e-4 * (1.0 + 1e-9)
     assert found.errors[1] <= 3e-4 * (1.0 + 1e-9)
     assert found.covers(spm.forward_physical(machine, np.full(6, 1.3)))
-    far = NOMINAL.from_parameters(NOMINAL.parameters + 0.3)
+    far = PAPER.from_parameters(PAPER.parameters + 0.3)
     with pytest.raises(spm.ArgumentError, match="geometry: expected a machine within"):
         spm.certify(far, LIMITS)
 
 
 def test_machines_beyond_the_errors_are_refused(certificate: spm.Certificate) -> None:
     for name in (2, 5, 8):
-        parameters = NOMINAL.parameters.copy()
+        parameters = PAPER.parameters.copy()
         parameters[name] += 1.01e-4
         with pytest.raises(spm.ArgumentError, match="configuration"):
-            certificate.covers(spm.forward_physical(NOMINAL.from_parameters(parameters), np.full(6, 1.3)))
-    parameters = NOMINAL.parameters.copy()
+            certificate.covers(spm.forward_physical(PAPER.from_parameters(parameters), np.full(6, 1.3)))
+    parameters = PAPER.parameters.copy()
     parameters[:2] = 1e-4
-    assert certificate.covers(spm.forward_physical(NOMINAL.from_parameters(parameters), np.full(6, 1.3)))
+    assert certificate.covers(spm.forward_physical(PAPER.from_parameters(parameters), np.full(6, 1.3)))
 
 
 @pytest.mark.parametrize("errors", [(1e-4, 0.0), (0.0, 1e-4)])
@@ -164,7 +163,7 @@ def test_a_machine_with_larger_errors_has_a_singular_configuration() -> None:
         [-1, 1, -1, -1, 1, 1, -1, 1, -1],
         [1, -1, -1, 1, 1, 1, -1, -1, -1],
     ]
-    machine = NOMINAL.from_parameters(NOMINAL.parameters + error * signs.ravel())
+    machine = PAPER.from_parameters(PAPER.parameters + error * signs.ravel())
     axes, pivots, balls = machine.legs.axes[:3], machine.legs.pivots[:3], machine.legs.balls[:3]
 
     def state(pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

@@ -284,14 +284,3 @@ def test_the_rule_holds_for_hips_from_a_fiftieth_to_ten_times_the_middle_radius(
         assert exits(least * (1.0 - 1e-12), most * (1.0 + 1e-12), 400_000) == 0
         assert below_the_hips(least * (1.0 - 1e-12), most * (1.0 + 1e-12)) == 0
         assert ascents(least * (1.0 - 1e-12), most * (1.0 + 1e-12), 1_000_000) == 0
-
-
-def test_level_states_with_heights_are_a_cubic() -> None:
-    # D at p = 0, where a third of a turn of ψ leaves sin 3ψ and the rest of the proof needs no computer.
-    rng = np.random.default_rng(1)
-    for ratio, psi, t in rng.uniform([0.02, -np.pi, 0.0], [10.0, np.pi, 5.0], (50, 3)):
-        a, b, s = ratio + 0.5, 1.0 - ratio, np.sin(AZIMUTHS - psi)
-        m = {(i, j): a * (1.0 + t * s[i]) + b * (1.0 + t * s[j]) for i, j in PAIRS}
-        determinant = sum(m[x] * m[y] * m[z] for x, y, z in PRODUCTS)
-        kappa, cubic = a * a - a * b + b * b, 3.0 * (a * a - 2.5 * a * b + b * b) * s.prod()
-        assert determinant == pytest.approx(6.75 - 2.25 * kappa * t * t + cubic * t**3, rel=1e-9, abs=1e-7)

@@ -16,7 +16,6 @@ from spm_pin.proofs.stage_region import region_coordinates
 
 PAPER = spm.Geometry.paper()
 LEGS = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
-STATE = spm.forward_physical(PAPER, LEGS)
 
 
 def determinant(tilts: list[object]) -> object:
@@ -100,7 +99,6 @@ def test_limits_in_which_the_determinant_changes_its_sign_have_a_witness(half: f
     limits = spm.LegLimits(tuple(LEGS - half), tuple(LEGS + half))
     found = certify_inverse(PAPER, limits)
     assert not found.holds
-    assert found.witness is not None
     assert limits.contains(found.witness.leg_lengths)
     assert singular_at_fifty_digits(found.witness)
     assert "Does not hold" in found.explain()

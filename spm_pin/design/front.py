@@ -1,0 +1,302 @@
+"""Dimensions searched for several aims at once: Pareto fronts by NSGA-II of pymoo, in a file that can be resumed."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import cached_property, partial
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spm_pin.design.evaluation import SIZES, Designs, evaluate_designs, leg_ranges, prepare_metrics
+from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.mechanism import Geometry, LegLimits
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    Progress,
+    check_instance,
+    choice,
+    file_path,
+    number_pair,
+    real_number,
+    whole_number,
+    writing,
+)
+from spm_pin.sweeps.metrics import METRICS
+from spm_pin.sweeps.sweep_plan import definition_differences, package_version
+from spm_pin.sweeps.workers import check_workers, processes
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+_STAGES = ("", "lower_", "upper_")
+VARIABLES = (
+    *("base_radius", "platform_radius", "middle_side"),
+    *(f"{stage}{end}" for stage in _STAGES for end in ("minimum", "stroke")),
+)
+"""Names of variables that may be free [m]: E, C, d, the shortest length and the stroke of all legs, or of a stage's."""
+_CHOICES = ("free", "aims", "at_least", "at_most")
+_FORMAT, _IMPOSSIBLE = 2, 1e30
+
+
+@dataclass(frozen=True)
+class DesignProblem:
+    """Dimensions to choose, what to make large or small, and what has to be kept.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        A drawn machine with finite leg limits: what is not free is as in this one, and it is compared with the others.
+    free : dict of str to (low, high)
+        Ranges of some of `VARIABLES` [m].
+    aims : dict of str to "max" or "min"
+        Columns of `Designs`, such as "volume", "footprint" or "payload_low". Of one aim the front is one machine.
+    at_least, at_most : dict of str to float, optional
+        Least and largest values of columns, such as {"certified": 1, "conditioning_low": 1 / 60} for condition numbers
+        of at most 60, and {"footprint": 1.2}.
+    """
+
+    geometry: Geometry
+    free: dict[str, tuple[float, float]]
+    aims: dict[str, str]
+    at_least: dict[str, float] = dataclasses.field(default_factory=dict)
+    at_most: dict[str, float] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        geometry = check_instance(self.geometry, Geometry, "geometry")
+        if not geometry.is_nominal or geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
+            raise ArgumentError("geometry", "a drawn machine with finite leg limits", repr(geometry))
+        for name in _CHOICES:
+            object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))
+        for name, ends in self.free.items():
+            low, high = number_pair(ends, f"free[{choice(name, 'free', VARIABLES)!r}]", "metres")
+            if not 0.0 < low < high < np.inf:
+                raise ArgumentError(f"free[{name!r}]", "0 < low < high, in metres", f"{low:g} and {high:g}")
+        for both, stage in (("minimum", "_minimum"), ("stroke", "_stroke")):
+            if both in self.free and any(name.endswith(stage) for name in self.free):
+                raise ArgumentError("free", f"{both} of all legs, or lower{stage} and upper{stage}", "both")
+        for name, sense in self.aims.items():
+            choice(sense, f"aims[{_column(name, 'aims')!r}]", ("max", "min"))
+        for bounds in ("at_least", "at_most"):
+            for name, value in getattr(self, bounds).items():
+                real_number(value, f"{bounds}[{_column(name, bounds)!r}]", "a number")
+        for name, expected in (("free", "a dimension that may change"), ("aims", "a column to be large or small")):
+            if not getattr(self, name):
+                raise ArgumentError(name, f"at least one, {expected}", "none")
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns that aims and bounds need."""
+        return tuple(dict.fromkeys([*self.aims, *self.at_least, *self.at_most]))
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Names of the metrics that aims and bounds need."""
+        names = (name.rpartition("_")[0] for name in self.columns if name not in (*SIZES, "certified"))
+        return tuple(dict.fromkeys(names)) or ("conditioning",)
+
+    def machine(self, values: FloatArray) -> Geometry:
+        """Return the machine of values (k,) of the free variables, in their order."""
+        of = dict(zip(self.free, map(float, values), strict=True))
+        low, stroke = leg_ranges(self.geometry)
+        for stage, legs in zip(_STAGES, (slice(6), slice(3), slice(3, 6)), strict=True):
+            low[legs] = of.get(f"{stage}minimum", low[legs])
+            stroke[legs] = of.get(f"{stage}stroke", stroke[legs])
+        base, platform, side = (of.get(name, getattr(self.geometry, name)) for name in VARIABLES[:3])
+        return Geometry(base, platform, side, LegLimits(low.tolist(), (low + stroke).tolist()))
+
+    def objectives(self, designs: Designs) -> tuple[FloatArray, FloatArray]:
+        """Return what is to be small (N, m), and what must not be positive (N, c); the last is 1 where numbers lack."""
+        signs = [-1.0 if sense == "max" else 1.0 for sense in self.aims.values()]
+        values = np.stack([designs.columns[name] for name in self.aims], axis=-1) * signs
+        bounds = [least - designs.columns[name] for name, least in self.at_least.items()]
+        bounds += [designs.columns[name] - most for name, most in self.at_most.items()]
+        lacks = np.isnan(np.stack([*values.T, *bounds], axis=-1)).any(axis=-1)
+        bounds = [np.where(np.isnan(bound), _IMPOSSIBLE, bound) for bound in bounds]
+        return np.where(lacks[:, None], _IMPOSSIBLE, values), np.stack([*bounds, lacks], axis=-1)
+
+
+@dataclass(frozen=True)
+class Front:
+    """The machines of a search of which none is better in all aims than another, in the order of the first aim."""
+
+    problem: DesignProblem
+    """The free dimensions, aims and bounds of the search."""
+    designs: Designs
+    """The machines of the front and their numbers."""
+    evaluated: Designs
+    """All machines that were evaluated."""
+    reference: Designs
+    """The machine that the problem began with."""
+
+    @cached_property
+    def better(self) -> BoolArray:
+        """Which machines of the front are at least as good as the reference in all aims and keep all bounds, (n,)."""
+        values = self.problem.objectives(self.designs)[0]
+        return np.asarray((values <= self.problem.objectives(self.reference)[0]).all(axis=-1))
+
+
+def pareto_front(
+    problem: DesignProblem,
+    store: str | os.PathLike[str],
+    *,
+    population: int = 40,
+    generations: int = 25,
+    states: int = 2000,
+    quantile: float = 0.05,
+    boxes: int = 30_000,
+    seed: int = 0,
+    scheduler: str | Client | None = None,
+    workers: int | None = 1,
+    progress: Progress | None = None,
+) -> Front:
+    """Search for the machines that no other one beats in all aims, by NSGA-II.
+
+    Parameters
+    ----------
+    problem : DesignProblem
+        Free dimensions, aims and bounds.
+    store : path
+        JSON file of the search: problem, seed, versions, and all machines evaluated, written after each generation. A
+        search that was interrupted goes on from it, and a finished one is read from it; another search's is refused.
+    population, generations : int
+        Machines of a generation, and how many of these there are.
+    states, quantile, boxes, scheduler, workers
+        As for `evaluate_designs`; certificates are made where an aim or a bound is "certified". Processes are started
+        once for the search, and need ``if __name__ == "__main__":`` as in `evaluate_designs`.
+    seed : int
+        Of the search and of the states.
+    progress : callable, optional
+        Called with what is being done, the generations done and all of them.
+
+    Returns
+    -------
+    Front
+        The same for the same problem, seed and versions, however often it was interrupted.
+
+    Notes
+    -----
+    K. Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE Transactions on Evolutionary
+    Computation 6 (2002). A search that goes on repeats the choices of NSGA-II with the numbers of the file.
+    """
+    require_extra("design")
+    from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
+
+    check_instance(problem, DesignProblem, "problem")
+    path = file_path(store, "store", suffixes=(".json",))
+    for name, value in (("population", population), ("generations", generations), ("states", states)):
+        whole_number(value, name, least=2, most=10**6)
+    real_number(quantile, "quantile", "a share from 0 to 1", least=0.0, most=1.0)
+    whole_number(seed, "seed", most=2**32 - 1)
+    check_workers(scheduler, workers)
+    needed = boxes if "certified" in problem.columns else 0
+    options: dict[str, Any] = {"states": states, "quantile": quantile, "boxes": needed, "seed": seed}
+    given = {
+        "format": _FORMAT,
+        "versions": {"spm_pin": package_version(), "pymoo": metadata.version("pymoo"), "numpy": np.__version__},
+        "geometry": problem.geometry.as_data(),
+        **{name: list(getattr(problem, name).items()) for name in _CHOICES},
+        "population": population,
+        **options,
+    }
+    definition, parts = json.loads(json.dumps(given)), list[Designs]()
+    stored = _read(path, definition, problem.columns)
+
+    def evaluate(client: Client | None, values: FloatArray, generation: int) -> Designs:
+        some = tuple(map(problem.machine, values))
+        if generation < len(stored):
+            if stored[generation]["values"] != values.tolist():
+                cause = "Written on another kind of computer?"
+                raise ArgumentError("store", "the choices of this search", f"others in generation {generation}", cause)
+            columns = {name: np.array(column, dtype=float) for name, column in stored[generation]["columns"].items()}
+            return Designs(some, columns)
+        alone = 1 if client is None else None
+        designs = evaluate_designs(some, problem.metrics, scheduler=client, workers=alone, **options)
+        numbers = {name: [None if np.isnan(x) else x for x in column] for name, column in designs.columns.items()}
+        stored.append({"values": values.tolist(), "columns": numbers})
+        _write(path, {**definition, "generations": stored})
+        return designs
+
+    prepare = partial(prepare_metrics, problem.metrics, problem.geometry)
+    started = processes(population, scheduler, workers, prepare) if len(stored) < generations else nullcontext()
+    with started as client:
+        search = _search(problem, population, generations, seed, partial(evaluate, client))
+        for generation, designs in enumerate(search):
+            parts.append(designs)
+            if progress is not None:
+                progress("generations", generation + 1, generations)
+    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
+    every = Designs(sum((part.geometries for part in parts), ()), columns)
+    reference = evaluate_designs([problem.geometry], problem.metrics, **options)
+    values, bounds = problem.objectives(every)
+    feasible = np.flatnonzero((bounds <= 0.0).all(axis=-1))
+    # In the order of the first aim, and of equal rows the first.
+    kept = feasible[np.unique(values[feasible], axis=0, return_index=True)[1]]
+    kept = kept[np.sort(NonDominatedSorting().do(values[kept], only_non_dominated_front=True))]
+    best = {name: column[kept] for name, column in columns.items()}
+    return Front(problem, Designs(tuple(every.geometries[k] for k in kept), best), every, reference)
+
+
+def _column(name: str, argument: str) -> str:
+    """Check the name of a column of `Designs`."""
+    if name in METRICS:
+        raise ArgumentError(argument, f"'{name}_mean' or '{name}_low'", repr(name))
+    return choice(
+        name, argument, [*SIZES, "certified", *(f"{x}_{which}" for x in METRICS for which in ("mean", "low"))]
+    )
+
+
+def _search(problem: DesignProblem, population: int, generations: int, seed: int, evaluate: Any) -> Any:
+    """Yield the machines of each generation of NSGA-II, whose numbers `evaluate(values, generation)` returns."""
+    from pymoo.algorithms.moo.nsga2 import NSGA2
+    from pymoo.core.evaluator import Evaluator
+    from pymoo.core.problem import Problem
+    from pymoo.problems.static import StaticProblem
+
+    ends = np.array(list(problem.free.values()))
+    count = len(problem.at_least) + len(problem.at_most) + 1
+    space = Problem(n_var=len(ends), n_obj=len(problem.aims), n_ieq_constr=count, xl=ends[:, 0], xu=ends[:, 1])
+    algorithm = NSGA2(pop_size=population)
+    algorithm.setup(space, termination=("n_gen", generations), seed=seed, verbose=False)
+    for generation in range(generations):
+        asked = algorithm.ask()
+        designs = evaluate(asked.get("X"), generation)
+        values, bounds = problem.objectives(designs)
+        Evaluator().eval(StaticProblem(space, F=values, G=bounds), asked)
+        algorithm.tell(infills=asked)
+        yield designs
+
+
+def _read(path: Path, definition: dict[str, Any], names: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Return the generations in a file of the search, none if there is no file."""
+    if not path.exists():
+        return []
+    expected = "a file of this very search"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        generations = list(content.pop("generations"))
+        differences = definition_differences(content, definition, of="search")
+        for one in [] if differences else generations:
+            lengths = {np.array(column, dtype=float).shape for column in one["columns"].values()}
+            if not one["columns"].keys() >= set(names) or lengths != {(len(one["values"]),)}:
+                raise ValueError("a generation without all its numbers")
+    except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
+        raise ArgumentError("store", expected, path, f"It cannot be read: {error!r}") from error
+    if differences:
+        raise ArgumentError("store", expected, path, f"{'; '.join(differences)}. Give another file")
+    return generations
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    """Write a file at once, so that what was there is lost only when the new one is complete."""
+    draft = path.with_name(f"{path.name}.draft")
+    with writing(path, "store"):
+        draft.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
+        draft.replace(path)

@@ -1,0 +1,213 @@
+"""Searches for dimensions: fronts, files that are resumed, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli.running import run
+from distributed import LocalCluster
+
+import spm_pin as spm
+from spm_pin.design import DesignProblem, evaluate_designs, pareto_front
+from spm_pin.display.figures import front_figure
+
+pytest.importorskip("pymoo")
+
+GEOMETRY = spm.Geometry(0.7, 0.35, 0.8, spm.LegLimits(1.2, 1.4))
+PROBLEM = DesignProblem(
+    GEOMETRY,
+    free={"platform_radius": (0.25, 0.6), "base_radius": (0.5, 0.9), "upper_stroke": (0.1, 0.25)},
+    aims={"payload_low": "max", "footprint": "min"},
+    at_least={"assembled": 1.0},
+)
+SMALL: dict[str, Any] = {"population": 8, "generations": 4, "states": 64, "seed": 5}
+
+
+def test_machines_have_the_values_of_the_free_variables() -> None:
+    machine = PROBLEM.machine(np.array([0.3, 0.6, 0.2]))
+    assert machine.dimensions == (0.6, 0.3, 0.8)
+    assert machine.limits is not None
+    np.testing.assert_allclose(machine.limits.minimum, [1.2] * 6)
+    np.testing.assert_allclose(machine.limits.maximum, [1.4] * 3 + [1.4] * 3)
+    both = DesignProblem(GEOMETRY, {"minimum": (1.0, 1.2), "stroke": (0.1, 0.3)}, PROBLEM.aims)
+    assert both.machine(np.array([1.1, 0.15])).limits == spm.LegLimits(1.1, 1.1 + 0.15)
+
+
+def test_a_front_is_what_no_evaluated_machine_beats(tmp_path: Path) -> None:
+    front = pareto_front(PROBLEM, tmp_path / "front.json", **SMALL)
+    assert len(front.evaluated) == 32
+    every = np.stack([-front.evaluated.columns["payload_low"], front.evaluated.columns["footprint"]], axis=-1)
+    chosen = np.stack([-front.designs.columns["payload_low"], front.designs.columns["footprint"]], axis=-1)
+    for row in chosen:
+        assert not ((every <= row).all(axis=-1) & (every < row).any(axis=-1)).any()
+    assert (np.diff(chosen[:, 0]) >= 0.0).all()
+    again = evaluate_designs(front.designs.geometries, "payload", states=64, seed=5)
+    np.testing.assert_array_equal(again.columns["payload_low"], front.designs.columns["payload_low"])
+    reference = front.reference.columns["payload_low"][0], front.reference.columns["footprint"][0]
+    np.testing.assert_array_equal(front.better, (-chosen[:, 0] >= reference[0]) & (chosen[:, 1] <= reference[1]))
+
+
+def test_an_interrupted_search_ends_as_one_that_was_not(tmp_path: Path) -> None:
+    whole = pareto_front(PROBLEM, tmp_path / "whole.json", **SMALL)
+
+    def interrupt(step: str, done: int, total: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pareto_front(PROBLEM, tmp_path / "parts.json", **SMALL, progress=interrupt)
+    stored = json.loads((tmp_path / "parts.json").read_text(encoding="utf-8"))
+    assert len(stored["generations"]) == 2
+    assert stored["versions"]["spm_pin"] == spm.__version__
+    assert stored["seed"] == 5
+    parts = pareto_front(PROBLEM, tmp_path / "parts.json", **SMALL)
+    assert (tmp_path / "parts.json").read_bytes() == (tmp_path / "whole.json").read_bytes()
+    for name, column in whole.designs.columns.items():
+        np.testing.assert_array_equal(column, parts.designs.columns[name])
+
+
+def test_a_finished_search_is_read_and_another_one_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "front.json"
+    front = pareto_front(PROBLEM, path, **SMALL)
+    with pytest.raises(spm.ArgumentError, match="seed is 5 in the store and 6 in this search"):
+        pareto_front(PROBLEM, path, **{**SMALL, "seed": 6})
+    evaluated: list[int] = []
+
+    def count(machines: Any, *args: Any, **options: Any) -> Any:
+        evaluated.append(len(machines))
+        return evaluate_designs(machines, *args, **options)
+
+    monkeypatch.setattr("spm_pin.design.front.evaluate_designs", count)
+    again = pareto_front(PROBLEM, path, **SMALL)
+    assert evaluated == [1]  # the reference
+    np.testing.assert_array_equal(again.designs.columns["volume"], front.designs.columns["volume"])
+    content = json.loads(path.read_text(encoding="utf-8"))
+    short = {"values": content["generations"][0]["values"], "columns": {"payload_low": [1.0]}}
+    for damage in (
+        {},
+        {**content, "generations": 5},
+        {**content, "generations": [{}]},
+        {**content, "generations": [short]},
+    ):
+        path.write_text(json.dumps(damage), encoding="utf-8")
+        with pytest.raises(spm.ArgumentError, match=r"front\.json.*cannot be read"):
+            pareto_front(PROBLEM, path, **SMALL)
+
+
+def test_bounds_are_kept_and_machines_without_numbers_lose(tmp_path: Path) -> None:
+    wide = DesignProblem(
+        spm.Geometry(0.7, 0.35, 0.8, spm.LegLimits(0.5, 0.7)),
+        free={"middle_side": (0.2, 1.2), "stroke": (0.1, 1.2)},
+        aims={"volume": "max", "conditioning_low": "max"},
+        at_least={"certified": 1.0},
+    )
+    front = pareto_front(wide, tmp_path / "front.json", **SMALL)
+    assert (front.designs.columns["certified"] == 1.0).all()
+    assert not (front.evaluated.columns["certified"] == 1.0).all()
+
+
+def test_one_aim_within_bounds_gives_the_best_machine(tmp_path: Path) -> None:
+    """E has a bound by the footprint, which the largest volume at a given payload does not."""
+    problem = DesignProblem(GEOMETRY, PROBLEM.free, {"volume": "max"}, {"payload_low": 0.3}, {"footprint": 1.5})
+    front = pareto_front(problem, tmp_path / "front.json", **SMALL)
+    columns = front.evaluated.columns
+    keep = (columns["payload_low"] >= 0.3) & (columns["footprint"] <= 1.5)
+    assert 0 < keep.sum() < len(keep)
+    assert front.designs.columns["volume"].tolist() == [columns["volume"][keep].max()]
+    front_figure(front)
+
+
+def test_processes_are_started_once_for_a_search_and_give_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[int] = []
+
+    def count(*args: Any, **options: Any) -> Any:
+        started.append(1)
+        return LocalCluster(*args, **options)
+
+    monkeypatch.setattr("distributed.LocalCluster", count)
+    shared = pareto_front(PROBLEM, tmp_path / "shared.json", **SMALL, workers=2)
+    alone = pareto_front(PROBLEM, tmp_path / "alone.json", **SMALL)
+    assert started == [1]
+    for name, column in alone.designs.columns.items():
+        np.testing.assert_array_equal(column, shared.designs.columns[name])
+    pareto_front(PROBLEM, tmp_path / "shared.json", **SMALL, workers=2)
+    assert started == [1], "none for what is only read"
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"free": {"height": (1.0, 2.0)}}, "base_radius"),
+        ({"free": {"stroke": (2.0, 1.0)}}, "low < high"),
+        ({"free": {"stroke": (0.1, 0.2), "lower_stroke": (0.1, 0.2)}}, "both"),
+        ({"free": {}}, "free: expected at least one, a dimension that may change, got none"),
+        ({"aims": {}}, "aims: expected at least one, a column to be large or small, got none"),
+        ({"at_most": {"beauty": 1.0}}, "volume"),
+        ({"aims": {"volume": "most", "footprint": "min"}}, "max"),
+        ({"aims": {"beauty": "max", "footprint": "min"}}, "volume"),
+        ({"geometry": spm.Geometry(0.7, 0.35, 0.8)}, "finite"),
+    ],
+)
+def test_problems_that_are_none_are_refused(changes: dict[str, Any], text: str) -> None:
+    arguments = {name: getattr(PROBLEM, name) for name in ("geometry", "free", "aims", "at_least")}
+    with pytest.raises(spm.ArgumentError, match=text):
+        DesignProblem(**{**arguments, **changes})
+
+
+def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None:
+    GEOMETRY.to_yaml(tmp_path / "start.yaml")
+    command = ["design", tmp_path / "front.json", "--geometry", tmp_path / "start.yaml"]
+    command += ["--free", "platform_radius:0.25:0.6", "--free", "base_radius:0.5:0.9"]
+    command += ["--maximise", "payload_low", "--minimise", "footprint", "--at-least", "assembled:1"]
+    command += ["--population", "8", "--generations", "3", "--states", "64"]
+    done = run(*command, "--choose", "0", "--out", tmp_path / "chosen.yaml")
+    assert done.returncode == 0, done.stderr
+    assert "began with" in done.stdout
+    assert "24 machines evaluated" in done.stdout
+    content = json.loads(run(*command, "--json").stdout)
+    chosen = spm.Geometry.from_yaml(tmp_path / "chosen.yaml")
+    assert content["machines"][0] == chosen.as_data()
+    best = max(content["columns"]["payload_low"])
+    assert content["columns"]["payload_low"][0] == best
+    assert run(*command, "--choose", "99", "--out", tmp_path / "x.yaml").returncode == 2
+    wrong = run("design", tmp_path / "other.json", "--free", "stroke:a:b", "--maximise", "volume")
+    assert wrong.returncode == 2
+    assert "--free" in wrong.message
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        (["--free", "platform_radius:0.2:0.3"], "--free: expected each name once, got platform_radius twice"),
+        (["--at-least", "assembled:1", "--at-least", "assembled:0"], "assembled twice"),
+        (["--at-most", "footprint"], "--at-most: expected a name and 1 number, with colons between, got 'footprint'"),
+        (["--at-most", "beauty:1"], "--at-most"),
+        (["--minimise", "volume"], "--maximise, --minimise: expected each name once, got volume twice"),
+        (["--choose=-1", "--out", "x.yaml"], "--choose: expected a row of the front"),
+        (["--free", "middle_side:a:b"], "'middle_side:a:b'"),
+    ],
+)
+def test_options_that_contradict_are_refused_before_the_search(tmp_path: Path, more: list[str], text: str) -> None:
+    command = ["design", tmp_path / "front.json", "--free", "platform_radius:0.25:0.6"]
+    done = run(*command, "--maximise", "volume", "--minimise", "footprint", *more)
+    assert done.returncode == 2
+    assert text in done.message
+    assert not (tmp_path / "front.json").exists()
+
+
+def test_a_search_without_a_machine_within_the_bounds_says_so(tmp_path: Path) -> None:
+    command = ["design", tmp_path / "front.json", "--free", "platform_radius:0.25:0.6", "--at-least", "footprint:99"]
+    command += ["--maximise", "volume", "--minimise", "footprint"]
+    command += ["--population", "4", "--generations", "2", "--states", "16", "--workers", "1"]
+    done = run(*command)
+    assert done.returncode == 0
+    assert "no machine keeps the bounds" in done.stderr
+    done = run(*command, "--choose", "0", "--out", tmp_path / "x.yaml")
+    assert done.returncode == 2
+    assert "no machine keeps the bounds" in done.message
