@@ -9,6 +9,7 @@ The paths of the files are constants, named as the package robot_descriptions na
 
 from __future__ import annotations
 
+from spm_pin.description.masses import Masses, RigidBody
 from spm_pin.description.source_files import (
     ENTRY,
     EXTENDED_URDF,
@@ -19,8 +20,9 @@ from spm_pin.description.source_files import (
     description_directory,
     urdf_text,
 )
-from spm_pin.description.tree import JOINTS, SLIDES, Closure, extended_urdf_text, joint_values, read_closures, srdf_text
+from spm_pin.description.tree import SLIDES, Closure, extended_urdf_text, joint_values, read_closures, srdf_text
 from spm_pin.description.write_xml import mjcf_text, sdf_text
+from spm_pin.mechanism.joint_angles import JOINTS
 
 __all__ = [
     "CLOSURES_PATH",
@@ -33,6 +35,8 @@ __all__ = [
     "URDF_PATH",
     "XACRO_PATH",
     "Closure",
+    "Masses",
+    "RigidBody",
     "extended_urdf_text",
     "joint_values",
     "mjcf_text",

@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from spm_pin.description.masses import Masses
 from spm_pin.description.source_files import urdf_text
 from spm_pin.description.tree import Closure, read_closures
 from spm_pin.errors import DescriptionError
@@ -158,9 +159,11 @@ class Robot:
         return float(np.linalg.norm(gaps, axis=-1).max()) <= 1e-9
 
 
-def read_robot(geometry: Geometry | None = None, *, prefix: str = "", meshes: str | None = None) -> Robot:
+def read_robot(
+    geometry: Geometry | None = None, *, prefix: str = "", meshes: str | None = None, masses: Masses | None = None
+) -> Robot:
     """Return the manipulator of a geometry as data; arguments are those of `urdf_text`."""
-    root = ElementTree.fromstring(urdf_text(geometry, prefix=prefix, meshes=meshes))
+    root = ElementTree.fromstring(urdf_text(geometry, prefix=prefix, meshes=meshes, masses=masses))
     return Robot(
         "spm",
         {_name(node): _link(node) for node in root.iter("link")},

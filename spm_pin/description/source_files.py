@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 from xml.etree import ElementTree
 
+from spm_pin.description.masses import Masses, put_masses
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import as_bool, check_instance, writing
@@ -68,7 +69,12 @@ def check_prefix(prefix: str) -> None:
 
 
 def urdf_text(
-    geometry: Geometry | None = None, *, prefix: str = "", meshes: str | None = None, ros_constraints: bool = False
+    geometry: Geometry | None = None,
+    *,
+    prefix: str = "",
+    meshes: str | None = None,
+    ros_constraints: bool = False,
+    masses: Masses | None = None,
 ) -> str:
     """Return the URDF of a manipulator: its spanning tree, the loops closed by Drake's ball constraints.
 
@@ -83,7 +89,8 @@ def urdf_text(
         ``"package://spm_description/meshes"``. By default the absolute path of this installation's.
     ros_constraints : bool
         Close the loops by `<constraint>` as well, as proposed in https://github.com/ros/urdfdom/pull/264.
-
+    masses : Masses, optional
+        Of the machine's bodies, and a payload. By default assumed ones, in proportion to the machine's size.
     """
     import xacro
 
@@ -92,12 +99,16 @@ def urdf_text(
     if meshes is not None and (not isinstance(meshes, str) or not meshes.isprintable()):
         raise DescriptionError("meshes", "the folder of the meshes as text, or None", repr(meshes))
     machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
+    if masses is not None:
+        check_instance(masses, Masses, "masses")
     with tempfile.TemporaryDirectory() as folder, _XACRO:
         path = Path(folder) / "geometry.yaml"
         machine.to_yaml(path)
         folder_of_meshes = (description_directory() / MESHES).as_posix() if meshes is None else meshes
         mappings = {"prefix": prefix, "geometry": str(path), "meshes": folder_of_meshes}
         expanded = xacro.process_file(str(description_file(ENTRY)), mappings=mappings)
+    if masses is not None:
+        put_masses(masses, expanded, prefix)
     # xacro's banner holds the path of this machine's copy; the source's own comment stays.
     while expanded.firstChild is not expanded.documentElement:
         expanded.removeChild(expanded.firstChild).unlink()

@@ -12,14 +12,7 @@ from spm_pin.description.source_files import CLOSURES, check_prefix, description
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import Configuration, joint_angles
 from spm_pin.mechanism.configuration import check_configuration
-
-JOINTS = (
-    *("leg_b1_hip", "leg_b1_slide", "ball_b1_x", "ball_b1_y", "ball_b1_z"),
-    *("ball_c1_z", "ball_c1_y", "ball_c1_x", "leg_c1_slide", "leg_c1_hip"),
-    *("leg_b2_hip", "leg_b2_slide", "leg_b3_hip", "leg_b3_slide"),
-    *("leg_c2_hip", "leg_c2_slide", "leg_c3_hip", "leg_c3_slide"),
-)
-"""The eighteen joints: up the first legs to the terminal platform, then the other lower and upper legs."""
+from spm_pin.mechanism.joint_angles import JOINTS
 
 SLIDES = tuple(f"leg_{name}_slide" for name in ("b1", "b2", "b3", "c1", "c2", "c3"))
 """The actuated joints, in the order of `spm_pin.mechanism.LEGS`."""

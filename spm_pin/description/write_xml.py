@@ -11,7 +11,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from spm_pin.description.masses import Masses
 from spm_pin.description.robot import Joint, Link, Placement, Robot, Shape, read_robot
+from spm_pin.description.source_files import check_prefix
 from spm_pin.description.tree import Closure, state_values
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import Configuration, Geometry
@@ -26,13 +28,15 @@ def mjcf_text(
     prefix: str = "",
     states: Mapping[str, Configuration] | None = None,
     anchors: str | None = None,
+    collisions: str | None = None,
     meshes: str | None = None,
+    masses: Masses | None = None,
 ) -> str:
     """Return the manipulator as an MJCF file.
 
     Parameters
     ----------
-    geometry, prefix, meshes
+    geometry, prefix, meshes, masses
         As for `urdf_text`.
     states : mapping of str to Configuration, optional
         Named states of this geometry, which become keyframes after `home`, all joints at zero.
@@ -40,6 +44,9 @@ def mjcf_text(
         How a closure is written. "bodies": by a body and a point in it, which MuJoCo, Drake and Pinocchio take
         alike; the robot must stand assembled at zero, as that of a drawing does. "sites": by two sites, which MuJoCo
         and Pinocchio take. By default bodies where that is possible.
+    collisions : str, optional
+        The shapes that collide. "exact", the default: those of the URDF. "simple": without cylinders, whose contacts
+        with boxes MJX does not know; capsules and boxes inside them take their place. "none": no shape collides.
 
     Notes
     -----
@@ -47,13 +54,15 @@ def mjcf_text(
     base, closures' frames and links fixed to others have sites too, whose names end in _site. Velocity limits, for
     which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints.
     """
-    robot = read_robot(geometry, prefix=prefix, meshes=meshes)
+    check_prefix(prefix)
     values_by_state = state_values({} if states is None else states, prefix)
+    anchors = None if anchors is None else choice(anchors, "anchors", ("bodies", "sites"))
+    shapes = choice("exact" if collisions is None else collisions, "collisions", ("exact", "simple", "none"))
+    robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
     if states and next(iter(states.values())).geometry != (Geometry.paper() if geometry is None else geometry):
         raise DescriptionError("states", "the robot's geometry in all states", "another one")
     assembled = robot.is_assembled()
-    default = "bodies" if assembled else "sites"
-    anchors = choice(default if anchors is None else anchors, "anchors", ("bodies", "sites"))
+    anchors = anchors or ("bodies" if assembled else "sites")
     if anchors == "bodies" and not assembled:
         expected = "sites for a machine whose loops are open at zero"
         raise DescriptionError("anchors", expected, "bodies", "Those of a machine as built are")
@@ -81,7 +90,7 @@ def mjcf_text(
             _element("global", offwidth="1280", offheight="960"),
         ),
         _element("asset", *assets),
-        _element("worldbody", _body(robot, robot.base, None, _sites(robot), names)),
+        _element("worldbody", _body(robot, robot.base, None, _sites(robot), names, shapes)),
         _element("equality", *closures),
         _element("actuator", *motors),
         _element("custom", _element("numeric", name="velocity_limit", data=velocities)),
@@ -121,6 +130,7 @@ def _body(
     joint: Joint | None,
     sites: Mapping[str, Mapping[str, FloatArray]],
     meshes: Mapping[tuple[str, tuple[float, ...]], str],
+    collisions: str,
 ) -> Element:
     """Return the body of a link, with those of the links that it carries inside."""
     link = robot.links[name]
@@ -134,23 +144,35 @@ def _body(
             values |= {"actuatorfrclimited": "true", "actuatorfrcrange": (-effort, effort)}
         parts.append(_element("joint", name=joint.name, **values))
     parts.append(_element("inertial", mass=link.mass, diaginertia=link.moments, **_place(link.inertial)))
-    for group, shapes in (("2", link.visuals), ("3", link.collisions)):
-        for shape in shapes:
-            # MuJoCo takes half the sides of a box, and half the length of a cylinder.
-            halves = {"box": 0.5, "cylinder": np.array([1.0, 0.5]), "sphere": 1.0}
-            solid: dict[str, Value] = {"type": shape.kind, "group": group, **_place(shape.placement)}
-            if shape.kind == "mesh":
-                solid["mesh"] = meshes[shape.mesh, shape.size]
-            else:
-                solid["size"] = halves[shape.kind] * np.array(shape.size)
-            if group == "2":
-                solid |= {"material": shape.material, "contype": "0", "conaffinity": "0"}
-            parts.append(_element("geom", **solid))
+    for shape in link.visuals:
+        seen = {"material": shape.material, "contype": "0", "conaffinity": "0"}
+        parts.append(_element("geom", **_solid(shape, "2", meshes), **seen))
+    for shape in () if collisions == "none" else link.collisions:
+        solid = _solid(shape, "3", meshes)
+        if collisions == "simple" and shape.kind == "cylinder":
+            solid |= _without_cylinder(*shape.size)
+        parts.append(_element("geom", **solid))
     for frame, pose in sites.get(name, {}).items():
         turn = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
         parts.append(_element("site", name=f"{frame}_site", size="0.005", pos=pose[:3, 3], quat=turn))
-    parts += [_body(robot, each.child, each, sites, meshes) for each in robot.order if each.parent == name]
+    parts += [_body(robot, each.child, each, sites, meshes, collisions) for each in robot.order if each.parent == name]
     return _element("body", *parts, name=name, **({} if joint is None else _place(joint.placement)))
+
+
+def _solid(shape: Shape, group: str, meshes: Mapping[tuple[str, tuple[float, ...]], str]) -> dict[str, Value]:
+    solid: dict[str, Value] = {"type": shape.kind, "group": group, **_place(shape.placement)}
+    if shape.kind == "mesh":
+        return solid | {"mesh": meshes[shape.mesh, shape.size]}
+    # MuJoCo takes half the sides of a box, and half the length of a cylinder.
+    halves = {"box": 0.5, "cylinder": np.array([1.0, 0.5]), "sphere": 1.0}
+    return solid | {"size": halves[shape.kind] * np.array(shape.size)}
+
+
+def _without_cylinder(radius: float, length: float) -> dict[str, Value]:
+    """Return a capsule inside a cylinder, or a square box inside a flat one."""
+    if length > 2.0 * radius:
+        return {"type": "capsule", "size": (radius, 0.5 * length - radius)}
+    return {"type": "box", "size": (radius / np.sqrt(2.0), radius / np.sqrt(2.0), 0.5 * length)}
 
 
 def _connection(robot: Robot, closure: Closure, by_sites: bool) -> Element:
@@ -166,13 +188,18 @@ def _place(placement: Placement) -> dict[str, Value]:
 
 
 def sdf_text(
-    geometry: Geometry | None = None, *, prefix: str = "", loops: str | None = None, meshes: str | None = None
+    geometry: Geometry | None = None,
+    *,
+    prefix: str = "",
+    loops: str | None = None,
+    meshes: str | None = None,
+    masses: Masses | None = None,
 ) -> str:
     """Return the manipulator as an SDFormat model, its base fixed to the world.
 
     Parameters
     ----------
-    geometry, prefix, meshes
+    geometry, prefix, meshes, masses
         As for `urdf_text`.
     loops : str, optional
         "joints": a ball joint between the two frames of each closure; the robot must stand assembled at zero, as that
@@ -183,10 +210,10 @@ def sdf_text(
     -----
     http://sdformat.org/spec, version 1.9. A joint is driven if its limit of effort is not zero.
     """
-    robot = read_robot(geometry, prefix=prefix, meshes=meshes)
+    loops = None if loops is None else choice(loops, "loops", ("joints", "drake"))
+    robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
     assembled = robot.is_assembled()
-    default = "joints" if assembled else "drake"
-    loops = choice(default if loops is None else loops, "loops", ("joints", "drake"))
+    loops = loops or ("joints" if assembled else "drake")
     if loops == "joints" and not assembled:
         raise DescriptionError("loops", "drake for a machine whose loops are open at zero", "joints")
     ends = {"parent": "world", "child": robot.base}

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
+from spm_pin.description.masses import Masses, with_masses
 from spm_pin.description.robot import check_inertials
 from spm_pin.description.source_files import URDF, check_prefix, description_directory, description_file, urdf_text
 from spm_pin.description.tree import ANGLES, SLIDES, read_closures, srdf_text
@@ -93,13 +94,21 @@ class ClosedChain(ConstrainedChain[ChainState]):
 
     @classmethod
     def from_urdf(
-        cls, path: str | Path | None = None, geometry: Geometry | None = None, *, prefix: str = ""
+        cls,
+        path: str | Path | None = None,
+        geometry: Geometry | None = None,
+        *,
+        prefix: str = "",
+        masses: Masses | None = None,
     ) -> ClosedChain:
         """Make a chain from the package's description, or from a URDF file expanded from it.
 
         `geometry` is by default the paper's. A file at `path` has the tree of the description for this geometry,
         perhaps with other inertias, shapes and limits; the closures are the description's. `prefix` stands before the
         name of every link and joint. Raises `DescriptionError` for another tree, and for impossible inertias.
+
+        The masses of the description are assumed, in proportion to the machine's size: weights, dynamics and forces of
+        motions are no better than they. `masses` are those of the machine, and of a payload on it.
         """
         check_prefix(prefix)
         machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
@@ -108,6 +117,8 @@ class ClosedChain(ConstrainedChain[ChainState]):
         else:
             described = urdf_text(machine, prefix=prefix)
         text = described if path is None else _read_urdf(file_path(path), described, machine.middle_side)
+        if masses is not None:
+            text = with_masses(text, check_instance(masses, Masses, "masses"), prefix)
         return cls(text, machine, prefix)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -357,7 +368,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
         the path's start. Raises as `inverse_kinematics`, with the index of the time.
         """
         q = self._constrained.read_q(near, "near", single=True)
-        return follow_path(self.state(q), path, times, self.joint_names, self.leg_indices)
+        return follow_path(self.state(q), path, times, self.joint_names, self.leg_indices, self.geometry.legs.offsets)
 
     def simulate(
         self,

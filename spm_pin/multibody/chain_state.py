@@ -96,8 +96,8 @@ class ConstrainedState:
     kinematics : TreeKinematics
         Pinocchio's data, Jacobians and factorisations at a single q; do not change it.
     failures : dict of tuple of int to SpmError
-        Of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is NaN, by
-        its index.
+        Of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is NaN, or
+        the `ArgumentError` where a ball joint's middle angle is ±90°, by its index.
     """
 
     def __init__(self, constrained: ConstrainedModel) -> None:
@@ -165,14 +165,24 @@ class ConstrainedState:
                 self._move(q, v)
             try:
                 result = function(*arguments)
-            except (SingularConfigurationError, ClosureError) as error:
+            except (SingularConfigurationError, ClosureError, ArgumentError) as error:
+                if isinstance(error, ArgumentError) and error.argument != "q":
+                    raise at_index(error, index) from error
                 self.failures[index] = error
                 continue
-            except ArgumentError as error:
-                raise at_index(error, index) from error
             for array, value in zip(results, result if several else (result,), strict=True):
                 array[index] = value
         return type(shape)(*results) if several else results[0]
+
+    def _each_closed_member(self, function: Callable[..., Any], shape: Any, **arrays: FloatArray) -> Any:
+        """Return the same as `_each_member` for a function that takes q to be closed."""
+
+        def member(*arguments: FloatArray) -> Any:
+            result = function(*arguments)
+            self.kinematics.check_closed()
+            return result
+
+        return self._each_member(member, shape, **arrays)
 
     def closure_gap(self) -> FloatArray:
         """Return how far the closures are open, shape (..., 4, 3) [m]."""
@@ -272,7 +282,7 @@ class ChainState(ConstrainedState):
     def inverse_jacobian(self) -> FloatArray:
         """Return J_f, which maps the platform's twist to the leg rates, shape (..., 6, 6)."""
         legs = self._constrained.legs
-        return np.asarray(self._each_member(lambda: self.kinematics.velocities_of_twists[legs], (6, 6)))
+        return np.asarray(self._each_closed_member(lambda: self.kinematics.velocities_of_twists[legs], (6, 6)))
 
     def joint_velocities(self, twist: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) for a twist (..., 6) of m."""
@@ -280,29 +290,31 @@ class ChainState(ConstrainedState):
         def member(twist: FloatArray) -> FloatArray:
             return self.kinematics.velocities_of_twists @ twist
 
-        return np.asarray(self._each_member(member, (18,), twist=read_vectors(twist, "twist", 6)))
+        return np.asarray(self._each_closed_member(member, (18,), twist=read_vectors(twist, "twist", 6)))
 
     def joint_rates(self, leg_rates: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) for rates of the six legs (..., 6)."""
         rates = read_vectors(leg_rates, "leg_rates", 6)
-        return np.asarray(self._each_member(self.kinematics.velocities_of_legs, (18,), leg_rates=rates))
+        return np.asarray(self._each_closed_member(self.kinematics.velocities_of_legs, (18,), leg_rates=rates))
 
     def leg_forces(self, wrench: npt.ArrayLike) -> FloatArray:
         """Return the actuator forces (..., 6) that hold a wrench (..., 6) applied onto the terminal platform."""
         loads = read_vectors(wrench, "wrench", 6)
-        return np.asarray(self._each_member(lambda load: self._holding(load)[0], (6,), wrench=loads))
+        return np.asarray(self._each_closed_member(lambda load: self._holding(load)[0], (6,), wrench=loads))
 
     def cut_forces(self, wrench: npt.ArrayLike) -> FloatArray:
         """Return the forces in the cut ball joints, shape (..., 4, 3)."""
         loads = read_vectors(wrench, "wrench", 6)
-        return np.asarray(self._each_member(lambda load: self._holding(load)[1].reshape(4, 3), (4, 3), wrench=loads))
+        return np.asarray(
+            self._each_closed_member(lambda load: self._holding(load)[1].reshape(4, 3), (4, 3), wrench=loads)
+        )
 
     def _holding(self, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
         return self._balance(-(self.kinematics.platform_jacobian.T @ wrench))
 
     def singular_values(self) -> SingularValues:
         """Return how near q is to each kind of singularity."""
-        return SingularValues(*self._each_member(self.kinematics.singular_values, SingularValues((), (), ())))
+        return SingularValues(*self._each_closed_member(self.kinematics.singular_values, SingularValues((), (), ())))
 
     def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6)."""
@@ -332,7 +344,7 @@ class ChainState(ConstrainedState):
         def member(a: FloatArray) -> FloatArray:
             return self.kinematics.platform_jacobian @ a + self._bias()[1]
 
-        return np.asarray(self._each_member(member, (6,), a=read_vectors(a, "a", 18)))
+        return np.asarray(self._each_closed_member(member, (6,), a=read_vectors(a, "a", 18)))
 
     def platform_dynamics(self) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform."""
@@ -364,10 +376,9 @@ class ChainState(ConstrainedState):
         matrices = symmetric_matrices(stiffness, "stiffness", 6, meaning)
         flat = matrices.reshape(*matrices.shape[:-2], 36)
         shape = NaturalFrequencies((6,), (6, 6))  # type: ignore[arg-type]
-        return NaturalFrequencies(*self._each_member(self._vibrations, shape, stiffness=flat))
+        return NaturalFrequencies(*self._each_closed_member(self._vibrations, shape, stiffness=flat))
 
     def _vibrations(self, stiffness: FloatArray) -> NaturalFrequencies:
-        self.kinematics.check_closed()
         x, expected = self.kinematics.velocities_of_twists, "a symmetric matrix, positive definite"
         try:
             squares, modes = eigh(stiffness.reshape(6, 6), x.T @ self.kinematics.mass_matrix() @ x)
@@ -382,7 +393,7 @@ State = TypeVar("State", bound=ConstrainedState)
 
 
 class ConstrainedChain(Generic[State]):
-    """What `ClosedChain` and `MountedChain` have in common: the methods of their states, with q and v.
+    """Dynamics and closures of a model with closed loops as functions of q and v, for `ClosedChain` and `MountedChain`.
 
     nq, nv and the number n of actuators are those of the model: 18, 18 and 6 for a chain by itself.
     """

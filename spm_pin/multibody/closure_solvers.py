@@ -50,7 +50,7 @@ def close_loops(kinematics: TreeKinematics, q: FloatArray, hold_legs: bool = Fal
     tolerance = constrained.rounding(q)
     kinematics.evaluate(q)
     for iteration in range(most + 1):
-        gap, widest = kinematics.gap.ravel(), kinematics.widest_gap()
+        gap, widest = kinematics.gap.ravel(), kinematics.widest_gap
         if largest(gap) <= tolerance:
             return q
         if iteration == most:

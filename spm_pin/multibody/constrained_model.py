@@ -26,11 +26,11 @@ import numpy.typing as npt
 import pinocchio as pin
 from scipy.linalg import lapack
 
-from spm_pin.description.tree import JOINTS, SLIDES, Closure
+from spm_pin.description.tree import SLIDES, Closure
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, frozen, real_array
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.joint_angles import JOINTS, home_lengths
 from spm_pin.mechanism.leg_limits import LEGS
 
 AGREEMENT = 1e-9
@@ -103,12 +103,14 @@ class SingularValues(NamedTuple):
     """
 
     inverse: Any
-    """Of K, the twist of {m} and the closures' rates: zero where the twist does not determine the leg rates."""
+    """The smallest singular value of K̂, twist of {m} and rates of the closures: zero where the twist does not determine
+    the leg rates."""
     forward: Any
-    """Of [S; Jc], the rates of the legs and of the closures: zero where the legs do not hold the platform."""
+    """The smallest singular value of N̂, rates of the legs and of the closures: zero where the legs do not hold the
+    platform."""
     constraint: Any
-    """Of Jc, the rates of the closures: zero where the revolute joints of a stage do not constrain its platform. Then
-    the other two are zero as well."""
+    """The smallest singular value of Jc C / d, rates of the closures: zero where the revolute joints of a stage do not
+    constrain its platform. Then the other two are zero as well."""
 
 
 class Factors(NamedTuple):
@@ -268,8 +270,9 @@ class TreeKinematics:
         """From the origin of `frame_a` to that of `frame_b` of each closure, in the universe's axes [m], (n, 3)."""
         return np.asarray(self.constrained.signs.dot(np.concatenate(self._points).reshape(-1, 3)))
 
+    @cached_property
     def widest_gap(self) -> float:
-        """Return the largest distance of two frames that a closure holds together [m]."""
+        """Largest distance of two frames that a closure holds together [m]."""
         return math.sqrt(max(x * x + y * y + z * z for x, y, z in self.gap.tolist()))
 
     def frame_jacobian(self, frame: int) -> FloatArray:
@@ -407,7 +410,7 @@ class TreeKinematics:
 
     def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
         """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
-        gap = self.widest_gap()
+        gap = self.widest_gap
         if gap > AGREEMENT * self._side:
             raise ClosureError(gap, 0, "Rounded or guessed joint values? The method project closes the loops")
         if v is None:

@@ -176,7 +176,7 @@ def _force_times(begin: float, until: float, period: float | None) -> list[float
 
 
 class StopEvent(NamedTuple):
-    """What ends a simulation, and when."""
+    """An event that ends a simulation: its kind, a sentence about it, and where it is found."""
 
     end: SimulationEnd
     detail: str
@@ -229,7 +229,7 @@ class _Integrator:
         q, v = self.parts(state)
         a, force, _ = self._motion(time, q, v, forces)
         self._kinematics.evaluate(q)
-        energies, gap = self._kinematics.energies(v), self._kinematics.widest_gap()
+        energies, gap = self._kinematics.energies(v), self._kinematics.widest_gap
         self.rows.append((time, q, v, a, self._constrained.leg_lengths(q), force, *energies, float(state[-1]), gap))
 
     def _margins(self, state: FloatArray) -> FloatArray:

@@ -13,8 +13,12 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
+from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, frozen, real_array
+from spm_pin.mechanism import notebook
+from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, file_path, frozen, real_array, writing
+from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.multibody.chain_state import ChainState, at_index
 from spm_pin.multibody.closure_solvers import follow_pose
@@ -118,9 +122,28 @@ class JointTrajectory:
     """Joint accelerations [rad/s², m/s²], shape (n, 18)."""
     efforts: FloatArray
     """Forces of the actuators under gravity [N], shape (n, 18); zero in passive joints."""
+    readings: FloatArray
+    """What the encoders of the legs show [m], shape (n, 6)."""
+    pose: RigidTransform
+    """Poses (n,) of the terminal platform, {m} in {B}."""
 
     def __repr__(self) -> str:
         return f"<JointTrajectory: {len(self.joint_names)} joints at {self.times.size} times>"
+
+    @property
+    def slides(self) -> list[int]:
+        """Columns of the six legs' slides, in the order of the legs."""
+        # The chain may have a prefix.
+        return [next(k for k, name in enumerate(self.joint_names) if name.endswith(slide)) for slide in SLIDES]
+
+    def _repr_html_(self) -> str:
+        pictures = notebook.curves(self.times, self.velocities[:, self.slides], "rates of the legs [m/s] over time [s]")
+        pictures += notebook.curves(self.times, self.efforts[:, self.slides], "forces of the legs [N] over time [s]")
+        return notebook.table(repr(self), (), (), pictures)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure of the legs' slides, rates, accelerations and forces over time."""
+        return notebook.plot("motion_figure", self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of a ROS message `trajectory_msgs/JointTrajectory`, as plain Python.
@@ -144,23 +167,39 @@ class JointTrajectory:
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return `to_dict` as JSON, and write it to a file if `path` is given."""
-        return _write(json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n", path)
+        text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
+        if path is not None:
+            path = file_path(path)
+            with writing(path):
+                path.write_text(text, encoding="utf-8")
+        return text
 
     def to_csv(self, path: str | Path | None = None) -> str:
         """Return a table, and write it to a file if `path` is given.
 
-        One row a time, with a head: `time`, then for each joint `position`, `velocity`, `acceleration` and `effort`
-        as `name.position`. Numbers have the digits that float64 needs.
+        One row a time, with a heading: `time`; the readings `r_b1` to `r_c3` [m]; the pose as `x`, `y`, `z` [m] and the
+        quaternion `qx`, `qy`, `qz`, `qw`; for each joint `position`, `velocity`, `acceleration` and `effort` as
+        `name.position`. Numbers have the digits that float64 needs. `spm_pin.display.read_recording` and
+        `spm_pin.calibration.read_measurements` take their columns of it.
         """
-        columns = {
+        if path is not None:
+            write_table(self.columns(), path)
+        return table_text(self.columns())
+
+    def columns(self) -> dict[str, FloatArray]:
+        """Return the columns (n,) of `to_csv` by their names."""
+        kinds = {
             "position": self.positions,
             "velocity": self.velocities,
             "acceleration": self.accelerations,
             "effort": self.efforts,
         }
-        head = ["time", *(f"{name}.{column}" for column in columns for name in self.joint_names)]
-        table = np.column_stack([self.times, *columns.values()]).tolist()
-        return _write("".join(",".join(row) + "\n" for row in (head, *(map(repr, row) for row in table))), path)
+        columns = {TIME: self.times, **dict(zip(LEGS, self.readings.T, strict=True))}
+        columns |= dict(zip(POSITION, self.pose.translation.T, strict=True))
+        columns |= dict(zip(QUATERNION, self.pose.rotation.as_quat().T, strict=True))
+        for kind, values in kinds.items():
+            columns |= {f"{name}.{kind}": values[:, k] for k, name in enumerate(self.joint_names)}
+        return columns
 
 
 def follow_path(
@@ -169,6 +208,7 @@ def follow_path(
     times: npt.ArrayLike,
     names: tuple[str, ...],
     legs: IntArray,
+    offsets: FloatArray,
 ) -> JointTrajectory:
     """Return the motion of all joints from a closed state on; see `ClosedChain.joint_trajectory`."""
     t = increasing_times(times)
@@ -188,8 +228,10 @@ def follow_path(
             efforts[legs] = state.inverse_dynamics(a)
         except (ArgumentError, ClosureError, SingularConfigurationError) as error:
             raise at_index(error, (k,)) from error
-        rows.append((q, v, a, efforts))
-    return JointTrajectory(names, t, *(np.array(column) for column in zip(*rows, strict=True)))
+        readings = state.leg_lengths() + offsets
+        rows.append((q, v, a, efforts, readings, target.as_matrix()))
+    positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
+    return JointTrajectory(names, t, positions, v, a, efforts, readings, RigidTransform.from_matrix(poses))
 
 
 def _read_motion(motion: Any) -> PlatformMotion:
@@ -202,10 +244,3 @@ def _read_motion(motion: Any) -> PlatformMotion:
     names = "twist of the platform", "acceleration of the platform"
     twist, acceleration = (real_array(rate, "path", (6,), name) for rate, name in zip(rates, names, strict=True))
     return PlatformMotion(as_rigid_transform(place, "path"), twist, acceleration)
-
-
-def _write(text: str, path: str | Path | None) -> str:
-    """Return a text, written to a file if there is a path."""
-    if path is not None:
-        Path(path).write_text(text, encoding="utf-8")
-    return text

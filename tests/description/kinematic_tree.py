@@ -63,7 +63,6 @@ class KinematicTree:
     def _joint(element: ElementTree.Element) -> Joint:
         def of(tag: str, attribute: str) -> str:
             found = element.find(tag)
-            assert found is not None
             return str(found.get(attribute))
 
         kind = str(element.get("type"))
@@ -119,8 +118,6 @@ def inertia(link: ElementTree.Element) -> tuple[float, Array, Array]:
     assert inertial is not None, "a link without inertia"
     assert inertial.find("origin") is not None, "an inertia without an origin"
     mass, moments = inertial.find("mass"), inertial.find("inertia")
-    assert mass is not None
-    assert moments is not None
     matrix = np.zeros((3, 3))
     for i, j in itertools.combinations_with_replacement(range(3), 2):
         matrix[i, j] = matrix[j, i] = float(str(moments.get("i" + "xyz"[i] + "xyz"[j])))

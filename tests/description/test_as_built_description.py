@@ -61,7 +61,6 @@ def test_a_state_named_in_the_description_is_of_its_machine() -> None:
 
 def test_slide_limits_are_those_of_the_readings() -> None:
     machine = MACHINES["centimetres"]
-    assert PAPER.limits is not None
     slides = {name: read_robot(machine).joints[name].limits for name in SLIDES}
     for k, name in enumerate(SLIDES):
         assert slides[name]["lower"] + 1.3 + machine.legs.offsets[k] == pytest.approx(PAPER.limits.minimum[k])

@@ -17,7 +17,7 @@ from description.kinematic_tree import KinematicTree, named_states
 from problems import in_leg_space, random_branches
 
 import spm_pin as spm
-from spm_pin.description import extended_urdf_text, urdf_text
+from spm_pin.description import JOINTS, extended_urdf_text, urdf_text
 from spm_pin.description.source_files import (
     ENTRY,
     EXTENDED_URDF,
@@ -29,7 +29,7 @@ from spm_pin.description.source_files import (
     description_directory,
     description_file,
 )
-from spm_pin.description.tree import JOINTS, PASSIVE, SLIDES, read_closures, srdf_text
+from spm_pin.description.tree import PASSIVE, SLIDES, read_closures, srdf_text
 from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
 
@@ -42,13 +42,15 @@ def shipped(name: str) -> str:
     return description_file(name).read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", [URDF, SRDF, MJCF, SDF, EXTENDED_URDF])
-def test_generated_files_are_fresh(name: str) -> None:
+def test_generated_files_are_fresh() -> None:
     """Every character but the last digits, in which mathematical libraries and processors differ."""
-    fresh, kept = runpy.run_path(str(SCRIPTS / "generate_description.py"))["generate"]()[name], shipped(name)
-    assert NUMBER.sub("#", fresh) == NUMBER.sub("#", kept)
-    expected = [float(number) for number in NUMBER.findall(kept)]
-    np.testing.assert_allclose([float(number) for number in NUMBER.findall(fresh)], expected, rtol=1e-13, atol=1e-13)
+    generated = runpy.run_path(str(SCRIPTS / "generate_description.py"))["generate"]()
+    assert generated.keys() == {URDF, SRDF, MJCF, SDF, EXTENDED_URDF}
+    for name, fresh in generated.items():
+        kept = shipped(name)
+        assert NUMBER.sub("#", fresh) == NUMBER.sub("#", kept), name
+        found, expected = ([float(number) for number in NUMBER.findall(text)] for text in (fresh, kept))
+        np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13, err_msg=name)
 
 
 def test_meshes_are_fresh_closed_and_small() -> None:

@@ -6,7 +6,6 @@ import ast
 import re
 import runpy
 import sys
-import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -21,7 +20,6 @@ from spm_pin import description
 from spm_pin.description import urdf_text
 
 PACKAGE = Path(description.PACKAGE_PATH)
-ROOT = Path(__file__).parents[2]
 LAUNCH = PACKAGE / "launch" / "display.launch.py"
 
 
@@ -59,7 +57,6 @@ def test_package_xml() -> None:
 def test_everything_is_installed() -> None:
     text = (PACKAGE / "CMakeLists.txt").read_text(encoding="utf-8")
     project = re.search(r"project\((\w+)", text)
-    assert project is not None
     assert project[1] == "spm_description"
     installed = re.findall(r"(?:FILES|DIRECTORY) ([^)]*?)DESTINATION", text)
     assert len(installed) == 2
@@ -67,16 +64,6 @@ def test_everything_is_installed() -> None:
     # The marker of the package and its own files are installed by ament.
     of_ament = {"CMakeLists.txt", "package.xml", "resource", "__pycache__"}
     assert listed == {path.name for path in PACKAGE.iterdir()} - of_ament
-
-
-def test_the_wheel_holds_it_once_where_ament_looks_below_the_package() -> None:
-    build = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]
-    assert build["targets"]["wheel"]["force-include"] == {
-        "urdf": "spm_pin/share/spm_description",
-        "urdf/resource/spm_description": "spm_pin/share/ament_index/resource_index/packages/spm_description",
-    }
-    assert "shared-data" not in build["targets"]["wheel"]
-    assert not list((ROOT / "urdf").glob("*.py"))
 
 
 def test_rviz_shows_the_robot_in_its_base() -> None:

@@ -51,7 +51,7 @@ def placed(name: str, count: int, seed: int) -> list[tuple[spm.Configuration, Ar
 
 
 def frame_jacobian(owner: Any, q: Array, frame: str) -> Array:
-    """Jacobian (6, 18) of a frame, and nothing of the package."""
+    """Jacobian (6, joints) of a frame, and nothing of the package."""
     import pinocchio as pin
 
     model = owner.model
@@ -67,6 +67,27 @@ def closure_jacobian(owner: Any, q: Array) -> Array:
     )
 
 
+def plain_accelerations(model: Any, closures: Any, q: Array, v: Array, force: Array) -> Array:
+    """The equations of motion and of the closures, solved as they stand, with Jacobians of Pinocchio's frames."""
+    import pinocchio as pin
+
+    data, world = model.createData(), pin.LOCAL_WORLD_ALIGNED
+    ends = [[model.getFrameId(frame) for frame in (c.frame_a, c.frame_b)] for c in closures]
+    half = np.triu(pin.crba(model, data, q))
+    mass = half + np.triu(half, 1).T
+    force = force - pin.nonLinearEffects(model, data, q, v)
+
+    def rows(of_frame: Any) -> Array:
+        return np.concatenate([of_frame(b)[:3] - of_frame(a)[:3] for a, b in ends])
+
+    jacobian = rows(lambda frame: pin.computeFrameJacobian(model, model.createData(), q, frame, world))
+    # J̇c v, from the classical accelerations of the frames where no joint accelerates.
+    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+    drift = rows(lambda frame: pin.getFrameClassicalAcceleration(model, data, frame, world).linear)
+    matrix = np.block([[mass, jacobian.T], [jacobian, np.zeros((len(drift), len(drift)))]])
+    return np.linalg.solve(matrix, np.concatenate([force, -drift]))[: model.nv]
+
+
 def random_q(owner: Any, rng: np.random.Generator) -> Array:
     """Joint values that leave the closures wide open."""
     q = rng.uniform(-1.5, 1.5, 18)
@@ -76,11 +97,5 @@ def random_q(owner: Any, rng: np.random.Generator) -> Array:
 
 def wrench_conditions(state: spm.Configuration) -> tuple[float, float]:
     """Smallest singular values of the closed form's J_b or J_c, and of its K; lengths in units of d."""
-    arms = (state.balls - state.middle_joints.mean(axis=0)) / state.geometry.middle_side
-    legs = state.leg_vectors / state.leg_lengths[:, None]
-    along, across = (np.concatenate([f, np.cross(arms, f)], axis=-1) for f in (legs, state.leg_axes))
-
-    def smallest(*rows: Array) -> float:
-        return float(np.linalg.svd(np.concatenate(rows), compute_uv=False)[-1])
-
-    return min(smallest(along[:3], across[:3]), smallest(along[3:], across[3:])), smallest(across)
+    lower, upper, across = np.linalg.svd(problems.wrench_matrices(state), compute_uv=False)[:, -1]
+    return min(lower, upper), across

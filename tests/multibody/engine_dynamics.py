@@ -1,4 +1,4 @@
-"""The mechanism in MuJoCo and in Drake: masses, Jacobians and time steps of the engines.
+"""The mechanism in MuJoCo and in Drake: masses and Jacobians of the engines, and time steps of MuJoCo.
 
 Both read the same URDF as Pinocchio does. Collisions and joint limits are off: they are not what is compared.
 """
@@ -133,17 +133,15 @@ class Mujoco:
 
 
 class Drake:
-    def __init__(self, robot: Any, step: float = 0.0, urdf: Path | None = None) -> None:
+    def __init__(self, robot: Any, urdf: Path | None = None) -> None:
         from pydrake.multibody.parsing import Parser
-        from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
+        from pydrake.multibody.plant import MultibodyPlant
 
         text = urdf.read_text(encoding="utf-8") if urdf else urdf_text()
-        if step == 0.0:  # a continuous plant has no constraints
-            start, end = text.index("<drake:ball_constraint>"), text.rindex("</drake:ball_constraint>")
-            text = text[:start] + text[end + len("</drake:ball_constraint>") :]
-        self.plant = MultibodyPlant(step)
-        if step > 0.0:
-            self.plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+        # A continuous plant has no constraints.
+        start, end = text.index("<drake:ball_constraint>"), text.rindex("</drake:ball_constraint>")
+        text = text[:start] + text[end + len("</drake:ball_constraint>") :]
+        self.plant = MultibodyPlant(0.0)
         with tempfile.TemporaryDirectory() as folder:  # in a text without a file, Drake takes no paths of meshes
             path = Path(folder) / "spm.urdf"
             path.write_text(text, encoding="utf-8")
@@ -153,7 +151,6 @@ class Drake:
             joint = self.plant.GetJointByName(name)
             joint.set_position_limits([-np.inf], [np.inf])
         self.plant.Finalize()
-        self.step = step
         self.context = self.plant.CreateDefaultContext()
         joints = [self.plant.GetJointByName(name) for name in robot.joint_names]
         self.order = np.array([joint.position_start() for joint in joints])
@@ -181,20 +178,3 @@ class Drake:
             drift.append(accelerations[1] - accelerations[0])
         k = self.order
         return plant.CalcMassMatrix(context)[np.ix_(k, k)], bias[k], np.concatenate(rows)[:, k], np.concatenate(drift)
-
-    def run(self, q: Array, v: Array, forces: Forces, until: float, legs: Sequence[int]) -> Array:
-        """Drake's own discrete steps from q and v; returns the q they end at."""
-        from pydrake.systems.analysis import Simulator
-
-        self.set(q, v)
-        self.context.SetTime(0.0)
-        simulator = Simulator(self.plant, self.context)
-        port = self.plant.get_applied_generalized_force_input_port()
-        pushes = np.zeros(len(q))
-        where = self.order[legs]
-        for k in range(round(until / self.step)):
-            now = self.plant.GetPositions(self.context)[self.order], self.plant.GetVelocities(self.context)[self.order]
-            pushes[where] = forces(k * self.step, *now)
-            port.FixValue(self.context, pushes)
-            simulator.AdvanceTo((k + 1) * self.step)
-        return np.array(self.plant.GetPositions(self.context)[self.order])

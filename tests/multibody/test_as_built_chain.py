@@ -1,4 +1,4 @@
-"""The chain of a machine as built: loops, readings, files and states; `chains.NAMES` has one for other tests."""
+"""Chains of drawn machines and machines as built: loops, readings, files and states."""
 
 from __future__ import annotations
 
@@ -21,15 +21,12 @@ pinocchio = pytest.importorskip("pinocchio")
 from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 
 NAMES = list(problems.GEOMETRIES)
-SIZES = (1e-6, 1e-3, 5e-2)
-
-
-"""A machine as built whose errors are rounding."""
+SIZES = (0.0, 1e-3, 5e-2)
 
 
 @cache
 def built(name: str = "paper", size: float = 1e-2) -> Any:
-    return ClosedChain.from_urdf(geometry=problems.as_built(problems.GEOMETRIES[name], size))
+    return ClosedChain.from_urdf(geometry=problems.as_built(problems.GEOMETRIES[name], size)) if size else chain(name)
 
 
 def states(robot: Any, count: int, seed: int) -> spm.Configuration:
@@ -101,17 +98,6 @@ def test_readings_and_poses_lead_to_the_state_that_has_them(name: str, size: flo
         np.testing.assert_allclose(robot.leg_lengths(held), state.leg_lengths[k] + 1e-2 * change, atol=1e-13 * side)
 
 
-def test_poses_lead_to_the_physical_branch() -> None:
-    robot = built("paper", 1e-3)
-    state = spm.inverse_physical(robot.geometry, states(robot, 30, seed=6).pose)
-    state = state[state.exists]
-    q = robot.inverse_kinematics(state.pose)
-    np.testing.assert_allclose(robot.configuration(q).middle_joints, state.middle_joints, atol=1e-13)
-    np.testing.assert_allclose(robot.leg_lengths(q), state.leg_lengths, atol=1e-13)
-    nominal = chain().inverse_kinematics(state.pose[0])
-    assert np.abs(nominal - q[0]).max() > 1e-4
-
-
 def test_offsets_change_readings_and_nothing_else() -> None:
     plain = built("paper", 1e-3)
     geometry = plain.geometry
@@ -138,7 +124,10 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
         geometry.from_parameters(geometry.parameters + 1e-8),
         replace(geometry, limits=spm.LegLimits(1.2, 1.5)),
     )
-    for file, machine in ((measured, None), (measured, PAPER), (nominal, geometry), *((measured, g) for g in others)):
+    larger = [replace(PAPER, **{name: 1.01 * getattr(PAPER, name)}) for name in ("base_radius", "middle_side")]
+    others_of_the_drawing = (geometry, *larger, replace(PAPER, limits=spm.LegLimits(1.2, 1.5)))
+    pairs = [(measured, machine) for machine in (None, PAPER, *others)]
+    for file, machine in (*pairs, *((nominal, machine) for machine in others_of_the_drawing)):
         with pytest.raises(
             DescriptionError, match="The arguments geometry and prefix are those the file was written for"
         ):

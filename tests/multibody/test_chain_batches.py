@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from multibody.chains import Array, chain, placed
+from multibody.chains import PAPER, Array, chain, placed
 
+import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 
 pytest.importorskip("pinocchio")
@@ -18,6 +19,10 @@ METHODS: dict[str, Callable[[Any, Array, Array, Array], Any]] = {
     "joint_values": lambda robot, q, v, w: robot.joint_values(robot.configuration(q)),
     "leg_lengths": lambda robot, q, v, w: robot.leg_lengths(q),
     "with_readings": lambda robot, q, v, w: robot.with_readings(q, 1.0 + 0.1 * w),
+    "forward_kinematics": lambda robot, q, v, w: robot.forward_kinematics(1.3 + 0.1 * np.tanh(w)),
+    "inverse_kinematics": lambda robot, q, v, w: robot.inverse_kinematics(
+        spm.forward_physical(PAPER, 1.3 + 0.1 * np.tanh(w)).pose
+    ),
     "closure_gap": lambda robot, q, v, w: robot.closure_gap(q + 0.01),
     "constraint_jacobian": lambda robot, q, v, w: robot.constraint_jacobian(q),
     "project": lambda robot, q, v, w: robot.project(q + 1e-3),
@@ -121,11 +126,38 @@ def test_members_that_are_singular_or_open_are_nan_and_named() -> None:
         (2,): ClosureError,
     }
     assert "inverse singularity" in str(state.failures[1,])
-    # Forces and gaps exist at all of them, or fail elsewhere; the next call has failures of its own.
+    # Forces exist at an inverse singularity; the next call has failures of its own.
     assert np.isfinite(state.leg_forces(np.ones(6))[1]).all()
+    assert list(state.failures) == [(2,)]
+    assert np.isfinite(state.closure_gap()).all()
     assert state.failures == {}
+    # Where a ball joint's middle angle is 90°, the tree loses a rotation; the other members are computed.
+    turned = q.copy()
+    turned[robot.joint_indices("ball_b1_y")] = np.pi / 2
+    jacobians = (state := robot.state([q, turned])).inverse_jacobian()
+    assert np.array_equal(np.isnan(jacobians).any(axis=(-1, -2)), [False, True])
+    assert "away from ±90°" in str(state.failures[1,])
+    with pytest.raises(ArgumentError, match=r"^q: expected ball_b1_y away from ±90°"):
+        robot.inverse_jacobian(turned)
     projected = robot.project([q + 1e-3, q + 1e-3], max_iterations=0)
     assert np.isnan(projected).all()
+
+
+@pytest.mark.parametrize(
+    "method",
+    ["inverse_jacobian", "joint_velocities", "joint_rates", "leg_forces", "cut_forces", "singular_values"],
+)
+def test_rates_and_forces_of_open_loops_do_not_exist(method: str) -> None:
+    robot, q = chain(), placed("paper", 1, seed=307)[0][1]
+    arguments = [] if method in ("inverse_jacobian", "singular_values") else [np.ones(6)]
+    with pytest.raises(ClosureError):
+        getattr(robot, method)(q + 1e-3, *arguments)
+    state = robot.state([q, q + 1e-3])
+    result = np.asarray(getattr(state, method)(*arguments))
+    closed, opened = result.T if method == "singular_values" else result
+    assert np.isfinite(closed).all()
+    assert np.isnan(opened).all()
+    assert {index: type(error) for index, error in state.failures.items()} == {(1,): ClosureError}
 
 
 def test_wrong_arguments_name_the_member() -> None:

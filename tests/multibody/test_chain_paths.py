@@ -9,7 +9,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import problems
 import pytest
 from multibody.chains import EPS, PAPER, POSE, Array, chain, six_branches
 
@@ -30,17 +29,6 @@ def turned(q: Array) -> Array:
     legs = chain().leg_indices
     angles = np.delete(q, legs, axis=-1)
     return np.concatenate([q[..., legs], np.cos(angles), np.sin(angles)], axis=-1)
-
-
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
-def test_other_robots(name: str) -> None:
-    robot, rng = chain(name), np.random.default_rng(401)
-    legs = robot.leg_lengths(np.zeros(18)) * rng.uniform(0.98, 1.02, (2, 5, 6))
-    found = robot.forward_kinematics(legs)
-    d = robot.geometry.middle_side
-    assert found.shape == (2, 5, 18)
-    assert np.abs(robot.closure_gap(found)).max() <= 1e-13 * (robot.leg_lengths(found).max() + d)
-    assert np.abs(robot.leg_lengths(found) - legs).max() <= 1e-13 * legs.max()
 
 
 def test_one_after_the_other() -> None:
@@ -192,10 +180,15 @@ def test_a_trajectory_in_files(tmp_path: Path) -> None:
     rows = list(csv.reader(io.StringIO(found.to_csv(tmp_path / "all.csv"))))
     assert (tmp_path / "all.csv").read_text(encoding="utf-8") == found.to_csv()
     assert len(rows) == 4
-    assert rows[0][:2] == ["time", f"{robot.joint_names[0]}.position"]
+    names = ["time", *spm.mechanism.LEGS, "x", "y", "z", "qx", "qy", "qz", "qw"]
+    assert rows[0][:15] == [*names, f"{robot.joint_names[0]}.position"]
     table = np.array(rows[1:], dtype=float)
-    parts = [found.times[:, None], found.positions, found.velocities, found.accelerations, found.efforts]
+    parts = [found.times[:, None], robot.readings(found.positions), table[:, 7:14]]
+    parts += [found.positions, found.velocities, found.accelerations, found.efforts]
     assert np.array_equal(table, np.concatenate(parts, axis=1))
+    poses = robot.configuration(found.positions).pose
+    expected = [poses.translation, poses.rotation.as_quat()]
+    np.testing.assert_allclose(table[:, 7:14], np.concatenate(expected, axis=1), atol=1e-12)
     message = json.loads(found.to_json(tmp_path / "all.json"))
     assert json.loads((tmp_path / "all.json").read_text(encoding="utf-8")) == message == found.to_dict()
     assert message["joint_names"] == list(robot.joint_names)

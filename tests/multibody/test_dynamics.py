@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import problems
 import pytest
-from multibody.chains import NAMES, Array, chain, closure_jacobian, frame_jacobian, placed, six_branches
+from multibody.chains import NAMES, Array, chain, frame_jacobian, placed, plain_accelerations, six_branches
 from multibody.engine_dynamics import Drake, Mujoco, accelerations
 
 import spm_pin as spm
@@ -32,41 +32,15 @@ def states(name: str, count: int, seed: int) -> list[tuple[Array, Array]]:
     return found
 
 
-def full_mass(robot: Any, q: Array) -> Array:
-    half = np.triu(pinocchio.crba(robot.model, robot.model.createData(), q))
-    return np.array(half + np.triu(half, 1).T)
-
-
-def closure_drift(robot: Any, q: Array, v: Array) -> Array:
-    """J̇c v, from the classical accelerations of the frames where no joint accelerates."""
-    model, data = robot.model, robot.model.createData()
-    pinocchio.forwardKinematics(model, data, q, v, np.zeros(18))
-    rows = []
-    for closure in robot.closures:
-        a, b = (
-            pinocchio.getFrameClassicalAcceleration(model, data, model.getFrameId(n), pinocchio.LOCAL_WORLD_ALIGNED)
-            for n in (closure.frame_a, closure.frame_b)
-        )
-        rows.append(b.linear - a.linear)
-    return np.concatenate(rows)
-
-
-def plain(robot: Any, q: Array, v: Array, f: Array, push: Array) -> Array:
-    """The equations of motion and of the closures, solved as they stand."""
-    jacobian = closure_jacobian(robot, q)
-    force = push - pinocchio.nonLinearEffects(robot.model, robot.model.createData(), q, v)
-    force[robot.leg_indices] += f
-    matrix = np.block([[full_mass(robot, q), jacobian.T], [jacobian, np.zeros((12, 12))]])
-    return np.linalg.solve(matrix, np.concatenate([force, -closure_drift(robot, q, v)]))[:18]
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_forward_dynamics_is_the_plain_solution(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(200)
     for q, v in states(name, 5, seed=201):
         weight = 9.81 * sum(body.mass for body in robot.model.inertias)
         f, wrench = weight * rng.normal(size=6), weight * rng.normal(size=6) * robot.geometry.middle_side
-        expected = plain(robot, q, v, f, frame_jacobian(robot, q, "terminal_platform").T @ wrench)
+        force = frame_jacobian(robot, q, "terminal_platform").T @ wrench
+        force[robot.leg_indices] += f
+        expected = plain_accelerations(robot.model, robot.closures, q, v, force)
         error = np.abs(robot.forward_dynamics(q, v, f, wrench) - expected).max()
         assert error <= 1e-10 * np.abs(expected).max() / robot.singular_values(q).constraint
 
@@ -112,20 +86,6 @@ def test_at_rest_the_weights_are_wrenches(branch: int) -> None:
     heights = pinocchio.computeGeneralizedGravity(robot.model, data, q) @ robot.joint_velocities(q, np.eye(6)).T
     expected = spm.leg_forces(state, wrench - heights)
     assert np.abs(forces - expected).max() <= 1e-8 * np.abs(expected).max()
-    # The weight of every body as a wrench at its own frame, without gravity, is the same.
-    model = robot.model
-    pinocchio.framesForwardKinematics(model, data, q)
-    total = robot.leg_forces(q, wrench)
-    reached = np.zeros(18)
-    for joint in range(1, model.njoints):
-        body = model.inertias[joint]
-        jacobian = pinocchio.computeJointJacobian(model, model.createData(), q, joint)
-        centre = pinocchio.SE3(np.eye(3), body.lever)
-        linear = (centre.inverse().action @ jacobian)[:3]
-        reached += linear.T @ data.oMi[joint].rotation.T @ np.array([0.0, 0.0, -9.81 * body.mass])
-    at_platform = robot.joint_velocities(q, np.eye(6)) @ reached
-    total = total + robot.leg_forces(q, at_platform)
-    assert np.abs(forces - total).max() <= 1e-8 * np.abs(total).max()
 
 
 def test_mujoco_holds_the_mechanism_with_the_same_forces() -> None:
@@ -243,7 +203,7 @@ def test_bad_arguments() -> None:
 
 
 def test_a_call_passes_few_files() -> None:
-    """Who reads what forward dynamics computes opens four files of this package at most, with that of the class."""
+    """Forward dynamics is computed in at most four files of the package, that of the class among them."""
     robot, (q, v), files = chain(), states("paper", 1, seed=214)[0], set()
 
     def note(frame: Any, event: str, _: Any) -> None:

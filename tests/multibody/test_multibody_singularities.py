@@ -5,17 +5,7 @@ from __future__ import annotations
 import numpy as np
 import problems
 import pytest
-from multibody.chains import (
-    EPS,
-    PAPER,
-    POSE,
-    chain,
-    closure_jacobian,
-    frame_jacobian,
-    placed,
-    six_branches,
-    wrench_conditions,
-)
+from multibody.chains import EPS, PAPER, POSE, chain, placed, six_branches, wrench_conditions
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -26,16 +16,6 @@ pinocchio = pytest.importorskip("pinocchio")
 from spm_pin.multibody.constrained_model import SINGULAR  # noqa: E402
 
 HOME = np.zeros(18)
-
-
-def test_at_home_three_motions_leave_the_platform_still() -> None:
-    robot = chain()
-    assert np.abs(robot.closure_gap(HOME)).max() <= 1e-13
-    free = np.linalg.svd(closure_jacobian(robot, HOME))[2][12:]
-    velocities = frame_jacobian(robot, HOME, "terminal_platform") @ free.T
-    values = np.linalg.svd(velocities, compute_uv=False)
-    assert (values > 0.01).sum() == 3
-    assert (values < 64 * EPS).sum() == 3
 
 
 def test_home_is_an_inverse_singularity() -> None:
@@ -59,9 +39,6 @@ def test_forces_at_home() -> None:
         expected = spm.leg_forces(state, wrench)
         found = robot.leg_forces(HOME, wrench)
         assert np.linalg.norm(found - expected) <= 1e-13 * np.linalg.norm(expected)
-    # By symmetry each leg carries a third of a weight along its own slope.
-    slope = state.leg_vectors[:, 2] / state.leg_lengths
-    assert np.allclose(robot.leg_forces(HOME, [0, 0, -6.0, 0, 0, 0]) * slope, 2.0, rtol=64 * EPS)
 
 
 def test_between_two_branches_that_meet() -> None:
@@ -118,18 +95,11 @@ def test_constraint_singularities(which: str) -> None:
 def test_kinds_are_those_of_the_closed_form() -> None:
     """Each smallest singular value goes to zero with its counterpart in the 6 x 6 matrices."""
     for name in problems.GEOMETRIES:
-        for state, q in placed(name, 100, seed=122):
+        for state, q in placed(name, 40, seed=122):
             values = chain(name).singular_values(q)
             stages, both = wrench_conditions(state)
             for tree, wrenches in ((values.forward, stages), (values.inverse, both)):
                 assert 1e-3 < tree / wrenches < 1e3
-
-
-def test_regular_states_are_not_refused() -> None:
-    for name in problems.GEOMETRIES:
-        for _, q in placed(name, 200, seed=123):
-            assert np.isfinite(chain(name).inverse_jacobian(q)).all()
-            assert np.isfinite(chain(name).leg_forces(q, np.ones(6))).all()
 
 
 def test_a_ball_joint_at_a_right_angle() -> None:

@@ -73,41 +73,6 @@ def test_equations_of_other_engines_integrated_by_another_method(engine: Any, la
     assert errors[-1] < 1e-8
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize(
-    ("engine", "settings", "orders", "best"),
-    [
-        (Mujoco, {"integrator": "mjINT_EULER"}, (1.0, 1.0), 1e-3),
-        (Mujoco, {"integrator": "mjINT_RK4"}, (2.0, 1.0), 1e-6),
-        (Drake, {}, (1.0, 1.0), 1e-3),
-    ],
-    ids=["MuJoCo, Euler", "MuJoCo, Runge-Kutta", "Drake, SAP"],
-)
-def test_simulation_by_other_engines(
-    engine: Any, settings: dict[str, str], orders: tuple[float, float], best: float, law: str
-) -> None:
-    """Their own steps and their own constraints, as stiff as they come; at least of the order expected.
-
-    Semi-implicit Euler is of order one. MuJoCo's constraints are soft on the scale of two steps, which is what is left
-    of its Runge-Kutta method: order two, and one where forces jump at every step. Forces are held over a step, by them
-    and by us.
-    """
-    pytest.importorskip("mujoco" if engine is Mujoco else "pydrake")
-    robot, (q, v) = chain(), start(law)
-    legs, errors = robot.leg_indices, []
-    for step in (2e-3, 1e-3, 5e-4):
-        run = robot.simulate(q, v, LAWS[law], [0.0, UNTIL], period=step) if law == "driven" else free_fall(q)
-        end = engine(robot, step, **settings).run(q, v, LAWS[law], UNTIL, legs)
-        errors.append(np.abs(robot.leg_lengths(end) - run.leg_lengths[-1]).max())
-    found = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (found > orders[list(LAWS).index(law)] - 0.25).all()
-    assert errors[-1] < best
-
-
-def free_fall(q: Array) -> Any:
-    return chain().simulate(q, np.zeros(18), None, [0.0, UNTIL])
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_conservative_run_keeps_its_energy(name: str) -> None:
     """Springs along the legs and no damping: the legs swing, and what the springs took is what the bodies lost."""
@@ -126,20 +91,11 @@ def test_a_conservative_run_keeps_its_energy(name: str) -> None:
     assert np.ptp(run.leg_lengths, axis=0).max() > 1e-3 * robot.geometry.middle_side
     assert np.abs(run.energy_error).max() <= 1e-9 * np.abs(run.energy).max()
     assert run.closure_gap.max() <= 1e-13 * robot.geometry.middle_side * 10.0
+    opening = np.einsum("nij,nj->ni", robot.constraint_jacobian(run.q), run.v)
+    assert np.abs(opening).max() <= 1e-12 * max(1.0, np.abs(run.v).max())
     moved = run.leg_lengths - lengths
     stored = 0.5 * stiffness * (moved**2).sum(axis=1) - 0.7 * moved @ held
     assert np.abs(run.energy + stored - run.energy[0] - stored[0]).max() <= 1e-9 * np.abs(run.energy).max()
-
-
-def test_free_fall_keeps_its_energy_and_its_loops() -> None:
-    q = reference()
-    run = chain().simulate(q, np.zeros(18), None, np.linspace(0.0, 0.5, 51))
-    assert run.complete
-    assert run.kinetic[-1] > 100.0
-    assert np.abs(run.energy - run.energy[0]).max() <= 1e-9 * run.energy[0]
-    assert run.closure_gap.max() <= 1e-9
-    opening = np.einsum("nij,nj->ni", chain().constraint_jacobian(run.q), run.v)
-    assert np.abs(opening).max() <= 1e-12
 
 
 def test_power_balances_along_a_driven_run() -> None:

@@ -1,0 +1,131 @@
+"""Masses in place of the assumed ones, and a payload: in Pinocchio, in other formats and in the exported C."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+import yourdfpy
+
+import spm_pin as spm
+from spm_pin.description import Masses, RigidBody, mjcf_text, urdf_text
+from spm_pin.errors import DescriptionError
+
+STATE = spm.forward_physical(spm.Geometry.paper(), [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
+TURN = pin.rpy.rpyToMatrix(0.3, -0.2, 0.5)
+INERTIA = TURN @ np.diag([0.5, 0.7, 1.0]) @ TURN.T
+PAYLOAD = RigidBody(10.0, [0.1, -0.05, 0.2], np.diag([0.1, 0.2, 0.25]))
+
+
+def chain_of(masses: Masses | None) -> spm.ClosedChain:
+    return spm.ClosedChain.from_urdf(masses=masses)
+
+
+def weights(chain: spm.ClosedChain) -> np.ndarray:
+    return np.asarray(chain.inverse_dynamics(chain.joint_values(STATE), np.zeros(18), np.zeros(18)))
+
+
+def test_a_payload_adds_its_weight_and_its_inertia() -> None:
+    assumed, loaded = chain_of(None), chain_of(Masses(payload=PAYLOAD))
+    force = np.array([0.0, 0.0, -9.81 * PAYLOAD.mass])
+    arm = STATE.rotation @ np.asarray(PAYLOAD.centre)
+    wrench = np.concatenate([force, np.cross(arm, force)])
+    np.testing.assert_allclose(weights(loaded) - weights(assumed), spm.leg_forces(STATE, wrench), atol=1e-7)
+    # The reflected inertia grows by that of the body at o.
+    q, rest = assumed.joint_values(STATE), np.zeros(18)
+    grown = loaded.platform_dynamics(q, rest).mass - assumed.platform_dynamics(q, rest).mass
+    body = pin.Inertia(PAYLOAD.mass, np.asarray(PAYLOAD.centre), np.asarray(PAYLOAD.inertia))
+    turned = pin.SE3(STATE.rotation, np.zeros(3)).act(body)
+    np.testing.assert_allclose(grown, turned.matrix(), atol=1e-9)
+
+
+def test_bodies_have_the_masses_given_and_keep_the_rest() -> None:
+    platform = {"mass": 24.0, "centre": [0.0, 0.01, 0.05], "inertia": INERTIA.tolist()}
+    given = Masses({"leg_*_rod": {"mass": 5.0}, "leg_c3_rod": {"mass": 6.0}, "terminal_platform": platform})
+    assumed, changed = bodies(urdf_text()), bodies(urdf_text(masses=given))
+    for link, (mass, centre, inertia) in assumed.items():
+        if link == "terminal_platform":
+            expected: tuple[Any, ...] = (24.0, platform["centre"], INERTIA)
+        elif link.startswith("leg_") and link.endswith("_rod"):
+            new = 6.0 if link == "leg_c3_rod" else 5.0
+            expected = (new, centre, inertia * new / mass)
+        else:
+            expected = (mass, centre, inertia)
+        for value, wanted in zip(changed[link], expected, strict=True):
+            np.testing.assert_allclose(value, wanted, atol=1e-12, err_msg=link)
+
+
+def bodies(urdf: str) -> dict[str, tuple[float, np.ndarray, np.ndarray]]:
+    """Mass, centre and inertia in the axes of the link, read by yourdfpy."""
+    robot = yourdfpy.URDF.load(io.StringIO(urdf), build_scene_graph=False, load_meshes=False)
+    found = {}
+    for name, link in robot.link_map.items():
+        turn = link.inertial.origin[:3, :3]
+        found[name] = link.inertial.mass, link.inertial.origin[:3, 3], turn @ link.inertial.inertia @ turn.T
+    return found
+
+
+def test_all_formats_weigh_the_same() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    given = Masses({"middle_platform": {"mass": 30.0}}, PAYLOAD)
+    model = mujoco.MjModel.from_xml_string(mjcf_text(masses=given))
+    expected = pin.buildModelFromXML(urdf_text(masses=given))
+    grounded = sum(mass for name, (mass, *_) in bodies(urdf_text(masses=given)).items() if name.startswith("base"))
+    assert model.body_mass.sum() == pytest.approx(pin.computeTotalMass(expected) + grounded, rel=1e-9)
+    parts = spm.symbolic.bodies(masses=given)
+    chain = chain_of(given)
+    state = STATE.middle_joints, STATE.rotation, STATE.translation
+    forces = spm.symbolic.gravity()(*state, parts, np.zeros(4), [0.0, 0.0, -9.81])
+    np.testing.assert_allclose(forces.full().ravel(), weights(chain), rtol=1e-9)
+    with pytest.raises(spm.ArgumentError, match="masses: expected bodies of leg b2 with their common centres"):
+        spm.symbolic.bodies(masses=Masses({"leg_b2_rod": {"mass": 3.0, "centre": [0.1, 0.0, 0.0]}}))
+
+
+def test_a_file_gives_the_same_masses(tmp_path: Path) -> None:
+    content = {
+        "bodies": {"terminal_platform": {"mass": 24.0, "inertia": INERTIA.tolist()}, "leg_*_rod": {"mass": 5.0}},
+        "payload": {"mass": 10.0, "centre": [0.1, -0.05, 0.2], "inertia": np.asarray(PAYLOAD.inertia).tolist()},
+    }
+    file = tmp_path / "masses.yaml"
+    file.write_text(yaml.safe_dump(content), encoding="utf-8")
+    read, made = Masses.from_yaml(file), Masses(content["bodies"], PAYLOAD)
+    assert urdf_text(masses=read, prefix="left_") == urdf_text(masses=made, prefix="left_")
+    # A URDF that is given takes them as well.
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(urdf_text(), encoding="utf-8")
+    chain = spm.ClosedChain.from_urdf(urdf, masses=read)
+    np.testing.assert_allclose(weights(chain), weights(chain_of(made)), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("- 1", "expected a mapping with the keys bodies and payload, got list"),
+        ("masses: {}", "got masses"),
+        ("payload: 5", "payload: expected a mapping with mass"),
+        ("payload: {mass: -1}", r"payload.mass: expected a mass in kg, not negative, got -1"),
+        ("payload: {centre: [0, 0, 0]}", "payload: expected a mapping with mass"),
+        ("bodies: {terminal_platform: {weight: 3}}", r"bodies\[terminal_platform\]: expected a mapping with mass"),
+        (
+            "bodies: {terminal_platform: {mass: 3, centre: [0, 1]}}",
+            r"terminal_platform\].centre: expected real numbers",
+        ),
+        ("payload: {mass: 1, inertia: [[1, 0, 0], [0, 1, 0], [0, 0, 9]]}", "payload.inertia: expected principal"),
+        ("payload: {mass: [", "a readable YAML file"),
+    ],
+)
+def test_a_file_that_has_no_masses_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "masses.yaml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(DescriptionError, match=words):
+        Masses.from_yaml(file)
+
+
+def test_an_unknown_link_is_refused() -> None:
+    with pytest.raises(DescriptionError, match=r"masses: expected names of links in the URDF, .* got 'legs'"):
+        urdf_text(masses=Masses({"legs": {"mass": 1.0}}))
