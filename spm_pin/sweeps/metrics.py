@@ -15,6 +15,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -22,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics import forward_displacement
-from spm_pin.mechanism import BRANCHES, Status
-from spm_pin.mechanism.arguments import FloatArray, check_instance, choice, real_number
+from spm_pin.kinematics import forward_displacement, singular_values
+from spm_pin.mechanism import BRANCHES, Configuration, Status
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, choice, real_number
 from spm_pin.sweeps.points import Points
 
 DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")
@@ -237,6 +238,50 @@ def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Met
     return chosen
 
 
+def condition(
+    metric: str | Metric, *, least: float | None = None, most: float | None = None
+) -> Callable[[Configuration], BoolArray]:
+    """Return the condition on states that a metric is from `least` to `most`, for volumes and the like.
+
+    Parameters
+    ----------
+    metric : str or Metric
+        A metric, by its name or with parameters; it is evaluated at the readings of the states, without leg limits.
+    least, most : float, optional
+        Bounds in the unit of the metric, at least one; NaN is not within them.
+
+    Returns
+    -------
+    callable
+        Takes states (...) and returns booleans (...); it can be sent to other processes.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> good = spm.sweeps.condition("conditioning", least=1 / 60)
+    >>> state = spm.forward_physical(spm.Geometry.paper(), [[1.2, 1.3, 1.4, 1.2, 1.35, 1.25], [1.3] * 6])
+    >>> good(state).tolist()
+    [True, False]
+    """
+    chosen, *others = resolve_metrics(metric)
+    if others:
+        raise ArgumentError("metric", "one metric", f"{1 + len(others)} of them")
+    if least is None and most is None:
+        raise ArgumentError("least, most", "at least one of the two", "none")
+    low = -np.inf if least is None else real_number(least, "least", f"a bound in {chosen.unit}")
+    high = np.inf if most is None else real_number(most, "most", f"a bound in {chosen.unit}")
+    if not low <= high:
+        raise ArgumentError("least, most", "a least value that is not above the most", f"{low:g} and {high:g}")
+    return partial(_is_within, chosen, low, high)
+
+
+def _is_within(metric: Metric, least: float, most: float, states: Configuration) -> BoolArray:
+    # States may be outside limits of the geometry, where others were given to the function that asks.
+    machine = dataclasses.replace(states.geometry, limits=None)
+    values = metric.evaluate(Points(machine, "legs", states.readings.reshape(-1, 6)))
+    return np.asarray((values >= least) & (values <= most)).reshape(states.shape)
+
+
 def _package_metric(name: str, parameters: Mapping[str, Any]) -> Metric:
     return METRICS[name](**parameters)
 
@@ -303,9 +348,8 @@ def _payload_down(points: Points, *, push: float = 1.0, pull: float | None = Non
 def _least_stiffness(points: Points, rows: slice, leg_stiffness: float) -> npt.ArrayLike:
     """Return the least stiffness against a force or a moment, `rows` of G, that leaves the other motion free."""
     # A force f moves o by G_v G_vᵀ f / leg_stiffness, G_v the upper three rows of G; everything but the legs is rigid.
-    g = points.platform_jacobians[:, rows]
-    compliance = np.linalg.eigvalsh(np.nan_to_num(g @ g.swapaxes(-1, -2)))[:, -1]
-    return points.spread(_zero_if_singular(leg_stiffness / np.where(np.isnan(g[:, 0, 0]), np.nan, compliance)))
+    largest = singular_values(points.platform_jacobians[:, rows])[:, 0]
+    return points.spread(_zero_if_singular(leg_stiffness / largest**2))
 
 
 def _zero_if_singular(values: FloatArray) -> FloatArray:

@@ -8,9 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics import (
-    SingularityKind,
     branch_lengths,
     determinants,
     forward_physical,
@@ -96,7 +94,7 @@ class Points:
         exists = self.assembled.exists
         solutions = inverse_displacement(self.geometry, self._poses)
         branches = solutions.configurations.transformed(lambda values, _: _spread(values, exists))
-        status = _spread(solutions.status, exists, Status.UNREACHABLE).astype(np.int8)
+        status = _spread(np.asarray(solutions.status), exists, Status.UNREACHABLE).astype(np.int8)
         return SolutionSet(branches, BRANCHES, status)
 
     @cached_property
@@ -141,11 +139,7 @@ class Points:
     @cached_property
     def platform_jacobians(self) -> FloatArray:
         """G of the M `reached` points, shape (M, 6, 6), see `platform_jacobian`; NaN at a forward singularity."""
-        try:
-            return _locked(platform_jacobian(self.reached))
-        except SingularConfigurationError:
-            regular = (singularities(self.reached).kind & SingularityKind.FORWARD) == 0
-            return _locked(_spread(platform_jacobian(self.reached[regular]), regular))
+        return _locked(platform_jacobian(self.reached))
 
     def singular_values(self, length: float | None = None) -> FloatArray:
         """Return those of G for the twist (v, Lω), shape (M, 6), falling; NaN as G is.

@@ -101,6 +101,7 @@ def run_sweep(
         -128 where nothing has been computed.
     """
     plan = SweepPlan.make(geometry, domain, metrics, chunk)
+    plan.refuse_impossible()
     return _run(plan, store_path(store), scheduler, workers, progress)
 
 

@@ -54,6 +54,14 @@ class SweepPlan:
             raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(reserved))
         return cls(geometry, domain, ordered, domain.chunk_shape(chunk), package_version())
 
+    def refuse_impossible(self) -> None:
+        """Evaluate the package's metrics at one point: what cannot be computed for this machine has no store."""
+        first = self.domain.points((0,) * len(self.chunk), (1,) * len(self.chunk))
+        points = Points(self.geometry, self.domain.space, first)
+        for metric in self.metrics:
+            if metric.is_of_package:
+                metric.evaluate(points)
+
     @property
     def variables(self) -> tuple[Metric, ...]:
         """Variables stored for every point: coordinates of a sample, the status, and the metrics."""
@@ -90,10 +98,10 @@ class SweepPlan:
         variables, count = self.variables, len(coordinates)
         values = {metric.name: np.empty(count, dtype=metric.dtype) for metric in variables}
         for first in range(0, count, _BLOCK):
-            part = slice(first, first + _BLOCK)
-            points = Points(self.geometry, self.domain.space, coordinates[part])
+            block = slice(first, first + _BLOCK)
+            points = Points(self.geometry, self.domain.space, coordinates[block])
             for metric in variables:
-                values[metric.name][part] = metric.evaluate(points)
+                values[metric.name][block] = metric.evaluate(points)
         shape = tuple(part.stop - part.start for part in self.domain.region(index, self.chunk))
         return {name: array.reshape(shape) for name, array in values.items()}
 
@@ -136,7 +144,7 @@ def package_version() -> str:
     return str(import_module("spm_pin").__version__)
 
 
-def definition_differences(stored: Any, requested: Any, where: str = "") -> list[str]:
+def definition_differences(stored: Any, requested: Any, where: str = "", *, of: str = "sweep") -> list[str]:
     """Return the differences between two definitions, a line for each."""
     if stored == requested:
         return []
@@ -149,6 +157,6 @@ def definition_differences(stored: Any, requested: Any, where: str = "") -> list
         elif where == "metrics":
             stored, requested = ([metric["name"] for metric in side] for side in (stored, requested))
     if pairs:
-        return [line for name, old, new in pairs for line in definition_differences(old, new, name)]
+        return [line for name, old, new in pairs for line in definition_differences(old, new, name, of=of)]
     old, new = (json.dumps(value, ensure_ascii=False) for value in (stored, requested))
-    return [f"{where} is {old} in the store and {new} in this sweep"]
+    return [f"{where} is {old} in the store and {new} in this {of}"]

@@ -1,4 +1,4 @@
-"""Processes that compute the chunks of a sweep: this one, others of this machine, or workers of a Dask scheduler."""
+"""Processes that compute chunks of a sweep, or other tasks: this one, others of this machine, or a Dask scheduler's."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import itertools
 import logging
 import signal
 import socket
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import check_instance, whole_number
+from spm_pin.sweeps.metrics import Metric
 from spm_pin.sweeps.points import Points
 from spm_pin.sweeps.store import Store, StoreError
 from spm_pin.sweeps.sweep_plan import SweepPlan, package_version
@@ -25,9 +27,16 @@ if TYPE_CHECKING:
     from distributed import Client, Future, Worker
 
 Chunk = tuple[int, ...]
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 _AHEAD = 1000
 """Chunks that a scheduler is given at a time, so that neither it nor this process holds a list of all of them."""
+_KEEP_MEMORY = {
+    f"distributed.nanny.pre-spawn-environ.MALLOC_{name}_THRESHOLD_": size
+    for name, size in (("TRIM", 2**26), ("MMAP", 2**25))
+}
+"""Where freed memory goes back to the system at once, Dask's choice, NumPy's temporary arrays take twice the time."""
 _PATIENCE = 15
 """Timeout of a connection to a scheduler [s]."""
 
@@ -78,13 +87,53 @@ def complete_chunks(
     plan: SweepPlan, path: Path, scheduler: str | Client | None, workers: int | None
 ) -> Generator[Chunk]:
     """Complete all chunks, in any order, and yield the index of each; `ArgumentError` without the scheduler."""
-    if scheduler is None and 1 in (workers, plan.count):
-        yield from (complete_chunk(plan, path, chunk) for chunk in plan)
+
+    def compile_functions() -> None:
+        # Whether the point is reached does not matter.
+        corner = np.array([[axis.start for axis in plan.domain.axes]])
+        compile_metrics(plan.metrics, Points(plan.geometry, plan.domain.space, corner))
+
+    yield from run_tasks(partial(complete_chunk, plan, path), plan, plan.count, scheduler, workers, compile_functions)
+
+
+def compile_metrics(metrics: Iterable[Metric], points: Points) -> None:
+    """Evaluate metrics once in this process, for workers to find what is compiled in the cache on disk."""
+    for metric in metrics:
+        with contextlib.suppress(SpmError):
+            if metric.is_of_package:
+                metric.evaluate(points)
+
+
+def run_tasks(
+    task: Callable[[Item], Result],
+    items: Iterable[Item],
+    count: int,
+    scheduler: str | Client | None,
+    workers: int | None,
+    prepare: Callable[[], None],
+) -> Generator[Result]:
+    """Yield the results of a task for `count` items, in any order, by processes of this machine or of a scheduler."""
+    with processes(count, scheduler, workers, prepare) as client:
+        yield from map(task, items) if client is None else _scheduled(task, items, client)
+
+
+@contextlib.contextmanager
+def processes(
+    count: int, scheduler: str | Client | None, workers: int | None, prepare: Callable[[], None]
+) -> Iterator[Client | None]:
+    """Start processes for `count` tasks at a time, or connect to a scheduler's, until the end of the `with` block.
+
+    Its value is None if this process is to do all. `prepare` is called before processes are started on this machine.
+    `ArgumentError` without the scheduler.
+    """
+    if scheduler is None and 1 in (workers, count):
+        yield None
         return
+    import dask
     from dask.system import CPU_COUNT
     from distributed import Client, LocalCluster
 
-    with contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack, dask.config.set(_KEEP_MEMORY):
         client: Any = scheduler
         if isinstance(scheduler, str):
             try:
@@ -93,17 +142,11 @@ def complete_chunks(
                 cause = "Is it running, and can it be reached from here?"
                 raise ArgumentError("scheduler", "the address of a Dask scheduler", repr(scheduler), cause) from error
         elif scheduler is None:
-            # Compiled here, for workers to find in the cache on disk; whether the point is reached does not matter.
-            corner = np.array([[axis.start for axis in plan.domain.axes]])
-            points = Points(plan.geometry, plan.domain.space, corner)
-            for metric in plan.metrics:
-                with contextlib.suppress(SpmError):
-                    if metric.is_of_package:
-                        metric.evaluate(points)
+            prepare()
             # One thread each: part of the work holds the interpreter's lock. Any free port for the dashboard: without
             # an address it takes a fixed one, which another sweep may have.
             cluster = LocalCluster(
-                n_workers=min(workers or CPU_COUNT, plan.count),
+                n_workers=min(workers or CPU_COUNT, count),
                 threads_per_worker=1,
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
@@ -111,23 +154,22 @@ def complete_chunks(
             )
             client = stack.enter_context(Client(stack.enter_context(cluster), set_as_default=False))
             client.register_plugin(_ignore_interrupts())
-        yield from _scheduled(plan, path, client)
+        yield client
 
 
-def _scheduled(plan: SweepPlan, path: Path, client: Client) -> Iterator[Chunk]:
+def _scheduled(task: Callable[[Item], Result], items: Iterable[Item], client: Client) -> Iterator[Result]:
     from distributed import KilledWorker, as_completed
 
     def submit(count: int) -> list[Future[Any]]:
-        chunks = itertools.islice(left, count)
-        return [client.submit(complete_chunk, plan, path, chunk, pure=False) for chunk in chunks]
+        return [client.submit(task, item, pure=False) for item in itertools.islice(left, count)]
 
-    left = iter(plan)
+    left = iter(items)
     finished = as_completed(submit(_AHEAD), loop=client.loop)
     try:
         for future in finished:
-            chunk: Chunk = future.result()
+            result: Result = future.result()
             finished.update(submit(1))
-            yield chunk
+            yield result
     except KilledWorker as error:
         cause = "out of memory, where a smaller chunk helps, or ended by somebody"
         raise WorkersLostError(f"several workers died, one after another, over the same chunk: {cause}") from error

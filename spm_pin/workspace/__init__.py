@@ -6,7 +6,7 @@ from spm_pin.workspace.joint_limits import JointLimits, leg_clearance
 from spm_pin.workspace.orientation import OrientationWorkspace, orientation_workspace
 from spm_pin.workspace.paper_shell import LegSetting, Patch, Shell, workspace_shell
 from spm_pin.workspace.poses import NearestPose, Reachability, nearest_reachable_pose, pose_distance, reachable
-from spm_pin.workspace.positions import Estimate, PositionReach, reachable_position, reachable_volume
+from spm_pin.workspace.positions import Estimate, PositionReach, pose_volume, reachable_position, reachable_volume
 from spm_pin.workspace.sampling import sample_reachable
 
 __all__ = [
@@ -26,6 +26,7 @@ __all__ = [
     "nearest_reachable_pose",
     "orientation_workspace",
     "pose_distance",
+    "pose_volume",
     "reachable",
     "reachable_boundary",
     "reachable_position",

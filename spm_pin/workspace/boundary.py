@@ -17,12 +17,12 @@ from scipy.spatial import KDTree
 
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.kernels import RESOLUTION
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, generator, real_number, whole_number
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LegLimits
 from spm_pin.workspace.closed_mesh import ClosedMesh
 from spm_pin.workspace.search import (
-    RESOLUTION,
     SINGULARITY_MARGIN,
     NearestPoints,
     in_chunks,
@@ -234,11 +234,11 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
             within[left[good]], outermost[left[~good]] = member.coordinates[good], member.coordinates[~good]
             low[left], high[left] = np.where(good, middle, low[left]), np.where(good, high[left], middle)
         # Going outwards from one state, another may be overlooked: just outside nothing must be reachable.
-        beyond = np.minimum(high[left] + _CHECK_DISTANCE, 1.0)
-        member = search_states(states, inner[left] + beyond[:, None] * along[left])
-        farther = np.flatnonzero(member.reached & (beyond < 1.0))
+        outside = np.minimum(high[left] + _CHECK_DISTANCE, 1.0)
+        member = search_states(states, inner[left] + outside[:, None] * along[left])
+        farther = np.flatnonzero(member.reached & (outside < 1.0))
         left = left[farther]
-        within[left], low[left], high[left] = member.coordinates[farther], beyond[farther], 1.0
+        within[left], low[left], high[left] = member.coordinates[farther], outside[farther], 1.0
     # In the outermost state, legs are beyond their limits by what is left of the residual. Beside a forward singularity
     # such readings may lead elsewhere: those of the last state within do not.
     vertices = inner + low[:, None] * along

@@ -204,9 +204,9 @@ class WindingNumbers:
         cell = column[:, 0] * self._cells + column[:, 1]
         start, length = self._first[cell], np.diff(self._first)[cell]
         cuts = np.flatnonzero(np.diff(np.cumsum(length) // _PAIRS)) + 1
-        for part in np.split(np.arange(len(inside)), cuts):
-            which, at = _ragged(length[part])
-            point, face = inside[part[which]], self._filed[start[part[which]] + at]
+        for group in np.split(np.arange(len(inside)), cuts):
+            which, offset = _ragged(length[group])
+            point, face = inside[group[which]], self._filed[start[group[which]] + offset]
             ahead = self._top[face] >= points[point, 2]
             yield point[ahead], face[ahead]
 

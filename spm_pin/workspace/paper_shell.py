@@ -10,12 +10,13 @@ from __future__ import annotations
 import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from spm_pin.errors import ArgumentError, GeometryError, SelectionError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
+from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits, notebook
 from spm_pin.mechanism.arguments import (
     FloatArray,
     IntArray,
@@ -31,7 +32,10 @@ from spm_pin.workspace.closed_mesh import ClosedMesh, Convergence, enclosed_volu
 FINEST = 2000
 """Increments of a varying leg, at most: 24 surfaces of four million vertices."""
 
-Corner = tuple[int, ...]
+SENSES = (1, -1, 1, -1, 1, 1, -1, 1, 1, -1, -1, 1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, -1, -1)
+"""Senses in which the outlines of the surfaces are gone round: neighbours run along their edge in opposite ones.
+
+Which side is then outwards is for the positions to say."""
 
 ERRATA = {("St3", "r_b1"): "mmax", ("Sm3", "r_b3"): "min", ("Sm5", "r_b3"): "bmin~mmax"}
 """Misprinted cells of Table 6, by surface and leg, as printed. The stage's letter is missing or another; the column
@@ -79,18 +83,6 @@ class SubWorkspace:
         steps[..., second] = np.arange(resolution + 1)
         return steps
 
-    @property
-    def corners(self) -> tuple[Corner, ...]:
-        """The four corners, 0 at a minimum and 1 at a maximum, going round: first leg out, second out, both back."""
-        square = self.increments(1)
-        return tuple(tuple(int(x) for x in square[at]) for at in ((0, 0), (1, 0), (1, 1), (0, 1)))
-
-    @property
-    def sides(self) -> tuple[tuple[Corner, Corner], ...]:
-        """The four edges in the same sense, each from one corner to the next."""
-        ring = self.corners
-        return tuple(zip(ring, (*ring[1:], ring[0]), strict=True))
-
 
 def sub_workspaces() -> tuple[SubWorkspace, ...]:
     """Return the rows of Table 6."""
@@ -101,26 +93,6 @@ def _setting(cell: str) -> LegSetting:
     """Return the setting in a cell of the table: the limit is legible, whatever letter stands before it."""
     first, *last = cell.replace("~", " ").split()
     return LegSetting.VARIES if last else LegSetting(first[-3:])
-
-
-def orientations(rows: Sequence[SubWorkspace]) -> tuple[int, ...]:
-    """Return for each row 1 or -1, such that neighbours run along their common edge in opposite senses.
-
-    The rows join to a closed surface: every edge is shared by exactly two. The first row has 1. All of them times -1 is
-    the other possibility; which one points outwards is for the positions to say.
-    """
-    shared: dict[frozenset[Corner], list[tuple[int, int]]] = {}
-    for k, row in enumerate(rows):
-        for start, end in row.sides:
-            shared.setdefault(frozenset((start, end)), []).append((k, 1 if start < end else -1))
-    sense = {0: 1}
-    for _ in rows:
-        for (i, along), (j, across) in shared.values():
-            if i in sense:
-                sense.setdefault(j, -along * across * sense[i])
-            elif j in sense:
-                sense[i] = -along * across * sense[j]
-    return tuple(sense[k] for k in range(len(rows)))
 
 
 @dataclass(frozen=True)
@@ -156,6 +128,14 @@ class Shell(ClosedMesh):
     def __repr__(self) -> str:
         size = f"{len(self.vertices)} vertices, {len(self.faces)} faces"
         return f"<Shell: {len(self.patches)} patches, {size}, {self.volume:.4f} m³>"
+
+    def _repr_html_(self) -> str:
+        rows = [(patch.name, f"{patch.area:.4f}") for patch in self.patches]
+        return notebook.table(repr(self), ("patch", "area [m²]"), rows)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure of the shell from four sides, after the paper's Fig. 2."""
+        return notebook.plot("shell_figure", self)
 
     def __getitem__(self, name: str) -> Patch:
         for patch in self.patches:
@@ -205,18 +185,17 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     (24, 2, 1.653)
     """
     if not check_instance(geometry, Geometry, "geometry").is_nominal:
-        cause = "The paper's 24 surfaces are those of the drawing: pass its .nominal?"
+        cause = "The paper's 24 surfaces are those of the drawing: geometry.nominal, or the file without its legs"
         raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     limits = _read_limits(geometry, limits)
     n = whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)
     rows = sub_workspaces()
-    signs = orientations(rows)
     coarser = sorted({-(-n // 4), -(-n // 2)})
     volumes = []
     for m in (*coarser, n):
         lengths, grids = _joined(rows, limits, m)
         states = _assembled(geometry, limits, lengths)
-        faces = np.concatenate([_lofted(grid, sign) for grid, sign in zip(grids, signs, strict=True)])
+        faces = np.concatenate([_lofted(grid, sign) for grid, sign in zip(grids, SENSES, strict=True)])
         volumes.append(enclosed_volume(states.translation, faces))
     outward = 1 if volumes[-1] > 0.0 else -1
     vertices, faces = states.translation, frozen(faces[:, ::outward])

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from spm_pin.errors import ArgumentError
+from spm_pin.formulas.stages import HOME_ASPECT
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import (
@@ -27,9 +28,8 @@ from spm_pin.mechanism import (
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
 from spm_pin.mechanism.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.workspace.joint_limits import JointLimits
-from spm_pin.workspace.nearest_real_pose import nearest_real_pose
 from spm_pin.workspace.search import nearest_states
-from spm_pin.workspace.states import HOME_ASPECT, free_states, states_around, states_within
+from spm_pin.workspace.states import free_states, states_around, states_within
 
 _STARTS = 8
 """Starts of a search: the states of a sample whose platform joints are nearest to the target's."""
@@ -37,6 +37,8 @@ _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
 _FREE_SAMPLE, _FREE_STARTS, _SEED = 4096, 32, 20_140_131
 """States looked through for starts without leg limits, how many of them are taken, and their seed."""
+_SPREADS = 4 * (0.1, 0.3, 1.0)
+"""How far from where they ended searches without leg limits begin again, in the coordinates."""
 _OFF_THE_EDGE = 1e-5
 """Step in the coordinates away from where two branches meet: there rounding decides whether they are real."""
 
@@ -288,7 +290,9 @@ def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: C
     states, joints = free_states(geometry, branch[:2]), geometry.platform_joints
     targets, rng = _joint_positions(geometry, matrices[left]), np.random.default_rng(_SEED)
     sample = np.empty((_FREE_SAMPLE, 2, 3))
-    radius, angle = np.sqrt(rng.uniform(0.0, 0.9, sample.shape[:2])), rng.uniform(0.0, 2.0 * np.pi, sample.shape[:2])
+    # Most near the rim of the unit circle: in families of two modes the nearest states are there.
+    radius = np.sqrt(1.0 - rng.uniform(0.0, 1.0, sample.shape[:2]) ** 2)
+    angle = rng.uniform(0.0, 2.0 * np.pi, sample.shape[:2])
     sample[..., 0], sample[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
     heights = rng.uniform(-1.0, 1.0, sample.shape[:2]) / states.radius
     nearest = []
@@ -301,10 +305,14 @@ def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: C
         last = states.coordinates(Configuration(geometry, near.pose.as_matrix()[None], near.middle_joints[None]))
         starts = np.concatenate([np.broadcast_to(last, (len(left), 1, 2, 3)), starts], axis=1)
     result = nearest_states(states, targets, starts, joints)
-    # (x, y) and (-x, -y) are the same turn at the edge of the unit circle, where a search stops: it may go on there.
-    across = nearest_states(states, targets, result.coordinates[:, None] * [-1.0, -1.0, 1.0], joints)
-    nearer = np.flatnonzero(across.distance < result.distance)
-    result.update(nearer, across, nearer)
+    for spread in _SPREADS:
+        # Again from around the ends, and from (-x, -y), which is the same turn at the edge of the unit circle.
+        around = result.coordinates[:, None] + spread * rng.normal(size=(len(left), _FREE_STARTS, 2, 3))
+        around[..., :2] *= rng.choice([-1.0, 1.0], size=(*around.shape[:3], 1))
+        around[..., :2] /= np.maximum(np.hypot(around[..., 0], around[..., 1]) / 0.98, 1.0)[..., None]
+        again = nearest_states(states, targets, around, joints)
+        nearer = np.flatnonzero(again.distance < result.distance)
+        result.update(nearer, again, nearer)
     # Where the branch begins to be real it meets another: a step along what keeps the pose there tells them apart.
     step = _OFF_THE_EDGE * np.linalg.svd(states.jacobians(result.coordinates))[2][:, -1].reshape(-1, 2, 3)
     room = 0.5 * (1.0 - np.hypot(*np.moveaxis(result.coordinates[..., :2], -1, 0)).max(axis=-1))
@@ -317,14 +325,4 @@ def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: C
     for array, name in zip(arrays, ("rotation", "translation", "middle_joints"), strict=True):
         first, second = (getattr(side, name) for side in sides)
         array[left] = np.where(wanted.reshape(-1, *(1,) * (first.ndim - 1)), first, second)
-    # Of mixed families there may be nearer ones: the drawing's quadratic forms give them, to be solved for anew.
-    from_near = None if near is None else near.pose
-    for k in left:
-        drawn = nearest_real_pose(geometry, as_rigid_transform(matrices[k]), branch[:2], from_near)
-        state = inverse_displacement(geometry, drawn)[branch]
-        here = Configuration.from_arrays(geometry, *(array[k] for array in arrays)).pose.as_matrix()
-        distances = [_joint_distance(geometry, matrix - matrices[k]) for matrix in (drawn.as_matrix(), here)]
-        if state.exists and not distances[0] >= distances[1]:
-            for array, value in zip(arrays, (state.rotation, state.translation, state.middle_joints), strict=True):
-                array[k] = value
     return Configuration.from_arrays(geometry, *arrays)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 
-from spm_pin.mechanism import Geometry, LegLimits
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.kernels import RESOLUTION
+from spm_pin.mechanism import Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
@@ -17,14 +21,22 @@ from spm_pin.mechanism.arguments import (
     generator,
     real_array,
     real_number,
+    type_and_value,
     whole_number,
 )
 from spm_pin.workspace.boundary import reachable_boundary
-from spm_pin.workspace.search import RESOLUTION, nearest_points, search_states, start_table
-from spm_pin.workspace.states import states_within
+from spm_pin.workspace.search import Membership, nearest_points, search_states, start_table
+from spm_pin.workspace.states import StateSet, pose_densities, states_within
 
 _OPTIMALITY_TOLERANCE = 1e-6
 """Violation of the conditions of a nearest point, dimensionless, above which the search has not converged."""
+_TRIED = 8
+"""States that satisfy a condition from which one at a point is looked for."""
+_LARGE = 0.99
+"""Share of the states with a smaller weight than one that is assumed where no state counts."""
+
+Condition = Callable[[Configuration], npt.ArrayLike]
+"""Takes states (n,) and returns for each whether it counts, (n,); see `spm_pin.sweeps.condition` for one of metrics."""
 
 
 @dataclass(frozen=True)
@@ -103,18 +115,42 @@ class Estimate:
         method: str,
         unit: str,
         relative_variance: float = 0.0,
+        unseen: float | None = None,
     ) -> Estimate:
         """Return an integral over a region of size `whole` from uniform samples (N,) of it: Student's interval.
 
-        The size may be an independent estimate, unbiased and with the given relative variance.
+        The size may be an independent estimate, unbiased and with the given relative variance. Where few values are
+        not zero, `unseen` is what another one may be, and the interval includes that of the effective number of hits.
         """
         from scipy import stats
 
         mean = float(values.mean())
         variance = float(values.var(ddof=1)) / len(values) + mean**2 * relative_variance
         error = float(stats.t.ppf(0.5 + 0.5 * confidence, len(values) - 1)) * np.sqrt(variance)
-        ends = whole * max(mean - error, 0.0), whole * (mean + error)
+        low, high = max(mean - error, 0.0), mean + error
+        if unseen is not None:
+            counted = _counted_ends(values, unseen, confidence)
+            low, high = float(np.fmin(low, counted[0])), float(np.fmax(high, counted[1]))
+        ends = whole * low, whole * high
         return cls(whole * mean, *ends, confidence, len(values), method, unit)
+
+
+def _counted_ends(values: FloatArray, unseen: float, confidence: float) -> tuple[float, float]:
+    """Return both ends for the mean of values (N,) of which few are not zero, after Fay and Feuer.
+
+    They are Clopper and Pearson's of (Σ v)² / Σ v² hits; the upper end counts one more, the largest or `unseen`.
+    M. P. Fay, E. J. Feuer, "Confidence intervals for directly standardized rates", Statistics in Medicine 16 (1997).
+    """
+    from scipy import stats
+
+    def end(share: float, more: float) -> float:
+        total, squares = float(values.sum()) + more, float((values**2).sum()) + more**2
+        if total == 0.0:
+            return 0.0
+        hits = total**2 / squares
+        return float(stats.beta.ppf(share, hits, len(values) - hits + 1.0)) * squares / total
+
+    return end(0.5 - 0.5 * confidence, 0.0), end(0.5 + 0.5 * confidence, max(float(values.max()), unseen))
 
 
 def check_confidence(confidence: float) -> float:
@@ -160,6 +196,7 @@ def reachable_volume(
     limits: LegLimits | None = None,
     *,
     method: Literal["sampling", "mesh"] = "sampling",
+    where: Condition | None = None,
     samples: int = 20_000,
     spacing: float = 0.1,
     confidence: float = 0.95,
@@ -176,6 +213,10 @@ def reachable_volume(
         "sampling": the share of uniform points that are reachable, with Clopper and Pearson's interval, whose upper end
         counts undecided points as reachable. "mesh": the volume enclosed by `reachable_boundary` at `spacing` and half
         of it, extrapolated; the error is the extrapolated part, and the interval has no confidence.
+    where : callable, optional
+        Takes states (n,) and returns which of them count, (n,): then a position does if one of its states does. A point
+        is a hit, and counts whole, where such a state was found; where none was, the upper end counts it all the same,
+        so that the interval is wide where few states count. For "sampling" only; see `pose_volume` for states.
     samples : int
         Points for "sampling".
     spacing : float
@@ -187,6 +228,8 @@ def reachable_volume(
     """
     check_confidence(confidence)
     if choice(method, "method", ("sampling", "mesh")) == "mesh":
+        if where is not None:
+            raise ArgumentError("where", 'None with the method "mesh"', type_and_value(where))
         coarse = reachable_boundary(geometry, limits, spacing=spacing, progress=progress)
         fine = reachable_boundary(geometry, limits, spacing=0.5 * spacing, progress=progress)
         # A mesh with vertices on a surface is off by the square of its spacing.
@@ -198,5 +241,87 @@ def reachable_volume(
     states, rng = states_within(geometry, limits), generator(rng)
     points, region = start_table(states).draw_around(count, rng)
     member = search_states(states, points, what="reachable points", progress=progress)
-    hits, undecided = int(member.reached.sum()), int(member.undecided.sum())
-    return Estimate.from_hits(hits, count, region, confidence, "share of uniform points", "m³", undecided)
+    hits, undecided = member.reached, member.undecided
+    if where is not None:
+        hits = _with_condition(states, points, member, where, rng)
+        undecided = undecided | (member.reached & ~hits)
+    numbers = int(hits.sum()), int(undecided.sum())
+    return Estimate.from_hits(numbers[0], count, region, confidence, "share of uniform points", "m³", numbers[1])
+
+
+def pose_volume(
+    geometry: Geometry,
+    limits: LegLimits | None = None,
+    *,
+    where: Condition | None = None,
+    samples: int = 20_000,
+    confidence: float = 0.95,
+    rng: np.random.Generator | int | None = None,
+) -> Estimate:
+    """Estimate the volume of the poses that are reachable in the physical mode, in m³ rad³; all rotations have 8π².
+
+    Parameters
+    ----------
+    geometry, limits
+        As for `reachable_volume`.
+    where : callable, optional
+        Takes states (n,) and returns which of them count, (n,); all if not given. A state counts with one over the
+        number of states of its pose, whether those count or not.
+    samples : int
+        States to draw.
+    confidence : float
+        Of the interval, which is Student's; with `where` the wider of that and one of the effective number of states
+        that count. The estimate's `method` says how many do.
+    rng : Generator or int, optional
+        Source of randomness, or its seed.
+
+    Notes
+    -----
+    States are drawn uniformly in coordinates of the stages, and weighted with |det ∂(o, R)/∂c| over the number of
+    states with the same pose. A ratio of two such volumes, of the same seed, is a share of the poses.
+    """
+    check_confidence(confidence)
+    count = whole_number(samples, "samples", least=2)
+    states, rng = states_within(geometry, limits), generator(rng)
+    (lower, first), (upper, second) = (states.draw_stages(stage, count, rng) for stage in range(2))
+    number = min(len(lower), len(upper))
+    coordinates = np.stack([lower[:number], upper[:number]], axis=1)
+    values, method = pose_densities(states, coordinates), "change of variables from coordinates of the stages"
+    unseen = None
+    if where is not None:
+        satisfied = check_condition(where, states.states(coordinates))
+        hits = int(satisfied.sum())
+        # The weight of a state that was not drawn: the fewer count, the less is known of it.
+        unseen = float(np.quantile(values, _LARGE)) / max(hits, 1)
+        values, method = np.where(satisfied, values, 0.0), f"{method}; {hits} of {number} states count"
+    return Estimate.from_mean(values, first * second, confidence, method, "m³ rad³", 2.0 / number, unseen)
+
+
+def check_condition(where: Condition, states: Configuration) -> BoolArray:
+    """Return which states (n,) satisfy a condition, after a check of what it returns."""
+    if not callable(where):
+        raise ArgumentError("where", "a function of states that says which count", type_and_value(where))
+    answer = np.asarray(where(states))
+    if answer.shape != states.shape or answer.dtype.kind != "b":
+        received = f"{answer.dtype} of shape {answer.shape}"
+        raise ArgumentError("where", f"a function that returns booleans of shape {states.shape}", received)
+    return answer
+
+
+def _with_condition(
+    states: StateSet, points: FloatArray, member: Membership, where: Condition, rng: np.random.Generator
+) -> BoolArray:
+    """Return at which points (N, 3) a state was found that satisfies a condition."""
+    satisfied = np.zeros(len(points), dtype=np.bool_)
+    satisfied[member.reached] = check_condition(where, states.states(member.coordinates[member.reached]))
+    drawn = np.concatenate([states.sample, states.draw(len(states.sample), rng)])
+    starts = drawn[check_condition(where, states.states(drawn))]
+    if not len(starts):
+        return satisfied
+    nearest = KDTree(states.positions(starts)).query(points, min(_TRIED, len(starts)))[1].reshape(len(points), -1)
+    for column in nearest.T:
+        left = np.flatnonzero(member.reached & ~satisfied)
+        moved = search_states(states, points[left], starts[column[left]])
+        left, coordinates = left[moved.reached], moved.coordinates[moved.reached]
+        satisfied[left] = check_condition(where, states.states(coordinates))
+    return satisfied

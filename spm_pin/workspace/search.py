@@ -18,11 +18,10 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import ConvexHull
 
 from spm_pin.kinematics.batches import run_kernel
+from spm_pin.kinematics.kernels import RESOLUTION
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress
 from spm_pin.workspace.states import CENTRE, StateSet
 
-RESOLUTION = 1e-9
-"""Distances are found to this share of the machine's size."""
 SINGULARITY_MARGIN = 3e-7
 """Least determinant of a stage, about 1 at home, in searches for the boundary: nearer to a forward singularity,
 rounding of the readings moves o farther than `RESOLUTION`."""

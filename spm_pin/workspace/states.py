@@ -13,12 +13,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from spm_pin.errors import ArgumentError
+from spm_pin.formulas.leg_constants import TANGENT_SIGNS
+from spm_pin.formulas.stages import ANY_ASPECT, HOME_ASPECT
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, first_offender
-from spm_pin.mechanism.branch_of_state import FAMILIES, TANGENT_SIGNS, family, physical, stage_coordinates
+from spm_pin.mechanism.branch_of_state import FAMILIES, family, physical, stage_coordinates
 
 CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""
@@ -26,7 +28,6 @@ _HALF_TURN = np.array([-1.0, -1.0, 1.0])
 """Diagonal of the half turn about Z."""
 _UPWARD = np.array([1.0, -1.0])
 """Sign of Z at home of each stage."""
-_INSIDE, HOME_ASPECT, _ANY_ASPECT = 3, 2.0, 0.0
 _SAMPLE, _SEED = 20_000, 20_140_131
 """Number of states in `StateSet.sample`, and the seed of the samples, fixed so that results repeat."""
 _MIN_BATCH = 4096
@@ -86,7 +87,7 @@ class StateSet:
     def legs(self) -> FloatArray:
         """Axis, pivot, ball and offset of the legs of both stages, (2, 3, 10); axes are tangents of the platforms."""
         legs = self.geometry.legs
-        axes = TANGENT_SIGNS[:, None] * legs.axes
+        axes = np.tile(TANGENT_SIGNS, 2)[:, None] * legs.axes
         balls = legs.balls * np.repeat(self._turns, 3, axis=0)
         return np.concatenate([axes, legs.pivots, balls, legs.offsets[:, None]], axis=-1).reshape(2, 3, 10)
 
@@ -96,14 +97,14 @@ class StateSet:
         Determinants are to be larger than `margin`, where the aspect matters.
         """
         aspects = np.array(self.aspects)
-        least = np.where(aspects == _ANY_ASPECT, -np.inf, margin * self.size)
+        least = np.where(aspects == ANY_ASPECT, -np.inf, margin * self.size)
         limits = np.array([[*self.minimum, *least], [*self.maximum, np.inf, np.inf]])
         between = self._turns[0] * self._turns[1]
         return self.legs, self.radius, self.size, aspects, np.require(body, requirements=("C", "W")), between, limits
 
     def stages(self, stage: int, coordinates: FloatArray) -> Stages:
         """Return the lower (0) or upper (1) stage at coordinates (N, 3), seen from {B} or {m}."""
-        from spm_pin.kinematics.kernels.stage_states import stage_states
+        from spm_pin.kinematics.kernels.stage_states import INSIDE, stage_states
 
         constants = self.legs[stage], self.radius, float(_UPWARD[stage]), self.aspects[stage]
         results = ((16,), np.float64), ((10, 3), np.float64), ((), np.int64)
@@ -114,7 +115,7 @@ class StateSet:
             values[:, 9:12],
             values[:, 12:15],
             values[:, 15],
-            places == _INSIDE,
+            places == INSIDE,
             slopes[:, :3],
             slopes[:, 3:6],
         )
@@ -352,4 +353,4 @@ def _home_states(geometry: Geometry, limits: LegLimits) -> StateSet:
 
 def free_states(geometry: Geometry, modes: str) -> StateSet:
     """Return all states of a family, whatever the readings, on all sides of forward singularities."""
-    return StateSet(geometry, np.full(6, -np.inf), np.full(6, np.inf), modes, (_ANY_ASPECT, _ANY_ASPECT))
+    return StateSet(geometry, np.full(6, -np.inf), np.full(6, np.inf), modes, (ANY_ASPECT, ANY_ASPECT))

@@ -143,14 +143,6 @@ def test_conditioning_and_isotropy_are_those_of_the_inverse_jacobian(length: flo
     np.testing.assert_allclose(METRICS["isotropy"](length=length).evaluate(points), expected, rtol=1e-6)
 
 
-def test_conditioning_is_that_of_pinocchio() -> None:
-    chain = spm.ClosedChain.from_urdf()
-    points = Points(GEOMETRY, "legs", legs(5))
-    for k, value in enumerate(METRICS["conditioning"](length=0.5).evaluate(points)):
-        matrix = chain.inverse_jacobian(chain.joint_values(points.physical[k])) / np.repeat([1.0, 0.5], 3)
-        assert 1.0 / np.linalg.cond(matrix) == pytest.approx(value, rel=1e-7)
-
-
 def test_conditioning_does_not_depend_on_the_size_of_the_machine() -> None:
     small = spm.Geometry(GEOMETRY.base_radius / 50, GEOMETRY.platform_radius / 50, GEOMETRY.middle_side / 50)
     lengths = legs(20)
@@ -325,14 +317,6 @@ def test_metrics_cannot_modify_shared_points(name: str, space: Space) -> None:
     for array in (points.singular_values(0.3), points.physical.translation, points.solutions.leg_lengths):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
-
-
-def test_rotations_are_those_of_poses() -> None:
-    poses = mixed_poses(300)
-    points = Points(GEOMETRY, "pose", poses)
-    expected = spm.pose(poses[:, :3], xyx=poses[:, 3:]).rotation.as_matrix()
-    np.testing.assert_allclose(points.physical.rotation[points.reachable], expected[points.reachable], atol=1e-15)
-    np.testing.assert_allclose(points.solutions.rotation[:, 0], expected, atol=1e-15)
 
 
 def test_names_alone_make_metrics() -> None:

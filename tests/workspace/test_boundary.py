@@ -152,8 +152,8 @@ def test_bad_input_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_ten_thousand_boundary_points_obey_the_theorem() -> None:
-    points = reachable_boundary(PAPER, spacing=0.1).sample(10_000, rng=5)
+def test_thousands_of_boundary_points_obey_the_theorem() -> None:
+    points = reachable_boundary(PAPER, spacing=0.1).sample(4_000, rng=5)
     check_theorem(points, spm.LegLimits(1.1, 1.5))
-    outside = reachable_position(PAPER, points.position[:2000] + 1e-3 * points.normal[:2000])
+    outside = reachable_position(PAPER, points.position[:1000] + 1e-3 * points.normal[:1000])
     assert not outside.reachable.any()

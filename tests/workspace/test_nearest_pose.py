@@ -10,6 +10,7 @@ import spm_pin as spm
 from spm_pin.workspace import nearest_reachable_pose, pose_distance
 
 PAPER = spm.Geometry.paper()
+BUILT = PAPER.perturbed(3, length=5e-3, angle=5e-3)
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
 START = spm.forward_physical(PAPER, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
 
@@ -23,19 +24,23 @@ def random_targets(count, seed=3):
     return [moved(START.pose, rng.normal(0.0, 0.3, 3), rng.normal(0.0, 0.3, 3)) for _ in range(count)]
 
 
-@pytest.mark.parametrize("near", [START, None], ids=["from a state", "from the sample"])
-def test_nothing_within_the_limits_is_nearer(near):
+@pytest.mark.parametrize(
+    ("geometry", "near"),
+    [(PAPER, START), (PAPER, None), (BUILT, None)],
+    ids=["from a state", "from the sample", "as built"],
+)
+def test_nothing_within_the_limits_is_nearer(geometry, near):
     rng = np.random.default_rng(3)
     nearer = []
     for target in random_targets(6):
-        found = nearest_reachable_pose(PAPER, target, near=near)
-        lengths = found.configuration.leg_lengths
-        assert PAPER.limits.margin(lengths) >= -1e-12
-        # The same mode all over the box: any lengths will do, near to the result and far away.
+        found = nearest_reachable_pose(geometry, target, near=near)
+        readings = found.configuration.readings
+        assert PAPER.limits.margin(readings) >= -1e-12
+        # The same mode all over the box: any readings will do, near to the result and far away.
         steps = rng.normal(0.0, 1.0, (500, 6)) * np.geomspace(1e-4, 0.3, 500)[:, None]
-        others = spm.forward_physical(PAPER, np.clip(lengths + steps, 1.1, 1.5))
+        others = spm.forward_physical(geometry, np.clip(readings + steps, 1.1, 1.5))
         assert others.exists.all()
-        nearer.append(found.distance - pose_distance(PAPER, others.pose, target).min())
+        nearer.append(found.distance - pose_distance(geometry, others.pose, target).min())
     assert max(nearer) < 2e-5
 
 
@@ -64,7 +69,6 @@ def test_without_limits_the_branch_is_real_and_nothing_found_at_random_is_nearer
 
 
 def test_for_a_fixed_orientation_the_edge_is_where_the_discriminant_vanishes():
-    # Twice the same projection: by the slab, and by bisection along its normal.
     target = spm.pose([1.5, 0.4, 2.2], xyx=np.deg2rad([20.0, 30.0, -15.0]))
     found = nearest_reachable_pose(FREE, target).configuration
     index = spm.inverse_displacement(FREE, found.pose).discriminants[0]
@@ -101,11 +105,8 @@ def test_distance_is_that_of_the_platform_joints():
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ({"geometry": 3}, "geometry"),
-        ({"limits": 3}, "limits"),
         ({"limits": spm.LegLimits(0.0, np.inf), "branch": "TX+"}, "branch"),
         ({"branch": "TT+"}, "branch"),
-        ({"near": START.pose}, "near"),
         ({"near": spm.forward_physical(PAPER, [1.0] * 6)}, "near"),
         ({"near": spm.forward_physical(spm.Geometry(0.5, 0.5, 0.5), [1.2] * 6)}, "near"),
     ],

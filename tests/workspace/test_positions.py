@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from problems import GEOMETRIES
-from scipy.optimize import least_squares
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.workspace.positions import reachable_position
+from spm_pin.workspace.sampling import sample_positions_near_limits
 from spm_pin.workspace.search import nearest_points, start_table
 from spm_pin.workspace.states import states_within
 
 PAPER = GEOMETRIES["paper"]
+BUILT = PAPER.perturbed(3, length=5e-3, angle=5e-3)
 
 
 def test_upper_legs_that_reach_a_point_are_found_from_the_lower_ones() -> None:
@@ -25,19 +28,21 @@ def test_upper_legs_that_reach_a_point_are_found_from_the_lower_ones() -> None:
     np.testing.assert_allclose(upper, coordinates[:, 1], atol=1e-10)
 
 
-def test_poses_of_leg_lengths_within_limits_are_reachable() -> None:
+@pytest.mark.parametrize("geometry", [PAPER, BUILT], ids=["as drawn", "as built"])
+def test_positions_of_readings_within_limits_are_reachable(geometry: spm.Geometry) -> None:
     rng = np.random.default_rng(3)
     share = rng.uniform(size=(400, 6))
     # A quarter of them with legs at limits, hence on or near the boundary.
     share[:100] = np.where(rng.uniform(size=(100, 6)) < 0.5, np.round(share[:100]), share[:100])
-    legs = 1.1 + 0.4 * share
-    position = spm.forward_physical(PAPER, legs).translation
-    answer = reachable_position(PAPER, position)
+    position = spm.forward_physical(geometry, 1.1 + 0.4 * share).translation
+    answer = reachable_position(geometry, position)
     assert answer.reachable.all()
     assert (answer.distance == 0.0).all()
     assert spm.LegLimits(1.1, 1.5).contains(answer.readings).all()
-    again = spm.forward_physical(PAPER, answer.readings).translation
-    assert np.abs(again - position).max() <= answer.tolerance
+    again = spm.forward_physical(geometry, answer.readings).translation
+    assert np.abs(again - position).max() <= (1.0 if geometry.is_nominal else 2.0) * answer.tolerance
+    # Errors of 5 mm move the boundary by centimetres: not all of these are reached by the drawn machine.
+    assert reachable_position(PAPER, position).reachable.all() == geometry.is_nominal
 
 
 def test_far_points_are_not_reachable_and_have_a_distance() -> None:
@@ -48,25 +53,6 @@ def test_far_points_are_not_reachable_and_have_a_distance() -> None:
     # Straight above, all legs at their longest are nearest.
     height = spm.forward_physical(PAPER, [1.5] * 6).translation[2]
     assert answer.distance[2] == pytest.approx(40.0 - height, abs=1e-9)
-
-
-def test_distances_are_those_a_bounded_least_squares_solver_finds() -> None:
-    rng = np.random.default_rng(4)
-    extent = start_table(states_within(PAPER)).extent
-    points = rng.uniform(extent[0] - 0.1, extent[1] + 0.1, (6, 3))
-    answer = reachable_position(PAPER, points)
-    for k, point in enumerate(points):
-
-        def error(legs: np.ndarray, point: np.ndarray = point) -> np.ndarray:
-            return spm.forward_physical(PAPER, legs).translation - point
-
-        best = min(
-            2.0 * least_squares(error, rng.uniform(1.15, 1.45, 6), bounds=(1.1, 1.5), xtol=1e-12, ftol=1e-12).cost
-            for _ in range(3)
-        )
-        # The other search goes from three random starts, and may end farther away, but never nearer.
-        assert answer.distance[k] <= np.sqrt(best) + 1e-6
-        assert answer.reachable[k] == (answer.distance[k] == 0.0)
 
 
 def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
@@ -99,22 +85,51 @@ def test_shapes(shape: tuple[int, ...]) -> None:
     assert answer.reachable.all()
 
 
-def test_where_the_machine_cannot_be_assembled_everywhere_in_the_limits_the_rest_still_counts() -> None:
-    limits = spm.LegLimits(1.0, 1.6)
-    legs = np.random.default_rng(6).uniform(1.0, 1.6, (400, 6))
-    states = spm.forward_physical(PAPER, legs)
-    assert 0.5 < states.exists.mean() < 1.0
-    answer = reachable_position(PAPER, states.translation[states.exists], limits)
-    assert answer.reachable.all()
-
-
-def test_states_with_the_optimality_conditions_are_nearest_among_many() -> None:
-    extent = start_table(states_within(PAPER)).extent
+@pytest.mark.parametrize("geometry", [PAPER, BUILT], ids=["as drawn", "as built"])
+def test_states_with_the_optimality_conditions_are_nearest_among_many(geometry: spm.Geometry) -> None:
+    extent = start_table(states_within(geometry)).extent
     rng = np.random.default_rng(7)
     points = rng.uniform(extent[0] - 0.2, extent[1] + 0.2, (200, 3))
-    nearest = nearest_points(states_within(PAPER), points)
-    sample = spm.forward_physical(PAPER, 1.1 + 0.4 * rng.beta(0.3, 0.3, (20_000, 6))).translation
+    nearest = nearest_points(states_within(geometry), points)
+    sample = spm.forward_physical(geometry, 1.1 + 0.4 * rng.beta(0.3, 0.3, (20_000, 6))).translation
     least = np.array([np.sqrt(((sample - point) ** 2).sum(axis=-1)).min() for point in points])
     assert (nearest.distance <= least + 1e-9).all()
     assert (nearest.optimality < 1e-6).all()
     assert np.median(least - nearest.distance) < 0.1
+
+
+# --- Random positions, many of them near the limits ---------------------------------------------------------------
+
+LIMITS = spm.LegLimits(1.1, 1.5)
+
+
+def test_positions_are_those_of_legs_within_their_limits() -> None:
+    limits = spm.LegLimits([1.1, 1.2, 1.3, 1.1, 1.2, 1.3], [1.5, 1.4, 1.5, 1.2, 1.4, 1.5])
+    positions, aspect = sample_positions_near_limits(PAPER, limits, count=300, seed=1)
+    assert positions.shape == (300, 3)
+    # The same numbers again, through a solver that returns more than positions.
+    rng = np.random.default_rng(1)
+    share = np.sin(np.pi / 2 * rng.random((300, 6))) ** 2
+    share = np.where(rng.random((300, 6)) < 0.35, share.round(), share)
+    legs = np.array(limits.minimum) + share * (np.array(limits.maximum) - np.array(limits.minimum))
+    states = spm.forward_physical(PAPER, legs)
+    np.testing.assert_allclose(positions, states.translation, rtol=0.0, atol=1e-12)
+    assert 0.3 < (share == share.round()).mean() < 0.4
+    np.testing.assert_array_equal(aspect, np.sign(spm.singularities(states).determinants[:, 2]))
+
+
+def test_symmetric_limits_give_all_images_with_the_signs_that_belong_to_them() -> None:
+    positions, aspect = sample_positions_near_limits(PAPER, LIMITS, count=50, seed=2)
+    assert positions.shape == (300, 3)
+    tree = KDTree(np.column_stack([positions, aspect]))
+    turned = Rotation.from_euler("z", 120, degrees=True).apply(positions)
+    for image, sign in ((turned, 1), (positions * [-1.0, 1.0, 1.0], -1)):
+        gap, match = tree.query(np.column_stack([image, sign * aspect]))
+        assert gap.max() < 1e-12
+        assert len(set(match)) == 300
+
+
+def test_lengths_that_close_nothing_are_left_out() -> None:
+    positions, _ = sample_positions_near_limits(PAPER, spm.LegLimits(0.3, 4.0), count=400)
+    assert 0 < len(positions) < 6 * 400
+    assert np.isfinite(positions).all()

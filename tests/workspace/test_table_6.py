@@ -9,7 +9,7 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.paper import published
-from spm_pin.workspace.paper_shell import ERRATA, LegSetting, SubWorkspace, orientations, sub_workspaces
+from spm_pin.workspace.paper_shell import ERRATA, SENSES, LegSetting, SubWorkspace, sub_workspaces
 
 ROWS = sub_workspaces()
 CYCLE = (1, 2, 0, 4, 5, 3)  # leg 1 takes the settings of leg 2, and so on
@@ -20,8 +20,19 @@ def relabelled(rows: tuple[SubWorkspace, ...], order: tuple[int, ...]) -> set[tu
     return {tuple(row.settings[leg] for leg in order) for row in rows}
 
 
+def outline(row: SubWorkspace) -> list[tuple[int, ...]]:
+    """Return the four corners, 0 at a minimum and 1 at a maximum: first varying leg out, second out, both back."""
+    square = row.increments(1)
+    return [tuple(square[at].tolist()) for at in ((0, 0), (1, 0), (1, 1), (0, 1))]
+
+
+def sides(row: SubWorkspace) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    ring = outline(row)
+    return list(zip(ring, [*ring[1:], ring[0]], strict=True))
+
+
 def shared_edges(rows: Sequence[SubWorkspace]) -> Counter[frozenset[tuple[int, ...]]]:
-    return Counter(frozenset(side) for row in rows for side in row.sides)
+    return Counter(frozenset(side) for row in rows for side in sides(row))
 
 
 def test_every_row_has_four_legs_at_limits_and_two_that_vary() -> None:
@@ -41,19 +52,17 @@ def test_the_surface_that_the_text_describes() -> None:
 
 
 def test_the_rows_close_to_a_sphere() -> None:
-    corners = {corner for row in ROWS for corner in row.corners}
+    corners = {corner for row in ROWS for corner in outline(row)}
     edges = shared_edges(ROWS)
     assert (len(corners), len(edges), len(ROWS)) == (26, 48, 24)
     assert len(corners) - len(edges) + len(ROWS) == 2
     assert set(edges.values()) == {2}
 
 
-def test_oriented_rows_run_along_each_edge_both_ways() -> None:
-    senses = Counter()
-    for row, sign in zip(ROWS, orientations(ROWS), strict=True):
-        senses.update(row.sides if sign > 0 else [(end, start) for start, end in row.sides])
-    assert set(senses.values()) == {1}
-    assert all((end, start) in senses for start, end in senses)
+def test_neighbours_run_along_their_common_edge_in_opposite_senses() -> None:
+    directed = Counter(side[::sense] for row, sense in zip(ROWS, SENSES, strict=True) for side in sides(row))
+    assert len(directed) == 96
+    assert set(directed.values()) == {1}
 
 
 @pytest.mark.parametrize("order", [CYCLE, MIRROR])
