@@ -1,4 +1,4 @@
-"""How errors of the 54 parameters move the platform, and which combinations of them move nothing.
+"""The derivative of the platform's pose by errors of the 54 parameters, and combinations of errors that do not move it.
 
 At constant readings every leg gives two equations in the errors and in the twists t_L of the middle platform and t of
 the terminal one. With δ along the leg, n its axis, b its ball and a its pivot, all in {B}, and the errors dp, da, dn
@@ -36,8 +36,8 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     -------
     ndarray, shape (..., 6, 54)
         Rows (v, ω): displacement of o [m] and rotation of m [rad], in {B}; columns `PARAMETERS`, per metre or radian.
-        NaN for a member that does not exist. At a forward or a constraint singularity, `SingularConfigurationError` is
-        raised.
+        NaN for a member of a batch that does not exist, or is at a forward or a constraint singularity, where a single
+        state raises `SingularConfigurationError`.
 
     Examples
     --------
@@ -52,7 +52,9 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     state, geometry = configuration, configuration.geometry
     outward = np.where(np.arange(6) < 3, 1.0, -1.0)[:, None]
     # The arms from pivots to balls, and unit vectors along the legs, those of the upper ones from ball to pivot.
-    arms, axes, along = outward * state.leg_vectors, state.leg_axes, state.leg_vectors / state.leg_lengths[..., None]
+    arms, axes = outward * state.leg_vectors, state.leg_axes
+    with np.errstate(invalid="ignore"):
+        along = state.leg_vectors / state.leg_lengths[..., None]
     frames = np.empty((*state.shape, 6, 3, 3))
     frames[..., :3, :, :], frames[..., 3:, :, :] = np.eye(3), state.rotation[..., None, :, :]
     middle = state.middle_pose.as_matrix()[..., None, :3, :3]

@@ -19,8 +19,9 @@ from spm_pin.calibration.error_model import error_jacobian, gauge_directions, pa
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
+from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry, notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
+from spm_pin.mechanism.legs import RADIAL
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
 _UNKNOWN = 0.3
@@ -35,6 +36,9 @@ _GROSS = 100.0
 """Times the noise from which on residuals are no matter of the noise."""
 _MISFIT = 9.0
 """Largest reduced χ² of a fit: residuals three times what the noise explains."""
+_MANUFACTURE = 0.04
+"""Largest correction of E, C or d, relative: for the paper's C three standard deviations where coordinates have errors
+of 1 % of d."""
 
 _Function = Callable[[FloatArray], FloatArray]
 
@@ -46,9 +50,11 @@ class Calibration:
     fitted: Geometry
     """The machine that fits the measurements best, whatever `status` says."""
     status: str
-    """"fits"; or "outliers", "misfit" or "not converged": then `geometry` raises an error."""
+    """"fits"; or "outliers", "misfit", "not converged" or "another nominal": then `geometry` raises an error."""
     reason: str
-    """The reason why the measurements do not fit, with the likely cause; empty if they fit."""
+    """The reason why the machine is not to be used, with the likely cause; empty if it fits."""
+    reason_rows: tuple[int, ...]
+    """The rows of the measurements that `reason` names, counted from zero."""
     chi_square: float
     """Reduced χ² of all measurements but outliers: about 1 where the noise explains the residuals, above 9 a misfit."""
     covariance: FloatArray
@@ -77,6 +83,19 @@ class Calibration:
             f"position error {first:.3g} mm before, {last:.3g} mm after>"
         )
 
+    def _repr_html_(self) -> str:
+        sizes = [1e3 * np.linalg.norm(errors[:, :3], axis=-1) for errors in (self.before, self.residuals)]
+        rows = [
+            (name, f"{np.sqrt((size**2).mean()):.3g}", f"{size.max():.3g}")
+            for name, size in zip(("before", "after"), sizes, strict=True)
+        ]
+        rows += [("reduced χ²", f"{self.chi_square:.3g}", ""), ("outliers", f"{np.count_nonzero(self.outliers)}", "")]
+        return notebook.table(repr(self), ("position error", "RMS [mm]", "largest [mm]"), rows)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure of the position errors before and after, and of the uncertainties."""
+        return notebook.plot("calibration_figure", self)
+
     @property
     def geometry(self) -> Geometry:
         """The machine; raises `MeasurementError` if the measurements do not fit it, with the reason."""
@@ -95,7 +114,8 @@ class Calibration:
     def _check_status(self) -> None:
         if self.status != "fits":
             cause = "`.fitted` is the best fit all the same"
-            raise MeasurementError("poses", "measurements that fit one machine", self.reason, cause)
+            expected = "measurements that fit one machine, near the nominal one"
+            raise MeasurementError("poses", expected, self.reason, cause, self.reason_rows)
 
 
 def identify(
@@ -153,7 +173,7 @@ def identify(
     if count * components < basis.shape[1]:
         few = -(-basis.shape[1] // components)
         expected = f"at least {few} measurements for {basis.shape[1]} unknowns"
-        raise MeasurementError("poses", expected, f"{count}", "Measure more, or name fewer `parameters`")
+        raise MeasurementError("poses", expected, f"{count}", "Measure more, or identify fewer parameters")
     scaled = parameter_scale(start)[:, None] * basis
 
     def machine(unknown: FloatArray) -> Geometry:
@@ -178,13 +198,17 @@ def identify(
     used = ~fit.outliers if fit.outliers.sum() * components + len(first) <= count * components else fit.outliers
     _, values, right = np.linalg.svd(np.concatenate(jacobian(fit.unknown)[used]), full_matrices=False)
     spread = scaled @ (right.T / values)
-    fitted = machine(fit.unknown)
+    fitted, covariance = machine(fit.unknown), spread @ spread.T
+    status, reason = fit.status, fit.reason
+    if status == "fits" and (other := _other_nominal(start, fitted, covariance)):
+        status, reason = "another nominal", other  # names no rows, as "fits" does not
     return Calibration(
         fitted=fitted,
-        status=fit.status,
-        reason=fit.reason,
+        status=status,
+        reason=reason,
+        reason_rows=fit.reason_rows,
         chi_square=fit.chi_square,
-        covariance=spread @ spread.T,
+        covariance=covariance,
         identifiable=right @ basis.T,
         deviations=1.0 / values,
         unidentifiable=invisible,
@@ -211,10 +235,33 @@ def visible_basis(start: Geometry, wanted: BoolArray, positions_only: bool) -> t
     return left[:, values > 1e-9], hidden.T
 
 
+def _other_nominal(start: Geometry, fitted: Geometry, covariance: FloatArray) -> str:
+    """Return how E, C or d differ by more than manufacture and the noise explain; empty if none does."""
+    weights = np.zeros((3, 6, 9))  # of pivots and balls in E, C and d of the drawing nearest to them
+    weights[0, :3, 2:5] = weights[1, 3:, 2:5] = RADIAL / 3.0
+    weights[2, :, 5:8] = np.sqrt(3.0) / 6.0 * np.tile(RADIAL, (2, 1))
+    means = weights.reshape(3, 54)
+    corrections = fitted.parameters - start.parameters
+    changes, nominal = means @ corrections, np.array(start.dimensions)
+    known = np.abs(changes) - 3.0 * np.sqrt(np.diagonal(means @ covariance @ means.T))
+    if (known <= _MANUFACTURE * nominal).all():
+        return ""
+    worst = int((known / nominal).argmax())
+    corrected, given = 1e3 * (nominal + changes)[worst], 1e3 * nominal[worst]
+    points = np.linalg.norm(corrections.reshape(6, 9)[:, 2:8].reshape(6, 2, 3), axis=-1)
+    leg, kind = divmod(int(points.argmax()), 2)
+    return (
+        f"a machine whose {'ECd'[worst]} is {corrected:.4g} mm instead of {given:.4g} mm, more than the "
+        f"{_MANUFACTURE:.0%} that errors of manufacture explain; the largest correction is {1e3 * points.max():.3g} "
+        f"mm, of the {('pivot', 'ball')[kind]} of {LEGS[leg]}. Another nominal geometry?"
+    )
+
+
 class _Fit(NamedTuple):
     unknown: FloatArray
     status: str
     reason: str
+    reason_rows: tuple[int, ...]
     chi_square: float
     outliers: BoolArray
 
@@ -292,9 +339,17 @@ def _judged(
     freedom = int((~outliers).sum()) * residuals.shape[1] - len(unknown)
     chi_square = float(squares[~outliers].sum()) / freedom if freedom > 0 else float("nan")
     limit = max(_MISFIT, float(chdtri(freedom, _CHANCE)) / freedom) if freedom > 0 else _MISFIT
-    size, rows = f"residuals {np.sqrt(chi_square):.3g} times what the noise explains", np.flatnonzero(outliers)
-    status, reason = "fits", ""
-    if chi_square > limit or freedom < 0 or not converged:
+    size = (
+        f"residuals {np.sqrt(chi_square):.3g} times what the noise explains" if freedom else "no residuals to compare"
+    )
+    rows = np.flatnonzero(outliers)
+    named = tuple(rows[:10].tolist())
+    shown = f"row{'s' * (len(rows) > 1)} {', '.join(map(str, named))}" + (", …" if len(rows) > 10 else "")
+    status, reason, reason_rows = "fits", "", named
+    if freedom < 0 or (len(rows) and not freedom):
+        status = "misfit" if converged else "not converged"
+        reason = f"too few rows to tell which are wrong: without {shown} none is left over to compare. Measure more"
+    elif chi_square > limit or not converged:
         status = "misfit" if converged else "not converged"
         ended = "" if converged else ", when the search for a better fit was given up"
         causes = (
@@ -302,12 +357,14 @@ def _judged(
             if chi_square < _GROSS**2
             else "Another nominal geometry or unit, poses and readings of different rows, or many wrong rows?"
         )
-        reason = f"{size}{ended}, largest in row {int(squares.argmax())}. {causes}"
+        reason_rows = (int(squares.argmax()),)
+        reason = f"{size}{ended}, largest in row {reason_rows[0]}. {causes}"
     elif len(rows) and not accept_outliers:
-        shown = ", ".join(map(str, rows[:10])) + (", …" if len(rows) > 10 else "")
-        status = "outliers"
-        reason = f"outliers in the rows {shown}. Look at these rows, leave them out, or give loss='soft_l1'"
-    return _Fit(unknown, status, reason, chi_square, outliers)
+        status, these = "outliers", ("this row, leave it" if len(rows) == 1 else "these rows, leave them")
+        reason = f"outlier{'s' * (len(rows) > 1)} in {shown}. Look at {these} out, or use the loss soft_l1"
+    else:
+        reason_rows = ()
+    return _Fit(unknown, status, reason, reason_rows, chi_square, outliers)
 
 
 def _check_determined(slopes: FloatArray, basis: FloatArray, count: int) -> None:
@@ -318,8 +375,8 @@ def _check_determined(slopes: FloatArray, basis: FloatArray, count: int) -> None
         worst = basis @ right[-1]
         names = ", ".join(PARAMETERS[k] for k in np.argsort(-np.abs(worst))[:3])
         received = f"{count} poses that determine {int((~unknown).sum())}; the least determined one moves {names}"
-        cause = "Measure at poses further apart, see choose_poses, or name fewer `parameters`"
-        cause += ". Are pose_noise and length_noise too large?"
+        cause = "Measure at poses further apart, see spm.calibration.choose_poses, or identify fewer parameters"
+        cause += ". Is the noise given too large?"
         raise MeasurementError("poses", f"poses that determine {len(unknown)} combinations", received, cause)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,16 +12,14 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.calibration.error_model import platform_error
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
-from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, file_path, first_offender, real_array
+from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, first_offender, real_array
 from spm_pin.mechanism.geometry import unit_hint
+from spm_pin.mechanism.motion_table import POSITION, MotionTable
 
-_POSITION, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
-_UNIT_TOLERANCE = 1e-3
-"""Largest error of the length of a quaternion that is taken for rounding."""
 _SUSPICIOUS = 0.02
 """Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""
 _SUBSET = 40
@@ -32,7 +29,19 @@ _BETTER = 5.0
 
 
 class MeasurementError(ArgumentError):
-    """Measurements that do not fit the machine, or do not determine what is asked for."""
+    """Measurements that do not fit the machine, or do not determine what is asked for.
+
+    Attributes
+    ----------
+    rows : tuple of int
+        The rows at fault that the message names, counted from zero.
+    """
+
+    def __init__(
+        self, argument: str, expected: str, received: Any, cause: str = "", rows: tuple[int, ...] = ()
+    ) -> None:
+        super().__init__(argument, expected, received, cause)
+        self.rows = rows
 
 
 @dataclass(frozen=True)
@@ -59,11 +68,18 @@ class Measurements:
             expected = f"one row of six readings for each of N poses, whose shape is {position.shape[:-1]}"
             raise ArgumentError("readings", expected, f"shape {lengths.shape}")
         measured = cls(rotation, position, lengths, components)
+        if not len(position):
+            return measured
         for name, values in (("readings", lengths), ("poses", position)):
-            hint = unit_hint(geometry, np.median(np.abs(values), axis=0).max()) if len(position) else ""
+            sizes = np.median(np.abs(values), axis=0)
+            hint = unit_hint(geometry, sizes.max())
             if hint:
-                raise MeasurementError(name, "lengths in metres", f"values of {np.median(np.abs(values)):g}", hint)
-        measured._check_columns(geometry)
+                column = (LEGS if name == "readings" else POSITION)[int(sizes.argmax())]
+                raise MeasurementError(name, "lengths in metres", f"values of {sizes.max():g} for {column}", hint)
+        # Exchanged legs may explain positions as well as a mirrored axis does; only rotations tell the two apart.
+        checks = [measured._check_columns, measured._check_axes]
+        for check in checks if components == 3 else checks[::-1]:
+            check(geometry)
         measured._check_rows(geometry)
         return measured
 
@@ -78,14 +94,22 @@ class Measurements:
         """Raise if transposed rotations, or readings of other rows, explain the poses much better."""
         state = forward_physical(geometry, self.readings)
         if self.components == 6:
+            scalar_first = np.roll(Rotation.from_matrix(self.rotation).as_quat(), -1, axis=-1)
             errors = [
                 platform_error(state, rotation, self.position)[:, 3:]
-                for rotation in (self.rotation, np.swapaxes(self.rotation, -1, -2))
+                for rotation in (
+                    self.rotation,
+                    np.swapaxes(self.rotation, -1, -2),
+                    Rotation.from_quat(scalar_first).as_matrix(),
+                )
             ]
             turns = [float(np.median(np.linalg.norm(error, axis=-1))) for error in errors]
-            if turns[0] > max(_SUSPICIOUS, _BETTER * turns[1]):
-                cause = f"Transposed they agree to {1e3 * turns[1]:.3g} mrad instead of {1e3 * turns[0]:.3g} mrad"
-                raise MeasurementError("poses", "rotations from {m} to {B}", "rotations from {B} to {m}", cause)
+            best_turn = int(np.argmin(turns))
+            if turns[0] > max(_SUSPICIOUS, _BETTER * turns[best_turn]):
+                received = ("", "rotations from {B} to {m}", "quaternions whose scalar is first")[best_turn]
+                how = ("", "Transposed", "Scalar last")[best_turn]
+                cause = f"{how} they agree to {1e3 * turns[best_turn]:.3g} mrad instead of {1e3 * turns[0]:.3g} mrad"
+                raise MeasurementError("poses", "rotations from {m} to {B}", received, cause)
         shifts = [0, *(shift for k in range(1, len(self.position) // 2 + 1) for shift in (k, -k))]
         gaps = (state.translation - np.roll(self.position, shift, axis=0) for shift in shifts)
         sizes = {k: float(np.median(np.linalg.norm(gap, axis=-1))) for k, gap in zip(shifts, gaps, strict=True)}
@@ -95,17 +119,36 @@ class Measurements:
             expected, received = "poses in the order of the readings", f"readings shifted by {best} rows"
             raise MeasurementError("poses", expected, received, cause)
 
+    def _check_axes(self, geometry: Geometry) -> None:
+        """Raise if coordinates that are exchanged or negated explain the positions much better."""
+        errors = np.nan_to_num(self.errors(geometry), nan=np.inf)
+        typical = float(np.median(np.linalg.norm(errors[:, :3], axis=-1)))
+        turned = self.components == 6 and np.median(np.linalg.norm(errors[:, 3:], axis=-1)) > _SUSPICIOUS
+        if turned or not _SUSPICIOUS * geometry.middle_side < typical < np.inf:
+            return
+        predicted = errors[:, :3] + self.position
+        sizes = {
+            (order, signs): float(np.median(np.linalg.norm(predicted - self.position[:, order] * signs, axis=-1)))
+            for order in itertools.permutations(range(3))
+            for signs in itertools.product((1, -1), repeat=3)
+        }
+        order, signs = best = min(sizes, key=lambda tried: sizes[tried])
+        if _BETTER * sizes[best] < typical:
+            meant = ", ".join(f"{'-' * (sign < 0)}{POSITION[k]}" for k, sign in zip(order, signs, strict=True))
+            cause = f"As {meant} they agree to {1e3 * sizes[best]:.3g} mm instead of {1e3 * typical:.3g} mm"
+            raise MeasurementError("poses", "positions x, y, z of o in {B}", "positions along other axes", cause)
+
     def _check_columns(self, geometry: Geometry) -> None:
         """Raise if there is no state, or if exchanged columns explain the positions much better."""
         below = self.readings <= geometry.legs.offsets
         if below.any():
             row, leg = first_offender(below)
             received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
-            raise MeasurementError("readings", "readings that exceed the offsets", received)
+            raise MeasurementError("readings", "readings that exceed the offsets", received, rows=(row,))
         errors = self.errors(geometry)
         side = geometry.middle_side
         size = np.linalg.norm(np.nan_to_num(errors[:, :3], nan=np.inf), axis=-1)
-        typical = float(np.median(size)) if len(size) else 0.0
+        typical = float(np.median(size))
         if typical > _SUSPICIOUS * side:
             best, order = typical, tuple(range(6))
             some = slice(None, None, -(-len(size) // _SUBSET))
@@ -127,7 +170,7 @@ class Measurements:
             row = int(np.isnan(errors).any(axis=-1).argmax())
             received = f"row {row} with {', '.join(f'{x:g}' for x in self.readings[row])}"
             cause = "A mistyped reading, offsets not subtracted, or another machine? Correct the row or leave it out"
-            raise MeasurementError("readings", "readings that this machine can have", received, cause)
+            raise MeasurementError("readings", "readings that this machine can have", received, cause, (row,))
 
 
 def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int) -> FloatArray:
@@ -159,6 +202,9 @@ def pose_covariances(
 ) -> FloatArray:
     """Return covariances (N, n, n) of measured less predicted poses: errors of readings as the poses they cause."""
     slopes = platform_jacobian(states)[:, :components]
+    lost = np.isnan(slopes).any(axis=(-1, -2)) & states.exists
+    if lost.any():
+        raise SingularConfigurationError("forward", 0.0, first_offender(lost))
     poses = covariances(pose_noise, "pose_noise", components, len(states))
     return poses + slopes @ covariances(length_noise, "length_noise", 6, len(states)) @ np.swapaxes(slopes, -1, -2)
 
@@ -167,8 +213,8 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     """Read a CSV file of measurements.
 
     The heading names the columns, in any order: x, y, z, the position of o in {B} [m]; qx, qy, qz, qw, if measured, the
-    rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m]. A `MeasurementError`
-    names the line and column of what cannot be read.
+    rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m]. Other columns are passed
+    over. A `MeasurementError` names the line and column of what cannot be read.
 
     Returns
     -------
@@ -177,46 +223,6 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     readings : ndarray, shape (N, 6)
         Readings of the legs [m].
     """
-    path = file_path(path, error=MeasurementError)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as failed:
-        raise MeasurementError(str(path), "a CSV file in UTF-8", str(failed)) from failed
-    lines = [(number, row) for number, row in lines if any(row)]
-    heading = lines[0][1] if lines else []
-    turned = bool(set(heading) & set(_QUATERNION))
-    columns = (*_POSITION, *(_QUATERNION if turned else ()), *LEGS)
-    if sorted(heading) != sorted(columns):
-        missing = [name for name in columns if name not in heading]
-        odd = [name for name in heading if name not in columns or heading.count(name) > 1]
-        received = "; ".join(
-            f"{what} {', '.join(names)}" for what, names in (("missing", missing), ("unknown or twice", odd)) if names
-        )
-        raise MeasurementError(f"{path}:1", f"a heading with the columns {', '.join(columns)}", received)
-    if len(lines) < 2:
-        raise MeasurementError(str(path), "rows of measurements below the heading", "none")
-    table = np.empty((len(lines) - 1, len(columns)))
-    for row, (number, cells) in enumerate(lines[1:]):
-        if len(cells) != len(heading):
-            raise MeasurementError(f"{path}:{number}", f"{len(heading)} numbers", f"{len(cells)} entries")
-        for name, cell in zip(heading, cells, strict=True):
-            try:
-                value = float(cell)
-            except ValueError:
-                value = np.nan
-            if not np.isfinite(value):
-                cause = "A decimal comma?" if "," in cell else ""
-                place = f"column {name} in {path}:{number}"
-                raise MeasurementError(place, "a finite number", repr(cell) if cell else "nothing", cause)
-            table[row, columns.index(name)] = value
-    position, readings = table[:, :3], table[:, -6:]
-    if not turned:
-        return position, readings
-    size = np.linalg.norm(table[:, 3:7], axis=-1)
-    if (np.abs(size - 1.0) > _UNIT_TOLERANCE).any():
-        row = int((np.abs(size - 1.0) > _UNIT_TOLERANCE).argmax())
-        place = f"columns qx to qw in {path}:{lines[1 + row][0]}"
-        raise MeasurementError(place, "a quaternion of length 1", f"length {size[row]:g}", "Rounded to few digits?")
-    return RigidTransform.from_components(position, Rotation.from_quat(table[:, 3:7])), readings
+    table = MotionTable(path, error=MeasurementError)
+    readings = table.columns([*POSITION, *LEGS])[:, 3:]
+    return table.poses(), readings

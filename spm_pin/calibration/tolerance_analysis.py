@@ -13,7 +13,7 @@ from spm_pin.calibration.error_model import error_jacobian, platform_error, sele
 from spm_pin.calibration.pose_choice import random_states
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import PARAMETERS, Configuration, Geometry
+from spm_pin.mechanism import PARAMETERS, Configuration, Geometry, notebook
 from spm_pin.mechanism.arguments import (
     FloatArray,
     check_instance,
@@ -48,6 +48,10 @@ class ToleranceAnalysis:
             f"<ToleranceAnalysis: {1e3 * position:.3g} mm and {1e3 * angle:.3g} mrad RMS, {len(self.samples)} samples>"
         )
 
+    def _repr_html_(self) -> str:
+        rows = [(name, f"{share:.1%}") for name, share in self.ranking("component")]
+        return notebook.table(repr(self), ("component", "share of the variance of the position"), rows)
+
     @property
     def rms(self) -> tuple[float, float]:
         """Root mean squares of the displacement [m] and of the rotation angle [rad], to first order."""
@@ -64,11 +68,11 @@ class ToleranceAnalysis:
 
     def percentile(self, percent: float = 95.0) -> tuple[float, float]:
         """Return the displacement [m] and the angle [rad] that this part of the samples does not exceed."""
-        part = real_number(percent, "percent", "a percentage from 0 to 100", least=0.0, most=100.0)
+        level = real_number(percent, "percent", "a percentage from 0 to 100", least=0.0, most=100.0)
         if not len(self.samples):
             raise ArgumentError("samples", "a Monte Carlo analysis, samples > 0", 0)
         sizes = (np.linalg.norm(self.samples[..., k : k + 3], axis=-1) for k in (0, 3))
-        return tuple(float(np.nanpercentile(size, part)) for size in sizes)  # type: ignore[return-value]
+        return tuple(float(np.nanpercentile(size, level)) for size in sizes)  # type: ignore[return-value]
 
     def ranking(self, by: str = "parameter") -> list[tuple[str, float]]:
         """Return names and shares, the largest first, added up by "parameter", "component", "kind" or "leg"."""
@@ -118,19 +122,25 @@ def tolerance(
     deviations = _deviations(tolerances)
     samples = whole_number(samples, "samples", least=0, most=10**6)
     if isinstance(states, Configuration):
-        at = check_configuration(states, "states", existing=True)
-        if len(at.shape) != 1 or at.geometry != machine:
-            raise ArgumentError("states", "states of this machine, shape (N,)", f"shape {at.shape}, {at.geometry!r}")
+        sampled_states = check_configuration(states, "states", existing=True)
+        if len(sampled_states.shape) != 1 or sampled_states.geometry != machine:
+            raise ArgumentError(
+                "states",
+                "states of this machine, shape (N,)",
+                f"shape {sampled_states.shape}, {sampled_states.geometry!r}",
+            )
     else:
-        at = random_states(machine, whole_number(states, "states", least=1), random)
-    scaled = error_jacobian(at) * deviations
+        sampled_states = random_states(machine, whole_number(states, "states", least=1), random)
+    scaled = error_jacobian(sampled_states) * deviations
     variances = (scaled[:, :3] ** 2).sum(axis=1).mean(axis=0)
-    errors = np.empty((samples, len(at), 6))
+    errors = np.empty((samples, len(sampled_states), 6))
     for sample in range(samples):
         built = machine.from_parameters(machine.parameters + deviations * random.standard_normal(54))
-        errors[sample] = platform_error(forward_physical(built, at.readings), at.rotation, at.translation)
+        errors[sample] = platform_error(
+            forward_physical(built, sampled_states.readings), sampled_states.rotation, sampled_states.translation
+        )
     return ToleranceAnalysis(
-        states=at,
+        states=sampled_states,
         deviations=deviations,
         covariance=scaled @ np.swapaxes(scaled, -1, -2),
         shares=variances / max(variances.sum(), np.finfo(float).tiny),

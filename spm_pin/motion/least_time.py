@@ -71,10 +71,10 @@ class _HalfPlanes:
         level = np.concatenate([b / rooms[0], -b / rooms[1], fastest], -1)
         normals = np.stack([change, level], axis=-1).reshape(count, -1, 2)
         kept = [_hull(points_) for points_ in normals]
-        part = np.repeat(np.arange(count), [len(k) for k in kept])
-        u, x = normals[part, np.concatenate(kept)].T
-        half = 0.5 * u / steps[part]
-        return cls(parts[part], np.stack([0.5 * x - half, 0.5 * x + half], axis=-1))
+        interval = np.repeat(np.arange(count), [len(k) for k in kept])
+        u, x = normals[interval, np.concatenate(kept)].T
+        half = 0.5 * u / steps[interval]
+        return cls(parts[interval], np.stack([0.5 * x - half, 0.5 * x + half], axis=-1))
 
     def used(self, x: FloatArray) -> FloatArray:
         """Return which share of each limit values x (n,) at the points of the grid use, shape (m,)."""

@@ -144,14 +144,14 @@ class _Programme:
     def from_rows(
         cls, grid: EasedGrid, rows: LimitRows, first: FloatArray, second: FloatArray, jerks: FloatArray
     ) -> _Programme:
-        at = np.repeat(np.arange(len(grid.tau)), 2)[1:-1]
-        tau = grid.tau[at] - np.tile([0.0, _LEFT], len(grid.tau) - 1)
+        index = np.repeat(np.arange(len(grid.tau)), 2)[1:-1]
+        tau = grid.tau[index] - np.tile([0.0, _LEFT], len(grid.tau) - 1)
         third = []
         for begin, end in pairwise([0, *grid.corners.tolist(), len(grid.tau) - 1]):
-            part = slice(begin, end + 1)
-            slopes = np.gradient(second[part], grid.tau[part], axis=0, edge_order=2 if end - begin > 1 else 1)
+            segment = slice(begin, end + 1)
+            slopes = np.gradient(second[segment], grid.tau[segment], axis=0, edge_order=2 if end - begin > 1 else 1)
             third.append(np.repeat(slopes, 2, axis=0)[1:-1])
-        return cls(tau, rows[at], first[at], second[at], np.concatenate(third), jerks)
+        return cls(tau, rows[index], first[index], second[index], np.concatenate(third), jerks)
 
     def motion(self, y: list[FloatArray], at: Any = slice(None)) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return ṡ², s̈ and the legs' jerks over √y (6, p, k), of y and its derivatives (p, k) at p of the points."""

@@ -16,18 +16,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.description.masses import RigidBody
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism import LEGS, Configuration
-from spm_pin.mechanism.arguments import (
-    FloatArray,
-    IntArray,
-    as_array,
-    frozen,
-    leg_values,
-    real_array,
-    real_number,
-    symmetric_matrices,
-)
+from spm_pin.mechanism.arguments import FloatArray, IntArray, leg_bounds, leg_values, real_array
 from spm_pin.motion.paths import LegPath, MotionPath, platform_motion, states_along
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.chain_state import ChainState
@@ -37,37 +29,8 @@ _LARGEST = 1e12
 
 
 @dataclass(frozen=True, eq=False)
-class Payload:
-    """A rigid body that the terminal platform carries.
-
-    Parameters
-    ----------
-    mass : float
-        [kg], not negative.
-    centre : array_like, shape (3,)
-        Its centre of mass in {m} [m].
-    inertia : array_like, shape (3, 3), optional
-        About its centre of mass in the axes of {m} [kg m²]; a point mass by default.
-    """
-
-    mass: float
-    centre: npt.ArrayLike = (0.0, 0.0, 0.0)
-    inertia: npt.ArrayLike = ((0.0,) * 3,) * 3
-
-    def __post_init__(self) -> None:
-        mass = real_number(self.mass, "mass", "a mass in kg, not negative", least=0.0)
-        centre = real_array(self.centre, "centre", (3,), "the centre of mass in {m} in metres")
-        inertia = symmetric_matrices(self.inertia, "inertia", 3, "about the centre of mass in kg m²")
-        if centre.ndim != 1 or inertia.ndim != 2:
-            raise ArgumentError("centre, inertia", "shapes (3,) and (3, 3)", f"{centre.shape} and {inertia.shape}")
-        moments = np.linalg.eigvalsh(inertia)
-        rounding = 1e-9 * abs(moments).max()
-        if moments[0] < -rounding or moments[:2].sum() < moments[2] - rounding:
-            expected = "principal moments of a body: none negative or above the sum"
-            raise ArgumentError("inertia", expected + " of the other two", f"moments {moments}", "About another point?")
-        object.__setattr__(self, "mass", mass)
-        object.__setattr__(self, "centre", frozen(centre.copy()))
-        object.__setattr__(self, "inertia", frozen(inertia.copy()))
+class Payload(RigidBody):
+    """A rigid body that the terminal platform carries, its centre and inertia in {m}."""
 
     def wrench(
         self, rotation: FloatArray, twist: FloatArray, acceleration: FloatArray, gravity: npt.ArrayLike
@@ -122,8 +85,8 @@ def path_dynamics(
             rows.append(_at(state, joints, rates[k], changes[k], isinstance(path, LegPath), payload))
         except SingularConfigurationError as error:
             expected = "a path that keeps away from singularities"
-            at = f"a {error.kind} singularity at parameter {parameters[k]:.6g}"
-            raise ArgumentError("path", expected, at, "plan with a larger margin goes around") from error
+            received = f"a {error.kind} singularity at parameter {parameters[k]:.6g}"
+            raise ArgumentError("path", expected, received, "plan with a larger margin goes around") from error
     return PathDynamics(parameters, states, q, *(np.array(column) for column in zip(*rows, strict=True)))
 
 
@@ -134,12 +97,12 @@ def _at(
     state.update(q)
     first = state.joint_rates(rate) if of_legs else state.joint_velocities(rate)
     twist = state.kinematics.platform_jacobian @ first
-    rest = np.zeros(len(q))
-    still, moved = (_forces(state, a, np.zeros(6), payload) for a in (rest, first))
+    no_rates = np.zeros(len(q))
+    static, moved = (_forces(state, a, np.zeros(6), payload) for a in (no_rates, first))
     state.update(q, first)
     second = state.joint_accelerations_of_legs(change) if of_legs else state.joint_accelerations(change)
     driven = _forces(state, second, twist, payload)
-    return first, second, twist, moved - still, driven - still, still
+    return first, second, twist, moved - static, driven - static, static
 
 
 def _forces(state: ChainState, a: FloatArray, twist: FloatArray, payload: Payload | None) -> FloatArray:
@@ -221,9 +184,9 @@ class MotionLimits:
         if (forces := self.leg_forces) is not None:
             short = np.maximum(along.static - forces[1], forces[0] - along.static)
             if (short > 0.0).any():
-                at, leg = np.unravel_index(int(short.argmax()), short.shape)
+                point, leg = np.unravel_index(int(short.argmax()), short.shape)
                 holds = f"{LEGS[leg]} from {forces[0][leg]:g} to {forces[1][leg]:g} N"
-                needed = f"{along.static[at, leg]:.4g} N needed at rest at parameter {along.parameters[at]:.4g}"
+                needed = f"{along.static[point, leg]:.4g} N needed at rest at parameter {along.parameters[point]:.4g}"
                 expected = "forces that hold the machine along the path"
                 raise ArgumentError("leg_forces", expected, f"{needed}, {holds}", "Too heavy?")
             blocks.append((along.inertial, along.centrifugal, along.static, *forces))
@@ -267,18 +230,7 @@ def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArra
 
 def _force_limits(value: npt.ArrayLike | None) -> tuple[FloatArray, FloatArray] | None:
     """Return the least and the largest force of each leg, both (6,)."""
-    array = None if value is None else as_array(value)
-    if array is None or array.shape != (2, 6):
-        if array is not None and array.ndim and array.shape != (6,):
-            expected = "largest forces in N of shape () or (6,), or the least and the largest of shape (2, 6)"
-            raise ArgumentError("leg_forces", expected, f"shape {array.shape}")
-        largest = _largest(value, "leg_forces", "N")
-        return None if largest is None else (-largest, largest)
-    lower, upper = real_array(array, "leg_forces", (2, 6), "the least and the largest of each leg in N")
-    if (lower >= upper).any() or np.abs(array).max() > _LARGEST:
-        expected = f"least forces below the largest, of at most {_LARGEST:g} N"
-        raise ArgumentError("leg_forces", expected, "others", "Rows exchanged?")
-    return lower, upper
+    return None if value is None else leg_bounds(value, "leg_forces", "forces of the legs in N", most=_LARGEST)
 
 
 def _speeds(value: Any) -> tuple[float, float] | None:

@@ -78,12 +78,12 @@ class LegPath:
 
     def __call__(self, parameters: npt.ArrayLike) -> LegMotion:
         """Return the lengths at parameters (...) from 0 to 1; raises `ArgumentError` outside."""
-        at = real_array(parameters, "parameters", (), "from 0 to 1")
-        if ((at < 0.0) | (at > 1.0)).any():
-            raise ArgumentError("parameters", "numbers from 0 to 1", f"from {at.min():g} to {at.max():g}")
+        values = real_array(parameters, "parameters", (), "from 0 to 1")
+        if ((values < 0.0) | (values > 1.0)).any():
+            raise ArgumentError("parameters", "numbers from 0 to 1", f"from {values.min():g} to {values.max():g}")
         # Not beyond its points by rounding.
-        lengths = np.clip(self._path(at), self._points.min(axis=0), self._points.max(axis=0))
-        return LegMotion(lengths, *(np.asarray(derivative(at)) for derivative in self._derivatives))
+        lengths = np.clip(self._path(values), self._points.min(axis=0), self._points.max(axis=0))
+        return LegMotion(lengths, *(np.asarray(derivative(values)) for derivative in self._derivatives))
 
 
 def _slopes(points: FloatArray, knots: FloatArray) -> FloatArray:

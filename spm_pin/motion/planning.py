@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, UnreachableError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits, PoseLike, as_rigid_transform
+from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits, PoseLike, as_rigid_transform, notebook
 from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
@@ -70,6 +70,12 @@ class MotionPlan:
             return f"<MotionPlan: none, {self.reason}>"
         proved = ", certified" if self.certified else ""
         return f"<MotionPlan: {self.method}{proved}, least determinant {self.margin:.3g} d³>"
+
+    def _repr_html_(self) -> str:
+        if self.path is None:
+            return notebook.table(repr(self), (), ())
+        picture = notebook.curves(np.linspace(0.0, 1.0, 200), self.configurations().readings, "legs [m] over the path")
+        return notebook.table(repr(self), (), (), picture)
 
     @property
     def exists(self) -> bool:
@@ -154,7 +160,7 @@ def plan(
     states = [_state(geometry, place, name) for place, name in zip([start, *via, goal], names, strict=True)]
     for state, name in zip(states, names, strict=True):
         if broken := rules.explain(state):
-            raise ArgumentError(name, "a state that keeps the rules of the plan", broken)
+            raise UnreachableError(name, "a state that keeps the rules of the plan", broken)
     for k in range(len(states) - 1):
         if np.linalg.norm(states[k + 1].readings - states[k].readings) <= 1e-12 * geometry.middle_side:
             raise ArgumentError(names[k + 1], f"another state than {names[k]}", "the same: a motion of no length")
@@ -166,11 +172,11 @@ def plan(
         places = [np.clip(lengths, allowed.minimum, allowed.maximum) for lengths in places]
     points, reason = places[:1], ""
     for place in places[1:]:
-        part, why = _find_corners(rules, points[-1], place, most, random)
+        corners, why = _find_corners(rules, points[-1], place, most, random)
         reason = reason or why
-        if part is None:
+        if corners is None:
             return _no_plan(geometry, why)
-        points += part[1:]
+        points += corners[1:]
     smooth = _smooth_path(rules, points)
     if smooth is None:
         smoothless = "there is a way with corners, but no smooth one was found"
@@ -195,7 +201,8 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
         lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
         state = forward_physical(geometry, lengths)
         if not state.exists:
-            raise ArgumentError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", state.missing_reason)
+            reason = state.missing_reason
+            raise UnreachableError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", reason)
         return state
     if array is not None and array.ndim < 2 and array.dtype.kind != "O":
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
@@ -206,7 +213,7 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
         raise ArgumentError(name, "one state", f"a batch of shape {state.shape}")
     if not state.exists:
         cause = state.missing_reason or "Level poses are singular for the inverse: give leg lengths instead"
-        raise ArgumentError(name, "a pose with a physical branch", "one without", cause)
+        raise UnreachableError(name, "a pose with a physical branch", "one without", cause)
     return state
 
 
@@ -286,8 +293,8 @@ class _PathRules:
                 f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} m"
             )
         if least < -ROUNDING:
-            found = f"|det J| of {least + self.margin:.3g} d³"
-            return f"a forward singularity is near: {found}, less than the margin of {self.margin:g}"
+            determinant = f"|det J| of {least + self.margin:.3g} d³"
+            return f"a forward singularity is near: {determinant}, less than the margin of {self.margin:g}"
         if angles < -ROUNDING:
             return f"a passive joint is {-angles:.3g} rad beyond its limit"
         if clearance < -ROUNDING:

@@ -147,7 +147,8 @@ def time_optimal(
     efforts[:, chain.leg_indices] = along.inertial * change + along.centrifugal * rate**2 + along.static
     velocities, joint_accelerations = along.first * rate, along.first * change + along.second * rate**2
     above = slower * (1.0 + error) - 1.0
-    return TimedMotion(chain.joint_names, times, along.q, velocities, joint_accelerations, efforts, above)
+    joints = along.q, velocities, joint_accelerations, efforts
+    return TimedMotion(chain.joint_names, times, *joints, along.states.readings, along.states.pose, above)
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
@@ -175,17 +176,17 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
     """
     limits, lengths = chain.geometry.limits, along.states.readings
     if limits is not None and not planned:
-        beyond = np.abs(limits.excess(lengths))
-        if (beyond > ROUNDING).any():
-            at = int((beyond > ROUNDING).any(axis=-1).argmax())
-            leg = int(beyond[at].argmax())
-            received = f"{LEGS[leg]} of {lengths[at, leg]:.6g} m at parameter {along.parameters[at]:.4g}"
+        excess = np.abs(limits.excess(lengths))
+        if (excess > ROUNDING).any():
+            point = int((excess > ROUNDING).any(axis=-1).argmax())
+            leg = int(excess[point].argmax())
+            received = f"{LEGS[leg]} of {lengths[point, leg]:.6g} m at parameter {along.parameters[point]:.4g}"
             raise ArgumentError("path", f"leg lengths within the chain's {limits}", received)
     values = determinants(along.states)[:, : 2 if isinstance(path, LegPath) else 3]
     crossed = (values[1:] * values[:-1] < 0.0).any(axis=-1)
     if crossed.any():
-        at = int(crossed.argmax())
-        received = f"one between the parameters {along.parameters[at]:.6g} and {along.parameters[at + 1]:.6g}"
+        point = int(crossed.argmax())
+        received = f"one between the parameters {along.parameters[point]:.6g} and {along.parameters[point + 1]:.6g}"
         cause = "A path of leg lengths may pass level poses"
         raise ArgumentError("path", "a path without singularities", received, cause)
 

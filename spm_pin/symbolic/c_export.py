@@ -21,8 +21,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.description.tree import JOINTS, joint_values
+from spm_pin.description.masses import Masses
+from spm_pin.description.tree import joint_values
 from spm_pin.errors import ArgumentError
+from spm_pin.formulas import ball_motions
 from spm_pin.kinematics import (
     forward_physical,
     inverse_displacement,
@@ -32,11 +34,11 @@ from spm_pin.kinematics import (
     leg_rates,
 )
 from spm_pin.kinematics.rates_and_forces import SINGULAR
-from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits
+from spm_pin.mechanism import BRANCHES, FAMILIES, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
+from spm_pin.mechanism.joint_angles import JOINTS
 from spm_pin.symbolic import functions
-from spm_pin.symbolic.functions import Drawn
-from spm_pin.symbolic.machine import FIELDS, Machine, State, all_of
+from spm_pin.symbolic.machine import FIELDS, Drawn, Machine, State, all_of, in_casadi, parts
 
 STATUSES = {
     "OK": (0, "the result is whole and finite"),
@@ -113,7 +115,7 @@ ROOT_STEPS = 400
 """Steps at most along each of the eight ways on which all branches of a pose are found."""
 
 
-def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
+def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None = None) -> dict[str, str]:
     """Return the C library of a machine, without memory allocation, dependent on `math.h` alone.
 
     Parameters
@@ -122,6 +124,8 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
         The machine that is built in, drawn or as built. The functions take others too.
     prefix : str
         What all names begin with.
+    masses : Masses, optional
+        Of the bodies, for the weights; assumed ones by default, see `urdf_text`.
 
     Returns
     -------
@@ -147,7 +151,7 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
         "SHORTEST": repr(SHORTEST),
         "ROOT_STEPS": str(ROOT_STEPS),
         "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(geometry).values()),
-        "BODIES": _row(functions.bodies(geometry)),
+        "BODIES": _row(functions.bodies(geometry, masses)),
         "STATUSES": "\n".join(
             f"    @PREFIX_UPPER@{name} = {value}, /* {meaning} */" for name, (value, meaning) in STATUSES.items()
         ).replace(", /* the state to", " /* the state to"),
@@ -178,12 +182,14 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_") -> dict[str, str]:
     return texts | {"CMakeLists.txt": filled(template("CMakeLists.txt"), values), f"{prefix}machine.txt": numbers}
 
 
-def write_c(geometry: Geometry, directory: str | Path, *, prefix: str = "spm_") -> list[Path]:
+def write_c(
+    geometry: Geometry, directory: str | Path, *, prefix: str = "spm_", masses: Masses | None = None
+) -> list[Path]:
     """Write what `c_sources` returns into a directory, made if need be; all of it or nothing. Returns the paths.
 
     Files of the same names are replaced.
     """
-    return write_files(directory, c_sources(geometry, prefix=prefix))
+    return write_files(directory, c_sources(geometry, prefix=prefix, masses=masses))
 
 
 def write_files(directory: str | Path, texts: dict[str, str]) -> list[Path]:
@@ -193,7 +199,7 @@ def write_files(directory: str | Path, texts: dict[str, str]) -> list[Path]:
     folder = file_path(directory, "directory", expected="the name of a directory")
     existed, beside = folder.is_dir(), None
     try:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         # Files are written beside their places, and moved when all are whole.
         beside = Path(tempfile.mkdtemp(prefix=".export", dir=folder))
         for name, text in texts.items():
@@ -252,7 +258,7 @@ def _formulas() -> list[ca.Function]:
         made_functions.append(made(name, [balls, lengths], error, ca.jacobian(error, balls), curvature, none, none))
     # Of the closure: how far terms of second order go, and how the planes of the upper legs move.
     error = functions.closure_equations(machine, balls, rotation, position)
-    points = [machine.frames[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
+    points = [machine.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
     upper, weights = machine.all_balls(points)[3:], [[ca.fabs(x) for x in w] for w in machine.ball_weights()]
     arms = ca.norm_2(points[1] - points[0]) + ca.norm_2(points[2] - points[0])
     curvature = ca.vertcat(*(2.0 / s for s in machine.sides(0)), *(4.0 * w for _, _, w in weights))
@@ -270,7 +276,7 @@ def _formulas() -> list[ca.Function]:
     gap = ca.mmax(ca.fabs(functions.residual_of(state)["residual"])) / machine.side
     made_functions.append(made("in_planes", [joints, *pose], *state.in_planes(), gap))
     made_functions.append(made("describe", [joints, *pose], state.readings, *state.is_physical()))
-    rows = [state.force_rows(x) for x in ([v / n for v, n in functions.legs_of(state)], state.axes)]
+    rows = [state.force_rows(x) for x in (state.directions, state.axes)]
     made_functions.append(made("force_rows", [joints, *pose], *rows))
 
     starts = ca.vertcat(*functions.drawn_starts(machine, drawn)[:2])
@@ -281,15 +287,15 @@ def _formulas() -> list[ca.Function]:
     made_functions.append(made("balls_of_root", [quaternion, *pose], coordinates))
     branches = [drawn.branch(label[:2], 1.0 if label[2] == "+" else -1.0) for label in BRANCHES]
     lengths = ca.vertcat(*(State(drawing, b, rotation, position).lengths for b in branches))
-    discriminants = ca.vertcat(*map(drawn.discriminant, Drawn.FAMILIES))
+    discriminants = ca.vertcat(*map(drawn.discriminant, FAMILIES))
     real = ca.vertcat(*(drawn.is_real(label[:2]) for label in BRANCHES))
-    continuous = 1.0 - all_of([ca.logic_not(drawn.is_continuous(family)) for family in Drawn.FAMILIES])
+    continuous = 1.0 - all_of([ca.logic_not(drawn.is_continuous(family)) for family in FAMILIES])
     every = ca.vertcat(*(_flat(b) for b in branches))
     made_functions.append(made("all_drawn_branches", pose, every, lengths, discriminants, real, continuous))
 
     areas = []
     for b in (machine.balls[:3], machine.balls[3:]):
-        sides = [ca.sumsqr(b[i] - b[(i + 1) % 3]) for i in range(3)]
+        sides = in_casadi(ball_motions.squared_sides)([parts(x) for x in b])
         areas.append(ca.norm_2(ca.cross(b[1] - b[0], b[2] - b[0])) / ca.mmax(ca.vertcat(*sides)))
     made_functions.append(made("triangle_areas", [], ca.vertcat(*areas)))
     size, pairs = machine.base + machine.platform + machine.side, []

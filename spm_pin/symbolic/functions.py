@@ -16,16 +16,16 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from spm_pin.description.masses import Masses
 from spm_pin.description.robot import read_robot
-from spm_pin.description.tree import JOINTS
 from spm_pin.errors import ArgumentError
+from spm_pin.formulas import ball_motions, leg_constants, leg_planes, vectors, wrenches
 from spm_pin.formulas import branches as formulas
 from spm_pin.formulas import joint_values as values
-from spm_pin.formulas import leg_planes, stages, vectors, wrenches
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import FloatArray, as_bool, choice
-from spm_pin.mechanism.legs import AXES
-from spm_pin.symbolic.machine import UP, Machine, State, all_of, direction, in_casadi, parts, sqrt
+from spm_pin.mechanism.joint_angles import JOINTS
+from spm_pin.symbolic.machine import Drawn, Machine, State, all_of, in_casadi, parts, stages_of
 
 Dimensions = Geometry | Literal["symbolic"] | None
 
@@ -64,7 +64,7 @@ def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -
     joints = [drawn.branch("TT", sign) for sign in (1.0, -1.0)]
     states = [State(machine, b, rotation, position) for b in joints]
     (plus, plus_tilts), (minus, minus_tilts) = (_preference(machine, state) for state in states)
-    other = ca.logic_or(minus > plus, ca.logic_and(minus == plus, minus_tilts > plus_tilts))
+    other = in_casadi(formulas.is_other_preferred)(plus, plus_tilts, minus, minus_tilts)
     outputs = {
         "lengths": ca.if_else(other, states[1].readings, states[0].readings),
         "joints": ca.if_else(other, joints[1], joints[0]),
@@ -174,8 +174,8 @@ def gravity(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Func
     return _of_state("gravity", Machine(geometry, parameters), arguments, gravity_of)
 
 
-def bodies(geometry: Geometry | None = None) -> FloatArray:
-    """Return the masses of the description as `gravity` takes them.
+def bodies(geometry: Geometry | None = None, masses: Masses | None = None) -> FloatArray:
+    """Return masses as `gravity` takes them: those given, or the assumed ones of the description.
 
     Returns
     -------
@@ -184,7 +184,7 @@ def bodies(geometry: Geometry | None = None) -> FloatArray:
         in {m}; then for each leg the mass of its cylinder, and times the distance of its centre from the pivot, and the
         mass of its rod, and times the distance of its centre from the ball.
     """
-    robot = read_robot(geometry)
+    robot = read_robot(geometry, masses=masses)
     moments: dict[str, Any] = {}
     bodies_of_carriers = {robot.carrier(name)[0]: name for name in ("middle_platform", "terminal_platform")}
     for name, link in robot.links.items():
@@ -199,6 +199,10 @@ def bodies(geometry: Geometry | None = None) -> FloatArray:
     rows = [moments["middle_platform"], moments["terminal_platform"]]
     for leg in _LEG_NAMES:
         cylinder, rod = moments[f"leg_{leg}_cylinder"], moments[f"leg_{leg}_rod"]
+        aside = float(np.abs([*cylinder[1:3], *rod[1:3]]).max())
+        if aside > 1e-9 * (cylinder[0] + rod[0]):
+            expected = f"bodies of leg {leg} with their common centres on its axis, as in the formula of `gravity`"
+            raise ArgumentError("masses", expected, f"a first moment of {aside:.3g} kg m beside it")
         rows.append([cylinder[0], cylinder[3], rod[0], -rod[3]])
     return np.concatenate(rows)
 
@@ -229,9 +233,8 @@ def _of_state(name: str, machine: Machine, arguments: dict[str, int], compute: C
 
 def jacobian_of(state: State) -> dict[str, Any]:
     """Return J_f of a state."""
-    b, c = ([parts(x) for x in state.balls[k : k + 3]] for k in (0, 3))
-    lower, upper = ([parts(x / n) for x, n in legs_of(state)[k : k + 3]] for k in (0, 3))
-    axes = [[parts(x) for x in state.axes[k : k + 3]] for k in (0, 3)]
+    (b, c), axes = stages_of(state.balls), stages_of(state.axes)
+    lower, upper = stages_of(state.directions)
     if state.machine.is_drawn:
         rows = in_casadi(wrenches.drawn_inverse_jacobian)(b, lower, upper, *axes, parts(state.position))
     else:
@@ -252,9 +255,8 @@ def forces_of(state: State, wrench: Any) -> dict[str, Any]:
 def _forces(state: State, *wrenches_of_stages: Any) -> Any:
     """Return the forces of the lower legs that hold a wrench at o, and of the upper legs that hold another."""
     forces: list[Any] = []
-    for k, wrench in zip((0, 3), wrenches_of_stages, strict=True):
-        b, f = [parts(x) for x in state.balls[k : k + 3]], [parts(x / n) for x, n in legs_of(state)[k : k + 3]]
-        axes = [parts(x) for x in state.axes[k : k + 3]]
+    vectors = map(stages_of, (state.balls, state.directions, state.axes))
+    for b, f, axes, wrench in zip(*vectors, wrenches_of_stages, strict=True):
         twists = in_casadi(wrenches.stage_twists)(b, f, axes, parts(state.position))
         forces += in_casadi(wrenches.stage_forces)(twists, (parts(wrench[:3]), parts(wrench[3:])))
     return ca.vertcat(*forces)
@@ -262,20 +264,20 @@ def _forces(state: State, *wrenches_of_stages: Any) -> Any:
 
 def gravity_of(state: State, bodies: Any, payload: Any, acceleration: Any) -> dict[str, Any]:
     """Return the leg forces that hold all weights in a state."""
-    o, own = state.position, state.machine.balls[:3]
-    turn = _triangle_axes(state.joints).T @ _triangle_axes(own)
+    o = state.position
+    turn, origin = _frame_of(state.joints, state.machine.balls[:3])
 
     def wrench(mass: Any, moments: Any) -> Any:
         return ca.vertcat(mass * acceleration, ca.cross(moments - mass * o, acceleration))
 
-    middle = turn @ (bodies[1:4] - bodies[0] * (own[0] + own[1] + own[2]) / 3.0) + bodies[0] * state.centre
+    middle = turn @ bodies[1:4] + bodies[0] * origin
     mass = bodies[4] + payload[0]
     upper = wrench(mass, state.rotation @ (bodies[5:8] + payload[0] * payload[1:]) + mass * o)
     lower = upper + wrench(bodies[0], middle)
     for leg in range(6):
         cylinder, cylinder_moment, rod, rod_moment = ca.vertsplit(bodies[8 + 4 * leg : 12 + 4 * leg])
         pivot, ball = state.bases[leg], state.balls[leg]
-        along = direction(ball - pivot)
+        along = state.directions[leg] if leg < 3 else -state.directions[leg]
         across = acceleration - ca.dot(along, acceleration) * along
         swing = (cylinder_moment - rod_moment) / state.lengths[leg] * across
         # A leg turns about the end that stays; what its other end feels of the weights is a force there.
@@ -293,40 +295,44 @@ def gravity_of(state: State, bodies: Any, payload: Any, acceleration: Any) -> di
 def values_of(state: State) -> dict[str, Any]:
     """Return the values of the eighteen joints in a state."""
     machine, turned = state.machine, state.rotation.T
-    triangle = in_casadi(values.triangle_axes)([parts(b) for b in state.joints])
-    own = _triangle_axes(machine.balls[:3])
+    triangle, own = (in_casadi(values.triangle_axes)([parts(b) for b in x]) for x in (state.joints, machine.balls[:3]))
     seen = [parts(turned @ ca.vertcat(*x)) for x in triangle]
-    found: dict[str, Any] = {}
-    for k, (name, frame, axis) in enumerate(zip(_LEG_NAMES, machine.frames, (*AXES, *AXES), strict=True)):
+    by_joint: dict[str, Any] = {}
+    for k, name in enumerate(_LEG_NAMES):
         radius, up = ((machine.base, 1.0), (machine.platform, -1.0))[k // 3]
-        home, offset = machine.home_lengths()[k // 3], machine.r - radius
-        axes = [parts(x) for x in (frame.x, frame.y, frame.z)]
-        pivot = parts(ca.vertcat(*(ca.dot(x, frame.pivot) for x in (frame.x, frame.y, frame.z))))
-        corner = [parts(own @ ca.SX(x)) for x in (axis, np.cross(UP, axis), UP)]
-        lean = up * sqrt((home - offset) * (home + offset)) / home, (1.0, -1.0, -1.0)[k % 3] * offset / home
-        leg = values.LegFrame((axes[0], axes[1], axes[2]), pivot, (corner[0], corner[1], corner[2]), *lean, home)
+        home = machine.home_length(k // 3), machine.r - radius, leg_constants.TANGENT_SIGNS[k % 3], up
+        axis, pivot = parts(machine.axes[k]), parts(machine.pivots[k])
+        leg = in_casadi(leg_constants.leg_frame)(axis, pivot, leg_constants.AXES[k % 3], own, home)
         ball = state.balls[k] if k < 3 else turned @ (state.balls[k] - state.position)
         of_leg = in_casadi(values.leg_values)(parts(ball), leg)
-        found |= {f"leg_{name}_hip": ca.atan2(*of_leg.hip), f"leg_{name}_slide": of_leg.slide}
+        by_joint |= {f"leg_{name}_hip": ca.atan2(*of_leg.hip), f"leg_{name}_slide": of_leg.slide}
         if k % 3 == 0:
             angles = in_casadi(values.ball_angles)(of_leg, leg, triangle if k < 3 else seen, up)
-            found |= {f"ball_{name}_{x}": ca.atan2(*angle) for x, angle in zip("xyz", angles, strict=True)}
-    return {"values": ca.vertcat(*(found[name] for name in JOINTS))}
+            by_joint |= {f"ball_{name}_{x}": ca.atan2(*angle) for x, angle in zip("xyz", angles, strict=True)}
+    return {"values": ca.vertcat(*(by_joint[name] for name in JOINTS))}
 
 
 def residual_of(state: State) -> dict[str, Any]:
     """Return the closure equations of a state."""
     origins = [0.0] * 3 + [state.position] * 3
     rows = [
-        ca.dot(ball - origin, axis) - ca.dot(frame.x, frame.pivot)
-        for ball, origin, axis, frame in zip(state.balls, origins, state.axes, state.machine.frames, strict=True)
+        ca.dot(ball - origin, axis) - ca.dot(plane.x, plane.pivot)
+        for ball, origin, axis, plane in zip(state.balls, origins, state.axes, state.machine.planes, strict=True)
     ]
     return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, 0, state.joints))}
 
 
-def legs_of(state: State) -> list[tuple[Any, Any]]:
-    """Return the vectors of the legs and their lengths."""
-    return list(zip(state.vectors, ca.vertsplit(state.lengths), strict=True))
+def loop_derivatives(geometry: Geometry) -> ca.Function:
+    """Make F_b (9, 9), F_x (9, 6), l_b (6, 9) and l_x (6, 6), of the closure equations F and the leg lengths l.
+
+    They are derivatives by the b_i, and by a small motion (v, dω) of {m} at o. Inputs: the b_i (9,), and a pose.
+    """
+    b, motion, pose = ca.SX.sym("b", 9), ca.SX.sym("x", 6), _pose()
+    turned = pose[0] + ca.skew(motion[3:] / geometry.middle_side) @ pose[0]
+    state = State(Machine(geometry), ca.reshape(b, 3, 3).T, turned, pose[1] + motion[:3])
+    values = residual_of(state)["residual"], state.lengths
+    slopes = [ca.substitute(ca.jacobian(value, by), motion, ca.SX.zeros(6)) for value in values for by in (b, motion)]
+    return ca.Function("loop_derivatives", [b, *pose], [ca.densify(x) for x in slopes])
 
 
 def _pose() -> tuple[Any, Any]:
@@ -335,8 +341,8 @@ def _pose() -> tuple[Any, Any]:
 
 def _side_errors(machine: Machine, stage: int, balls: Sequence[Any]) -> list[Any]:
     """Return (|b_i - b_j|² - s²)/2s [m] of the sides s of three balls."""
-    pairs = zip(balls, [*balls[1:], balls[0]], machine.sides(stage), strict=True)
-    return [(ca.sumsqr(a - b) - s * s) / (2.0 * s) for a, b, s in pairs]
+    squares = in_casadi(ball_motions.squared_sides)([parts(b) for b in balls])
+    return [(square - s * s) / (2.0 * s) for square, s in zip(squares, machine.sides(stage), strict=True)]
 
 
 def stage_equations(machine: Machine, stage: int, coordinates: Any, lengths: Any) -> Any:
@@ -344,19 +350,19 @@ def stage_equations(machine: Machine, stage: int, coordinates: Any, lengths: Any
 
     `coordinates` (6,) [m] are those of the balls in the planes of their legs.
     """
-    frames = machine.frames[3 * stage : 3 * stage + 3]
+    planes = machine.planes[3 * stage : 3 * stage + 3]
     places = [coordinates[2 * i : 2 * i + 2] for i in range(3)]
     legs = [(ca.sumsqr(x) - lengths[i] ** 2) / (2.0 * machine.side) for i, x in enumerate(places)]
-    balls = [frame.point(x) for frame, x in zip(frames, places, strict=True)]
+    balls = [plane.point(x) for plane, x in zip(planes, places, strict=True)]
     return ca.vertcat(*legs, *_side_errors(machine, stage, balls))
 
 
 def closure_equations(machine: Machine, coordinates: Any, rotation: Any, position: Any) -> Any:
     """Return the errors (6,) [m] of the lower balls' sides, and of the upper balls' distances from their planes."""
-    balls = [machine.frames[i].point(coordinates[2 * i : 2 * i + 2]) for i in range(3)]
+    balls = [machine.planes[i].point(coordinates[2 * i : 2 * i + 2]) for i in range(3)]
     planes = [
-        ca.dot(rotation @ frame.x, ball - position) - ca.dot(frame.x, frame.pivot)
-        for frame, ball in zip(machine.frames[3:], machine.all_balls(balls)[3:], strict=True)
+        ca.dot(rotation @ plane.x, ball - position) - ca.dot(plane.x, plane.pivot)
+        for plane, ball in zip(machine.planes[3:], machine.all_balls(balls)[3:], strict=True)
     ]
     return ca.vertcat(*_side_errors(machine, 0, balls), *planes)
 
@@ -364,7 +370,7 @@ def closure_equations(machine: Machine, coordinates: Any, rotation: Any, positio
 def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
     """Return the forms (4, 4) of `leg_planes.quadric`, norm 1, and the lower balls of a root in their planes (6,)."""
     normals = ca.horzcat(*machine.axes[:3], *(rotation @ x for x in machine.axes[3:]))
-    heights = [ca.dot(f.x, f.pivot) for f in machine.frames]
+    heights = [ca.dot(plane.x, plane.pivot) for plane in machine.planes]
     heights = ca.vertcat(*heights[:3], *(h + ca.dot(normals[:, 3 + i], position) for i, h in enumerate(heights[3:])))
     stages = [
         leg_planes.StagePlanes(
@@ -384,42 +390,42 @@ def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) ->
     turned = [turn @ ball for ball in machine.balls]
     gaps = heights - ca.vertcat(*(ca.dot(normals[:, i], turned[i]) for i in range(6)))
     shift = ca.solve(normals @ normals.T, normals @ gaps)
-    coordinates = [machine.frames[i].coordinates(turned[i] + shift) for i in range(3)]
+    coordinates = [machine.planes[i].coordinates(turned[i] + shift) for i in range(3)]
     return forms, ca.vertcat(*coordinates)
 
 
 def level_stage(machine: Machine, stage: int, lengths: Any) -> Any:
     """Return where the drawn stage with the mean of three lengths stands level, in the planes of the legs (6,)."""
-    offset, mean = machine.r - (machine.base, machine.platform)[stage], (lengths[0] + lengths[1] + lengths[2]) / 3.0
-    height = ca.sqrt(ca.fmax(mean * mean - offset * offset, 1e-4 * machine.side**2)) * (1.0 - 2.0 * stage)
-    drawn = [machine.r * x for x in (ca.SX([0.75**0.5, -0.5]), ca.SX([0.0, 1.0]), ca.SX([-(0.75**0.5), -0.5]))]
-    frames = machine.frames[3 * stage : 3 * stage + 3]
-    return ca.vertcat(*(f.coordinates(ca.vertcat(x, height)) for f, x in zip(frames, drawn, strict=True)))
+    radius, up = ((machine.base, 1.0), (machine.platform, -1.0))[stage]
+    balls = in_casadi(ball_motions.level_balls)(parts(lengths), radius, machine.r, up)
+    planes = machine.planes[3 * stage : 3 * stage + 3]
+    return ca.vertcat(*(x.coordinates(ca.vertcat(*ball)) for x, ball in zip(planes, balls, strict=True)))
 
 
 def placed(machine: Machine, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
     """Return R, o and the b_i (3, 3) of two stages, the balls' coordinates in the planes of their legs (6,) each."""
-    frames, centres, joints = [], [], []
+    frames, origins, joints = [], [], []
     for stage, coordinates in enumerate((lower, upper)):
         legs = slice(3 * stage, 3 * stage + 3)
-        b = [frame.point(coordinates[2 * i : 2 * i + 2]) for i, frame in enumerate(machine.frames[legs])]
-        own = machine.balls[legs]
-        turn = _triangle_axes(b).T @ _triangle_axes(own)
+        joints.append([plane.point(coordinates[2 * i : 2 * i + 2]) for i, plane in enumerate(machine.planes[legs])])
+        turn, origin = _frame_of(joints[stage], machine.balls[legs])
         frames.append(turn)
-        centres.append((b[0] + b[1] + b[2]) / 3.0 - turn @ ((own[0] + own[1] + own[2]) / 3.0))
-        joints.append(b)
+        origins.append(origin)
     rotation = frames[0] @ frames[1].T
-    return rotation, centres[0] - rotation @ centres[1], ca.horzcat(*joints[0]).T
+    return rotation, origins[0] - rotation @ origins[1], ca.horzcat(*joints[0]).T
 
 
-def _triangle_axes(b: Sequence[Any]) -> Any:
-    """Return the axes of a triangle as rows."""
-    return ca.vertcat(*(ca.horzcat(*axis) for axis in in_casadi(values.triangle_axes)([parts(x) for x in b])))
+def _frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
+    """Return rotation and position of the frame in which the balls at b are `own`."""
+    balls = [[parts(x) for x in points] for points in (b, own)]
+    axes = map(in_casadi(values.triangle_axes), balls)
+    rotation, position = in_casadi(ball_motions.frame_of_triangle)(*axes, *balls)
+    return ca.vertcat(*(ca.horzcat(*row) for row in rotation)), ca.vertcat(*position)
 
 
 def lower_coordinates(machine: Machine, joints: Any) -> Any:
     """Return where the rows of `joints` (3, 3) are in the planes of the lower legs (6,)."""
-    return ca.vertcat(*(machine.frames[i].coordinates(joints[i, :].T) for i in range(3)))
+    return ca.vertcat(*(machine.planes[i].coordinates(joints[i, :].T) for i in range(3)))
 
 
 def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
@@ -439,49 +445,12 @@ def _preference(machine: Machine, state: State) -> tuple[Any, Any]:
     return is_physical * (1.0 + inside), tilts
 
 
-class Drawn:
-    """The closed form of the drawn machine at a pose."""
-
-    FAMILIES = ("TT", "TF", "FT", "FF")
-
-    def __init__(self, machine: Machine, rotation: Any, position: Any) -> None:
-        rows = [parts(rotation[i, :]) for i in range(3)]
-        self.machine, self._position = machine, parts(position)
-        self.frame = in_casadi(formulas.pose_frame)(rows, self._position, machine.r)
-        families = in_casadi(formulas.families)(self.frame, machine.r)
-        self.families = dict(zip(self.FAMILIES, families, strict=True))
-
-    def discriminant(self, family: str) -> Any:
-        """Return uv² - uu vv over r²."""
-        return in_casadi(formulas.discriminant)(self.families[family]) / self.machine.r**2
-
-    def is_continuous(self, family: str) -> Any:
-        """Return whether a family is continuous, or the Z axes are parallel."""
-        found = in_casadi(formulas.is_continuous)(self.families[family], self.frame.noise)
-        return ca.logic_or(found, self.frame.is_vertical)
-
-    def is_real(self, family: str) -> Any:
-        """Return whether the two branches of a family are real and isolated."""
-        return ca.logic_and(self.discriminant(family) >= 0.0, ca.logic_not(self.is_continuous(family)))
-
-    def branch(self, family: str, sign: float, least: float = 0.0) -> Any:
-        """Return the b_i (3, 3) of the branch of a sign, as if the discriminant were at least `least` times r²."""
-        form = self.families[family]
-        radicand = ca.fmax(in_casadi(formulas.discriminant)(form), least * self.machine.r**2)
-        u, v, square = in_casadi(formulas.root)(form, sign, sqrt(radicand))
-        radii, heights = in_casadi(formulas.middle_joints)(
-            u, v, self.machine.r / square, form, self.frame, self._position
-        )
-        rows = in_casadi(stages.cartesian)(radii, heights)
-        return ca.vertcat(*(ca.horzcat(*row) for row in rows))
-
-
 def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Function:
     """Make `inverse_physical` of a machine as built, by Newton's method from the branches TT of the drawing."""
     drawn, unknowns = Drawn(machine, rotation, position), ca.SX.sym("unknowns", 6)
     starts = drawn_starts(machine, drawn)
     error = closure_equations(machine, unknowns, rotation, position)
-    joints = ca.horzcat(*(machine.frames[i].point(unknowns[2 * i : 2 * i + 2]) for i in range(3))).T
+    joints = ca.horzcat(*(machine.planes[i].point(unknowns[2 * i : 2 * i + 2]) for i in range(3))).T
     state = State(machine, joints, rotation, position)
     (rank, tilts), size = _preference(machine, state), machine.side + ca.norm_1(position)
     closed = ca.mmax(ca.fabs(error)) <= 1e-13 * size
@@ -520,7 +489,7 @@ def _implicit(
         rank, tilts = rated.call([best, *symbols])
         for end in ends[1:]:
             other_rank, other_tilts = rated.call([end, *symbols])
-            other = ca.logic_or(other_rank > rank, ca.logic_and(other_rank == rank, other_tilts > tilts))
+            other = in_casadi(formulas.is_other_preferred)(rank, tilts, other_rank, other_tilts)
             best, rank = ca.if_else(other, end, best), ca.if_else(other, other_rank, rank)
             tilts = ca.if_else(other, other_tilts, tilts)
     equations = ca.Function("equations", [unknowns, *known], [error])

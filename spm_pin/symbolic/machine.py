@@ -1,7 +1,7 @@
 """A machine in CasADi: its drawing and its six legs as numbers or symbols, and the equations that hold it together.
 
-A ball lies in the plane of its leg, normal to the leg's revolute axis. Its two coordinates there, from the pivot and in
-`LegFrame`, are the unknowns: all equations are quadratic in them.
+A ball lies in the plane of its leg, normal to the leg's revolute axis. Its two coordinates there, see `LegPlane`, are
+the unknowns: all equations are quadratic in them.
 """
 
 from __future__ import annotations
@@ -13,16 +13,15 @@ import casadi as ca
 import numpy as np
 
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import leg_planes, stages, wrenches
+from spm_pin.formulas import ball_motions, branches, leg_constants, leg_planes, stages, vectors, wrenches
 from spm_pin.formulas.operations import bind
-from spm_pin.mechanism import Geometry
+from spm_pin.mechanism import FAMILIES, Geometry
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
 from spm_pin.mechanism.legs import AXES, RADIAL
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 
 FLOOR = 1e-40
 """Least radicand of a square root: its root is far below rounding, and its powers in derivatives are finite."""
-UP = np.array([0.0, 0.0, 1.0])
 FIELDS = {"dimensions": 3, "axes": 18, "pivots": 18, "balls": 18, "offsets": 6, "minimum": 6, "maximum": 6}
 """How many numbers describe a machine: E, C, d, the six legs and the limits of their readings."""
 
@@ -38,7 +37,7 @@ def _where(condition: Any, yes: Any, no: Any) -> Any:
 
 def in_casadi(formula: Any) -> Any:
     """Return a formula of `spm_pin.formulas` as a function of CasADi's expressions."""
-    return bind(formula, sqrt=sqrt, where=_where, both=ca.logic_and, either=ca.logic_or)
+    return bind(formula, sqrt=sqrt, cos=ca.cos, sin=ca.sin, where=_where, both=ca.logic_and, either=ca.logic_or)
 
 
 def parts(vector: Any) -> tuple[Any, Any, Any]:
@@ -46,21 +45,26 @@ def parts(vector: Any) -> tuple[Any, Any, Any]:
     return vector[0], vector[1], vector[2]
 
 
-def direction(vector: Any) -> Any:
-    """Return a vector over its length."""
-    return vector / sqrt(ca.dot(vector, vector))
+def columns(rows: Sequence[Any]) -> list[Any]:
+    """Return the vectors of a formula as columns (3,)."""
+    return [ca.vertcat(*row) for row in rows]
+
+
+def stages_of(vectors: Sequence[Any]) -> tuple[list[Any], list[Any]]:
+    """Return the vectors of the lower and of the upper legs, of six, as formulas take them."""
+    return [parts(x) for x in vectors[:3]], [parts(x) for x in vectors[3:]]
 
 
 def all_of(conditions: Sequence[Any]) -> Any:
     """Return 1 where all conditions hold, else 0."""
-    found = ca.SX(1)
+    every = ca.SX(1)
     for condition in conditions:
-        found = ca.logic_and(found, condition)
-    return found
+        every = ca.logic_and(every, condition)
+    return every
 
 
-class LegFrame(NamedTuple):
-    """x along a leg's revolute axis, z as near to the normal of {B} or {m} as that allows."""
+class LegPlane(NamedTuple):
+    """The plane of a leg's lines: its normal x, the revolute axis, and the axes y, z of `leg_constants.leg_axes`."""
 
     x: Any
     y: Any
@@ -117,7 +121,8 @@ class Machine:
         machine.inputs, machine.is_drawn = list(fields.values()), False
         machine._draw(*ca.vertsplit(fields["dimensions"]))
         axes, pivots, balls = (ca.vertsplit(fields[name], 3) for name in ("axes", "pivots", "balls"))
-        machine._set_legs([direction(x) for x in axes], pivots, balls, fields["offsets"])
+        units = [ca.vertcat(*in_casadi(vectors.direction)(parts(x))) for x in axes]
+        machine._set_legs(units, pivots, balls, fields["offsets"])
         machine.minimum, machine.maximum = fields["minimum"], fields["maximum"]
         return machine
 
@@ -130,10 +135,10 @@ class Machine:
 
     def _set_legs(self, axes: list[Any], pivots: list[Any], balls: list[Any], offsets: Any) -> None:
         self.axes, self.pivots, self.balls, self.offsets = axes, pivots, balls, offsets
-        self.frames = []
-        for x, pivot in zip(axes, pivots, strict=True):
-            z = direction(ca.SX(UP) - x[2] * x)
-            self.frames.append(LegFrame(x, ca.cross(z, x), z, pivot))
+        self.planes = []
+        for axis, pivot in zip(axes, pivots, strict=True):
+            x, y, z = columns(in_casadi(leg_constants.leg_axes)(parts(axis)))
+            self.planes.append(LegPlane(x, y, z, pivot))
 
     def function(self, name: str, inputs: list[Any], outputs: dict[str, Any]) -> ca.Function:
         """Make a function; inputs are named as their symbols are."""
@@ -150,47 +155,31 @@ class Machine:
 
     def sides(self, stage: int) -> list[Any]:
         """Return the distances of the balls 12, 23, 31 of the lower stage, 0, or of the upper, 1."""
-        b = self.balls[3 * stage : 3 * stage + 3]
-        return [sqrt(ca.sumsqr(b[i] - b[(i + 1) % 3])) for i in range(3)]
+        return [sqrt(x) for x in in_casadi(ball_motions.squared_sides)(stages_of(self.balls)[stage])]
 
-    def ball_weights(self) -> list[tuple[Any, Any, Any]]:
+    def ball_weights(self) -> Any:
         """Return the weights of `spm_pin.formulas.leg_planes.upper_balls`."""
         if self.is_drawn:
             return [(0.0, 0.0, 0.0)] * 3
-        first, second = self.balls[1] - self.balls[0], self.balls[2] - self.balls[0]
-        normal, weights = ca.cross(first, second), []
-        for lower, upper in zip(self.balls[:3], self.balls[3:], strict=True):
-            arm = upper - lower
-            u, v = ca.dot(ca.cross(arm, second), normal), ca.dot(ca.cross(first, arm), normal)
-            weights.append(tuple(x / ca.sumsqr(normal) for x in (u, v, ca.dot(arm, normal))))
-        return weights
+        return in_casadi(leg_planes.upper_ball_weights)(*stages_of(self.balls))
 
     def all_balls(self, b: Sequence[Any]) -> list[Any]:
         """Return the six balls from those of the lower legs, seen from the same frame."""
         upper = in_casadi(leg_planes.upper_balls)([parts(x) for x in b], self.ball_weights())
-        return [*b, *(ca.vertcat(*x) for x in upper)]
+        return [*b, *columns(upper)]
 
-    def home_lengths(self) -> list[Any]:
-        """Return the leg length at home of both stages [m]; see `spm_pin.mechanism.joint_angles.home_lengths`."""
-        found = []
-        for k, radius in enumerate((self.base, self.platform)):
-            low, high = ca.mmax(self.minimum[3 * k : 3 * k + 3]), ca.mmin(self.maximum[3 * k : 3 * k + 3])
-            middle, reach = 0.5 * (low + high), ca.fabs(self.r - radius)
-            stands = all_of([low < high, reach < middle, middle < np.inf])
-            found.append(ca.if_else(stands, middle, low + sqrt(reach**2 + (self.r + radius) ** 2)))
-        return found
+    def home_length(self, stage: int) -> Any:
+        """Return the leg length at home of a stage [m]."""
+        legs, radius = slice(3 * stage, 3 * stage + 3), (self.base, self.platform)[stage]
+        low, high = ca.mmax(self.minimum[legs]), ca.mmin(self.maximum[legs])
+        return in_casadi(leg_constants.home_length)(radius, self.r, low, high)
 
 
 def _legs_of_parameters(parameters: Any) -> tuple[list[Any], list[Any], list[Any], Any]:
     """Return axes, pivots, balls and offsets of 54 parameters; see `Geometry.parameters`."""
     rows = [parameters[9 * i : 9 * i + 9] for i in range(6)]
-    axes = []
-    for row, axis in zip(rows, (*AXES, *AXES), strict=True):
-        square = row[0] ** 2 + row[1] ** 2
-        angle, small = ca.sqrt(ca.fmax(square, 1e-8)), square < 1e-8
-        cosine = ca.if_else(small, 1.0 - square / 2.0 + square**2 / 24.0, ca.cos(angle))
-        sinc = ca.if_else(small, 1.0 - square / 6.0 + square**2 / 120.0, ca.sin(angle) / angle)
-        axes.append(cosine * ca.SX(axis) + sinc * (row[0] * ca.SX(np.cross(UP, axis)) + row[1] * ca.SX(UP)))
+    turned = in_casadi(leg_constants.turned_axis)
+    axes = [ca.vertcat(*turned(axis, row[0], row[1])) for row, axis in zip(rows, 2 * leg_constants.AXES, strict=True)]
     return axes, [row[2:5] for row in rows], [row[5:8] for row in rows], ca.vertcat(*(row[8] for row in rows))
 
 
@@ -205,38 +194,66 @@ class State:
         self.axes = [*machine.axes[:3], *(rotation @ a for a in machine.axes[3:])]
         self.vectors = [self.balls[i] - self.bases[i] for i in range(3)]
         self.vectors += [self.bases[i] - self.balls[i] for i in range(3, 6)]
-        self.lengths = ca.vertcat(*(sqrt(ca.sumsqr(v)) for v in self.vectors))
+        (lower, lower_lengths), (upper, upper_lengths) = map(
+            in_casadi(vectors.directions_and_lengths), stages_of(self.vectors)
+        )
+        self.directions = columns([*lower, *upper])
+        self.lengths = ca.vertcat(*lower_lengths, *upper_lengths)
         self.readings = self.lengths + machine.offsets
-        # Where the wrenches and twists below are taken, and what makes their arms numbers of order one.
-        self.centre = (self.joints[0] + self.joints[1] + self.joints[2]) / 3.0
 
     def in_planes(self) -> tuple[Any, Any]:
         """Return the coordinates (6,) of the lower balls in their legs' planes, and of the upper ones."""
         seen = [*self.balls[:3], *(self.rotation.T @ (b - self.position) for b in self.balls[3:])]
-        found = [frame.coordinates(p) for frame, p in zip(self.machine.frames, seen, strict=True)]
-        return ca.vertcat(*found[:3]), ca.vertcat(*found[3:])
+        coordinates = [plane.coordinates(p) for plane, p in zip(self.machine.planes, seen, strict=True)]
+        return ca.vertcat(*coordinates[:3]), ca.vertcat(*coordinates[3:])
 
     def force_rows(self, directions: Sequence[Any]) -> Any:
-        """Return forces of size one through the six balls as rows (f, (b - p) x f / d), p the `centre`."""
-        arms = [(b - self.centre) / self.machine.side for b in self.balls]
-        return ca.vertcat(*(ca.vertcat(f, ca.cross(a, f)).T for f, a in zip(directions, arms, strict=True)))
+        """Return forces of size one through the six balls as rows (f, (b - p) x f / d), p the mean of the b_i."""
+        balls, rows = stages_of(self.balls), []
+        centre = in_casadi(wrenches.mean)(balls[0])
+        for f, b in zip(stages_of(directions), balls, strict=True):
+            arms = in_casadi(wrenches.arms)(b, centre, self.machine.side)
+            rows += in_casadi(wrenches.force_rows)(f, arms, ball_motions.NONE)
+        return ca.vertcat(*(ca.horzcat(*force, *moment) for force, moment in rows))
 
     def is_physical(self) -> tuple[Any, Any]:
         """Return whether the state is physical, leg limits aside, and the sum of the cosines of both stages' tilts."""
-        up, seen = self.rotation[:, 2], [self.rotation @ ca.SX(v) for v in RADIAL]
-        conditions = [ca.dot(UP, self.centre) > 0.0, ca.dot(self.position - self.centre, up) > 0.0]
-        for k, radial in ((0, [ca.SX(v) for v in RADIAL]), (3, seen)):
-            outwards = sum(ca.dot(v, b) for v, b in zip(radial, self.joints, strict=True))
-            at_home = is_at_home(self.axes[k : k + 3], self.vectors[k : k + 3], self.balls[k : k + 3])
-            conditions += [outwards > 0.0, at_home]
-        b1, b2, b3 = self.joints
-        normal = direction(ca.cross(b1 - b3, 2.0 * b2 - b1 - b3))
-        return all_of(conditions), normal[2] + ca.dot(normal, up)
+        turn, (b, c) = [parts(self.rotation[i, :]) for i in range(3)], stages_of(self.balls)
+        legs = *stages_of(self.vectors), *stages_of(self.axes)
+        physical = in_casadi(branches.is_physical)(b, c, *legs, turn, parts(self.position))
+        return physical, in_casadi(branches.tilt_cosine_sum)(b, turn)
 
 
-def is_at_home(axes: Sequence[Any], legs: Sequence[Any], balls: Sequence[Any]) -> Any:
-    """Return whether an upright stage is in the aspect of its home; see `mechanism.branch_of_state.physical`."""
-    # The axes as tangents of their platform, counterclockwise.
-    normals = [parts(ca.cross(sign * a, leg)) for sign, a, leg in zip((1.0, -1.0, -1.0), axes, legs, strict=True)]
-    pairs = in_casadi(wrenches.pairs)([parts(b) for b in balls], normals)
-    return in_casadi(stages.is_home_aspect)(pairs)
+class Drawn:
+    """The closed form of the drawn machine at a pose."""
+
+    def __init__(self, machine: Machine, rotation: Any, position: Any) -> None:
+        rows = [parts(rotation[i, :]) for i in range(3)]
+        self.machine, self._position = machine, parts(position)
+        self.frame = in_casadi(branches.pose_frame)(rows, self._position, machine.r)
+        families = in_casadi(branches.families)(self.frame, machine.r)
+        self.families = dict(zip(FAMILIES, families, strict=True))
+
+    def discriminant(self, family: str) -> Any:
+        """Return uv² - uu vv over r²."""
+        return in_casadi(branches.discriminant)(self.families[family]) / self.machine.r**2
+
+    def is_continuous(self, family: str) -> Any:
+        """Return whether a family is continuous, or the Z axes are parallel."""
+        vanishes = in_casadi(branches.is_continuous)(self.families[family], self.frame.noise)
+        return ca.logic_or(vanishes, self.frame.is_vertical)
+
+    def is_real(self, family: str) -> Any:
+        """Return whether the two branches of a family are real and isolated."""
+        return ca.logic_and(self.discriminant(family) >= 0.0, ca.logic_not(self.is_continuous(family)))
+
+    def branch(self, family: str, sign: float, least: float = 0.0) -> Any:
+        """Return the b_i (3, 3) of the branch of a sign, as if the discriminant were at least `least` times r²."""
+        form = self.families[family]
+        radicand = ca.fmax(in_casadi(branches.discriminant)(form), least * self.machine.r**2)
+        u, v, square = in_casadi(branches.root)(form, sign, sqrt(radicand))
+        radii, heights = in_casadi(branches.middle_joints)(
+            u, v, self.machine.r / square, form, self.frame, self._position
+        )
+        rows = in_casadi(stages.cartesian)(radii, heights)
+        return ca.vertcat(*(ca.horzcat(*row) for row in rows))

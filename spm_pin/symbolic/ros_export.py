@@ -6,18 +6,25 @@ import re
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+
 from spm_pin.description import SLIDES, srdf_text, urdf_text
+from spm_pin.description.masses import Masses
 from spm_pin.description.source_files import MESHES, description_directory
-from spm_pin.description.tree import JOINTS
-from spm_pin.kinematics.forward_displacement import starting_configuration
-from spm_pin.mechanism import Geometry, LegLimits
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.mechanism import Configuration, Geometry, LegLimits
+from spm_pin.mechanism.joint_angles import JOINTS, home_lengths
 from spm_pin.symbolic.c_export import c_sources, filled, write_files
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
+_PATTERN = np.array([-1.0, -1.0, 1.0 / 3.0, -2.0 / 3.0, -1.0, 1.0])
+"""How the readings at the start lie about the middle of the limits: no two axes of the platforms are parallel."""
+_SHARE = 0.1
+"""The largest deviation of these readings from the middle, in lengths of the legs at home."""
 
 
-def ros_package(geometry: Geometry, *, prefix: str = "") -> dict[str, str]:
+def ros_package(geometry: Geometry, *, prefix: str = "", masses: Masses | None = None) -> dict[str, str]:
     """Return a ROS 2 package, `spm_robot`, that shows a machine and controls the pose of its platform.
 
     Parameters
@@ -26,6 +33,8 @@ def ros_package(geometry: Geometry, *, prefix: str = "") -> dict[str, str]:
         The machine, drawn or as built.
     prefix : str
         Put before the name of the package, in lower case, and of every link, joint and function in C.
+    masses : Masses, optional
+        Of the bodies; assumed ones by default, see `urdf_text`.
 
     Returns
     -------
@@ -34,11 +43,12 @@ def ros_package(geometry: Geometry, *, prefix: str = "") -> dict[str, str]:
     """
     name = re.sub(r"[^a-z0-9]+", "_", f"{prefix}spm_".lower()).lstrip("_")
     package = f"{name}robot"
-    sources = c_sources(geometry, prefix=name)
-    urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}")
+    sources = c_sources(geometry, prefix=name, masses=masses)
+    urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses)
     slides, joints = ([f"{prefix}{joint}" for joint in names] for names in (SLIDES, JOINTS))
-    zeros = [home_lengths(geometry)[leg // 3] + float(geometry.legs.offsets[leg]) for leg in range(6)]
-    readings = starting_configuration(geometry).readings.tolist()
+    zeros = (np.repeat(home_lengths(geometry), 3) + geometry.legs.offsets).tolist()
+    readings, goal = _start(geometry)
+    position, quaternion = goal.translation, goal.pose.rotation.as_quat()
     values = {
         "PACKAGE": package,
         "PREFIX": name,
@@ -51,6 +61,8 @@ def ros_package(geometry: Geometry, *, prefix: str = "") -> dict[str, str]:
         "JOINTS": repr(joints),
         "ZEROS": ", ".join(map(repr, zeros)),
         "READINGS": ", ".join(map(repr, readings)),
+        "POSITION": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyz", position, strict=True)),
+        "ORIENTATION": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyzw", quaternion, strict=True)),
     }
     package_files = {
         path.relative_to(_TEMPLATES).as_posix().removesuffix(".in"): filled(path.read_text(encoding="utf-8"), values)
@@ -69,16 +81,33 @@ def ros_package(geometry: Geometry, *, prefix: str = "") -> dict[str, str]:
     return package_files
 
 
-def write_ros(geometry: Geometry, directory: str | Path, *, prefix: str = "") -> list[Path]:
+def write_ros(
+    geometry: Geometry, directory: str | Path, *, prefix: str = "", masses: Masses | None = None
+) -> list[Path]:
     """Write what `ros_package` returns into a directory, made if need be; all of it or nothing. Returns the paths.
 
     Files of the same names are replaced.
     """
-    paths = write_files(directory, ros_package(geometry, prefix=prefix))
+    paths = write_files(directory, ros_package(geometry, prefix=prefix, masses=masses))
     for path in paths:
         if path.parent.name == "scripts":
             path.chmod(0o755)
     return paths
+
+
+def _start(geometry: Geometry) -> tuple[list[float], Configuration]:
+    """Return readings to start from, away from the ends of the limits and from a level platform, and a state nearby."""
+    limits, offsets = geometry.limits or LegLimits(0.0, float("inf")), geometry.legs.offsets
+    home = np.repeat(home_lengths(geometry), 3)
+    low = np.array(limits.minimum)
+    high = np.minimum(limits.maximum, np.maximum(low, home + offsets) + home)
+    middle, reach = 0.5 * (low + high), np.minimum(0.25 * (high - low), _SHARE * home)
+    for share in (1.0, 0.5, 0.2):
+        readings = middle + share * reach * _PATTERN
+        states = forward_physical(geometry, [readings, 0.5 * (middle + readings)])
+        if states.exists.all():
+            return readings.tolist(), states[1]
+    raise ArgumentError("geometry", "leg limits with a state in their middle", geometry)
 
 
 def _hardware(geometry: Geometry, name: str, slides: list[str], zeros: list[float], readings: list[float]) -> str:

@@ -40,15 +40,6 @@ def test_it_is_the_derivative_of_the_pose_at_constant_readings(name: str, size: 
         np.testing.assert_allclose(moved, expected, atol=2e-7 * max(np.abs(expected).max(), 1.0))
 
 
-def test_a_batch_has_the_jacobians_of_its_members_and_nan_where_one_does_not_exist() -> None:
-    state = spm.forward_physical(PAPER, np.random.default_rng(1).uniform(1.15, 1.45, (2, 3, 6)))
-    assert error_jacobian(state).shape == (2, 3, 6, 54)
-    np.testing.assert_allclose(error_jacobian(state[1, 2]), error_jacobian(state)[1, 2], rtol=1e-9, atol=1e-13)
-    absent = error_jacobian(spm.forward_physical(PAPER, [[1.3] * 6, [1.3, 1.3, 9.0, 1.3, 1.3, 1.3]]))
-    assert np.isfinite(absent[0]).all()
-    assert np.isnan(absent[1]).all()
-
-
 def test_forty_eight_combinations_move_the_platform_and_forty_five_its_position() -> None:
     state = spm.forward_physical(machine(PAPER, 2e-3), np.random.default_rng(2).uniform(1.15, 1.45, (60, 6)))
     rows = error_jacobian(state)

@@ -200,10 +200,6 @@ def test_the_reason_against_a_line_of_poses_is_what_it_meets_first() -> None:
         (START, START, "goal", "no length"),
         ([120.0, 120, 140, 125, 120, 150], GOAL, "start", "physical mode"),
         (START, [0.3, 0.3, 3.0, 1.2, 1.2, 1.2], "goal", "physical mode"),
-        (START, [1.2, np.nan, 1.2, 1.2, 1.2, 1.2], "goal", "finite"),
-        (START, "there", "goal", "six leg lengths"),
-        (START, [1.2] * 7, "goal", "six leg lengths"),
-        (START, np.eye(4), "goal", "pose"),
     ],
 )
 def test_states_that_cannot_be_planned_to_are_named(start: object, goal: object, name: str, text: str) -> None:
@@ -231,7 +227,7 @@ def test_one_state_instead_of_a_list_to_pass_is_named() -> None:
     "geometry",
     [PAPER, spm.Geometry(0.5, 0.5, 0.6), pytest.param(spm.Geometry(0.9, 0.3, 1.0), marks=pytest.mark.slow)],
 )
-@pytest.mark.parametrize("count", [30, pytest.param(350, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [30, pytest.param(150, marks=pytest.mark.slow)])
 def test_random_pairs_have_a_plan_or_a_reason(geometry: spm.Geometry, count: int) -> None:
     rng = np.random.default_rng(count)
     size = geometry.base_radius + geometry.middle_side

@@ -87,7 +87,7 @@ class CLibrary:
         (folder / "batches.c").write_text(_BATCHES + "".join(loops), encoding="utf-8")
         library = folder / "library.so"
         inputs = folder / "batches.c", folder / "spm_kinematics.c"
-        compile_c(compilers()[0], "-std=c99", *flags, "-fPIC", "-shared", *inputs, "-lm", "-o", library)
+        compile_c(compilers()[0], *STRICT, *flags, "-fPIC", "-shared", *inputs, "-lm", "-o", library)
         return cls(ctypes.CDLL(str(library)), geometry_numbers(geometry))
 
     def of(self, geometry: spm.Geometry) -> CLibrary:

@@ -238,8 +238,8 @@ def test_derivatives_agree_with_sixty_digits_from_the_closure_equations() -> Non
 
 
 @pytest.mark.slow
-def test_derivatives_of_a_thousand_states_agree_with_sixty_digits() -> None:
-    first, second = worst_derivatives(1000)
+def test_derivatives_of_hundreds_of_states_agree_with_sixty_digits() -> None:
+    first, second = worst_derivatives(300)
     assert first < 1e-13
     assert second < 1e-12
 

@@ -60,7 +60,7 @@ typedef struct {
 /* The machine that this file was generated for. Others may be passed as well. */
 extern const @PREFIX@geometry @PREFIX@machine;
 
-/* Masses for `@PREFIX@gravity`, here those of the URDF [kg, kg m]: mass and first moments of the middle platform in {n},
+/* Masses for `@PREFIX@gravity` [kg, kg m], assumed ones unless the export was given others: mass and first moments of the middle platform in {n},
    with all balls, and of the terminal platform in {m}; then of each leg the mass of the cylinder, and times the distance
    of its centre from the pivot, and the mass of the rod, and times the distance of its centre from the ball. */
 extern const double @PREFIX@bodies[32];

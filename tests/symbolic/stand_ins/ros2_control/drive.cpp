@@ -1,6 +1,7 @@
 // Run the controller for some ticks around a machine that follows its commands at once.
 #include <cmath>
 #include <cstdio>
+#include <cstring>
 #include "spm_controller.cpp"
 int main()
 {
@@ -33,17 +34,20 @@ int main()
     for (int i = 0; i < 6; ++i) {worst = std::fmax(worst, std::fabs(controller.command_interfaces_[i].value - slides[i]));}
   }
   if (solved < 900) {return 4;}
+  std::strcpy(controller.node->warned, "");
   const double kept = controller.command_interfaces_[0].value;
   pose.position.z += 5.0;
   controller.node->publish(pose);
   controller.update({}, {});
   if (controller.status == SPM_OK || controller.command_interfaces_[0].value != kept) {return 5;}
+  if (!std::strstr(controller.node->warned, spm_status_name(controller.status))) {return 8;}
   pose.orientation.w = NAN;
   controller.node->publish(pose);
   controller.update({}, {});
   if (controller.status != SPM_NOT_FINITE) {return 7;}
   controller.state_interfaces_[2].value = -2.0;
   if (controller.update({}, {}) != return_type::ERROR) {return 6;}
+  if (!std::strstr(controller.node->warned, spm_status_name(controller.measured_status))) {return 9;}
   std::printf("%.3e\n", worst);
   return 0;
 }

@@ -1,5 +1,6 @@
 // A ros2_control controller for the 3RPS-3SPR manipulator: each tick turns a reference pose into six slides, and the
-// measured slides into a pose. Nothing in `update` allocates, locks or iterates without a bound.
+// measured slides into a pose. Nothing in `update` allocates, locks or iterates without a bound, but for a warning where a
+// reference is refused or the measured slides have no state, once a second at most.
 //
 // SPDX-License-Identifier: BSD-2-Clause
 
@@ -99,9 +100,19 @@ public:
           status = @PREFIX_UPPER@UNREACHABLE;
         }
       }
+      if (status != @PREFIX_UPPER@OK) {
+        RCLCPP_WARN_THROTTLE(
+          get_node()->get_logger(), *get_node()->get_clock(), 1000, "the reference is refused, commands are kept: %s",
+          @PREFIX@status_name(status));
+      }
       for (std::size_t i = 0; i < SLIDES.size() && status == @PREFIX_UPPER@OK; ++i) {
         (void)command_interfaces_[i].set_value(state.readings[i] - ZEROS[i]);
       }
+    }
+    if (measured_status != @PREFIX_UPPER@OK) {
+      RCLCPP_WARN_THROTTLE(
+        get_node()->get_logger(), *get_node()->get_clock(), 1000, "no state with the measured slides: %s",
+        @PREFIX@status_name(measured_status));
     }
     return measured_status == @PREFIX_UPPER@OK ? controller_interface::return_type::OK :
            controller_interface::return_type::ERROR;

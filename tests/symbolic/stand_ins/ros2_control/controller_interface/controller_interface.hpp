@@ -1,6 +1,7 @@
 // What a controller uses of ros2_control, rclcpp, realtime_tools, geometry_msgs and pluginlib (Humble to Jazzy), written
 // anew for the tests.
 #pragma once
+#include <cstdio>
 #include <functional>
 #include <memory>
 #include <string>
@@ -38,6 +39,11 @@ struct Node
     publish = callback;
     return std::make_shared<Subscription<Message>>(Subscription<Message>{callback});
   }
+  struct Logger {char * text;};
+  struct Clock {int ticks;};
+  Logger get_logger() {return {warned};}
+  std::shared_ptr<Clock> get_clock() {return std::make_shared<Clock>();}
+  char warned[200] = "";
   std::function<void(const geometry_msgs::msg::Pose &)> publish;
 };
 }  // namespace rclcpp
@@ -86,3 +92,5 @@ public:
 }  // namespace controller_interface
 #define PLUGINLIB_EXPORT_CLASS(derived, base) \
   std::unique_ptr<base> made_by_pluginlib() {return std::make_unique<derived>();}
+#define RCLCPP_WARN_THROTTLE(logger, clock, milliseconds, ...) \
+  ((void)(clock).ticks, (void)(milliseconds), std::snprintf((logger).text, 200, __VA_ARGS__))
