@@ -6,6 +6,7 @@
  * are roll, pitch and yaw in degrees: R = Rz(C) Ry(B) Rx(A). Lengths are in machine units, UNITS_PER_METRE to a metre.
  *
  * Install: spm-pin export c --out DIR; then halcompile --install spmkins.c with spm_kinematics.c and .h and read_machine.h beside it.
+ * halcompile makes a module of this one file, which therefore includes the others. Only stand-ins for LinuxCNC's headers were tried.
  * loadrt spmkins machine=FILE takes the spm_machine.txt of another export, after a calibration, without compiling again.
  *
  * A level platform cannot be commanded, for there the pose leaves the legs undetermined: the inverse then returns -1, and
@@ -13,6 +14,7 @@
  */
 
 #include "read_machine.h"
+#include "spm_kinematics.c"
 
 #include <hal.h>
 #include <kinematics.h>

@@ -9,26 +9,33 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from spm_pin.display.figures import (
+        Style,
         agreement_figure,
         calibration_figure,
         certificate_figure,
+        front_figure,
         motion_figure,
+        path_figure,
         save_figure,
     )
-    from spm_pin.display.plots import draw, save_gallery, save_picture
+    from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
     from spm_pin.display.shell_plots import draw_shell, save_mesh, sections_figure, shell_figure
     from spm_pin.display.viewer import Playback, Recording, Viewer, read_recording
 
 __all__ = [
     "Playback",
     "Recording",
+    "Style",
     "Viewer",
     "agreement_figure",
     "calibration_figure",
     "certificate_figure",
     "draw",
+    "draw_capability",
     "draw_shell",
+    "front_figure",
     "motion_figure",
+    "path_figure",
     "read_recording",
     "save_figure",
     "save_gallery",
@@ -40,8 +47,17 @@ __all__ = [
 
 # Imported on first use: each room that a figure shows takes a moment.
 _HOMES = {
-    "figures": ("agreement_figure", "calibration_figure", "certificate_figure", "motion_figure", "save_figure"),
-    "plots": ("draw", "save_gallery", "save_picture"),
+    "figures": (
+        "Style",
+        "agreement_figure",
+        "calibration_figure",
+        "certificate_figure",
+        "front_figure",
+        "motion_figure",
+        "path_figure",
+        "save_figure",
+    ),
+    "plots": ("draw", "draw_capability", "save_gallery", "save_picture"),
     "shell_plots": ("draw_shell", "save_mesh", "sections_figure", "shell_figure"),
     "viewer": ("Playback", "Recording", "Viewer", "read_recording"),
 }

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import functools
+import io
+import itertools
 import json
 import math
-from collections.abc import Mapping
+import re
+import textwrap
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, writing
@@ -18,9 +24,12 @@ from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, w
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
     from spm_pin.calibration import Calibration
     from spm_pin.crosscheck import Report
+    from spm_pin.design import Front
+    from spm_pin.kinematics import FollowedPath
     from spm_pin.multibody.trajectory import JointTrajectory
     from spm_pin.proofs import Certificate
 
@@ -32,16 +41,54 @@ WIDEST = 6000
 # After Okabe and Ito's palette, distinct with any colour vision.
 _BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE = "#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7"
 _LIMIT = "#d62728"
+_NOTEBOOK_DPI = 110.0
+_DARKEST, _GREY = 0.1, 0.12  # white on a dark page, and by how much the channels of a grey differ at most
+DARK = "#1a1a1a"
+"""The dark background."""
+_PER_INCH = {"mm": 25.4, "in": 1.0}
+_ALLOWED = {"width": (1.0, 40.0), "height": (1.0, 40.0), "font_size": (4.0, 40.0), "dpi": (50.0, 1200.0)}
+_STRETCHES = (1.15, 1.3, 1.5, 1.75, 2.0, 2.5)
+"""By how much a figure is made higher until its texts fit, if its height is not given."""
+_DRAWN_FONT = 10.0  # size of the axes' names as figures are drawn, in points
 _SMALLEST = 1e-8  # shares of a tolerance below this are drawn as this
+_OPACITY = 0.75  # of a box over white
 _TILTS = (30, 60, 90, 120)  # degrees, circles in the picture of a certificate
 
 
 def new_figure(width: float, height: float, **options: Any) -> Figure:
-    """Return a matplotlib figure of a size in inches."""
+    """Return a matplotlib figure of a size in inches, which a notebook shows at the end of a cell."""
     require_extra("plots", "matplotlib")
+    return _notebook_classes()[0](figsize=(width, height), **options)
+
+
+def new_axes(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
+    """Add axes at a place (left, bottom, width, height) of a figure, which a notebook shows as that figure."""
+    return figure.add_axes(place, axes_class=_notebook_classes()[1])
+
+
+@functools.cache
+def _notebook_classes() -> tuple[type[Figure], type[Axes]]:
+    """Return the classes of figures and of axes that IPython shows as PNG; pyplot is not needed for that."""
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width, height), **options)
+    def png(figure: Any) -> bytes:
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png", dpi=_NOTEBOOK_DPI, facecolor="white")
+        return stream.getvalue()
+
+    class NotebookFigure(Figure):
+        """A figure that shows itself."""
+
+        _repr_png_ = png
+
+    class NotebookAxes(Axes):
+        """Axes that show their figure."""
+
+        def _repr_png_(self) -> bytes:
+            return png(self.figure)
+
+    return NotebookFigure, NotebookAxes
 
 
 def check_appearance(width: int, narrowest: int, background: str) -> None:
@@ -57,15 +104,257 @@ def check_appearance(width: int, narrowest: int, background: str) -> None:
         raise ArgumentError("background", expected, repr(background))
 
 
-def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, background: str = "white") -> Path:
-    """Save a figure as .png, .svg or .pdf, the same bytes for the same figure; a file that exists is replaced."""
-    path = file_path(path, suffixes=FORMATS)
+@dataclass(frozen=True)
+class Style:
+    """Size, font and background of a figure that is saved; what is not given is as the figure was drawn.
+
+    Vector formats hold lines as lines and labels as text, in TrueType; what is shaded is one image of `dpi` in them.
+    """
+
+    width: float | None = None
+    """Width [inch]."""
+    height: float | None = None
+    """Height [inch]; if only the width is given in proportion to it, or higher where texts need that."""
+    font_size: float | None = None
+    """Size of the axes' names in points; the other texts keep their proportion to it."""
+    dpi: float | None = None
+    """Pixels per inch, of PNG and of images within PDF and SVG."""
+    dark: bool = False
+    """Light lines and texts on a dark background."""
+
+    @classmethod
+    def from_text(cls, text: str) -> Style:
+        """Read sizes with their units and ``dark``, joined by commas: ``"90x60mm,8pt,600dpi,dark"``, ``"3.5in"``."""
+        values: dict[str, Any] = {}
+        for word in filter(None, (word.strip() for word in text.split(","))):
+            match = re.fullmatch(r"(?P<number>[\d.]+)(x(?P<height>[\d.]+))?(?P<unit>mm|in|pt|dpi)|dark", word)
+            if match is None or (match["height"] and match["unit"] not in _PER_INCH):
+                expected = "words such as 90mm, 3.5x2.5in, 8pt, 600dpi or dark, joined by commas"
+                raise ArgumentError("style", expected, repr(word))
+            key = {"pt": "font_size", "dpi": "dpi", None: "dark"}.get(match["unit"], "width")
+            if key in values:
+                raise ArgumentError("style", "each of size, font, dpi and dark once", f"another {word}")
+            if key == "width":
+                per_inch = _PER_INCH[match["unit"]]
+                values["width"] = float(match["number"]) / per_inch
+                values["height"] = float(match["height"]) / per_inch if match["height"] else None
+            else:
+                values[key] = float(match["number"]) if match["number"] else True
+        unit = "mm" if "mm" in text else "in"
+        units = {"width": unit, "height": unit, "font_size": "pt", "dpi": "dpi"}
+        for name, limits in _ALLOWED.items():
+            value = values.get(name)
+            if value is not None and not limits[0] <= value <= limits[1]:
+                low, high, typed = (number * _PER_INCH.get(units[name], 1.0) for number in (*limits, value))
+                expected = f"a {name.replace('_', ' ')} from {low:g} to {high:g} {units[name]}"
+                raise ArgumentError("style", expected, f"{typed:g} {units[name]}")
+        return cls(**values)
+
+    def apply(self, figure: Figure) -> None:
+        """Change a figure's size, texts and colours."""
+        from matplotlib.text import Text
+
+        if self.width is not None:
+            width, height = figure.get_size_inches()
+            figure.set_size_inches(self.width, self.height or height * self.width / width)
+        if self.font_size is not None:
+            for text in figure.findobj(Text):
+                text.set_fontsize(float(text.get_fontsize()) * self.font_size / _DRAWN_FONT)
+        if (self.width or self.font_size) and figure.get_layout_engine() is not None:
+            self._fit(figure)
+        if self.dark:
+            _darken(figure)
+
+    def _fit(self, figure: Figure) -> None:
+        """Break texts and legends for the figure's size, or raise `ArgumentError` with a size that is enough."""
+        size, texts = figure.get_size_inches(), {text: text.get_text() for text in _titles(figure)}
+        stretches = [1.0] if self.height else [1.0, *_STRETCHES]
+        for stretch in stretches:
+            figure.set_size_inches(size[0], stretch * size[1])
+            if _arrange(figure, texts):
+                _leave_out_covered_names(figure)
+                return
+        factor = 1.1
+        figure.set_size_inches(*(factor * size))
+        while not _arrange(figure, texts) and factor < 8.0:
+            factor *= 1.1
+            figure.set_size_inches(*(factor * size))
+        width, height = np.ceil(factor * size * _PER_INCH["mm"])
+        enough = f"{width:g}x{height:g}mm" if self.height else f"{width:g}mm"
+        cause = "Its texts do not fit; a smaller font needs less" if self.font_size else "Its texts do not fit"
+        received = f"{size[0] * _PER_INCH['mm']:.4g} mm"
+        raise ArgumentError("style", f"a size for this figure, such as {enough}", received, cause)
+
+
+def scaled(figure: Figure, factor: float) -> Figure:
+    """Return a figure after its size and all its texts have been enlarged."""
+    from matplotlib.text import Text
+
+    if factor != 1.0:
+        figure.set_size_inches(*(factor * figure.get_size_inches()))
+        for text in figure.findobj(Text):
+            text.set_fontsize(factor * float(text.get_fontsize()))
+    return figure
+
+
+def legend_below(figure: Figure, handles: Sequence[Any], **options: Any) -> None:
+    """Write the legend below all axes, in place of the one that is there, with as few lines as the width allows."""
+    count = len(handles)
+    # As many columns as fit, with lines of the same length.
+    for columns in sorted({math.ceil(count / rows) for rows in range(1, count + 1)}, reverse=True):
+        for legend in figure.legends:
+            legend.remove()
+        options |= {"loc": "outside lower center", "ncols": columns, "frameon": False}
+        if figure.legend(handles=handles, **options).get_window_extent().width <= figure.bbox.width:
+            break
+
+
+def _titles(figure: Figure) -> dict[Text, Axes | None]:
+    """Return the texts that can be broken: of the figure, and titles and names of axes with their axes."""
+    from matplotlib.text import Text
+
+    texts: dict[Text, Axes | None] = dict.fromkeys(figure.texts)
+    for ax in figure.axes:
+        titles = [child for child in ax.get_children() if isinstance(child, Text) and child not in ax.texts]
+        texts |= dict.fromkeys((*titles, ax.xaxis.label, ax.yaxis.label), ax)
+    return {text: ax for text, ax in texts.items() if text.get_text() and (ax is None or ax.axison)}
+
+
+def _arrange(figure: Figure, originals: Mapping[Text, str]) -> bool:
+    """Break the figure's texts and its legend to its size; return whether they neither cover nor leave anything."""
+    for text, words in originals.items():
+        text.set_text(words)
+    for legend in figure.legends:
+        names, handles = legend.get_texts(), [handle for handle in legend.legend_handles if handle is not None]
+        for name, handle in zip(names, handles, strict=True):
+            handle.set_label(name.get_text())
+        legend_below(figure, handles, fontsize=names[0].get_fontsize())
+    titles = _titles(figure)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message="constrained_layout not applied")
+        try:
+            figure.draw_without_rendering()
+            for text, ax in titles.items():
+                room, box = _room(text, ax), text.get_window_extent()
+                length = max(box.width, box.height)
+                if length > room:
+                    letters = max(1, int(len(text.get_text()) * room / length))
+                    text.set_text(textwrap.fill(text.get_text(), letters, break_long_words=False))
+            figure.draw_without_rendering()
+        except UserWarning:
+            return False
+    within_axes = [inner for ax in figure.axes if (inner := ax.get_legend()) is not None]
+    boxes = [part.get_window_extent() for part in (*titles, *figure.legends, *within_axes)]
+    page = figure.bbox.padded(1.0)
+    within = all(page.contains(*corner) for box in boxes for corner in (box.min, box.max))
+    covered = any(box.overlaps(other) for k, box in enumerate(boxes) for other in boxes[:k])
+    return within and not covered and not any(_numbers_overlap(ax) for ax in figure.axes if ax.axison)
+
+
+def _numbers_overlap(ax: Axes) -> bool:
+    """Return whether neighbouring numbers of an axis cover one another."""
+    for axis in (ax.xaxis, ax.yaxis):
+        labels = [label for label in axis.get_majorticklabels() if label.get_visible() and label.get_text()]
+        boxes = [label.get_window_extent() for label in labels]
+        if any(box.overlaps(following) for box, following in itertools.pairwise(boxes)):
+            return True
+    return False
+
+
+def _leave_out_covered_names(figure: Figure) -> None:
+    """Hide names within axes that would cover a name before them."""
+    for ax in figure.axes:
+        boxes: dict[tuple[float, float], Any] = {}
+        for text in ax.texts:
+            # A name and its halo have one place.
+            place, box = text.get_position(), text.get_window_extent()
+            if place not in boxes and any(box.overlaps(other) for other in boxes.values()):
+                text.set_visible(False)
+            else:
+                boxes.setdefault(place, box)
+
+
+def _room(text: Text, ax: Axes | None) -> float:
+    """Return how long a text may be [pixel]: within the figure, as axes are high, or as their column is wide."""
+    assert text.figure is not None
+    width = float(text.figure.bbox.width)
+    if ax is None:
+        return width
+    place, box = ax.get_subplotspec(), text.get_window_extent()
+    if text is ax.yaxis.label:
+        return float(ax.get_window_extent().height)
+    if place is None:
+        return float(ax.get_window_extent().width)
+    centre = 0.5 * (box.x0 + box.x1)
+    on_the_page = width - box.x0 if text.get_horizontalalignment() == "left" else 2.0 * min(centre, width - centre)
+    return float(min(on_the_page, 0.9 * width / place.get_gridspec().ncols))
+
+
+def _darken(figure: Figure) -> None:
+    """Turn the greys of lines, texts and frames over, dark ones into light ones; colours stay."""
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.colors import to_rgb
+    from matplotlib.patheffects import Stroke
+    from matplotlib.text import Text
+
+    def turned(artist: Artist, colour: Any) -> Any:
+        red, green, blue = values = to_rgb(colour)
+        if max(values) - min(values) < _GREY:
+            return tuple(_DARKEST + 0.85 * (1.0 - value) for value in values)
+        dark_text = isinstance(artist, Text) and 0.3 * red + 0.6 * green + 0.1 * blue < 0.5
+        return tuple(0.55 * value + 0.45 for value in values) if dark_text else colour
+
+    # The colour of axes is that of their patch.
+    artists: set[Artist] = {*figure.findobj()} - {figure, *figure.findobj(Axes)}
+    for axis in figure.findobj(Axis):
+        assert isinstance(axis, Axis)
+        light = turned(axis, "black")
+        axis.set_tick_params(which="both", color=light, labelcolor=light)  # of ticks that are made later, too
+        artists -= {*axis.findobj()} - {axis.label}
+    for artist in artists:
+        for name in ("color", "edgecolor", "facecolor"):
+            getter, setter = getattr(artist, f"get_{name}", None), getattr(artist, f"set_{name}", None)
+            value = getter() if getter is not None and setter is not None else None
+            # An array of colours, of a collection, is data; with no opacity nothing is seen.
+            if setter is not None and isinstance(value, str | tuple) and value != "none" and value[3:] != (0.0,):
+                setter(turned(artist, value))
+        if isinstance(artist, Text) and (box := artist.get_bbox_patch()) is not None:
+            box.set_facecolor(DARK)
+        if artist.get_path_effects():  # the halo of a name
+            artist.set_path_effects([Stroke(linewidth=3.0, foreground=DARK, alpha=0.85)])
+
+
+def write_name(ax: Axes, place: tuple[float, float], text: str, size: float, colour: Any, halo: float) -> None:
+    """Write a name of `size` points at a place, centred, above a white halo of a relative width.
+
+    The halo is an outline; the name itself stays text in vector files.
+    """
+    from matplotlib.patheffects import Stroke
+
+    centred: dict[str, Any] = {"fontsize": size, "ha": "center", "va": "center"}
+    below = ax.text(*place, text, color="white", **centred)
+    below.set_path_effects([Stroke(linewidth=halo * size, foreground="white", alpha=0.85)])
+    ax.text(*place, text, color=colour, **centred)
+
+
+def save_figure(
+    figure: Figure, path: str | Path, *, dpi: float = 150.0, background: str = "white", style: Style | None = None
+) -> Path:
+    """Save a figure as .png, .svg or .pdf, the same bytes for the same figure; a file that exists is replaced.
+
+    A `style` changes the figure first; its `dpi` and its dark background count in place of the arguments.
+    """
+    path, style = file_path(path, suffixes=FORMATS), style or Style()
     from matplotlib import rc_context
 
-    # Without the date, and with names that do not change from run to run.
+    style.apply(figure)
+    # Without the date, and with names that do not change from run to run; texts as texts in TrueType, not as outlines.
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
-    with writing(path), rc_context({"svg.hashsalt": "spm-pin"}):
-        figure.savefig(path, dpi=dpi, facecolor=background, metadata=metadata)
+    with writing(path), rc_context({"svg.hashsalt": "spm-pin", "pdf.fonttype": 42, "svg.fonttype": "none"}):
+        colour = DARK if style.dark else background
+        figure.savefig(path, dpi=style.dpi or dpi, facecolor=colour, metadata=metadata)
     return path
 
 
@@ -106,6 +395,8 @@ def agreement_figure(report: Report) -> Figure:
     quantities = (Quantity.POSITIONS, Quantity.JACOBIAN, Quantity.FORCES, Quantity.ASSEMBLY)
     for quantity, colour in zip(quantities, colours, strict=True):
         chosen = [k for k in rows if pairs[k].quantity is quantity]
+        if not chosen:
+            continue
         ratios = [max(pairs[k].ratio, _SMALLEST) for k in chosen]
         ax.barh(chosen, ratios, left=_SMALLEST, height=0.7, color=colour, label=str(quantity))
     ax.axvline(1.0, color=_LIMIT, linewidth=2.0)
@@ -114,9 +405,11 @@ def agreement_figure(report: Report) -> Figure:
     ax.set_yticks(list(rows), [f"{pair.first} – {pair.second}" for pair in pairs])
     ax.invert_yaxis()
     ax.set_xlabel("largest difference over its tolerance (red line: the tolerance)")
-    figure.legend(loc="outside lower center", ncols=len(quantities), frameon=False)
+    handles = ax.get_legend_handles_labels()[0]
+    legend_below(figure, handles)
     ax.spines[["top", "right"]].set_visible(False)
-    ax.set_title(f"{report.verdict} {len(report.xyx)} poses, {report.states} configurations", loc="left")
+    count = "1 pose" if len(report.xyx) == 1 else f"{len(report.xyx)} poses"
+    figure.suptitle(f"{report.verdict} {count}, {report.states} configurations")
     return figure
 
 
@@ -137,11 +430,40 @@ def calibration_figure(calibration: Calibration) -> Figure:
         sizes = 1e6 * np.linalg.norm(calibration.residuals[outliers, :3], axis=-1)
         errors.plot(outliers, sizes, "o", ms=9, mfc="none", color="black", label="outlier")
     errors.set(xlabel="measurement", ylabel="predicted − measured position [µm]")
-    errors.legend(fontsize=8, loc="center right")
+    handles = errors.get_legend_handles_labels()[0]
+    legend_below(figure, handles, fontsize=8)
     count = len(calibration.deviations)
     combinations.semilogy(1 + np.arange(count), calibration.deviations, ".", color=_BLUE)
     combinations.set(xlabel="combination of parameters", ylabel="standard deviation [d, rad]")
     combinations.set_title(f"{count} identifiable, {len(calibration.unidentifiable)} not", fontsize=10)
+    return figure
+
+
+def path_figure(path: FollowedPath) -> Figure:
+    """Draw the legs along a followed path, its distances to singularities, and its events as vertical lines."""
+    from spm_pin.kinematics import EventKind, FollowedPath, singularities
+
+    check_instance(path, FollowedPath, "path", "follow returns one")
+    figure = new_figure(6.5, 5.0, layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    for leg, column in enumerate(path.configurations.readings.T):
+        colour, style = (_BLUE if leg < 3 else _ORANGE), ("-", "--", ":")[leg % 3]
+        top.plot(path.parameters, column, color=colour, ls=style, label=f"$r_{{{LEGS[leg][2:]}}}$")
+    top.set(ylabel="leg reading [m]")
+    sigma = singularities(path.configurations).sigma
+    matrices = {"$J_b$": (_GREEN, "-"), "$J_c$": (_SKY, "-."), "$K$": ("black", "-")}
+    for column, (name, (colour, style)) in zip(sigma.T, matrices.items(), strict=True):
+        bottom.semilogy(path.parameters, column, color=colour, ls=style, label=name)
+    bottom.set(xlabel="parameter", ylabel="smallest singular value")
+    kinds = {EventKind.LIMIT: (":", _VERMILION), EventKind.INVERSE_SINGULARITY: ("-", _PURPLE)}
+    for ax in (top, bottom):
+        for event in path.events:
+            style, colour = kinds.get(event.kind, ("-", "0.5"))
+            label = str(event.kind) if ax is bottom else None
+            ax.axvline(event.parameter, color=colour, ls=style, lw=1.0, label=label)
+        ax.spines[["top", "right"]].set_visible(False)
+    handles = {handle.get_label(): handle for ax in (top, bottom) for handle in ax.get_legend_handles_labels()[0]}
+    legend_below(figure, list(handles.values()), fontsize=8)
     return figure
 
 
@@ -166,7 +488,8 @@ def certificate_figure(certificate: Certificate) -> Figure:
         bound = certificate.bounds[k]
         ax.set_title(f"{name}: |det J_{'bc'[k]}| ≥ {bound:.3f} d³" if bound else f"{name}: undecided", fontsize=10)
         ax.set(aspect="equal", xlabel="x", ylabel="y" if k == 0 else "")
-        ax.legend(fontsize=8, frameon=False, loc="upper right")
+    kinds = {box.get_label(): box for ax in figure.axes for box in ax.get_legend_handles_labels()[0]}
+    legend_below(figure, list(kinds.values()), fontsize=8)
     title = "Tilt of the middle platform, vector part (x, y) of its quaternion"
     if any(certificate.errors):
         title += "; all machines within {:g} mm and {:g} mrad".format(*(1e3 * error for error in certificate.errors))
@@ -176,21 +499,22 @@ def certificate_figure(certificate: Certificate) -> Figure:
 
 def _draw_boxes(ax: Axes, boxes: FloatArray, colour: str, label: str) -> None:
     from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgb
 
     if not len(boxes):
         return
     # Boxes above one another cover the same tilts: each rectangle is drawn once.
     (x0, x1), (y0, y1) = np.moveaxis(np.unique(boxes[:, :2], axis=0), 0, -1)
     corners = np.stack([np.stack(pair, axis=-1) for pair in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))], axis=1)
-    ax.add_collection(
-        PolyCollection(list(corners), facecolor=colour, edgecolor="white", lw=0.2, alpha=0.75, label=label)
-    )
+    # Opaque: tilts that several boxes cover have the shade of the others.
+    pale = 1.0 - _OPACITY * (1.0 - np.array(to_rgb(colour)))
+    ax.add_collection(PolyCollection(list(corners), facecolor=pale, edgecolor="white", lw=0.2, label=label))
     ax.autoscale_view()
 
 
 def motion_figure(
     motion: JointTrajectory,
-    readings: FloatArray,
+    readings: FloatArray | None = None,
     limits: LegLimits | None = None,
     largest: dict[str, Any] | None = None,
 ) -> Figure:
@@ -200,8 +524,8 @@ def motion_figure(
     ----------
     motion : JointTrajectory
         Times, rates, accelerations and forces.
-    readings : ndarray, shape (n, 6)
-        At its times [m], of `ClosedChain.readings`.
+    readings : ndarray, shape (n, 6), optional
+        At its times [m], of `ClosedChain.readings`; without them the slides are drawn, which are zero at home.
     limits : LegLimits, optional
         Drawn as lines.
     largest : dict, optional
@@ -212,13 +536,12 @@ def motion_figure(
 
     check_instance(motion, JointTrajectory, "motion")
     colours = (_BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE)
-    # The chain may have a prefix.
-    slides = [next(k for k, name in enumerate(motion.joint_names) if name.endswith(slide)) for slide in SLIDES]
+    slides = motion.slides
     figure = new_figure(8.0, 8.4, layout="constrained")
     ends = np.empty(0) if limits is None else np.concatenate([limits.minimum, limits.maximum])
     bounds = {key: np.multiply.outer([-1.0, 1.0], bound) for key, bound in (largest or {}).items()}
     rows = (
-        ("reading [m]", readings, ends),
+        ("slide [m]", motion.positions[:, slides], []) if readings is None else ("reading [m]", readings, ends),
         ("rate [m/s]", motion.velocities[:, slides], bounds.get("leg_rates", [])),
         ("acceleration [m/s²]", motion.accelerations[:, slides], bounds.get("leg_accelerations", [])),
         ("force [N]", motion.efforts[:, slides], bounds.get("leg_forces", [])),
@@ -229,10 +552,55 @@ def motion_figure(
             ax.plot(motion.times, column, color=colours[leg], lw=1.4, ls="-" if leg < 3 else "--", label=LEGS[leg])
         for line in np.unique(lines):
             ax.axhline(line, color="0.55", lw=0.9, ls=":")
-        ax.set_ylabel(label)
+        ax.set_title(label, loc="left", fontsize=10)
         ax.spines[["top", "right"]].set_visible(False)
-    axes[0].legend(fontsize=8, frameon=False, ncols=6, loc="lower left", bbox_to_anchor=(0.0, 1.0))
-    figure.align_ylabels(axes)
+    legend_below(figure, axes[0].get_legend_handles_labels()[0], fontsize=8)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(float(motion.times[0]), float(motion.times[-1]))
     return figure
+
+
+def front_figure(front: Front) -> Figure:
+    """Draw a search for dimensions in its first two aims: all machines, the front, and the one that it began with.
+
+    A third aim is the colour of the front. Beside a single aim stands a bound, or the area of the base.
+    """
+    from spm_pin.design import Front
+
+    problem = check_instance(front, Front, "front", "pareto_front returns one").problem
+    names = list(problem.aims)
+    if len(names) == 1:
+        others = (*problem.columns, "footprint", "volume")
+        names.append(next(name for name in others if name not in (*names, "certified", "assembled")))
+    figure = new_figure(7.0, 5.0, layout="constrained")
+    ax = figure.add_subplot()
+    x, y = names[:2]
+    every, chosen, start = (part.columns for part in (front.evaluated, front.designs, front.reference))
+    ax.scatter(every[x], every[y], s=6, color="0.82", label="evaluated")
+    colour: Any = chosen[names[2]] if len(names) > 2 else _BLUE
+    points = ax.scatter(chosen[x], chosen[y], s=30, c=colour, label="front", zorder=3)
+    if len(names) > 2:
+        figure.colorbar(points, ax=ax, label=_aim(names[2], problem.aims[names[2]]))
+    label = "geometry that the search began with"
+    ax.scatter(start[x], start[y], s=110, marker="*", color=_VERMILION, edgecolor="white", label=label, zorder=4)
+    # Machines that hold no state are far from all others.
+    for axis, name in (("x", x), ("y", y)):
+        shown = np.concatenate([chosen[name], start[name]])
+        room = 0.15 * max(float(np.ptp(shown)), 1e-9 + 0.1 * float(np.abs(shown).max()))
+        getattr(ax, f"set_{axis}lim")(float(shown.min()) - room, float(shown.max()) + room)
+    ax.set(xlabel=_aim(x, problem.aims[x]), ylabel=_aim(y, problem.aims.get(y)))
+    ax.ticklabel_format(scilimits=(-3, 4), useMathText=True)
+    legend_below(figure, ax.get_legend_handles_labels()[0], fontsize=8)
+    ax.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _aim(name: str, sense: str | None) -> str:
+    from spm_pin.sweeps import METRICS
+
+    metric = METRICS.get(name.rpartition("_")[0])
+    unit = {"volume": "m³ rad³", "footprint": "m²"}.get(name, metric.unit if metric else "")
+    if metric in (METRICS["payload"], METRICS["payload_down"]):
+        unit = "of a leg's force"  # the metric's own limit is 1 N
+    better = {"max": ", max", "min": ", min"}.get(sense or "", "")
+    return f"{name}{f' [{unit}]' if unit and unit != '1' else ''}{better}"

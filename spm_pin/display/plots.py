@@ -10,12 +10,21 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from spm_pin.capability import Section
 from spm_pin.description.visuals import section_size, visual_parts
-from spm_pin.display.figures import FORMATS, check_appearance, new_figure, save_figure
+from spm_pin.display.figures import (
+    FORMATS,
+    Style,
+    check_appearance,
+    new_axes,
+    new_figure,
+    save_figure,
+    scaled,
+    write_name,
+)
 from spm_pin.display.rendering import (
     AXIS_COLOURS,
     TRIAD,
-    VIEW,
     Colour,
     Extent,
     Image,
@@ -28,16 +37,19 @@ from spm_pin.display.rendering import (
 )
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS
-from spm_pin.mechanism.arguments import FloatArray, file_path
+from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, real_number
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.notebook import VIEW
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_SECTION: Colour = (0.0, 0.62, 0.451)
 INK: Colour = (0.13, 0.15, 0.18)
 _EDGE = 0.45  # width of edges in points
 _WIDTH = 4.0  # of a new figure, in inches
+_PRINTED_DPI = 300.0  # of a picture whose size is given
 _MARGINS = (0.049, 0.035)  # for labels
 NARROWEST = {False: 100, True: 200}
 """Least width of a picture in pixels, without and with labels, which are seven pixels high there."""
@@ -58,7 +70,7 @@ def draw_solids(
     low, high = bounds(solids, camera, margins)
     if ax is None:
         width, height = (high - low) / (high - low)[0] * _WIDTH
-        ax = new_figure(width, height).add_axes((0.0, 0.0, 1.0, 1.0))
+        ax = new_axes(new_figure(width, height), (0.0, 0.0, 1.0, 1.0))
         ax.axis("off")
     elif ax.name == "3d":
         cause = "The view is projected here: leave out projection='3d'"
@@ -78,6 +90,7 @@ def draw(
     view: tuple[float, float] = VIEW,
     labels: bool = True,
     dpi: float = 200.0,
+    font_size: float | None = None,
 ) -> Axes:
     """Draw a configuration into a 2-D matplotlib Axes.
 
@@ -95,6 +108,8 @@ def draw(
         Name the joints, the legs and the axes of {B} and {m}; else leave the frames out too.
     dpi : float
         Pixels per inch of the solids, at the present size of `ax`.
+    font_size : float, optional
+        Size of the names in points; by default in proportion to the picture.
 
     Returns
     -------
@@ -107,9 +122,47 @@ def draw(
     ax.axis("off")
     if labels:
         size = max(float(np.ptp(ax.get_xlim())), float(np.ptp(ax.get_ylim())))
-        font = float(np.clip(1.55 * size / inch, 5.0, 11.0))
+        font = float(np.clip(1.55 * size / inch, 5.0, 11.0)) if font_size is None else font_size
         darkness = image[..., 3] * (1.0 - image[..., :3].mean(axis=-1))
         _label(configuration, _LabelPlacer(ax, darkness, extent, font / 72.0 * inch, font), camera)
+    return ax
+
+
+def draw_capability(
+    configuration: Configuration,
+    section: Section,
+    *,
+    scale: float | None = None,
+    ax: Axes | None = None,
+    view: tuple[float, float] = VIEW,
+    dpi: float = 200.0,
+) -> Axes:
+    """Draw a configuration, and a section of a polytope of `spm_pin.capability` with its zero at o.
+
+    Parameters
+    ----------
+    configuration, ax, view, dpi
+        As for `draw`.
+    section : Section
+        Forces, moments, velocities or accelerations, as of ``wrench_polytope(configuration, 1000.0).section()``.
+    scale : float, optional
+        Metres in the picture per unit of the section; if not given, its farthest vertex is a third of the robot's size
+        away.
+    """
+    check_instance(section, Section, "section", "wrench_polytope(configuration, limits).section() is one")
+    solids, farthest = robot_solids(configuration), float(np.linalg.norm(section.vertices, axis=-1).max())
+    size = float(np.ptp(np.concatenate([solid.vertices for solid in solids]), axis=0).max())
+    factor = size / (3.0 * farthest) if scale is None else real_number(scale, "scale", "a positive number", above=0.0)
+    place = configuration.translation + factor * section.vertices
+    # Each face by itself, so that all edges of the polyhedron are drawn.
+    shape = Solid("section", _SECTION, place, section.faces)
+    camera = camera_axes(view)
+    ax, inch, _ = draw_solids(solids, camera, _MARGINS, ax=ax, dpi=dpi, edge=_EDGE)
+    low, high = bounds([*solids, shape], camera, _MARGINS)
+    over = render([shape], camera, dpi / inch, _EDGE / 72.0 * dpi)
+    ax.imshow(over.image, extent=over.extent, interpolation_stage="rgba", alpha=0.6)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    ax.axis("off")
     return ax
 
 
@@ -121,6 +174,7 @@ def save_picture(
     labels: bool = True,
     width: int = 1000,
     background: str = "white",
+    style: Style | None = None,
 ) -> Path:
     """Save a picture of a configuration as .png, .svg or .pdf; a file that exists is replaced.
 
@@ -134,12 +188,34 @@ def save_picture(
         Width of the picture in pixels; the height follows from the view.
     background : str
         Any colour of matplotlib, or ``"none"``.
+    style : Style, optional
+        Size, font and background for print, see `Style`; the width in pixels is then that of its size and its dpi.
     """
-    path = file_path(path, suffixes=FORMATS)
-    check_appearance(width, NARROWEST[labels], background)
-    dpi = width / _WIDTH
-    figure = cast("Figure", draw(configuration, view=view, labels=labels, dpi=dpi).figure)
-    return save_figure(figure, path, dpi=dpi, background=background)
+    path, style = file_path(path, suffixes=FORMATS), style or Style()
+    scale, dpi, font_size = _printed(style, _WIDTH, width, NARROWEST[labels], background)
+    ax = draw(configuration, view=view, labels=labels, dpi=scale * dpi, font_size=font_size)
+    figure = scaled(cast("Figure", ax.figure), scale)
+    return save_figure(figure, path, dpi=dpi, background=background, style=Style(dark=style.dark))
+
+
+def _printed(
+    style: Style, drawn: float, width: int, narrowest: int, background: str
+) -> tuple[float, float, float | None]:
+    """Return by how much to enlarge a picture that is `drawn` inches wide, its dpi, and the font to draw it with.
+
+    `width` is in pixels, and counts where the style does not say.
+    """
+    if style.height is not None:
+        raise ArgumentError("style", "a width alone: the height follows from the view", f"{style.height:.3g} inch too")
+    inches = style.width or drawn
+    if style.width is None and style.dpi is None:
+        check_appearance(width, narrowest, background)
+        dpi = width / drawn
+    else:
+        dpi = style.dpi or _PRINTED_DPI
+        check_appearance(round(inches * dpi), narrowest, background)
+    scale = inches / drawn
+    return scale, dpi, None if style.font_size is None else style.font_size / scale
 
 
 def save_gallery(
@@ -150,6 +226,7 @@ def save_gallery(
     labels: bool = False,
     width: int = 1600,
     background: str = "white",
+    style: Style | None = None,
 ) -> Path:
     """Save a picture of several configurations, each under its name.
 
@@ -157,24 +234,25 @@ def save_gallery(
     ----------
     configurations : mapping of str to Configuration
         Single configurations that exist, by what is written above them.
-    path, view, labels, width, background
+    path, view, labels, width, background, style
         As for `save_picture`; the width is that of the whole picture.
     """
-    path = file_path(path, suffixes=FORMATS)
+    path, style = file_path(path, suffixes=FORMATS), style or Style()
     if not configurations:
         raise ArgumentError("configurations", "at least one", "none", "No real branch?")
     count = len(configurations)
     columns = count if count <= 4 else math.ceil(count / 2)
     rows = math.ceil(count / columns)
-    check_appearance(width, columns * (_NARROWEST_NAMED_COLUMN if labels else NARROWEST[False]), background)
+    narrowest = columns * (_NARROWEST_NAMED_COLUMN if labels else NARROWEST[False])
+    scale, dpi, font_size = _printed(style, float(columns * _GALLERY[0]), width, narrowest, background)
     figure = new_figure(*(_GALLERY * (columns, rows)))
-    dpi = width / (columns * _GALLERY[0])
     for k, (name, configuration) in enumerate(configurations.items()):
         column, row = k % columns, rows - 1 - k // columns
         place = ((column + 0.04) / columns, (row + 0.02) / rows, 0.92 / columns, 0.86 / rows)
-        ax = draw(configuration, ax=figure.add_axes(place), view=view, labels=labels, dpi=dpi)
-        ax.set_title(name, fontsize=11, pad=3)
-    return save_figure(figure, path, dpi=dpi, background=background)
+        ax = figure.add_axes(place)
+        draw(configuration, ax=ax, view=view, labels=labels, dpi=scale * dpi, font_size=font_size)
+        ax.set_title(name, fontsize=font_size or 11, pad=3)
+    return save_figure(scaled(figure, scale), path, dpi=dpi, background=background, style=Style(dark=style.dark))
 
 
 @dataclass
@@ -190,14 +268,11 @@ class _LabelPlacer:
 
     def put(self, text: str, colour: Colour, places: FloatArray, dislike: FloatArray, letters: float = 1.8) -> None:
         """Write `text` at the best of `places` (n, 2), given a penalty (n,) of about 1 for a bad one."""
-        from matplotlib.patheffects import withStroke
-
         half = np.array([0.28 * letters, 0.55]) * self.height
         scores = [bad + self._crowding(place, half) for place, bad in zip(places, dislike, strict=True)]
         x, y = best = places[int(np.argmin(scores))]
         self.labels.append((best, half))
-        written = self.ax.text(x, y, text, color=colour, fontsize=self.points, ha="center", va="center")
-        written.set_path_effects([withStroke(linewidth=0.3 * self.points, foreground="white", alpha=0.85)])
+        write_name(self.ax, (x, y), text, self.points, colour, 0.3)
 
     def _crowding(self, place: FloatArray, half: FloatArray) -> float:
         left, right, bottom, top = self.extent

@@ -18,6 +18,7 @@ from spm_pin.description.visuals import part_placements, section_size, visual_pa
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration, check_configuration
+from spm_pin.mechanism.notebook import view_axes
 
 Colour = tuple[float, float, float]
 """Red, green and blue in sRGB, from 0 to 1."""
@@ -26,8 +27,6 @@ Image = npt.NDArray[np.float32]
 Extent = tuple[float, float, float, float]
 """Left, right, bottom and top of an image [m]."""
 
-VIEW = (math.radians(15.0), math.radians(25.0))
-"""The azimuth and the elevation [rad] from which pictures are taken."""
 AXIS_COLOURS: dict[str, Colour] = {"x": (0.835, 0.369, 0.0), "y": (0.0, 0.62, 0.451), "z": (0.353, 0.247, 0.69)}
 """Colours of the axes of {B} and {m}."""
 TRIAD = 0.7
@@ -69,21 +68,26 @@ def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[S
     return solids
 
 
-def _triad(frame: str, rotation: FloatArray, origin: FloatArray, size: float) -> list[Solid]:
-    """Return three arrows along the axes of a frame."""
+def arrow(name: str, colour: Colour, axes: FloatArray, origin: FloatArray, length: float, nearer: float = 0.0) -> Solid:
+    """Return an arrow from `origin` along the third column of a rotation matrix `axes`, lengths in metres."""
     angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     rings = [np.column_stack([r * circle, np.full(_SIDES, z)]) for r, z in ((0.04, 0.0), (0.04, 0.72), (0.11, 0.72))]
-    arrow = TRIAD * size * np.concatenate([*rings, [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
+    vertices = length * np.concatenate([*rings, [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
     first = np.arange(_SIDES)
     second, foot, tip = np.roll(first, -1), 3 * _SIDES, 3 * _SIDES + 1
     strips = [(second, first, np.full(_SIDES, foot)), (first + 2 * _SIDES, second + 2 * _SIDES, np.full(_SIDES, tip))]
     for low, high in ((0, _SIDES), (_SIDES, 2 * _SIDES)):
         strips += [(low + first, low + second, high + second), (low + first, high + second, high + first)]
     faces = np.concatenate([np.stack(strip, axis=-1) for strip in strips])
+    return Solid(name, colour, vertices @ axes.T + origin, faces, nearer)
+
+
+def _triad(frame: str, rotation: FloatArray, origin: FloatArray, size: float) -> list[Solid]:
+    """Return three arrows along the axes of a frame."""
     return [
-        # The local z axis becomes the arrow's; columns in cyclic order keep the handedness.
-        Solid(f"{frame} {axis}", AXIS_COLOURS[axis], arrow @ rotation[:, order].T + origin, faces, _NEARER * size)
+        # Columns in cyclic order keep the handedness.
+        arrow(f"{frame} {axis}", AXIS_COLOURS[axis], rotation[:, order], origin, TRIAD * size, _NEARER * size)
         for axis, order in (("x", [1, 2, 0]), ("y", [2, 0, 1]), ("z", [0, 1, 2]))
     ]
 
@@ -105,10 +109,7 @@ def camera_axes(view: tuple[float, float]) -> FloatArray:
     azimuth, elevation = array
     if abs(azimuth) > 2.0 * math.pi or abs(elevation) > math.pi / 2.0:
         raise ArgumentError("view", f"{expected}, at most 2π and π/2", view, "Degrees? Use numpy.deg2rad")
-    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
-    level = math.cos(elevation)
-    near = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
-    return np.stack([right, np.cross(near, right), near])
+    return view_axes(azimuth, elevation)
 
 
 def bounds(
@@ -121,8 +122,18 @@ def bounds(
     return low - border, high + border
 
 
-def render(solids: Sequence[Solid], camera: FloatArray, resolution: float, edge: float) -> Rendering:
-    """Render solids at `resolution` pixels per metre, with dark edges that are `edge` pixels wide."""
+def render(
+    solids: Sequence[Solid],
+    camera: FloatArray,
+    resolution: float,
+    edge: float,
+    window: tuple[FloatArray, FloatArray] | None = None,
+) -> Rendering:
+    """Render solids at `resolution` pixels per metre, with dark edges that are `edge` pixels wide.
+
+    `window` is the lower left and the upper right corner [m] of a part of the picture plane that holds all of them; the
+    frames of a film have the same one.
+    """
     triangles, colours, regions, count = [], [], [], 0
     for solid in solids:
         normals, smooth = _normals_and_regions(solid.vertices, solid.faces)
@@ -136,7 +147,7 @@ def render(solids: Sequence[Solid], camera: FloatArray, resolution: float, edge:
         regions.append(smooth[front] + count)
         count += len(front)
     corners = np.concatenate(triangles)
-    low, high = bounds(solids, camera)
+    low, high = bounds(solids, camera) if window is None else window
     width, height = (int(n) for n in np.ceil((high - low) * resolution) + 2)
     left, top = float(low[0]) - 1.0 / resolution, float(high[1]) + 1.0 / resolution
     corners[..., 0] = (corners[..., 0] - left) * resolution * _SAMPLES - 0.5

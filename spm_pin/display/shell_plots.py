@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from spm_pin.display.figures import new_figure
+from spm_pin.display.figures import legend_below, new_figure, write_name
 from spm_pin.display.plots import INK, draw_solids
-from spm_pin.display.rendering import VIEW, Colour, Rendering, Solid, camera_axes
+from spm_pin.display.rendering import Colour, Rendering, Solid, camera_axes
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, writing
+from spm_pin.mechanism.notebook import VIEW
 from spm_pin.workspace.paper_shell import Patch, Shell
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ MESH_FORMATS = (".stl", ".ply", ".obj", ".glb")
 _EDGE = 0.6  # width of edges in points
 _FONT = 9.0
 _Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-_FILL = {"det K < 0": "#CFDDED", "det K > 0": "#F3DCCB", "either sign": "#8C8A93"}
+_FILL = {"det K < 0": "#C9DCF0", "det K > 0": "#F3DCCB", "either sign": "#8681A8"}
 """Colours of cells reached on one side of an inverse singularity, on the other, and on both."""
 _GAP = 3  # cells: larger gaps in a sample are not filled
 
@@ -63,11 +64,8 @@ def draw_shell(
     ]
     ax, _, rendering = draw_solids(solids, camera, (0.03, 0.03), ax=ax, dpi=dpi, edge=_EDGE)
     if labels:
-        from matplotlib.patheffects import withStroke
-
-        for patch, (x, y) in _places(shell, rendering, 0.6 * _FONT / 72.0 * dpi):
-            written = ax.text(x, y, patch_symbol(patch.name), fontsize=_FONT, color=INK, ha="center", va="center")
-            written.set_path_effects([withStroke(linewidth=0.25 * _FONT, foreground="white", alpha=0.7)])
+        for patch, place in _places(shell, rendering, 0.6 * _FONT / 72.0 * dpi):
+            write_name(ax, place, patch_symbol(patch.name), _FONT, INK, 0.25)
     return ax
 
 
@@ -119,7 +117,7 @@ def shell_figure(shell: Shell, *, dpi: float = 200.0) -> Figure:
         members = [patch.name for patch in shell.patches if patch.family == family]
         ends = f"{patch_symbol(members[0])} \N{EN DASH} {patch_symbol(members[-1])}"
         swatches.append(Swatch(facecolor=colour, edgecolor=INK, label=ends))
-    figure.legend(handles=swatches, loc="outside lower center", ncols=4, frameon=False, fontsize=9.0)
+    legend_below(figure, swatches, fontsize=9.0)
     return figure
 
 

@@ -14,7 +14,6 @@ LEGS = np.array(
     [[1.20, 1.20, 1.40, 1.25, 1.20, 1.45], [1.25, 1.20, 1.35, 1.25, 1.20, 1.45], [1.3, 1.2, 1.3, 1.3, 1.2, 1.4]]
 )
 STATES = spm.forward_physical(PAPER, LEGS)
-XYX = STATES.pose.rotation.as_euler("XYX", degrees=True)
 TIMES = np.array([2.0, 3.0, 5.0])
 
 
@@ -25,9 +24,8 @@ def csv(names, *columns):
 
 R = ", ".join(spm.mechanism.LEGS)
 FILES = {
-    "legs": "# a comment\n" + csv(f"{R}, t", LEGS, TIMES),
-    "angles": csv("x, y, z, alpha_deg, beta_deg, lambda_deg, t", STATES.translation, XYX, TIMES),
-    "turns": csv("t, x, y, z, qx, qy, qz, qw", TIMES, STATES.translation, STATES.pose.rotation.as_quat()),
+    "legs": "# a comment\n" + csv(f"{R}, time", LEGS, TIMES),
+    "turns": csv("time, x, y, z, qx, qy, qz, qw", TIMES, STATES.translation, STATES.pose.rotation.as_quat()),
 }
 
 
@@ -62,19 +60,45 @@ def test_the_branch_is_followed_from_the_one_named():
     ("name", "text", "says"),
     [
         ("path.txt", "", "ending in .csv"),
-        ("path.csv", "", "a header of the columns"),
-        ("path.csv", "x, y, z\n1, 2, 3\n1, 2, 4", "expected the columns"),
-        ("path.csv", "x, y, phi\n1, 2, 3", "a header of the columns"),
-        ("path.csv", "r_b1, r_b2\n1, 2, 3", "rows or more of 2 finite numbers"),
-        ("path.csv", "r_b1, r_b2\n1, two", "then numbers only"),
+        ("path.csv", "", "a heading that names the columns"),
+        ("path.csv", "x, y, z\n1, 2, 3\n1, 2, 4", "expected the columns r_b1, .*; or x, .*, qw, got positions alone"),
+        ("path.csv", "u, v, phi\n1, 2, 3", "got neither"),
+        ("path.csv", "r_b1, r_b2\n1, 2, 3", r"csv:2: expected 2 values, one per column of the heading, got 3"),
+        (
+            "path.csv",
+            "1, 2, 3\n1, 2, 4",
+            r"csv:1: .*names the columns.*The first line looks like numbers: no heading\?",
+        ),
+        ("path.csv", csv("x, y, z, qx, qy, qz, qw", np.zeros((2, 7))), r"a quaternion of length 1, got length 0$"),
+        ("path.csv", "r_b1, r_b2\n1, 2", "got one without r_b3, r_c1, r_c2, r_c3"),
         ("path.csv", csv(R, LEGS[:1]), "two rows or more"),
-        ("path.csv", csv(R, [[np.nan] * 6, [1.0] * 6]), "finite"),
-        ("path.csv", csv(f"{R}, t", LEGS, [0.0, 1.0, 1.0]), "growing times"),
-        ("path.csv", csv("x, y, z, qx, qy, qz, qw", np.ones((2, 7))), "unit quaternions"),
+        ("path.csv", csv(R, [[np.nan] * 6, [1.0] * 6]), "column r_b1 in .*csv:2: expected a finite number, got 'nan'"),
+        ("path.csv", csv(f"{R}, time", LEGS, [0.0, 1.0, 1.0]), "column time in .*csv:4: expected increasing times"),
+        ("path.csv", csv("x, y, z, qx, qy, qz, qw", np.ones((2, 7))), "a quaternion of length 1, got length 2"),
         ("path.csv", None, "No such file"),
     ],
 )
 def test_files_that_are_no_paths(tmp_path, name, text, says):
     path = tmp_path / name if text is None else written(tmp_path / name, text)
-    with pytest.raises(spm.ArgumentError, match=says):
+    with pytest.raises(spm.ArgumentError, match=says) as error:
         read_recording(path)
+    assert len(str(error.value).replace(str(path), "path.csv")) < 3 * 80
+
+
+def test_a_path_in_millimetres_is_refused(tmp_path):
+    recording = read_recording(written(tmp_path / "path.csv", csv(R, 1e3 * LEGS)))
+    with pytest.raises(spm.ArgumentError, match=r"lengths in metres, got values up to 1450.* is it 1450 mm\?"):
+        recording.follow(PAPER)
+
+
+def test_the_motion_of_a_chain_is_read_back(tmp_path):
+    chain = spm.ClosedChain.from_urdf()
+    poses = STATES.pose
+    motion = chain.joint_trajectory(spm.PlatformPath(TIMES, poses), TIMES, chain.joint_values(STATES[0]))
+    motion.to_csv(tmp_path / "new folder" / "motion.csv")
+    recording = read_recording(tmp_path / "new folder" / "motion.csv")
+    np.testing.assert_allclose(recording.points, LEGS, atol=1e-12)
+    np.testing.assert_array_equal(recording.times, TIMES - TIMES[0])
+    measured, readings = spm.calibration.read_measurements(tmp_path / "new folder" / "motion.csv")
+    np.testing.assert_allclose(measured.as_matrix(), poses.as_matrix(), atol=1e-12)
+    np.testing.assert_array_equal(readings, recording.points)

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.crosscheck.random_poses import command
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
@@ -34,15 +33,19 @@ from spm_pin.mechanism import (
     SolutionSet,
     Status,
     as_rigid_transform,
+    pose,
 )
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, real_array
 from spm_pin.mechanism.branch_of_state import family, physical
 from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.pose import inverse_command
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance
 
 SINGULARITIES = ("forward, lower", "forward, upper", "inverse")
 """The singularities that J_b, J_c and K have, in this order."""
+ANGLES: dict[str, Literal["XYX", "xyz"]] = {"X-Y-X": "XYX", "roll, pitch, yaw": "xyz"}
+"""Conventions of a platform's three angles, and SciPy's names of them: the paper's, and the fixed axes of a URDF."""
 NEAR = 0.02
 """A singularity is near where legs moved by this share of d could reach it."""
 
@@ -187,16 +190,16 @@ class ViewerModel:
 
 
 def _measures(state: Configuration, wrench: FloatArray) -> Measures:
-    found, side = singularities(state), state.geometry.middle_side
+    analysis, side = singularities(state), state.geometry.middle_side
     forces: FloatArray | None
     try:
         gradients = np.linalg.norm(determinant_gradients(state), axis=-1)
-        travel = np.asarray(np.abs(found.determinants) / np.maximum(gradients, np.finfo(float).tiny))
+        travel = np.asarray(np.abs(analysis.determinants) / np.maximum(gradients, np.finfo(float).tiny))
         forces = leg_forces(state, wrench)
     except SingularConfigurationError:
-        travel, forces = np.where(found.rank < 6, 0.0, np.nan), None
+        travel, forces = np.where(analysis.rank < 6, 0.0, np.nan), None
     is_near = np.asarray((travel < NEAR * side) | np.isnan(travel))
-    return Measures(found, bool(physical(state)), _limit_excess(state), travel, is_near, forces)
+    return Measures(analysis, bool(physical(state)), _limit_excess(state), travel, is_near, forces)
 
 
 def _limit_excess(state: Configuration) -> FloatArray:
@@ -272,15 +275,15 @@ def sampled_states(geometry: Geometry) -> Configuration:
     return states[states.exists]
 
 
-def pose_ranges(target: RigidTransform, geometry: Geometry) -> FloatArray:
+def pose_ranges(target: RigidTransform, geometry: Geometry, angles: str = "X-Y-X") -> FloatArray:
     """Return the least and the largest coordinates (6, 2) of the sampled states that are nearest to a pose.
 
-    x, y, z [m] and the X-Y-X angles [degrees], those around the pose's own.
+    x, y, z [m] and the angles [degrees], those around the pose's own.
     """
-    states, now = sampled_states(geometry), pose_coordinates(target)
+    states, now = sampled_states(geometry), pose_coordinates(target, angles)
     gaps = np.linalg.norm(states.platform_joints - target.apply(geometry.platform_joints), axis=-1).max(axis=-1)
     nearest = states.pose[np.argsort(gaps)[:_NEIGHBOURS]] if len(gaps) else target
-    steps = np.atleast_2d(pose_coordinates(nearest) - now)
+    steps = np.atleast_2d(pose_coordinates(nearest, angles) - now)
     steps[:, 3:] = (steps[:, 3:] + 180.0) % 360.0 - 180.0
     ends = now + np.stack([steps.min(axis=0, initial=0.0), steps.max(axis=0, initial=0.0)])
     ends[:, 3:] = np.clip(ends[:, 3:], -180.0, 180.0)
@@ -303,16 +306,21 @@ def leg_ranges(configuration: Configuration) -> FloatArray:
     return np.stack([low, high], axis=-1)
 
 
-def pose_coordinates(pose: RigidTransform) -> FloatArray:
-    """Return x, y, z [m] and the X-Y-X angles [degrees] of poses (..., 6)."""
-    angles = pose.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)
-    return np.concatenate([pose.translation, angles], axis=-1) + 0.0
+def pose_coordinates(pose: RigidTransform, angles: str = "X-Y-X") -> FloatArray:
+    """Return x, y, z [m] and three angles [degrees] of poses, in a convention of `ANGLES`, shape (..., 6)."""
+    turned = pose.rotation.as_euler(ANGLES[angles], degrees=True, suppress_warnings=True)
+    return np.concatenate([pose.translation, turned], axis=-1) + 0.0
+
+
+def pose_of_coordinates(coordinates: FloatArray, angles: str) -> RigidTransform:
+    """Return the pose of coordinates (6,) as `pose_coordinates` returns them."""
+    return pose(coordinates[:3], rotation=Rotation.from_euler(ANGLES[angles], coordinates[3:], degrees=True))
 
 
 def command_line(configuration: Configuration, geometry_file: Path | None = None) -> str:
     """Return the `spm-pin inverse` that finds all branches of a single configuration's pose, to float64's digits."""
     values = pose_coordinates(configuration.pose)
-    return command(values[:3], values[3:], None if geometry_file is None else str(geometry_file))
+    return inverse_command(values[:3], values[3:], None if geometry_file is None else str(geometry_file))
 
 
 def state_data(state: State, chain: ClosedChain, geometry_file: Path | None = None) -> dict[str, Any]:
@@ -327,6 +335,7 @@ def state_data(state: State, chain: ClosedChain, geometry_file: Path | None = No
         "pose": shown.pose.as_matrix(),
         "translation": shown.translation,
         "xyx": np.deg2rad(pose_coordinates(shown.pose)[3:]),
+        "rpy": np.deg2rad(pose_coordinates(shown.pose, "roll, pitch, yaw")[3:]),
         "reached": state.distance == 0.0,
         "leg_lengths": dict(zip(LEGS, shown.leg_lengths, strict=True)),
         "readings": dict(zip(LEGS, shown.readings, strict=True)),

@@ -16,11 +16,16 @@ from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS
 
-_COORDINATES = ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]")
+_COORDINATES = {
+    "X-Y-X": ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]"),
+    "roll, pitch, yaw": ("x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]"),
+}
+"""Labels of a pose's sliders, by the convention of its angles."""
 _LAYERS = {
     "Other branches": ("ghosts", False),
     "Leg names": ("names", True),
     "Trail of o": ("trail", True),
+    "Forces held": ("forces", False),
     "Gizmo": ("gizmo", True),
     "The paper's shell": ("shell", False),
     "Points reached": ("points", False),
@@ -73,7 +78,11 @@ class Panel:
             self.instruments = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Pose"):
-            self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(_COORDINATES)]
+            self.angles = next(iter(_COORDINATES))
+            names = _COORDINATES[self.angles]
+            self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(names)]
+            hint = "The paper's X-Y-X, or about the fixed axes X, Y, Z as in a URDF"
+            self._add("dropdown", "angles", "Angles", list(_COORDINATES), hint=hint)
             hint = "A leg within its limits is kept within them"
             self._add("checkbox", "hold", "Hold leg limits", True, visible=geometry.limits is not None, hint=hint)
             self._add("button", "reset", "Start pose", icon="home")
@@ -144,7 +153,7 @@ class Panel:
         The slider that the user moves, "coordinate" or "leg" and which of them, is left alone, and so are the values
         of the others of its kind.
         """
-        self.status.content = status(state)
+        self.status.content = status(state, self.angles)
         self.instruments.content = instruments(state)
         self.forces.content = forces_table(state)
         self.back.visible = state.distance > 0.0
@@ -152,8 +161,8 @@ class Panel:
         if tuple(self.branch.options) != labels:
             self.branch.options = labels
         self.branch.value = state.label or labels[0]
-        # At X-Y-X angles that are not unique, those of the state that is shown.
-        pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose)
+        # Where angles are not unique, those of the state that is shown.
+        pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose, self.angles)
         kinds = (("coordinate", self.pose_sliders, pose), ("leg", self.leg_sliders, state.shown.readings))
         for (kind, sliders, values), ends in zip(kinds, ranges, strict=True):
             for k, (slider, value, (low, high)) in enumerate(zip(sliders, values, ends, strict=True)):
@@ -162,6 +171,12 @@ class Panel:
                     _set_slider(slider, value, min(low, value), max(high, value))
         self.command.value = command_line(state.shown, geometry_file)
         self.q.value = np.array2string(q + 0.0, precision=9, separator=", ", max_line_width=60)
+
+    def set_angles(self, angles: str) -> None:
+        """Take another convention of the angles; `show` brings their values."""
+        self.angles = angles
+        for slider, name in zip(self.pose_sliders, _COORDINATES[angles], strict=True):
+            slider.label = name
 
     def show_path(self, *lines: str) -> None:
         """Show lines of text below the path's controls."""
@@ -191,9 +206,9 @@ def _signed_length(value: float) -> str:
     return ("+" if value > 0.0 else "−") + _length(abs(value))
 
 
-def status(state: State) -> str:
-    """Return the branch, the position and the notices."""
-    values = pose_coordinates(state.shown.pose)
+def status(state: State, convention: str = "X-Y-X") -> str:
+    """Return the branch, the position with the angles in a convention, and the notices."""
+    values = pose_coordinates(state.shown.pose, convention)
     o, angles = (", ".join(fixed(x, digits) for x in part) for part, digits in ((values[:3], 3), (values[3:], 1)))
     name = escape(state.label) or "no isolated branch"
     tags = ["physical" if state.measures.is_physical else "not physical"]
@@ -201,7 +216,7 @@ def status(state: State) -> str:
         tags.append("within limits" if not state.measures.limit_excess.any() else "beyond limits")
     lines = [
         f'<div style="font-size:0.95rem"><b data-spm="branch">{name}</b> &nbsp;{escape(", ".join(tags))}</div>',
-        f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, X-Y-X = ({angles})\u2060°</div>',
+        f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, {convention} = ({angles})\u2060°</div>',
     ]
     for notice in state.notices:
         kind, sign, colour = ("warning", "⚠", WARN) if notice.is_warning else ("info", "ℹ", _GREY)
@@ -233,8 +248,8 @@ def _cell(text: str, style: str = "", name: str = "") -> str:
 def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str = "left", start: float = 0.0) -> str:
     """Return a track with a bar of a share of it, from its start on a side, and ticks at shares."""
     marks = "".join(
-        f'<div style="position:absolute;top:0;bottom:0;left:{100.0 * at:.1f}%;width:2px;background:currentColor"></div>'
-        for at in ticks
+        f'<div style="position:absolute;top:0;bottom:0;left:{100.0 * x:.1f}%;width:2px;background:currentColor"></div>'
+        for x in ticks
     )
     filled = f"position:absolute;top:0;bottom:0;{side}:{100.0 * start:.1f}%;width:{100.0 * share:.1f}%"
     return f'<div style="{_TRACK}"><div style="{filled};background:rgb{colour};opacity:0.85"></div>{marks}</div>'
@@ -244,15 +259,15 @@ def _legs(state: State) -> str:
     measures, lengths, limits = state.measures, state.shown.readings, state.shown.geometry.limits
     cells = []
     for k, leg in enumerate(LEGS):
-        length, beyond = float(lengths[k]), float(measures.limit_excess[k])
+        length, excess = float(lengths[k]), float(measures.limit_excess[k])
         # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
-        ticks = tuple(at for at, limit in ((0.1, low), (0.9, high)) if 0.0 < limit < np.inf)
+        ticks = tuple(share for share, limit in ((0.1, low), (0.9, high)) if 0.0 < limit < np.inf)
         if not np.isfinite(high):
             high = low + 1.25 * float(lengths.max())
         share = float(np.clip(0.1 + 0.8 * (length - low) / max(high - low, 1e-12), 0.0, 1.0))
-        colour = WARN if beyond else (PUSH if k < 3 else _UPPER)
-        mark = f"⚠ {_signed_length(beyond)}" if beyond else ""
+        colour = WARN if excess else (PUSH if k < 3 else _UPPER)
+        mark = f"⚠ {_signed_length(excess)}" if excess else ""
         value = _cell(fixed(length, 3), _RIGHT, leg)
         cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:rgb{WARN};font-weight:600")]
     name = "Encoder readings" if state.shown.geometry.legs.offsets.any() else "Leg lengths"

@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.kinematics.path_following import FollowedPath, follow
-from spm_pin.mechanism import LEGS, Configuration, Geometry, pose
-from spm_pin.mechanism.arguments import FloatArray, file_path
+from spm_pin.mechanism import LEGS, Configuration, Geometry
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.geometry import unit_hint
+from spm_pin.mechanism.motion_table import POSITION, QUATERNION, MotionTable
 
-_POSITION, _XYX, _QUATERNION = ("x", "y", "z"), ("alpha_deg", "beta_deg", "lambda_deg"), ("qx", "qy", "qz", "qw")
-_NOT_SHOWN = {f"{leg}.{kind}" for leg in LEGS for kind in ("rate", "acceleration", "force")}  # of `spm-pin move`
-_KNOWN = {*LEGS, *_POSITION, *_XYX, *_QUATERNION, "t", *_NOT_SHOWN}
-_COLUMNS = f"{', '.join(LEGS)}; or {', '.join(_POSITION)} with {', '.join(_XYX)}, or with {', '.join(_QUATERNION)}"
 _SECONDS = 10.0  # duration of the demo motion, and of a path without times
 _POINTS = 81
 # Directions of the six legs' motion, found by a search for large motions of the paper's machine: the legs go along the
@@ -36,52 +34,36 @@ class Recording:
 
     def follow(self, geometry: Geometry, start: Configuration | str | None = None) -> Playback:
         """Follow a solution along the path, by default the physical one; see `spm_pin.follow`."""
+        self.check_unit(geometry)
         return Playback(follow(geometry, self.points, start), self.times)
+
+    def check_unit(self, geometry: Geometry) -> None:
+        """Raise `ArgumentError` if lengths are out of proportion to the machine."""
+        lengths = self.points.translation if isinstance(self.points, RigidTransform) else self.points
+        if hint := unit_hint(geometry, lengths):
+            raise ArgumentError("points", "lengths in metres", f"values up to {np.abs(lengths).max():g}", hint)
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recorded path from a CSV file.
+    """Read a recorded path from a CSV file, as `spm-pin move` and `JointTrajectory.to_csv` write them.
 
     Parameters
     ----------
     path : str or Path
-        The file: a header naming its columns, then numbers. ``r_b1`` to ``r_c3``, the readings [m]; or ``x, y, z`` [m]
-        with ``alpha_deg, beta_deg, lambda_deg``, the X-Y-X angles in degrees, or with the quaternion
-        ``qx, qy, qz, qw``. With a column ``t``, times [s]; else the path takes ten seconds. The further columns of
-        ``spm-pin move`` are not shown.
+        The file: a heading that names the columns, then numbers. ``r_b1`` to ``r_c3``, the readings [m]; or ``x``,
+        ``y``, ``z`` [m] with the quaternion ``qx``, ``qy``, ``qz``, ``qw``. With a column ``time`` [s] the path is
+        timed; else it takes ten seconds. Other columns are passed over.
     """
-    path = file_path(path, suffixes=(".csv",))
-    try:
-        lines = [line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines()]
-        heading, *rows = [line for line in lines if line and not line.startswith("#")] or [""]
-        table = np.array([[float(cell) for cell in row.split(",")] for row in rows])
-    except OSError as error:
-        raise ArgumentError(str(path), "a readable file", error.strerror) from error
-    except ValueError as error:
-        raise ArgumentError(str(path), "a text file of a header, then numbers only", str(error)) from error
-    header = [name.strip() for name in heading.split(",")]
-    if len({*header} & _KNOWN) != len(header):
-        raise ArgumentError(str(path), f"a header of the columns {_COLUMNS}; and t", heading or "none")
-    if table.ndim != 2 or table.shape[1] != len(header) or len(table) < 2 or not np.isfinite(table).all():
-        raise ArgumentError(str(path), f"two rows or more of {len(header)} finite numbers", f"shape {table.shape}")
-    columns = dict(zip(header, table.T, strict=True))
-    groups = [names for names in (LEGS, _POSITION, _XYX, _QUATERNION) if {*names} <= {*header}]
-    values = [np.stack([columns[name] for name in names], axis=-1) for names in groups]
-    points: RigidTransform | FloatArray
-    if groups == [LEGS]:
-        points = values[0]
-    elif groups == [_POSITION, _XYX]:
-        points = pose(values[0], xyx=np.deg2rad(values[1]))
-    elif groups == [_POSITION, _QUATERNION]:
-        errors = np.abs(np.linalg.norm(values[1], axis=-1) - 1.0)
-        if errors.max() > 1e-3:
-            raise ArgumentError(str(path), "unit quaternions", f"another length in row {errors.argmax() + 1}")
-        points = pose(values[0], rotation=Rotation.from_quat(values[1]))
-    else:
-        raise ArgumentError(str(path), f"the columns {_COLUMNS}", heading)
-    times = columns.get("t", np.linspace(0.0, _SECONDS, len(table)))
-    if not (np.diff(times) > 0.0).all():
-        raise ArgumentError(f"t in {path}", "growing times in seconds", "others", "Not in order, or one twice?")
+    table = MotionTable(path)
+    points = table.columns(LEGS) if table.has(LEGS) else table.poses()
+    if points is None or (isinstance(points, np.ndarray) and points.shape[-1] == len(POSITION)):
+        expected = f"the columns {', '.join(LEGS)}; or {', '.join((*POSITION, *QUATERNION))}"
+        raise ArgumentError(str(path), expected, "positions alone" if points is not None else "neither")
+    if len(table) < 2:
+        raise ArgumentError(str(path), "two rows or more", "one")
+    times = table.times()
+    if times is None:
+        times = np.linspace(0.0, _SECONDS, len(table))
     return Recording(points, times - times[0])
 
 

@@ -10,9 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from spm_pin.capability import wrench_polytope
 from spm_pin.description.visuals import VisualPart, part_placements, section_size, visual_parts
 from spm_pin.display.rendering import camera_axes
 from spm_pin.display.viewer.model import State, sampled_states
+from spm_pin.errors import SpmError
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.paper_shell import workspace_shell
@@ -24,6 +26,8 @@ VIEWS = {"Home": (15.0, 25.0), "Front": (0.0, 4.0), "Side": (90.0, 4.0), "Top": 
 """Azimuth and elevation of the viewer in {B} [degrees]; the first is that of the pictures."""
 FIELD_OF_VIEW = np.deg2rad(28.0)
 """Vertical [rad]: narrow, as the pictures are parallel projections."""
+_BORDER = 0.06
+"""Empty border at every edge of a picture, as a share of its height."""
 
 OnClick = Callable[[str], Coroutine[Any, Any, None]]
 Colour = tuple[int, int, int]
@@ -31,7 +35,8 @@ Colour = tuple[int, int, int]
 _SOLID = {"side": "double", "cast_shadow": False, "receive_shadow": False}
 _NOT_TURNED = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
 _GHOST_OPACITY = 0.16
-_PATH, _TRAIL, _WORKSPACE = (204, 121, 167), (123, 79, 181), (86, 180, 233)
+_PATH, _TRAIL, _WORKSPACE, _FORCES = (204, 121, 167), (123, 79, 181), (86, 180, 233), (0, 158, 115)
+_HELD = 1.0
 _TRAIL_POINTS = 300
 _TRAIL_STEP = 2e-3  # of the base radius
 _SHELL_RESOLUTION = 14  # coarse enough to be sent to a page
@@ -77,7 +82,8 @@ class RobotScene:
     def __init__(self, scene: Any, geometry: Geometry, on_click: OnClick) -> None:
         self.scene = scene
         self.geometry = geometry
-        self.layers = {"ghosts": False, "names": True, "trail": True}  # what `show` shows besides the robot
+        # What `show` shows besides the robot.
+        self.layers = {"ghosts": False, "names": True, "trail": True, "forces": False}
         self.size = section_size(geometry)
         self._parts = visual_parts(geometry)
         scene.configure_default_lights(cast_shadow=False)
@@ -108,6 +114,7 @@ class RobotScene:
         self._gap = self._lines("/wanted_gap", WARN)
         self._trail = self._lines("/trail", _TRAIL)
         self._trail_points: list[FloatArray] = []
+        self._has_forces = False
         self._names = [self._label(f"/names/{leg}", leg) for leg in LEGS]
         self._branches = {label: self._label(f"/branches/{label}", label) for label in BRANCHES}
         looks = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
@@ -172,6 +179,7 @@ class RobotScene:
         self._show_wanted(state)
         self._show_load(state)
         self._show_trail(state.shown.translation)
+        self._show_forces(state.shown)
 
     def _show_ghosts(self, state: State) -> None:
         others = [label in state.labels and label != state.label for label in BRANCHES]
@@ -181,7 +189,7 @@ class RobotScene:
             scales, positions = np.zeros((2, len(BRANCHES), len(self._parts), 3), np.float32)
             quaternions = np.tile(_NOT_TURNED, (len(BRANCHES), len(self._parts), 1))
             positions[others], quaternions[others], scales[others] = solid_placements(
-                state.solutions[np.flatnonzero(others)]
+                state.solutions.configurations[np.flatnonzero(others)]
             )
             for k, handle in self._ghosts.items():
                 handle.batched_positions, handle.batched_wxyzs = positions[:, k], quaternions[:, k]
@@ -243,6 +251,23 @@ class RobotScene:
                 self._trail.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         self._trail.visible = self.layers["trail"] and len(points) > 1
 
+    def _show_forces(self, state: Configuration) -> None:
+        """Show the forces at o that equal limits of the leg forces hold, `_HELD` of the robot's size for each limit."""
+        shown = self.layers["forces"]
+        if not shown and not self._has_forces:
+            return
+        try:
+            section = wrench_polytope(state, 1.0).section("linear") if shown else None
+        except SpmError:  # at a singularity, or where the state does not exist
+            section = None
+        self._has_forces = section is not None
+        if section is None:
+            self.scene.remove_by_name("/forces")
+            return
+        points = np.float32(state.translation + _HELD * self.size * section.vertices)
+        options = {"opacity": 0.45, "flat_shading": True, **_SOLID}
+        self.scene.add_mesh_simple("/forces", points, np.uint32(section.faces), color=_FORCES, **options)
+
     def clear_trail(self) -> None:
         """Begin the trail of o anew."""
         self._trail_points.clear()
@@ -299,19 +324,19 @@ def robot_points(configuration: Configuration, margin: float) -> FloatArray:
 
 
 def fit_camera(
-    points: FloatArray, view: tuple[float, float], aspect: float, covered: float = 0.0, border: float = 0.06
+    points: FloatArray, view: tuple[float, float], aspect: float, covered: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """Return the position of a camera and the point that it looks at [m], for points (n, 3) to fill its picture.
 
     `view` is the azimuth and elevation of the viewer [degrees], `aspect` width over height of the whole picture. From
-    below something covers the share `covered` of it; a `border`, in shares of its height, stays empty at every edge.
+    below something covers the share `covered` of it; `_BORDER` stays empty at every edge.
     """
     azimuth, elevation = np.deg2rad(view)
     axes = camera_axes((float(azimuth), float(elevation)))
     half = np.tan(0.5 * FIELD_OF_VIEW)
     # Tangents of the viewing angles at the edges of the free part.
-    high = half * np.array([aspect - 2.0 * border, 1.0 - 2.0 * border])
-    low = np.array([-high[0], half * (2.0 * covered - 1.0 + 2.0 * border)])
+    high = half * np.array([aspect - 2.0 * _BORDER, 1.0 - 2.0 * _BORDER])
+    low = np.array([-high[0], half * (2.0 * covered - 1.0 + 2.0 * _BORDER)])
     local = points @ axes.T
     centre, distance = local.mean(axis=0), 4.0 * float(np.ptp(local, axis=0).max())
     for _ in range(30):

@@ -18,6 +18,7 @@ from spm_pin.display.viewer.session import Session, SessionConfig
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.kinematics.forward_displacement import starting_configuration
 from spm_pin.mechanism import Configuration, Geometry, pose
+from spm_pin.mechanism.arguments import Progress
 from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
 
@@ -46,6 +47,8 @@ class Viewer:
         Where the geometry came from, for exported command lines.
     demo : bool, optional
         Whether the robot moves until the user moves it; by default where no configuration and no path is given.
+    progress : callable, optional
+        Called with what is made ready, how much is and of how much: kernels are compiled the first time, for a minute.
     """
 
     def __init__(
@@ -58,7 +61,10 @@ class Viewer:
         dark: bool = False,
         geometry_file: Path | None = None,
         demo: bool | None = None,
+        progress: Progress | None = None,
     ) -> None:
+        progress = progress or (lambda step, done, total: None)
+        progress("robot", 0, 4)
         if start is None or isinstance(start, Geometry):
             configuration = starting_configuration(start or Geometry.paper())
         else:
@@ -68,9 +74,12 @@ class Viewer:
         chain = ClosedChain.from_urdf(geometry=geometry)
         chain.joint_values(configuration)  # raises where its loops do not close
         # Kernels are compiled when first called, also those for what is out of reach: now, so that no client waits.
+        progress("branches and singularities", 1, 4)
         model = ViewerModel(configuration)
+        progress("poses out of reach", 2, 4)
         model.set_readings(configuration.readings)
         model.drag(pose(2.0 * configuration.translation, rotation=configuration.pose.rotation))
+        progress("page", 3, 4)
         if demo is None:
             demo = not isinstance(start, Configuration)
         motion = demo_motion(configuration) if demo and recording is None else None
@@ -86,6 +95,10 @@ class Viewer:
         self.server.gui.set_panel_label("3RPS-3SPR")
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._disconnected)
+
+    def _repr_html_(self) -> str:
+        """Return the page, for a notebook."""
+        return f'<iframe src="{self.url}" width="100%" height="640" style="border:0"></iframe>'
 
     @property
     def port(self) -> int:

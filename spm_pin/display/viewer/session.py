@@ -20,6 +20,7 @@ from spm_pin.display.viewer.model import (
     ViewerModel,
     leg_ranges,
     pose_coordinates,
+    pose_of_coordinates,
     pose_ranges,
     state_data,
 )
@@ -234,7 +235,7 @@ class Session:
     def show(self, moved: tuple[str, int] = ("", 0)) -> None:
         """Bring the page up to date; `moved` is the gizmo or the slider that the user holds, and is left alone."""
         state, config = self.state, self.config
-        ranges = pose_ranges(state.shown.pose, self.model.geometry), leg_ranges(state.shown)
+        ranges = pose_ranges(state.shown.pose, self.model.geometry, self.panel.angles), leg_ranges(state.shown)
         with self.client.atomic():
             self.scene.show(state)
             self.panel.show(state, config.chain.joint_values(state.shown), ranges, config.geometry_file, moved)
@@ -242,7 +243,7 @@ class Session:
                 self.gizmo.position = state.target.translation
                 self.gizmo.wxyz = state.target.rotation.as_quat(scalar_first=True)
         if moved[0] != "coordinate":
-            self._coordinates = pose_coordinates(state.target)
+            self._coordinates = pose_coordinates(state.target, self.panel.angles)
         if moved[0] != "leg":
             self._legs = np.array(state.shown.readings)
 
@@ -256,8 +257,12 @@ class Session:
 
     def _on_coordinate(self, value: tuple[int, float]) -> None:
         self._coordinates[value[0]] = value[1]
-        self.model.drag(make_pose(self._coordinates[:3], xyx=np.deg2rad(self._coordinates[3:])))
+        self.model.drag(pose_of_coordinates(self._coordinates, self.panel.angles))
         self.show(("coordinate", value[0]))
+
+    def _on_angles(self, angles: str) -> None:
+        self.panel.set_angles(angles)
+        self.show()
 
     def _on_leg(self, value: tuple[int, float]) -> None:
         self._legs[value[0]] = value[1]
