@@ -1,20 +1,31 @@
 """The command `spm-pin`: its subcommands by subject, options and outputs that they share."""
 
+from __future__ import annotations
+
+import _thread
 import os
 import signal
 import sys
+import threading
 from types import FrameType
 
 
 def main() -> None:
     """Run the command line and exit with its code: 130 after Ctrl-C at any moment, also while modules are imported."""
-    interrupted = False
+    interrupted, report_unraisable = False, sys.unraisablehook
 
     def interrupt(*_: object) -> None:
         # Libraries in C swallow the exception at times: what counts is that the signal came.
         nonlocal interrupted
         interrupted = True
         raise KeyboardInterrupt
+
+    def interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
+        # Raised while a compiler called Python back, the exception goes no further: raise it a little later.
+        if isinstance(unraisable.exc_value, KeyboardInterrupt):
+            threading.Timer(0.05, _thread.interrupt_main).start()
+        else:
+            report_unraisable(unraisable)
 
     def quit_now(signum: int, frame: FrameType | None) -> None:
         os._exit(130)
@@ -25,6 +36,7 @@ def main() -> None:
     try:
         if handles_interrupts:
             signal.signal(signal.SIGINT, interrupt)
+            sys.unraisablehook = interrupt_again
         from spm_pin.cli.application import run
 
         code = run(lambda: interrupted)
@@ -33,6 +45,7 @@ def main() -> None:
     finally:
         if handles_interrupts:
             signal.signal(signal.SIGINT, quit_now)
+            sys.unraisablehook = report_unraisable
     if interrupted or code == 130:
         code = 130
         print("interrupted", file=sys.stderr, flush=True)

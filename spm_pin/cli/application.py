@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Callable
 from importlib import import_module
@@ -12,13 +13,17 @@ from typer.core import TyperCommand
 
 from spm_pin import __version__
 from spm_pin.cli import outputs
-from spm_pin.errors import SpmError
+from spm_pin.errors import SpmError, UnreachableError
 
-EXIT_CODES = """Exit codes: 0 done. 1 a comparison or a proof failed: methods disagree, a printed number is unexplained,
-leg limits hold a singularity. 2 the command cannot be carried out as typed: an option, a file, a missing extra.
-3 unreachable: no real solution. 4 degenerate: a continuous family of solutions; isolated solutions beside it are shown.
-70 a defect of spm-pin. 74 input or output failed, as on a full device. 130 Ctrl-C, which ends every command, also view;
-crosscheck reports the poses done, and a sweep goes on when started again."""
+EXIT_CODES = (
+    "Exit codes: 0 done. 1 a comparison or a proof failed: methods disagree, a printed number is unexplained, leg "
+    "limits hold a singularity, measurements fit no machine or are in another unit. 2 the command cannot be carried "
+    "out as typed: an option, a file, a missing extra. 3 unreachable: no real solution, no path, or in move an end "
+    "beyond the limits. 4 degenerate: a continuous family of solutions; isolated solutions beside it are shown. 5 "
+    "beyond the limits: inverse has solutions, each with a leg beyond its limits. 70 a defect of spm-pin. 74 input or "
+    "output failed: a full device, a pipe that its reader closed. 130 Ctrl-C, which ends every command, also view; "
+    "crosscheck reports the poses done, and sweep and design go on when started again."
+)
 
 
 app = typer.Typer(
@@ -38,11 +43,18 @@ class _Command(TyperCommand):
                 param.metavar = ""
         return params
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; a closed pipe is 74, and not 1 as typer would have it, a comparison that failed."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            raise typer.Exit(74) from None
+
 
 _COMMANDS = {
     "demo": "crosscheck",
     "inverse": "pose_commands",
-    "forward": "forward",
+    "forward": "pose_commands",
     "reproduce": "reproduce",
     "crosscheck": "crosscheck",
     "singularities": "pose_commands",
@@ -57,11 +69,15 @@ _COMMANDS = {
     "export": "export",
     "workspace": "workspace",
     "sweep": "sweep",
+    "design": "design",
 }
 """The commands, which are functions of these names, and their files, in the order of the help."""
 
 for _name, _file in _COMMANDS.items():
-    app.command(cls=_Command)(getattr(import_module(f"spm_pin.cli.{_file}"), _name))
+    _function = getattr(import_module(f"spm_pin.cli.{_file}"), _name)
+    # Typer would keep the lines of the docstring, and break them again in a narrower window.
+    _paragraphs = (inspect.getdoc(_function) or "").split("\n\n")
+    app.command(cls=_Command, help="\n\n".join(" ".join(text.split()) for text in _paragraphs))(_function)
 
 
 def _show_version(requested: bool) -> None:
@@ -93,7 +109,7 @@ def run(was_interrupted: Callable[[], bool]) -> str | int | None:
             outputs.flush()
     except SpmError as error:
         outputs.note(f"error: {error}", "bold red")
-        return 2
+        return 3 if isinstance(error, UnreachableError) else 2
     except Exception as error:
         if was_interrupted():
             return 130

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,12 +10,13 @@ import numpy as np
 import typer
 from typer import Argument, Option
 
-from spm_pin.calibration import Calibration, identify, read_measurements
+from spm_pin.calibration import Calibration, MeasurementError, identify, read_measurements
 from spm_pin.calibration import tolerance as analyse
 from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.cli import options, outputs
 from spm_pin.display.figures import calibration_figure
 from spm_pin.mechanism import LEGS, PARAMETERS
+from spm_pin.mechanism.motion_table import MotionTable
 
 
 @outputs.name_options(loss="--loss", parameters="--identify", pose_noise="--pose-noise", length_noise="--length-noise")
@@ -24,6 +26,7 @@ def calibrate(
     ],
     out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
+    style: outputs.PictureStyle = None,
     identified: Annotated[
         list[str] | None,
         Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. All if not."),
@@ -46,78 +49,100 @@ def calibrate(
     Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. The file
     written can be given as --geometry to other commands. --figure needs the extra "plots".
 
-    The exit code is 1, and no machine is written without --force, if a row does not belong to the others or residuals
-    exceed three times what the noise explains.
+    The exit code is 1, and no machine is written without --force, if a row does not belong to the others, residuals
+    exceed three times what the noise explains, or E, C or d come out more than 4 % from the nominal ones. It is 1, and
+    there is no machine to write, if the measurements are in another unit, in other columns or rows, or too few. It is 2
+    if the file cannot be read.
     """
     dimensions = options.read_geometry(geometry)
     poses, readings = read_measurements(measurements)
     noise: dict[str, Any] = {"pose_noise": pose_noise, "length_noise": length_noise}
-    found = identify(dimensions, poses, readings, parameters=identified, loss=loss, **noise)
+    try:
+        calibration = identify(dimensions, poses, readings, parameters=identified, loss=loss, **noise)
+    except MeasurementError as error:
+        message = _with_lines(f"error: the measurements fit no machine: {error}", error.rows, measurements)
+        outputs.note(message, "bold red")
+        raise typer.Exit(1) from None
     if json:
-        machine = found.fitted.parameters, np.sqrt(np.diagonal(found.covariance))
+        machine = calibration.fitted.parameters, np.sqrt(np.diagonal(calibration.covariance))
         values, deviations = (dict(zip(PARAMETERS, array, strict=True)) for array in machine)
-        sizes = {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(found)}
-        content = {"measurements": len(found.misfit), "identified": len(found.deviations), "rms": sizes}
-        content |= {name: getattr(found, name) for name in ("status", "reason", "chi_square", "misfit")}
-        content |= {"outliers": np.flatnonzero(found.outliers)}
+        sizes = {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(calibration)}
+        content = {"measurements": len(calibration.misfit), "identified": len(calibration.deviations), "rms": sizes}
+        names = ("status", "reason", "reason_rows", "chi_square", "misfit")
+        content |= {name: getattr(calibration, name) for name in names}
+        content |= {"outliers": np.flatnonzero(calibration.outliers)}
         outputs.write_json(content | {"parameters": values, "standard_deviations": deviations})
     else:
-        _report(found)
-    outputs.write_figure(figure, calibration_figure, found)
-    fits = found.status == "fits"
+        _report(calibration, measurements)
+    outputs.write_figure(figure, style, calibration_figure, calibration)
+    fits = calibration.status == "fits"
     if not fits:
-        outputs.note(f"the measurements do not fit one machine: {found.reason}")
+        which = "the nominal" if calibration.status == "another nominal" else "one"
+        message = f"the measurements do not fit {which} machine: {calibration.reason}"
+        outputs.note(_with_lines(message, calibration.reason_rows, measurements))
     if out is not None and (fits or force):
-        found.fitted.to_yaml(out)
+        calibration.fitted.to_yaml(out)
         outputs.note(f"wrote {out}")
     if not fits and not force:
         raise typer.Exit(1)
 
 
-def _sizes(found: Calibration) -> list[tuple[str, str, float, float]]:
+def _sizes(calibration: Calibration) -> list[tuple[str, str, float, float]]:
     """Return each compared quantity, its unit, and its root mean square before and after."""
     rows = []
     for name, unit, part in (("position", "mm", slice(3)), ("orientation", "mrad", slice(3, 6))):
-        if found.before[:, part].size:
-            sizes = [1e3 * np.sqrt((e[:, part] ** 2).sum(axis=-1).mean()) for e in (found.before, found.residuals)]
-            rows.append((name, unit, float(sizes[0]), float(sizes[1])))
+        if calibration.before[:, part].size:
+            errors = calibration.before[:, part], calibration.residuals[:, part]
+            before, after = (1e3 * float(np.sqrt((e**2).sum(axis=-1).mean())) for e in errors)
+            rows.append((name, unit, before, after))
     return rows
 
 
-def _report(found: Calibration) -> None:
-    known, total = len(found.deviations), len(found.deviations) + len(found.unidentifiable)
-    lines = [f"{known} of {total} combinations of parameters identified from {len(found.misfit)} measurements"]
-    for name, unit, before, after in _sizes(found):
+def _with_lines(message: str, rows: Sequence[int], path: Path) -> str:
+    """Return a message about rows of measurements, with the lines of their file on which these are."""
+    if not rows:
+        return message
+    lines = MotionTable(path).lines
+    many, numbers = "s" * (len(rows) > 1), ", ".join(str(lines[row]) for row in rows)
+    return f"{message} (row{many} {', '.join(map(str, rows))}: line{many} {numbers} of {path.name})"
+
+
+def _report(calibration: Calibration, measurements: Path) -> None:
+    known, total = len(calibration.deviations), len(calibration.deviations) + len(calibration.unidentifiable)
+    lines = [f"{known} of {total} combinations of parameters identified from {len(calibration.misfit)} measurements"]
+    for name, unit, before, after in _sizes(calibration):
         errors = f"{before:.3g} {unit} before, {after:.3g} {unit} after"
         lines.append(f"{name} predicted from the readings, RMS error: {errors}")
-    lines.append(f"residuals are {np.sqrt(found.chi_square):.2g} times what the noise given explains")
-    scale = parameter_scale(found.fitted)
-    worst = np.argsort(-np.abs(found.identifiable[-1]))[:2]
-    apart = 1e3 * found.deviations[-1] * np.abs(found.identifiable[-1, worst] * scale[worst])
+    if np.isfinite(calibration.chi_square):
+        lines.append(f"residuals are {np.sqrt(calibration.chi_square):.2g} times what the noise given explains")
+    scale = parameter_scale(calibration.fitted)
+    worst = np.argsort(-np.abs(calibration.identifiable[-1]))[:2]
+    apart = 1e3 * calibration.deviations[-1] * np.abs(calibration.identifiable[-1, worst] * scale[worst])
     units = ["mrad" if k % 9 < 2 else "mm" for k in worst]
     least = " and ".join(f"{PARAMETERS[k]} by {x:.2g} {u}" for k, x, u in zip(worst, apart, units, strict=True))
     lines.append(f"least known is the combination that moves {least} (standard deviation)")
-    if found.outliers.any():
-        rows = ", ".join(map(str, np.flatnonzero(found.outliers)))
-        lines.append(f"outliers in the rows {rows} after the heading, from 0")
+    if calibration.outliers.any():
+        rows = np.flatnonzero(calibration.outliers).tolist()
+        lines.append(_with_lines(f"{len(rows)} outlier{'s' * (len(rows) > 1)}", rows, measurements))
     outputs.print_lines(lines)
-    nominal = found.fitted.nominal
-    changes = (found.fitted.parameters - nominal.parameters).reshape(6, 9)
+    nominal = calibration.fitted.nominal
+    changes = (calibration.fitted.parameters - nominal.parameters).reshape(6, 9)
     names = [name.split(".")[1] for name in PARAMETERS[:9]]
     numbers = {name: lambda leg, k=k: outputs.significant(1e3 * changes[leg, k], 3) for k, name in enumerate(names)}
     columns = {"leg": lambda leg: LEGS[leg], **numbers}
     outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, range(6))
 
 
-Deviation = Annotated[float, Option(min=0.0, metavar="SIGMA", help="Standard deviation, in metres or radians.")]
+def _deviation(help_text: str) -> Any:
+    return Option(min=0.0, metavar="SIGMA", help=f"Standard deviation of {help_text}")
 
 
 @outputs.name_options(rng="--seed")
 def tolerance(
-    direction: Deviation = 1e-4,
-    pivot: Deviation = 1e-4,
-    ball: Deviation = 1e-4,
-    offset: Deviation = 1e-4,
+    direction: Annotated[float, _deviation("the directions of the revolute axes, in radians.")] = 1e-4,
+    pivot: Annotated[float, _deviation("each coordinate of the pivots, in metres.")] = 1e-4,
+    ball: Annotated[float, _deviation("each coordinate of the ball joints, in metres.")] = 1e-4,
+    offset: Annotated[float, _deviation("the encoders' offsets, in metres.")] = 1e-4,
     by: Annotated[str, Option(help="What to rank: parameter, component, kind or leg.")] = "component",
     states: Annotated[int, Option(min=1, help="States to draw within the leg limits.")] = 60,
     samples: Annotated[int, Option(min=0, help="Random machines; 0 for first order alone.")] = 200,
@@ -130,9 +155,9 @@ def tolerance(
     Example: spm-pin tolerance --direction 1e-4 --pivot 5e-5 --ball 5e-5 --offset 1e-5
     """
     table = {"direction": direction, "pivot": pivot, "ball": ball, "offset": offset}
-    found = analyse(options.read_geometry(geometry), table, states, samples=samples, rng=seed)
-    ranking = found.ranking(by)
-    linear, sampled = found.rms, found.sampled_rms
+    analysis = analyse(options.read_geometry(geometry), table, states, samples=samples, rng=seed)
+    ranking = analysis.ranking(by)
+    linear, sampled = analysis.rms, analysis.sampled_rms
     if json:
         sizes = {"rms": linear, "sampled_rms": sampled}
         named = {name: {"position": size[0], "angle": size[1]} for name, size in sizes.items()}
@@ -140,7 +165,7 @@ def tolerance(
         return
     lines = [f"RMS error of the platform at {states} states, to first order: {_text(linear)}"]
     if samples:
-        lines.append(f"of {samples} random machines: {_text(sampled)}; 95 % within {_text(found.percentile())}")
+        lines.append(f"of {samples} random machines: {_text(sampled)}; 95 % within {_text(analysis.percentile())}")
     outputs.print_lines(lines)
     columns = {by: lambda row: str(row[0]), "share": lambda row: f"{row[1]:.1%}"}
     outputs.print_table("Shares of the variance of the position", columns, ranking[:20])

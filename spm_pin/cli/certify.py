@@ -17,7 +17,9 @@ from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
 
 
-@outputs.name_options(path="--out", boxes="--boxes", length_error="--length-error", angle_error="--angle-error")
+@outputs.name_options(
+    limits="--min, --max", path="--out", boxes="--boxes", length_error="--length-error", angle_error="--angle-error"
+)
 def certify(
     minimum: Annotated[float | None, Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
     maximum: Annotated[float | None, Option("--max", help="Longest length of all six legs, in --unit.")] = None,
@@ -28,6 +30,7 @@ def certify(
         bool, Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
     ] = False,
     out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
+    style: outputs.PictureStyle = None,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
@@ -61,7 +64,7 @@ def certify(
     else:
         outputs.print_lines(certificate.explain().splitlines())
         outputs.print_lines([] if other is None else ["", *other.explain().splitlines()])
-    outputs.write_figure(out, certificate_figure, certificate)
+    outputs.write_figure(out, style, certificate_figure, certificate)
     if not (certificate.holds and (other is None or other.holds)):
         raise typer.Exit(1)
 

@@ -13,7 +13,7 @@ import typer
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.reproduce import print_summary, summary_line
-from spm_pin.crosscheck import METHODS, PairDifference, Report, compare_in_batches
+from spm_pin.crosscheck import METHODS, MethodScore, PairDifference, Report, compare_in_batches
 from spm_pin.crosscheck import reproduce as recompute
 from spm_pin.display.figures import agreement_figure
 from spm_pin.display.plots import save_gallery
@@ -34,6 +34,7 @@ def crosscheck(
     json: options.AsJson = False,
     out: Annotated[Path | None, outputs.file_option("Also write the report to a file, as JSON.")] = None,
     figure: Annotated[Path | None, outputs.picture_option("Also draw the differences of all pairs.")] = None,
+    style: outputs.PictureStyle = None,
 ) -> None:
     """Solve random poses by independent methods and compare their answers.
 
@@ -54,7 +55,7 @@ def crosscheck(
             outputs.stdout.print(line, soft_wrap=True)
     if out is not None:
         outputs.write_json(content, out)
-    outputs.write_figure(figure, agreement_figure, report)
+    outputs.write_figure(figure, style, agreement_figure, report)
     _end(report)
 
 
@@ -86,23 +87,38 @@ def print_verdict(heading: str, report: Report) -> None:
     done = len(report.xyx)
     finished = done == report.requested
     count = f"{done} random poses" if finished else f"Interrupted after {done} of {report.requested} poses"
-    names = ", ".join(score.name for score in report.scores)
+    names = ", ".join(_part(score, report) for score in report.scores)
     line = f"{heading}{count}, {report.states} configurations, by {names}. {report.verdict}"
     outputs.print_lines([line], "bold green" if report.agrees else "bold red")
 
 
+def _part(score: MethodScore, report: Report) -> str:
+    """Return the name of a method, with its part in the comparison where it did not solve every pose."""
+    if score.solved == len(report.xyx):
+        return score.name
+    if score.solved:
+        return f"{score.name} ({score.solved} of the poses)"
+    quantities = [str(pair.quantity) for pair in report.differences if score.name in (pair.first, pair.second)]
+    return f"{score.name} ({', '.join(dict.fromkeys(quantities))} only)"
+
+
 def print_report(report: Report, *, pairs: bool = False) -> None:
-    """Print the scores of the methods, and the differences of all pairs or the largest of each quantity."""
-    counts = {"poses solved": "solved", "branches": "branches", "false": "invented", "poses with one lost": "missed"}
+    """Print the scores of the methods, and the differences between them."""
+    counts = {"poses": "solved", "branches": "branches", "not closed": "invented", "poses lacking one": "missed"}
     columns: dict[str, Any] = {"method": lambda score: score.name}
     columns |= {
         heading: lambda score, name=name: str(getattr(score, name)) if score.solved else "-"
         for heading, name in counts.items()
     }
-    columns["known rate"] = lambda score: f"{100 * score.allowed:g} %" if score.solved else "-"
+    columns["expected"] = lambda score: f"{100 * score.allowed:g} %" if score.solved else "-"
     faulty = {score.name: "red" for score in report.scores if score.invented or score.misses_too_often}
-    title = "Inverse displacement by each method"
+    title = "Inverse displacement by each method, and at how many poses it is known to lack a branch"
     outputs.print_table(title, columns, report.scores, style=lambda score: faulty.get(score.name))
+    _print_differences(report, pairs=pairs)
+
+
+def _print_differences(report: Report, *, pairs: bool = False) -> None:
+    """Print the differences of all pairs of methods, or the largest of each quantity."""
     shown: list[PairDifference] = []
     for _, group in groupby(report.differences, key=lambda pair: pair.quantity):
         of_quantity = list(group)
@@ -142,7 +158,7 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
             rate = f"{100 * score.allowed:g} %"
             rated = f"more often than the {rate} it states" if score.misses_too_often else f"within its {rate}"
             lost = f"branches lost at {score.missed} poses, {rated}"
-            what = f"{score.invented} false branches" if score.invented else lost
+            what = f"{score.invented} branches whose loops are not closed" if score.invented else lost
             lines.append(f"{score.name}: {what}. The first is at the pose")
             lines.append(f"  {report.command(score.pose, file)}")
     return lines
@@ -167,16 +183,14 @@ def _content(report: Report, file: str | None) -> dict[str, Any]:
 
 _NEXT = (
     ("inverse --help", "all branches of a pose; the paper's as example"),
-    ("forward --help", "the pose of six leg lengths"),
     ("view", 'drag the platform in a browser (extra "viewer")'),
     ("reproduce", "the cause of each difference from the paper"),
-    ("--help", "all commands"),
 )
 
 
 def demo(
     out: Annotated[Path | None, outputs.picture_option("Picture of the example's branches: .png, .svg, .pdf.")] = None,
-    poses: Annotated[int, typer.Option(min=1, help="Random poses of the comparison.")] = 100,
+    poses: Annotated[int, typer.Option(min=1, help="Random poses of the comparison.")] = 50,
 ) -> None:
     """Reproduce the paper, compare all methods, and draw the example.
 
@@ -187,11 +201,8 @@ def demo(
     style = "bold red" if reproduction.unexplained else "bold green"
     outputs.print_lines([f"The paper:   {summary_line(reproduction)}"], style)
     print_verdict("The methods: ", report)
-    outputs.stdout.print()
     print_summary(reproduction)
-    outputs.print_lines(["The cause of each difference is in the numbers: spm-pin reproduce names it."])
-    outputs.stdout.print()
-    print_report(report)
+    _print_differences(report)
     if out is not None:
         example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
         solutions = inverse_displacement(Geometry.paper(), example)

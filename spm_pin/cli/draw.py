@@ -9,6 +9,7 @@ import webbrowser
 from pathlib import Path
 from typing import Annotated, Any
 
+from scipy.spatial.transform import RigidTransform
 from typer import Option
 
 from spm_pin.cli import options, outputs
@@ -16,13 +17,14 @@ from spm_pin.cli.options import LengthUnit
 from spm_pin.display.figures import FORMATS
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
 from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.mechanism import LEGS
 
 
 @outputs.name_options(path="--out", leg_lengths="--legs", readings="--legs")
+@options.takes_pose(required=False)
 def draw(
     out: Annotated[Path, outputs.picture_option(f"Picture to write: {', '.join(FORMATS)}.")],
-    translation: options.AnyTranslation = None,
-    xyx: options.AnyXyx = None,
+    pose: RigidTransform | None = None,
     legs: options.AnyLegs = None,
     branch: options.Branches = None,
     every: Annotated[bool, Option("--all", help="All real branches, side by side.")] = False,
@@ -37,6 +39,7 @@ def draw(
         Option("--names/--no-names", help="Name joints, legs and axes; a branch alone has names."),
     ] = None,
     background: Annotated[str, Option(help="A colour, or none.")] = "white",
+    style: outputs.PictureStyle = None,
 ) -> None:
     """Draw the manipulator: the physical branch of a pose, branches by their names, or all of them.
 
@@ -46,25 +49,34 @@ def draw(
     """
     if every and branch is not None:
         raise ArgumentError("--all", "all branches or some", "both --all and --branch")
-    solutions, default = options.requested_solutions(options.read_geometry(geometry), translation, xyx, legs, unit)
+    solutions, default = options.requested_solutions(options.read_geometry(geometry), pose, legs, unit)
     direction = math.radians(view[0]), math.radians(view[1])
+    appearance: dict[str, Any] = {"view": direction, "background": background, "style": style}
     named = branch is not None
     labels = options.selected_labels(solutions, branch, required=named) if every or named else []
+    states = {"": solutions[labels[0]] if labels else default}
     if len(labels) > 1:
         states = options.titled_branches(solutions, labels)
-        save_gallery(states, out, view=direction, labels=bool(names), width=width or 1600, background=background)
+        save_gallery(states, out, labels=bool(names), width=width or 1600, **appearance)
     else:
-        state = solutions[labels[0]] if labels else default
         width = width or 1000
         names = width >= NARROWEST[True] if names is None else names
-        save_picture(state, out, view=direction, labels=names, width=width, background=background)
+        save_picture(states[""], out, labels=names, width=width, **appearance)
     outputs.note(f"wrote {out}")
+    beyond = {
+        title: ", ".join(LEGS[leg] for leg in outside)
+        for title, state in states.items()
+        if (outside := options.beyond_limits(state)).size
+    }
+    if beyond:
+        named_legs = "; ".join(f"{title}: {some}" if title else some for title, some in beyond.items())
+        outputs.note(f"legs beyond their limits: {named_legs}", "yellow")
 
 
-@outputs.name_options(leg_lengths="--legs", readings="--legs")
+@outputs.name_options(leg_lengths="--legs", readings="--legs", points="--path")
+@options.takes_pose(required=False)
 def view(
-    translation: options.AnyTranslation = None,
-    xyx: options.AnyXyx = None,
+    pose: RigidTransform | None = None,
     legs: options.AnyLegs = None,
     branch: Annotated[str | None, Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
     unit: options.Unit = LengthUnit.M,
@@ -83,18 +95,29 @@ def view(
     Needs the extra "viewer".
     """
     require_extra("viewer")
+    beside = {"--translation": pose, "--legs": legs, "--demo": demo, "--branch": branch}
+    ignored = [option for option, value in beside.items() if value not in (None, False)]
+    if path is not None and ignored:
+        raise ArgumentError("--path", "to be given alone: it begins in the physical branch", ", ".join(ignored))
+    if path is not None and unit is not LengthUnit.M:
+        raise ArgumentError("--unit", "m beside --path, whose columns are in metres", unit)
+    outputs.note("starting, the first time up to a minute: kernels are compiled")
+    from spm_pin.display.viewer import Viewer, read_recording
+
     dimensions = options.read_geometry(geometry)
-    solutions, start = options.requested_solutions(dimensions, translation, xyx, legs, unit)
+    recording = read_recording(path) if path is not None else None
+    if recording is not None:
+        recording.check_unit(dimensions)
+    solutions, start = options.requested_solutions(dimensions, pose, legs, unit)
     if branch is not None:
         (label,) = options.selected_labels(solutions, [branch], required=True)
         start = solutions[label]
-    from spm_pin.display.viewer import Viewer, read_recording
-
-    recording = read_recording(path) if path is not None else None
     if demo is None:
-        demo = all(option is None for option in (translation, xyx, legs, branch, path))
+        demo = all(option is None for option in (pose, legs, branch, path))
     page: dict[str, Any] = {"recording": recording, "dark": dark, "geometry_file": geometry, "demo": demo}
-    with Viewer(start, host=host, port=port, **page) as viewer:
+    with outputs.progress_bar() as bar:
+        viewer = Viewer(start, host=host, port=port, progress=bar, **page)
+    with viewer:
         if port not in (0, viewer.port):
             outputs.note(f"port {port} is taken, this is on {viewer.port}")
         outputs.note(f"viewer at {viewer.url}, Ctrl-C ends it")

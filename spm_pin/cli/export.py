@@ -24,11 +24,16 @@ def export(
     ] = None,
     prefix: Annotated[str | None, options.PREFIX] = None,
     geometry: options.GeometryFile = None,
+    masses: options.MassesFile = None,
     ros_constraints: Annotated[
         bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
     ] = False,
     anchors: Annotated[
         Literal["bodies", "sites"] | None, Option(help="mjcf: anchor closures in bodies, or in sites.")
+    ] = None,
+    collisions: Annotated[
+        Literal["exact", "simple", "none"] | None,
+        Option(help="mjcf: shapes that collide; simple has no cylinders, which MJX does not know beside boxes."),
     ] = None,
     loops: Annotated[
         Literal["joints", "drake"] | None, Option(help="sdf: close loops by joints, or by Drake's elements.")
@@ -49,42 +54,47 @@ def export(
         received = "none" if format_ is None else "two"
         raise ArgumentError("FORMAT", f"one of {', '.join(get_args(Format))}", received)
     format_ = format_ or option
-    special: dict[str | None, tuple[str, Any]] = {
-        "urdf": ("ros_constraints", ros_constraints),
-        "mjcf": ("anchors", anchors),
-        "sdf": ("loops", loops),
+    special: dict[str | None, dict[str, Any]] = {
+        "urdf": {"ros_constraints": ros_constraints},
+        "mjcf": {"anchors": anchors, "collisions": collisions},
+        "sdf": {"loops": loops},
     }
-    for only, (name, value) in special.items():
+    for only, name, value in ((only, *each) for only, own in special.items() for each in own.items()):
         if value and format_ != only:
             raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {format_}", value)
     machine = options.read_geometry(geometry)
+    if format_ in ("srdf", "extended-urdf"):
+        if masses is not None:
+            raise ArgumentError("--masses", f"to be left out with --format {format_}", masses)
+        if out is not None:
+            outputs.check_output(out)
+        write = description.srdf_text if format_ == "srdf" else description.extended_urdf_text
+        outputs.write_text(write(prefix=prefix or ""), out)
+        return
+    bodies = options.read_masses(masses, "written")
     if format_ in ("c", "ros"):
         if out is None:
             raise ArgumentError("--out", "the directory to write into", "none")
         from spm_pin.symbolic import write_c, write_ros
 
         if format_ == "ros":
-            write_ros(machine, out, prefix=prefix or "")
+            write_ros(machine, out, prefix=prefix or "", masses=bodies)
             outputs.note(f"wrote a ROS 2 package into {out}")
             return
-        for path in write_c(machine, out, prefix="spm_" if prefix is None else prefix):
+        for path in write_c(machine, out, prefix="spm_" if prefix is None else prefix, masses=bodies):
             outputs.note(f"wrote {path}")
         return
     if out is not None:
         outputs.check_output(out)
-    if format_ in ("srdf", "extended-urdf"):
-        write = description.srdf_text if format_ == "srdf" else description.extended_urdf_text
-        outputs.write_text(write(prefix=prefix or ""), out)
-    else:
-        writers: dict[str | None, Callable[..., str]] = {
-            "urdf": description.urdf_text,
-            "mjcf": description.mjcf_text,
-            "sdf": description.sdf_text,
-        }
-        name, value = special[format_]
-        # Beside a file go its meshes; a text on standard output has whole paths.
-        meshes = "meshes" if out is not None else None
-        _write_model(writers[format_](machine, prefix=prefix or "", meshes=meshes, **{name: value}), out)
+    writers: dict[str | None, Callable[..., str]] = {
+        "urdf": description.urdf_text,
+        "mjcf": description.mjcf_text,
+        "sdf": description.sdf_text,
+    }
+    # Beside a file go its meshes; a text on standard output has whole paths.
+    meshes = "meshes" if out is not None else None
+    text = writers[format_](machine, prefix=prefix or "", meshes=meshes, masses=bodies, **special[format_])
+    _write_model(text, out)
 
 
 @outputs.name_options()
@@ -92,6 +102,7 @@ def urdf(
     out: Annotated[Path | None, outputs.file_option("Where to write; standard output if not given.")] = None,
     prefix: Annotated[str, options.PREFIX] = "",
     geometry: options.GeometryFile = None,
+    masses: options.MassesFile = None,
 ) -> None:
     """Write the URDF: an open tree of eighteen joints, its four loops closed by Drake's tags.
 
@@ -102,7 +113,8 @@ def urdf(
     """
     from spm_pin.description import urdf_text
 
-    _write_model(urdf_text(options.read_geometry(geometry), prefix=prefix, meshes="meshes" if out else None), out)
+    machine, bodies = options.read_geometry(geometry), options.read_masses(masses, "written")
+    _write_model(urdf_text(machine, prefix=prefix, meshes="meshes" if out else None, masses=bodies), out)
 
 
 def _write_model(text: str, path: Path | None) -> None:

@@ -16,14 +16,20 @@ from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
 from spm_pin.display.figures import fixed, motion_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.proofs import certify
 from spm_pin.workspace import JointLimits
 
 if TYPE_CHECKING:
     from spm_pin.motion import MotionPlan
+    from spm_pin.multibody.trajectory import JointTrajectory
 
-_NAMES = {"start": "--from", "goal": "--to", "leg_rates": "--leg-rate", "leg_accelerations": "--leg-acceleration"}
+_NAMES: dict[str, str | tuple[str, ...]] = {
+    "start": ("--from-translation", "--from"),
+    "goal": ("--to-translation", "--to"),
+    "leg_rates": "--leg-rate",
+    "leg_accelerations": "--leg-acceleration",
+}
 _NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload", "path": "--out"}
 _NAMES |= {"minimum": "--limits", "maximum": "--limits"}
 
@@ -39,18 +45,14 @@ def _degrees(help_text: str) -> Any:
     return Option(metavar="MIN MAX", help=help_text)
 
 
-def _pose(name: str, help_text: str) -> Any:
-    return Option(name, metavar="X Y Z A B L", help=help_text)
-
-
 @outputs.name_options(**_NAMES)
+@options.takes_pose("start_pose", "from-", required=False)
+@options.takes_pose("goal_pose", "to-", required=False)
 def move(
     start: Annotated[SixLegs | None, leg_option("--from", "Leg lengths at the start, in --unit.")] = None,
     goal: Annotated[SixLegs | None, leg_option("--to", "Leg lengths at the end, in --unit.")] = None,
-    start_pose: Annotated[
-        SixLegs | None, _pose("--from-pose", "Instead: o in --unit, X-Y-X angles in degrees.")
-    ] = None,
-    goal_pose: Annotated[SixLegs | None, _pose("--to-pose", "Instead of --to, as --from-pose.")] = None,
+    start_pose: RigidTransform | None = None,
+    goal_pose: RigidTransform | None = None,
     via: Annotated[
         list[str] | None,
         Option(
@@ -75,10 +77,12 @@ def move(
     margin: Annotated[float, Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
     straight: Annotated[bool, Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
     period: Annotated[float, Option(help="Time between the rows \\[s].")] = 2e-3,
-    out: Annotated[Path | None, outputs.file_option("CSV of the legs to write.", (".csv",))] = None,
+    out: Annotated[Path | None, outputs.file_option("CSV of the motion to write.", (".csv",))] = None,
     plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
+    style: outputs.PictureStyle = None,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
+    masses: options.MassesFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Plan the fastest motion from one state to another, at rest at both ends.
@@ -87,8 +91,8 @@ def move(
     --leg-rate 0.5 --out motion.csv --plot motion.png
 
     A limit of force or of acceleration is needed; X is one number for all legs, or six separated by commas. The CSV has
-    the time, the length, rate, acceleration and force of each leg in SI units; spm-pin view --path plays it. Exit code
-    3 if there is no path. --plot needs the extra "plots".
+    the time, leg lengths, pose and all joints in SI units; spm-pin view --path plays it. Exit code 3 if there is no
+    path, or an end that the machine does not reach. --plot needs the extra "plots".
     """
     from spm_pin.motion import Payload, plan, time_optimal
     from spm_pin.multibody.chain import ClosedChain
@@ -108,30 +112,27 @@ def move(
     largest: dict[str, Any] = {
         f"leg_{name}s": _each_leg(text, f"--leg-{name}") for name, text in typed.items() if text is not None
     }
+    if leg_force is None and leg_acceleration is None:
+        cause = "Without one the motion would start with a jump"
+        raise ArgumentError("--leg-force", "a largest force, or --leg-acceleration", "neither", cause)
     ways: dict[str, Any] = {"via": passed, "joint_limits": joint_limits, "line": "poses" if straight else "legs"}
     certificate = certify(dimensions, allowed) if allowed is not None else None
     planned = plan(dimensions, first, last, allowed, margin=margin, certificate=certificate, **ways)
     if planned.path is None:
         outputs.note(f"no path: {planned.reason}")
         raise typer.Exit(3)
-    chain = ClosedChain.from_urdf(geometry=dimensions)
+    chain = ClosedChain.from_urdf(geometry=dimensions, masses=options.read_masses(masses, "forces"))
     load = Payload(payload) if payload else None
     motion = time_optimal(chain, planned, **largest, twist=twist, payload=load, period=period)
-    lengths = chain.readings(motion.positions)
-    joints = {".rate": motion.velocities, ".acceleration": motion.accelerations, ".force": motion.efforts}
-    kinds = {"": lengths, **{kind: values[:, chain.leg_indices] for kind, values in joints.items()}}
-    # No negative zeros.
-    columns = {leg + kind: values[:, k] + 0.0 for kind, values in kinds.items() for k, leg in enumerate(LEGS)}
-    table = {"t": motion.times, **columns}
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
-        outputs.write_json({**content, **table})
+        outputs.write_json({**content, **motion.columns()})
     else:
-        _report(planned, table, unit)
+        _report(planned, motion, chain.leg_indices, unit)
     if out is not None:
-        rows = zip(*(column.tolist() for column in table.values()), strict=True)
-        outputs.write_text("\n".join([",".join(table), *(",".join(map(repr, row)) for row in rows)]) + "\n", out)
-    outputs.write_figure(plot, motion_figure, motion, lengths, allowed, largest)
+        motion.to_csv(out)
+        outputs.note(f"wrote {out}")
+    outputs.write_figure(plot, style, motion_figure, motion, motion.readings, allowed, largest)
 
 
 def _each_leg(text: str, option: str, *, single: bool = True) -> FloatArray:
@@ -147,23 +148,30 @@ def _each_leg(text: str, option: str, *, single: bool = True) -> FloatArray:
 
 
 def _end_state(
-    lengths: SixLegs | None, coordinates: SixLegs | None, option: str, unit: LengthUnit
+    lengths: SixLegs | None, pose: RigidTransform | None, option: str, unit: LengthUnit
 ) -> FloatArray | RigidTransform:
     """Return the state at one end of the motion as `plan` takes it: leg lengths (6,) [m], or a pose."""
-    if lengths is not None and coordinates is None:
-        return np.array(lengths) / unit.per_metre
-    if coordinates is None or lengths is not None:
-        received = "neither" if coordinates is None else "both"
-        raise ArgumentError(option, f"six numbers, with either {option} or {option}-pose", received)
-    return options.read_pose(coordinates[:3], coordinates[3:], unit)
+    if (lengths is None) == (pose is None):
+        received = "neither" if pose is None else "both"
+        raise ArgumentError(
+            option, f"either leg lengths, or a pose by {option}-translation and an orientation", received
+        )
+    return pose if pose is not None else np.array(lengths) / unit.per_metre
 
 
-def _report(planned: MotionPlan, table: dict[str, FloatArray], unit: LengthUnit) -> None:
+def _report(planned: MotionPlan, motion: JointTrajectory, legs: IntArray, unit: LengthUnit) -> None:
     proved = ", proved to be free of forward singularities" if planned.certified else ""
-    outputs.print_lines([f"{table['t'][-1]:.4g} s, {planned.method}{proved}"])
-    largest = {
-        f"{kind} [{si}]": lambda leg, kind=kind, digits=digits: fixed(np.abs(table[f"{leg}.{kind}"]).max(), digits)
-        for kind, si, digits in (("rate", "m/s", 3), ("acceleration", "m/s²", 2), ("force", "N", 1))
+    outputs.print_lines([f"{motion.times[-1]:.4g} s, {planned.method}{proved}"])
+    ends = {
+        f"{name} [{unit}]": lambda leg, k=k: unit.text(motion.readings[k, leg]) for name, k in (("from", 0), ("to", -1))
     }
-    ends = {f"{name} [{unit}]": lambda leg, k=k: unit.text(table[leg][k]) for name, k in (("from", 0), ("to", -1))}
-    outputs.print_table("Legs", {"leg": str, **ends, **largest}, LEGS)
+    kinds = {
+        "rate [m/s]": (motion.velocities, 3),
+        "acceleration [m/s²]": (motion.accelerations, 2),
+        "force [N]": (motion.efforts, 1),
+    }
+    largest = {
+        name: lambda leg, values=values, digits=digits: fixed(np.abs(values[:, legs[leg]]).max(), digits)
+        for name, (values, digits) in kinds.items()
+    }
+    outputs.print_table("Legs", {"leg": lambda leg: LEGS[leg], **ends, **largest}, range(6))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import enum
+import functools
+import inspect
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -13,11 +15,13 @@ import typer
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli.outputs import note
+from spm_pin.description.masses import Masses
 from spm_pin.display.figures import fixed
-from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.errors import ArgumentError, GeometryError, PoseError
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import FAMILIES, Configuration, Geometry, SolutionSet, Status, pose
+from spm_pin.mechanism.arguments import IntArray
 from spm_pin.mechanism.geometry import PER_METRE, likely_unit, machine_size
 
 
@@ -40,8 +44,6 @@ class LengthUnit(enum.StrEnum):
 
 Triple = tuple[float, float, float]
 SixLegs = tuple[float, float, float, float, float, float]
-TRANSLATION = typer.Option("--translation", metavar="X Y Z", help="Position of o in {B}, in --unit.")
-XYX = typer.Option("--xyx", metavar="ALPHA BETA LAMBDA", help="The paper's X-Y-X Euler angles in degrees.")
 
 
 def leg_option(name: str, help_text: str) -> Any:
@@ -49,14 +51,16 @@ def leg_option(name: str, help_text: str) -> Any:
     return typer.Option(name, metavar="B1 B2 B3 C1 C2 C3", help=help_text)
 
 
-Translation = Annotated[Triple, TRANSLATION]
-AnyTranslation = Annotated[Triple | None, TRANSLATION]
-Xyx = Annotated[Triple, XYX]
-AnyXyx = Annotated[Triple | None, XYX]
-AnyLegs = Annotated[SixLegs | None, leg_option("--legs", "Leg lengths in --unit, instead of a pose.")]
+AnyLegs = Annotated[
+    SixLegs | None, leg_option("--legs", "Leg lengths as encoders show them, in --unit, instead of a pose.")
+]
 Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")]
 GeometryFile = Annotated[
     Path | None, typer.Option("--geometry", metavar="FILE", help="YAML file of a machine; the paper's if not given.")
+]
+MassesFile = Annotated[
+    Path | None,
+    typer.Option("--masses", metavar="FILE", help="YAML file of masses and payload; assumed if not given."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Limits = Annotated[
@@ -85,10 +89,95 @@ def read_geometry(path: Path | None) -> Geometry:
     return geometry
 
 
-def read_pose(translation: Triple, xyx: Triple, unit: LengthUnit) -> RigidTransform:
-    """Return the pose of `--translation`, `--xyx` and `--unit`."""
-    turned = np.fmod(xyx, 360.0) if np.isfinite(xyx).all() else xyx
-    return pose(np.array(translation) / unit.per_metre, xyx=np.deg2rad(turned))
+_ORIENTATIONS: dict[str, tuple[Any, str, str]] = {
+    "xyx": (Triple, "ALPHA BETA LAMBDA", "The paper's X-Y-X Euler angles in degrees."),
+    "rpy": (Triple, "ROLL PITCH YAW", "Instead: about the fixed axes X, Y, Z in degrees, as in URDF."),
+    "quat": (tuple[float, float, float, float], "X Y Z W", "Instead: unit quaternion, scalar last."),
+    "rotvec": (Triple, "X Y Z", "Instead: rotation vector, its length the angle in degrees."),
+    "matrix": (
+        tuple[float, float, float, float, float, float, float, float, float],
+        "R11 ... R33",
+        "Instead: rotation matrix from {m} to {B}, row by row.",
+    ),
+}
+"""Options of an orientation: what they take, its name in the help, and the help."""
+
+
+def takes_pose(
+    argument: str = "pose", prefix: str = "", *, required: bool = True
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorate a command that has a pose as `argument`, so that it takes --translation and one orientation instead.
+
+    The options have `prefix` before their names. If the pose is not `required`, it is None where no option is given.
+    The command has an argument `unit`.
+    """
+    rows = {"translation": (Triple, "X Y Z", "Position of o in {B}, in --unit."), **_ORIENTATIONS}
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        added = []
+        for name, (kind, metavar, text) in rows.items():
+            needed = required and name == "translation"
+            option = typer.Option(f"--{prefix}{name}", metavar=metavar, help=text)
+            added.append(
+                inspect.Parameter(
+                    f"{prefix}{name}".replace("-", "_"),
+                    inspect.Parameter.KEYWORD_ONLY,
+                    default=inspect.Parameter.empty if needed else None,
+                    annotation=Annotated[kind if needed else kind | None, option],
+                )
+            )
+
+        @functools.wraps(command)
+        def run(**options: Any) -> None:
+            typed = {name: options.pop(parameter.name) for name, parameter in zip(rows, added, strict=True)}
+            command(**options, **{argument: _read_pose(typed, prefix, options["unit"], required)})
+
+        parameters = []
+        for parameter in inspect.signature(command, eval_str=True).parameters.values():
+            whole = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+            parameters += added if parameter.name == argument else [whole]
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        kept = {name: hint for name, hint in command.__annotations__.items() if name != argument}
+        run.__annotations__ = kept | {parameter.name: parameter.annotation for parameter in added}
+        return run
+
+    return decorate
+
+
+def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: bool) -> RigidTransform | None:
+    """Return the pose of `--translation` and one orientation, in degrees where these are angles."""
+    translation, *_ = typed.values()
+    chosen = [name for name in _ORIENTATIONS if typed[name] is not None]
+    if not (required or chosen or translation is not None):
+        return None
+    if translation is None:
+        received = f"--{prefix}{chosen[0]} alone"
+        raise ArgumentError(f"--{prefix}translation", "a position with the orientation", received)
+    if len(chosen) != 1:
+        names = ", ".join(f"--{prefix}{name}" for name in _ORIENTATIONS)
+        received = " and ".join(f"--{prefix}{name}" for name in chosen) or "none"
+        argument = received if chosen else f"--{prefix}translation"
+        raise ArgumentError(argument, f"one orientation, of {names}", f"{len(chosen)} of them" if chosen else "none")
+    (name,) = chosen
+    value = np.array(typed[name])
+    if name in ("xyx", "rpy") and np.isfinite(value).all():
+        value = np.fmod(value, 360.0)
+    if name in ("xyx", "rpy", "rotvec"):
+        value = np.deg2rad(value)
+    if name == "matrix":
+        value = value.reshape(3, 3)
+    try:
+        return pose(np.array(translation) / unit.per_metre, **{name: value})
+    except PoseError as error:
+        raise PoseError(f"--{prefix}{error.argument}", error.expected, error.received, error.cause) from error
+
+
+def read_masses(path: Path | None, what: str) -> Masses | None:
+    """Return the masses of `--masses`; without it None, and a note that they are assumed in `what`."""
+    if path is not None:
+        return Masses.from_yaml(path)
+    note(f"{what} with assumed masses, in proportion to the machine's size; --masses FILE gives the machine's")
+    return None
 
 
 def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, geometry: Geometry) -> str:
@@ -102,6 +191,11 @@ def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, g
         f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:.3g} {unit}. "
         f"In {better} it would be in proportion: --unit {better}."
     )
+
+
+def translation_hint(pose: RigidTransform, unit: LengthUnit, geometry: Geometry) -> str:
+    """Return the hint of `unit_hint` for --translation."""
+    return unit_hint("--translation", tuple(pose.translation * unit.per_metre), unit, geometry)
 
 
 def note_unit(option: str, typed: float, unit: LengthUnit, geometry: Geometry) -> None:
@@ -134,8 +228,8 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
 
 def status_content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
     """Return what `--json` says of all solutions: their unit, the status, and a continuous family or None."""
-    found = solutions.degeneracy
-    family = found and {name: getattr(found, name) for name in ("dimension", "families", "legs")}
+    degeneracy = solutions.degeneracy
+    family = degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")}
     return {"unit": unit, "status": str(solutions.status), "degeneracy": family}
 
 
@@ -168,29 +262,27 @@ def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, require
 
 def exit_code(solutions: SolutionSet) -> int:
     """Return the exit code of a command that solved a displacement: 0, 3 if unreachable, 4 if degenerate."""
+    assert isinstance(solutions.status, Status), "a single problem"
     return {Status.OK: 0, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}.get(solutions.status, 1)
 
 
 def requested_solutions(
-    geometry: Geometry, translation: Triple | None, xyx: Triple | None, legs: SixLegs | None, unit: LengthUnit
+    geometry: Geometry, pose: RigidTransform | None, legs: SixLegs | None, unit: LengthUnit
 ) -> tuple[SolutionSet, Configuration]:
     """Return the branches of the requested pose, and the one to take if none is named.
 
     That is the physical one, or else the first; with `legs` the one they determine; with no option at all, a regular
     configuration near the home.
     """
-    if (translation is None) != (xyx is None):
-        missing = "--translation" if translation is None else "--xyx"
-        raise ArgumentError(missing, "a pose, of --translation and --xyx together", "only one of them")
-    if legs is not None and translation is not None:
+    if legs is not None and pose is not None:
         raise ArgumentError("--legs", "leg lengths or a pose", "both")
-    if translation is not None and xyx is not None:
-        solutions = inverse_displacement(geometry, read_pose(translation, xyx, unit))
+    if pose is not None:
+        solutions = inverse_displacement(geometry, pose)
         if not solutions.count:
-            cause = unit_hint("--translation", translation, unit, geometry) or " ".join(pose_remarks(solutions))
+            cause = translation_hint(pose, unit, geometry) or " ".join(pose_remarks(solutions))
             raise ArgumentError("--translation", "a pose with a real branch", f"status {solutions.status}", cause)
         physical = solutions.physical()
-        return solutions, physical if physical.exists else solutions[int(solutions.exists.argmax())]
+        return solutions, physical if physical.exists else solutions.configurations[int(solutions.exists.argmax())]
     if legs is None:
         state = starting_configuration(geometry)
     else:
@@ -201,20 +293,26 @@ def requested_solutions(
     return inverse_displacement(geometry, state.pose), state
 
 
+def beyond_limits(state: Configuration) -> IntArray:
+    """Return the numbers of the legs whose readings are beyond their limits by more than rounding, 0 to 5."""
+    limits = state.geometry.limits
+    if limits is None:
+        return np.empty(0, int)
+    return np.flatnonzero(np.abs(limits.excess(state.readings)) > 1e-12 * state.geometry.middle_side)
+
+
 def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, Configuration]:
     """Return branches of a pose under the titles of their pictures."""
     physical = solutions.is_physical
     places = [solutions.labels.index(label) for label in labels]
-    return {solutions.labels[k] + ", physical" * bool(physical[k]): solutions[k] for k in places}
+    return {solutions.labels[k] + ", physical" * bool(physical[k]): solutions.configurations[k] for k in places}
 
 
-def solve_pose(
-    geometry: Path | None, translation: Triple, xyx: Triple, unit: LengthUnit
-) -> tuple[SolutionSet, list[str]]:
-    """Return the branches of `--translation` and `--xyx`, and remarks on a pose that has none or too many."""
+def solve_pose(geometry: Path | None, pose: RigidTransform, unit: LengthUnit) -> tuple[SolutionSet, list[str]]:
+    """Return the branches of the pose typed, and remarks on one that has none or too many."""
     dimensions = read_geometry(geometry)
-    solutions = inverse_displacement(dimensions, read_pose(translation, xyx, unit))
-    hint = unit_hint("--translation", translation, unit, dimensions)
+    solutions = inverse_displacement(dimensions, pose)
+    hint = translation_hint(pose, unit, dimensions)
     remarks = [hint] if hint else pose_remarks(solutions)
     if solutions.status is Status.UNREACHABLE and not remarks:
         remarks.append("No configuration holds this pose, whatever the leg lengths.")

@@ -10,23 +10,31 @@ import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar, get_type_hints
 
 import typer
 from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from typer.models import ArgumentInfo
 
-from spm_pin.display.figures import FORMATS, save_figure, to_json
+from spm_pin.display.figures import FORMATS, Style, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Without markup: file names and messages may contain brackets, which Rich would take for styles.
-stdout = Console(markup=False, highlight=False)
-stderr = Console(stderr=True, markup=False, highlight=False, soft_wrap=True)
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Raise the error: Rich would end with the code 1."""
+        raise
+
+
+# File names and messages may contain brackets and words between colons, which Rich would take for styles and emoji.
+stdout = _Console(markup=False, highlight=False, emoji=False)
+stderr = _Console(stderr=True, markup=False, highlight=False, emoji=False, soft_wrap=True)
 
 _ROUNDING = 1e-12
 """A number smaller than this share of its scale is printed as zero."""
@@ -152,17 +160,38 @@ def picture_option(help_text: str) -> Any:
     return file_option(help_text, FORMATS, "plots")
 
 
+def _read_style(text: str | Style) -> Style:
+    if isinstance(text, Style):
+        return text
+    try:
+        return Style.from_text(text)
+    except ArgumentError as error:
+        raise typer.BadParameter(f"expected {error.expected}, got {error.received}") from error
+
+
+PictureStyle = Annotated[
+    Style | None,
+    typer.Option(
+        metavar="WORDS",
+        parser=_read_style,
+        help="Size, font and background of the picture, joined by commas: 90x60mm,8pt,600dpi,dark or 3.5in.",
+    ),
+]
+
+
 def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:
     """Raise `ArgumentError` if a file cannot be written later, by its ending, its folder, its permissions."""
     if endings and path.suffix.lower() not in endings:
         raise ArgumentError(option, f"a file name ending in {', '.join(endings)}", path.name, cause)
     reason = ""
+    # Folders that do not exist are made when the file is written.
+    present = next(place for place in (path, *path.absolute().parents) if place.exists())
     if path.is_dir():
         reason = "It is a directory"
-    elif not path.parent.is_dir():
-        reason = f"There is no directory {path.parent}"
-    elif not os.access(path if path.exists() else path.parent, os.W_OK):
-        reason = f"No permission to write {path if path.exists() else f'in {path.parent}'}"
+    elif present != path and not present.is_dir():
+        reason = f"{present} is no directory"
+    elif not os.access(present, os.W_OK):
+        reason = f"No permission to write {path if present == path else f'in {present}'}"
     if reason:
         raise ArgumentError(option, "a file that can be written", path, reason)
 
@@ -182,20 +211,25 @@ def write_json(content: Any, path: Path | None = None) -> None:
     write_text(to_json(content) + "\n", path)
 
 
-def write_figure(path: Path | None, draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs) -> None:
+def write_figure(
+    path: Path | None, style: Style | None, draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs
+) -> None:
     """Draw a figure and write it; without a path, do nothing."""
     if path is not None:
-        save_figure(draw(*args, **kwargs), path)
+        save_figure(draw(*args, **kwargs), path, style=style)
         note(f"wrote {path}")
 
 
-def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def name_options(**options: str | tuple[str, ...]) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a command so that its errors name the options typed, not the arguments of the functions it calls.
 
-    `options`, by the argument's name, are those that have another name. Errors in a file get the option before.
+    `options`, by the argument's name, are those that have another name: of several, the first that
+    was typed, or the last. Errors in a file get the option before.
     """
 
     def decorate(command: Callable[P, R]) -> Callable[P, R]:
+        typed = {name: _option_name(name, hint) for name, hint in get_type_hints(command, include_extras=True).items()}
+
         @functools.wraps(command)
         def run(*args: P.args, **kwargs: P.kwargs) -> R:
             try:
@@ -203,11 +237,17 @@ def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             except ArgumentError as error:
                 argument, bracket, index = error.argument.partition("[")
                 option = options.get(argument)
+                if isinstance(option, tuple):
+                    given = {typed[name] for name in typed.keys() & kwargs.keys() if kwargs[name] is not None}
+                    option = next((name for name in option if name in given), option[-1])
                 if option is None and kwargs.get(argument) is not None:
-                    option = f"--{argument.replace('_', '-')}"
+                    option = typed[argument]
+                    if isinstance(kwargs[argument], Path) and str(kwargs[argument]) not in str(error.received):
+                        option += f" {kwargs[argument]}"
                 for name, value in kwargs.items():
-                    if isinstance(value, Path) and error.argument.partition(":")[0] == str(value):
-                        option, bracket, index = f"--{name}: {error.argument}", "", ""
+                    place = error.argument.rpartition(" in ")[2].partition(":")[0]
+                    if isinstance(value, Path) and place == str(value):
+                        option, bracket, index = f"{typed[name]}: {error.argument}", "", ""
                 if option is None:
                     raise
                 raise type(error)(option + bracket + index, error.expected, error.received, error.cause) from error
@@ -215,3 +255,13 @@ def name_options(**options: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return run
 
     return decorate
+
+
+def _option_name(parameter: str, hint: Any) -> str:
+    """Return what a user types for a parameter of a command: its option, or the name of the argument in the help."""
+    for info in getattr(hint, "__metadata__", ()):
+        if isinstance(info, ArgumentInfo):
+            return str(info.metavar or parameter.upper())
+        for declared in getattr(info, "param_decls", None) or ():
+            return str(declared).partition("/")[0]
+    return f"--{parameter.replace('_', '-')}"

@@ -1,6 +1,6 @@
-"""`spm-pin inverse`, `singularities` and `statics`: the branches of one pose, their singularities and leg forces.
+"""`spm-pin inverse`, `forward`, `singularities` and `statics`: the states of one pose or of six leg lengths.
 
-Each builds one record per branch, which is the JSON, and prints a table of columns of these records.
+Each builds one record per state, which is the JSON, and prints a table of columns of these records.
 """
 
 from __future__ import annotations
@@ -9,14 +9,17 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli import options, outputs
-from spm_pin.cli.options import LengthUnit, Triple
+from spm_pin.cli.options import LengthUnit, SixLegs, Triple, leg_option
+from spm_pin.display.figures import fixed
 from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
-from spm_pin.mechanism import LEGS, Configuration, SolutionSet
+from spm_pin.mechanism import LEGS, Configuration, SolutionSet, Status
 
 Record = dict[str, Any]
 _MATRICES = ("J_b", "J_c", "K")
@@ -24,9 +27,9 @@ _ZERO = (0.0, 0.0, 0.0)
 
 
 @outputs.name_options()
+@options.takes_pose()
 def inverse(
-    translation: options.Translation,
-    xyx: options.Xyx,
+    pose: RigidTransform,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
@@ -34,13 +37,18 @@ def inverse(
     """Find every configuration that holds the platform in a pose.
 
     Example, the paper's: spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm
+
+    The exit code is 5 if every branch has a leg beyond its limits.
     """
-    solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
+    solutions, remarks = options.solve_pose(geometry, pose, unit)
     branches = [_branch(solutions, k, unit) for k in np.flatnonzero(solutions.exists).tolist()]
+    code = options.exit_code(solutions)
+    if code == 0 and not any(record["within_limits"] for record in branches):
+        code = 5
     if json:
         content = options.status_content(solutions, unit)
         outputs.write_json(content | {"discriminants": solutions.discriminants, "branches": branches})
-        raise typer.Exit(options.exit_code(solutions))
+        raise typer.Exit(code)
 
     def length(leg: int, record: Record) -> str:
         # The space stands for the mark of a leg beyond its limits.
@@ -54,34 +62,113 @@ def inverse(
         outputs.print_table(title, columns, branches, left=[""])
     lines = [options.status_line(solutions, "branches")]
     if not all(record["within_limits"] for record in branches):
-        lines.append("* beyond the limits of this leg")
+        lines.append("* beyond the limits of this leg" + ", as in every branch" * (code == 5))
     lines += remarks
     if solutions.ambiguous:
         lines.append("Two branches are physical, on either side of an inverse singularity; the straighter is likelier.")
     outputs.print_lines(lines)
-    raise typer.Exit(options.exit_code(solutions))
+    raise typer.Exit(code)
 
 
 def _branch(solutions: SolutionSet, k: int, unit: LengthUnit) -> Record:
-    state, limits = solutions[k], solutions.geometry.limits
-    readings = state.readings
-    beyond = np.zeros(6, bool) if limits is None else (readings < limits.minimum) | (readings > limits.maximum)
+    state = solutions.configurations[k]
+    beyond = options.beyond_limits(state)
     return {
         "label": solutions.labels[k],
         "leg_lengths": state.leg_lengths * unit.per_metre,
-        "readings": readings * unit.per_metre,
+        "readings": state.readings * unit.per_metre,
         "middle_joints": state.middle_joints * unit.per_metre,
-        "within_limits": not beyond.any(),
-        "beyond_limits": np.flatnonzero(beyond),
+        "within_limits": not beyond.size,
+        "beyond_limits": beyond,
         "physical": bool(solutions.is_physical[k]),
         "residual": solutions.residual[k] * unit.per_metre,
     }
 
 
+@outputs.name_options(leg_lengths="--legs", readings="--legs")
+def forward(
+    legs: Annotated[
+        SixLegs, leg_option("--legs", "Leg lengths r_b1 to r_b3, r_c1 to r_c3 as encoders show them, in --unit.")
+    ],
+    every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.GeometryFile = None,
+    json: options.AsJson = False,
+) -> None:
+    """Find the pose of the platform from the leg lengths.
+
+    Example, the paper's: spm-pin forward --legs 120 120 140 125 120 150 --unit cm
+    """
+    lengths = np.array(legs) / unit.per_metre
+    dimensions = options.read_geometry(geometry)
+    physical = forward_physical(dimensions, lengths)
+    # All modes are those of a machine as drawn; for one as built --all is refused.
+    modes = forward_displacement(dimensions, lengths) if every or dimensions.is_nominal else _alone(physical)
+    shown = {modes.labels[0]: physical} if physical.exists else {}
+    if every:
+        shown = {modes.labels[k]: modes.configurations[k] for k in np.flatnonzero(modes.exists)}
+    home = modes.labels[0] if physical.exists else ""
+    if json:
+        states = [
+            {
+                "label": label,
+                "translation": state.translation * unit.per_metre,
+                "xyx": _angles(state),
+                "rpy": state.pose.rotation.as_euler("xyz", degrees=True, suppress_warnings=True),
+                "quat": state.pose.rotation.as_quat(),
+                "rotation": state.rotation,
+                "middle_joints": state.middle_joints * unit.per_metre,
+                "physical": label == home,
+                "residual": state.closure_residual * unit.per_metre,
+            }
+            for label, state in shown.items()
+        ]
+        outputs.write_json(options.status_content(modes, unit) | {"count": modes.count, "modes": states})
+    else:
+        if shown:
+            _print_states(shown, home, unit, "Assembly modes" if every else "The physical configuration")
+        remarks = [options.status_line(modes, "assembly modes")]
+        if modes.status is Status.DEGENERATE:
+            remarks += ["With these legs locked the platform can still move.", *options.pose_remarks(modes)]
+        if modes.status is Status.UNREACHABLE:
+            hint = options.unit_hint("--legs", max(legs), unit, dimensions)
+            remarks.append(hint or "A stage cannot be closed with these leg lengths.")
+        elif not physical.exists:
+            remarks.append("No mode is reached from the symmetric home without a forward singularity.")
+        outputs.print_lines(remarks)
+    raise typer.Exit(options.exit_code(modes))
+
+
+def _alone(physical: Configuration) -> SolutionSet:
+    """Return the physical configuration as the only mode that is sought."""
+    state = physical.rotation[None], physical.translation[None], physical.middle_joints[None]
+    status = Status.OK if physical.exists else Status.UNREACHABLE
+    return SolutionSet(Configuration.from_arrays(physical.geometry, *state), ("physical",), status)
+
+
+def _angles(state: Configuration) -> list[float]:
+    return [float(angle) for angle in state.pose.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)]
+
+
+def _print_states(states: dict[str, Configuration], physical: str, unit: LengthUnit, title: str) -> None:
+    # One digit more where there is room for it in 80 columns.
+    finer = int(len(states) == 1)
+    columns: dict[str, Any] = {"mode": str}
+    columns |= {
+        name: lambda label, k=k: unit.text(float(states[label].translation[k]), finer) for k, name in enumerate("XYZ")
+    }
+    columns |= {
+        name: lambda label, k=k: fixed(_angles(states[label])[k], 3 + finer)
+        for k, name in enumerate(("alpha", "beta", "lambda"))
+    }
+    columns[""] = lambda label: "physical" if label == physical else ""
+    outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", columns, states, left=[""])
+
+
 @outputs.name_options()
+@options.takes_pose()
 def singularities(
-    translation: options.Translation,
-    xyx: options.Xyx,
+    pose: RigidTransform,
     branch: options.Branches = None,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
@@ -92,7 +179,7 @@ def singularities(
     Determinants are divided by d³, the distance is the smallest singular value; both are dimensionless and zero at a
     singularity: forward for J_b and J_c, the lower and the upper stage, inverse for K.
     """
-    solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
+    solutions, remarks = options.solve_pose(geometry, pose, unit)
     branches = {label: _singularity(solutions[label]) for label in options.selected_labels(solutions, branch)}
     if json:
         outputs.write_json({"status": str(solutions.status), "branches": branches})
@@ -124,9 +211,9 @@ def _vector(help_text: str) -> Any:
 
 
 @outputs.name_options(wrench="--force, --moment", twist="--velocity, --angular-velocity")
+@options.takes_pose()
 def statics(
-    translation: options.Translation,
-    xyx: options.Xyx,
+    pose: RigidTransform,
     force: Annotated[Triple, _vector("Force onto m at o, in {B}, in newtons.")] = _ZERO,
     moment: Annotated[Triple, _vector("Moment onto m, in {B}, in newton metres.")] = _ZERO,
     velocity: Annotated[Triple, _vector("Velocity of o in {B}, in --unit per second.")] = _ZERO,
@@ -144,7 +231,7 @@ def statics(
     twist = np.concatenate([np.array(velocity) / unit.per_metre, np.deg2rad(angular_velocity)])
     if not (json or wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
-    solutions, remarks = options.solve_pose(geometry, translation, xyx, unit)
+    solutions, remarks = options.solve_pose(geometry, pose, unit)
     labels = options.selected_labels(solutions, branch)
     branches = {label: _leg_loads(solutions[label], wrench, twist, unit) for label in labels}
     if json:

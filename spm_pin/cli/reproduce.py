@@ -46,34 +46,36 @@ def reproduce(
 
     Exits with 1 if a printed number differs and nothing in the numbers explains why.
     """
-    found = recompute(TABLES if table is None else table)
+    reproduction = recompute(TABLES if table is None else table)
     content = {
         "unit": "cm",
-        "cells": [vars(cell) | {"difference": cell.difference} for cell in found.cells],
-        "solutions": [vars(each) for each in found.solutions],
-        "true_values": [vars(each) for each in found.true_values],
-        "diagnoses": [{"row": each.row, "mistakes": each.names, "values": each.values} for each in found.diagnoses],
-        "equation_17_real_roots": vars(found.equation_17),
+        "cells": [vars(cell) | {"difference": cell.difference} for cell in reproduction.cells],
+        "solutions": [vars(each) for each in reproduction.solutions],
+        "true_values": [vars(each) for each in reproduction.true_values],
+        "diagnoses": [
+            {"row": each.row, "mistakes": each.names, "values": each.values} for each in reproduction.diagnoses
+        ],
+        "equation_17_real_roots": vars(reproduction.equation_17),
     }
     if json:
         outputs.write_json(content)
     else:
-        outputs.print_lines([summary_line(found)], "bold red" if found.unexplained else "bold green")
+        outputs.print_lines([summary_line(reproduction)], "bold red" if reproduction.unexplained else "bold green")
         outputs.stdout.print()
-        print_summary(found)
+        print_summary(reproduction)
         if cells or table is not None:
-            _print_cells(found)
-        outputs.print_lines(f"• {line}" for line in _findings(found))
+            _print_cells(reproduction)
+        outputs.print_lines(f"• {line}" for line in _findings(reproduction))
     if out is not None:
         outputs.write_json(content, out)
-    if found.unexplained:
-        outputs.note(f"{len(found.unexplained)} printed values differ without an explanation", "bold red")
+    if reproduction.unexplained:
+        outputs.note(f"{len(reproduction.unexplained)} printed values differ without an explanation", "bold red")
         raise typer.Exit(1)
 
 
-def summary_line(found: Reproduction) -> str:
+def summary_line(reproduction: Reproduction) -> str:
     """Return the outcome in one sentence; the counts are those of the tables, without the example's pose."""
-    cells = found.in_tables
+    cells = reproduction.in_tables
     counts = {verdict: sum(cell.verdict is verdict for cell in cells) for verdict in Verdict}
     numbers = sorted({cell.table for cell in cells})
     tables = "Tables 1 to 5" if len(numbers) == len(TABLES) else f"Table {', '.join(map(str, numbers))}"
@@ -82,12 +84,14 @@ def summary_line(found: Reproduction) -> str:
     others = [f"{counts[verdict]} {word}" for verdict, word in words.items() if counts[verdict]]
     if not others:
         return f"{line}."
-    return f"{line}, {'not all' if found.unexplained else 'all'} others are explained: {', '.join(others)}."
+    return f"{line}, {'not all' if reproduction.unexplained else 'all'} others are explained: {', '.join(others)}."
 
 
-def print_summary(found: Reproduction) -> None:
+def print_summary(reproduction: Reproduction) -> None:
     """Print how many cells of each table agree."""
-    rows = {n: [cell.verdict for cell in group] for n, group in groupby(sorted(found.cells, key=_TABLE), key=_TABLE)}
+    rows = {
+        n: [cell.verdict for cell in group] for n, group in groupby(sorted(reproduction.cells, key=_TABLE), key=_TABLE)
+    }
     columns: dict[str, Any] = {"": lambda n: _TITLES[n].partition(" (")[0], "cells": lambda n: str(len(rows[n]))}
     columns |= {str(verdict): lambda n, verdict=verdict: str(rows[n].count(verdict)) for verdict in Verdict}
     red = {n: "red" for n in rows if Verdict.UNEXPLAINED in rows[n]}
@@ -102,7 +106,7 @@ def _number(value: complex, like: str = "0.0000") -> str:
     return real if abs(value.imag) < 1e-9 else f"{real}{value.imag:+.{digits}f}i"
 
 
-def _print_cells(found: Reproduction) -> None:
+def _print_cells(reproduction: Reproduction) -> None:
     columns: dict[str, Any] = {
         "": lambda cell: cell.row,
         "solution": lambda cell: cell.column,
@@ -111,7 +115,7 @@ def _print_cells(found: Reproduction) -> None:
         "difference": lambda cell: "" if cell.difference is None else f"{cell.difference:.0e}",
         "verdict": lambda cell: cell.verdict,
     }
-    for number, cells in groupby(found.cells, key=_TABLE):
+    for number, cells in groupby(reproduction.cells, key=_TABLE):
         outputs.print_table(
             _TITLES[number],
             columns,
@@ -120,7 +124,7 @@ def _print_cells(found: Reproduction) -> None:
             group=lambda cell: cell.row if 0 < cell.table < 5 else None,
             style=lambda cell: _STYLES.get(cell.verdict),
         )
-    if any(cell.table < 5 for cell in found.cells):
+    if any(cell.table < 5 for cell in reproduction.cells):
         columns = {
             "solution": lambda each: str(each.solution),
             "branch": lambda each: each.label,
@@ -129,31 +133,31 @@ def _print_cells(found: Reproduction) -> None:
             "difference": lambda each: f"{each.difference:.0e}",
         }
         title = "The same solutions by two methods: b_2Y (cm), and the largest difference"
-        outputs.print_table(title, columns, found.solutions, left=["branch"])
-    if found.true_values:
+        outputs.print_table(title, columns, reproduction.solutions, left=["branch"])
+    if reproduction.true_values:
         names = ("", "paper: 9 × 9", "wrench form", "Pinocchio")
         columns = {name: lambda row, k=k: fixed(row[k], 6) if k else row[k] for k, name in enumerate(names)}
         columns["difference"] = lambda row: f"{max(row[1:]) - min(row[1:]):.0e}"
-        rows = [astuple(true) for true in found.true_values]
+        rows = [astuple(true) for true in reproduction.true_values]
         outputs.print_table("The true numbers of Table 5 by three methods", columns, rows)
 
 
-def _findings(found: Reproduction) -> list[str]:
+def _findings(reproduction: Reproduction) -> list[str]:
     lines = [
         f"Table {cell.table}, {cell.row}, solution {cell.column}: printed {cell.published or 'nothing'}, "
         f"true {_number(cell.recomputed, cell.published or '0.0000')}; {cell.note}."
-        for cell in found.cells
+        for cell in reproduction.cells
         if cell.note
     ]
-    for diagnosis in found.diagnoses:
+    for diagnosis in reproduction.diagnoses:
         what = {"v": "rates", "f": "forces"}[diagnosis.row]
         causes = "; ".join(_MISTAKES[name] for name in diagnosis.names)
         lines.append(
             f"Table 5, {what}: the printed row comes out to its four decimals with "
             f"{len(diagnosis.names)} mistakes made together, and with no fewer: {causes}."
         )
-    if any(cell.table < 5 for cell in found.cells):
-        equation = found.equation_17
+    if any(cell.table < 5 for cell in reproduction.cells):
+        equation = reproduction.equation_17
         lines.append(
             f"Eq. (17): with the signs as printed |U| = 0 has {equation.printed} real roots; with the product "
             f"of Eq. (16) moved across correctly it has {equation.mended}, and the example has {equation.true}."

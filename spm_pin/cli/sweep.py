@@ -22,7 +22,9 @@ from spm_pin.sweeps.runner import CHUNK
 
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
-_LEGS = "Leg lengths instead of poses: once for all six, twice for lower and upper, or six times."
+_LEGS = (
+    "Leg lengths as encoders show them, instead of poses: once for all six, twice for lower and upper, or six times."
+)
 _SAMPLES = "Draw so many points instead; ranges are then START:STOP."
 _METRICS = f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}."
 _LENGTH = "Characteristic length of conditioning and isotropy, in --unit; the platform's radius."
@@ -56,7 +58,7 @@ def sweep(
 ) -> None:
     """Map metrics over poses or leg lengths, in parallel, into a Zarr store.
 
-    Example: spm-pin sweep --x -0.5:0.5:101 --y -0.5:0.5:101 --z 2.5 --xyx 30 35 -30 --out map.zarr
+    Example: spm-pin sweep --legs 1.1:1.5 --samples 100000 --out map.zarr
 
     Killed or interrupted it loses nothing: the same command goes on, and so does spm-pin sweep --out FOLDER alone.
     """
@@ -90,14 +92,14 @@ def sweep(
             sweeps.run_sweep(
                 machine, domain, chosen, out, chunk=chunk, scheduler=scheduler, workers=workers, progress=progress
             )
-    found = sweeps.sweep_status(out)
+    stored = sweeps.sweep_status(out)
     if json:
-        write_json(dataclasses.asdict(found) | {"complete": found.complete, "store": str(out)})
+        write_json(dataclasses.asdict(stored) | {"complete": stored.complete, "store": str(out)})
         return
-    shape = ", ".join(f"{name} {size}" for name, size in found.shape.items())
-    lines = [f"{found.points} points: {shape}", f"metrics: {', '.join(found.metrics)}"]
-    lines.append(f"{found.done} of {found.total} chunks complete")
-    print_lines([*lines, f'open with: xarray.open_zarr("{out}")' if found.complete else _go_on(out)])
+    shape = ", ".join(f"{name} {size}" for name, size in stored.shape.items())
+    lines = [f"{stored.points} points: {shape}", f"metrics: {', '.join(stored.metrics)}"]
+    lines.append(f"{stored.done} of {stored.total} chunks complete")
+    print_lines([*lines, f'open with: xarray.open_zarr("{out}")' if stored.complete else _go_on(out)])
 
 
 def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], scale: float) -> Domain | None:
@@ -133,10 +135,10 @@ def _range(option: str, text: str, scale: float) -> float | tuple[float, ...]:
 
 
 def _with_parameters(name: str, parameters: dict[str, float]) -> str | sweeps.Metric:
-    found = sweeps.METRICS.get(name)
-    if found is None:
+    metric = sweeps.METRICS.get(name)
+    if metric is None:
         return name
-    return found(**{key: value for key, value in parameters.items() if key in found.parameters})
+    return metric(**{key: value for key, value in parameters.items() if key in metric.parameters})
 
 
 def _go_on(out: Path) -> str:

@@ -11,7 +11,7 @@ from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.figures import FORMATS, save_figure
+from spm_pin.display.figures import FORMATS, Style, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
@@ -27,7 +27,8 @@ def workspace(
         Option(metavar="FILE", help="Picture (.png, .svg, .pdf) or mesh in metres (.stl, .ply, .obj, .glb)."),
     ] = None,
     sections: Annotated[bool, Option("--sections", help="Draw sections, with what is reached, instead.")] = False,
-    samples: Annotated[int, Option(min=1, help="Random sets of leg lengths for --sections.")] = 200_000,
+    samples: Annotated[int, Option(min=1, help="Random sets of leg lengths for --sections.")] = 2_000_000,
+    style: outputs.PictureStyle = None,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
@@ -36,8 +37,8 @@ def workspace(
 
     Example: spm-pin workspace --limits 110 150 --unit cm --out fig2.png
 
-    The shell is not the whole boundary of what can be reached; --sections shows where it is not. --out needs the extra
-    "plots".
+    The shell is not the whole boundary of what can be reached; --sections shows where it is not. With --out a summary
+    is printed, else the tables of all surfaces. --out needs the extra "plots".
     """
     if out is None and sections:
         raise ArgumentError("--sections", "a picture to draw them in", "no --out FILE")
@@ -57,25 +58,26 @@ def workspace(
     if json:
         outputs.write_json(_content(shell, unit))
     else:
-        _print_tables(shell, unit)
+        if out is None:
+            _print_tables(shell, unit)
         outputs.print_lines(_remarks(shell, unit))
     if out is not None:
-        _write(shell, out, samples if sections else None)
+        _write(shell, out, samples if sections else None, style)
 
 
-def _write(shell: Shell, out: Path, samples: int | None) -> None:
+def _write(shell: Shell, out: Path, samples: int | None, style: Style | None) -> None:
     """Write a mesh, a picture of the shell, or of its sections with what `samples` sets of leg lengths reach."""
     if out.suffix.lower() in MESH_FORMATS:
         save_mesh(shell, out)
     elif samples is None:
-        save_figure(shell_figure(shell), out)
+        save_figure(shell_figure(shell), out, style=style)
     else:
         from spm_pin.display.shell_plots import sections_figure
         from spm_pin.workspace.sampling import sample_positions_near_limits
 
         with outputs.stderr.status("drawing leg lengths"):
             reached, aspect = sample_positions_near_limits(shell.geometry, shell.limits, count=samples)
-        save_figure(sections_figure(shell, reached, aspect), out)
+        save_figure(sections_figure(shell, reached, aspect), out, style=style)
     outputs.note(f"wrote {out}")
 
 

@@ -54,18 +54,3 @@ def test_inverse_singularities_are_shown_where_they_are() -> None:
 def test_limits_with_a_forward_singularity_are_exit_code_1() -> None:
     done = run("certify", "--min", "0.5", "--max", "1.9", "--boxes", "2000")
     assert done.returncode == 1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "option"),
-    [
-        (["--min", "1.1"], "--min and --max"),
-        (["--length-error", "-1"], "--length-error"),
-        (["--angle-error", "1"], "--angle-error"),
-        ([*LIMITS, "--inverse", "--angle-error", "1e-4"], "--inverse"),
-    ],
-)
-def test_wrong_options_are_named(arguments: list[str], option: str) -> None:
-    done = run("certify", *arguments)
-    assert done.returncode == 2
-    assert option in done.message

@@ -47,25 +47,6 @@ def test_reproduce_fails_on_a_difference_nothing_explains(monkeypatch: pytest.Mo
     assert "1 printed value" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["reproduce", "--table", "7"], "--table: expected numbers out of (1, 2, 3, 4, 5)"),
-        (["inverse", *EXAMPLE[:-4], "nan", "0", "--unit", "cm"], "--xyx: expected finite"),
-        (["inverse", "--translation", "1", "2"], "requires 3 arguments"),
-        (["inverse", *EXAMPLE[:-1], "furlong"], "furlong"),
-        (["statics", *EXAMPLE], "neither"),
-        (["statics", *EXAMPLE, "--force", "0", "0", "1", "--branch", "FT+"], "real branches, here TT+"),
-        (["statics", *EXAMPLE, "--force", "0", "0", "nan"], "--force, --moment: expected finite"),
-    ],
-)
-def test_bad_input_is_a_clear_error(arguments: list[str], words: str) -> None:
-    done = run(*arguments)
-    assert done.returncode == 2
-    assert words in done.message
-    assert "Traceback" not in done.stderr
-
-
 def test_inverse_in_every_unit_and_as_json() -> None:
     lengths = {}
     for unit, factor in (("m", 0.01), ("cm", 1.0), ("mm", 10.0)):
@@ -89,15 +70,6 @@ def test_inverse_says_which_branch_is_physical_and_which_leg_is_too_long() -> No
     assert "…" not in out
 
 
-def test_inverse_of_poses_without_a_branch() -> None:
-    level = run("inverse", "--translation", "0", "0", "2.2", "--xyx", "0", "0", "0")
-    assert level.returncode == 4
-    assert "continuous family of dimension 3" in " ".join(level.stdout.split())
-    far = run("inverse", "--translation", "9", "9", "9", "--xyx", "10", "20", "30")
-    assert far.returncode == 3
-    assert "No configuration holds this pose" in far.stdout
-
-
 def test_another_geometry_from_yaml(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
@@ -106,11 +78,6 @@ def test_another_geometry_from_yaml(tmp_path: Path) -> None:
     pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
     expected = spm.inverse_displacement(spm.Geometry(0.7, 0.35, 0.8), pose)
     np.testing.assert_allclose(content["branches"][0]["leg_lengths"], 100 * expected.leg_lengths[0], rtol=1e-12)
-
-
-def test_version_and_help() -> None:
-    assert run("--version").stdout.strip() == f"spm-pin {spm.__version__}"
-    assert "reproduce" in run("--help").stdout
 
 
 def test_statics_of_every_branch_and_of_one() -> None:

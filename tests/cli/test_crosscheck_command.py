@@ -64,22 +64,3 @@ def test_a_method_that_cannot_be_imported_is_mentioned(monkeypatch: pytest.Monke
     done = run("crosscheck", "--poses", "2")
     assert done.returncode == 0
     assert "Left out, since their packages are not installed: pinocchio, ipopt." in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--method", "delphi"], "--method: expected names among closed-form"),
-        (["--out", "/nowhere/x.json"], "There is no directory /nowhere"),
-        (["--figure", "x.html"], "--figure: expected a file name ending in .png"),
-    ],
-)
-def test_bad_input_is_refused(arguments: list[str], words: str) -> None:
-    done = run("crosscheck", *arguments)
-    assert done.returncode == 2
-    assert words in done.message
-
-
-def test_numbers_out_of_range_are_refused() -> None:
-    assert run("crosscheck", "--poses", "0").returncode == 2
-    assert run("crosscheck", "--seed", "-1").returncode == 2

@@ -21,6 +21,7 @@ def test_every_format_is_what_the_writers_write(tmp_path: Path) -> None:
         (["--format", "urdf", "--ros-constraints"], urdf_text(ros_constraints=True)),
         (["--format", "mjcf"], mjcf_text()),
         (["--format", "mjcf", "--anchors", "sites"], mjcf_text(anchors="sites")),
+        (["--format", "mjcf", "--collisions", "simple"], mjcf_text(collisions="simple")),
         (["--format", "sdf", "--loops", "drake"], sdf_text(loops="drake")),
     ):
         done = run("export", *arguments)
@@ -75,21 +76,3 @@ def test_another_mesh_of_the_same_name_is_kept(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "no other meshes beside the file" in done.message
     assert mine.read_text(encoding="utf-8") == "mine"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, ros, got none"),
-        (["mjcf", "--format", "sdf"], "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, ros, got two"),
-        (["--format", "collada"], "collada"),
-        (["--format", "mjcf", "--ros-constraints"], "--ros-constraints: expected to be left out with --format mjcf"),
-        (["--format", "urdf", "--anchors", "sites"], "--anchors: expected to be left out with --format urdf"),
-        (["--format", "mjcf", "--loops", "drake"], "--loops: expected to be left out with --format mjcf"),
-        (["--format", "mjcf", "--prefix", "1 2"], "--prefix: expected a name"),
-    ],
-)
-def test_bad_input_is_a_clear_error(arguments: list[str], words: str) -> None:
-    done = run("export", *arguments)
-    assert done.returncode == 2
-    assert words in done.message

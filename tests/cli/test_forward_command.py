@@ -54,6 +54,8 @@ def test_json_in_every_unit(unit: str, factor: float) -> None:
         np.array(first["middle_joints"]) / factor / 100,
     )
     np.testing.assert_allclose(100 * state.leg_lengths, [float(x) for x in LEGS[1:7]], rtol=1e-12)
+    for written in ({"rpy": np.deg2rad(first["rpy"])}, {"quat": first["quat"]}):
+        np.testing.assert_allclose(spm.pose([0, 0, 1], **written).rotation.as_matrix(), first["rotation"], atol=1e-14)
     only = json.loads(run("--legs", *legs, "--unit", unit, "--json"))
     (alone,) = only["modes"]
     assert [alone[key] for key in ("label", "physical")] == [first[key] for key in ("label", "physical")]
@@ -75,7 +77,3 @@ def test_a_continuous_family_is_named(tmp_path: Path) -> None:
     out = " ".join(run("--legs", "1", "3", "1", "2", "2", "2", "--geometry", str(path), code=4).split())
     assert "status: degenerate" in out
     assert "continuous family of dimension 1" in out
-
-
-def test_bad_lengths_are_refused() -> None:
-    assert "--legs: expected positive lengths" in run_command("forward", "--legs", "1", "1", "1", "1", "1", "0").message

@@ -115,37 +115,6 @@ def test_resume_and_status(tmp_path: Path) -> None:
     assert contents(store) == whole
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--x", "0:1:5"], "--y, --z, --xyx"),
-        ([*POSES, "--legs", "1:2:5"], "not both"),
-        (["--legs", "1:2:5", "--legs", "1", "--legs", "2"], "one range, two, or six"),
-        (["--legs", "1:2"], "(start, stop, count)"),
-        (["--legs", "1:2:5", "--samples", "5"], "(start, stop)"),
-        (["--legs", "1:2:2.5"], "--legs: expected a number"),
-        (["--legs", "a:b:5"], "--legs: expected a number"),
-        (["--legs", "2:1:5"], "start < stop"),
-        (["--legs", "1:nan:5"], "finite"),
-        (["--x", "1:0:5", "--y", "0", "--z", "2", "--xyx", "1", "2", "3"], "--x: expected start < stop"),
-        (["--legs", "1:2:5", "--metric", "conditioning", "--length", "0"], "--length: expected a positive number"),
-        (["--legs", "1:2:5", "--metric", "beauty"], "--metric: expected a Metric, or names among reachable"),
-        (["--legs", "1:2:5", "--limits", "2", "1"], "exchanged"),
-        (["--legs", "1:2:5", "--metric", "payload", "--leg-force", "-1"], "--leg-force: expected a positive number"),
-        (["--legs", "1:2:5", "--workers", "2", "--scheduler", "tcp://127.0.0.1:1"], "beside a scheduler"),
-        ([], "does not exist"),
-        (["--status"], "does not exist"),
-        (["--samples", "5"], "ranges beside --samples"),
-        (["--metric", "payload"], "give --out alone"),
-    ],
-)
-def test_bad_options_are_refused(arguments: list[str], says: str, tmp_path: Path) -> None:
-    done = run("sweep", *arguments, "--out", tmp_path / "map")
-    assert done.returncode == 2
-    assert says in done.message
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     store = tmp_path / "map.zarr"
     code = "from spm_pin.cli import main; main()"

@@ -1,0 +1,147 @@
+"""What commands refuse: exit code 2, a message that names the option typed, and nothing written."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+from cli.running import run
+
+PLACE = "--translation 68.89 49.63 225.3"
+POSE = f"{PLACE} --xyx -11.08 32.97 -12.88"
+LIMITS = "--min 110 --max 150 --unit cm"
+START, GOAL = "120 120 140 125 120 150", "140 120 120 120 150 125"
+ENDS = f"--from {START} --to {GOAL} --unit cm"
+EQUAL_LEGS = "--legs 1.3 1.3 1.3 1.3 1.3 1.3"
+STORE = "--out map"
+
+REFUSED = [
+    # Poses and files, the same in all commands.
+    ("inverse", "Missing option '--translation'"),
+    ("inverse --translation 1 2", "requires 3 arguments"),
+    ("inverse --translation nan 0 2 --xyx 1 2 3", "error: --translation: expected finite"),
+    (f"inverse {PLACE} --xyx -11.08 nan 0", "error: --xyx: expected finite"),
+    (f"inverse {PLACE}", "error: --translation: expected one orientation, of --xyx, --rpy, --quat, --rotvec, --matrix"),
+    (f"inverse {POSE} --rpy 1 2 3", "error: --xyx and --rpy: expected one orientation"),
+    (f"inverse {PLACE} --quat 0 0 1 1", "error: --quat: expected a quaternion of length 1"),
+    (f"inverse {POSE} --unit furlong", "furlong"),
+    (f"inverse {POSE} --geometry missing.yaml", "error: --geometry: missing.yaml: expected"),
+    ("nothing", "No such command"),
+    # calibrate, certify, crosscheck
+    ("calibrate nope.csv", "error: CSV: nope.csv: expected a readable CSV file"),
+    ("certify --min 1.1", "--min and --max"),
+    ("certify --length-error -1", "--length-error"),
+    ("certify --angle-error 1", "--angle-error"),
+    (f"certify {LIMITS} --inverse --angle-error 1e-4", "--inverse"),
+    ("certify --style 90mm,8pt,9pt", "expected each of size, font, dpi and dark once, got another 9pt"),
+    ("certify --style 9000mm", "expected a width from 25.4 to 1016 mm, got"),
+    ("crosscheck --method delphi", "error: --method: expected names among closed-form"),
+    ("crosscheck --figure x.html", "--figure: expected a file name ending in .png"),
+    ("crosscheck --poses 0", "--poses"),
+    ("crosscheck --seed -1", "--seed"),
+    # draw
+    ("draw --out x.jpg", "ending in .png, .svg, .pdf"),
+    ("draw --out x.png --rpy 1 2 3", "error: --translation: expected a position"),
+    ("draw --out x.png --all --branch TT+", "both --all and --branch"),
+    ("draw --out x.png --branch ZZ", "real branches, here TT+"),
+    ("draw --out /dev/null/x.png --width 100 --no-names", "a file that can be written"),
+    ("draw --out x.png --width 3", "at least 100 pixels"),
+    ("draw --out x.png --all --width 150", "at least 300 pixels"),
+    ("draw --out x.png --all --names --width 300", "at least 780 pixels"),
+    ("draw --out x.png --names --width 199", "at least 200 pixels"),
+    ("draw --out x.png --view 900 0", "--view: expected azimuth and elevation"),
+    ("draw --out x.png --background notacolour", "--background: expected a colour"),
+    ("draw --out x.png --width 100000", "--width: expected at most"),
+    # export, urdf
+    ("export", "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, ros, got none"),
+    ("export mjcf --format sdf", "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, ros, got two"),
+    ("export --format collada", "collada"),
+    ("export --format mjcf --ros-constraints", "--ros-constraints: expected to be left out with --format mjcf"),
+    ("export --format urdf --anchors sites", "--anchors: expected to be left out with --format urdf"),
+    ("export --format mjcf --loops drake", "--loops: expected to be left out with --format mjcf"),
+    ("export --format mjcf --prefix '1 2'", "--prefix: expected a name"),
+    ("export c", "--out: expected the directory to write into"),
+    ("export c --out ''", "got an empty name"),
+    ("export c --out /dev/null", "--out: expected a directory that can be written"),
+    ("export c --out c --prefix 1st", "--prefix: expected letters, digits and underscores"),
+    ("export c --out c --prefix ''", "--prefix: expected letters, digits and underscores"),
+    ("urdf --prefix '1 2'", "error: --prefix: expected"),
+    ("urdf --masses nope.yaml", "error: --masses: nope.yaml: expected a readable YAML file"),
+    # forward, statics, reproduce
+    ("forward --legs 120 120 140 125 120 -1", "error: --legs: expected positive lengths"),
+    (f"statics {POSE} --unit cm", "neither"),
+    (f"statics {POSE} --unit cm --force 0 0 1 --branch FT+", "real branches, here TT+"),
+    (f"statics {POSE} --unit cm --force 0 0 nan", "--force, --moment: expected finite"),
+    ("reproduce --table 7", "--table: expected numbers out of (1, 2, 3, 4, 5)"),
+    # move
+    ("move --from-xyx 1 2 3", "error: --from-translation: expected a position"),
+    ("move --leg-force 1500", "--from: expected either leg lengths, or a pose by --from-translation"),
+    (f"move --from {START} --unit cm --leg-force 9", "--to: expected either leg lengths"),
+    (f"move --from {START} --to {START} --unit cm --leg-force 1500", "a motion of no length"),
+    (f"move {ENDS} --leg-rate 0.5", "error: --leg-force: expected a largest force, or --leg-acceleration, got neither"),
+    (f"move {ENDS} --leg-force 5", "--leg-force: expected forces that hold the machine"),
+    (f"move {ENDS} --leg-force fast", "--leg-force: expected a number, or six separated by commas"),
+    (f"move {ENDS} --leg-force 1500 --out motion.txt", "--out: expected a file name ending in .csv"),
+    (f"move {ENDS} --leg-force 1500 --limits 110,110 150", "--limits: expected a number, or six"),
+    (f"move {ENDS} --leg-acceleration 1 --via 130", "--via: expected six numbers separated by commas"),
+    (f"move {ENDS} --leg-acceleration 1 --hip 9 -9", "--hip: expected a minimum below the maximum"),
+    (f"move {ENDS} --leg-acceleration 1 --clearance -1", "--clearance: expected a distance"),
+    # sweep
+    (f"sweep {STORE}", "does not exist"),
+    (f"sweep {STORE} --status", "does not exist"),
+    (f"sweep {STORE} --samples 5", "ranges beside --samples"),
+    (f"sweep {STORE} --metric payload", "give --out alone"),
+    (f"sweep {STORE} --x 0:1:5", "--y, --z, --xyx"),
+    (f"sweep {STORE} --x 1:0:5 --y 0 --z 2 --xyx 1 2 3", "--x: expected start < stop"),
+    (f"sweep {STORE} --x 37:44:4 --y 0 --z 250 --xyx 1 2 6 --legs 1:2:5", "not both"),
+    (f"sweep {STORE} --legs 1:2:5 --legs 1 --legs 2", "one range, two, or six"),
+    (f"sweep {STORE} --legs 1:2", "(start, stop, count)"),
+    (f"sweep {STORE} --legs 1:2:5 --samples 5", "(start, stop)"),
+    (f"sweep {STORE} --legs 1:2:2.5", "--legs: expected a number"),
+    (f"sweep {STORE} --legs a:b:5", "--legs: expected a number"),
+    (f"sweep {STORE} --legs 2:1:5", "start < stop"),
+    (f"sweep {STORE} --legs 1:nan:5", "finite"),
+    (f"sweep {STORE} --legs 1:2:5 --metric conditioning --length 0", "--length: expected a positive number"),
+    (f"sweep {STORE} --legs 1:2:5 --metric beauty", "--metric: expected a Metric, or names among reachable"),
+    (f"sweep {STORE} --legs 1:2:5 --limits 2 1", "exchanged"),
+    (f"sweep {STORE} --legs 1:2:5 --metric payload --leg-force -1", "--leg-force: expected a positive number"),
+    (f"sweep {STORE} --legs 1:2:5 --workers 2 --scheduler tcp://127.0.0.1:1", "beside a scheduler"),
+    # view
+    ("view --path nope.csv", "error: --path: nope.csv: expected a readable CSV file in UTF-8, got No such file"),
+    ("view --path path.md", "error: --path: expected a file name ending in .csv"),
+    ("view --path a.csv --unit cm", "error: --unit: expected m beside --path, whose columns are in m"),
+    (f"view --path a.csv --no-demo --branch TT+ {POSE}", "got --translation, --branch"),
+    ("view --no-open --host 203.0.113.7", "host: expected an address of this machine"),
+    ("view --no-open --host 'no such host'", "host: expected an address of this machine"),
+    ("view --no-open --port 70000", "port: expected a port from 0 to 65535"),
+    ("view --no-open --branch FT+", "real branches, here TT+"),
+    (f"view --no-open {EQUAL_LEGS} --branch FF+", "--branch: expected a branch that is real at the pose requested"),
+    (f"view --no-open {EQUAL_LEGS} --branch FF+", "got FF+. The solutions of TT, FF form a continuous family"),
+    ("view --no-open --xyx 1 2 3", "--translation: expected a position with the orientation"),
+    (f"view --no-open {EQUAL_LEGS} --translation 1 2 3 --xyx 1 2 3", "both"),
+    ("view --no-open --legs 9 0.1 9 1 1 1", "can be assembled"),
+    ("view --no-open --translation 0 0 2 --xyx 0 0 0", "a pose with a real branch"),
+    # workspace
+    ("workspace --resolution 1", "--resolution: expected a whole number of increments, at least 2, got 1"),
+    ("workspace --limits 1.5 1.1", "exchanged"),
+    ("workspace --limits 0.05 0.1", "no symmetric home"),
+    ("workspace --limits 110 150", "--limits was read in m: 150 m, on a machine of 2.64 m"),
+    ("workspace --out fig.jpg", "--out: expected a file name ending in .png, .svg, .pdf, .stl"),
+    ("workspace --out map.zarr", "Maps over many poses are for spm-pin sweep"),
+    ("workspace --samples 0", "--samples"),
+    ("workspace --sections", "--sections: expected a picture"),
+    ("workspace --sections --out shell.stl", "ending in .png, .svg, .pdf, got shell.stl"),
+]
+
+
+@pytest.mark.parametrize(("command", "words"), REFUSED)
+def test_what_cannot_end_well_is_refused(
+    command: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = run(*shlex.split(command))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert words in done.message
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
