@@ -23,6 +23,8 @@ from benchmarks.machine import describe
 from benchmarks.peers.peers_by_task import PACKAGES
 from benchmarks.report import Facts, Section, write
 from benchmarks.sections import (
+    arrays,
+    capability,
     completeness,
     controller,
     forward,
@@ -43,6 +45,8 @@ SECTIONS = {
     "forward": forward.measure,
     "states": states.measure,
     "jobs": jobs.measure,
+    "arrays": arrays.measure,
+    "capability": capability.measure,
     "controller": controller.measure,
     "completeness": completeness.measure,
     "scaling": scaling.measure,

@@ -28,7 +28,7 @@ def ipopt(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     from spm_pin.nlp.branch_search import IpoptSolver
 
     solver = IpoptSolver(problem[0], {"ipopt.tol": 1e-12})
-    return search(problem, lambda starts, matrix: solver(starts, matrix)[0])
+    return search(problem, solver)
 
 
 def mapped_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -15,7 +16,7 @@ from spm_pin import Configuration, Geometry
 from spm_pin.symbolic import write_c
 from spm_pin.symbolic.c_export import STATE_FUNCTIONS
 
-__all__ = ["CALLS", "answered", "call_times"]
+__all__ = ["CALLS", "answered", "call_times", "ticks"]
 
 CALLS = (
     "the clock alone",
@@ -81,6 +82,16 @@ long time_calls(int which, long calls, long count, const spm_state *states, cons
     }
     return failed;
 }
+long ticks(long count, const double *readings, const double *wrench, spm_state *state, double *jacobian, double *forces)
+{
+    long n, failed = 0;
+    for (n = 0; n < count; ++n) {
+        failed += spm_forward(&spm_machine, readings + 6 * n, state, state) != SPM_OK;
+        failed += spm_inverse_jacobian(&spm_machine, state, jacobian) != SPM_OK;
+        failed += spm_leg_forces(&spm_machine, state, wrench, forces) != SPM_OK;
+    }
+    return failed;
+}
 """
 
 
@@ -111,9 +122,7 @@ def call_times(states: Configuration, change: float, calls: int) -> tuple[FloatA
 
     From a state to begin with, legs and position are changed by up to `change` [m].
     """
-    loaded = _library(states.geometry)
-    parts = states.rotation, states.translation, states.middle_joints, states.readings
-    rows = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=-1)
+    loaded, rows = _library(states.geometry), _rows(states)
     at = np.concatenate([states.readings, states.translation], axis=-1)
     moved = at + np.random.default_rng(0).uniform(-change, change, at.shape)
     seconds, failed = np.empty((len(CALLS), calls)), []
@@ -121,3 +130,26 @@ def call_times(states: Configuration, change: float, calls: int) -> tuple[FloatA
         count = ctypes.c_long(calls), ctypes.c_long(len(rows))
         failed.append(loaded.time_calls(which, *count, address(rows), address(moved), address(times)))
     return seconds, failed
+
+
+def ticks(start: Configuration, readings: FloatArray, wrench: FloatArray) -> Callable[[], tuple[FloatArray, ...]]:
+    """Return a call of all ticks along readings (n, 6), one of which begins from the state of the last one.
+
+    It returns the last J_f (6, 6) and the last leg forces (6,). `start` is a state (1,) near the first readings.
+    """
+    loaded, rows, jacobian, forces = _library(start.geometry), _rows(start), np.empty((6, 6)), np.empty(6)
+
+    def call() -> tuple[FloatArray, ...]:
+        state = rows.copy()
+        arrays = map(address, (readings, wrench, state, jacobian, forces))
+        if loaded.ticks(ctypes.c_long(len(readings)), *arrays):
+            raise RuntimeError("a tick of the exported C found no state")
+        return jacobian, forces
+
+    return call
+
+
+def _rows(states: Configuration) -> FloatArray:
+    """Return states of shape (n,) as the numbers (n, 27) of the C structure."""
+    parts = states.rotation, states.translation, states.middle_joints, states.readings
+    return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=-1)

@@ -23,7 +23,7 @@ __all__ = ["AS_BUILT", "FORCES", "INVERSE", "JACOBIAN", "MODES", "OURS", "PACKAG
 OURS = "spm_pin"
 """Name of this package's public function in every task."""
 
-PACKAGES = ("numpy", "scipy", "numba", "poselib", "casadi", "pin", "python-flint", "eaik")
+PACKAGES = ("numpy", "scipy", "numba", "poselib", "casadi", "pin", "python-flint", "eaik", "pycapacity", "jax")
 """Distributions whose versions a result depends on."""
 
 # Problem: (geometry, poses (n,)). Read as the branches of each pose, (k, 3, 3) [m], NaN where only b_2 is known.
