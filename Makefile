@@ -8,7 +8,7 @@ PYTEST ?= -n auto
 BENCH ?=
 VENV := .venv
 BIN := $(VENV)/bin
-INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
+INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
 .PHONY: demo test test-slow bench lint docs figures description clean
 
@@ -42,6 +42,8 @@ docs: $(VENV)/.test
 figures: $(VENV)/.test
 	$(BIN)/python docs/site/figures.py
 	$(BIN)/python docs/site/example_figures.py
+	$(BIN)/python docs/site/moving_picture.py
+	$(BIN)/python docs/site/live_page.py docs/live.html
 
 # Rewrites urdf/meshes, and spm.urdf, spm.srdf, spm.xml, spm.sdf and spm_closures.yaml from their sources.
 description: $(VENV)/.demo
@@ -52,20 +54,23 @@ $(VENV)/.python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 		echo "spm-pin needs Python 3.11 or newer, and $(PYTHON) is $$($(PYTHON) --version)."; \
 		echo "Try for example: make PYTHON=python3.12"; exit 1; }
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --upgrade pip # which installs in half the time of the one that comes with Python
 	@touch $@
 
+# Without bytecode of all that is installed, which takes as long as unpacking it; what is imported makes its own.
 $(VENV)/.demo: $(VENV)/.python pyproject.toml constraints.txt
-	$(INSTALL) '.[plots]'
+	@echo "Installing into $(VENV): 1.3 GB, most of it Pinocchio, CasADi and LLVM"
+	@$(INSTALL) --no-compile --editable '.[plots]'
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.demo
-	$(INSTALL) '.[plots,cluster,viewer,engines,robots,docs,pdf,benchmarks,dev]'
+	$(INSTALL) --editable '.[plots,cluster,design,viewer,engines,robots,docs,pdf,benchmarks,dev]'
+	@$(BIN)/python -W ignore -m compileall -q -j 0 $(VENV)/lib || true # as pip, whatever a package has that is no Python
 	@touch $@
 
 $(VENV)/.bench: $(VENV)/.demo
-	$(INSTALL) '.[plots,benchmarks]'
+	$(INSTALL) --editable '.[plots,benchmarks]'
 	@touch $@
 
 clean:

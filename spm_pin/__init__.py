@@ -2,18 +2,21 @@
 
 The names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
 states), `spm_pin.kinematics` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
-`spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.symbolic`, `spm_pin.multibody` (the robot in Pinocchio),
-`spm_pin.motion`, `spm_pin.nlp`, `spm_pin.crosscheck`, `spm_pin.description` (URDF, MJCF, SDFormat), `spm_pin.display`
-(pictures, viewer) and `spm_pin.errors`.
+`spm_pin.capability`, `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.symbolic`, `spm_pin.arrays` (JAX and others),
+`spm_pin.multibody` (the robot in Pinocchio), `spm_pin.motion`, `spm_pin.design`, `spm_pin.nlp`, `spm_pin.crosscheck`,
+`spm_pin.description` (URDF, MJCF, SDFormat), `spm_pin.display` (pictures, viewer) and `spm_pin.errors`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from spm_pin import arrays as arrays
     from spm_pin import calibration as calibration
+    from spm_pin import capability as capability
     from spm_pin import crosscheck as crosscheck
     from spm_pin import description as description
+    from spm_pin import design as design
     from spm_pin import display as display
     from spm_pin import errors as errors
     from spm_pin import kinematics as kinematics
@@ -55,7 +58,7 @@ if TYPE_CHECKING:
     from spm_pin.multibody import ClosedChain, PlatformPath
     from spm_pin.proofs import Certificate, certify, largest_certified_limits
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __all__ = [
     "ArgumentError",
@@ -95,7 +98,7 @@ __all__ = [
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"calibration", "kinematics", "crosscheck", "errors", "mechanism", "motion", "multibody", "nlp", "proofs"}
-_MODULES |= {"description", "display", "sweeps", "symbolic", "workspace"}
+_MODULES |= {"arrays", "capability", "description", "design", "display", "sweeps", "symbolic", "workspace"}
 _HOMES = ("errors", "mechanism", "kinematics", "proofs", "multibody", "motion")
 
 
@@ -105,9 +108,9 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     homes = (import_module(f"spm_pin.{home}") for home in _HOMES)
-    found = next(getattr(home, name) for home in homes if hasattr(home, name))
-    globals()[name] = found
-    return found
+    value = next(getattr(home, name) for home in homes if hasattr(home, name))
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

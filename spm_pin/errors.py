@@ -20,17 +20,25 @@ __all__ = [
     "SelectionError",
     "SingularConfigurationError",
     "SpmError",
+    "UnreachableError",
 ]
 
 EXTRAS = {
+    "arrays": ("array_api_compat",),
     "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
+    "jax": ("array_api_compat", "jax"),
+    "design": ("pymoo",),
     "plots": ("matplotlib", "trimesh"),
     "viewer": ("viser", "trimesh"),
     "workspace": ("trimesh", "skimage"),
 }
 """Packages looked for, of those that the optional extras bring, by the names under which they are imported."""
 
-_INSTALLED_AS = {"google_crc32c": "google-crc32c", "skimage": "scikit-image"}
+_INSTALLED_AS = {
+    "array_api_compat": "array-api-compat",
+    "google_crc32c": "google-crc32c",
+    "skimage": "scikit-image",
+}
 """Names for pip of the packages that are imported under another name."""
 
 _LONGEST = 500
@@ -86,6 +94,10 @@ class GeometryError(ArgumentError):
 
 class PoseError(ArgumentError):
     """A pose that is not a rigid transform of finite numbers."""
+
+
+class UnreachableError(ArgumentError):
+    """A state for a motion that the machine does not reach, or that its limits exclude."""
 
 
 class SelectionError(ArgumentError, LookupError):

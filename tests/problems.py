@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import mpmath
 import numpy as np
 import numpy.typing as npt
+from oracle import cross
 from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -105,7 +108,6 @@ def random_branches(geometry: spm.Geometry, family: str, count: int, seed: int) 
 
 def in_leg_space(geometry: spm.Geometry, count: int, seed: int, *, legs: Array | None = None) -> Problem:
     """Problems at leg lengths drawn uniformly from the limits, in the mode of the symmetric home."""
-    assert geometry.limits is not None
     rng = np.random.default_rng(seed)
     if legs is None:
         legs = rng.uniform(geometry.limits.minimum, geometry.limits.maximum, (count, 6))
@@ -136,6 +138,8 @@ def _home_mode(lengths: Array, radius: float, geometry: spm.Geometry) -> tuple[A
         d_z = [2 * r * (-x1 / x0 * lift + x0 * sin_phi), 2 * r * (-x2 / x0 * lift - x0 * cos_phi)]
         columns = [2 * rho * d_rho[k] + 2 * z * d_z[k] for k in range(2)] + [2 * z]
         unknown -= np.linalg.solve(np.stack(columns, axis=-1), error[..., None])[..., 0]
+        if np.abs(error).max() < 4e-15:
+            break
     assert np.abs(error).max() < 1e-13
     azimuth, half_sine = np.arctan2(unknown[:, 1], unknown[:, 0]), np.hypot(unknown[:, 0], unknown[:, 1])
     return stage("T", azimuth, half_sine, unknown[:, 2], r)
@@ -159,15 +163,6 @@ def at_discriminant(pose: RigidTransform, family: int, h_beyond: float, geometry
     values = [float(s.discriminants[family]) for s in samples if s.discriminants is not None]
     fold = np.roots(np.polyfit(shifts, values, 2)).real.max()
     return spm.pose(pose.translation + (fold - h_beyond) * normal, rotation=pose.rotation)
-
-
-def members(
-    pool: spm.Configuration, shape: tuple[int, ...], rng: np.random.Generator, absent: float = 0.0
-) -> spm.Configuration:
-    """States drawn from a pool, a share of them absent."""
-    index = rng.integers(len(pool), size=shape)
-    joints = np.where(rng.uniform(size=(*shape, 1, 1)) < absent, np.nan, pool.middle_joints[index])
-    return spm.Configuration(pool.geometry, pool.pose.as_matrix()[index], joints)
 
 
 def distance(state: spm.Configuration, other: spm.Configuration) -> Array:
@@ -194,6 +189,37 @@ def conditioning(configuration: spm.Configuration) -> Array:
     reach = np.linalg.norm(configuration.translation, axis=-1) + np.abs(b).max(axis=(-1, -2))
     smallest = np.linalg.svd(matrix, compute_uv=False)[..., -1]
     return reach / sine.min(axis=-1) * (1.0 + 1.0 / smallest)
+
+
+def wrench_matrices(state: spm.Configuration, centre: Array | None = None) -> Array:
+    """J_b, J_c and K, (..., 3, 6, 6): unit forces and their moments about a point, arms in units of d.
+
+    Without a point, about the middle platform's centre.
+    """
+    about = state.middle_joints.mean(axis=-2) if centre is None else centre
+    arms = (state.balls - about[..., None, :]) / state.geometry.middle_side
+    legs = state.leg_vectors / state.leg_lengths[..., None]
+    along, across = (np.concatenate([f, np.cross(arms, f)], axis=-1) for f in (legs, state.leg_axes))
+    stages = [np.concatenate([along[..., s, :], across[..., s, :]], axis=-2) for s in (slice(0, 3), slice(3, 6))]
+    return np.stack([*stages, across], axis=-3)
+
+
+def exact_wrench_matrices(state: spm.Configuration, centre: Array, unit: float = 1.0) -> list[mpmath.matrix]:
+    """The same of a drawn machine in mpmath's digits, from the numbers of the state, arms in multiples of a unit."""
+    root, half = mpmath.sqrt(3), mpmath.mpf(1) / 2
+    radial = [[root / 2, -half, 0], [0, 1, 0], [-root / 2, -half, 0]]
+    axes = [[half, root / 2, 0], [1, 0, 0], [-half, root / 2, 0]]
+    R, o, point = (mpmath.matrix(array.tolist()) for array in (state.rotation, state.translation, centre))
+    E, C = mpmath.mpf(state.geometry.base_radius), mpmath.mpf(state.geometry.platform_radius)
+    rows: list[list[list[Any]]] = [[], [], [], []]
+    for i in range(3):
+        b, u, axis = mpmath.matrix(state.middle_joints[i].tolist()), mpmath.matrix(radial[i]), mpmath.matrix(axes[i])
+        lower, upper = b - u * E, o + R * u * C - b
+        arm = (b - point) / unit
+        for row, f in zip(rows, (lower / mpmath.norm(lower), axis, upper / mpmath.norm(upper), R * axis), strict=True):
+            row.append([*f, *cross(arm, f)])
+    lower_legs, lower_axes, upper_legs, upper_axes = rows
+    return [mpmath.matrix(x) for x in (lower_legs + lower_axes, upper_legs + upper_axes, lower_axes + upper_axes)]
 
 
 # Two stages without torsion on their way through a singularity: azimuths of the tilt axes, half sines of the tilts and

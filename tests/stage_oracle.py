@@ -15,15 +15,14 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
-import numpy as np
 from flint import Ordering, arb, ctx, fmpz_mpoly, fmpz_mpoly_ctx, fmpz_poly
 
 _CONTEXT = fmpz_mpoly_ctx.get(("t1", "t2", "t3"), Ordering.lex)
 
 
-def certified_modes(lengths: Sequence[float], hip_radius: float, d: float) -> int | None:
+def certified_modes(lengths: Sequence[float], pivot_radius: float, d: float) -> int | None:
     """Count the distinct real assembly modes of a stage; None where a mode is double, or t_1 is shared otherwise."""
-    sides = equations(lengths, hip_radius, d)
+    sides = equations(lengths, pivot_radius, d)
     real = 0
     for factor, multiplicity in eliminant(sides).factor_squarefree()[1]:
         if multiplicity > 1 and not (multiplicity == 2 and lengths[0] == lengths[2]):
@@ -42,45 +41,17 @@ def certified_modes(lengths: Sequence[float], hip_radius: float, d: float) -> in
     return real
 
 
-def scanned_modes(lengths: Sequence[float], hip_radius: float, d: float) -> int:
-    """Count the real assembly modes of a stage without elimination: sign changes of side 23 as leg 1 turns round.
-
-    For each angle of leg 1 its sides to legs 2 and 3 give two angles of each in closed form.
-    """
-    # Closer steps about 0 and π, where modes beside a family are close together.
-    closer = np.geomspace(1e-9, 0.5 * np.pi, 100_000)
-    angle = np.sort(np.concatenate([base + sign * closer for base in (0.0, np.pi) for sign in (-1.0, 1.0)]))
-    rho, z = hip_radius + lengths[0] * np.cos(angle), lengths[0] * np.sin(angle)
-
-    def ends(r: float) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-        # a cos θ + b sin θ + c = 0.
-        a, b = r * (2.0 * hip_radius + rho), -2.0 * r * z
-        c = rho**2 + hip_radius**2 + r**2 + rho * hip_radius + z**2 - d**2
-        square, root = a * a + b * b, np.sqrt(np.maximum(a * a + b * b - c * c, 0.0))
-        pairs = [((-a * c - t * b) / square, (-b * c + t * a) / square) for t in (root, -root)]
-        return a * a + b * b >= c * c, [(hip_radius + r * cosine, r * sine) for cosine, sine in pairs]
-
-    (real_2, second), (real_3, third) = ends(lengths[1]), ends(lengths[2])
-    both = real_2 & real_3
-    count = 0
-    for rho_2, z_2 in second:
-        for rho_3, z_3 in third:
-            side = rho_2**2 + rho_3**2 + rho_2 * rho_3 + (z_2 - z_3) ** 2 - d**2
-            count += int(((side[:-1] < 0.0) != (side[1:] < 0.0))[both[:-1] & both[1:]].sum())
-    return count
-
-
-def equations(lengths: Sequence[float], hip_radius: float, d: float) -> list[fmpz_mpoly]:
+def equations(lengths: Sequence[float], pivot_radius: float, d: float) -> list[fmpz_mpoly]:
     """Return the sides 12, 23 and 13 as polynomials of degree two in each of their t, over the integers."""
-    exact = [Fraction(float(x)) for x in (*lengths, hip_radius, d)]
+    exact = [Fraction(float(x)) for x in (*lengths, pivot_radius, d)]
     unit = max(x.denominator for x in exact)  # powers of two
-    *legs, hip, side = (int(x * unit) for x in exact)
+    *legs, pivot, side = (int(x * unit) for x in exact)
     t = _CONTEXT.gens()
 
     def between(i: int, j: int) -> fmpz_mpoly:
         # Radii E + r cos θ, heights r sin θ, each times 1 + t².
         (r1, z1, n1), (r2, z2, n2) = (
-            (hip * (1 + t[k] ** 2) + legs[k] * (1 - t[k] ** 2), 2 * legs[k] * t[k], 1 + t[k] ** 2) for k in (i, j)
+            (pivot * (1 + t[k] ** 2) + legs[k] * (1 - t[k] ** 2), 2 * legs[k] * t[k], 1 + t[k] ** 2) for k in (i, j)
         )
         across = (r1 * n2) ** 2 + (r2 * n1) ** 2 + r1 * r2 * n1 * n2
         quotient, rest = divmod(across + (z1 * n2 - z2 * n1) ** 2 - side**2 * (n1 * n2) ** 2, n1 * n2)

@@ -91,6 +91,12 @@ def store() -> str:
     return "made.zarr"
 
 
+def masses_file() -> Path:
+    path = Path("masses.yaml")
+    path.write_text("payload: {mass: 1.0}\n", encoding="utf-8")
+    return path
+
+
 def recording_file() -> str:
     """Write a recorded path into the folder of the test."""
     Path("path.csv").write_text("r_b1,r_b2,r_b3,r_c1,r_c2,r_c3\n" + 2 * "1.3,1.3,1.3,1.3,1.3,1.3\n", encoding="utf-8")
@@ -100,6 +106,10 @@ def recording_file() -> str:
 def measurements_file() -> str:
     Path("measured.csv").write_text("x,y,z,r_b1,r_b2,r_b3,r_c1,r_c2,r_c3\n0,0,2,1,1,1,1,1,1\n")
     return "measured.csv"
+
+
+def problem() -> spm.design.DesignProblem:
+    return spm.design.DesignProblem(PAPER, {"stroke": (0.1, 0.3)}, {"volume": "max", "footprint": "min"})
 
 
 PATH = [STATE.pose.as_matrix(), spm.forward_physical(PAPER, [1.3, 1.2, 1.4, 1.3, 1.2, 1.4]).pose.as_matrix()]
@@ -147,6 +157,23 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "chain": lambda: chain(),
     "confidence": lambda: 0.95,
     "corners": lambda: (0, 1, 2),
+    **dict.fromkeys(("force_limits", "rate_limits"), lambda: 900.0),
+    "acceleration_polytope.mass": lambda: np.diag([10.0, 10.0, 10.0, 1.0, 1.0, 1.0]),
+    "Polytope.within.rows": lambda: np.ones((2, 6)),
+    "Polytope.within.limits": lambda: 100.0,
+    "Polytope.contains.points": lambda: np.ones(6),
+    "sweeps.condition.metric": lambda: "payload",
+    "sweeps.condition.least": lambda: 0.5,
+    "design.evaluate_designs.geometries": lambda: [PAPER],
+    "design.evaluate_designs.states": lambda: 16,
+    "design.pareto_front.problem": problem,
+    "design.pareto_front.store": lambda: "front.json",
+    "design.pareto_front.population": lambda: 4,
+    "design.pareto_front.generations": lambda: 2,
+    "design.pareto_front.states": lambda: 16,
+    "DesignProblem.free": lambda: {"stroke": (0.1, 0.3)},
+    "DesignProblem.aims": lambda: {"volume": "max", "footprint": "min"},
+    "Polytope.extent.direction": lambda: np.ones(6),
     "count": lambda: 4,
     "matrices": lambda: np.eye(3),
     "description": lambda: "a metric",
@@ -170,6 +197,8 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "minimum": lambda: 1.1,
     "names": lambda: ["paper"],
     "rng": lambda: 0,
+    "rotation": lambda: STATE.rotation,
+    "state": lambda: STATE,
     "samples": lambda: 20,
     "prefix": lambda: "",
     "seed": lambda: 0,
@@ -204,10 +233,12 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Geometry.base_radius": lambda: 0.7,
     "Geometry.platform_radius": lambda: 0.3,
     "Geometry.middle_side": lambda: 0.8,
+    "Masses.from_yaml.path": masses_file,
     "Geometry.from_yaml.path": lambda: Path(__file__).parents[1] / "urdf" / "config" / "geometry.yaml",
     "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
     "sweeps.pose_sample.x": lambda: (0.0, 0.1),
     "follow.samples": lambda: 2,
+    "display.path_figure.path": lambda: spm.follow(PAPER, PATH, STATE, samples=2),
     "time_optimal.path": lambda: spm.motion.LegPath(LINE),
     "time_optimal.leg_accelerations": lambda: 5.0,
     "time_optimal.grid": lambda: 20,
@@ -215,8 +246,23 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 }
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
-INPUTS = ("Configuration", "Geometry", "JointLimits", "LegLimits", "LegPath", "Legs", "Payload", "PlatformPath")
+INPUTS = (
+    "Configuration",
+    "DesignProblem",
+    "Geometry",
+    "JointLimits",
+    "LegLimits",
+    "LegPath",
+    "Legs",
+    "Masses",
+    "Payload",
+    "PlatformPath",
+    "RigidBody",
+)
 """Classes that users make themselves; the others are results, made by the package."""
+
+OTHER_WORDS = {"value": "pose", "lower": "r_", "upper": "r_", "pose_noise": "the noise", "length_noise": "the noise"}
+"""What an error may say in place of the argument's name."""
 
 SMALL = ("samples", "spacing", "starts", "rng", "tries", "xyx")
 """Parameters that are given although they have a default."""
@@ -228,8 +274,10 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "Geometry": lambda: PAPER,
     "JointLimits": lambda: spm.workspace.JointLimits(hip=(-1.0, 1.0)),
     "LegLimits": lambda: spm.LegLimits(1.1, 1.5),
+    "Masses": lambda: spm.description.Masses({"leg_*_rod": {"mass": 2.0}}),
     "MountedChain": mounted,
     "PlatformPath": lambda: spm.PlatformPath([0.0, 1.0], PATH),
+    "Polytope": lambda: spm.capability.wrench_polytope(STATE, 900.0),
     "Shell": shell,
     "SolutionSet": lambda: spm.inverse_displacement(PAPER, STATE.pose),
 }
@@ -249,6 +297,8 @@ UNCHECKED = (
     "display.calibration_figure",
     "display.certificate_figure",
     "display.draw",
+    "display.draw_capability",
+    "display.front_figure",
     "display.save_picture",
     "display.save_gallery",
     "display.draw_shell",
@@ -364,7 +414,7 @@ def test_malformed_arguments_give_a_result_or_an_error_that_names_them(
                 call(place, function, name, value)
         except spm.SpmError as error:
             # A file, and what as_rigid_transform is told.
-            named = {"path": str(value)[:400], "value": "pose", "lower": "r_", "upper": "r_"}.get(name, name)
+            named = OTHER_WORDS.get(name, str(value)[:400] if name == "path" else name)
             if name not in str(error) and named not in str(error):
                 wrong.append(f"{kind}: {type(error).__name__} does not name {name}: {str(error)[:200]}")
         except Exception as error:

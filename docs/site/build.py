@@ -19,6 +19,7 @@ import sys
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
+from command_reference import command_reference
 from literature import with_tables
 from live_page import with_machine
 from sphinx.cmd.build import build_main
@@ -26,11 +27,22 @@ from sphinx.cmd.build import build_main
 from spm_pin.crosscheck import reproduce
 
 ROOT = Path(__file__).parents[2]
+NOTEBOOKS = ROOT / "examples/notebooks"
+CHAPTERS = (
+    "branches_of_a_pose",
+    "calibrate_and_control",
+    "workspace_and_design",
+    "learning_with_gradients",
+    "the_paper_reproduced",
+)
+"""The notebooks, in the order of reading; they run when the site is built, and stand on it with their outputs."""
 PUBLIC = {
     "spm_pin": "the names of everyday use",
     "spm_pin.mechanism": "dimensions, poses, configurations, sets of solutions",
     "spm_pin.kinematics": "branches, assembly modes, rates, forces, singularities and paths in closed form",
     "spm_pin.workspace": "what the terminal platform reaches: the paper's shell, and the reachable set",
+    "spm_pin.capability": "what limits of the legs allow: polytopes of wrenches, twists, accelerations; reactions",
+    "spm_pin.design": "many designs in one call, and Pareto fronts of dimensions",
     "spm_pin.calibration": "machines as built identified from measurements, and what tolerances cost",
     "spm_pin.proofs": "leg limits proved free of singularities, by interval arithmetic",
     "spm_pin.sweeps": "metrics over any number of poses or leg lengths",
@@ -38,6 +50,7 @@ PUBLIC = {
     "spm_pin.motion": "paths from one state to another, and the fastest motion along them",
     "spm_pin.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
     "spm_pin.symbolic": "the kinematics as CasADi functions, in C for controllers, and as a ROS 2 package",
+    "spm_pin.arrays": "the kinematics on arrays of JAX, NumPy and others, with derivatives",
     "spm_pin.crosscheck": "methods compared on random poses, and the paper's tables recomputed",
     "spm_pin.description": "the robot's files, and its text in URDF, MJCF, SDFormat, SRDF and Extended-URDF",
     "spm_pin.display": "pictures, figures of results, mesh files and the viewer",
@@ -57,6 +70,9 @@ INTERNAL = {
     "calibration": "the error model, identification, the choice of poses",
     "sweeps": "domains, metrics, store and runs",
     "symbolic": "the formulas in CasADi, and its code in C",
+    "capability": "polytopes of wrenches, twists and accelerations, and reactions at the joints",
+    "design": "many designs in one call, and Pareto fronts",
+    "arrays": "formulas run on arrays of any library",
     "crosscheck": "methods, comparison, tolerances, report",
     "proofs": "leg limits without singularities, proved by interval arithmetic",
     "motion": "planning, and time-optimal motion",
@@ -73,13 +89,17 @@ def main(folder: Path) -> int:
             (sources / page).parent.mkdir(parents=True, exist_ok=True)
             (sources / page).write_text(text, encoding="utf-8")
         shutil.copytree(ROOT / "docs/images", sources / "images")
+        shutil.copytree(NOTEBOOKS, sources / "notebooks", ignore=shutil.ignore_patterns(".*"))
         shutil.copy(ROOT / "docs/references.bib", sources)
         settings = str(ROOT / "docs/site")
         options = ["-q", "-W", "--keep-going", "-E", "-b", "html", "-c", settings, "-d", f"{name}.doctrees"]
         try:
-            return build_main([*options, name, str(folder)])
+            code = build_main([*options, name, str(folder)])
+            shutil.copy(ROOT / "docs/live.html", folder)
+            return code
         finally:
             shutil.rmtree(f"{name}.doctrees", ignore_errors=True)
+            shutil.rmtree(folder.parent / "jupyter_execute", ignore_errors=True)  # copies of the notebooks' pictures
 
 
 def pages() -> dict[str, str]:
@@ -94,6 +114,7 @@ def pages() -> dict[str, str]:
     found["examples.md"] += _scripts()
     found["index.md"] = with_machine(found["index.md"]) + _contents(found)
     found["paper.md"] = _paper()
+    found["reference/commands.md"] = command_reference()
     found["reference/index.md"] = _reference()
     described: set[str] = set()
     for module in PUBLIC:
@@ -115,6 +136,8 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
         parts = path.relative_to(ROOT).with_suffix("").parts
         if path in places:
             shown = places[path]
+        elif path.suffix == ".ipynb":
+            shown = f"notebooks/{path.name}"
         elif parts[0] == "examples" and path.suffix == ".py":
             shown, anchor = "examples.md", f"#{parts[-1]}"
         elif parts[0] == "spm_pin" and parts[-1] != "__init__" and path.suffix == ".py":
@@ -140,8 +163,10 @@ def _contents(found: dict[str, str]) -> str:
         "Theory": _ordered(found, "theory", theory),
         "The paper, and others": ["findings", "paper", "related_work"],
         "How to": _ordered(found, "howto", guides),
+        "Notebooks": [f"notebooks/{name}" for name in CHAPTERS],
         "More": [
             "examples",
+            "reference/commands",
             "reference/index",
             "benchmarks",
             "results",

@@ -1,8 +1,10 @@
 """Sphinx's settings; `docs/site/build.py` gathers the pages and calls it."""
 
 import itertools
+import posixpath
 import re
 from types import GenericAlias
+from typing import Any
 
 import numpy.typing as npt
 from docutils import nodes
@@ -18,7 +20,7 @@ author = "The spm_pin developers"
 release = version = spm_pin.__version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.viewcode",
@@ -32,6 +34,10 @@ suppress_warnings = ["misc.highlighting_failure"]
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_output_stderr = "remove"  # that kernels are compiled
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
@@ -91,6 +97,24 @@ def _short_signature(
     return named(arguments), named(result)
 
 
+def _living_anchors(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: object) -> None:
+    """Turn links of source pages to where a name is described: they have its module, the reference its public name."""
+    if not page.startswith("_modules/"):
+        return
+    shown: dict[str, list[str]] = {}
+    for entry in app.env.get_domain("py").objects.values():  # type: ignore[attr-defined]
+        shown.setdefault(entry.docname, []).append(entry.node_id)
+
+    def living(link: re.Match[str]) -> str:
+        names = shown.get(posixpath.normpath(posixpath.join(posixpath.dirname(page), link["page"])), [])
+        parts = link["name"].split(".")
+        tails = [".".join(["", *parts[k:]]) for k in range(len(parts))]
+        found = [name for tail in tails for name in names if f".{name}".endswith(tail)]
+        return f'href="{link["page"]}.html{"#" + found[0] if found else ""}"'
+
+    context["body"] = re.sub(r'href="(?P<page>[^"#:]*)\.html#(?P<name>spm_pin[\w.]*)"', living, context["body"])
+
+
 def _formula(self: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
     """Write a formula as MathML."""
     display = "block" if isinstance(node, nodes.math_block) else "inline"
@@ -113,3 +137,4 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", _plain_text)
     app.connect("autodoc-process-signature", _short_signature)
     app.connect("autodoc-skip-member", _skipped)
+    app.connect("html-page-context", _living_anchors)

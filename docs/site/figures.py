@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display import draw
+from spm_pin.display import draw, draw_capability, front_figure
 
 IMAGES = Path(__file__).parents[1] / "images"
 GEOMETRY = spm.Geometry.paper()
@@ -21,7 +21,7 @@ EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.8
 
 def main() -> None:
     """Draw each figure into docs/images."""
-    for figure in (anatomy, number_of_branches, followed_path):
+    for figure in (anatomy, number_of_branches, followed_path, condition_numbers, capability, design_front):
         save(figure(), figure.__name__)
 
 
@@ -126,6 +126,83 @@ def followed_path() -> Figure:
         ax.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
     return figure
+
+
+def condition_numbers(count: int = 4000) -> Figure:
+    """Draw how the condition number of G depends on the characteristic length, and on the distance from the home."""
+    figure = Figure(figsize=(8.5, 3.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    shares = np.random.default_rng(0).uniform(-1.0, 1.0, (count, 6))
+    lengths = np.geomspace(0.03, 6.0, 40)
+    everywhere = spm.kinematics.platform_jacobian(spm.forward_physical(GEOMETRY, 1.3 + 0.2 * shares))
+    quantiles = np.array([np.quantile(_condition(everywhere, length), [0.05, 0.5, 0.95]) for length in lengths])
+    left.fill_between(lengths, quantiles[:, 0], quantiles[:, 2], color=LOWER, alpha=0.2, lw=0.0, label="90 % of states")
+    left.plot(lengths, quantiles[:, 1], color=LOWER, label="median")
+    left.axvline(GEOMETRY.platform_radius, color=GREY, lw=0.9, ls=":")
+    left.annotate("C", (1.05 * GEOMETRY.platform_radius, 11.0), color=GREY)
+    left.set(xlabel="characteristic length L [m]", ylabel="condition number of G", ylim=(10.0, 1e5))
+    steps = np.geomspace(1e-3, 0.2, 12)
+    columns = []
+    for step in steps:
+        states = spm.forward_physical(GEOMETRY, 1.3 + step * shares[:500])
+        g = spm.kinematics.platform_jacobian(states)
+        radius = spm.capability.wrench_polytope(states, 1.0).ball()
+        conditions = spm.singularities(states).condition
+        columns.append([np.median(x) for x in (_condition(g, GEOMETRY.platform_radius), *conditions[:, :2].T, radius)])
+    looks = {"G, with L = C": (LOWER, "-", 1.5), "J_b": (UPPER, "-", 3.0), "J_c": ("k", ":", 1.5)}
+    for values, (name, (colour, style, width)) in zip(np.array(columns).T[:3], looks.items(), strict=True):
+        right.plot(steps, values, color=colour, ls=style, lw=width, label=f"condition number of {name}")
+    right.plot(
+        steps, np.array(columns)[:, 3], color="k", ls="--", label="force held in every direction, over a leg\u2019s"
+    )
+    right.set(xlabel="largest difference of a leg from 1.3 m [m]", ylim=(0.1, 3e6))
+    for ax in (left, right):
+        ax.set(xscale="log", yscale="log")
+        ax.legend(fontsize=7.5, frameon=False, loc="upper right")
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def _condition(g: np.ndarray, length: float) -> np.ndarray:
+    """Return the condition numbers of G for the twist (v, Lω)."""
+    values = spm.kinematics.singular_values(g * np.repeat([1.0, length], 3)[:, None])
+    return np.asarray(values[:, 0] / values[:, -1])
+
+
+def capability() -> Figure:
+    """Draw the forces and the moments that legs of 1 kN hold, weights aside, without and with a limit of bending."""
+    state = spm.forward_physical(GEOMETRY, [1.20, 1.20, 1.40, 1.25, 1.20, 1.40])
+    held = spm.capability.wrench_polytope(state, 1000.0)
+    bearing = held.within(spm.capability.joint_reactions(state).bending, 250.0)
+    panels = {
+        "forces": (held.section("linear"), 3e-4),
+        "moments": (held.section("angular"), 1.5e-4),
+        "forces, bending at most 250 N m": (bearing.section("linear"), 3e-4),
+    }
+    figure = Figure(figsize=(8.5, 4.6))
+    axes = [figure.add_axes((k / 3.0 + 0.005, 0.0, 0.323, 0.92)) for k in range(3)]
+    for ax, (name, (section, scale)) in zip(axes, panels.items(), strict=True):
+        draw_capability(state, section, scale=scale, ax=ax)
+        ax.set_title(name, fontsize=9)
+    # The robot in the same size.
+    limits = np.array([[*ax.get_xlim(), *ax.get_ylim()] for ax in axes])
+    low, high = limits.min(axis=0), limits.max(axis=0)
+    for ax in axes:
+        ax.set(xlim=(low[0], high[1]), ylim=(low[2], high[3]))
+    return figure
+
+
+def design_front() -> Figure:
+    """Draw the front of the page on capability; its search takes some seconds, and is kept below build/."""
+    problem = spm.design.DesignProblem(
+        GEOMETRY,
+        free={"base_radius": (0.4, 1.0), "platform_radius": (0.2, 0.6), "middle_side": (0.5, 1.1)},
+        aims={"payload_low": "max", "volume": "max", "footprint": "min"},
+        at_least={"certified": 1.0},
+    )
+    store = IMAGES.parents[1] / "build" / "design_front.json"
+    store.parent.mkdir(exist_ok=True)
+    return front_figure(spm.design.pareto_front(problem, store, generations=12))
 
 
 def plot_legs(ax: Axes, x: np.ndarray, values: np.ndarray, fontsize: float) -> None:

@@ -1,5 +1,7 @@
 """The machine on the front page, solved in the reader's browser by the exported C, compiled to WebAssembly.
 
+`python docs/site/live_page.py FILE` writes it as a page of its own, docs/live.html.
+
 All of it stands in the page itself, so that it works from a disk as well, and nothing is fetched. It draws the solids
 of the description, placed as `spm_pin.description.visuals.part_placements` places them.
 """
@@ -30,6 +32,50 @@ FLAGS = "--target=wasm32 -std=c99 -O2 -ffp-contract=off -fno-math-errno -ffreest
 LINKED = "--no-entry --allow-undefined --strip-all --initial-memory=131072 --export=__heap_base"
 EXPORTED = ("spm_machine", "spm_all_branches", "spm_inverse", "spm_forward")
 VERTEX = np.dtype([("position", "<i2", 3), ("normal", "i1", 3), ("region", "u1")])
+
+
+PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>3RPS-3SPR: all branches, live</title>
+<style>
+:root {{ color-scheme: light dark; }}
+body {{
+  font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 0 auto; padding: 1rem;
+  --color-background-primary: #fff;
+  --color-background-secondary: #f8f9fb; --color-background-border: #d5dae0; --color-foreground-primary: #16191d;
+  --color-foreground-secondary: #4b535c; --color-foreground-muted: #59626b; --color-brand-primary: #00588f;
+  --font-stack--monospace: ui-monospace, monospace;
+}}
+@media (prefers-color-scheme: dark) {{
+  body {{
+    --color-background-primary: #131416; --color-background-secondary: #1a1c1e; --color-background-border: #3a4148;
+    --color-foreground-primary: #e6e8ea; --color-foreground-secondary: #b4bbc2; --color-foreground-muted: #a2a9b0;
+    --color-brand-primary: #56b4e9; --color-brand-content: #56b4e9; --color-background-hover: #24282c;
+    --color-code-background: #1a1c1e; --color-code-foreground: #e6e8ea;
+  }}
+}}
+body {{ background: var(--color-background-primary); color: var(--color-foreground-primary); }}
+h1 {{ font-size: 1.4rem; margin: 0 0 0.5rem; }}
+</style>
+<body>
+<h1>The 3RPS-3SPR manipulator: one pose, all its branches</h1>
+{machine}
+<p>A page of <b>spm_pin</b>, closed-chain kinematics of this machine. All of it is in this file.</p>
+</body>
+</html>
+"""
+"""A page around the machine, in the colours that the site's theme gives it."""
+
+
+def main(file: Path) -> None:
+    """Write the machine as a page of its own."""
+    module = webassembly()
+    if module is None:
+        sys.exit("Needs clang with the target wasm32, and wasm-ld")
+    file.write_text(PAGE.format(machine=fragment(module)), encoding="utf-8")
+    print(f"{file}: {file.stat().st_size // 1024} kB")
 
 
 def with_machine(page: str) -> str:
@@ -147,3 +193,7 @@ def _corners(name: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64
 
 def _file(mesh: str) -> Path:
     return SITE.parents[1] / f"urdf/meshes/{mesh}.obj"
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -21,12 +21,13 @@ import scipy
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.crosscheck.methods import Method, make_methods
-from spm_pin.crosscheck.random_poses import command, in_leg_space, on_all_rotations, printable
+from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, whole_number
 from spm_pin.mechanism.configuration import compared_points
+from spm_pin.mechanism.pose import inverse_command
 
 LEG_SPACE = 0.8
 """Share of the poses drawn in leg space; the rest have rotations from all of SO(3)."""
@@ -179,7 +180,7 @@ class Report:
         if self.agrees and len(self.scores) == 1:
             return f"Only {self.scores[0].name} was run, and its branches close."
         if self.agrees:
-            return f"All {len(self.scores)} methods agree."
+            return f"{'Both' if len(self.scores) == 2 else f'All {len(self.scores)}'} methods agree."
         if not self.outliers:
             return "The methods disagree."
         if len(self.outliers) > 1:
@@ -188,7 +189,7 @@ class Report:
 
     def command(self, pose: int, geometry_file: str | None = None) -> str:
         """Return the command line that solves a pose of this report; without a file, for the paper's geometry."""
-        return command(self.translation[pose], self.xyx[pose], geometry_file)
+        return inverse_command(self.translation[pose], self.xyx[pose], geometry_file)
 
 
 def compare_in_batches(
@@ -355,16 +356,16 @@ class _Comparison:
 
     def _score(self, method: Method, answer: _Answer, proved: Configuration) -> None:
         """Count the branches a method invented, and those it missed although its arithmetic resolves them."""
-        found = answer.states.exists
+        exists = answer.states.exists
         with np.errstate(invalid="ignore"):
             share = answer.states.closure_residual / (ROWS * answer.rounding)
             resolved = Conditioning.from_configuration(proved).resolves(method.rounding(proved))
-        invented = found & (share > 1.0)
-        missed = (proved.exists & resolved & ~found).reshape(-1, _BRANCHES).any(axis=-1) & answer.selected
+        invented = exists & (share > 1.0)
+        missed = (proved.exists & resolved & ~exists).reshape(-1, _BRANCHES).any(axis=-1) & answer.selected
         score = self.scores[method.name]
         score.solved += int(answer.selected.sum())
         score.unsolved += int((answer.selected & (answer.status == Status.UNSOLVED)).sum())
-        score.branches += int(found.sum())
+        score.branches += int(exists.sum())
         score.invented += int(invented.sum())
         score.missed += int(missed.sum())
         score.residual = max(score.residual, float(np.nanmax(share, initial=0.0)))

@@ -10,12 +10,11 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.errors import ArgumentError, GeometryError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 from spm_pin.mechanism import Configuration, Geometry, SolutionSet
@@ -84,11 +83,11 @@ class ClosedForm(Method):
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
-        return _each(inverse_jacobian, (6, 6), configuration)
+        return inverse_jacobian(configuration)
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
-        return _each(leg_forces, (6,), configuration, wrench)
+        return leg_forces(configuration, wrench)
 
 
 @dataclass
@@ -112,11 +111,11 @@ class Paper(Method):
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
-        return _each(lambda state: J_f(state, self.mistakes), (6, 6), configuration)
+        return J_f(configuration, self.mistakes)
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
-        return _each(lambda state, w: f_r(state, w[..., :3], w[..., 3:], self.mistakes), (6,), configuration, wrench)
+        return f_r(configuration, wrench[..., :3], wrench[..., 3:], self.mistakes)
 
     def rounding(self, configuration: Configuration) -> FloatArray:
         """Return the closure residual [m], with the squared slopes of the lines in the coefficients of Eq. (13)."""
@@ -143,8 +142,8 @@ class _MultiStart(Method):
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
-        found = self._nlp.search(self.geometry, pose, starts=self.starts, solver=self.solver)
-        solutions: SolutionSet = found.solutions
+        search = self._nlp.search(self.geometry, pose, starts=self.starts, solver=self.solver)
+        solutions: SolutionSet = search.solutions
         return solutions
 
 
@@ -193,11 +192,11 @@ class Pinocchio(Method):
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
-        return _each(self.chain.inverse_jacobian, (6, 6), self.chain.joint_values(configuration))
+        return np.asarray(self.chain.inverse_jacobian(self.chain.joint_values(configuration)))
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
-        return _each(self.chain.leg_forces, (6,), self.chain.joint_values(configuration), wrench)
+        return np.asarray(self.chain.leg_forces(self.chain.joint_values(configuration), wrench))
 
     def assembled(self, configuration: Configuration) -> Configuration:
         """Return the configurations that the tree's frames give at the joint values of states (N,)."""
@@ -205,22 +204,11 @@ class Pinocchio(Method):
         return states
 
 
-def _each(function: Callable[..., FloatArray], shape: tuple[int, ...], *batch: Any) -> FloatArray:
-    """Call with a whole batch, or one by one where a member is singular, which becomes NaN of the shape."""
-    try:
-        return function(*batch)
-    except SingularConfigurationError:
-        found = np.full((len(batch[0]), *shape), np.nan)
-        for k, member in enumerate(zip(*batch, strict=True)):
-            with contextlib.suppress(SingularConfigurationError):
-                found[k] = function(*member)
-        return found
-
-
 def _check_drawn(geometry: Geometry, method: str) -> None:
     if not geometry.is_nominal:
         expected = f"a machine as drawn, whose equations are those of the method {method}"
-        raise GeometryError("geometry", expected, "one as built", "Leave this method out, or pass its .nominal")
+        cause = "Leave this method out, or compare its drawing, geometry.nominal"
+        raise GeometryError("geometry", expected, "one as built", cause)
 
 
 METHODS: dict[str, Callable[[Geometry], Method]] = {
@@ -239,11 +227,11 @@ def make_methods(names: Sequence[Method | str] | None, geometry: Geometry) -> li
     Those serve whose packages can be imported and that take the machine, drawn or as built.
     """
     if names is None:
-        found = []
+        serving = []
         for maker in METHODS.values():
             with contextlib.suppress(ImportError, GeometryError):
-                found.append(maker(geometry))
-        return found
+                serving.append(maker(geometry))
+        return serving
     unknown = [name for name in names if isinstance(name, str) and name not in METHODS]
     if unknown:
         raise ArgumentError("methods", f"names among {', '.join(METHODS)}", ", ".join(unknown))

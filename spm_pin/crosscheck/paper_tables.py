@@ -171,8 +171,8 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
     closed = complex_middle_joints(geometry, example) * _CM
     printed = np.array([[[number(c) for c in row] for row in table] for table in _COORDINATES.values()])
     printed = np.moveaxis(printed, -1, 0)  # (solution, joint, coordinate)
-    found = resultant.solve(geometry, example) * _CM
-    joints = found[_order(printed, found)]
+    unordered = resultant.solve(geometry, example) * _CM
+    joints = unordered[_order(printed, unordered)]
     other = _order(joints, closed)
     solutions = tuple(
         SolvedTwice(
@@ -294,14 +294,14 @@ def _shifted(text: str, column: int, lengths: FloatArray) -> tuple[Verdict, str]
 def _diagnoses(third: Configuration) -> list[Diagnosis]:
     """Find the fewest mistakes that give each printed row of Table 5; none where no combination does."""
     combinations = [Table5Mistakes(*flags) for flags in sorted(product((False, True), repeat=3), key=sum)]
-    found = []
+    diagnoses = []
     for row, (name, printed) in enumerate(zip(_ROWS, published.TABLE_5, strict=True)):
         for mistakes in combinations:
             values = table_5(third, mistakes)[row]
             if all(text is None or matches(text, complex(x)) for text, x in zip(printed, values, strict=True)):
-                found.append(Diagnosis(name, mistakes, tuple(float(x) for x in values)))
+                diagnoses.append(Diagnosis(name, mistakes, tuple(float(x) for x in values)))
                 break
-    return found
+    return diagnoses
 
 
 def _true_values(third: Configuration) -> list[TrueValue]:
@@ -323,9 +323,9 @@ def _true_values(third: Configuration) -> list[TrueValue]:
     ]
 
 
-def _rates_and_forces(true: list[TrueValue], found: list[Diagnosis]) -> list[Cell]:
+def _rates_and_forces(true: list[TrueValue], diagnoses: list[Diagnosis]) -> list[Cell]:
     """Compare Table 5 with the true rates [cm/s] and forces [kN]."""
-    explained = {diagnosis.row: diagnosis for diagnosis in found}
+    explained = {diagnosis.row: diagnosis for diagnosis in diagnoses}
     cells = []
     for k, (text, value) in enumerate(zip((*published.TABLE_5[0], *published.TABLE_5[1]), true, strict=True)):
         diagnosis = explained.get(value.name[0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -26,16 +25,16 @@ def in_leg_space(geometry: Geometry, count: int, rng: np.random.Generator | int)
     """
     count, rng = _checked(geometry, count, rng)
     limits = geometry.limits or _around_home(geometry)
-    found: list[FloatArray] = []
-    while len(found) < count:
-        lengths = rng.uniform(limits.minimum, limits.maximum, (2 * (count - len(found)) + 4, 6))
+    matrices: list[FloatArray] = []
+    while len(matrices) < count:
+        lengths = rng.uniform(limits.minimum, limits.maximum, (2 * (count - len(matrices)) + 4, 6))
         lower, closed_lower = _stage(geometry, geometry.base_radius, lengths[:, :3], 1.0)
         # Seen from {m} the middle platform hangs below.
         upper, closed_upper = _stage(geometry, geometry.platform_radius, lengths[:, 3:], -1.0)
         both = closed_lower & closed_upper
         below, above = (homogeneous(triangle_frames(b), b.mean(axis=1)) for b in (lower[both], upper[both]))
-        found.extend(below @ np.linalg.inv(above))
-    return RigidTransform.from_matrix(np.array(found[:count]).reshape(-1, 4, 4))
+        matrices.extend(below @ np.linalg.inv(above))
+    return RigidTransform.from_matrix(np.array(matrices[:count]).reshape(-1, 4, 4))
 
 
 def on_all_rotations(geometry: Geometry, count: int, rng: np.random.Generator | int) -> RigidTransform:
@@ -61,13 +60,6 @@ def printable(poses: RigidTransform) -> tuple[RigidTransform, FloatArray, FloatA
     translation = np.asarray(poses.translation)
     xyx = np.asarray(poses.rotation.as_euler("XYX", degrees=True))
     return pose(translation, xyx=np.deg2rad(xyx)), translation, xyx
-
-
-def command(translation: FloatArray, xyx: FloatArray, geometry_file: str | None = None) -> str:
-    """Return the command that solves one pose: translation (3,) [m], X-Y-X angles (3,) in degrees."""
-    numbers = [" ".join(repr(float(x)) for x in part) for part in (translation, xyx)]
-    robot = "" if geometry_file is None else f" --geometry {shlex.quote(geometry_file)}"
-    return f"spm-pin inverse --translation {numbers[0]} --xyx {numbers[1]}{robot}"
 
 
 def _around_home(geometry: Geometry) -> LegLimits:

@@ -19,13 +19,15 @@ Lengths stand for angles times d, so that norms mean something.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import triangle_sides, upper_ball_weights
+from spm_pin.mechanism.legs import upper_ball_weights
 
 ROWS = 3.0
 """√9: from the largest of nine equations to their norm."""
@@ -93,42 +95,21 @@ class Conditioning:
 
 def _middle_platform(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
     """Return the sides b_1 b_2, b_2 b_3, b_3 b_1 [m], and α, β [-] and γ [1/m] of the upper legs' balls as rows."""
-    balls = geometry.legs.balls
-    return triangle_sides(balls[:3]), upper_ball_weights(balls)
+    return geometry.legs.sides, upper_ball_weights(geometry.legs.balls)
 
 
-def _derivatives(configuration: Configuration) -> tuple[FloatArray, ...]:
+def _derivatives(configuration: Configuration) -> list[FloatArray]:
     """Return F_b (N, 9, 9), F_x (N, 9, 6), l_b (N, 6, 9) and l_x (N, 6, 6), angles times d."""
-    b, count, geometry = configuration.middle_joints, len(configuration), configuration.geometry
-    side, (sides, weights) = geometry.middle_side, _middle_platform(geometry)
-    axes, directions = configuration.leg_axes, configuration.leg_vectors / configuration.leg_lengths[..., None]
-    platform_axes = axes[:, 3:]
-    arms = configuration.platform_joints - configuration.translation[:, None, :]
-    i, following = np.array([0, 1, 2]), np.array([1, 2, 0])
-    between = (b - b[:, following]) / sides[:, None]
-    p, q = b[:, None, 1] - b[:, None, 0], b[:, None, 2] - b[:, None, 0]
+    count = len(configuration)
+    places = configuration.middle_joints.reshape(count, 9), configuration.translation
+    # CasADi is column-major.
+    turns = np.swapaxes(configuration.rotation, -1, -2).reshape(3 * count, 3)
+    results = _derivative_function(configuration.geometry).map(count)(places[0].T, turns.T, places[1].T)
+    return [np.moveaxis(np.asarray(x).reshape(x.shape[0], count, -1), 1, 0) for x in results]
 
-    def by_corners(along: FloatArray) -> FloatArray:
-        """Return the derivatives (N, 3, 3, 3) of n·u_i by the b_j, for a direction n (N, 3, 3) of each i."""
-        alpha, beta, gamma = (weight[:, None] for weight in weights.T)
-        second = alpha * along + gamma * np.cross(q, along)
-        third = beta * along + gamma * np.cross(along, p)
-        rows = np.stack([-second - third, second, third], axis=-2)
-        rows[:, i, i] += along
-        return rows
 
-    # For each kind of equation the three legs, and in the derivatives by b the three b_i.
-    closure_b, closure_x = np.zeros((count, 3, 3, 3, 3)), np.zeros((count, 3, 3, 6))
-    lengths_b, lengths_x = np.zeros((count, 2, 3, 3, 3)), np.zeros((count, 2, 3, 6))
-    closure_b[:, 0, i, i], closure_b[:, 1] = axes[:, :3], by_corners(platform_axes)
-    closure_b[:, 2, i, i], closure_b[:, 2, i, following] = between, -between
-    # n·(u - c) with n and c fixed to m changes by n x (u - o) · ω - n·v.
-    closure_x[:, 1, :, :3] = -platform_axes
-    levers = configuration.balls[:, 3:] - configuration.translation[:, None, :]
-    closure_x[:, 1, :, 3:] = np.cross(platform_axes, levers) / side
-    lengths_b[:, 0, i, i], lengths_b[:, 1] = directions[:, :3], -by_corners(directions[:, 3:])
-    lengths_x[:, 1, :, :3] = directions[:, 3:]
-    lengths_x[:, 1, :, 3:] = np.cross(arms, directions[:, 3:]) / side
-    shapes = (9, 9), (9, 6), (6, 9), (6, 6)
-    derivatives = (closure_b, closure_x, lengths_b, lengths_x)
-    return tuple(part.reshape(count, *shape) for part, shape in zip(derivatives, shapes, strict=True))
+@lru_cache(maxsize=4)
+def _derivative_function(geometry: Geometry) -> Any:
+    from spm_pin.symbolic.functions import loop_derivatives
+
+    return loop_derivatives(geometry)

@@ -4,12 +4,11 @@
 generated C code. `search` finds the branches of a pose without the mechanism's algebra.
 """
 
-from spm_pin.nlp.branch_search import SOLVERS, Interrupted, Search, search
+from spm_pin.nlp.branch_search import SOLVERS, Search, search
 from spm_pin.nlp.loop_equations import closure, inverse_jacobian, leg_jacobian, leg_lengths
 
 __all__ = [
     "SOLVERS",
-    "Interrupted",
     "Search",
     "closure",
     "inverse_jacobian",

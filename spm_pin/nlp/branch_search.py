@@ -12,7 +12,6 @@ restoration phase end elsewhere, and stop at a measured infeasibility where noth
 from __future__ import annotations
 
 import functools
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,14 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Geometry, PoseLike, SolutionSet, Status, as_rigid_transform
-from spm_pin.mechanism.arguments import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    choice,
-    type_and_value,
-    whole_number,
-)
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, choice, type_and_value, whole_number
 from spm_pin.nlp import loop_equations
 from spm_pin.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, isolated, newton
 
@@ -44,8 +36,6 @@ MOST_BRANCHES = 8
 
 _ITERATIONS = 60
 """Steps of Newton's method from each start at most."""
-_BATCH = 512
-"""Starts made together at most."""
 _LEAST_SQUARES = 12
 """Starts of the least squares where no start led to a solution."""
 _DOUBLE_ROOTS = 4
@@ -60,19 +50,13 @@ _UNUSABLE = ("Invalid_Option", "Invalid_Problem_Definition", "Insufficient_Memor
 
 @dataclass(frozen=True)
 class Search:
-    """Branches found by a multi-start, with statistics of the search; arrays over the batch of poses (...)."""
+    """Branches found by a multi-start, and what is proved about them; arrays over the batch of poses (...)."""
 
     solutions: SolutionSet
     """The branches, under the canonical labels. `Status.UNREACHABLE` where none was found and `infeasibility` is not
-    rounding; `Status.UNSOLVED` where the search failed, or was interrupted before."""
-    starts: IntArray
-    """Starts made."""
+    rounding; `Status.UNSOLVED` where the search failed."""
     hits: IntArray
     """Starts that ended at each branch, shape (..., 8)."""
-    continuous: IntArray
-    """Starts that ended on a continuous family of solutions."""
-    failed: IntArray
-    """Starts that ended at no solution."""
     sigma: FloatArray
     """Smallest singular value of the loop equations at each branch, shape (..., 8), dimensionless; zero where two
     branches meet."""
@@ -82,16 +66,6 @@ class Search:
     """True where it is proved to be the only one there, shape (..., 8)."""
     infeasibility: FloatArray
     """Where no branch was found: the smallest norm of the loop equations that least squares reach [m]."""
-    outcomes: Mapping[str, int]
-    """Number of times that the solver ended with each status, over all poses."""
-
-
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C during a search; `partial` is the `Search` so far, in which the other poses are unsolved."""
-
-    def __init__(self, partial: Search) -> None:
-        self.partial = partial
-        super().__init__("interrupted; .partial holds the poses finished before")
 
 
 def search(
@@ -103,7 +77,7 @@ def search(
     solver: str = "newton",
     options: Mapping[str, Any] | None = None,
 ) -> Search:
-    """Find the branches of a pose by multi-start, with statistics of the search.
+    """Find the branches of a pose by multi-start.
 
     Parameters
     ----------
@@ -124,8 +98,6 @@ def search(
     ------
     GeometryError
         For a machine as built: the certificates rest on the loop equations of the drawing.
-    Interrupted
-        By Ctrl-C; `.partial` holds the poses that were finished.
 
     Notes
     -----
@@ -142,15 +114,11 @@ def search(
     matrices = transform.as_matrix().reshape(-1, 4, 4)
     method = IpoptSolver(geometry, options) if solver == "ipopt" else None
     equations = loop_equations_of(geometry)
-    runs: list[Multistart] = []
-    try:
-        for matrix in matrices:
-            run = Multistart(equations, matrix)
-            run.run(method, starts, np.random.default_rng(seed))
-            runs.append(run)
-    except KeyboardInterrupt:
-        runs += [Multistart(equations, matrix) for matrix in matrices[len(runs) :]]
-        raise Interrupted(_collect(geometry, transform, runs)) from None
+    runs = []
+    for matrix in matrices:
+        run = Multistart(equations, matrix)
+        run.run(method, starts, np.random.default_rng(seed))
+        runs.append(run)
     return _collect(geometry, transform, runs)
 
 
@@ -172,11 +140,10 @@ class IpoptSolver:
             expected = "options of casadi.nlpsol such as {'ipopt.max_iter': 50}"
             raise ArgumentError("options", expected, self._options, reason) from refused
 
-    def __call__(self, starts: FloatArray, matrix: FloatArray) -> tuple[FloatArray, Counter[str]]:
-        """Return where each start (n, 9) [m] ends for a pose (4, 4), and how often IPOPT returned which status."""
+    def __call__(self, starts: FloatArray, matrix: FloatArray) -> FloatArray:
+        """Return where each start (n, 9) [m] ends for a pose (4, 4)."""
         pose = np.concatenate([matrix[:3, :3].T.ravel(), matrix[:3, 3]])
         ends = np.empty_like(starts)
-        outcomes: Counter[str] = Counter()
         for k, start in enumerate(starts):
             try:
                 ends[k] = np.asarray(self._solver(x0=start, p=pose, lbg=0.0, ubg=0.0)["x"]).ravel()
@@ -190,8 +157,7 @@ class IpoptSolver:
                 raise KeyboardInterrupt
             if status in _UNUSABLE:
                 raise ArgumentError("options", "options that this IPOPT can meet", self._options, status)
-            outcomes[status] += 1
-        return ends, outcomes
+        return ends
 
 
 @dataclass
@@ -203,33 +169,20 @@ class Multistart:
     certificates: list[RootCertificate] = field(default_factory=list)
     """The solutions, each with what is proved about it."""
     hits: list[int] = field(default_factory=list)  # starts that ended at each of them
-    starts: int = 0
-    failed: int = 0  # starts that ended at no solution
     infeasibility: float = np.nan
     """Smallest norm of the loop equations that least squares reach [m]; NaN where they were not needed."""
-    outcomes: Counter[str] = field(default_factory=Counter)  # starts by the status of the solver
 
     def run(self, method: IpoptSolver | None, starts: int, rng: np.random.Generator) -> None:
         """Make this number of starts; `method` None means Newton's method."""
-        while self.starts < starts:
-            count = min(_BATCH, starts - self.starts)
-            self._extend(method, random_starts(self.equations.geometry, self.matrix, count, rng))
+        begin = random_starts(self.equations.geometry, self.matrix, starts, rng)
+        if method is None:
+            ends, converged = newton(self.equations, begin, self.matrix, _ITERATIONS)
+        else:
+            # IPOPT's tolerance is absolute; full accuracy is one or two Newton steps away.
+            ends, converged = newton(self.equations, method(begin, self.matrix), self.matrix, 3)
+        self._count_hits(ends[converged])
         if not self.certificates:
             self._minimize_residual(random_starts(self.equations.geometry, self.matrix, _LEAST_SQUARES, rng))
-
-    def _extend(self, method: IpoptSolver | None, starts: FloatArray) -> None:
-        self.starts += len(starts)
-        if method is None:
-            ends, converged = newton(self.equations, starts, self.matrix, _ITERATIONS)
-            self.outcomes.update(converged=int(converged.sum()), diverged=int((~converged).sum()))
-        else:
-            ends, outcomes = method(starts, self.matrix)
-            self.outcomes.update(outcomes)
-            # IPOPT's tolerance is absolute; full accuracy is one or two Newton steps away.
-            polished, converged = newton(self.equations, ends, self.matrix, 3)
-            ends = np.where(converged[:, None], polished, ends)
-        self._count_hits(ends[converged])
-        self.failed += int((~converged).sum())
 
     def _count_hits(self, ends: FloatArray) -> None:
         """Count each end point (n, 9) as a hit of its solution, adding solutions not seen before."""
@@ -334,20 +287,11 @@ def _collect(geometry: Geometry, transform: Any, runs: list[Multistart]) -> Sear
     hits, sigma, error, isolated = facts.reshape(4, *shape, MOST_BRANCHES)
     continuous = np.array([run.continuous for run in runs], dtype=bool).reshape(shape)
     status = np.where(continuous, Status.DEGENERATE, ordered.status)
-    outcomes: Counter[str] = sum((run.outcomes for run in runs), Counter())
-
-    def of(values: list[Any], kind: type = int) -> Any:
-        return np.array(values, dtype=kind).reshape(shape)
-
     return Search(
         solutions=SolutionSet(ordered.configurations, BRANCHES, status),
-        starts=of([run.starts for run in runs]),
         hits=hits.astype(int),
-        continuous=of([run.starts - run.failed - sum(run.hits[k] for k in run.kept) for run in runs]),
-        failed=of([run.failed for run in runs]),
         sigma=sigma,
         error_bound=error,
         isolated=isolated.astype(bool),
-        infeasibility=of([run.infeasibility for run in runs], float),
-        outcomes=dict(outcomes),
+        infeasibility=np.array([run.infeasibility for run in runs]).reshape(shape),
     )

@@ -27,7 +27,7 @@ _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 def check_drawn(geometry: Geometry) -> None:
     """Raise a GeometryError for a machine as built: the equations are those of the drawing."""
     if not check_instance(geometry, Geometry, "geometry").is_nominal:
-        cause = "spm.symbolic has the equations of any machine; or pass its .nominal?"
+        cause = "spm.symbolic has the equations of any machine; its drawing is geometry.nominal"
         raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
 
 

@@ -10,7 +10,8 @@ v_rib in (25b) is v_rbi, ä in (26a) is ω, e_i in (29f) is e_3, ω_r33 in (29i)
 those that the published numbers were computed with.
 
 The functions take a `Configuration` of shape (...) and the `mistakes` to make, by default none. A member that does not
-exist gives NaN. All raise `SingularConfigurationError` as "forward", where a leg has no length, hence no direction.
+exist gives NaN. `SingularConfigurationError` is raised for a single state, and a member of a batch is NaN instead; all
+functions do so, as "forward", where a leg has no length, hence no direction.
 
 J_α is singular at an inverse singularity; J, and the forces, for which Eq. (33) inverts J_f, lose digits near it that
 the problem does not.
@@ -24,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, first_offender, real_array
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, broadcastable, real_array
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.paper import published
 
@@ -58,8 +59,6 @@ class Table5Mistakes:
 
 CORRECT = Table5Mistakes()
 """The corrected equations."""
-PUBLISHED = Table5Mistakes(printed_lever_arm=True, missing_entry=True, other_load=True)
-"""The equations with every mistake that the paper's Table 5 shows."""
 
 
 def J_alpha(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
@@ -122,9 +121,9 @@ def J(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> Float
     J_α = J_alpha(configuration, mistakes)
     scaled = J_α.copy()
     scaled[..., 6:] /= configuration.geometry.middle_side
-    _refuse_singular(scaled, "inverse", configuration)
-    J_α = np.where(configuration.exists[..., None, None], J_α, np.eye(9))
-    return np.asarray(np.linalg.solve(J_α, J_lambda(configuration, mistakes)), dtype=np.float64)  # Eq. (30b)
+    regular = _are_regular(scaled, "inverse", configuration)[..., None, None]
+    solved = np.linalg.solve(np.where(regular, J_α, np.eye(9)), J_lambda(configuration, mistakes))  # Eq. (30b)
+    return np.where(regular, solved, np.nan)
 
 
 def J_f(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
@@ -151,11 +150,11 @@ def f_r(
     matrix = J_f(configuration, mistakes)
     scaled = matrix.copy()
     scaled[..., 3:] /= configuration.geometry.middle_side
-    _refuse_singular(scaled, "forward", configuration)
-    matrix = np.where(configuration.exists[..., None, None], matrix, np.eye(6))
+    regular = _are_regular(scaled, "forward", configuration)[..., None]
+    matrix = np.where(regular[..., None], matrix, np.eye(6))
     both = np.concatenate([np.broadcast_to(force, (*shape, 3)), np.broadcast_to(torque, (*shape, 3))], axis=-1)
     forces = -np.linalg.solve(np.swapaxes(matrix, -1, -2), both[..., None])[..., 0]  # Eq. (33)
-    return np.where(configuration.exists[..., None], forces, np.nan)
+    return np.where(regular, forces, np.nan)
 
 
 def load(mistakes: Table5Mistakes = CORRECT) -> tuple[FloatArray, FloatArray]:
@@ -167,31 +166,32 @@ def load(mistakes: Table5Mistakes = CORRECT) -> tuple[FloatArray, FloatArray]:
 def table_5(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> tuple[FloatArray, FloatArray]:
     """Return the rows of Table 5 for the example's twist and load: v_r [cm/s] and f_r [kN], (..., 6) each.
 
-    Of solution 3 of the example with the mistakes `PUBLISHED` they are the numbers as printed, with `CORRECT` the true
-    ones. Raises as `f_r`.
+    Of solution 3 of the example with all three mistakes they are the numbers as printed, with `CORRECT` the true ones.
+    Raises as `f_r`.
     """
     v, ω = CENTI * np.array(published.VELOCITY[:3]), np.deg2rad(published.VELOCITY[3:])
     v_r = J_f(configuration, mistakes) @ np.concatenate([v, ω])  # Eq. (31)
     return v_r / CENTI, f_r(configuration, *load(mistakes), mistakes) / KILO
 
 
-def _refuse_singular(scaled: FloatArray, kind: str, configuration: Configuration) -> None:
-    """Raise `SingularConfigurationError` if an existing member of dimensionless `scaled` (..., n, n) is singular."""
-    exists = configuration.exists
-    values = np.linalg.svd(np.where(exists[..., None, None], scaled, np.eye(scaled.shape[-1])), compute_uv=False)
+def _are_regular(scaled: FloatArray, kind: str, configuration: Configuration) -> BoolArray:
+    """Return which matrices `scaled` (..., n, n), dimensionless, can be inverted; raise if that of one state cannot."""
+    known = np.asarray(~np.isnan(scaled).any(axis=(-1, -2)))
+    usable: FloatArray = np.where(known[..., None, None], scaled, np.eye(scaled.shape[-1]))
+    values = np.asarray(np.linalg.svd(usable, compute_uv=False))
     singular = values[..., -1] <= SINGULAR * values[..., 0]
-    if singular.any():
-        index = first_offender(singular)
-        raise SingularConfigurationError(kind, float(values[index][-1]), index)
+    if singular.any() and not configuration.shape:
+        raise SingularConfigurationError(kind, float(values[-1]))
+    return np.asarray(known & ~singular)
 
 
 def _legs(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the vectors r_b and r_c [m] and their unit vectors δ_b and δ_c, each (..., 3, 3), a row per leg."""
     lengths = configuration.leg_lengths
     short = (lengths == 0.0).any(axis=-1)
-    if short.any():
-        raise SingularConfigurationError("forward", 0.0, first_offender(short))
-    r = configuration.leg_vectors
+    if short.any() and not configuration.shape:
+        raise SingularConfigurationError("forward", 0.0)
+    r = np.where(short[..., None, None], np.nan, configuration.leg_vectors)
     δ = r / lengths[..., None]
     return r[..., :3, :], r[..., 3:, :], δ[..., :3, :], δ[..., 3:, :]
 

@@ -31,18 +31,12 @@ def test_sigma_agrees_with_the_jacobian_of_casadi() -> None:
 
 
 def test_norm_of_the_inverse_agrees_with_the_inverse_jacobian() -> None:
-    sample = states(5)
-    rates = spm.inverse_jacobian(sample) / np.repeat([1.0, GEOMETRY.middle_side], 3)
-    expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
-    np.testing.assert_allclose(Conditioning.from_configuration(sample).inverse, expected, rtol=1e-6)
-
-
-def test_norm_of_the_inverse_agrees_with_that_of_a_machine_as_built() -> None:
     built = GEOMETRY.perturbed(1, length=1e-2, angle=1e-2)
-    sample = spm.forward_physical(built, np.random.default_rng(0).uniform(1.15, 1.45, (20, 6)))
-    rates = spm.inverse_jacobian(sample) / np.repeat([1.0, GEOMETRY.middle_side], 3)
-    expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
-    np.testing.assert_allclose(Conditioning.from_configuration(sample).inverse, expected, rtol=1e-9)
+    for sample in (states(5), spm.forward_physical(built, np.random.default_rng(0).uniform(1.15, 1.45, (20, 6)))):
+        rates = spm.inverse_jacobian(sample) / np.repeat([1.0, GEOMETRY.middle_side], 3)
+        expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
+        rtol = 1e-6 if sample.geometry.is_nominal else 1e-9
+        np.testing.assert_allclose(Conditioning.from_configuration(sample).inverse, expected, rtol=rtol)
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-7])

@@ -98,8 +98,8 @@ def test_assembly_modes_of_equal_lengths_are_joined_without_a_singularity() -> N
 def test_the_ends_of_a_path_are_assembly_modes_of_the_solver(epsilon: float) -> None:
     path = circle(epsilon)
     squares, _ = stage_region(epsilon).evaluate(*(Interval.from_numbers(path[0, i]) for i in range(3)))
-    modes = solve_stage(np.sqrt([[0.5 * (s.low + s.high) for s in squares]]), epsilon, ("T",))
-    above = np.concatenate([modes.quaternion[0, 0, :, :2], modes.centre[0, 0, :, 2:]], axis=-1)
+    modes = solve_stage(np.sqrt([[0.5 * (s.low + s.high) for s in squares]]), epsilon)
+    above = modes.solutions[0, 0][:, [1, 2, 4]]
     known = np.concatenate([above, -above])
     for end in path[[0, -1]]:
         assert np.nanmin(np.abs(known - end).max(axis=-1)) < 1e-9

@@ -58,7 +58,7 @@ def test_no_branch_is_missed_or_invented() -> None:
 @pytest.mark.slow
 def test_the_miss_rate_is_at_most_what_is_stated() -> None:
     sample = poses(200, 50, 1)
-    searches, missed = compare(sample, certified(sample), range(10))
+    searches, missed = compare(sample, certified(sample), range(5))
     interval = binomtest(missed, searches).proportion_ci(0.95, "exact")
     print(f"missed {missed} of {searches}: at most {interval.high:.1e} with 95 % confidence")
     # If the stated rate is right, more misses than these occur once in ten thousand such sweeps.
@@ -67,7 +67,7 @@ def test_the_miss_rate_is_at_most_what_is_stated() -> None:
 
 @pytest.mark.slow
 def test_ipopt_misses_no_more_branches_than_newton_is_allowed() -> None:
-    sample = poses(20, 10, 2)
+    sample = poses(10, 5, 2)
     truth = certified(sample)
     found = nlp.search(GEOMETRY, sample, solver="ipopt").solutions
     assert (found.count <= truth).all()

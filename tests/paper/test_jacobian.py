@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.errors import SingularConfigurationError
-from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
+from spm_pin.kinematics.rates_and_forces import inverse_jacobian
 from spm_pin.paper import jacobian
-from spm_pin.paper.jacobian import f_r, load
+from spm_pin.paper.jacobian import f_r
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -56,13 +56,8 @@ def condition_bound(configuration: spm.Configuration) -> tuple[np.ndarray, np.nd
     return scales, few * (np.linalg.cond(J_α) * norm(nine) + sigma_k[..., 0] / sigma_k[..., -1] ** 2)
 
 
-def test_paper_and_closed_form_agree_at_the_six_branches(six):
-    paper, closed = jacobian.J_f(six), inverse_jacobian(six)
-    assert (norm(paper - closed) <= 1e-11 * norm(closed)).all()
-
-
 def random_problems():
-    yield pytest.param(lambda: problems.in_leg_space(PAPER, 60_000, seed=31), id="leg space")
+    yield pytest.param(lambda: problems.in_leg_space(PAPER, 10_000, seed=31), id="leg space")
     for name, geometry in problems.GEOMETRIES.items():
         for family in spm.mechanism.FAMILIES:
             yield pytest.param(
@@ -128,19 +123,6 @@ def test_determinant_of_j_alpha(name):
         assert (error <= 9 * 4 * EPS * np.linalg.cond(J_α_scaled)).all()
 
 
-def test_forces_are_those_of_the_wrench_form(six):
-    F, T = load()
-    paper = f_r(six, F, T)
-    closed = leg_forces(six, np.concatenate([F, T]))
-    scaled = jacobian.J_f(six) / [1, 1, 1, *[PAPER.middle_side] * 3]
-    relative = np.linalg.norm(paper - closed, axis=-1) / np.linalg.norm(closed, axis=-1)
-    _, bound = condition_bound(six)
-    # J_f's own error, and that of inverting it.
-    assert (
-        relative <= bound * np.linalg.norm(np.linalg.inv(scaled), axis=(-1, -2)) + 8 * EPS * np.linalg.cond(scaled)
-    ).all()
-
-
 def test_a_batch_is_its_members(six):
     for function in (jacobian.J_alpha, jacobian.J_lambda, jacobian.J, jacobian.J_f):
         assert np.array_equal(function(six), np.stack([function(state) for state in six]))
@@ -161,12 +143,19 @@ def test_singular_states_are_refused(six):
     mixed = spm.Configuration(
         PAPER, spm.pose(np.concatenate([six.translation, level.translation]), rotation=rotation), joints
     )
-    with pytest.raises(SingularConfigurationError, match="inverse singularity at batch index") as caught:
-        jacobian.J_f(mixed)
-    assert (caught.value.kind, caught.value.index) == ("inverse", (6,))
+    singular = np.arange(len(joints)) == 6
+    assert np.array_equal(np.isnan(jacobian.J_f(mixed)).all(axis=(-1, -2)), singular)
+    assert np.array_equal(np.isnan(f_r(mixed, np.ones(3), np.ones(3))).all(axis=-1), singular)
+    np.testing.assert_allclose(jacobian.J_f(mixed)[:6], jacobian.J_f(six), rtol=1e-9, atol=1e-11)
+    with pytest.raises(SingularConfigurationError, match="inverse singularity: ") as caught:
+        jacobian.J_f(mixed[6])
+    assert (caught.value.kind, caught.value.index) == ("inverse", ())
     assert caught.value.sigma_min <= 1e-14
     on_the_base = spm.Configuration(
         PAPER, POSE, np.where(np.eye(3)[0][:, None] > 0, PAPER.base_joints, six[0].middle_joints)
     )
     with pytest.raises(SingularConfigurationError, match="forward"):
         jacobian.J_alpha(on_the_base)
+    alone = np.stack([on_the_base.middle_joints, six[0].middle_joints])
+    both = jacobian.J_f(spm.Configuration(PAPER, spm.pose([POSE.translation] * 2, rotation=POSE.rotation), alone))
+    assert np.array_equal(np.isnan(both).any(axis=(-1, -2)), [True, False])

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.paper import published
-from spm_pin.paper.jacobian import PUBLISHED, J_alpha, J_f, J_lambda, Table5Mistakes, load, table_5
+from spm_pin.paper.jacobian import J_alpha, J_f, J_lambda, Table5Mistakes, load, table_5
 
 SWITCHES = ("printed_lever_arm", "missing_entry", "other_load")
 NEEDED = ({"printed_lever_arm", "missing_entry"}, set(SWITCHES))  # by the row of rates, and by that of forces
@@ -77,7 +77,7 @@ def test_true_forces_balance_the_true_rates(solution_3):
 
 
 def test_printed_values_come_from_three_mistakes(solution_3):
-    v_r, f_r = table_5(solution_3, PUBLISHED)
+    v_r, f_r = table_5(solution_3, Table5Mistakes(True, True, True))
     assert agrees(v_r, published.TABLE_5[0]) == agrees(f_r, published.TABLE_5[1]) == [True] * 5
     # The cells that the paper leaves empty.
     assert published.TABLE_5[0][5] is published.TABLE_5[1][5] is None
