@@ -345,9 +345,10 @@ def _judged(
     rows = np.flatnonzero(outliers)
     named = tuple(rows[:10].tolist())
     shown = f"row{'s' * (len(rows) > 1)} {', '.join(map(str, named))}" + (", …" if len(rows) > 10 else "")
-    status, reason, reason_rows = "fits", "", named
+    status, reason, reason_rows = "fits", "", tuple[int, ...]()
     if freedom < 0 or (len(rows) and not freedom):
         status = "misfit" if converged else "not converged"
+        reason_rows = named
         reason = f"too few rows to tell which are wrong: without {shown} none is left over to compare. Measure more"
     elif chi_square > limit or not converged:
         status = "misfit" if converged else "not converged"
@@ -361,9 +362,8 @@ def _judged(
         reason = f"{size}{ended}, largest in row {reason_rows[0]}. {causes}"
     elif len(rows) and not accept_outliers:
         status, these = "outliers", ("this row, leave it" if len(rows) == 1 else "these rows, leave them")
+        reason_rows = named
         reason = f"outlier{'s' * (len(rows) > 1)} in {shown}. Look at {these} out, or use the loss soft_l1"
-    else:
-        reason_rows = ()
     return _Fit(unknown, status, reason, reason_rows, chi_square, outliers)
 
 

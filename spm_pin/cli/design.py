@@ -78,8 +78,7 @@ def design(
     )
     search = {"population": population, "generations": generations, "states": states, "seed": seed}
     with outputs.progress_bar() as progress:
-        processes = workers if workers or scheduler else 1
-        front = pareto_front(problem, store, **search, scheduler=scheduler, workers=processes, progress=progress)
+        front = pareto_front(problem, store, **search, scheduler=scheduler, workers=workers, progress=progress)
     if choose is not None and out is not None:
         if choose >= len(front.designs):
             rows = f"a row from 0 to {len(front.designs) - 1}" if len(front.designs) else "a front that has rows"

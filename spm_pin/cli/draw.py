@@ -82,7 +82,7 @@ def view(
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     path: Annotated[Path | None, Option(metavar="FILE", help="A recorded path to play, a CSV file.")] = None,
-    host: Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")] = ("127.0.0.1"),
+    host: Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")] = "127.0.0.1",
     port: Annotated[int, Option(help="First port to try; 0 lets the system choose.")] = 8080,
     demo: Annotated[
         bool | None, Option("--demo/--no-demo", help="Move until touched; by default if no pose is given.")

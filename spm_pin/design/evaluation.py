@@ -14,9 +14,9 @@ from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import FloatArray, Progress, real_number, type_and_value, whole_number
 from spm_pin.proofs.symmetric_stages import free_of_singularities
 from spm_pin.sweeps.domains import Sample
-from spm_pin.sweeps.metrics import Metric, resolve_metrics
+from spm_pin.sweeps.metrics import Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.workers import check_workers, compile_metrics, run_tasks
+from spm_pin.sweeps.workers import check_workers, run_tasks
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -63,7 +63,7 @@ def evaluate_designs(
     boxes: int = 0,
     seed: int = 0,
     scheduler: str | Client | None = None,
-    workers: int | None = 1,
+    workers: int | None = None,
     progress: Progress | None = None,
 ) -> Designs:
     """Evaluate many machines over one sample of leg lengths, drawn uniformly in shares of their limits.
@@ -85,8 +85,8 @@ def evaluate_designs(
     seed : int
         Of the sequence.
     scheduler, workers
-        As for `spm_pin.sweeps.run_sweep`; by default all is done in this process. A script that asks for more calls
-        this below ``if __name__ == "__main__":``.
+        As for `spm_pin.sweeps.run_sweep`, but without them all is done in this process. A script that asks for more
+        calls this below ``if __name__ == "__main__":``.
     progress : callable, optional
         Called with what is being done, the machines done and all machines.
 
@@ -107,24 +107,19 @@ def evaluate_designs(
     real_number(quantile, "quantile", "a share from 0 to 1", least=0.0, most=1.0)
     whole_number(boxes, "boxes")
     check_workers(scheduler, workers)
-    if scheduler is not None or workers != 1:
+    if scheduler is not None or workers not in (None, 1):
         require_extra("cluster")
     task = partial(_evaluate_some, sample.draw(6, (0,), sample.count), chosen, quantile, boxes)
     values = np.full((len(machines), len(_names(chosen, boxes))), np.nan)
     together = min(_TOGETHER, -(-len(machines) // 4))
     tasks, done = ((k, machines[k : k + together]) for k in range(0, len(machines), together)), 0
-    prepare = partial(prepare_metrics, chosen, machines[0])
-    for first, rows in run_tasks(task, tasks, -(-len(machines) // together), scheduler, workers, prepare):
+    prepare_metrics(chosen, Points(machines[0], "legs", _readings(machines[0], np.full((2, 6), 0.3))))
+    for first, rows in run_tasks(task, tasks, -(-len(machines) // together), scheduler, workers or 1):
         values[first : first + len(rows)] = rows
         done += len(rows)
         if progress is not None:
             progress("machines", done, len(machines))
     return Designs(machines, dict(zip(_names(chosen, boxes), values.T, strict=True)))
-
-
-def prepare_metrics(metrics: str | Metric | Iterable[str | Metric], machine: Geometry) -> None:
-    """Compile what metrics of a machine's states need, for other processes to find."""
-    compile_metrics(resolve_metrics(metrics), Points(machine, "legs", _readings(machine, np.full((2, 6), 0.3))))
 
 
 def leg_ranges(machine: Geometry) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spm_pin.design.evaluation import SIZES, Designs, evaluate_designs, leg_ranges, prepare_metrics
+from spm_pin.design.evaluation import SIZES, Designs, evaluate_designs, leg_ranges
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.arguments import (
@@ -42,6 +42,8 @@ VARIABLES = (
     *(f"{stage}{end}" for stage in _STAGES for end in ("minimum", "stroke")),
 )
 """Names of variables that may be free [m]: E, C, d, the shortest length and the stroke of all legs, or of a stage's."""
+COLUMNS = (*SIZES, "certified", *(f"{metric}_{which}" for metric in METRICS for which in ("mean", "low")))
+"""Names of columns of `Designs` that aims and bounds may name."""
 _CHOICES = ("free", "aims", "at_least", "at_most")
 _FORMAT, _IMPOSSIBLE = 2, 1e30
 
@@ -154,7 +156,7 @@ def pareto_front(
     boxes: int = 30_000,
     seed: int = 0,
     scheduler: str | Client | None = None,
-    workers: int | None = 1,
+    workers: int | None = None,
     progress: Progress | None = None,
 ) -> Front:
     """Search for the machines that no other one beats in all aims, by NSGA-II.
@@ -217,15 +219,13 @@ def pareto_front(
                 raise ArgumentError("store", "the choices of this search", f"others in generation {generation}", cause)
             columns = {name: np.array(column, dtype=float) for name, column in stored[generation]["columns"].items()}
             return Designs(some, columns)
-        alone = 1 if client is None else None
-        designs = evaluate_designs(some, problem.metrics, scheduler=client, workers=alone, **options)
+        designs = evaluate_designs(some, problem.metrics, scheduler=client, **options)
         numbers = {name: [None if np.isnan(x) else x for x in column] for name, column in designs.columns.items()}
         stored.append({"values": values.tolist(), "columns": numbers})
         _write(path, {**definition, "generations": stored})
         return designs
 
-    prepare = partial(prepare_metrics, problem.metrics, problem.geometry)
-    started = processes(population, scheduler, workers, prepare) if len(stored) < generations else nullcontext()
+    started = processes(population, scheduler, workers or 1) if len(stored) < generations else nullcontext()
     with started as client:
         search = _search(problem, population, generations, seed, partial(evaluate, client))
         for generation, designs in enumerate(search):
@@ -248,9 +248,7 @@ def _column(name: str, argument: str) -> str:
     """Check the name of a column of `Designs`."""
     if name in METRICS:
         raise ArgumentError(argument, f"'{name}_mean' or '{name}_low'", repr(name))
-    return choice(
-        name, argument, [*SIZES, "certified", *(f"{x}_{which}" for x in METRICS for which in ("mean", "low"))]
-    )
+    return choice(name, argument, COLUMNS)
 
 
 def _search(problem: DesignProblem, population: int, generations: int, seed: int, evaluate: Any) -> Any:

@@ -199,13 +199,12 @@ def scaled(figure: Figure, factor: float) -> Figure:
 
 def legend_below(figure: Figure, handles: Sequence[Any], **options: Any) -> None:
     """Write the legend below all axes, in place of the one that is there, with as few lines as the width allows."""
-    count = len(handles)
+    count, options = len(handles), {**options, "loc": "outside lower center", "frameon": False}
     # As many columns as fit, with lines of the same length.
     for columns in sorted({math.ceil(count / rows) for rows in range(1, count + 1)}, reverse=True):
         for legend in figure.legends:
             legend.remove()
-        options |= {"loc": "outside lower center", "ncols": columns, "frameon": False}
-        if figure.legend(handles=handles, **options).get_window_extent().width <= figure.bbox.width:
+        if figure.legend(handles=handles, ncols=columns, **options).get_window_extent().width <= figure.bbox.width:
             break
 
 

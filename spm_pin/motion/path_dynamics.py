@@ -160,7 +160,14 @@ class MotionLimits:
     twist: tuple[float, float] | None  # largest speed of o [m/s] and of turning [rad/s]
 
     @classmethod
-    def read(cls, leg_rates: Any, leg_accelerations: Any, leg_jerks: Any, leg_forces: Any, twist: Any) -> MotionLimits:
+    def read(
+        cls,
+        leg_rates: Any = None,
+        leg_accelerations: Any = None,
+        leg_jerks: Any = None,
+        leg_forces: Any = None,
+        twist: Any = None,
+    ) -> MotionLimits:
         """Read the limits of `time_optimal`; raises `ArgumentError`."""
         limits = cls(
             _largest(leg_rates, "leg_rates", "m/s"),
@@ -170,7 +177,7 @@ class MotionLimits:
             _speeds(twist),
         )
         if limits.leg_forces is None and limits.leg_accelerations is None:
-            expected = "limits of the legs' forces, or leg_accelerations"
+            expected = "limits of the legs' forces, or of their accelerations"
             raise ArgumentError("leg_forces", expected, "neither", "Without them the motion would start with a jump")
         return limits
 

@@ -238,6 +238,13 @@ def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Met
     return chosen
 
 
+def prepare_metrics(metrics: Iterable[Metric], points: Points) -> None:
+    """Evaluate the package's metrics, for other processes to find what they need compiled; raises what they raise."""
+    for metric in metrics:
+        if metric.is_of_package:
+            metric.evaluate(points)
+
+
 def condition(
     metric: str | Metric, *, least: float | None = None, most: float | None = None
 ) -> Callable[[Configuration], BoolArray]:

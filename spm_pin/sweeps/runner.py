@@ -101,7 +101,6 @@ def run_sweep(
         -128 where nothing has been computed.
     """
     plan = SweepPlan.make(geometry, domain, metrics, chunk)
-    plan.refuse_impossible()
     return _run(plan, store_path(store), scheduler, workers, progress)
 
 
@@ -155,6 +154,7 @@ def _run(
     if progress is not None and not callable(progress):
         raise ArgumentError("progress", "a function of the points done and of all points", repr(progress))
     report = progress or (lambda done, total: None)
+    plan.prepare()
     store = Store.create(path, plan)
     with locked(path):
         store.remove_drafts()

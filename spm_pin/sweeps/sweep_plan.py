@@ -17,7 +17,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Geometry, LegLimits, Legs
 from spm_pin.mechanism.arguments import check_instance
 from spm_pin.sweeps.domains import AXES, Domain
-from spm_pin.sweeps.metrics import STATUS, Metric, resolve_metrics
+from spm_pin.sweeps.metrics import STATUS, Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points
 
 FORMAT = 4
@@ -54,13 +54,10 @@ class SweepPlan:
             raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(reserved))
         return cls(geometry, domain, ordered, domain.chunk_shape(chunk), package_version())
 
-    def refuse_impossible(self) -> None:
-        """Evaluate the package's metrics at one point: what cannot be computed for this machine has no store."""
+    def prepare(self) -> None:
+        """Evaluate the metrics at one point; raises `SpmError` where one cannot be computed for this machine."""
         first = self.domain.points((0,) * len(self.chunk), (1,) * len(self.chunk))
-        points = Points(self.geometry, self.domain.space, first)
-        for metric in self.metrics:
-            if metric.is_of_package:
-                metric.evaluate(points)
+        prepare_metrics(self.metrics, Points(self.geometry, self.domain.space, first))
 
     @property
     def variables(self) -> tuple[Metric, ...]:

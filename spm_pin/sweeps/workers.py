@@ -14,12 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import check_instance, whole_number
-from spm_pin.sweeps.metrics import Metric
-from spm_pin.sweeps.points import Points
 from spm_pin.sweeps.store import Store, StoreError
 from spm_pin.sweeps.sweep_plan import SweepPlan, package_version
 
@@ -87,21 +83,7 @@ def complete_chunks(
     plan: SweepPlan, path: Path, scheduler: str | Client | None, workers: int | None
 ) -> Generator[Chunk]:
     """Complete all chunks, in any order, and yield the index of each; `ArgumentError` without the scheduler."""
-
-    def compile_functions() -> None:
-        # Whether the point is reached does not matter.
-        corner = np.array([[axis.start for axis in plan.domain.axes]])
-        compile_metrics(plan.metrics, Points(plan.geometry, plan.domain.space, corner))
-
-    yield from run_tasks(partial(complete_chunk, plan, path), plan, plan.count, scheduler, workers, compile_functions)
-
-
-def compile_metrics(metrics: Iterable[Metric], points: Points) -> None:
-    """Evaluate metrics once in this process, for workers to find what is compiled in the cache on disk."""
-    for metric in metrics:
-        with contextlib.suppress(SpmError):
-            if metric.is_of_package:
-                metric.evaluate(points)
+    yield from run_tasks(partial(complete_chunk, plan, path), plan, plan.count, scheduler, workers)
 
 
 def run_tasks(
@@ -110,21 +92,17 @@ def run_tasks(
     count: int,
     scheduler: str | Client | None,
     workers: int | None,
-    prepare: Callable[[], None],
 ) -> Generator[Result]:
     """Yield the results of a task for `count` items, in any order, by processes of this machine or of a scheduler."""
-    with processes(count, scheduler, workers, prepare) as client:
+    with processes(count, scheduler, workers) as client:
         yield from map(task, items) if client is None else _scheduled(task, items, client)
 
 
 @contextlib.contextmanager
-def processes(
-    count: int, scheduler: str | Client | None, workers: int | None, prepare: Callable[[], None]
-) -> Iterator[Client | None]:
+def processes(count: int, scheduler: str | Client | None, workers: int | None) -> Iterator[Client | None]:
     """Start processes for `count` tasks at a time, or connect to a scheduler's, until the end of the `with` block.
 
-    Its value is None if this process is to do all. `prepare` is called before processes are started on this machine.
-    `ArgumentError` without the scheduler.
+    Its value is None if this process is to do all. `ArgumentError` without the scheduler.
     """
     if scheduler is None and 1 in (workers, count):
         yield None
@@ -142,7 +120,6 @@ def processes(
                 cause = "Is it running, and can it be reached from here?"
                 raise ArgumentError("scheduler", "the address of a Dask scheduler", repr(scheduler), cause) from error
         elif scheduler is None:
-            prepare()
             # One thread each: part of the work holds the interpreter's lock. Any free port for the dashboard: without
             # an address it takes a fixed one, which another sweep may have.
             cluster = LocalCluster(
