@@ -181,21 +181,16 @@ def _simulation(section: Section, chain: Any, pace: Pace, progress: Progress, fa
     def ours(tolerance: float) -> Callable[[], FloatArray]:
         return lambda: np.asarray(chain.simulate(q, v, forces, [0.0, 1.0], tolerance=tolerance).leg_lengths[-1])
 
-    def engine(step: float, name: str, **settings: str) -> Callable[[], FloatArray]:
-        from multibody import engine_dynamics
+    def mujoco(step: float, integrator: str) -> Callable[[], FloatArray]:
+        from multibody.engine_dynamics import Mujoco
 
-        made = getattr(engine_dynamics, name)(chain, step, **settings)
-        return lambda: np.asarray(chain.leg_lengths(made.run(q, v, forces, 1.0, legs)))
+        engine = Mujoco(chain, step, integrator=integrator)
+        return lambda: np.asarray(chain.leg_lengths(engine.run(q, v, forces, 1.0, legs)))
 
     peers: list[tuple[str, Callable[[float], Callable[[], FloatArray]], list[float]]] = [
         ("spm_pin, `ClosedChain.simulate`", ours, [10.0**-k for k in range(3, 9)]),
-        (
-            "MuJoCo, Runge-Kutta",
-            partial(engine, name="Mujoco", integrator="mjINT_RK4"),
-            [4e-3 / 2**k for k in range(7)],
-        ),
-        ("MuJoCo, Euler", partial(engine, name="Mujoco", integrator="mjINT_EULER"), [4e-3 / 2**k for k in range(8)]),
-        ("Drake, SAP", partial(engine, name="Drake"), [4e-3 / 2**k for k in range(7)]),
+        ("MuJoCo, Runge-Kutta", partial(mujoco, integrator="mjINT_RK4"), [4e-3 / 2**k for k in range(7)]),
+        ("MuJoCo, Euler", partial(mujoco, integrator="mjINT_EULER"), [4e-3 / 2**k for k in range(8)]),
     ]
     for name, prepare, settings in peers:
         progress(f"one second of simulation: {name}")
