@@ -139,16 +139,15 @@ def read_pose(geometry: Geometry, pose: PoseLike) -> tuple[tuple[int, ...], Floa
 
     rotation, position = unchecked_pose(pose)
     shape, flat, places = position.shape[:-1], rotation.reshape(-1, 3, 3), position.reshape(-1, 3)
-    rigid: list[bool] = []
-    parallel_for(lambda part: rigid.append(are_rigid(flat[part], places[part], EXACT)), len(flat), _MIN_CHECKED)
-    if not all(rigid):
+    check_instance(geometry, Geometry, "geometry")
+    farthest = 2.0 * (LARGEST_RATIO + 1.0) * sum(geometry.dimensions)
+    good: list[bool] = []
+    parallel_for(
+        lambda part: good.append(are_rigid(flat[part], places[part], EXACT, farthest)), len(flat), _MIN_CHECKED
+    )
+    if not all(good):
         rotation, position = checked_pose(rotation, position, "pose")
         flat, places = rotation.reshape(-1, 3, 3), position.reshape(-1, 3)
-    check_instance(geometry, Geometry, "geometry")
-    size = sum(geometry.dimensions)
-    farthest = 2.0 * (LARGEST_RATIO + 1.0) * size
-    # The sum of all squares is enough but for very large batches. Not by BLAS, which takes threads of its own to it.
-    if not np.einsum("ni,ni->", places, places) <= farthest * farthest:
         too_far = np.abs(position).max(axis=-1) > farthest
         if too_far.any():
             index = first_offender(too_far)

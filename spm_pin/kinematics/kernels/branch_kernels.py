@@ -42,9 +42,9 @@ _REAL, _FLAGS, _RANK, _TILTS, _ROWS = 136, 137, 138, 140, 142
 _POSES = f"{readonly_array(3)}, {readonly_array(2)}"
 
 
-@kernel(f"b1({_POSES}, f8)")
-def are_rigid(rotation: FloatArray, position: FloatArray, exact: float) -> bool:
-    """Check that N poses are finite, that no entry of RᵀR - I exceeds `exact`, and that no R is a reflection."""
+@kernel(f"b1({_POSES}, f8, f8)")
+def are_rigid(rotation: FloatArray, position: FloatArray, exact: float, farthest: float) -> bool:
+    """Check N poses: entries of RᵀR - I up to `exact`, det R > 0, |x| + |y| + |z| up to `farthest`."""
     good = True
     for n in range(len(position)):
         a, b, c = rotation[n, 0], rotation[n, 1], rotation[n, 2]
@@ -53,7 +53,7 @@ def are_rigid(rotation: FloatArray, position: FloatArray, exact: float) -> bool:
         skew = max(abs(dot(x, y)), abs(dot(x, z)), abs(dot(y, z)))
         # A maximum may lose NaN; the determinant does not.
         good &= (size <= exact) & (skew <= exact) & (dot(x, cross(y, z)) > 0.0)
-        good &= abs(position[n, 0]) + abs(position[n, 1]) + abs(position[n, 2]) < np.inf
+        good &= abs(position[n, 0]) + abs(position[n, 1]) + abs(position[n, 2]) <= farthest
     return good
 
 
@@ -147,20 +147,6 @@ def _solve(tile: FloatArray, r: float, base_radius: float, platform_radius: floa
 
 
 @jit_inline
-def _store(tile: FloatArray, row: int, start: int, width: int, out: FloatArray) -> None:
-    """Copy rows of a tile to results (N, numbers)."""
-    # A loop of constant length is unrolled, and most tiles are full.
-    if width == TILE:
-        for k in range(TILE):
-            for i in range(out.shape[1]):
-                out[start + k, i] = tile[row + i, k]
-    else:
-        for k in range(width):
-            for i in range(out.shape[1]):
-                out[start + k, i] = tile[row + i, k]
-
-
-@jit_inline
 def _store_status(tile: FloatArray, start: int, width: int, status: npt.NDArray[np.int8], flagged: ByteArray) -> None:
     for k in range(width):
         status[start + k] = 0 if tile[_REAL, k] > 0.0 else 1
@@ -193,21 +179,26 @@ def all_branches(
     two of `Status`, continuous families not counted; as `flagged` (N,) bit k for a continuous family k, and `VERTICAL`.
     """
     count, tile = len(position), np.ones((_ROWS, TILE))
+    rotations = rotation_copy.reshape(count, 9)
+    joint_rows, length_rows = joints.reshape(count, 72), lengths.reshape(count, 48)
     for start in range(0, count, TILE):
         width = min(TILE, count - start)
         _load(rotation, position, start, width, tile)
-        for k in range(start, start + width):
-            for i in range(3):
-                for j in range(3):
-                    rotation_copy[k, i, j] = rotation[k, i, j]
-                position_copy[k, i] = position[k, i]
         _solve(tile, r, base_radius, platform_radius)
         _put_homes(tile, base_radius, platform_radius)
-        _store(tile, _JOINTS, start, width, joints.reshape(count, 72))
-        _store(tile, _LENGTHS, start, width, lengths.reshape(count, 48))
-        _store(tile, _DISCRIMINANTS, start, width, discriminants)
         _store_status(tile, start, width, status, flagged)
+        # Pose by pose, by loops of constant length: in another order it takes twice the time.
         for k in range(width):
+            for i in range(9):
+                rotations[start + k, i] = tile[i, k]
+            for i in range(3):
+                position_copy[start + k, i] = tile[_POSITION + i, k]
+            for i in range(72):
+                joint_rows[start + k, i] = tile[_JOINTS + i, k]
+            for i in range(48):
+                length_rows[start + k, i] = tile[_LENGTHS + i, k]
+            for i in range(4):
+                discriminants[start + k, i] = tile[_DISCRIMINANTS + i, k]
             preference[start + k, 0], preference[start + k, 1] = np.uint8(tile[_RANK, k]), np.uint8(tile[_RANK + 1, k])
             preference[start + k, 2] = 1 if tile[_TILTS + 1, k] > tile[_TILTS, k] else 0
 
@@ -274,11 +265,14 @@ def branch_lengths(
 ) -> None:
     """Solve N poses for the leg lengths alone; arguments as for `all_branches`."""
     count, tile = len(position), np.ones((_ROWS, TILE))
+    length_rows = lengths.reshape(count, 48)
     for start in range(0, count, TILE):
         width = min(TILE, count - start)
         _load(rotation, position, start, width, tile)
         _solve(tile, r, base_radius, platform_radius)
-        _store(tile, _LENGTHS, start, width, lengths.reshape(count, 48))
+        for k in range(width):
+            for i in range(48):
+                length_rows[start + k, i] = tile[_LENGTHS + i, k]
         _store_status(tile, start, width, status, flagged)
 
 
