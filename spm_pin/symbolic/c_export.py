@@ -152,9 +152,9 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
         "ROOT_STEPS": str(ROOT_STEPS),
         "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(geometry).values()),
         "BODIES": _row(functions.bodies(geometry, masses)),
-        "STATUSES": "\n".join(
-            f"    @PREFIX_UPPER@{name} = {value}, /* {meaning} */" for name, (value, meaning) in STATUSES.items()
-        ).replace(", /* the state to", " /* the state to"),
+        "STATUSES": ",\n".join(
+            f"    /* {meaning} */\n    @PREFIX_UPPER@{name} = {value}" for name, (value, meaning) in STATUSES.items()
+        ),
         "STATUS_NAMES": "\n".join(
             f'    case @PREFIX_UPPER@{name}: return "{name.lower().replace("_", " ")}";' for name in STATUSES
         ),
