@@ -14,8 +14,8 @@ from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.figures import FORMATS
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
+from spm_pin.display.writing import FORMATS
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS
 

@@ -13,7 +13,8 @@ from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
-from spm_pin.display.figures import fixed, motion_figure
+from spm_pin.display.figures import motion_figure
+from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, IntArray

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli.outputs import note
 from spm_pin.description.masses import Masses
-from spm_pin.display.figures import fixed
+from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError, PoseError
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from typer.models import ArgumentInfo
 
-from spm_pin.display.figures import FORMATS, Style, save_figure, to_json
+from spm_pin.display.writing import FORMATS, Style, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import writing
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, Triple, leg_option
-from spm_pin.display.figures import fixed
+from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates

@@ -13,7 +13,7 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.crosscheck import POSE, TABLES, Reproduction, Verdict
 from spm_pin.crosscheck import reproduce as recompute
-from spm_pin.display.figures import fixed
+from spm_pin.display.writing import fixed
 
 _TITLES = {
     POSE: "The example's pose (cm, degrees) from the leg lengths 120, 120, 140, 125, 120, 150 cm",

@@ -11,8 +11,8 @@ from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.figures import FORMATS, Style, save_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
+from spm_pin.display.writing import FORMATS, Style, save_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.workspace.paper_shell import ERRATA, Shell, workspace_shell

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from spm_pin.display.figures import (
-        Style,
         agreement_figure,
         calibration_figure,
         certificate_figure,
         front_figure,
         motion_figure,
         path_figure,
-        save_figure,
     )
     from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
     from spm_pin.display.shell_plots import draw_shell, save_mesh, sections_figure, shell_figure
     from spm_pin.display.viewer import Playback, Recording, Viewer, read_recording
+    from spm_pin.display.writing import Style, save_figure
 
 __all__ = [
     "Playback",
@@ -48,18 +47,17 @@ __all__ = [
 # Imported on first use: each room that a figure shows takes a moment.
 _HOMES = {
     "figures": (
-        "Style",
         "agreement_figure",
         "calibration_figure",
         "certificate_figure",
         "front_figure",
         "motion_figure",
         "path_figure",
-        "save_figure",
     ),
     "plots": ("draw", "draw_capability", "save_gallery", "save_picture"),
     "shell_plots": ("draw_shell", "save_mesh", "sections_figure", "shell_figure"),
     "viewer": ("Playback", "Recording", "Viewer", "read_recording"),
+    "writing": ("Style", "save_figure"),
 }
 
 

@@ -12,16 +12,6 @@ import numpy as np
 
 from spm_pin.capability import Section
 from spm_pin.description.visuals import section_size, visual_parts
-from spm_pin.display.figures import (
-    FORMATS,
-    Style,
-    check_appearance,
-    new_axes,
-    new_figure,
-    save_figure,
-    scaled,
-    write_name,
-)
 from spm_pin.display.rendering import (
     AXIS_COLOURS,
     TRIAD,
@@ -34,6 +24,16 @@ from spm_pin.display.rendering import (
     camera_axes,
     render,
     robot_solids,
+)
+from spm_pin.display.writing import (
+    FORMATS,
+    Style,
+    check_appearance,
+    new_axes,
+    new_figure,
+    save_figure,
+    scaled,
+    write_name,
 )
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS

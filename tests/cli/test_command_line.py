@@ -25,7 +25,7 @@ import spm_pin as spm
 from spm_pin.cli import outputs
 from spm_pin.cli.application import EXIT_CODES, app
 from spm_pin.crosscheck import METHODS, ClosedForm
-from spm_pin.display.figures import fixed, to_json
+from spm_pin.display.writing import fixed, to_json
 from spm_pin.errors import EXTRAS, MissingExtraError
 
 EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88"]

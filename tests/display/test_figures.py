@@ -14,8 +14,9 @@ from PIL import Image
 
 import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
-from spm_pin.display.figures import DARK, Style, agreement_figure, legend_below, new_figure, save_figure, write_name
+from spm_pin.display.figures import agreement_figure
 from spm_pin.display.plots import save_picture
+from spm_pin.display.writing import DARK, Style, legend_below, new_figure, save_figure, write_name
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.motion import plan, time_optimal
 from spm_pin.multibody.chain import ClosedChain

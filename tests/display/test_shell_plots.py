@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.figures import save_figure
 from spm_pin.display.rendering import camera_axes
 from spm_pin.display.shell_plots import (
     FAMILY_COLOURS,
@@ -24,6 +23,7 @@ from spm_pin.display.shell_plots import (
     sections_figure,
     shell_figure,
 )
+from spm_pin.display.writing import save_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.workspace.paper_shell import workspace_shell
 

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.description.visuals import visual_parts
-from spm_pin.display.figures import fixed, to_json
 from spm_pin.display.rendering import robot_solids
 from spm_pin.display.viewer.model import (
     ViewerModel,
@@ -29,6 +28,7 @@ from spm_pin.display.viewer.model import (
 from spm_pin.display.viewer.panel import forces_table, instruments, status
 from spm_pin.display.viewer.playback import demo_motion
 from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points, solid_placements
+from spm_pin.display.writing import fixed, to_json
 from spm_pin.kinematics.forward_displacement import starting_configuration
 
 PAPER = spm.Geometry.paper()

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.display.figures import fixed
 from spm_pin.display.viewer.model import NEAR, SINGULARITIES, State, command_line, pose_coordinates
 from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, Colour
+from spm_pin.display.writing import fixed
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_limits import LEGS

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.display.figures import to_json
 from spm_pin.display.viewer.model import (
     State,
     ViewerModel,
@@ -27,6 +26,7 @@ from spm_pin.display.viewer.model import (
 from spm_pin.display.viewer.panel import Panel
 from spm_pin.display.viewer.playback import Playback, Recording
 from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, RobotScene, fit_camera, robot_points
+from spm_pin.display.writing import to_json
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism import Configuration
 from spm_pin.mechanism import pose as make_pose
