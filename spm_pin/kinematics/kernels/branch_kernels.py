@@ -33,8 +33,6 @@ from spm_pin.mechanism.arguments import FloatArray
 VERTICAL = 16
 """Flag of a pose, besides bit k for a continuous family k: the two Z axes are parallel, without a common normal."""
 
-"""An array of bytes: flags that compiled loops write."""
-
 # Rows of a tile: R, o, the discriminants over r²; b_i and leg lengths, branch by branch; 1 if a branch is real; flags;
 # of TT+ and TT-, 1 if physical, 2 if within the leg limits too, and the sum of its radii.
 _POSITION, _DISCRIMINANTS, _JOINTS, _LENGTHS = 9, 12, 16, 88
