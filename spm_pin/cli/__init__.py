@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import _thread
 import os
 import signal
 import sys
@@ -23,7 +22,8 @@ def main() -> None:
     def interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
         # Raised while a compiler called Python back, the exception goes no further: raise it a little later.
         if isinstance(unraisable.exc_value, KeyboardInterrupt):
-            threading.Timer(0.05, _thread.interrupt_main).start()
+            main_thread = threading.main_thread().ident or 0
+            threading.Timer(0.05, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
         else:
             report_unraisable(unraisable)
 
