@@ -84,7 +84,11 @@ def inverse_displacement(geometry: Geometry | Array, rotation: Array, translatio
         raise ArgumentError("geometry", "a machine as drawn", "one as built, as 54 parameters always count", cause)
     b, exists = problem.drawn_branches(range(len(FAMILIES)), 0.0)
     b = problem.with_derivatives(b, exists)
-    zero, batch, lengths = 0.0 * b[0][0], problem.zero.ndim, _readings(library, problem.machine, problem.legs, b)
+    zero, batch, lengths = (
+        library.zeros(b[0][0]),
+        problem.zero.ndim,
+        _readings(library, problem.machine, problem.legs, b),
+    )
     arrays = library.stacked(b, zero), library.stacked(lengths, zero), exists
     return Branches(*(library.xp.moveaxis(x, 0, batch) for x in arrays))
 
@@ -153,7 +157,7 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     machine, run = read_machine(library, geometry), library.run
     shown = [readings[..., i] for i in range(6)]
     lengths = [x - offset for x, offset in zip(shown, machine.offsets, strict=True)]
-    zero = 0.0 * (sum(lengths) + machine.r + (0.0 if near is None else near.translation[..., 0]))
+    zero = library.zeros(*lengths, machine.r, *([] if near is None else [near.translation[..., 0]]))
     halves = tuple(lengths[:3]), tuple(lengths[3:])
     # Both stages are solved together, each seen from its own platform.
     both = library.together(list(zip(machine.legs, halves, machine.squares, strict=True)), zero)
@@ -199,9 +203,8 @@ class _Inverse:
         given = state_arrays(near, "near")
         self.library = library_of(geometry=geometry, rotation=rotation, translation=translation, **given)
         self.pose, self.machine = (rows_of(rotation), vector_of(translation)), read_machine(self.library, geometry)
-        self.zero = 0.0 * (self.pose[0][0][0] + self.pose[1][0] + self.machine.r)
-        if near is not None:
-            self.zero = self.zero + 0.0 * near.middle_joints[..., 0, 0]
+        beside = [] if near is None else [near.middle_joints[..., 0, 0]]
+        self.zero = self.library.zeros(self.pose[0][0][0], self.pose[1][0], self.machine.r, *beside)
         self.legs = self.machine.legs[0], self.library.run(leg_planes.carried, self.machine.legs[1], *self.pose)
         # The same, without derivatives.
         self._machine, self._pose, self._legs = self.library.constant((self.machine, self.pose, self.legs))

@@ -64,6 +64,10 @@ class Library:
         """Select between nested tuples of equal structure, entry by entry."""
         return mapped(functools.partial(self.where, condition), yes, no)
 
+    def zeros(self, *numbers: Any) -> Array:
+        """Return zeros of the shape that numbers have together, through which no derivative goes."""
+        return self.xp.zeros_like(sum(numbers))
+
     def together(self, trees: Sequence[Any], zero: Array) -> Any:
         """Return nested tuples of equal structure as one, along a first axis.
 

@@ -26,7 +26,7 @@ class _Legs:
         self.exists = state.exists
         # Selected before anything is computed, or derivatives were NaN where nothing exists.
         self.b, self.pose = self.library.select(state.exists, (rows_of(state.middle_joints), pose), placeholder)
-        self.zero = 0.0 * (self.pose[1][0] + self.pose[0][0][0] + self.b[0][0] + self.machine.r)
+        self.zero = self.library.zeros(self.pose[1][0], self.pose[0][0][0], self.b[0][0], self.machine.r)
         self.lower = self.machine.legs[0]
         self.upper = self.library.run(leg_planes.carried, self.machine.legs[1], *self.pose)
         self.c = self.machine.upper_balls(self.library, self.b)
@@ -77,7 +77,7 @@ def leg_forces(geometry: Geometry | Array, state: State | Configuration, wrench:
         Force [N] and moment [N m] at o in {B}, applied to the platform from outside.
     """
     legs = _Legs(geometry, state, wrench=wrench)
-    library, zero = legs.library, legs.zero + 0.0 * wrench[..., 0]
+    library, zero = legs.library, legs.library.zeros(legs.zero, wrench[..., 0])
     stages = (legs.b, legs.lower_directions, legs.lower.axes), (legs.c, legs.upper_directions, legs.upper.axes)
     stage = library.together(stages, zero)
     stage = legs.regular(stage, library.run(wrenches.determinant, *stage))

@@ -141,6 +141,25 @@ def test_all_branches_have_finite_derivatives_in_every_pose() -> None:
     assert all(jnp.isfinite(x).all() for x in rates)
 
 
+@pytest.mark.parametrize("name", ["inverse_physical", pytest.param("inverse_displacement", marks=pytest.mark.slow)])
+def test_a_masked_cost_has_the_same_gradient_in_both_directions(name: str) -> None:
+    # Level, symmetric, regular and out of reach.
+    states = spm.forward_physical(PAPER, [[1.2, 1.4, 1.2, 1.3, 1.2, 1.3], [1.25, 1.15, 1.40, 1.30, 1.20, 1.40]])
+    rotations = jnp.concatenate([jnp.eye(3)[None], states.rotation, states.rotation[1:]])
+    places = jnp.concatenate([jnp.array([[0.0, 0.0, 2.2]]), states.translation, jnp.array([[3.0, 2.0, 9.0]])])
+
+    def cost(dimensions: Any, rotations: Any, places: Any) -> Any:
+        found = getattr(arrays, name)(dimensions, rotations, places)
+        lengths = found.readings if name == "inverse_physical" else found.leg_lengths
+        return jnp.where(found.exists, lengths.sum(axis=-1), 0.0).sum()
+
+    arguments = jnp.asarray(PAPER.dimensions), rotations, places
+    backward, forward = (way(cost, argnums=(0, 1, 2))(*arguments) for way in (jax.grad, jax.jacfwd))
+    assert np.abs(forward[0]).min() > 0.0
+    for found, expected in zip(backward, forward, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.slow
 def test_second_derivatives_are_differences_of_the_first() -> None:
     def height(readings: Any) -> Any:
