@@ -114,8 +114,8 @@ def inverse_physical(
     Returns
     -------
     State
-        Without `near` that of `spm_pin.inverse_physical`; of a machine as built if its errors are small: with 1e-3 m and
-        rad one state in some thousands is lost or is another one, with 1e-2 one in a hundred. Of parameters no leg
+        Without `near` that of `spm_pin.inverse_physical`; of a machine as built if its errors are small: with 1e-3 m
+        and rad one state in some thousands is lost or is another one, with 1e-2 one in a hundred. Of parameters no leg
         limits are known.
     """
     problem = _Inverse(geometry, rotation, translation, near)

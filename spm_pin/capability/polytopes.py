@@ -41,6 +41,7 @@ from spm_pin.mechanism.configuration import check_configuration
 _PARTS = {"linear": slice(3), "angular": slice(3, 6)}
 _CORNERS = (np.arange(64)[:, None] >> np.arange(6)) & 1 == 1
 _MOST = 1e100
+_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
 
 class HalfSpaces(NamedTuple):
@@ -233,7 +234,10 @@ class Polytope:
     def _values(self, points: npt.ArrayLike, argument: str) -> FloatArray:
         array = real_array(points, argument, (6,), "linear part, then angular part, at o in {B}")
         broadcastable(argument, array.shape[:-1], "the polytope", self.lower.shape[:-1])
-        return np.asarray((self.rows @ array[..., None])[..., 0])
+        values = (self.rows @ array[..., None])[..., 0]
+        # What is zero to rounding would be inside or outside a limit of zero by its sign.
+        largest = np.abs(self.rows).max(axis=-1) * np.abs(array).max(axis=-1, keepdims=True)
+        return np.where(np.abs(values) <= _ROUNDING * largest, 0.0, values)
 
     def _around_zero(self, sizes: FloatArray) -> FloatArray:
         """Return sizes of what is around zero, 0 and not -0 where zero is outside, NaN where a state does not exist."""

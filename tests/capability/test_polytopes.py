@@ -168,6 +168,21 @@ def test_singular_sets_have_no_end() -> None:
         velocity_polytope(home, 0.1)
 
 
+def test_a_leg_that_does_not_move_is_not_stopped_by_a_limit_of_zero() -> None:
+    """Straight up the upper legs of a drawn machine keep their lengths, to rounding of either sign."""
+    states = spm.forward_physical(
+        PAPER, [STATE.readings, [1.25, 1.15, 1.4, 1.3, 1.2, 1.4], [1.3, 1.2, 1.2, 1.4, 1.3, 1.2]]
+    )
+    rates = np.array([0.2, 0.2, 0.2, 0.2, 0.0, 0.2])
+    shortening = velocity_polytope(states, [[-0.2] * 6, rates.tolist()])
+    for up in (1.0, -1.0):
+        direction = [0.0, 0.0, up, 0.0, 0.0, 0.0]
+        expected = velocity_polytope(states, 0.2).extent(direction)
+        np.testing.assert_allclose(shortening.extent(direction), expected, rtol=1e-12)
+        assert shortening.contains(0.9 * expected[:, None] * direction).all()
+        assert not shortening.contains(1.1 * expected[:, None] * direction).any()
+
+
 def test_batches_hold_absent_members_and_overloaded_ones() -> None:
     states = spm.forward_physical(PAPER, [STATE.readings, [1.2, 1.2, 9.0, 1.2, 1.2, 1.2]])
     held = wrench_polytope(states, 1000.0)
