@@ -11,7 +11,7 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.arguments import FloatArray, Progress, real_number, type_and_value, whole_number
+from spm_pin.mechanism.arguments import FloatArray, Progress, check_progress, real_number, type_and_value, whole_number
 from spm_pin.proofs.symmetric_stages import free_of_singularities
 from spm_pin.sweeps.domains import Sample
 from spm_pin.sweeps.metrics import Metric, prepare_metrics, resolve_metrics
@@ -107,10 +107,11 @@ def evaluate_designs(
     real_number(quantile, "quantile", "a share from 0 to 1", least=0.0, most=1.0)
     whole_number(boxes, "boxes")
     check_workers(scheduler, workers)
+    check_progress(progress)
     if scheduler is not None or workers not in (None, 1):
         require_extra("cluster")
     task = partial(_evaluate_some, sample.draw(6, (0,), sample.count), chosen, quantile, boxes)
-    values = np.full((len(machines), len(_names(chosen, boxes))), np.nan)
+    values = np.full((len(machines), len(column_names(chosen, boxes))), np.nan)
     together = min(_TOGETHER, -(-len(machines) // 4))
     tasks, done = ((k, machines[k : k + together]) for k in range(0, len(machines), together)), 0
     prepare_metrics(chosen, Points(machines[0], "legs", _readings(machines[0], np.full((2, 6), 0.3))))
@@ -119,7 +120,7 @@ def evaluate_designs(
         done += len(rows)
         if progress is not None:
             progress("machines", done, len(machines))
-    return Designs(machines, dict(zip(_names(chosen, boxes), values.T, strict=True)))
+    return Designs(machines, dict(zip(column_names(chosen, boxes), values.T, strict=True)))
 
 
 def leg_ranges(machine: Geometry) -> tuple[FloatArray, FloatArray]:
@@ -129,7 +130,8 @@ def leg_ranges(machine: Geometry) -> tuple[FloatArray, FloatArray]:
     return low, np.array(machine.limits.maximum) - low
 
 
-def _names(metrics: tuple[Metric, ...], boxes: int) -> list[str]:
+def column_names(metrics: tuple[Metric, ...], boxes: int) -> list[str]:
+    """Return the names of the columns of `Designs`, in their order."""
     statistics = [f"{metric.name}_{which}" for metric in metrics for which in ("mean", "low")]
     return [*SIZES, *statistics, *(["certified"] if boxes else [])]
 

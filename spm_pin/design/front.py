@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spm_pin.design.evaluation import SIZES, Designs, evaluate_designs, leg_ranges
+from spm_pin.design.evaluation import SIZES, Designs, column_names, evaluate_designs, leg_ranges
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.arguments import (
@@ -22,6 +22,7 @@ from spm_pin.mechanism.arguments import (
     FloatArray,
     Progress,
     check_instance,
+    check_progress,
     choice,
     file_path,
     number_pair,
@@ -29,7 +30,7 @@ from spm_pin.mechanism.arguments import (
     whole_number,
     writing,
 )
-from spm_pin.sweeps.metrics import METRICS
+from spm_pin.sweeps.metrics import METRICS, resolve_metrics
 from spm_pin.sweeps.sweep_plan import definition_differences, package_version
 from spm_pin.sweeps.workers import check_workers, processes
 
@@ -198,6 +199,8 @@ def pareto_front(
     real_number(quantile, "quantile", "a share from 0 to 1", least=0.0, most=1.0)
     whole_number(seed, "seed", most=2**32 - 1)
     check_workers(scheduler, workers)
+    check_progress(progress)
+    whole_number(boxes, "boxes")
     needed = boxes if "certified" in problem.columns else 0
     options: dict[str, Any] = {"states": states, "quantile": quantile, "boxes": needed, "seed": seed}
     given = {
@@ -209,7 +212,7 @@ def pareto_front(
         **options,
     }
     definition, parts = json.loads(json.dumps(given)), list[Designs]()
-    stored = _read(path, definition, problem.columns)
+    stored = _read(path, definition, column_names(resolve_metrics(problem.metrics), needed))
 
     def evaluate(client: Client | None, values: FloatArray, generation: int) -> Designs:
         some = tuple(map(problem.machine, values))
@@ -272,7 +275,7 @@ def _search(problem: DesignProblem, population: int, generations: int, seed: int
         yield designs
 
 
-def _read(path: Path, definition: dict[str, Any], names: tuple[str, ...]) -> list[dict[str, Any]]:
+def _read(path: Path, definition: dict[str, Any], names: list[str]) -> list[dict[str, Any]]:
     """Return the generations in a file of the search, none if there is no file."""
     if not path.exists():
         return []
@@ -283,7 +286,7 @@ def _read(path: Path, definition: dict[str, Any], names: tuple[str, ...]) -> lis
         differences = definition_differences(content, definition, of="search")
         for one in [] if differences else generations:
             lengths = {np.array(column, dtype=float).shape for column in one["columns"].values()}
-            if not one["columns"].keys() >= set(names) or lengths != {(len(one["values"]),)}:
+            if one["columns"].keys() != set(names) or lengths != {(len(one["values"]),)}:
                 raise ValueError("a generation without all its numbers")
     except (OSError, ValueError, AttributeError, KeyError, TypeError) as error:
         raise ArgumentError("store", expected, path, f"It cannot be read: {error!r}") from error

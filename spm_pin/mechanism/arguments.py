@@ -54,6 +54,12 @@ def check_instance(value: Any, kind: type[Kind], argument: str, cause: str = "")
     return value
 
 
+def check_progress(value: object, told: str = "what is being done, how much is done, and of how much") -> None:
+    """Raise `ArgumentError` if this is neither None nor a function."""
+    if value is not None and not callable(value):
+        raise ArgumentError("progress", f"a function of {told}", type_and_value(value))
+
+
 def real_number(
     value: Any,
     argument: str,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry
+from spm_pin.mechanism.arguments import check_progress
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.metrics import Metric
 from spm_pin.sweeps.store import (
@@ -151,8 +152,7 @@ def _run(
 ) -> xarray.Dataset:
     require_extra("cluster")
     check_workers(scheduler, workers)
-    if progress is not None and not callable(progress):
-        raise ArgumentError("progress", "a function of the points done and of all points", repr(progress))
+    check_progress(progress, "the points done and all points")
     report = progress or (lambda done, total: None)
     plan.prepare()
     store = Store.create(path, plan)

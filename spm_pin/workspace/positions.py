@@ -301,6 +301,8 @@ def check_condition(where: Condition, states: Configuration) -> BoolArray:
     """Return which states (n,) satisfy a condition, after a check of what it returns."""
     if not callable(where):
         raise ArgumentError("where", "a function of states that says which count", type_and_value(where))
+    if states.shape == (0,):
+        return np.zeros(0, dtype=np.bool_)
     answer = np.asarray(where(states))
     if answer.shape != states.shape or answer.dtype.kind != "b":
         received = f"{answer.dtype} of shape {answer.shape}"

@@ -86,8 +86,12 @@ def test_a_finished_search_is_read_and_another_one_refused(tmp_path: Path, monke
     assert evaluated == [1]  # the reference
     np.testing.assert_array_equal(again.designs.columns["volume"], front.designs.columns["volume"])
     content = json.loads(path.read_text(encoding="utf-8"))
-    short = {"values": content["generations"][0]["values"], "columns": {"payload_low": [1.0]}}
+    first = content["generations"][0]
+    short = {"values": first["values"], "columns": {"payload_low": [1.0]}}
+    # Not an aim, but a column of the result.
+    fewer = {**first, "columns": {name: column for name, column in first["columns"].items() if name != "payload_mean"}}
     for damage in (
+        {**content, "generations": [first, fewer]},
         {},
         {**content, "generations": 5},
         {**content, "generations": [{}]},

@@ -84,6 +84,11 @@ def test_volumes_with_a_condition_are_shares_of_the_whole() -> None:
     # The level is one of the position: a point counts for one of them. Points that do not count widen the interval.
     assert low.value + high.value == pytest.approx(whole.value, rel=1e-12)
     assert low.high == pytest.approx(whole.high)
+    # A function of states is never given none of them.
+    sizes: list[int] = []
+    reachable_volume(PAPER, NARROW, samples=20, rng=1, where=lambda each: sizes.append(len(each.exists)) or each.exists)
+    assert sizes
+    assert min(sizes) > 0
     poses = pose_volume(PAPER, NARROW, samples=5_000, rng=2)
     parts = [pose_volume(PAPER, NARROW, samples=5_000, rng=2, where=w) for w in (is_low, lambda s: ~is_low(s))]
     assert sum(part.value for part in parts) == pytest.approx(poses.value, rel=1e-12)
