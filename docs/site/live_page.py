@@ -163,7 +163,7 @@ def _parts(ranges: dict[str, tuple[float, int, int]]) -> list[list[object]]:
 
     def add(body: str, mesh: str, colour: tuple[float, float, float], matrix: npt.NDArray[np.float64]) -> None:
         scale, first, count = ranges[mesh]
-        numbers = (matrix * [scale, scale, scale, 1.0]).T.ravel()
+        numbers = (matrix * [scale, scale, scale, 1.0]).T.ravel().round(5) + 0.0  # -0.0 becomes 0.0
         parts.append([BODIES.index(body), mesh, first, count, *(round(float(x), 5) for x in (*colour, *numbers))])
 
     for part in visual_parts(GEOMETRY):
