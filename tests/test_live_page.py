@@ -355,6 +355,8 @@ def test_the_picture_stands_in_its_place(browser, file: Path, options: dict[str,
     page, errors, _ = opened(browser, file, script, **options)
     until(page.locator("img").is_visible, "the picture", page=page)
     assert page.locator("#live").is_hidden()
+    page.goto((ROOT / "docs/live.html").as_uri())
+    until(page.get_by_text("needs a browser with").is_visible, "what the page in one file needs", page=page)
     assert not errors
     page.close()
 

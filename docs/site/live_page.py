@@ -58,10 +58,12 @@ body {{
 }}
 body {{ background: var(--color-background-primary); color: var(--color-foreground-primary); }}
 h1 {{ font-size: 1.4rem; margin: 0 0 0.5rem; }}
+.live:not([hidden]) ~ .needs {{ display: none; }}
 </style>
 <body>
 <h1>The 3RPS-3SPR manipulator: one pose, all its branches</h1>
 {machine}
+<p class="needs">Nothing is shown here: the machine needs a browser with JavaScript, WebAssembly and WebGL 2.</p>
 <p>A page of <b>spm_pin</b>, closed-chain kinematics of this machine. All of it is in this file.</p>
 </body>
 </html>
@@ -163,7 +165,7 @@ def _parts(ranges: dict[str, tuple[float, int, int]]) -> list[list[object]]:
 
     def add(body: str, mesh: str, colour: tuple[float, float, float], matrix: npt.NDArray[np.float64]) -> None:
         scale, first, count = ranges[mesh]
-        numbers = (matrix * [scale, scale, scale, 1.0]).T.ravel()
+        numbers = (matrix * [scale, scale, scale, 1.0]).T.ravel().round(5) + 0.0  # -0.0 becomes 0.0
         parts.append([BODIES.index(body), mesh, first, count, *(round(float(x), 5) for x in (*colour, *numbers))])
 
     for part in visual_parts(GEOMETRY):

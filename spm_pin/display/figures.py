@@ -69,7 +69,7 @@ def calibration_figure(calibration: Calibration) -> Figure:
     residuals = {"before": (calibration.before, _VERMILION), "after": (calibration.residuals, _BLUE)}
     for name, (values, colour) in residuals.items():
         sizes = 1e6 * np.linalg.norm(values[:, :3], axis=-1)
-        label = f"{name}, {np.sqrt((sizes**2).mean()):.3g} µm RMS"
+        label = f"{name}, {float(f'{np.sqrt((sizes**2).mean()):.3g}'):g} µm RMS"  # 9200, not 9.2e+03
         errors.semilogy(np.maximum(sizes, 1e-9), "o", ms=3.5, color=colour, label=label)
     outliers = np.flatnonzero(calibration.outliers)
     if len(outliers):
@@ -80,8 +80,8 @@ def calibration_figure(calibration: Calibration) -> Figure:
     legend_below(figure, handles, fontsize=8)
     count = len(calibration.deviations)
     combinations.semilogy(1 + np.arange(count), calibration.deviations, ".", color=_BLUE)
-    combinations.set(xlabel="combination of parameters", ylabel="standard deviation [d, rad]")
-    combinations.set_title(f"{count} identifiable, {len(calibration.unidentifiable)} not", fontsize=10)
+    combinations.set(xlabel="combination of parameters", ylabel="standard deviation [d,\u00a0rad]")
+    combinations.set_title(f"{count} identifiable, {len(calibration.unidentifiable)}\u00a0not", fontsize=10)
     return figure
 
 
@@ -249,4 +249,5 @@ def _aim(name: str, sense: str | None) -> str:
     if metric in (METRICS["payload"], METRICS["payload_down"]):
         unit = "of a leg's force"  # the metric's own limit is 1 N
     better = {"max": ", max", "min": ", min"}.get(sense or "", "")
+    unit = unit.replace(" ", "\u00a0")  # lines are not broken there
     return f"{name}{f' [{unit}]' if unit and unit != '1' else ''}{better}"

@@ -103,7 +103,7 @@ def _start(geometry: Geometry) -> tuple[list[float], Configuration]:
     high = np.minimum(limits.maximum, np.maximum(low, home + offsets) + home)
     middle, reach = 0.5 * (low + high), np.minimum(0.25 * (high - low), _SHARE * home)
     for share in (1.0, 0.5, 0.2):
-        readings = middle + share * reach * _PATTERN
+        readings = (middle + share * reach * _PATTERN).round(12)  # 1.2, not 1.2000000000000002
         states = forward_physical(geometry, [readings, 0.5 * (middle + readings)])
         if states.exists.all():
             return readings.tolist(), states[1]

@@ -64,5 +64,5 @@ def test_a_front_shows_its_machines_and_the_one_that_it_began_with() -> None:
     np.testing.assert_array_equal(evaluated.get_offsets(), np.stack([*columns.values()], axis=-1))
     np.testing.assert_array_equal(front.get_offsets(), evaluated.get_offsets())
     np.testing.assert_array_equal(start.get_offsets(), [[1.4, 1.4]])
-    assert ax.get_xlabel() == "volume [m³ rad³], max"
+    assert ax.get_xlabel() == "volume [m³\u00a0rad³], max"
     assert ax.get_ylabel() == "footprint [m²], min"

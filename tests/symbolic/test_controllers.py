@@ -184,6 +184,7 @@ def test_the_start_is_within_the_limits_and_the_pose_to_paste_is_reached_from_it
     start, position, orientation = (
         [float(x.split(":")[-1]) for x in re.search(pattern, launch)[1].split(",")] for pattern in numbers
     )
+    assert start == np.round(start, 12).tolist()
     assert f"START = {start}" in files["scripts/joint_states.py"]
     state = spm.forward_physical(machine, start)
     assert state.exists

@@ -602,7 +602,7 @@ try {
   const [kinematics, meshes] = await Promise.all([loadKinematics(), unpacked(data.meshes)]);
   start(kinematics, meshes);
 } catch (error) {
-  // The picture below takes its place.
+  // What stands below takes its place: the front page's picture, or a line that says what is needed.
   root.hidden = true;
   console.warn(`The machine is not shown live: ${error.message}`);
 }
