@@ -153,7 +153,7 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
     solve = _solve_drawn if geometry.is_nominal else _solve_as_built
     state = Configuration.from_arrays(geometry, *with_batch_shape(solve(geometry, lengths), shape))
     if not shape and not state.exists:
-        reason = "With these leg lengths no configuration is reached from the home without a forward singularity"
+        reason = "with these leg lengths no configuration is reached from the home without a forward singularity"
         state.missing_reason = f"{reason}. {unit_hint(geometry, checked)}".rstrip(". ")
     return state
 

@@ -416,7 +416,7 @@ def _listed(numbers: FloatArray) -> str:
 def _absent(argument: str, expected: str, received: str, configuration: Configuration) -> ArgumentError:
     """Return the error about what has no physical solution."""
     reason = configuration.missing_reason or "Out of reach, or a misread number?"
-    sentence = f"{reason}{'' if reason.endswith(('.', '?')) else '.'}"
+    sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
     cause = f"{sentence} Pass a closed q as near: the solution on the path from there need not be physical."
     return ArgumentError(argument, expected, received, cause)
 

@@ -133,7 +133,8 @@ class Store:
         is_new = False
         with as_store_error(path):
             if not path.exists() or (path.is_dir() and not any(path.iterdir())):
-                path.parent.mkdir(parents=True, exist_ok=True)
+                if not path.parent.exists():
+                    path.parent.mkdir(parents=True, exist_ok=True)
                 # A process that is killed leaves this hidden folder behind: no later one can find out whose it is.
                 with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
                     draft = Path(folder, "store")

@@ -88,7 +88,7 @@ def test_states_are_passed_on_the_way_and_each_leg_has_its_limits() -> None:
         ([*ENDS, "--hip", "-1", "1"], "--from: expected a state that keeps the rules of the plan, got a passive joint"),
         (
             [*ENDS[:7], "--unit", "cm", "--to-translation", "0", "0", "900", "--to-rpy", "9", "9", "0"],
-            "error: --to-translation: exp",
+            "error: --to-translation: expected a pose with a physical branch, got one without. None of the solutions",
         ),
     ],
 )
