@@ -189,6 +189,7 @@ _NEXT = (
 )
 
 
+@outputs.name_options()
 def demo(
     out: Annotated[Path | None, outputs.picture_option("Picture of the example's branches: .png, .svg, .pdf.")] = None,
     poses: Annotated[int, typer.Option(min=1, help="Random poses of the comparison.")] = 50,
