@@ -63,6 +63,11 @@ def calibrate(
         message = _with_lines(f"error: the measurements fit no machine: {error}", error.rows, measurements)
         outputs.note(message, "bold red")
         raise typer.Exit(1) from None
+    outputs.write_figure(figure, style, calibration_figure, calibration)
+    fits = calibration.status == "fits"
+    if out is not None and (fits or force):
+        calibration.fitted.to_yaml(out)
+        outputs.note(f"wrote {out}")
     if json:
         machine = calibration.fitted.parameters, np.sqrt(np.diagonal(calibration.covariance))
         values, deviations = (dict(zip(PARAMETERS, array, strict=True)) for array in machine)
@@ -74,17 +79,12 @@ def calibrate(
         outputs.write_json(content | {"parameters": values, "standard_deviations": deviations})
     else:
         _report(calibration, measurements)
-    outputs.write_figure(figure, style, calibration_figure, calibration)
-    fits = calibration.status == "fits"
     if not fits:
         which = "the nominal" if calibration.status == "another nominal" else "one"
         message = f"the measurements do not fit {which} machine: {calibration.reason}"
         outputs.note(_with_lines(message, calibration.reason_rows, measurements))
-    if out is not None and (fits or force):
-        calibration.fitted.to_yaml(out)
-        outputs.note(f"wrote {out}")
-    if not fits and not force:
-        raise typer.Exit(1)
+        if not force:
+            raise typer.Exit(1)
 
 
 def _sizes(calibration: Calibration) -> list[tuple[str, str, float, float]]:

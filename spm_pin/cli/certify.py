@@ -18,7 +18,7 @@ from spm_pin.proofs import certify as prove
 
 
 @outputs.name_options(
-    limits="--min, --max", path="--out", boxes="--boxes", length_error="--length-error", angle_error="--angle-error"
+    limits="--min, --max", boxes="--boxes", length_error="--length-error", angle_error="--angle-error"
 )
 def certify(
     minimum: Annotated[float | None, Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
@@ -31,7 +31,7 @@ def certify(
     ] = False,
     out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
     style: outputs.PictureStyle = None,
-    unit: options.Unit = LengthUnit.M,
+    unit: Annotated[LengthUnit, Option(help="Unit of the lengths typed; the answer is in metres.")] = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
@@ -59,12 +59,12 @@ def certify(
         )
         nominal = certificate.geometry
         other = certify_inverse(nominal, certificate.limits, boxes=boxes, forward=certificate) if inverse else None
+    outputs.write_figure(out, style, certificate_figure, certificate)
     if json:
         outputs.write_json(_content(certificate, other))
     else:
         outputs.print_lines(certificate.explain().splitlines())
         outputs.print_lines([] if other is None else ["", *other.explain().splitlines()])
-    outputs.write_figure(out, style, certificate_figure, certificate)
     if not (certificate.holds and (other is None or other.holds)):
         raise typer.Exit(1)
 

@@ -22,7 +22,7 @@ from spm_pin.mechanism import Geometry, pose
 from spm_pin.paper import published
 
 
-@outputs.name_options(methods="--method", path="--figure")
+@outputs.name_options(methods="--method")
 def crosscheck(
     poses: Annotated[int, typer.Option(min=1, help="Random poses, four fifths of them in leg space.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the poses and of the wrenches.")] = 0,
@@ -45,6 +45,9 @@ def crosscheck(
     report = compare_with_progress(options.read_geometry(geometry), poses, seed, method)
     file = None if geometry is None else str(geometry)
     content = _content(report, file)
+    if out is not None:
+        outputs.write_json(content, out)
+    outputs.write_figure(figure, style, agreement_figure, report)
     if json:
         outputs.write_json(content)
     else:
@@ -53,9 +56,6 @@ def crosscheck(
         print_report(report, pairs=pairs)
         for line in _remarks(report, method is None, file):
             outputs.stdout.print(line, soft_wrap=True)
-    if out is not None:
-        outputs.write_json(content, out)
-    outputs.write_figure(figure, style, agreement_figure, report)
     _end(report)
 
 
@@ -146,7 +146,8 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
     lines = []
     absent = [name for name in METHODS if name.replace("-", " ") not in {score.name for score in report.scores}]
     if all_methods and absent:
-        lines.append(f"Left out, since their packages are not installed: {', '.join(absent)}.")
+        drawn = "" if report.geometry.is_nominal else "they know machines as drawn alone, or "
+        lines.append(f"Left out, since {drawn}their packages are not installed: {', '.join(absent)}.")
     worst = report.worst
     if worst is not None:
         what = f"{worst.quantity}, {worst.first} and {worst.second}, branch {worst.branch}"
@@ -188,6 +189,7 @@ _NEXT = (
 )
 
 
+@outputs.name_options()
 def demo(
     out: Annotated[Path | None, outputs.picture_option("Picture of the example's branches: .png, .svg, .pdf.")] = None,
     poses: Annotated[int, typer.Option(min=1, help="Random poses of the comparison.")] = 50,
@@ -198,15 +200,16 @@ def demo(
     """
     reproduction = recompute()
     report = compare_with_progress(Geometry.paper(), poses, 0, None)
+    if out is not None:
+        example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
+        solutions = inverse_displacement(Geometry.paper(), example)
+        save_gallery(options.titled_branches(solutions, options.selected_labels(solutions, None)), out)
     style = "bold red" if reproduction.unexplained else "bold green"
     outputs.print_lines([f"The paper:   {summary_line(reproduction)}"], style)
     print_verdict("The methods: ", report)
     print_summary(reproduction)
     _print_differences(report)
     if out is not None:
-        example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
-        solutions = inverse_displacement(Geometry.paper(), example)
-        save_gallery(options.titled_branches(solutions, options.selected_labels(solutions, None)), out)
         outputs.stdout.print(f"Picture of the six real branches of the paper's pose: {out}", soft_wrap=True)
     outputs.stdout.print("Try next:")
     program = "spm-pin" if shutil.which("spm-pin") else sys.argv[0]

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option
+from typer import Argument, Exit, Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.design import VARIABLES, DesignProblem, Front, pareto_front
@@ -53,11 +53,12 @@ def design(
 ) -> None:
     """Search for dimensions that no others beat in all aims: a Pareto front.
 
-    Example: spm-pin design front.json --free platform_radius:0.25:0.6 --free middle_side:0.5:1 --maximise payload_low
-    --maximise volume --at-least certified:1 --at-most footprint:1.2
+    Example: spm-pin design front.json --free base_radius:0.4:0.8 --free platform_radius:0.25:0.6
+    --free middle_side:0.5:1 --maximise payload_low --maximise volume --at-least certified:1 --at-most footprint:1.2
 
     What is not free is as in --geometry, which the front is compared with. Stopped by Ctrl-C, the same command goes on
-    where it was; ended, it shows the front again at once. It needs the extra "design".
+    where it was; ended, it shows the front again at once. Exit code 3 if no machine keeps the bounds. It needs the
+    extra "design".
     """
     require_extra("design")
     if (choose is None) != (out is None):
@@ -82,7 +83,7 @@ def design(
     if choose is not None and out is not None:
         if choose >= len(front.designs):
             rows = f"a row from 0 to {len(front.designs) - 1}" if len(front.designs) else "a front that has rows"
-            raise ArgumentError("--choose", rows, choose, "" if len(front.designs) else _NONE)
+            raise ArgumentError("--choose", rows, choose, "" if len(front.designs) else _NONE.capitalize())
         front.designs.geometries[choose].to_yaml(out)
         outputs.note(f"wrote {out}")
     outputs.write_figure(figure, style, front_figure, front)
@@ -92,6 +93,9 @@ def design(
         outputs.write_json({"machines": machines, "columns": content, "better": front.better})
     else:
         _report(front)
+    if not len(front.designs):
+        outputs.note(_NONE)
+        raise Exit(3)
 
 
 def _numbers(option: str, text: str, count: int) -> tuple[str, list[float]]:
@@ -137,7 +141,5 @@ def _report(front: Front) -> None:
     better = int(front.better.sum())
     text = f"{len(front.evaluated)} machines evaluated, {len(designs)} on the front, {better} of them at least as good"
     outputs.print_lines([f"{text} as the geometry that the search began with in all aims"])
-    if not len(designs):
-        outputs.note(_NONE)
     if "volume" in problem.columns and not {"certified", "assembled"} & problem.at_least.keys():
         outputs.note("volume comes out small where a forward singularity is within the limits: --at-least certified:1")

@@ -20,7 +20,7 @@ from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS
 
 
-@outputs.name_options(path="--out", leg_lengths="--legs", readings="--legs")
+@outputs.name_options(leg_lengths="--legs", readings="--legs")
 @options.takes_pose(required=False)
 def draw(
     out: Annotated[Path, outputs.picture_option(f"Picture to write: {', '.join(FORMATS)}.")],
@@ -38,7 +38,7 @@ def draw(
         bool | None,
         Option("--names/--no-names", help="Name joints, legs and axes; a branch alone has names."),
     ] = None,
-    background: Annotated[str, Option(help="A colour, or none.")] = "white",
+    background: Annotated[str | None, Option(help="A colour, or none; white if not given.")] = None,
     style: outputs.PictureStyle = None,
 ) -> None:
     """Draw the manipulator: the physical branch of a pose, branches by their names, or all of them.
@@ -49,9 +49,16 @@ def draw(
     """
     if every and branch is not None:
         raise ArgumentError("--all", "all branches or some", "both --all and --branch")
+    if not (abs(view[0]) <= 360.0 and abs(view[1]) <= 90.0):
+        expected = "azimuth and elevation in degrees, at most 360 and 90"
+        raise ArgumentError("--view", expected, f"{view[0]:g} and {view[1]:g}")
+    if style is not None and width is not None and (style.width or style.dpi):
+        raise ArgumentError("--width", "to be left out beside a size or dpi in --style", width)
+    if style is not None and background is not None and style.dark:
+        raise ArgumentError("--background", "to be left out beside dark in --style", background)
     solutions, default = options.requested_solutions(options.read_geometry(geometry), pose, legs, unit)
     direction = math.radians(view[0]), math.radians(view[1])
-    appearance: dict[str, Any] = {"view": direction, "background": background, "style": style}
+    appearance: dict[str, Any] = {"view": direction, "background": background or "white", "style": style}
     named = branch is not None
     labels = options.selected_labels(solutions, branch, required=named) if every or named else []
     states = {"": solutions[labels[0]] if labels else default}

@@ -31,7 +31,7 @@ _NAMES: dict[str, str | tuple[str, ...]] = {
     "leg_rates": "--leg-rate",
     "leg_accelerations": "--leg-acceleration",
 }
-_NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload", "path": "--out"}
+_NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload"}
 _NAMES |= {"minimum": "--limits", "maximum": "--limits"}
 
 _Ends = tuple[float, float] | None
@@ -77,7 +77,7 @@ def move(
     clearance: Annotated[float | None, Option(help="Least distance of legs without a common joint, in --unit.")] = None,
     margin: Annotated[float, Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
     straight: Annotated[bool, Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
-    period: Annotated[float, Option(help="Time between the rows \\[s].")] = 2e-3,
+    period: Annotated[float, Option(help="Time between the rows, at most \\[s].")] = 2e-3,
     out: Annotated[Path | None, outputs.file_option("CSV of the motion to write.", (".csv",))] = None,
     plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
     style: outputs.PictureStyle = None,
@@ -124,15 +124,15 @@ def move(
     chain = ClosedChain.from_urdf(geometry=dimensions, masses=options.read_masses(masses, "forces"))
     load = Payload(payload) if payload else None
     motion = time_optimal(chain, planned, **largest, twist=twist, payload=load, period=period)
+    if out is not None:
+        motion.to_csv(out)
+        outputs.note(f"wrote {out}")
+    outputs.write_figure(plot, style, motion_figure, motion, motion.readings, allowed, largest)
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
         outputs.write_json({**content, **motion.columns()})
     else:
         _report(planned, motion, chain.leg_indices, unit)
-    if out is not None:
-        motion.to_csv(out)
-        outputs.note(f"wrote {out}")
-    outputs.write_figure(plot, style, motion_figure, motion, motion.readings, allowed, largest)
 
 
 def _each_leg(text: str, option: str, *, single: bool = True) -> FloatArray:

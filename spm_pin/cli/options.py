@@ -213,15 +213,16 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
         return []
     families = ", ".join(f for f, hit in zip(FAMILIES, degeneracy.families, strict=True) if hit)
     legs = [str(i + 1) for i in np.flatnonzero(degeneracy.legs)]
+    of = "legs" if len(legs) > 1 else "leg"
     remarks = [
         f"The solutions of {families} form a continuous family of dimension {int(degeneracy.dimension)}, of which none "
-        "is picked." + (f" Both planes of leg {', '.join(legs)} coincide." if legs else "")
+        "is picked." + (f" Both planes of {of} {', '.join(legs)} coincide." if legs else "")
     ]
     if len(legs) == 3:
         remarks.append(
             "The platform is level, as in the symmetric home, where the pose alone does not determine the middle "
-            "platform. Give leg lengths instead (spm-pin forward), or a tilted pose; nearly level ones have "
-            "branches, but far beyond usual leg limits."
+            "platform. Give leg lengths instead (spm-pin forward, or --legs of draw and view), or a tilted pose; "
+            "nearly level ones have branches, but far beyond usual leg limits."
         )
     return remarks
 
@@ -288,7 +289,7 @@ def requested_solutions(
     else:
         state = forward_physical(geometry, np.array(legs) / unit.per_metre)
         if not state.exists:
-            cause = unit_hint("--legs", legs, unit, geometry)
+            cause = unit_hint("--legs", max(legs), unit, geometry)
             raise ArgumentError("--legs", "lengths with which the machine can be assembled", "none such", cause)
     return inverse_displacement(geometry, state.pose), state
 

@@ -90,7 +90,8 @@ def note(text: str, style: str | None = None) -> None:
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     """Show a progress bar on stderr, and yield the function that takes a step's name, what is done, and of how much."""
     columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=stderr, transient=True) as bar:
+    # Rich would end with an empty line where there is no terminal to draw on.
+    with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_interactive) as bar:
         task = bar.add_task("", total=None)
         yield lambda step, done, total: bar.update(task, description=step, completed=done, total=total)
 
@@ -107,9 +108,11 @@ def print_table(
     """Print a table on stdout, lines as long as they need to be: `columns` are headings and the text of each for a row.
 
     The first column is aligned to the left, and so are those with headings in `left`; an empty line separates rows of
-    another `group`.
+    another `group`. Without rows nothing is printed.
     """
     rows, headings = list(rows), list(columns)
+    if not rows:
+        return
     cells = [[text(row) for text in columns.values()] for row in rows]
     widths = [max(map(cell_len, column)) for column in zip(headings, *cells, strict=True)]
 
@@ -174,7 +177,7 @@ PictureStyle = Annotated[
     typer.Option(
         metavar="WORDS",
         parser=_read_style,
-        help="Size, font and background of the picture, joined by commas: 90x60mm,8pt,600dpi,dark or 3.5in.",
+        help="Size, font and background of the picture, joined by commas: 140mm,8pt,600dpi,dark or 5.5in.",
     ),
 ]
 
@@ -246,7 +249,11 @@ def name_options(**options: str | tuple[str, ...]) -> Callable[[Callable[P, R]],
                         option += f" {kwargs[argument]}"
                 for name, value in kwargs.items():
                     place = error.argument.rpartition(" in ")[2].partition(":")[0]
-                    if isinstance(value, Path) and place == str(value):
+                    if not isinstance(value, Path):
+                        continue
+                    if argument == "path" and str(error.received) in (str(value), repr(value.name)):
+                        option = typed[name]
+                    elif place == str(value) and not argument.startswith("--"):
                         option, bracket, index = f"{typed[name]}: {error.argument}", "", ""
                 if option is None:
                     raise

@@ -57,6 +57,8 @@ def reproduce(
         ],
         "equation_17_real_roots": vars(reproduction.equation_17),
     }
+    if out is not None:
+        outputs.write_json(content, out)
     if json:
         outputs.write_json(content)
     else:
@@ -66,8 +68,6 @@ def reproduce(
         if cells or table is not None:
             _print_cells(reproduction)
         outputs.print_lines(f"• {line}" for line in _findings(reproduction))
-    if out is not None:
-        outputs.write_json(content, out)
     if reproduction.unexplained:
         outputs.note(f"{len(reproduction.unexplained)} printed values differ without an explanation", "bold red")
         raise typer.Exit(1)

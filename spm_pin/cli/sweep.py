@@ -16,10 +16,13 @@ from spm_pin import sweeps
 from spm_pin.cli.options import AsJson, GeometryFile, LengthUnit, Limits, Unit, note_unit, read_geometry
 from spm_pin.cli.outputs import name_options, note, print_lines, progress_bar, write_json
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism import LegLimits
+from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
 
+_NAMES = {"store": "--out", "count": "--samples", "metrics": "--metric", "push": "--leg-force"}
+_NAMES |= {"leg_stiffness": "--leg-stiffness", **dict.fromkeys(LEGS, "--legs")}
+_NAMES |= dict.fromkeys(("alpha", "beta", "lambda_"), "--xyx")
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 _LEGS = (
@@ -30,7 +33,7 @@ _METRICS = f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.j
 _LENGTH = "Characteristic length of conditioning and isotropy, in --unit; the platform's radius."
 
 
-@name_options(store="--out", count="--samples", metrics="--metric", push="--leg-force", leg_stiffness="--leg-stiffness")
+@name_options(**_NAMES)
 def sweep(
     out: Annotated[Path, Option(metavar="FOLDER", help="Store of the results, in Zarr v3.")],
     x: Annotated[str | None, Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number.")] = None,

@@ -18,7 +18,7 @@ from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.workspace.paper_shell import ERRATA, Shell, workspace_shell
 
 
-@outputs.name_options(path="--out")
+@outputs.name_options(limits="--limits")
 def workspace(
     limits: options.Limits = None,
     resolution: Annotated[int, Option(help="Increments of a varying leg, at least 2.")] = 40,
@@ -55,14 +55,14 @@ def workspace(
         if not hint:
             raise
         raise ArgumentError("--limits", error.expected, error.received, hint) from error
+    if out is not None:
+        _write(shell, out, samples if sections else None, style)
     if json:
         outputs.write_json(_content(shell, unit))
     else:
         if out is None:
             _print_tables(shell, unit)
         outputs.print_lines(_remarks(shell, unit))
-    if out is not None:
-        _write(shell, out, samples if sections else None, style)
 
 
 def _write(shell: Shell, out: Path, samples: int | None, style: Style | None) -> None:

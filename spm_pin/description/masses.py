@@ -100,7 +100,8 @@ class Masses:
         try:
             content = yaml.safe_load(file.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise DescriptionError(str(file), "a readable YAML file", str(error)) from error
+            reason = getattr(error, "strerror", None) or str(error)
+            raise DescriptionError(str(file), "a readable YAML file", reason) from error
         if not isinstance(content, dict) or set(content) - {"bodies", "payload"}:
             received = ", ".join(map(str, content)) if isinstance(content, dict) else type(content).__name__
             raise DescriptionError(str(file), "a mapping with the keys bodies and payload", received)

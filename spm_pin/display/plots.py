@@ -206,7 +206,7 @@ def _printed(
     `width` is in pixels, and counts where the style does not say.
     """
     if style.height is not None:
-        raise ArgumentError("style", "a width alone: the height follows from the view", f"{style.height:.3g} inch too")
+        raise ArgumentError("style", "a width alone: the height follows from the view", "a height as well")
     inches = style.width or drawn
     if style.width is None and style.dpi is None:
         check_appearance(width, narrowest, background)

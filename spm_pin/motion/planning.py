@@ -201,8 +201,8 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
         lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
         state = forward_physical(geometry, lengths)
         if not state.exists:
-            reason = state.missing_reason
-            raise UnreachableError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", reason)
+            cause = _sentence(state.missing_reason)
+            raise UnreachableError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", cause)
         return state
     if array is not None and array.ndim < 2 and array.dtype.kind != "O":
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
@@ -212,9 +212,14 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
     if state.shape:
         raise ArgumentError(name, "one state", f"a batch of shape {state.shape}")
     if not state.exists:
-        cause = state.missing_reason or "Level poses are singular for the inverse: give leg lengths instead"
+        cause = _sentence(state.missing_reason) or "Level poses are singular for the inverse: give leg lengths instead"
         raise UnreachableError(name, "a pose with a physical branch", "one without", cause)
     return state
+
+
+def _sentence(reason: str) -> str:
+    """Return a reason with a capital letter, to follow a full stop."""
+    return reason[:1].upper() + reason[1:]
 
 
 def _along_poses(rules: _PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:

@@ -126,13 +126,15 @@ class Store:
 
     @classmethod
     def create(cls, path: Path, plan: SweepPlan) -> Store:
-        """Open the store; make it, atomically, if there is none or an empty folder.
+        """Open the store; make it, atomically, and the folders above it, if there is none or an empty folder.
 
         A store that exists is refused to a metric without a version: its values may be those of another function.
         """
         is_new = False
         with as_store_error(path):
             if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+                if not path.parent.exists():
+                    path.parent.mkdir(parents=True, exist_ok=True)
                 # A process that is killed leaves this hidden folder behind: no later one can find out whose it is.
                 with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
                     draft = Path(folder, "store")

@@ -76,6 +76,17 @@ def test_what_is_of_the_drawing_alone_refuses_a_machine_as_built(
     assert message in done.stderr
 
 
+@pytest.mark.parametrize(("option", "name"), [("--out", "built.yaml"), ("--figure", "errors.png")])
+def test_a_file_that_cannot_be_written_after_all_is_named_by_its_option(
+    option: str, name: str, measured: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr("spm_pin.cli.outputs.check_output", lambda *_: None)
+    done = run("calibrate", measured, option, tmp_path / "file" / name)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"error: {option}: expected a file that can be written" in done.message
+
+
 def test_wrong_measurements_end_with_a_line_on_stderr(measured: Path, tmp_path: Path) -> None:
     lines = measured.read_text(encoding="utf-8").splitlines()
     lines[0] = lines[0].replace("r_b1,r_b2", "r_b2,r_b1")

@@ -166,7 +166,7 @@ def test_messages_name_the_key_of_a_geometry_file(tmp_path: Path) -> None:
     path.write_text("base_side: -1.2\nplatform_side: 0.6\nmiddle_side: 0.8\n", encoding="utf-8")
     done = run("inverse", *EXAMPLE, "--geometry", path)
     assert done.returncode == 2
-    assert "base_side" in done.message
+    assert done.message.startswith(f"error: --geometry: base_side in {path}:1: expected")
     assert "base_radius" not in done.message
 
 
@@ -353,6 +353,7 @@ def test_outputs_are_checked_before_the_work(
         ["export", "c", "--out", "{}"],
         ["draw", "--width", "120", "--out", "{}/robot.png"],
         ["workspace", "--resolution", "2", "--out", "{}/shell.stl"],
+        ["sweep", "--legs", "1.2:1.3:2", "--metric", "reachable", "--workers", "1", "--out", "{}/map.zarr"],
     ],
     ids=lambda arguments: " ".join(arguments[:2]),
 )
@@ -506,6 +507,29 @@ def test_a_reader_that_has_seen_enough_is_told_nothing(form: list[str]) -> None:
     assert process.returncode == 74  # and not 1, a comparison that failed
     assert "Traceback" not in errors
     assert "error" not in errors
+
+
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("demo --poses 2 --out", "branches.png"),
+        ("reproduce --out", "tables.json"),
+        ("crosscheck --poses 2 --method closed-form --method nlp --out", "report.json"),
+        ("crosscheck --poses 2 --method closed-form --method nlp --figure", "report.png"),
+        ("certify --min 1.25 --max 1.35 --boxes 100 --out", "boxes.png"),
+        ("move --from 1.2 1.2 1.4 1.25 1.2 1.5 --to 1.25 1.2 1.4 1.2 1.2 1.5 --leg-force 1500 --out", "motion.csv"),
+        ("workspace --resolution 2 --out", "shell.stl"),
+    ],
+)
+def test_files_are_written_even_if_the_reader_of_stdout_has_gone(
+    command: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: object, **__: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(outputs.stdout, "print", gone)
+    assert run(*command.split(), tmp_path / name).returncode == 74
+    assert (tmp_path / name).stat().st_size
 
 
 # Long commands

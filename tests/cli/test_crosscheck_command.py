@@ -32,6 +32,17 @@ def test_json_is_printed_alone() -> None:
     done = run("crosscheck", "--poses", "2", "--method", "closed-form", "--method", "nlp", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["agrees"] is True
+    assert "" not in done.stderr.splitlines(), "no trace of a progress bar"
+
+
+def test_one_method_has_no_differences_to_show() -> None:
+    assert "Largest difference" not in run("crosscheck", "--poses", "2", "--method", "closed-form").stdout
+
+
+def test_methods_that_know_the_drawing_alone_are_mentioned(tmp_path: Path) -> None:
+    spm.Geometry.paper().perturbed(3).to_yaml(tmp_path / "built.yaml")
+    done = run("crosscheck", "--poses", "2", "--geometry", tmp_path / "built.yaml")
+    assert "Left out, since they know machines as drawn alone, or their packages are not" in done.stdout
 
 
 def test_the_printed_lever_arm_fails_and_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -489,12 +489,12 @@ def test_a_full_disk_leaves_what_was_done(
     assert kept.items() <= {record.name: record.stat().st_mtime_ns for record in records(path)}.items()
 
 
-def test_a_path_through_a_file_or_nowhere(tmp_path: Path) -> None:
+def test_folders_above_a_store_are_made_but_a_file_is_none(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="not a directory"):
         small(tmp_path / "file" / "map.zarr")
-    with pytest.raises(StoreError, match="no such file or directory"):
-        small(tmp_path / "folder" / "map.zarr")
+    small(tmp_path / "a" / "b" / "map.zarr")
+    assert sweep_status(tmp_path / "a" / "b" / "map.zarr").complete
 
 
 def test_memory_does_not_grow_with_the_number_of_points(tmp_path: Path) -> None:
