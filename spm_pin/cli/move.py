@@ -30,6 +30,7 @@ _NAMES: dict[str, str | tuple[str, ...]] = {
     "goal": ("--to-translation", "--to"),
     "leg_rates": "--leg-rate",
     "leg_accelerations": "--leg-acceleration",
+    "leg_forces, leg_accelerations": "--leg-force, --leg-acceleration",
 }
 _NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload"}
 _NAMES |= {"minimum": "--limits", "maximum": "--limits"}

@@ -177,8 +177,8 @@ class MotionLimits:
             _speeds(twist),
         )
         if limits.leg_forces is None and limits.leg_accelerations is None:
-            expected = "limits of the legs' forces, or of their accelerations"
-            raise ArgumentError("leg_forces", expected, "neither", "Without them the motion would start with a jump")
+            cause = "Without them the motion would start with a jump"
+            raise ArgumentError("leg_forces, leg_accelerations", "limits of one of them", "neither", cause)
         return limits
 
     def rows(self, chain: ClosedChain, along: PathDynamics) -> LimitRows:

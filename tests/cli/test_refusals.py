@@ -84,7 +84,7 @@ REFUSED = [
     ("move --leg-force 1500", "--from: expected either leg lengths, or a pose by --from-translation"),
     (f"move --from {START} --unit cm --leg-force 9", "--to: expected either leg lengths"),
     (f"move --from {START} --to {START} --unit cm --leg-force 1500", "a motion of no length"),
-    (f"move {ENDS} --leg-rate 0.5", "--leg-force: expected limits of the legs' forces, or of their accel"),
+    (f"move {ENDS} --leg-rate 0.5", "--leg-force, --leg-acceleration: expected limits of one of them, got neither"),
     (f"move {ENDS} --leg-force 5", "--leg-force: expected forces that hold the machine"),
     (f"move {ENDS} --leg-force fast", "--leg-force: expected a number, or six separated by commas"),
     (f"move {ENDS} --leg-force 1500 --out motion.txt", "--out: expected a file name ending in .csv"),
