@@ -84,13 +84,9 @@ def inverse_displacement(geometry: Geometry | Array, rotation: Array, translatio
         raise ArgumentError("geometry", "a machine as drawn", "one as built, as 54 parameters always count", cause)
     b, exists = problem.drawn_branches(range(len(FAMILIES)), 0.0)
     b = problem.with_derivatives(b, exists)
-    zero, batch, lengths = (
-        library.zeros(b[0][0]),
-        problem.zero.ndim,
-        _readings(library, problem.machine, problem.legs, b),
-    )
+    zero, lengths = library.zeros(b[0][0]), _readings(library, problem.machine, problem.legs, b)
     arrays = library.stacked(b, zero), library.stacked(lengths, zero), exists
-    return Branches(*(library.xp.moveaxis(x, 0, batch) for x in arrays))
+    return Branches(*(library.xp.moveaxis(x, 0, problem.zero.ndim) for x in arrays))
 
 
 @quietly
@@ -114,9 +110,8 @@ def inverse_physical(
     Returns
     -------
     State
-        Without `near` that of `spm_pin.inverse_physical`; of a machine as built if its errors are small: with 1e-3 m
-        and rad one state in some thousands is lost or is another one, with 1e-2 one in a hundred. Of parameters no leg
-        limits are known.
+        Without `near` that of `spm_pin.inverse_physical`, but for one state in some thousands of a machine with errors
+        of 1e-3 m and rad, one in a hundred with 1e-2. Of parameters no leg limits are known.
     """
     problem = _Inverse(geometry, rotation, translation, near)
     if near is not None:
