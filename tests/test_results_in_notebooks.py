@@ -1,4 +1,4 @@
-"""What results show at the end of a notebook's cell: well-formed HTML with their numbers, and pictures."""
+"""Results in notebooks: well-formed HTML that has their numbers, and pictures."""
 
 from __future__ import annotations
 

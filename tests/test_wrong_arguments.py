@@ -262,7 +262,7 @@ INPUTS = (
 """Classes that users make themselves; the others are results, made by the package."""
 
 OTHER_WORDS = {"value": "pose", "lower": "r_", "upper": "r_", "pose_noise": "the noise", "length_noise": "the noise"}
-"""What an error may say in place of the argument's name."""
+"""Words by which an error may name an argument, other than its name."""
 
 SMALL = ("samples", "spacing", "starts", "rng", "tries", "xyx")
 """Parameters that are given although they have a default."""

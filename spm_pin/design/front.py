@@ -43,7 +43,7 @@ VARIABLES = (
     *(f"{stage}{end}" for stage in _STAGES for end in ("minimum", "stroke")),
 )
 """Names of variables that may be free [m]: E, C, d, the shortest length and the stroke of all legs, or of a stage's."""
-COLUMNS = (*SIZES, "certified", *(f"{metric}_{which}" for metric in METRICS for which in ("mean", "low")))
+COLUMNS = tuple(column_names(tuple(METRICS.values()), 1))
 """Names of columns of `Designs` that aims and bounds may name."""
 _CHOICES = ("free", "aims", "at_least", "at_most")
 _FORMAT, _IMPOSSIBLE = 2, 1e30

@@ -135,7 +135,7 @@ def read_pose(geometry: Geometry, pose: PoseLike) -> tuple[tuple[int, ...], Floa
     Raises `PoseError` if it is not a pose, or so far away that the machine cannot be resolved beside it. The arrays may
     be the caller's memory. Rotations are repaired where rounding made them inexact.
     """
-    from spm_pin.kinematics.kernels.branch_kernels import are_rigid
+    from spm_pin.kinematics.kernels.branch_kernels import are_valid
 
     rotation, position = unchecked_pose(pose)
     shape, flat, places = position.shape[:-1], rotation.reshape(-1, 3, 3), position.reshape(-1, 3)
@@ -143,7 +143,7 @@ def read_pose(geometry: Geometry, pose: PoseLike) -> tuple[tuple[int, ...], Floa
     farthest = 2.0 * (LARGEST_RATIO + 1.0) * sum(geometry.dimensions)
     good: list[bool] = []
     parallel_for(
-        lambda part: good.append(are_rigid(flat[part], places[part], EXACT, farthest)), len(flat), _MIN_CHECKED
+        lambda part: good.append(are_valid(flat[part], places[part], EXACT, farthest)), len(flat), _MIN_CHECKED
     )
     if not all(good):
         rotation, position = checked_pose(rotation, position, "pose")

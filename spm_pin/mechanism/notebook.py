@@ -1,4 +1,4 @@
-"""What results show at the end of a notebook's cell: HTML tables, and small vector pictures that need no library."""
+"""HTML tables and small SVG pictures, which results show in notebooks; no library is needed for them."""
 
 from __future__ import annotations
 

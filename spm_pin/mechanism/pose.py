@@ -135,7 +135,7 @@ _ORIENTATIONS: dict[str, tuple[int, str, Callable[[FloatArray], Rotation]]] = {
     "rotvec": (3, "a rotation vector in radians", Rotation.from_rotvec),
     "quat": (4, "a unit quaternion x, y, z, w", Rotation.from_quat),
 }
-"""Of each way to write an orientation: how many numbers, what they are, and SciPy's reader."""
+"""Orientations by the name of their argument: the number of values, their meaning, and SciPy's function for them."""
 
 
 def _read_orientation(value: Any, name: str) -> FloatArray:

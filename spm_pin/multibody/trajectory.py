@@ -123,7 +123,7 @@ class JointTrajectory:
     efforts: FloatArray
     """Forces of the actuators under gravity [N], shape (n, 18); zero in passive joints."""
     readings: FloatArray
-    """What the encoders of the legs show [m], shape (n, 6)."""
+    """Readings of the legs' encoders [m], shape (n, 6)."""
     pose: RigidTransform
     """Poses (n,) of the terminal platform, {m} in {B}."""
 

@@ -1,4 +1,4 @@
-"""What is held, drawn at the platform and in the viewer, and fronts of designs."""
+"""Pictures of wrench polytopes, at the platform and in the viewer, and of fronts of designs."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ _POSES = f"{readonly_array(3)}, {readonly_array(2)}"
 
 
 @kernel(f"b1({_POSES}, f8, f8)")
-def are_rigid(rotation: FloatArray, position: FloatArray, exact: float, farthest: float) -> bool:
+def are_valid(rotation: FloatArray, position: FloatArray, exact: float, farthest: float) -> bool:
     """Check N poses: entries of RᵀR - I up to `exact`, det R > 0, |x| + |y| + |z| up to `farthest`."""
     good = True
     for n in range(len(position)):
