@@ -12,8 +12,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-__all__ = ["FIRST", "HEAVY", "WITH_IMPORTS", "measure"]
-
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("numba", "casadi", "pinocchio", "dask", "trimesh", "viser", "matplotlib", "xacro")
 WITH_IMPORTS = "import spm_pin; inverse_displacement"

@@ -11,8 +11,6 @@ from benchmarks.peers.compiled import FLAGS, compiler_version
 from benchmarks.peers.peer import version
 from benchmarks.report import table
 
-__all__ = ["available_memory", "cores", "describe"]
-
 _VECTORS = ("avx512f", "avx2", "avx", "sse4_2", "asimd", "sve")
 
 

@@ -10,8 +10,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 
-__all__ = ["GEOMETRY", "KINDS", "as_built", "leg_space", "mixture", "tiled"]
-
 GEOMETRY = spm.Geometry.paper()
 
 KINDS = ("leg lengths", "all rotations", "nearly level", "near a fold")

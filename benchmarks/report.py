@@ -9,20 +9,6 @@ from pathlib import Path
 
 from benchmarks.timing import Spread
 
-__all__ = [
-    "Facts",
-    "Section",
-    "count",
-    "microseconds",
-    "seconds",
-    "size",
-    "spread_of_seconds",
-    "table",
-    "three_digits",
-    "times",
-    "write",
-]
-
 Facts = dict[str, Spread]
 """Measured values that the targets are compared with, by key."""
 

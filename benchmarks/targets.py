@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 from benchmarks.report import Facts, Section, table, three_digits
 
-__all__ = ["TARGETS", "Target", "check"]
-
 
 @dataclass(frozen=True)
 class Target:

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Pace", "Spread", "TimedCall", "Timing", "duration", "time_in_turns"]
-
 Progress = Callable[[str], None]
 
 

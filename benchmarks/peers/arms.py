@@ -13,8 +13,6 @@ import numpy as np
 
 from benchmarks.peers.peer import FloatArray, Prepared, required
 
-__all__ = ["ARMS", "poses_of", "solve"]
-
 _TURN = math.pi / 2.0
 # Denavit-Hartenberg parameters α [rad], a [m], d [m], as their makers and textbooks give them.
 ARMS = {

@@ -10,8 +10,6 @@ from scipy.optimize import fsolve
 from benchmarks.peers.peer import FloatArray, Prepared, required
 from spm_pin import Geometry
 
-__all__ = ["Found", "certified", "multistart", "newton_from_equal_legs", "pinocchio"]
-
 CLOSED = 1e-9
 
 

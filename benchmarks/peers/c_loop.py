@@ -14,8 +14,6 @@ from benchmarks.peers.compiled import address, library
 from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Geometry
 
-__all__ = ["Arrays", "answered", "fresh", "real_branches", "run"]
-
 
 @dataclass(frozen=True)
 class Arrays:

@@ -14,8 +14,6 @@ from benchmarks.peers.multistart import STARTS, search
 from benchmarks.peers.peer import FloatArray, Prepared, required
 from spm_pin import Geometry
 
-__all__ = ["compiled_newton", "ipopt", "mapped_newton"]
-
 STEPS = 25
 """Newton steps from each start in the compiled version, which has no test of convergence."""
 ITERATIONS = 60

@@ -9,8 +9,6 @@ from benchmarks.peers.lines import lines
 from benchmarks.peers.peer import FloatArray, Prepared, required
 from spm_pin import Geometry
 
-__all__ = ["real_coordinates", "roots"]
-
 
 def real_coordinates(quaternion: FloatArray, position: FloatArray, side: float) -> FloatArray | None:
     """Return the certified coordinates of b_2 along its line, ascending [m]; None where no precision separates them.

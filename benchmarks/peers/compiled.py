@@ -14,8 +14,6 @@ import numpy.typing as npt
 
 from benchmarks.peers.peer import Unavailable
 
-__all__ = ["FLAGS", "address", "compiler_version", "folder", "library", "shared_object"]
-
 FLAGS = ("-O3", "-march=native")
 """Flags of the C loop, no more."""
 _HERE = Path(__file__).parent

@@ -16,8 +16,6 @@ from spm_pin import Configuration, Geometry
 from spm_pin.symbolic import write_c
 from spm_pin.symbolic.c_export import STATE_FUNCTIONS
 
-__all__ = ["CALLS", "answered", "call_times", "ticks"]
-
 CALLS = (
     "the clock alone",
     *(f"`spm_{name}" for name in ("all_branches`", "inverse`", "inverse`, near", "forward`", "forward`, near")),

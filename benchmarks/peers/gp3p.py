@@ -15,8 +15,6 @@ from benchmarks.peers.lines import lines
 from benchmarks.peers.peer import FloatArray, Prepared, required
 from spm_pin import Geometry
 
-__all__ = ["bare", "complete"]
-
 
 def bare(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     """Prepare the call alone: lines computed beforehand, results left as poses of the triangle."""

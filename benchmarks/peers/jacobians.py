@@ -11,15 +11,6 @@ from benchmarks.peers.package import renewed
 from benchmarks.peers.peer import FloatArray, Prepared, required
 from spm_pin.paper.jacobian import J_alpha, J_lambda
 
-__all__ = [
-    "forces_by_nine_by_nine",
-    "forces_by_nine_by_nine_complete",
-    "forces_by_pinocchio",
-    "nine_by_nine",
-    "nine_by_nine_complete",
-    "pinocchio",
-]
-
 
 def nine_by_nine(configuration: spm.Configuration) -> Prepared:
     """Prepare the solve of Eq. (30b) alone: J_α and J_λ computed beforehand, all states stacked."""

@@ -8,8 +8,6 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.peers.peer import FloatArray
 from spm_pin import Geometry
 
-__all__ = ["coordinates", "lines"]
-
 
 def lines(geometry: Geometry, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return points and unit directions, (..., 3, 3) each, a row per corner, for poses (..., 4, 4); NaN if vertical.

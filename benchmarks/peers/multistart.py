@@ -11,8 +11,6 @@ from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Geometry
 from spm_pin.nlp.branch_search import random_starts
 
-__all__ = ["STARTS", "branches", "residuals", "search", "starts"]
-
 STARTS = 100
 """Starts per pose, for every search."""
 CLOSED = 1e-11

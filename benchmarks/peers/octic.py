@@ -10,8 +10,6 @@ from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Geometry
 from spm_pin.paper.resultant import Resultant
 
-__all__ = ["companions", "numpy_roots", "numpy_roots_complete"]
-
 DEGREE = 8
 REAL = 1e-6
 """Imaginary parts up to this share of the interval are taken for rounding."""

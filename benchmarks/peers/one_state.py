@@ -9,8 +9,6 @@ from scipy.linalg import lapack
 
 from benchmarks.peers.peer import FloatArray
 
-__all__ = ["PlainPinocchio"]
-
 
 class PlainPinocchio:
     """Calls to Pinocchio as a user of its Python interface writes them for a chain with four closures.

@@ -11,8 +11,6 @@ from benchmarks.peers.c_loop import Arrays, run
 from benchmarks.peers.compiled import library
 from spm_pin import Geometry
 
-__all__ = ["Operations", "count_operations"]
-
 
 @dataclass(frozen=True)
 class Operations:

@@ -14,19 +14,6 @@ from spm_pin.kinematics.batches import BRANCH_RESULTS, new_result
 from spm_pin.kinematics.inverse_displacement import branch_lengths
 from spm_pin.paper import resultant
 
-__all__ = [
-    "forces",
-    "inverse",
-    "inverse_physical",
-    "jacobian",
-    "kernel",
-    "lengths_only",
-    "modes",
-    "paper_inverse",
-    "physical",
-    "renewed",
-]
-
 
 def inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
     """Prepare `inverse_displacement`: ball joints, leg lengths and status of all branches, as the C loop writes."""

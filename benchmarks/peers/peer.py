@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FloatArray", "Peer", "Prepared", "Unavailable", "required", "version"]
-
 FloatArray = npt.NDArray[np.float64]
 
 

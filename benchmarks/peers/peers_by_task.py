@@ -18,8 +18,6 @@ from benchmarks.peers import (
 from benchmarks.peers.multistart import STARTS
 from benchmarks.peers.peer import Peer
 
-__all__ = ["AS_BUILT", "FORCES", "INVERSE", "JACOBIAN", "MODES", "OURS", "PACKAGES", "PHYSICAL"]
-
 OURS = "spm_pin"
 """Name of this package's public function in every task."""
 

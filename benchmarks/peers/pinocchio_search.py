@@ -14,8 +14,6 @@ from benchmarks.peers.multistart import STARTS, branches
 from benchmarks.peers.peer import FloatArray, Prepared, required
 from spm_pin import Geometry
 
-__all__ = ["newton"]
-
 STEPS = 60
 LONGEST = 1.0
 """Longest step in any joint [rad, m]."""

@@ -10,8 +10,6 @@ from benchmarks.peers.multistart import search
 from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Geometry
 
-__all__ = ["by_fsolve", "by_least_squares"]
-
 
 class LoopEquations:
     """The equations of one pose, with their Jacobian: six planes, and three sides as (|b_i - b_j|² - d²)/(2d)."""

@@ -15,8 +15,6 @@ from benchmarks.report import Facts, Section, count, seconds, spread_of_seconds,
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, TimedCall, duration, time_in_turns
 
-__all__ = ["measure"]
-
 KERNEL, JAX, CALLBACK = "kernels, NumPy", "spm.arrays in JAX", "pure_callback"
 
 

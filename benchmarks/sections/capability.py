@@ -12,8 +12,6 @@ from benchmarks.report import Facts, Section, count, spread_of_seconds, table, t
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
 
-__all__ = ["facets_by_pycapacity", "measure", "vertices_by_pycapacity"]
-
 LIMIT = 1000.0
 _MANY, _FEW, _DESIGNS, _STATES = 10_000, 20, 16, 10_000
 METRICS = ("conditioning", "payload", "least_stiffness", "inverse_distance")

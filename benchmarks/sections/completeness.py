@@ -17,8 +17,6 @@ from benchmarks.report import Facts, Section, table, three_digits
 from benchmarks.sections.preparation import Progress, failure
 from benchmarks.timing import Pace, Spread
 
-__all__ = ["Tally", "measure", "tally"]
-
 NEAR = 1e-4
 """Largest distance in units of d at which a result is matched with a certified branch."""
 

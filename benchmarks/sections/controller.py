@@ -16,8 +16,6 @@ from benchmarks.sections.jobs import walk
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, TimedCall, time_in_turns
 
-__all__ = ["measure", "ticks_by_chain", "ticks_by_package"]
-
 _CHANGE = 1e-3
 _STATES = 10_000
 _WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])

@@ -14,8 +14,6 @@ from benchmarks.report import Facts, Section, table, three_digits
 from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
 
-__all__ = ["measure"]
-
 _UNIT = "C loop, inverse"
 
 

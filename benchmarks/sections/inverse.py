@@ -12,8 +12,6 @@ from benchmarks.report import Facts, Section, microseconds
 from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
 
-__all__ = ["measure"]
-
 _FACTS = {
     "inverse/gp3p bare": "poselib.gp3p, bare",
     "inverse/numpy.roots": "numpy.roots",

@@ -23,8 +23,6 @@ from benchmarks.timing import Pace, Spread, TimedCall, duration, time_in_turns
 from spm_pin.sweeps.runner import CHUNK
 from spm_pin.sweeps.sweep_plan import SweepPlan
 
-__all__ = ["ACCURACY", "box", "measure", "metrics_by_numpy", "of_simulation", "tick", "walk"]
-
 ACCURACY = 1e-4
 """Largest error of the leg lengths after a second, for every simulator [m]."""
 METRICS = ("reachable", "branches", "conditioning", "payload")

@@ -11,8 +11,6 @@ from benchmarks.peers.peers_by_task import OURS
 from benchmarks.report import Section, count, spread_of_seconds, table, times
 from benchmarks.timing import Pace, TimedCall, Timing, time_in_turns
 
-__all__ = ["PreparedPeers", "compare", "failure", "items_of", "prepare_peers"]
-
 Progress = Callable[[str], None]
 
 

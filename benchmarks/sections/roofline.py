@@ -18,8 +18,6 @@ from benchmarks.report import Facts, Section, count, seconds, size, spread_of_se
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, Spread, TimedCall, Timing, time_in_turns
 
-__all__ = ["measure"]
-
 _FLAGS = ("-O3", "-march=native", "-fno-math-errno")
 _CACHED = 2048
 """Number of doubles that fit into the first-level cache."""

@@ -17,8 +17,6 @@ from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, TimedCall, time_in_turns
 from spm_pin.kinematics.batches import parallel_for, threads
 
-__all__ = ["measure"]
-
 _SHARE = 0.5
 """Largest share of the free memory for a batch."""
 

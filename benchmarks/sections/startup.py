@@ -14,8 +14,6 @@ from benchmarks.report import Facts, Section, spread_of_seconds, table
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
 
-__all__ = ["measure"]
-
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     """Time imports, first calls and single calls."""

@@ -15,8 +15,6 @@ from benchmarks.sections.velocity import states
 from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
 from spm_pin.kinematics.rates_and_forces import force_matrices
 
-__all__ = ["by_numpy", "measure"]
-
 _MANY = 10_000
 
 

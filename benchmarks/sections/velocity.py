@@ -11,8 +11,6 @@ from benchmarks.report import Facts, Section
 from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
 
-__all__ = ["measure", "states"]
-
 
 def states(count: int, seed: int = 0) -> spm.Configuration:
     """Return real branches (count,) of poses in leg space."""
