@@ -36,8 +36,7 @@ def main() -> None:
                     (session,) = viewer.sessions
                     session.scene.show_workspace("shell", True)
                     session.panel.force.value = (0.0, 0.0, -500.0)
-                    session.model.load(session.panel.wrench)
-                    session.show()
+                    session._on_load(None)
                 page.wait_for_timeout(6000)
                 path = IMAGES / f"viewer_{name}.png"
                 page.screenshot(path=path)

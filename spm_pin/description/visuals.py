@@ -44,6 +44,7 @@ class VisualPart:
         return self.name.partition(" ")[2]
 
 
+@lru_cache(maxsize=16)
 def section_size(geometry: Geometry) -> float:
     """Return the length s that radii and thicknesses of the robot are fractions of [m]; see `inertials.yaml`."""
     radii = (geometry.base_radius, geometry.platform_radius, geometry.middle_radius)

@@ -19,8 +19,7 @@ from PIL import Image
 import spm_pin as spm
 from spm_pin.display import Viewer
 from spm_pin.display.plots import save_gallery
-from spm_pin.display.viewer.server import free_port
-from spm_pin.display.viewer.session import EventQueue
+from spm_pin.display.viewer.page import EventQueue, free_port
 from spm_pin.mechanism import LEGS
 
 COMMAND = [sys.executable, "-c", "from spm_pin.cli import main; main()"]

@@ -37,10 +37,10 @@ def test_the_viewer_shows_what_legs_of_equal_strength_hold() -> None:
     from spm_pin.display.viewer.robot_scene import RobotScene
 
     robot = RobotScene(scene := MagicMock(), PAPER, MagicMock())
-    robot._show_forces(STATE)
+    robot._show_held_forces(STATE)
     assert not [call for call in scene.add_mesh_simple.call_args_list if call.args[0] == "/forces"]
     robot.layers["forces"] = True
-    robot._show_forces(STATE)
+    robot._show_held_forces(STATE)
     name, points, faces = scene.add_mesh_simple.call_args.args
     assert name == "/forces"
     forces = (np.asarray(points, float) - STATE.translation) / robot.size
@@ -50,7 +50,7 @@ def test_the_viewer_shows_what_legs_of_equal_strength_hold() -> None:
     assert faces.max() == len(points) - 1
     # Gone where the layer is switched off, and where the legs do not hold the platform.
     robot.layers["forces"] = False
-    robot._show_forces(STATE)
+    robot._show_held_forces(STATE)
     scene.remove_by_name.assert_called_once_with("/forces")
 
 

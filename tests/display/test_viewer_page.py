@@ -52,7 +52,7 @@ def opened(browser, viewer, **options):
         (session,) = [candidate for candidate in viewer.sessions if id(candidate) not in before]
         settled(page, session)
         until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of its path", page=page)
-        until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
+        until(lambda: abs(session.model.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
         assert "configurations of" in session.panel.path_note.content
         reset(page, session)
         yield page, session, errors
@@ -119,13 +119,13 @@ def reset(page, session):
 def robot_pixels(session):
     """Where the page shows the robot's joints, and the size of its picture."""
     camera = session.client.camera
-    points = robot_points(session.state.shown, 0.0)
+    points = robot_points(session.model.state.shown, 0.0)
     return np.array([pixel(camera, point) for point in points]), np.array([camera.image_width, camera.image_height])
 
 
 def drag_gizmo(page, session, axis, distance):
     """Take the gizmo's arrow along an axis of m, and move it so far in the world [m]."""
-    origin, rotation = session.gizmo.position, session.state.target.rotation.as_matrix()
+    origin, rotation = session.gizmo.position, session.model.state.target.rotation.as_matrix()
     before = np.array(origin)
     for share in (0.85, 0.7, 0.95, 0.55):
         grip = origin + share * session.gizmo.scale * rotation[:, axis]
@@ -193,16 +193,16 @@ def test_the_robot_fills_a_window_of_another_size_until_the_user_moves_the_camer
 def test_a_dragged_gizmo_moves_the_robot(client, viewer):
     page, session = client
     chain = spm.ClosedChain.from_urdf()
-    before = session.state.shown.translation.copy()
+    before = session.model.state.shown.translation.copy()
     drag_gizmo(page, session, 2, -0.06)
-    until(lambda: session.state.target.translation @ before != before @ before, "a new pose", page=page)
+    until(lambda: session.model.state.target.translation @ before != before @ before, "a new pose", page=page)
     page.wait_for_timeout(300)
-    shown = session.state.shown
+    shown = session.model.state.shown
     assert np.linalg.norm(shown.translation - before) > 0.01
     # The joint values the page shows put Pinocchio's platform where the page's robot is.
     q = np.array(eval(session.panel.q.value.replace("\n", "")))
     np.testing.assert_allclose(chain.configuration(q).translation, shown.translation, atol=1e-6)
-    positions = solid_placements(shown).positions
+    positions, _, _ = solid_placements(shown)
     np.testing.assert_allclose([handle.position for handle in session.scene._robot], positions, atol=1e-6)
     # The trail of o begins, and other sliders have the ranges around the new state.
     assert session.scene._trail.visible
@@ -215,24 +215,24 @@ def test_a_clicked_ghost_is_selected(client):
     send(session, "layer", ("ghosts", True))
     page.wait_for_timeout(1000)
     picture(page, "viewer_ghosts.png")
-    solutions = session.state.solutions
+    solutions = session.model.state.solutions
     for label, leg in itertools.product(("FF+", "TF-", "FF-"), (0, 3, 1, 4, 2, 5)):
         point = 0.75 * solutions[label].leg_bases[leg] + 0.25 * solutions[label].balls[leg]
         page.mouse.move(*pixel(session.client.camera, point))
         page.wait_for_timeout(150)
         page.mouse.click(*pixel(session.client.camera, point))
         page.wait_for_timeout(400)
-        if session.state.label != "TT+":
+        if session.model.state.label != "TT+":
             break
-    assert session.state.label in session.state.labels
-    assert session.state.label != "TT+", "no ghost was hit"
-    until(lambda: page.inner_text('[data-spm="branch"]') == session.state.label, "its name", page=page)
-    np.testing.assert_allclose(session.state.shown.translation, session.config.start.translation, atol=1e-12)
+    assert session.model.state.label in session.model.state.labels
+    assert session.model.state.label != "TT+", "no ghost was hit"
+    until(lambda: page.inner_text('[data-spm="branch"]') == session.model.state.label, "its name", page=page)
+    np.testing.assert_allclose(session.model.state.shown.translation, session.viewer.start.translation, atol=1e-12)
     # And back by the list of branches.
     send(session, "layer", ("ghosts", False))
-    page.locator(f'input[role=combobox][value="{session.state.label}"]').click()
+    page.locator(f'input[role=combobox][value="{session.model.state.label}"]').click()
     page.get_by_role("option", name="TT+").click()
-    until(lambda: session.state.label == "TT+", "the branch chosen from the list", page=page)
+    until(lambda: session.model.state.label == "TT+", "the branch chosen from the list", page=page)
 
 
 def test_legs_beyond_their_limits_are_red(client):
@@ -258,18 +258,18 @@ def test_legs_beyond_their_limits_are_red(client):
 def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     page, session = client
     drag_gizmo(page, session, 2, 0.35)
-    until(lambda: session.state.distance > 0.01, "a pose out of reach", page=page)
+    until(lambda: session.model.state.distance > 0.01, "a pose out of reach", page=page)
     page.wait_for_selector('[data-spm="warning"]')
     page.wait_for_timeout(300)
     assert "out of reach" in page.inner_text('[data-spm="warning"] >> nth=0')
-    assert session.model.within_limits(session.state.shown)
+    assert not session.model.state.limit_excess.any()
     assert session.scene._wanted.visible
     picture(page, "viewer_out_of_reach.png")
     # The way back stands right below the warning.
     back = page.get_by_role("button", name="Back to the reachable pose")
     assert back.is_visible()
     back.click()
-    until(lambda: session.state.distance == 0.0, "the target where the platform is", page=page)
+    until(lambda: session.model.state.distance == 0.0, "the target where the platform is", page=page)
     until(lambda: not back.is_visible(), "no way back where none is needed", page=page)
     assert not session.scene._wanted.visible
 
@@ -279,10 +279,10 @@ def test_the_platform_is_turned_by_roll_pitch_yaw(client):
     send(session, "angles", "roll, pitch, yaw")
     assert [slider.label for slider in session.panel.pose_sliders[3:]] == ["roll [°]", "pitch [°]", "yaw [°]"]
     page.get_by_text("pitch [°]").wait_for()
-    wanted = session.state.target.rotation.as_euler("xyz", degrees=True)
+    wanted = session.model.state.target.rotation.as_euler("xyz", degrees=True)
     wanted[2] += 4.0
     send(session, "coordinate", (5, float(wanted[2])))
-    np.testing.assert_allclose(session.state.target.rotation.as_euler("xyz", degrees=True), wanted, atol=1e-9)
+    np.testing.assert_allclose(session.model.state.target.rotation.as_euler("xyz", degrees=True), wanted, atol=1e-9)
     assert "roll, pitch, yaw = (" in page.locator('[data-spm="pose"]').first.inner_text()
     send(session, "angles", "X-Y-X")
     assert session.panel.pose_sliders[3].label == "α [°]"
@@ -329,8 +329,8 @@ def test_forces_held_are_drawn_at_the_platform_and_taken_away(client):
     page.get_by_label("Forces held").check()
     until(lambda: len(green()) > 1000, "forces in the picture", page=page)
     picture(page, "viewer_forces.png")
-    held = spm.capability.wrench_polytope(session.state.shown, 1.0).section("linear")
-    corners = session.state.shown.translation + robot_scene._HELD * scene.size * held.vertices
+    held = spm.capability.wrench_polytope(session.model.state.shown, 1.0).section("linear")
+    corners = session.model.state.shown.translation + robot_scene._HELD * scene.size * held.vertices
     corners = np.array([pixel(session.client.camera, corner) for corner in corners])
     expected = corners.clip([320, 0], [width, SIZE["height"]])
     pixels = green()
@@ -350,16 +350,16 @@ def test_legs_load_and_path_move_the_shown_robot(client):
     session.panel.force.value = (0.0, 0.0, -500.0)
     send(session, "load")
     send(session, "leg", (0, 1.25))
-    assert session.state.shown.leg_lengths[0] == pytest.approx(1.25)
-    expected = spm.leg_forces(session.state.shown, [0, 0, -500, 0, 0, 0])
-    np.testing.assert_allclose(session.state.measures.forces, expected)
+    assert session.model.state.shown.leg_lengths[0] == pytest.approx(1.25)
+    expected = spm.leg_forces(session.model.state.shown, [0, 0, -500, 0, 0, 0])
+    np.testing.assert_allclose(session.model.state.forces, expected)
     assert session.scene._arrows["push"].visible or session.scene._arrows["pull"].visible
     send(session, "play")
     until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of the path", page=page)
-    until(lambda: abs(session.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
+    until(lambda: abs(session.model.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
 
     def is_handle_there():
-        return np.allclose(session.gizmo.position, session.state.shown.translation, rtol=0.0, atol=1e-9)
+        return np.allclose(session.gizmo.position, session.model.state.shown.translation, rtol=0.0, atol=1e-9)
 
     until(is_handle_there, "the handle at the shown platform", page=page)
 
@@ -382,7 +382,7 @@ def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
         assert len(viewer.sessions) == 2
         send(other, "branch", "FF+")
         until(lambda: other_page.inner_text('[data-spm="branch"]') == "FF+", "the other's branch", page=other_page)
-        assert session.state.label == "TT+"
+        assert session.model.state.label == "TT+"
         assert page.inner_text('[data-spm="branch"]') == "TT+"
         other.player._repeat = True  # a busy machine may take longer than the path's second to look
         asyncio.run_coroutine_threadsafe(other.report("play", None), other._loop).result(timeout=60.0)
@@ -421,11 +421,11 @@ def test_the_demo_moves_until_it_is_touched(browser):
         page.goto(viewer.url + PIXELS, timeout=90_000)
         until(lambda: viewer.sessions, "a session", page=page)
         (session,) = viewer.sessions
-        start = viewer._config.start.translation
-        until(lambda: np.linalg.norm(session.state.shown.translation - start) > 0.05, "a motion", page=page)
-        send(session, "branch", session.state.label)
+        start = viewer.start.translation
+        until(lambda: np.linalg.norm(session.model.state.shown.translation - start) > 0.05, "a motion", page=page)
+        send(session, "branch", session.model.state.label)
         assert not session.player.playing
         page.close()
         assert not errors
-    with Viewer(viewer._config.start, port=0) as viewer:
-        assert viewer._config.demo is None
+    with Viewer(viewer.start, port=0) as viewer:
+        assert viewer.demo is None

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from html import escape
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spm_pin.display.viewer.model import NEAR, SINGULARITIES, State, command_line, pose_coordinates
+from spm_pin.display.viewer.model import (
+    NEAR,
+    SINGULARITIES,
+    State,
+    command_line,
+    leg_ranges,
+    pose_coordinates,
+    pose_ranges,
+)
 from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, Colour
 from spm_pin.display.writing import fixed
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism import LEGS
+
+if TYPE_CHECKING:
+    from spm_pin.display.viewer.page import Viewer
 
 _COORDINATES = {
     "X-Y-X": ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]"),
@@ -45,51 +53,38 @@ Report = Callable[[str, Any], Coroutine[Any, Any, None]]
 
 
 class Panel:
-    """The widgets of one client, added to a `viser.GuiApi`; `report` takes the name and the value of every event.
+    """The widgets of one client of a viewer, added to a `viser.GuiApi`.
 
-    Without the `duration` of a recorded path [s] there is no tab for it; on the `narrow` page of a phone the
-    instruments have a tab of their own.
+    `report` takes the name and the value of every event. On the `narrow` page of a phone the instruments have a tab of
+    their own.
     """
 
-    def __init__(
-        self,
-        gui: Any,
-        geometry: Geometry,
-        report: Report,
-        *,
-        dark: bool,
-        duration: float | None,
-        demo: bool,
-        narrow: bool,
-    ) -> None:
-        self.gui = gui
-        self._report = report
-        self.theme(dark)
+    def __init__(self, gui: Any, viewer: Viewer, report: Report, *, narrow: bool) -> None:
+        self.gui, self.viewer, self._report = gui, viewer, report
+        limits = viewer.start.geometry.limits
+        self.theme(viewer.dark)
         gui.main_panel.dock_right()
         self.status = gui.add_html("")
-        self.back = self._add(
-            "button", "back", "Back to the reachable pose", visible=False, color=(200, 16, 46), icon="arrow-back-up"
-        )
-        self.branch = self._add(
-            "dropdown", "branch", "Branch", [_NONE], hint="Or show the other branches as ghosts and click one"
-        )
+        options: dict[str, Any] = {"visible": False, "color": (200, 16, 46), "icon": "arrow-back-up"}
+        self.back = self._add("button", "back", "Back to the reachable pose", **options)
+        hint = "Or show the other branches as ghosts and click one"
+        self.branch = self._add("dropdown", "branch", "Branch", [_NONE], hint=hint)
         self._add("button_group", "view", "View", tuple(VIEWS))
         if not narrow:
             self.instruments = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Pose"):
             self.angles = next(iter(_COORDINATES))
-            names = _COORDINATES[self.angles]
-            self.pose_sliders = [self._add_slider(name, "coordinate", k) for k, name in enumerate(names)]
+            self.pose_sliders = self._add_sliders("coordinate", _COORDINATES[self.angles])
             hint = "The paper's X-Y-X, or about the fixed axes X, Y, Z as in a URDF"
             self._add("dropdown", "angles", "Angles", list(_COORDINATES), hint=hint)
             hint = "A leg within its limits is kept within them"
-            self._add("checkbox", "hold", "Hold leg limits", True, visible=geometry.limits is not None, hint=hint)
+            self._add("checkbox", "hold", "Hold leg limits", True, visible=limits is not None, hint=hint)
             self._add("button", "reset", "Start pose", icon="home")
-            if demo:
+            if viewer.demo is not None:
                 self._add("button", "play", "Demo motion", icon="player-play")
         with tabs.add_tab("Legs"):
-            self.leg_sliders = [self._add_slider(f"{leg} [m]", "leg", k) for k, leg in enumerate(LEGS)]
+            self.leg_sliders = self._add_sliders("leg", [f"{leg} [m]" for leg in LEGS])
         if narrow:
             with tabs.add_tab("Instruments"):
                 self.instruments = gui.add_html("")
@@ -99,12 +94,13 @@ class Panel:
             self.moment = self._add("vector3", "load", "Moment [N m]", zero, step=10.0, hint="Onto m, in {B}")
             self.forces = gui.add_html("")
         with tabs.add_tab("Show"):
-            limits = geometry.limits
-            has_shell = geometry.is_nominal and limits is not None and bool(np.isfinite(limits.maximum).all())
+            is_bounded = limits is not None and bool(np.isfinite(limits.maximum).all())
+            has_shell = is_bounded and viewer.start.geometry.is_nominal
             for label, (layer, shown) in _LAYERS.items():
                 self._add("checkbox", "layer", label, shown, key=layer, visible=has_shell or layer != "shell")
-            self._add("checkbox", "dark", "Dark page", dark)
-        if duration is not None:
+            self._add("checkbox", "dark", "Dark page", viewer.dark)
+        if viewer.recording is not None:
+            duration = float(viewer.recording.times[-1])
             with tabs.add_tab("Path"):
                 self._add("button", "play", "Play / pause", icon="player-play")
                 self.time = self._add("slider", "time", "Time [s]", 0.0, duration, max(duration / 1000.0, 1e-6), 0.0)
@@ -137,18 +133,12 @@ class Panel:
         register(on_event)
         return widget
 
-    def _add_slider(self, label: str, event: str, index: int) -> Any:
-        return self._add("slider", event, label, 0.0, 1.0, 0.1 if "°" in label else 0.001, 0.0, key=index)
+    def _add_sliders(self, event: str, labels: Sequence[str]) -> list[Any]:
+        steps = [0.1 if "°" in label else 0.001 for label in labels]
+        return [self._add("slider", event, labels[k], 0.0, 1.0, steps[k], 0.0, key=k) for k in range(len(labels))]
 
-    def show(
-        self,
-        state: State,
-        q: FloatArray,
-        ranges: tuple[FloatArray, FloatArray],
-        geometry_file: Path | None,
-        moved: tuple[str, int] = ("", 0),
-    ) -> None:
-        """Show a state and its joint values q (18,); the sliders of pose and legs go over `ranges`, each (6, 2).
+    def show(self, state: State, moved: tuple[str, int]) -> None:
+        """Show a state.
 
         The slider that the user moves, "coordinate" or "leg" and which of them, is left alone, and so are the values
         of the others of its kind.
@@ -163,13 +153,17 @@ class Panel:
         self.branch.value = state.label or labels[0]
         # Where angles are not unique, those of the state that is shown.
         pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose, self.angles)
-        kinds = (("coordinate", self.pose_sliders, pose), ("leg", self.leg_sliders, state.shown.readings))
-        for (kind, sliders, values), ends in zip(kinds, ranges, strict=True):
-            for k, (slider, value, (low, high)) in enumerate(zip(sliders, values, ends, strict=True)):
+        kinds = (
+            ("coordinate", self.pose_sliders, pose, pose_ranges(state.shown, self.angles)),
+            ("leg", self.leg_sliders, state.shown.readings, leg_ranges(state.shown)),
+        )
+        for kind, sliders, values, ranges in kinds:
+            for k, (slider, value, (low, high)) in enumerate(zip(sliders, values, ranges, strict=True)):
                 if (kind, k) != moved:
                     value = slider.value if kind == moved[0] else float(value)
                     _set_slider(slider, value, min(low, value), max(high, value))
-        self.command.value = command_line(state.shown, geometry_file)
+        self.command.value = command_line(state.shown, self.viewer.geometry_file)
+        q = self.viewer.chain.joint_values(state.shown)
         self.q.value = np.array2string(q + 0.0, precision=9, separator=", ", max_line_width=60)
 
     def set_angles(self, angles: str) -> None:
@@ -181,11 +175,6 @@ class Panel:
     def show_path(self, *lines: str) -> None:
         """Show lines of text below the path's controls."""
         self.path_note.content = note(*lines)
-
-    @property
-    def wrench(self) -> FloatArray:
-        """The load as entered (6,) [N, N m]."""
-        return np.array([*self.force.value, *self.moment.value], dtype=np.float64)
 
 
 def _set_slider(slider: Any, value: float, low: float, high: float) -> None:
@@ -202,18 +191,14 @@ def _length(value: float) -> str:
     return f"{fixed(1e3 * value, 0)} mm" if abs(value) < 9.9995 else f"{fixed(value, 1)} m"
 
 
-def _signed_length(value: float) -> str:
-    return ("+" if value > 0.0 else "−") + _length(abs(value))
-
-
 def status(state: State, convention: str = "X-Y-X") -> str:
     """Return the branch, the position with the angles in a convention, and the notices."""
     values = pose_coordinates(state.shown.pose, convention)
     o, angles = (", ".join(fixed(x, digits) for x in part) for part, digits in ((values[:3], 3), (values[3:], 1)))
     name = escape(state.label) or "no isolated branch"
-    tags = ["physical" if state.measures.is_physical else "not physical"]
+    tags = ["physical" if state.is_physical else "not physical"]
     if state.shown.geometry.limits is not None:
-        tags.append("within limits" if not state.measures.limit_excess.any() else "beyond limits")
+        tags.append("within limits" if not state.limit_excess.any() else "beyond limits")
     lines = [
         f'<div style="font-size:0.95rem"><b data-spm="branch">{name}</b> &nbsp;{escape(", ".join(tags))}</div>',
         f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, {convention} = ({angles})\u2060°</div>',
@@ -256,10 +241,10 @@ def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str 
 
 
 def _legs(state: State) -> str:
-    measures, lengths, limits = state.measures, state.shown.readings, state.shown.geometry.limits
+    lengths, limits = state.shown.readings, state.shown.geometry.limits
     cells = []
     for k, leg in enumerate(LEGS):
-        length, excess = float(lengths[k]), float(measures.limit_excess[k])
+        length, excess = float(lengths[k]), float(state.limit_excess[k])
         # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
         ticks = tuple(share for share, limit in ((0.1, low), (0.9, high)) if 0.0 < limit < np.inf)
@@ -267,7 +252,7 @@ def _legs(state: State) -> str:
             high = low + 1.25 * float(lengths.max())
         share = float(np.clip(0.1 + 0.8 * (length - low) / max(high - low, 1e-12), 0.0, 1.0))
         colour = WARN if excess else (PUSH if k < 3 else _UPPER)
-        mark = f"⚠ {_signed_length(excess)}" if excess else ""
+        mark = f"⚠ {'+' if excess > 0.0 else '−'}{_length(abs(excess))}" if excess else ""
         value = _cell(fixed(length, 3), _RIGHT, leg)
         cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:rgb{WARN};font-weight:600")]
     name = "Encoder readings" if state.shown.geometry.legs.offsets.any() else "Leg lengths"
@@ -277,11 +262,10 @@ def _legs(state: State) -> str:
 
 
 def _singularities(state: State) -> str:
-    measures, side = state.measures, state.shown.geometry.middle_side
-    near, singular = measures.is_near, measures.singularities
+    near, singular, side = state.is_near, state.singularities, state.shown.geometry.middle_side
     cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in ("", "", "away", "σ", "cond")]
     for k, name in enumerate(SINGULARITIES):
-        travel, condition = float(measures.travel[k]), float(singular.condition[k])
+        travel, condition = float(state.travel[k]), float(singular.condition[k])
         finite = np.isfinite(travel)
         share = min(travel / (10.0 * NEAR * side), 1.0) if finite else 0.0
         cells += [
@@ -298,7 +282,7 @@ def _singularities(state: State) -> str:
 
 def forces_table(state: State) -> str:
     """Return the leg forces that hold the load, as bars from the middle."""
-    forces = state.measures.forces
+    forces = state.forces
     if forces is None:
         return note("⚠ The legs cannot hold every load here.")
     largest = float(np.abs(forces).max())

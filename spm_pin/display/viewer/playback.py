@@ -1,9 +1,14 @@
-"""Recorded paths, read from CSV files and followed on a branch, and the motion of the demo."""
+"""Recorded paths, read from CSV files, followed on a branch and played, and the motion of the demo."""
 
 from __future__ import annotations
 
+import asyncio
+import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,6 +22,7 @@ from spm_pin.mechanism.motion_table import POSITION, QUATERNION, MotionTable
 
 _SECONDS = 10.0  # duration of the demo motion, and of a path without times
 _POINTS = 81
+_INTERVAL = 1.0 / 25.0  # between two moments of a path that is played [s]
 # Directions of the six legs' motion, found by a search for large motions of the paper's machine: the legs go along the
 # first and back, and swing along the second meanwhile.
 _ALONG = np.array([0.52, 0.05, 0.25, 0.75, -0.11, -0.30])
@@ -123,3 +129,52 @@ def demo_motion(start: Configuration) -> Playback | None:
         if playback.path.complete and not playback.path.events:
             return playback
     return None
+
+
+class Player:
+    """Runs the time of a path from 0 to its duration [s]; all methods belong to the event loop's thread.
+
+    `show` shows the path at a time [s]; it is given to `post`, of an event queue, as the action "frame". With `repeat`
+    the path begins again at the end.
+    """
+
+    def __init__(
+        self,
+        post: Callable[[str, Callable[[], Any]], bool],
+        show: Callable[[float], None],
+        duration: float,
+        *,
+        repeat: bool,
+    ) -> None:
+        self._post, self._show, self._duration, self._repeat = post, show, duration, repeat
+        self.time = 0.0
+        self._task: asyncio.Task[None] | None = None
+
+    @property
+    def playing(self) -> bool:
+        """True while the path is played."""
+        return self._task is not None
+
+    def stop(self) -> None:
+        """Stop where it is."""
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+
+    def toggle(self) -> None:
+        """Stop, or run on from where it is, from the beginning where it has ended."""
+        if self.playing:
+            self.stop()
+        else:
+            self._task = asyncio.get_running_loop().create_task(self._run())
+
+    async def _run(self) -> None:
+        start = clock.perf_counter() - (self.time if self.time < self._duration else 0.0)
+        while True:
+            elapsed = clock.perf_counter() - start
+            self.time = elapsed % self._duration if self._repeat else min(elapsed, self._duration)
+            is_open = self._post("frame", partial(self._show, self.time))
+            if not is_open or (elapsed >= self._duration and not self._repeat):
+                break
+            await asyncio.sleep(_INTERVAL)
+        self._task = None

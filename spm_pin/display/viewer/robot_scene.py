@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.capability import wrench_polytope
-from spm_pin.description.visuals import VisualPart, part_placements, section_size, visual_parts
+from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.display.rendering import camera_axes
 from spm_pin.display.viewer.model import State, sampled_states
 from spm_pin.errors import SpmError
@@ -30,7 +30,7 @@ _BORDER = 0.06
 """Empty border at every edge of a picture, as a share of its height."""
 
 OnClick = Callable[[str], Coroutine[Any, Any, None]]
-Colour = tuple[int, int, int]
+Colour = tuple[int, ...]
 
 _SOLID = {"side": "double", "cast_shadow": False, "receive_shadow": False}
 _NOT_TURNED = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
@@ -42,21 +42,16 @@ _TRAIL_STEP = 2e-3  # of the base radius
 _SHELL_RESOLUTION = 14  # coarse enough to be sent to a page
 
 
-class Placements(NamedTuple):
-    """Placements of the n solids of a manipulator in configurations (...), in the order of `visual_parts`."""
+def solid_placements(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where the solids of `visual_parts` are in configurations (...).
 
-    positions: FloatArray  # of their origins in {B} [m], shape (..., n, 3)
-    quaternions: FloatArray  # scalar first, shape (..., n, 4)
-    scales: FloatArray  # along the axes of the solid, shape (..., n, 3)
-
-
-def solid_placements(configuration: Configuration) -> Placements:
-    """Return where the solids are in configurations (...)."""
+    The positions of their origins in {B} [m], shape (..., n, 3), their quaternions, scalar first, shape (..., n, 4),
+    and the scales along their axes, shape (..., n, 3).
+    """
     matrices = part_placements(configuration)
     scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
-    rotations = matrices[..., :3, :3] / scales[..., None, :]
-    quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True)
-    return Placements(matrices[..., :3, 3], quaternions.reshape(*rotations.shape[:-2], 4), scales)
+    quaternions = Rotation.from_matrix(matrices[..., :3, :3] / scales[..., None, :]).as_quat(scalar_first=True)
+    return matrices[..., :3, 3], quaternions, scales
 
 
 @lru_cache(maxsize=4)
@@ -65,15 +60,9 @@ def _shell(geometry: Geometry) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.
     return np.asarray(shell.vertices, np.float32), np.asarray(shell.faces, np.uint32)
 
 
-def _eight_bits(colour: tuple[float, float, float]) -> Colour:
-    red, green, blue = (round(255.0 * channel) for channel in colour)
-    return red, green, blue
-
-
 def _linear(colour: Colour) -> Colour:
     """Return a colour for many instances at once, which viser takes for linear intensities instead of sRGB."""
-    red, green, blue = (round(255.0 * (channel / 255.0) ** 2.2) for channel in colour)
-    return red, green, blue
+    return tuple(round(255.0 * (channel / 255.0) ** 2.2) for channel in colour)
 
 
 class RobotScene:
@@ -86,6 +75,7 @@ class RobotScene:
         self.layers = {"ghosts": False, "names": True, "trail": True, "forces": False}
         self.size = section_size(geometry)
         self._parts = visual_parts(geometry)
+        self._colours = [tuple(round(255.0 * channel) for channel in part.colour) for part in self._parts]
         scene.configure_default_lights(cast_shadow=False)
         radius = 1.6 * geometry.base_radius
         scene.add_grid(
@@ -99,18 +89,16 @@ class RobotScene:
             shadow_opacity=0.18,
             position=(0.0, 0.0, -0.3 * self.size),
         )
-        self._robot = [self._mesh(f"/robot/{k}", part) for k, part in enumerate(self._parts)]
+        self._robot = [self._mesh(f"/robot/{k}", k) for k in range(len(self._parts))]
         # Base and terminal platform are where the robot's are; of the legs their tubes are enough.
         self._ghosts = {
-            k: self._ghost(k, part, on_click)
-            for k, part in enumerate(self._parts)
-            if part.mesh in ("tube", "middle_plate")
+            k: self._ghost(k, on_click) for k, part in enumerate(self._parts) if part.mesh in ("tube", "middle_plate")
         }
         # The terminal platform where it should be.
         self._wanted = scene.add_frame("/wanted", show_axes=False, visible=False)
         for k, part in enumerate(self._parts):
             if part.body == "terminal_platform":
-                self._mesh(f"/wanted/{k}", part, color=WARN, opacity=0.45)
+                self._mesh(f"/wanted/{k}", k, color=WARN, opacity=0.45)
         self._gap = self._lines("/wanted_gap", WARN)
         self._trail = self._lines("/trail", _TRAIL)
         self._trail_points: list[FloatArray] = []
@@ -120,13 +108,14 @@ class RobotScene:
         looks = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
         self._arrows = {name: self._arrow(name, *look) for name, look in looks.items()}
 
-    def _mesh(self, name: str, part: VisualPart, **options: Any) -> Any:
-        options = {"color": _eight_bits(part.colour), **_SOLID, **options}
+    def _mesh(self, name: str, index: int, **options: Any) -> Any:
+        options = {"color": self._colours[index], **_SOLID, **options}
+        part = self._parts[index]
         return self.scene.add_mesh_simple(name, np.float32(part.vertices), np.uint32(part.faces), **options)
 
-    def _ghost(self, index: int, part: VisualPart, on_click: OnClick) -> Any:
+    def _ghost(self, index: int, on_click: OnClick) -> Any:
         """Return the node of one solid of all ghosts, an instance for each branch."""
-        count = len(BRANCHES)
+        count, part = len(BRANCHES), self._parts[index]
         handle = self.scene.add_batched_meshes_simple(
             f"/ghosts/{index}",
             np.float32(part.vertices),
@@ -134,7 +123,7 @@ class RobotScene:
             batched_wxyzs=np.tile(_NOT_TURNED, (count, 1)),
             batched_positions=np.zeros((count, 3), np.float32),
             batched_scales=np.zeros((count, 3), np.float32),
-            batched_colors=_linear(_eight_bits(part.colour)),
+            batched_colors=_linear(self._colours[index]),
             opacity=_GHOST_OPACITY,
             lod="off",
             visible=False,
@@ -168,18 +157,21 @@ class RobotScene:
         )
 
     def show(self, state: State) -> None:
-        """Show a state; what viser has already is not sent again."""
-        beyond = {f"leg_{leg[2:]}" for leg, excess in zip(LEGS, state.measures.limit_excess, strict=True) if excess}
-        placements = solid_placements(state.shown)
-        for handle, part, position, quaternion, scale in zip(self._robot, self._parts, *placements, strict=True):
+        """Show a state but for its forces; what viser has already is not sent again."""
+        beyond = {f"leg_{leg[2:]}" for leg, excess in zip(LEGS, state.limit_excess, strict=True) if excess}
+        nodes = zip(self._robot, self._parts, self._colours, *solid_placements(state.shown), strict=True)
+        for handle, part, colour, position, quaternion, scale in nodes:
             handle.position, handle.wxyz, handle.scale = position, quaternion, tuple(scale.tolist())
-            handle.color = WARN if part.body[:6] in beyond else _eight_bits(part.colour)
+            handle.color = WARN if part.body[:6] in beyond else colour
+        for handle, place in zip(self._names, _beside_legs(state.shown, 0.42 * self.size), strict=True):
+            handle.position, handle.visible = place, self.layers["names"]
+        if state.distance > 0.0:
+            self._wanted.position = state.target.translation
+            self._wanted.wxyz = state.target.rotation.as_quat(scalar_first=True)
+            self._gap.points = np.stack([state.shown.translation, state.target.translation])[None].astype(np.float32)
+        self._wanted.visible = self._gap.visible = state.distance > 0.0
         self._show_ghosts(state)
-        self._show_names(state)
-        self._show_wanted(state)
-        self._show_load(state)
         self._show_trail(state.shown.translation)
-        self._show_forces(state.shown)
 
     def _show_ghosts(self, state: State) -> None:
         others = [label in state.labels and label != state.label for label in BRANCHES]
@@ -205,18 +197,8 @@ class RobotScene:
                 handle.position, handle.text = places[-1], f"{label} ◀" if label == state.label else label
             handle.visible = named
 
-    def _show_names(self, state: State) -> None:
-        for handle, place in zip(self._names, _beside_legs(state.shown, 0.42 * self.size), strict=True):
-            handle.position, handle.visible = place, self.layers["names"]
-
-    def _show_wanted(self, state: State) -> None:
-        if state.distance > 0.0:
-            self._wanted.position = state.target.translation
-            self._wanted.wxyz = state.target.rotation.as_quat(scalar_first=True)
-            self._gap.points = np.stack([state.shown.translation, state.target.translation])[None].astype(np.float32)
-        self._wanted.visible = self._gap.visible = state.distance > 0.0
-
-    def _show_load(self, state: State) -> None:
+    def show_forces(self, state: State) -> None:
+        """Show the load, the leg forces that hold it, and the forces that legs of equal strength hold."""
         o, wrench = state.shown.translation, state.wrench
         length = 1.1 * self.size
         force, moment = wrench[:3], wrench[3:]
@@ -224,15 +206,15 @@ class RobotScene:
         # A moment has two heads.
         axis = _onto(o, moment, length) if moment.any() else None
         self._point("moment", [axis, np.stack([o, o + 0.82 * (axis[1] - o)])] if axis is not None else [])
-        forces = np.zeros(6) if state.measures.forces is None else state.measures.forces
+        forces = np.zeros(6) if state.forces is None else state.forces
         shares = forces / max(float(np.abs(forces).max()), 1e-300)
-        bases, balls = state.shown.leg_bases, state.shown.balls
         middles = _beside_legs(state.shown, 0.2 * self.size)
-        half = 0.45 * (balls - bases) * np.abs(shares)[:, None]
+        half = 0.45 * state.shown.leg_vectors * np.abs(shares)[:, None]
         # Away from the actuator's middle where it pushes, towards it where it pulls; at both ends.
         outward = np.stack([[middles, middles + half], [middles, middles - half]]).transpose(2, 0, 1, 3)
         self._point("push", outward[shares > 0.02].reshape(-1, 2, 3))
         self._point("pull", outward[shares < -0.02][:, :, ::-1].reshape(-1, 2, 3))
+        self._show_held_forces(state.shown)
 
     def _point(self, name: str, arrows: Sequence[FloatArray] | FloatArray) -> None:
         handle = self._arrows[name]
@@ -251,7 +233,7 @@ class RobotScene:
                 self._trail.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         self._trail.visible = self.layers["trail"] and len(points) > 1
 
-    def _show_forces(self, state: Configuration) -> None:
+    def _show_held_forces(self, state: Configuration) -> None:
         """Show the forces at o that equal limits of the leg forces hold, `_HELD` of the robot's size for each limit."""
         shown = self.layers["forces"]
         if not shown and not self._has_forces:
