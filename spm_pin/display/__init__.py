@@ -46,24 +46,17 @@ __all__ = [
 
 # Imported on first use: each room that a figure shows takes a moment.
 _HOMES = {
-    "figures": (
-        "agreement_figure",
-        "calibration_figure",
-        "certificate_figure",
-        "front_figure",
-        "motion_figure",
-        "path_figure",
-    ),
-    "plots": ("draw", "draw_capability", "save_gallery", "save_picture"),
-    "shell_plots": ("draw_shell", "save_mesh", "sections_figure", "shell_figure"),
-    "viewer": ("Playback", "Recording", "Viewer", "read_recording"),
-    "writing": ("Style", "save_figure"),
+    "figures": "agreement_figure calibration_figure certificate_figure front_figure motion_figure path_figure",
+    "plots": "draw draw_capability save_gallery save_picture",
+    "shell_plots": "draw_shell save_mesh sections_figure shell_figure",
+    "viewer": "Playback Recording Viewer read_recording",
+    "writing": "Style save_figure",
 }
 
 
 def __getattr__(name: str) -> Any:
     for home, names in _HOMES.items():
-        if name in names:
+        if name in names.split():
             return getattr(import_module(f"spm_pin.display.{home}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

@@ -29,10 +29,10 @@ from spm_pin.display.writing import (
     FORMATS,
     Style,
     check_appearance,
-    new_axes,
     new_figure,
     save_figure,
     scaled,
+    show_in_notebooks,
     write_name,
 )
 from spm_pin.errors import ArgumentError
@@ -70,7 +70,9 @@ def draw_solids(
     low, high = bounds(solids, camera, margins)
     if ax is None:
         width, height = (high - low) / (high - low)[0] * _WIDTH
-        ax = new_axes(new_figure(width, height), (0.0, 0.0, 1.0, 1.0))
+        figure = new_figure(width, height)
+        ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        show_in_notebooks(ax, figure)
         ax.axis("off")
     elif ax.name == "3d":
         cause = "The view is projected here: leave out projection='3d'"

@@ -70,17 +70,11 @@ def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[S
 
 def arrow(name: str, colour: Colour, axes: FloatArray, origin: FloatArray, length: float, nearer: float = 0.0) -> Solid:
     """Return an arrow from `origin` along the third column of a rotation matrix `axes`, lengths in metres."""
-    angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
-    circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    rings = [np.column_stack([r * circle, np.full(_SIDES, z)]) for r, z in ((0.04, 0.0), (0.04, 0.72), (0.11, 0.72))]
-    vertices = length * np.concatenate([*rings, [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
-    first = np.arange(_SIDES)
-    second, foot, tip = np.roll(first, -1), 3 * _SIDES, 3 * _SIDES + 1
-    strips = [(second, first, np.full(_SIDES, foot)), (first + 2 * _SIDES, second + 2 * _SIDES, np.full(_SIDES, tip))]
-    for low, high in ((0, _SIDES), (_SIDES, 2 * _SIDES)):
-        strips += [(low + first, low + second, high + second), (low + first, high + second, high + first)]
-    faces = np.concatenate([np.stack(strip, axis=-1) for strip in strips])
-    return Solid(name, colour, vertices @ axes.T + origin, faces, nearer)
+    import trimesh
+
+    outline = [(0.0, 0.0), (0.04, 0.0), (0.04, 0.72), (0.11, 0.72), (0.0, 1.0)]  # distance from the axis, and along it
+    mesh = trimesh.creation.revolve(outline, sections=_SIDES)
+    return Solid(name, colour, length * mesh.vertices @ axes.T + origin, mesh.faces, nearer)
 
 
 def _triad(frame: str, rotation: FloatArray, origin: FloatArray, size: float) -> list[Solid]:

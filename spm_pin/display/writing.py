@@ -44,37 +44,22 @@ _DRAWN_FONT = 10.0  # size of the axes' names as figures are drawn, in points
 def new_figure(width: float, height: float, **options: Any) -> Figure:
     """Return a matplotlib figure of a size in inches, which a notebook shows at the end of a cell."""
     require_extra("plots", "matplotlib")
-    return _notebook_classes()[0](figsize=(width, height), **options)
-
-
-def new_axes(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
-    """Add axes at a place (left, bottom, width, height) of a figure, which a notebook shows as that figure."""
-    return figure.add_axes(place, axes_class=_notebook_classes()[1])
-
-
-@functools.cache
-def _notebook_classes() -> tuple[type[Figure], type[Axes]]:
-    """Return the classes of figures and of axes that IPython shows as PNG; pyplot is not needed for that."""
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    def png(figure: Any) -> bytes:
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png", dpi=_NOTEBOOK_DPI, facecolor="white")
-        return stream.getvalue()
+    figure = Figure(figsize=(width, height), **options)
+    show_in_notebooks(figure, figure)
+    return figure
 
-    class NotebookFigure(Figure):
-        """A figure that shows itself."""
 
-        _repr_png_ = png
+def show_in_notebooks(result: Figure | Axes, figure: Figure) -> None:
+    """Have IPython show a figure as PNG where `result` ends a cell; pyplot is not needed for that."""
+    vars(result)["_repr_png_"] = functools.partial(_png, figure)
 
-    class NotebookAxes(Axes):
-        """Axes that show their figure."""
 
-        def _repr_png_(self) -> bytes:
-            return png(self.figure)
-
-    return NotebookFigure, NotebookAxes
+def _png(figure: Figure) -> bytes:
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=_NOTEBOOK_DPI, facecolor="white")
+    return stream.getvalue()
 
 
 def check_appearance(width: int, narrowest: int, background: str) -> None:
@@ -138,14 +123,11 @@ class Style:
 
     def apply(self, figure: Figure) -> None:
         """Change a figure's size, texts and colours."""
-        from matplotlib.text import Text
-
         if self.width is not None:
             width, height = figure.get_size_inches()
             figure.set_size_inches(self.width, self.height or height * self.width / width)
         if self.font_size is not None:
-            for text in figure.findobj(Text):
-                text.set_fontsize(float(text.get_fontsize()) * self.font_size / _DRAWN_FONT)
+            _enlarge_texts(figure, self.font_size / _DRAWN_FONT)
         if (self.width or self.font_size) and figure.get_layout_engine() is not None:
             self._fit(figure)
         if self.dark:
@@ -154,17 +136,13 @@ class Style:
     def _fit(self, figure: Figure) -> None:
         """Break texts and legends for the figure's size, or raise `ArgumentError` with a size that is enough."""
         size, texts = figure.get_size_inches(), {text: text.get_text() for text in _titles(figure)}
-        stretches = [1.0] if self.height else [1.0, *_STRETCHES]
-        for stretch in stretches:
-            figure.set_size_inches(size[0], stretch * size[1])
-            if _arrange(figure, texts):
+        for stretch in [1.0] if self.height else [1.0, *_STRETCHES]:
+            if _arrange(figure, texts, (size[0], stretch * size[1])):
                 _leave_out_covered_names(figure)
                 return
         factor = 1.1
-        figure.set_size_inches(*(factor * size))
-        while not _arrange(figure, texts) and factor < 8.0:
+        while not _arrange(figure, texts, factor * size) and factor < 8.0:
             factor *= 1.1
-            figure.set_size_inches(*(factor * size))
         width, height = np.ceil(factor * size * _PER_INCH["mm"])
         enough = f"{width:g}x{height:g}mm" if self.height else f"{width:g}mm"
         cause = "Its texts do not fit; a smaller font needs less" if self.font_size else "Its texts do not fit"
@@ -174,13 +152,17 @@ class Style:
 
 def scaled(figure: Figure, factor: float) -> Figure:
     """Return a figure after its size and all its texts have been enlarged."""
-    from matplotlib.text import Text
-
     if factor != 1.0:
         figure.set_size_inches(*(factor * figure.get_size_inches()))
-        for text in figure.findobj(Text):
-            text.set_fontsize(factor * float(text.get_fontsize()))
+        _enlarge_texts(figure, factor)
     return figure
+
+
+def _enlarge_texts(figure: Figure, factor: float) -> None:
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        text.set_fontsize(factor * float(text.get_fontsize()))
 
 
 def legend_below(figure: Figure, handles: Sequence[Any], **options: Any) -> None:
@@ -205,8 +187,9 @@ def _titles(figure: Figure) -> dict[Text, Axes | None]:
     return {text: ax for text, ax in texts.items() if text.get_text() and (ax is None or ax.axison)}
 
 
-def _arrange(figure: Figure, originals: Mapping[Text, str]) -> bool:
-    """Break the figure's texts and its legend to its size; return whether they neither cover nor leave anything."""
+def _arrange(figure: Figure, originals: Mapping[Text, str], size: Sequence[float]) -> bool:
+    """Break the figure's texts and its legend to a size [inch]; return whether they neither cover nor leave anything."""
+    figure.set_size_inches(*size)
     for text, words in originals.items():
         text.set_text(words)
     for legend in figure.legends:
@@ -240,8 +223,7 @@ def _numbers_overlap(ax: Axes) -> bool:
     """Return whether neighbouring numbers of an axis cover one another."""
     for axis in (ax.xaxis, ax.yaxis):
         labels = [label for label in axis.get_majorticklabels() if label.get_visible() and label.get_text()]
-        boxes = [label.get_window_extent() for label in labels]
-        if any(box.overlaps(following) for box, following in itertools.pairwise(boxes)):
+        if any(a.get_window_extent().overlaps(b.get_window_extent()) for a, b in itertools.pairwise(labels)):
             return True
     return False
 
@@ -359,10 +341,10 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(member) for key, member in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
+    if isinstance(value, complex):
+        value = value.real, value.imag
     if isinstance(value, list | tuple):
         return [_plain(member) for member in value]
-    if isinstance(value, complex):
-        return [_plain(value.real), _plain(value.imag)]
     if isinstance(value, float):
         return value + 0.0 if math.isfinite(value) else None
     return value
