@@ -36,23 +36,20 @@ def agreement_figure(report: Report) -> Figure:
     pairs = check_instance(report, Report, "report", "compare_methods returns one").differences
     figure = new_figure(8.0, 1.6 + 0.24 * len(pairs), layout="constrained")
     ax = figure.add_subplot()
-    rows = range(len(pairs))
     colours = (_BLUE, _GREEN, _ORANGE, _PURPLE)
     quantities = (Quantity.POSITIONS, Quantity.JACOBIAN, Quantity.FORCES, Quantity.ASSEMBLY)
     for quantity, colour in zip(quantities, colours, strict=True):
-        chosen = [k for k in rows if pairs[k].quantity is quantity]
-        if not chosen:
-            continue
-        ratios = [max(pairs[k].ratio, _SMALLEST) for k in chosen]
-        ax.barh(chosen, ratios, left=_SMALLEST, height=0.7, color=colour, label=str(quantity))
+        ratios = {row: max(pair.ratio, _SMALLEST) for row, pair in enumerate(pairs) if pair.quantity is quantity}
+        if ratios:
+            options: dict[str, Any] = {"left": _SMALLEST, "height": 0.7, "color": colour, "label": str(quantity)}
+            ax.barh(list(ratios), list(ratios.values()), **options)
     ax.axvline(1.0, color=_LIMIT, linewidth=2.0)
     ax.set_xscale("log")
     ax.set_xlim(_SMALLEST, max(10.0, 2.0 * max((pair.ratio for pair in pairs), default=0.0)))
-    ax.set_yticks(list(rows), [f"{pair.first} – {pair.second}" for pair in pairs])
+    ax.set_yticks(range(len(pairs)), [f"{pair.first} – {pair.second}" for pair in pairs])
     ax.invert_yaxis()
     ax.set_xlabel("largest difference over its tolerance (red line: the tolerance)")
-    handles = ax.get_legend_handles_labels()[0]
-    legend_below(figure, handles)
+    legend_below(figure)
     ax.spines[["top", "right"]].set_visible(False)
     count = "1 pose" if len(report.xyx) == 1 else f"{len(report.xyx)} poses"
     figure.suptitle(f"{report.verdict} {count}, {report.states} configurations")
@@ -76,8 +73,7 @@ def calibration_figure(calibration: Calibration) -> Figure:
         sizes = 1e6 * np.linalg.norm(calibration.residuals[outliers, :3], axis=-1)
         errors.plot(outliers, sizes, "o", ms=9, mfc="none", color="black", label="outlier")
     errors.set(xlabel="measurement", ylabel="predicted − measured position [µm]")
-    handles = errors.get_legend_handles_labels()[0]
-    legend_below(figure, handles, fontsize=8)
+    legend_below(figure, fontsize=8)
     count = len(calibration.deviations)
     combinations.semilogy(1 + np.arange(count), calibration.deviations, ".", color=_BLUE)
     combinations.set(xlabel="combination of parameters", ylabel="standard deviation [d,\u00a0rad]")
@@ -108,8 +104,7 @@ def path_figure(path: FollowedPath) -> Figure:
             label = str(event.kind) if ax is bottom else None
             ax.axvline(event.parameter, color=colour, ls=style, lw=1.0, label=label)
         ax.spines[["top", "right"]].set_visible(False)
-    handles = {handle.get_label(): handle for ax in (top, bottom) for handle in ax.get_legend_handles_labels()[0]}
-    legend_below(figure, list(handles.values()), fontsize=8)
+    legend_below(figure, fontsize=8)
     return figure
 
 
@@ -134,8 +129,7 @@ def certificate_figure(certificate: Certificate) -> Figure:
         bound = certificate.bounds[k]
         ax.set_title(f"{name}: |det J_{'bc'[k]}| ≥ {bound:.3f} d³" if bound else f"{name}: undecided", fontsize=10)
         ax.set(aspect="equal", xlabel="x", ylabel="y" if k == 0 else "")
-    kinds = {box.get_label(): box for ax in figure.axes for box in ax.get_legend_handles_labels()[0]}
-    legend_below(figure, list(kinds.values()), fontsize=8)
+    legend_below(figure, fontsize=8)
     title = "Tilt of the middle platform, vector part (x, y) of its quaternion"
     if any(certificate.errors):
         title += "; all machines within {:g} mm and {:g} mrad".format(*(1e3 * error for error in certificate.errors))
@@ -200,7 +194,7 @@ def motion_figure(
             ax.axhline(line, color="0.55", lw=0.9, ls=":")
         ax.set_title(label, loc="left", fontsize=10)
         ax.spines[["top", "right"]].set_visible(False)
-    legend_below(figure, axes[0].get_legend_handles_labels()[0], fontsize=8)
+    legend_below(figure, fontsize=8)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(float(motion.times[0]), float(motion.times[-1]))
     return figure
@@ -236,7 +230,7 @@ def front_figure(front: Front) -> Figure:
         getattr(ax, f"set_{axis}lim")(float(shown.min()) - room, float(shown.max()) + room)
     ax.set(xlabel=_aim(x, problem.aims[x]), ylabel=_aim(y, problem.aims.get(y)))
     ax.ticklabel_format(scilimits=(-3, 4), useMathText=True)
-    legend_below(figure, ax.get_legend_handles_labels()[0], fontsize=8)
+    legend_below(figure, fontsize=8)
     ax.spines[["top", "right"]].set_visible(False)
     return figure
 

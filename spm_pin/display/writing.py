@@ -165,8 +165,13 @@ def _enlarge_texts(figure: Figure, factor: float) -> None:
         text.set_fontsize(factor * float(text.get_fontsize()))
 
 
-def legend_below(figure: Figure, handles: Sequence[Any], **options: Any) -> None:
-    """Write the legend below all axes, in place of the one that is there, with as few lines as the width allows."""
+def legend_below(figure: Figure, handles: Sequence[Any] = (), **options: Any) -> None:
+    """Write the legend below all axes, in place of the one that is there, with as few lines as the width allows.
+
+    Without `handles` it has one entry for each label in the axes.
+    """
+    drawn = {handle.get_label(): handle for ax in figure.axes for handle in ax.get_legend_handles_labels()[0]}
+    handles = handles or list(drawn.values())
     count, options = len(handles), {**options, "loc": "outside lower center", "frameon": False}
     # As many columns as fit, with lines of the same length.
     for columns in sorted({math.ceil(count / rows) for rows in range(1, count + 1)}, reverse=True):
@@ -188,7 +193,7 @@ def _titles(figure: Figure) -> dict[Text, Axes | None]:
 
 
 def _arrange(figure: Figure, originals: Mapping[Text, str], size: Sequence[float]) -> bool:
-    """Break the figure's texts and its legend to a size [inch]; return whether they neither cover nor leave anything."""
+    """Break the figure's texts and its legend to a size [inch]; return whether all have room."""
     figure.set_size_inches(*size)
     for text, words in originals.items():
         text.set_text(words)

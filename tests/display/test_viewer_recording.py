@@ -35,14 +35,13 @@ def test_all_columns_give_the_same_states(tmp_path, name):
     np.testing.assert_allclose(recording.times, [0.0, 1.0, 3.0])
     playback = recording.follow(PAPER)
     assert playback.path.complete
-    assert playback.duration == 3.0
     for time, state in zip(recording.times, STATES, strict=True):
         np.testing.assert_allclose(playback.state_at(float(time)).leg_lengths, state.leg_lengths, atol=1e-9)
 
 
 def test_without_times_a_path_takes_ten_seconds_and_time_runs_along_it(tmp_path):
     playback = read_recording(written(tmp_path / "legs.csv", csv(R, LEGS))).follow(PAPER)
-    assert playback.duration == 10.0
+    assert playback.times[-1] == 10.0
     assert playback.time(0.25) == pytest.approx(2.5)
     np.testing.assert_allclose(playback.state_at(2.5).leg_lengths, LEGS[:2].mean(axis=0), atol=1e-9)
     assert "configurations of" in playback.report(0.0)[0]

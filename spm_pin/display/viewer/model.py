@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -44,13 +44,6 @@ _SAME_BRANCH = 1e-4  # of d: closer joints are one solution
 _ROUNDING = 1e-9  # of d: a reading that far beyond a limit is at it
 _SAMPLES, _NEIGHBOURS = 4000, 400  # states drawn once, and how many of them span a slider of the pose
 _STEPS = 48  # along a leg, to see how far the assembly mode lasts
-
-
-class Notice(NamedTuple):
-    """A sentence for the user."""
-
-    is_warning: bool
-    text: str
 
 
 @dataclass(frozen=True)
@@ -109,9 +102,9 @@ class State:
             return None
 
     @cached_property
-    def notices(self) -> tuple[Notice, ...]:
-        """Sentences on this state, most important first."""
-        warnings, notes = list(self.remarks), []
+    def warnings(self) -> list[str]:
+        """What the user should beware of, most important first."""
+        warnings = list(self.remarks)
         if self.origin is not None:
             label, determinants = self.origin
             renamed = f": {label} became {self.label}" if label and self.label and label != self.label else ""
@@ -127,11 +120,17 @@ class State:
             warnings.append(f"Beyond the leg limits: {', '.join(over)}.")
         if self.forces is None:
             warnings.append("The legs cannot hold every load here.")
+        return warnings
+
+    @cached_property
+    def notes(self) -> list[str]:
+        """What the user should know besides."""
+        notes = []
         if not self.label:
             notes.append("The branches of this pose form a continuous family; none is picked.")
         if not self.is_physical:
             notes.append("Not physical: the machine cannot get here from its home without a forward singularity.")
-        return (*(Notice(True, text) for text in warnings), *(Notice(False, text) for text in notes))
+        return notes
 
 
 class ViewerModel:

@@ -203,10 +203,9 @@ def status(state: State, convention: str = "X-Y-X") -> str:
         f'<div style="font-size:0.95rem"><b data-spm="branch">{name}</b> &nbsp;{escape(", ".join(tags))}</div>',
         f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, {convention} = ({angles})\u2060°</div>',
     ]
-    for notice in state.notices:
-        kind, sign, colour = ("warning", "⚠", WARN) if notice.is_warning else ("info", "ℹ", _GREY)
+    for kind, sign, colour, texts in (("warning", "⚠", WARN, state.warnings), ("info", "ℹ", _GREY, state.notes)):
         style = f"border-left:3px solid rgb{colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em"
-        lines.append(f'<div data-spm="{kind}" style="{style}">{sign} {escape(notice.text)}</div>')
+        lines += [f'<div data-spm="{kind}" style="{style}">{sign} {escape(text)}</div>' for text in texts]
     return f'<div style="{_BOX}">{"".join(lines)}</div>'
 
 

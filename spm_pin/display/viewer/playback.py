@@ -82,11 +82,6 @@ class Playback:
     times: FloatArray
     """When the recorded points (n,) were reached [s]."""
 
-    @property
-    def duration(self) -> float:
-        """Time of the last recorded point [s], whether or not the solution lasts so long."""
-        return float(self.times[-1])
-
     def time(self, parameter: float | FloatArray) -> FloatArray:
         """Return when the path is at parameters (...) from 0 to 1 [s]."""
         return np.asarray(np.interp(parameter, np.linspace(0.0, 1.0, len(self.times)), self.times))
