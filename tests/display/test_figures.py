@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,10 +13,11 @@ from PIL import Image
 
 import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
-from spm_pin.display.figures import agreement_figure
+from spm_pin.design import DesignProblem, Designs, Front
+from spm_pin.display.figures import agreement_figure, front_figure
 from spm_pin.display.plots import save_picture
 from spm_pin.display.writing import DARK, Style, legend_below, new_figure, save_figure, write_name
-from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.errors import ArgumentError
 from spm_pin.motion import plan, time_optimal
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.paper.jacobian import Table5Mistakes
@@ -42,15 +42,15 @@ def test_a_figure_for_print_has_its_size_its_fonts_and_its_background(tmp_path: 
         assert b"#000000" not in content
 
 
-@pytest.mark.parametrize("text", ["90", "90x60pt", "8 pt", "0mm", "bright", "2dpi"])
-def test_a_style_that_says_nothing_is_refused(text: str) -> None:
-    with pytest.raises(ArgumentError, match="style"):
+SIZE = r"expected a width from 25\.4 to 1016 mm, got 9000 mm"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"), [*((x, "style") for x in ("90", "90x60pt", "8 pt", "0mm", "bright", "2dpi")), ("9000mm", SIZE)]
+)
+def test_a_style_that_says_nothing_is_refused_in_the_unit_typed(text: str, says: str) -> None:
+    with pytest.raises(ArgumentError, match=says):
         Style.from_text(text)
-
-
-def test_a_size_out_of_range_is_refused_in_the_unit_typed() -> None:
-    with pytest.raises(ArgumentError, match=r"expected a width from 25\.4 to 1016 mm, got 9000 mm"):
-        Style.from_text("9000mm")
 
 
 def test_the_width_of_a_printed_picture_is_that_of_its_size_and_resolution(tmp_path: Path) -> None:
@@ -72,6 +72,12 @@ def test_texts_and_legend_of_a_narrow_figure_are_broken_and_cover_nothing() -> N
     assert not titles[0].overlaps(titles[1])
     assert legend.get_window_extent().width <= figure.bbox.width
     assert [text.get_text() for text in legend.get_texts()] == [f"curve number {k}" for k in range(6)]
+    # Too small for them, a size that is enough is named.
+    with pytest.raises(ArgumentError, match=r"such as (\d+)mm, got 30 mm") as refused:
+        Style.from_text("30mm,14pt").apply(two_panels())
+    enough = refused.value.expected.split()[-1]
+    Style.from_text(f"{enough},14pt").apply(figure := two_panels())
+    assert figure.get_size_inches()[0] == pytest.approx(float(enough.removesuffix("mm")) / 25.4)
 
 
 def test_a_narrow_figure_becomes_higher_where_its_numbers_would_cover_one_another() -> None:
@@ -101,15 +107,6 @@ def test_names_that_would_cover_another_are_left_out_of_a_small_figure() -> None
     assert [text.get_text() for text in ax.texts if text.get_visible()] == ["first", "first", "third", "third"]
 
 
-def test_a_figure_too_small_for_its_texts_names_a_size_that_is_enough() -> None:
-    with pytest.raises(ArgumentError, match=r"such as (\d+)mm, got 30 mm") as refused:
-        Style.from_text("30mm,14pt").apply(two_panels())
-    enough = refused.value.expected.split()[-1]
-    figure = two_panels()
-    Style.from_text(f"{enough},14pt").apply(figure)
-    assert figure.get_size_inches()[0] == pytest.approx(float(enough.removesuffix("mm")) / 25.4)
-
-
 @pytest.mark.parametrize("name", ["path", "motion", "certificate", "agreement"])
 def test_a_legend_lies_within_its_figure(name: str) -> None:
     figure = FIGURES[name]()
@@ -119,11 +116,6 @@ def test_a_legend_lies_within_its_figure(name: str) -> None:
     assert all(figure.bbox.contains(*corner) for corner in (box.min, box.max))
 
 
-def followed_path() -> Figure:
-    legs = [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.45, 1.15, 1.3, 1.2, 1.5, 1.35], [1.1, 1.35, 1.6, 1.3, 1.4, 1.2]]
-    return spm.follow(GEOMETRY, legs).plot()
-
-
 def motion() -> Figure:
     chain = ClosedChain.from_urdf(geometry=GEOMETRY)
     home, end = [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.21, 1.2, 1.4, 1.25, 1.2, 1.5]
@@ -131,8 +123,9 @@ def motion() -> Figure:
     return time_optimal(chain, planned, leg_accelerations=1.0).plot()
 
 
+PATH = [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.45, 1.15, 1.3, 1.2, 1.5, 1.35], [1.1, 1.35, 1.6, 1.3, 1.4, 1.2]]
 FIGURES = {
-    "path": followed_path,
+    "path": lambda: spm.follow(GEOMETRY, PATH).plot(),
     "motion": motion,
     "certificate": lambda: spm.certify(GEOMETRY, spm.LegLimits(1.2, 1.25)).plot(),
     "agreement": lambda: agreement_figure(compare_methods(GEOMETRY, poses=1, methods=["closed-form", "paper"])),
@@ -143,9 +136,10 @@ FIGURES = {
 def two_panels() -> Figure:
     figure = new_figure(9.0, 4.6, layout="constrained")
     for ax in figure.subplots(1, 2):
-        lines = [ax.plot([k, 1 - k], label=f"curve number {k}")[0] for k in range(6)]
+        for k in range(6):
+            ax.plot([k, 1 - k], label=f"curve number {k}")
         ax.set_title("a title that is longer than a panel is wide")
-    legend_below(figure, lines)
+    legend_below(figure)
     return figure
 
 
@@ -163,13 +157,6 @@ def test_each_pair_has_a_bar_as_long_as_its_share_of_the_tolerance() -> None:
     assert report.verdict in figure.get_suptitle()
 
 
-def test_without_matplotlib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    report = compare_methods(GEOMETRY, poses=1, methods=["closed-form"])
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match="plots"):
-        agreement_figure(report)
-
-
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf", ".PNG"])
 def test_figures_are_written_the_same_each_time(tmp_path, suffix: str) -> None:
     figure = Figure(figsize=(2, 1))
@@ -179,11 +166,22 @@ def test_figures_are_written_the_same_each_time(tmp_path, suffix: str) -> None:
     assert first[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
 
 
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [("fig.jpg", ".png, .svg, .pdf, got 'fig.jpg'"), ("fig", "ending in .png")],
-)
+@pytest.mark.parametrize(("name", "says"), [("fig.jpg", ".png, .svg, .pdf, got 'fig.jpg'"), ("fig", "ending in .png")])
 def test_figures_that_cannot_be_written(tmp_path, name: str, says: str) -> None:
     with pytest.raises(ArgumentError, match=says) as caught:
         save_figure(Figure(), tmp_path / name)
     assert caught.value.argument == "path"
+
+
+def test_a_front_shows_its_machines_and_the_one_that_it_began_with() -> None:
+    columns = {"volume": np.array([1.0, 2.0, 3.0]), "footprint": np.array([1.0, 1.5, 2.5])}
+    three = Designs((GEOMETRY,) * 3, columns)
+    one = Designs((GEOMETRY,), {name: column[:1] + 0.4 for name, column in columns.items()})
+    problem = DesignProblem(GEOMETRY, {"stroke": (0.1, 0.3)}, {"volume": "max", "footprint": "min"})
+    (ax,) = front_figure(Front(problem, three, three, one)).axes
+    evaluated, front, start = ax.collections
+    np.testing.assert_array_equal(evaluated.get_offsets(), np.stack([*columns.values()], axis=-1))
+    np.testing.assert_array_equal(front.get_offsets(), evaluated.get_offsets())
+    np.testing.assert_array_equal(start.get_offsets(), [[1.4, 1.4]])
+    assert ax.get_xlabel() == "volume [m³\u00a0rad³], max"
+    assert ax.get_ylabel() == "footprint [m²], min"

@@ -13,8 +13,9 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.plots import draw, save_gallery, save_picture
-from spm_pin.display.rendering import robot_solids
+from spm_pin.capability import wrench_polytope
+from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
+from spm_pin.display.rendering import camera_axes, robot_solids
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.mechanism.notebook import VIEW
 
@@ -86,17 +87,13 @@ def pixel(ax, point):
 
 @pytest.mark.parametrize(
     ("elevation", "radius", "name"),
-    [
-        (np.pi / 2, 0.12, "terminal_platform"),
-        (-np.pi / 2, 0.25, "base"),
-        (np.pi / 2, 0.17, "middle_platform"),
-    ],
+    [(0.5, 0.12, "terminal_platform"), (-0.5, 0.25, "base"), (0.5, 0.17, "middle_platform")],
 )
 def test_plates_hide_one_another_from_above_and_below(elevation, radius, name):
     # Opposite leg 1 the terminal platform ends 0.15 m from the middle, the middle one 0.19 m, the base 0.30 m.
-    right, up, _ = looking((0.0, elevation))
+    right, up, _ = looking((0.0, elevation * np.pi))
     point = -radius * HOME.geometry.radial_directions[0]
-    colour = pixel(draw(HOME, view=(0.0, elevation), labels=False, dpi=60), (point @ right, point @ up))
+    colour = pixel(draw(HOME, view=(0.0, elevation * np.pi), labels=False, dpi=60), (point @ right, point @ up))
     plates = {body: COLOURS[f"{body} {mesh}_plate"] for body, mesh in PLATES}
     assert min(plates, key=lambda plate: off_shade(colour, plates[plate])) == name
     assert off_shade(colour, plates[name]) < 1.0 / 255.0
@@ -115,21 +112,26 @@ def test_labels_name_all_joints_legs_and_frames_within_the_picture():
     assert not draw(STATE, labels=False, dpi=40).texts
 
 
-def test_drawing_goes_into_the_given_axes():
-    ax = Figure().add_subplot()
-    assert draw(STATE, ax=ax, dpi=40) is ax
-
-
-def test_a_picture_has_the_width_asked_for(tmp_path):
+def test_a_picture_has_the_width_asked_for_and_no_background(tmp_path):
     path = tmp_path / "mechanism.png"
-    assert save_picture(STATE, str(path), width=240) == path
+    assert save_picture(STATE, str(path), width=240, background="none") == path
     with Image.open(path) as picture:
         assert picture.width == 240 < picture.height
-
-
-def test_the_background_can_be_left_out(tmp_path):
-    with Image.open(save_picture(STATE, tmp_path / "mechanism.png", width=200, background="none")) as picture:
         assert picture.getpixel((0, 0))[3] == 0
+
+
+def test_a_section_is_drawn_at_o_in_its_scale_into_the_given_axes():
+    section = wrench_polytope(STATE, 1000.0).section("linear")
+    ax = Figure().add_subplot()
+    assert draw_capability(STATE, section, scale=5e-4, ax=ax, dpi=100.0) is ax
+    robot, shape = ax.images
+    points = (STATE.translation + 5e-4 * section.vertices) @ camera_axes(VIEW)[:2].T
+    left, right, bottom, top = shape.get_extent()
+    np.testing.assert_allclose([left, bottom, right, top], [*points.min(axis=0), *points.max(axis=0)], atol=0.02)
+    assert ax.get_ylim()[1] > top
+    assert ax.get_ylim()[0] < robot.get_extent()[2]
+    with pytest.raises(ArgumentError, match="section"):
+        draw_capability(STATE, section.vertices)
 
 
 @pytest.mark.parametrize("view", [(20.0, 20.0), (0.0, 2.0), 0.3, (0.0, np.nan), (0.0, 0.0, 0.0)])

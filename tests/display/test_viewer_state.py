@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from unittest.mock import MagicMock
 
 import numpy as np
 import problems
@@ -12,11 +13,11 @@ from cli.running import run
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
+from spm_pin.capability import wrench_polytope
 from spm_pin.description.visuals import visual_parts
 from spm_pin.display.rendering import robot_solids
 from spm_pin.display.viewer.model import (
     ViewerModel,
-    command_line,
     leg_ranges,
     pose_coordinates,
     pose_of_coordinates,
@@ -26,7 +27,14 @@ from spm_pin.display.viewer.model import (
 )
 from spm_pin.display.viewer.panel import forces_table, instruments, status
 from spm_pin.display.viewer.playback import demo_motion
-from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, fit_camera, robot_points, solid_placements
+from spm_pin.display.viewer.robot_scene import (
+    FIELD_OF_VIEW,
+    VIEWS,
+    RobotScene,
+    fit_camera,
+    robot_points,
+    solid_placements,
+)
 from spm_pin.display.writing import fixed, to_json
 from spm_pin.kinematics.forward_displacement import starting_configuration
 
@@ -39,18 +47,16 @@ def moved(pose, shift=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
     return spm.pose(pose.translation + np.array(shift), rotation=Rotation.from_rotvec(turn) * pose.rotation)
 
 
-def test_viewer_starts_with_the_paper_s_solution_3():
-    np.testing.assert_allclose(START.leg_lengths, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], atol=1e-12)
-    state = ViewerModel(START).state
-    assert state.label == "TT+"
-    assert state.labels == ("TT+", "TT-", "TF+", "TF-", "FF+", "FF-")
-    assert state.is_physical
-    assert not state.warnings + state.notes
-
-
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
-def test_every_machine_has_a_start(name):
-    assert ViewerModel(starting_configuration(problems.GEOMETRIES[name])).state.is_physical
+def test_every_machine_has_a_physical_start_the_paper_s_is_its_solution_3(name):
+    start = starting_configuration(problems.GEOMETRIES[name])
+    state = ViewerModel(start).state
+    assert state.is_physical
+    if start.geometry == PAPER:
+        np.testing.assert_allclose(start.leg_lengths, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], atol=1e-12)
+        assert state.label == "TT+"
+        assert state.labels == ("TT+", "TT-", "TF+", "TF-", "FF+", "FF-")
+        assert not state.warnings + state.notes
 
 
 def test_a_dragged_platform_is_followed_on_its_branch():
@@ -264,24 +270,19 @@ def test_a_fitted_camera_shows_all_of_the_robot_and_little_else(view, aspect, co
     assert ((high - low) / free).max() > 0.65
 
 
-def test_the_exported_command_finds_the_state_again():
-    state = ViewerModel(START).state
-    words = shlex.split(command_line(state.shown))
-    assert words[:2] == ["spm-pin", "inverse"]
-    branches = {branch["label"]: branch for branch in json.loads(run(*words[1:], "--json").stdout)["branches"]}
-    np.testing.assert_allclose(branches[state.label]["leg_lengths"], START.leg_lengths, atol=1e-12)
-
-
-def test_the_exported_json_holds_the_state():
+def test_the_exported_command_and_the_exported_json_hold_the_state():
     chain = spm.ClosedChain.from_urdf()
-    state = ViewerModel(START).load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
-    content = json.loads(to_json(state_data(state, chain)))
+    content = json.loads(to_json(state_data(ViewerModel(START).load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0]), chain)))
     np.testing.assert_array_equal(np.array(content["pose"]), START.pose.as_matrix())
     pose = spm.pose(content["translation"], xyx=content["xyx"])
     np.testing.assert_allclose(pose.as_matrix(), START.pose.as_matrix(), atol=1e-14)
     assert np.abs(chain.closure_gap(np.array([content["q"][name] for name in chain.joint_names]))).max() < 1e-12
     assert content["branch"] == "TT+"
     assert content["leg_forces"]["r_b1"] == pytest.approx(spm.leg_forces(START, [0, 0, -500, 0, 0, 0])[0])
+    words = shlex.split(content["command"])
+    assert words[:2] == ["spm-pin", "inverse"]
+    branches = {branch["label"]: branch for branch in json.loads(run(*words[1:], "--json").stdout)["branches"]}
+    np.testing.assert_allclose(branches["TT+"]["leg_lengths"], START.leg_lengths, atol=1e-12)
 
 
 def test_markup_of_a_state_marks_what_is_wrong():
@@ -296,3 +297,22 @@ def test_markup_of_a_state_marks_what_is_wrong():
     assert "limits" not in status(ViewerModel(starting_configuration(FREE)).state)
     table = forces_table(model.load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0]))
     assert "▲" in table or "▼" in table
+
+
+def test_the_viewer_shows_what_legs_of_equal_strength_hold():
+    robot = RobotScene(scene := MagicMock(), PAPER, MagicMock())
+    robot._show_held_forces(START)
+    assert not [call for call in scene.add_mesh_simple.call_args_list if call.args[0] == "/forces"]
+    robot.layers["forces"] = True
+    robot._show_held_forces(START)
+    name, points, faces = scene.add_mesh_simple.call_args.args
+    assert name == "/forces"
+    forces = (np.asarray(points, float) - START.translation) / robot.size
+    held = wrench_polytope(START, 1.0)
+    assert held.contains(np.pad(0.9999 * forces, ((0, 0), (0, 3)))).all()
+    assert not held.contains(np.pad(1.001 * forces, ((0, 0), (0, 3)))).any()
+    assert faces.max() == len(points) - 1
+    # Gone where the layer is switched off, and where the legs do not hold the platform.
+    robot.layers["forces"] = False
+    robot._show_held_forces(START)
+    scene.remove_by_name.assert_called_once_with("/forces")
