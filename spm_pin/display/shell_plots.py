@@ -65,20 +65,18 @@ def draw_shell(
     ax, _, rendering = draw_solids(solids, camera, (0.03, 0.03), ax=ax, dpi=dpi, edge=_EDGE)
     if labels:
         for patch, place in _places(shell, rendering, 0.6 * _FONT / 72.0 * dpi):
-            write_name(ax, place, patch_symbol(patch.name), _FONT, INK, 0.25)
+            write_name(ax, place, _as_tex(patch.name), _FONT, INK, 0.25)
     return ax
 
 
-def style_axes(ax: Axes, labels: tuple[str, str]) -> None:
-    """Give the axes of a panel names, small numbers, and lines on two sides."""
-    ax.set_xlabel(labels[0], fontsize=8.0)
-    ax.set_ylabel(labels[1], fontsize=8.0)
+def _style_axes(ax: Axes, x: str, y: str) -> None:
+    ax.set_xlabel(x, fontsize=8.0)
+    ax.set_ylabel(y, fontsize=8.0)
     ax.tick_params(labelsize=8.0)
     ax.spines[["top", "right"]].set_visible(False)
 
 
-def patch_symbol(name: str) -> str:
-    """Return the name of a patch or a family as TeX."""
+def _as_tex(name: str) -> str:
     return f"${name[0]}_{{{name[1:]}}}$"
 
 
@@ -103,20 +101,18 @@ def shell_figure(shell: Shell, *, dpi: float = 200.0) -> Figure:
     figure = new_figure(9.0, 7.4, layout="constrained")
     from matplotlib.patches import Patch as Swatch
 
-    panels = zip("abcd", VIEWS.items(), figure.subplots(2, 2).ravel(), strict=True)
-    names = {"top": "Y", "front": "Z", "bottom": "\N{MINUS SIGN}Y"}
-    for letter, (name, view), ax in panels:
+    upwards = {"top": "Y", "front": "Z", "bottom": "\N{MINUS SIGN}Y"}
+    for letter, (name, view), ax in zip("abcd", VIEWS.items(), figure.subplots(2, 2).ravel(), strict=True):
         draw_shell(shell, ax=ax, view=view, dpi=dpi)
         ax.set_title(f"({letter}) {name}", fontsize=10.0)
-        if name in names:
-            style_axes(ax, ("X [m]", f"{names[name]} [m]"))
+        if name in upwards:
+            _style_axes(ax, "X [m]", f"{upwards[name]} [m]")
         else:
             ax.axis("off")
     swatches = []
     for family, colour in FAMILY_COLOURS.items():
-        members = [patch.name for patch in shell.patches if patch.family == family]
-        ends = f"{patch_symbol(members[0])} \N{EN DASH} {patch_symbol(members[-1])}"
-        swatches.append(Swatch(facecolor=colour, edgecolor=INK, label=ends))
+        members = [_as_tex(patch.name) for patch in shell.patches if patch.family == family]
+        swatches.append(Swatch(facecolor=colour, edgecolor=INK, label=f"{members[0]} \N{EN DASH} {members[-1]}"))
     legend_below(figure, swatches, fontsize=9.0)
     return figure
 
@@ -145,10 +141,8 @@ def save_mesh(shell: Shell, path: str | Path) -> Path:
             scene.add_geometry(mesh, node_name=patch.name, geom_name=patch.name, transform=_Y_UP)
         content = scene.export(file_type=kind)
     else:
-        of_faces = np.repeat(colours, [len(patch.faces) for patch in shell.patches], axis=0)
-        mesh = trimesh.Trimesh(
-            shell.vertices, shell.faces, face_colors=of_faces if kind == "ply" else None, process=False
-        )
+        of_faces = np.repeat(colours, [len(patch.faces) for patch in shell.patches], axis=0) if kind == "ply" else None
+        mesh = trimesh.Trimesh(shell.vertices, shell.faces, face_colors=of_faces, process=False)
         content = mesh.export(file_type=kind)
     with writing(path):
         path.write_bytes(content.encode() if isinstance(content, str) else cast("bytes", content))
@@ -156,35 +150,33 @@ def save_mesh(shell: Shell, path: str | Path) -> Path:
 
 
 class Plane(NamedTuple):
-    """A plane to cut with; vectors are in {B}."""
+    """A plane to cut with."""
 
     name: str  # title of its picture
-    origin: tuple[float, float, float]  # a point of the plane [m], the origin of the picture
-    across: tuple[float, float, float]  # unit vector to the right in the picture
-    up: tuple[float, float, float]  # unit vector upwards in the picture
+    origin: FloatArray  # a point of the plane in {B} [m], the origin of the picture
+    axes: FloatArray  # unit vectors to the right and upwards in the picture, as rows (2, 3) in {B}
     labels: tuple[str, str]  # of the two axes of the picture
 
     @classmethod
     def level(cls, height: float) -> Plane:
         """Return the plane Z = height [m]."""
-        return cls(f"Z = {height:g} m", (0.0, 0.0, height), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), ("X [m]", "Y [m]"))
+        return cls(f"Z = {height:g} m", np.array([0.0, 0.0, height]), np.eye(3)[:2], ("X [m]", "Y [m]"))
 
     @classmethod
     def upright(cls, azimuth: float) -> Plane:
         """Return the plane through the Z axis and the horizontal direction of an azimuth [rad]."""
-        across = (math.cos(azimuth), math.sin(azimuth), 0.0)
-        degrees = f"{math.degrees(azimuth):g}"
-        labels = (f"along azimuth {degrees}° [m]", "Z [m]")
-        return cls(f"upright, azimuth {degrees}°", (0.0, 0.0, 0.0), across, (0.0, 0.0, 1.0), labels)
+        degrees = f"{math.degrees(azimuth):g}°"
+        axes = np.array([[math.cos(azimuth), math.sin(azimuth), 0.0], [0.0, 0.0, 1.0]])
+        return cls(f"upright, azimuth {degrees}", np.zeros(3), axes, (f"along azimuth {degrees} [m]", "Z [m]"))
 
     @property
     def normal(self) -> FloatArray:
         """Unit normal in {B}, shape (3,)."""
-        return np.cross(self.across, self.up)
+        return np.cross(*self.axes)
 
     def project(self, points: FloatArray) -> FloatArray:
         """Return coordinates (..., 2) in the picture [m] of points (..., 3) in {B}."""
-        return np.asarray((points - np.array(self.origin)) @ np.stack([self.across, self.up], axis=-1))
+        return np.asarray((points - self.origin) @ self.axes.T)
 
 
 def draw_section(
@@ -199,7 +191,7 @@ def draw_section(
     from matplotlib.collections import LineCollection
     from trimesh.intersections import mesh_plane
 
-    near = np.abs((reached - np.array(plane.origin)) @ plane.normal) < cell / 2.0
+    near = np.abs((reached - plane.origin) @ plane.normal) < cell / 2.0
     flat, signs = plane.project(reached[near]), aspect[near]
     segments, faces = mesh_plane(shell.mesh, plane.normal, plane.origin, return_faces=True)
     outline = plane.project(np.asarray(segments).reshape(-1, 2, 3))
@@ -215,7 +207,7 @@ def draw_section(
     margin = 0.05 * float((high - low).max())
     ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
     ax.set_title(plane.name, fontsize=10.0)
-    style_axes(ax, plane.labels)
+    _style_axes(ax, *plane.labels)
 
 
 def _fill(ax: Axes, points: FloatArray, signs: npt.NDArray[np.int8], cell: float) -> None:
@@ -266,7 +258,7 @@ def sections_figure(shell: Shell, reached: FloatArray, aspect: npt.NDArray[np.in
     last.get_gridspec().set_height_ratios(rows + 0.5)
     figure.set_size_inches(10.2, float(rows.sum()) + 1.7)
     handles: list[Line2D | Swatch] = [
-        Line2D([], [], color=colour, linewidth=2.0, label=f"shell, {patch_symbol(family)}")
+        Line2D([], [], color=colour, linewidth=2.0, label=f"shell, {_as_tex(family)}")
         for family, colour in FAMILY_COLOURS.items()
     ]
     handles += [Swatch(facecolor=colour, label=f"reached, {sign}") for sign, colour in _FILL.items()]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
@@ -32,8 +31,7 @@ NAMES = [patch.name for patch in SHELL.patches]
 LEVEL = Plane.level(2.1)
 
 
-def owners() -> np.ndarray:
-    return np.repeat(np.arange(24), [len(patch.faces) for patch in SHELL.patches])
+OWNERS = np.repeat(np.arange(24), [len(patch.faces) for patch in SHELL.patches])
 
 
 def first_hits(view: tuple[float, float], points: np.ndarray) -> np.ndarray:
@@ -41,7 +39,7 @@ def first_hits(view: tuple[float, float], points: np.ndarray) -> np.ndarray:
     right, up, near = camera_axes(view)
     origins = points[:, :1] * right + points[:, 1:] * up + 10.0 * near
     faces = SHELL.mesh.ray.intersects_first(origins, np.tile(-near, (len(points), 1)))
-    return np.where(faces >= 0, owners()[faces], -1)
+    return np.where(faces >= 0, OWNERS[faces], -1)
 
 
 @pytest.mark.parametrize("name", ["isometric", "bottom"])
@@ -126,10 +124,7 @@ def test_glb_holds_named_patches_with_y_upward(tmp_path) -> None:
     assert joined.area == pytest.approx(SHELL.area, rel=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [("shell.step", "ending in .stl, .ply"), ("folder.stl", "Is a directory")],
-)
+@pytest.mark.parametrize(("name", "says"), [("shell.step", "ending in .stl, .ply"), ("folder.stl", "Is a directory")])
 def test_mesh_files_that_cannot_be_written(tmp_path, name: str, says: str) -> None:
     (tmp_path / "folder.stl").mkdir()
     with pytest.raises(ArgumentError, match=says) as caught:
@@ -153,21 +148,15 @@ def drawn(plane: Plane, reached: np.ndarray | None = None, aspect: np.ndarray | 
     return ax
 
 
-def outline_of(ax: Axes) -> LineCollection:
-    (outline,) = ax.collections
-    assert isinstance(outline, LineCollection)
-    return outline
-
-
 @pytest.mark.parametrize("plane", [LEVEL, Plane.level(2.5), Plane.upright(0.0), Plane.upright(0.7)])
 def test_the_outline_separates_inside_from_outside(plane: Plane) -> None:
-    segments = np.array(outline_of(drawn(plane)).get_segments())
-    to_space = np.array([plane.across, plane.up])
+    (outline,) = drawn(plane).collections
+    segments = np.array(outline.get_segments())
     middles = segments.mean(axis=1)
     tangents = segments[:, 1] - segments[:, 0]
     long = np.linalg.norm(tangents, axis=-1) > 1e-3
     normals = tangents[long, ::-1] * [1.0, -1.0] / np.linalg.norm(tangents[long], axis=-1, keepdims=True)
-    sides = [SHELL.contains(plane.origin + (middles[long] + step * normals) @ to_space) for step in (1e-5, -1e-5)]
+    sides = [SHELL.contains(plane.origin + (middles[long] + step * normals) @ plane.axes) for step in (1e-5, -1e-5)]
     np.testing.assert_array_equal(sides[0], ~sides[1])
     # Every line goes on: its ends come in pairs.
     counts = np.unique(segments.reshape(-1, 2).round(7), axis=0, return_counts=True)[1]
@@ -175,43 +164,37 @@ def test_the_outline_separates_inside_from_outside(plane: Plane) -> None:
 
 
 def test_lines_have_their_families_colours() -> None:
-    outline = outline_of(drawn(Plane.upright(np.pi / 2)))
+    (outline,) = drawn(Plane.upright(np.pi / 2)).collections
     colours = {tuple(colour[:3]) for colour in outline.get_colors()}
     assert colours == {tuple(float(x) for x in colour) for colour in FAMILY_COLOURS.values()}
     top = np.array(outline.get_segments())[:, :, 1].max(axis=1).argmax()
     assert tuple(outline.get_colors()[top][:3]) == FAMILY_COLOURS["St"]
 
 
-def cells(ax: Axes) -> tuple[np.ma.MaskedArray, tuple[float, ...]]:
-    (image,) = ax.images
-    return image.get_array(), image.get_extent()
-
-
 def test_cells_are_filled_where_points_are_near_the_plane() -> None:
     rng = np.random.default_rng(0)
     square = np.column_stack([rng.uniform(0.0, 0.5, 5000), rng.uniform(-0.2, 0.2, 5000), np.full(5000, 2.1)])
     beside = square + np.array([0.5, 0.0, 0.06])
-    array, extent = cells(drawn(LEVEL, np.concatenate([square, beside]), cell=0.1))
-    assert extent == pytest.approx((0.0, 0.5, -0.2, 0.2))
-    assert array.shape == (4, 5)
-    assert array.count() == 20
-    assert set(array.compressed()) == {1}
+    (image,) = drawn(LEVEL, np.concatenate([square, beside]), cell=0.1).images
+    assert image.get_extent() == pytest.approx((0.0, 0.5, -0.2, 0.2))
+    assert image.get_array().shape == (4, 5)
+    assert image.get_array().count() == 20
+    assert set(image.get_array().compressed()) == {1}
 
 
 def test_signs_decide_the_shade_and_both_together_another() -> None:
     x = np.arange(0.05, 1.0, 0.1)
     points = np.column_stack([x, np.full(10, 0.05), np.full(10, 2.1)])
-    both = np.concatenate([points, points[4:6]])
     signs = np.concatenate([np.where(x < 0.5, -1, 1), [1, -1]])
-    array, _ = cells(drawn(LEVEL, both, signs, cell=0.1))
-    assert array.tolist() == [[0, 0, 0, 0, 2, 2, 1, 1, 1, 1]]
+    (image,) = drawn(LEVEL, np.concatenate([points, points[4:6]]), signs, cell=0.1).images
+    assert image.get_array().tolist() == [[0, 0, 0, 0, 2, 2, 1, 1, 1, 1]]
 
 
 def test_small_gaps_in_a_sample_are_filled_and_large_ones_are_not() -> None:
     grid = np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=-1).reshape(-1, 2)
     hole = (np.abs(grid - [5, 5]).max(axis=1) == 0) | (np.abs(grid - [13, 13]).max(axis=1) <= 1)
     points = np.column_stack([0.1 * grid[~hole] + 0.05, np.full((~hole).sum(), 2.1)])
-    array, _ = cells(drawn(LEVEL, points, cell=0.1))
+    array = drawn(LEVEL, points, cell=0.1).images[0].get_array()
     assert np.ma.count_masked(array) == 9
     assert array.mask[12:15, 12:15].all()
 

@@ -248,9 +248,8 @@ def test_legs_beyond_their_limits_are_red(client):
         length = page.locator(f'[data-spm="{leg}"]')
         mark = length.locator("xpath=following-sibling::span[1]")
         assert mark.inner_text().startswith("⚠ ")
-        ends = mark.bounding_box(), length.bounding_box()
-        assert ends[0]["x"] >= ends[1]["x"] + ends[1]["width"]
-        assert ends[0]["x"] + ends[0]["width"] <= SIZE["width"]
+        left, right = length.bounding_box(), mark.bounding_box()
+        assert left["x"] + left["width"] <= right["x"] <= SIZE["width"] - right["width"]
     reset(page, session)
     assert {tuple(handle.color) for handle in legs} != {(0xC8, 0x10, 0x2E)}
 
@@ -346,7 +345,6 @@ def test_forces_held_are_drawn_at_the_platform_and_taken_away(client):
 
 def test_legs_load_and_path_move_the_shown_robot(client):
     page, session = client
-
     session.panel.force.value = (0.0, 0.0, -500.0)
     send(session, "load")
     send(session, "leg", (0, 1.25))
@@ -357,11 +355,8 @@ def test_legs_load_and_path_move_the_shown_robot(client):
     send(session, "play")
     until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of the path", page=page)
     until(lambda: abs(session.model.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
-
-    def is_handle_there():
-        return np.allclose(session.gizmo.position, session.model.state.shown.translation, rtol=0.0, atol=1e-9)
-
-    until(is_handle_there, "the handle at the shown platform", page=page)
+    shown = session.model.state.shown.translation
+    until(lambda: np.allclose(session.gizmo.position, shown, rtol=0.0, atol=1e-9), "the handle there too", page=page)
 
 
 def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
@@ -370,12 +365,11 @@ def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
 
     def own_threads():
         # Pools start their threads as they need them, and keep them.
-        names = [thread.name for thread in threading.enumerate()]
-        return len([name for name in names if not name.startswith(("asyncio", "ThreadPoolExecutor"))])
+        pools = ("asyncio", "ThreadPoolExecutor")
+        return sum(not thread.name.startswith(pools) for thread in threading.enumerate())
 
     def running():
-        tasks = [task for task in asyncio.all_tasks(loop) if "spm_pin" in repr(task.get_coro())]
-        return len(tasks)
+        return any("spm_pin" in repr(task.get_coro()) for task in asyncio.all_tasks(loop))
 
     with opened(browser, viewer) as (other_page, other, other_errors):
         threads = own_threads()

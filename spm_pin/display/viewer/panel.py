@@ -187,7 +187,6 @@ def _set_slider(slider: Any, value: float, low: float, high: float) -> None:
 
 
 def _length(value: float) -> str:
-    """Return a length in mm, or in m from ten metres on."""
     return f"{fixed(1e3 * value, 0)} mm" if abs(value) < 9.9995 else f"{fixed(value, 1)} m"
 
 
@@ -216,8 +215,7 @@ def instruments(state: State) -> str:
 
 def note(*lines: str) -> str:
     """Return lines of plain text."""
-    text = "<br>".join(escape(line) for line in lines)
-    return f'<div data-spm="note" style="{_BOX}">{text}</div>'
+    return f'<div data-spm="note" style="{_BOX}">{"<br>".join(map(escape, lines))}</div>'
 
 
 def _grid(columns: str, cells: list[str]) -> str:
@@ -240,43 +238,37 @@ def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str 
 
 
 def _legs(state: State) -> str:
-    lengths, limits = state.shown.readings, state.shown.geometry.limits
-    cells = []
-    for k, leg in enumerate(LEGS):
-        length, excess = float(lengths[k]), float(state.limit_excess[k])
+    readings, limits, cells = state.shown.readings, state.shown.geometry.limits, []
+    for k, (leg, reading, excess) in enumerate(zip(LEGS, readings, state.limit_excess, strict=True)):
         # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
         ticks = tuple(share for share, limit in ((0.1, low), (0.9, high)) if 0.0 < limit < np.inf)
-        if not np.isfinite(high):
-            high = low + 1.25 * float(lengths.max())
-        share = float(np.clip(0.1 + 0.8 * (length - low) / max(high - low, 1e-12), 0.0, 1.0))
+        high = high if np.isfinite(high) else low + 1.25 * float(readings.max())
+        share = float(np.clip(0.1 + 0.8 * (reading - low) / max(high - low, 1e-12), 0.0, 1.0))
         colour = WARN if excess else (PUSH if k < 3 else _UPPER)
         mark = f"⚠ {'+' if excess > 0.0 else '−'}{_length(abs(excess))}" if excess else ""
-        value = _cell(fixed(length, 3), _RIGHT, leg)
+        value = _cell(fixed(reading, 3), _RIGHT, leg)
         cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:rgb{WARN};font-weight:600")]
     name = "Encoder readings" if state.shown.geometry.legs.offsets.any() else "Leg lengths"
     unit = "in m" + (", between limits" if limits is not None else "")
-    columns = "max-content minmax(3em,1fr) max-content max-content"
-    return f"<div><b>{name}</b> {unit}</div>{_grid(columns, cells)}"
+    return f"<div><b>{name}</b> {unit}</div>" + _grid("max-content minmax(3em,1fr) max-content max-content", cells)
 
 
 def _singularities(state: State) -> str:
-    near, singular, side = state.is_near, state.singularities, state.shown.geometry.middle_side
+    singular, side = state.singularities, state.shown.geometry.middle_side
     cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in ("", "", "away", "σ", "cond")]
-    for k, name in enumerate(SINGULARITIES):
-        travel, condition = float(state.travel[k]), float(singular.condition[k])
-        finite = np.isfinite(travel)
-        share = min(travel / (10.0 * NEAR * side), 1.0) if finite else 0.0
+    rows = zip(SINGULARITIES, state.is_near, state.travel, singular.sigma, singular.condition, strict=True)
+    for name, is_near, travel, sigma, condition in rows:
+        share = min(travel / (10.0 * NEAR * side), 1.0) if np.isfinite(travel) else 0.0
         cells += [
-            _cell(f"{'⚠ ' if near[k] else ''}{name}"),
-            _bar(max(share, 0.02), WARN if near[k] else _CALM),
-            _cell(_length(travel) if finite else "–", _RIGHT),
-            _cell(fixed(singular.sigma[k], 3), _RIGHT),
+            _cell(f"{'⚠ ' if is_near else ''}{name}"),
+            _bar(max(share, 0.02), WARN if is_near else _CALM),
+            _cell(_length(travel) if np.isfinite(travel) else "–", _RIGHT),
+            _cell(fixed(sigma, 3), _RIGHT),
             _cell(f"{condition:.3g}" if np.isfinite(condition) and condition < 1e5 else "&gt;10⁵", _RIGHT),
         ]
-    columns = "max-content minmax(2em,1fr) max-content max-content max-content"
     heading = '<div style="margin-top:0.4em"><b>Singularities</b>, in leg travel</div>'
-    return heading + _grid(columns, cells)
+    return heading + _grid("max-content minmax(2em,1fr) max-content max-content max-content", cells)
 
 
 def forces_table(state: State) -> str:
@@ -293,6 +285,5 @@ def forces_table(state: State) -> str:
         sign = "" if abs(force) < 5e-4 else ("▲" if pushes else "▼")
         shown = fixed(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
         cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
-    columns = "max-content minmax(3em,1fr) max-content 1em"
     heading = "<div><b>Leg forces</b> in N: ▲ pushes, ▼ pulls</div>"
-    return f'<div style="{_BOX}">{heading}{_grid(columns, cells)}</div>'
+    return f'<div style="{_BOX}">{heading}{_grid("max-content minmax(3em,1fr) max-content 1em", cells)}</div>'
