@@ -224,10 +224,10 @@ def front_figure(front: Front) -> Figure:
     label = "geometry that the search began with"
     ax.scatter(start[x], start[y], s=110, marker="*", color=_VERMILION, edgecolor="white", label=label, zorder=4)
     # Machines that hold no state are far from all others.
-    for axis, name in (("x", x), ("y", y)):
+    for set_limits, name in ((ax.set_xlim, x), (ax.set_ylim, y)):
         shown = np.concatenate([chosen[name], start[name]])
         room = 0.15 * max(float(np.ptp(shown)), 1e-9 + 0.1 * float(np.abs(shown).max()))
-        getattr(ax, f"set_{axis}lim")(float(shown.min()) - room, float(shown.max()) + room)
+        set_limits(float(shown.min()) - room, float(shown.max()) + room)
     ax.set(xlabel=_aim(x, problem.aims[x]), ylabel=_aim(y, problem.aims.get(y)))
     ax.ticklabel_format(scilimits=(-3, 4), useMathText=True)
     legend_below(figure, fontsize=8)

@@ -76,16 +76,6 @@ def client(shared):
     assert not errors
 
 
-def drawn(page, frames):
-    """Wait until the page has drawn so many frames: seconds where the machine is slow and busy."""
-    page.evaluate(
-        """frames => new Promise(done => {
-        const next = () => frames-- > 0 ? requestAnimationFrame(next) : done();
-        next(); })""",
-        frames,
-    )
-
-
 def settled(page, session):
     """Wait until the camera that the page reports stays where the session put it, while frames are drawn."""
     last = []
@@ -93,7 +83,9 @@ def settled(page, session):
     def still():
         camera = session.client.camera
         last.append((*camera.position, camera.image_width))
-        drawn(page, 5)
+        # Five frames: seconds where the machine is slow and busy.
+        page.evaluate("""() => new Promise(done => {
+            let frames = 5; const next = () => frames-- > 0 ? requestAnimationFrame(next) : done(); next(); })""")
         page.wait_for_timeout(150)
         return len(last) > 4 and last[-1] == last[-4] and camera.image_width > 0
 

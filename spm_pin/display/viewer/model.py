@@ -238,9 +238,9 @@ def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:
     """Return which branch a configuration is; of two that coincide, the one it was."""
     gaps = np.linalg.norm(solutions.middle_joints - shown.middle_joints, axis=-1).max(axis=-1)
     gaps = np.where(solutions.exists, gaps, np.inf)
-    same = gaps <= max(_SAME_BRANCH * shown.geometry.middle_side, 2.0 * float(gaps.min(initial=np.inf)))
     if not np.isfinite(gaps).any():
         return ""
+    same = gaps <= max(_SAME_BRANCH * shown.geometry.middle_side, 2.0 * float(gaps.min()))
     if last in solutions.labels and same[solutions.labels.index(last)]:
         return last
     return str(solutions.labels[int(gaps.argmin())])

@@ -87,6 +87,7 @@ class Viewer:
         # Kernels are compiled when first called, also those for what is out of reach: now, so that no client waits.
         progress("branches and singularities", 1, 4)
         model = ViewerModel(configuration)
+        _ = model.state.warnings, model.state.notes
         progress("poses out of reach", 2, 4)
         model.set_readings(configuration.readings)
         model.drag(RigidTransform.from_components(2.0 * configuration.translation, configuration.pose.rotation))

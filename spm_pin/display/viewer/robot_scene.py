@@ -168,7 +168,7 @@ class RobotScene:
         if state.distance > 0.0:
             self._wanted.position = state.target.translation
             self._wanted.wxyz = state.target.rotation.as_quat(scalar_first=True)
-            self._gap.points = np.stack([state.shown.translation, state.target.translation])[None].astype(np.float32)
+            self._gap.points = _segments([state.shown.translation, state.target.translation])
         self._wanted.visible = self._gap.visible = state.distance > 0.0
         self._show_ghosts(state)
         self._show_trail(state.shown.translation)
@@ -203,9 +203,9 @@ class RobotScene:
         length = 1.1 * self.size
         force, moment = wrench[:3], wrench[3:]
         self._point("force", [_onto(o, force, length)] if force.any() else [])
+        axis = _onto(o, moment, length)
         # A moment has two heads.
-        axis = _onto(o, moment, length) if moment.any() else None
-        self._point("moment", [axis, np.stack([o, o + 0.82 * (axis[1] - o)])] if axis is not None else [])
+        self._point("moment", [axis, np.stack([o, o + 0.82 * (axis[1] - o)])] if moment.any() else [])
         forces = np.zeros(6) if state.forces is None else state.forces
         shares = forces / max(float(np.abs(forces).max()), 1e-300)
         middles = _beside_legs(state.shown, 0.2 * self.size)
@@ -224,13 +224,14 @@ class RobotScene:
 
     def _show_trail(self, o: FloatArray) -> None:
         points = self._trail_points
-        if not points or np.linalg.norm(o - points[-1]) > _TRAIL_STEP * self.geometry.base_radius:
-            if points and np.linalg.norm(o - points[-1]) > self.size:
-                points.clear()  # the robot was put elsewhere
+        step = float(np.linalg.norm(o - points[-1])) if points else np.inf
+        if step > self.size:
+            points.clear()  # the robot was put elsewhere
+        if step > _TRAIL_STEP * self.geometry.base_radius:
             points.append(np.array(o))
             del points[:-_TRAIL_POINTS]
             if len(points) > 1 and self.layers["trail"]:
-                self._trail.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+                self._trail.points = _segments(points)
         self._trail.visible = self.layers["trail"] and len(points) > 1
 
     def _show_held_forces(self, state: Configuration) -> None:
@@ -268,9 +269,12 @@ class RobotScene:
 
     def show_path(self, points: FloatArray) -> None:
         """Draw a path of o (n, 3) [m]."""
-        pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-        if len(pieces):
-            self.scene.add_line_segments("/path", pieces, colors=_PATH, thickness=0.03 * self.size)
+        if len(points) > 1:
+            self.scene.add_line_segments("/path", _segments(points), colors=_PATH, thickness=0.03 * self.size)
+
+
+def _segments(points: Sequence[FloatArray] | FloatArray) -> npt.NDArray[np.float32]:
+    return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
 
 
 def _free_place(joints: FloatArray, others: list[FloatArray]) -> FloatArray:
