@@ -28,14 +28,13 @@ from spm_pin.display.rendering import (
 from spm_pin.display.writing import (
     FORMATS,
     Style,
-    check_appearance,
     new_figure,
     save_figure,
     scaled,
     show_in_notebooks,
     write_name,
 )
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, real_number
 from spm_pin.mechanism.configuration import Configuration
@@ -49,6 +48,7 @@ _SECTION: Colour = (0.0, 0.62, 0.451)
 INK: Colour = (0.13, 0.15, 0.18)
 _EDGE = 0.45  # width of edges in points
 _WIDTH = 4.0  # of a new figure, in inches
+_WIDEST = 6000  # pixels: a picture takes 2 GB and a minute then
 _PRINTED_DPI = 300.0  # of a picture whose size is given
 _MARGINS = (0.049, 0.035)  # for labels
 NARROWEST = {False: 100, True: 200}
@@ -205,17 +205,23 @@ def _printed(
 ) -> tuple[float, float, float | None]:
     """Return by how much to enlarge a picture that is `drawn` inches wide, its dpi, and the font to draw it with.
 
-    `width` is in pixels, and counts where the style does not say.
+    `width` is in pixels, and counts where the style does not say. It and the colour behind the picture are checked.
     """
     if style.height is not None:
         raise ArgumentError("style", "a width alone: the height follows from the view", "a height as well")
-    inches = style.width or drawn
+    inches, dpi = style.width or drawn, style.dpi or _PRINTED_DPI
+    if style.width is not None or style.dpi is not None:
+        width = round(inches * dpi)
+    if not isinstance(width, int) or not narrowest <= width <= _WIDEST:
+        expected = f"at least {narrowest}" if isinstance(width, int) and width < narrowest else f"at most {_WIDEST}"
+        raise ArgumentError("width", f"{expected} pixels, a whole number", width)
     if style.width is None and style.dpi is None:
-        check_appearance(width, narrowest, background)
         dpi = width / drawn
-    else:
-        dpi = style.dpi or _PRINTED_DPI
-        check_appearance(round(inches * dpi), narrowest, background)
+    require_extra("plots", "matplotlib")
+    from matplotlib.colors import is_color_like
+
+    if not is_color_like(background):
+        raise ArgumentError("background", "a colour of matplotlib, such as white, #f0f0f0 or none", repr(background))
     scale = inches / drawn
     return scale, dpi, None if style.font_size is None else style.font_size / scale
 

@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
 FORMATS = (".png", ".svg", ".pdf")
 """File types that figures are written in."""
-WIDEST = 6000
-"""Largest width of a picture of the mechanism in pixels: one of 6000 takes 2 GB and a minute."""
-
 _NOTEBOOK_DPI = 110.0
 _DARKEST, _GREY = 0.1, 0.12  # white on a dark page, and by how much the channels of a grey differ at most
 DARK = "#1a1a1a"
@@ -60,19 +57,6 @@ def _png(figure: Figure) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=_NOTEBOOK_DPI, facecolor="white")
     return stream.getvalue()
-
-
-def check_appearance(width: int, narrowest: int, background: str) -> None:
-    """Check the width of a picture in pixels, from `narrowest` to `WIDEST`, and the colour behind it."""
-    if not isinstance(width, int) or not narrowest <= width <= WIDEST:
-        expected = f"at least {narrowest}" if isinstance(width, int) and width < narrowest else f"at most {WIDEST}"
-        raise ArgumentError("width", f"{expected} pixels, a whole number", width)
-    require_extra("plots", "matplotlib")
-    from matplotlib.colors import is_color_like
-
-    if not is_color_like(background):
-        expected = "a colour of matplotlib, such as white, #f0f0f0 or none"
-        raise ArgumentError("background", expected, repr(background))
 
 
 @dataclass(frozen=True)
@@ -137,11 +121,11 @@ class Style:
         """Break texts and legends for the figure's size, or raise `ArgumentError` with a size that is enough."""
         size, texts = figure.get_size_inches(), {text: text.get_text() for text in _titles(figure)}
         for stretch in [1.0] if self.height else [1.0, *_STRETCHES]:
-            if _arrange(figure, texts, (size[0], stretch * size[1])):
+            if _arrange(figure, texts, size[0], stretch * size[1]):
                 _leave_out_covered_names(figure)
                 return
         factor = 1.1
-        while not _arrange(figure, texts, factor * size) and factor < 8.0:
+        while not _arrange(figure, texts, *(factor * size)) and factor < 8.0:
             factor *= 1.1
         width, height = np.ceil(factor * size * _PER_INCH["mm"])
         enough = f"{width:g}x{height:g}mm" if self.height else f"{width:g}mm"
@@ -192,9 +176,9 @@ def _titles(figure: Figure) -> dict[Text, Axes | None]:
     return {text: ax for text, ax in texts.items() if text.get_text() and (ax is None or ax.axison)}
 
 
-def _arrange(figure: Figure, originals: Mapping[Text, str], size: Sequence[float]) -> bool:
+def _arrange(figure: Figure, originals: Mapping[Text, str], width: float, height: float) -> bool:
     """Break the figure's texts and its legend to a size [inch]; return whether all have room."""
-    figure.set_size_inches(*size)
+    figure.set_size_inches(width, height)
     for text, words in originals.items():
         text.set_text(words)
     for legend in figure.legends:
