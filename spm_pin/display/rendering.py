@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.description.visuals import part_placements, section_size, visual_parts
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.notebook import view_axes
@@ -61,29 +61,24 @@ def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[S
         Solid(part.name, part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces)
         for part, pose in zip(parts, part_placements(configuration), strict=True)
     ]
-    if frames:
-        size = section_size(configuration.geometry)
-        solids += _triad("{B}", np.eye(3), np.zeros(3), size)
-        solids += _triad("{m}", configuration.rotation, configuration.translation, size)
+    size = section_size(configuration.geometry)
+    triads = (("{B}", np.eye(3), np.zeros(3)), ("{m}", configuration.rotation, configuration.translation))
+    for name, rotation, origin in triads if frames else ():
+        for k, (axis, colour) in enumerate(AXIS_COLOURS.items()):
+            # Columns in cyclic order keep the handedness.
+            turned = np.roll(rotation, 2 - k, axis=1)
+            solids.append(arrow(f"{name} {axis}", colour, turned, origin, TRIAD * size, _NEARER * size))
     return solids
 
 
 def arrow(name: str, colour: Colour, axes: FloatArray, origin: FloatArray, length: float, nearer: float = 0.0) -> Solid:
     """Return an arrow from `origin` along the third column of a rotation matrix `axes`, lengths in metres."""
+    require_extra("plots", "trimesh")
     import trimesh
 
     outline = [(0.0, 0.0), (0.04, 0.0), (0.04, 0.72), (0.11, 0.72), (0.0, 1.0)]  # distance from the axis, and along it
     mesh = trimesh.creation.revolve(outline, sections=_SIDES)
     return Solid(name, colour, length * mesh.vertices @ axes.T + origin, mesh.faces, nearer)
-
-
-def _triad(frame: str, rotation: FloatArray, origin: FloatArray, size: float) -> list[Solid]:
-    """Return three arrows along the axes of a frame."""
-    return [
-        # Columns in cyclic order keep the handedness.
-        arrow(f"{frame} {axis}", AXIS_COLOURS[axis], rotation[:, order], origin, TRIAD * size, _NEARER * size)
-        for axis, order in (("x", [1, 2, 0]), ("y", [2, 0, 1]), ("z", [0, 1, 2]))
-    ]
 
 
 class Rendering(NamedTuple):
