@@ -234,7 +234,7 @@ class EventQueue:
 
 
 class Session:
-    """What one client sees of a viewer; made in a worker thread. Its players and its queue belong to the loop's."""
+    """One client's state, scene and panel. Its queue and its player belong to the event loop's thread."""
 
     def __init__(self, client: Any, viewer: Viewer, loop: asyncio.AbstractEventLoop) -> None:
         self.client, self.viewer, self._loop = client, viewer, loop

@@ -129,8 +129,8 @@ def demo_motion(start: Configuration) -> Playback | None:
 class Player:
     """Runs the time of a path from 0 to its duration [s]; all methods belong to the event loop's thread.
 
-    `show` shows the path at a time [s]; it is given to `post`, of an event queue, as the action "frame". With `repeat`
-    the path begins again at the end.
+    `show` shows the path at a time [s]; `post` has an event queue call it, and returns False once that is closed. With
+    `repeat` the path begins again at the end.
     """
 
     def __init__(
