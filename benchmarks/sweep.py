@@ -21,9 +21,8 @@ from pathlib import Path
 import psutil
 
 import spm_pin as spm
-from spm_pin.sweeps.domains import Domain
+from spm_pin.sweeps.domains import Domain, SweepPlan
 from spm_pin.sweeps.runner import CHUNK
-from spm_pin.sweeps.sweep_plan import SweepPlan
 
 GEOMETRY = spm.Geometry.paper()
 METRICS = ("reachable", "branches", "conditioning", "payload")

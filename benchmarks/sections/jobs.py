@@ -20,8 +20,8 @@ from benchmarks.poses import GEOMETRY, tiled
 from benchmarks.report import Facts, Section, count, seconds, spread_of_seconds, table, three_digits, times
 from benchmarks.sections.preparation import Progress, failure
 from benchmarks.timing import Pace, Spread, TimedCall, duration, time_in_turns
+from spm_pin.sweeps.domains import SweepPlan
 from spm_pin.sweeps.runner import CHUNK
-from spm_pin.sweeps.sweep_plan import SweepPlan
 
 ACCURACY = 1e-4
 """Largest error of the leg lengths after a second, for every simulator [m]."""

@@ -16,7 +16,7 @@ from spm_pin.proofs.symmetric_stages import free_of_singularities
 from spm_pin.sweeps.domains import Sample
 from spm_pin.sweeps.metrics import Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points
-from spm_pin.sweeps.workers import check_workers, run_tasks
+from spm_pin.sweeps.runner import check_workers, run_tasks
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -30,9 +30,9 @@ from spm_pin.mechanism.arguments import (
     whole_number,
     writing,
 )
+from spm_pin.sweeps.domains import definition_differences, package_version
 from spm_pin.sweeps.metrics import METRICS, resolve_metrics
-from spm_pin.sweeps.sweep_plan import definition_differences, package_version
-from spm_pin.sweeps.workers import check_workers, processes
+from spm_pin.sweeps.runner import check_workers, processes
 
 if TYPE_CHECKING:
     from distributed import Client

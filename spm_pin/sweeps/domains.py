@@ -1,52 +1,59 @@
-"""Domains of a sweep: lattices and random samples of poses or of leg lengths.
+"""What a sweep computes: a domain, lattice or sample of poses or leg lengths, and the plan of metrics and chunks.
 
 A domain does not hold its points: those of a chunk are computed from the chunk's index when they are needed.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from functools import cached_property
+from importlib import import_module
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS
-from spm_pin.mechanism.arguments import FloatArray, real_array, whole_number
+from spm_pin.mechanism import LEGS, Geometry, LegLimits, Legs
+from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, whole_number
+from spm_pin.sweeps.metrics import STATUS, Metric, prepare_metrics, resolve_metrics
+from spm_pin.sweeps.points import Points, Space
 
 AxisRange = float | Sequence[float]
 """One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
-Space = Literal["pose", "legs"]
-"""The coordinates of a domain: poses of the platform, or six leg lengths."""
 
 _LENGTHS = {k.lower(): f"{k} of o in {{B}}" for k in "XYZ"} | {leg: f"length of leg {leg}" for leg in LEGS}
 _ANGLES = {name: f"X-Y-X Euler angle {sign}" for name, sign in (("alpha", "α"), ("beta", "β"), ("lambda_", "λ"))}
-AXES: Mapping[str, tuple[str, ...]] = {"pose": ("x", "y", "z", *_ANGLES), "legs": LEGS}
+AXES: dict[Space, tuple[str, ...]] = {"pose": ("x", "y", "z", *_ANGLES), "legs": LEGS}
 """Names of the six coordinates of each space."""
+_RESERVED = {*AXES["pose"], *AXES["legs"], "sample", "status", "sweep"}
+"""Names in a store that no metric may have."""
 _MOST_VALUES = 10**8
 """Values along one axis; they are held in memory."""
+_BLOCK = 8192
+"""Points evaluated together: enough for little time outside kernels, few enough to need some megabytes."""
+FORMAT = 4
+"""Version of the layout of a store."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One coordinate of a domain and its values."""
+    """One coordinate of a domain, named as in `AXES`, and its values from `start` to `stop` [m or rad]."""
 
     name: str
-    """Name of the coordinate, one of `AXES`."""
     start: float
-    """First value [m or rad]."""
     stop: float
-    """Last value [m or rad]."""
     count: int
     """Number of equally spaced values, both ends included; 1 where the coordinate is fixed, 0 where it is sampled."""
 
     @staticmethod
     def from_range(name: str, value: AxisRange, sampled: bool) -> Axis:
-        """Read one value, (start, stop, count), or (start, stop) where the coordinate is sampled."""
-        unit = "radians" if name in _ANGLES else "metres"
-        expected = f"one value or {'(start, stop)' if sampled else '(start, stop, count)'}, in {unit}"
+        """Read an `AxisRange`."""
+        unit, ends = "radians" if name in _ANGLES else "metres", "start, stop" if sampled else "start, stop, count"
+        expected = f"one value or ({ends}), in {unit}"
         numbers = real_array(value, name, (), expected)
         if numbers.shape not in ((), (2 if sampled else 3,)):
             raise ArgumentError(name, expected, f"shape {numbers.shape}")
@@ -60,15 +67,15 @@ class Axis:
         if not start < stop:
             cause = "The ends exchanged?" if start > stop else "Give a fixed coordinate as one number."
             raise ArgumentError(name, "start < stop", f"{start:g} and {stop:g}", cause)
-        count = 0 if sampled else int(numbers[2])
-        if not sampled and (not 2 <= count <= _MOST_VALUES or count != numbers[2]):
+        count = 0.0 if sampled else numbers[2]
+        if not sampled and not (2 <= count <= _MOST_VALUES and count == int(count)):
             expected = f"an integer count of at least 2, at most {_MOST_VALUES}"
-            raise ArgumentError(name, expected, f"{numbers[2]:g}", "Give a fixed coordinate as one number.")
-        return Axis(name, start, stop, count)
+            raise ArgumentError(name, expected, f"{count:g}", "Give a fixed coordinate as one number.")
+        return Axis(name, start, stop, int(count))
 
     @property
     def is_fixed(self) -> bool:
-        """True if the coordinate has one value only."""
+        """True if there is one value only."""
         return self.count == 1
 
     @property
@@ -120,20 +127,10 @@ class Domain:
     """The points of a sweep. Made by `pose_grid`, `leg_grid`, `pose_sample` and `leg_sample`."""
 
     space: Space
-    """Kind of the coordinates: the platform's pose, or the leg lengths."""
     axes: tuple[Axis, ...]
     """The six coordinates, in the order of `AXES`."""
     sample: Sample | None = None
     """How points are drawn from the box of the axes; a lattice, all combinations of their values, if not given."""
-
-    @staticmethod
-    def from_ranges(space: Space, ranges: Sequence[AxisRange], sample: Sample | None = None) -> Domain:
-        """Make a domain of the ranges of the six coordinates."""
-        named = zip(AXES[space], ranges, strict=True)
-        axes = tuple(Axis.from_range(name, values, sample is not None) for name, values in named)
-        if all(axis.is_fixed for axis in axes):
-            raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
-        return Domain(space, axes, sample)
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -182,17 +179,6 @@ class Domain:
         values = [axis.values if axis.is_fixed else axis.values[next(parts)] for axis in self.axes]
         return np.stack(np.meshgrid(*values, indexing="ij", copy=False), axis=-1).reshape(-1, 6)
 
-    def definition(self) -> dict[str, Any]:
-        """Return the numbers that describe the domain, as JSON."""
-        axes = [asdict(axis) for axis in self.axes]
-        return {"space": self.space, "axes": axes, "sample": self.sample and asdict(self.sample)}
-
-    @staticmethod
-    def from_definition(content: Mapping[str, Any]) -> Domain:
-        """Make a domain from its `definition`."""
-        axes = tuple(Axis(**axis) for axis in content["axes"])
-        return Domain(content["space"], axes, content["sample"] and Sample(**content["sample"]))
-
 
 def pose_grid(x: AxisRange, y: AxisRange, z: AxisRange, *, xyx: Sequence[AxisRange]) -> Domain:
     """Describe a lattice of poses.
@@ -210,7 +196,7 @@ def pose_grid(x: AxisRange, y: AxisRange, z: AxisRange, *, xyx: Sequence[AxisRan
     >>> grid.dims, grid.size
     (('x', 'y'), 10201)
     """
-    return Domain.from_ranges("pose", [x, y, z, *_three(xyx, "xyx")])
+    return _domain("pose", [x, y, z, *_three(xyx, "xyx")])
 
 
 def leg_grid(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange]) -> Domain:
@@ -222,7 +208,7 @@ def leg_grid(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence
         Lengths of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m]: the same for the three,
         or one after another in a list. A tuple of three numbers is a range.
     """
-    return Domain.from_ranges("legs", _leg_ranges(lower, upper))
+    return _domain("legs", [*_leg_ranges(lower, "lower"), *_leg_ranges(upper, "upper")])
 
 
 def pose_sample(
@@ -240,7 +226,7 @@ def pose_sample(
     seed : int
         Seed of the random generator.
     """
-    return Domain.from_ranges("pose", [x, y, z, *_three(xyx, "xyx")], Sample(count, seed))
+    return _domain("pose", [x, y, z, *_three(xyx, "xyx")], Sample(count, seed))
 
 
 def leg_sample(
@@ -252,20 +238,154 @@ def leg_sample(
     ----------
     count : int
         Number of sets of six lengths.
-    lower, upper : float, (start, stop), or three of these
-        As for `leg_grid`.
+    lower, upper
+        As for `leg_grid`, with ranges (start, stop).
     seed : int
         Seed of the random generator.
     """
-    return Domain.from_ranges("legs", _leg_ranges(lower, upper), Sample(count, seed))
+    return _domain("legs", [*_leg_ranges(lower, "lower"), *_leg_ranges(upper, "upper")], Sample(count, seed))
 
 
-def _leg_ranges(*stages: AxisRange | Sequence[AxisRange]) -> list[AxisRange]:
-    named = zip(("lower", "upper"), stages, strict=True)
-    return [leg for name, stage in named for leg in _three(stage if isinstance(stage, list) else [stage] * 3, name)]
+def _domain(space: Space, ranges: list[AxisRange], sample: Sample | None = None) -> Domain:
+    named = zip(AXES[space], ranges, strict=True)
+    axes = tuple(Axis.from_range(name, values, sample is not None) for name, values in named)
+    if all(axis.is_fixed for axis in axes):
+        raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
+    return Domain(space, axes, sample)
 
 
-def _three(ranges: Any, argument: str) -> Sequence[AxisRange]:
+def _leg_ranges(stage: AxisRange | Sequence[AxisRange], argument: str) -> list[AxisRange]:
+    return _three(stage if isinstance(stage, list) else [stage] * 3, argument)
+
+
+def _three(ranges: Any, argument: str) -> list[AxisRange]:
     if not isinstance(ranges, Sequence | np.ndarray) or isinstance(ranges, str) or len(ranges) != 3:
         raise ArgumentError(argument, "three values or ranges", repr(ranges))
     return list(ranges)
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """Everything that determines the bytes of a store."""
+
+    geometry: Geometry
+    domain: Domain
+    metrics: tuple[Metric, ...]
+    """In the order of their names."""
+    chunk: tuple[int, ...]
+    """Shape of a chunk along the dimensions of the domain."""
+    version: str
+    """Version of this package."""
+
+    @classmethod
+    def make(cls, geometry: Geometry, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> SweepPlan:
+        """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
+        check_instance(geometry, Geometry, "geometry")
+        check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
+        # By name, so that their order makes no other sweep.
+        ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))
+        reserved = [metric.name for metric in ordered if metric.name in _RESERVED]
+        if reserved:
+            raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(reserved))
+        return cls(geometry, domain, ordered, domain.chunk_shape(chunk), package_version())
+
+    @classmethod
+    def from_definition(cls, content: dict[str, Any]) -> SweepPlan:
+        """Make a plan from its `text` as JSON; metrics that are none of this package's are named, but not computed."""
+        sizes, domain = dict(content["geometry"]), content["domain"]
+        limits, legs = sizes.pop("limits"), Legs(**sizes.pop("legs"))
+        if limits is not None:
+            limits = LegLimits(*([math.inf if x is None else x for x in end] for end in limits))
+        axes, sample = tuple(Axis(**axis) for axis in domain["axes"]), domain["sample"]
+        domain = Domain(domain["space"], axes, sample and Sample(**sample))
+        metrics = tuple(map(Metric.from_definition, content["metrics"]))
+        chunk = domain.chunk_shape(math.prod(content["chunk"]))
+        return cls(Geometry(**sizes, limits=limits, legs=legs), domain, metrics, chunk, content["spm_pin"])
+
+    @cached_property
+    def text(self) -> str:
+        """The inputs that determine the results, as the text of a JSON object; made once, and sent to workers."""
+        geometry, limits = self.geometry, self.geometry.limits
+        sizes = {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
+        ends = limits and [[x if math.isfinite(x) else None for x in end] for end in (limits.minimum, limits.maximum)]
+        legs = {name: getattr(geometry.legs, name).tolist() for name in ("axes", "pivots", "balls", "offsets")}
+        definition = {
+            "format": FORMAT,
+            "spm_pin": self.version,
+            "geometry": {**sizes, "limits": ends, "legs": legs},
+            "domain": asdict(self.domain),
+            "metrics": [metric.definition() for metric in self.metrics],
+            "chunk": self.chunk,
+        }
+        return json.dumps(definition, ensure_ascii=False, allow_nan=False)
+
+    @property
+    def variables(self) -> tuple[Metric, ...]:
+        """Variables stored for every point: coordinates of a sample, the status, and the metrics."""
+        sampled = [
+            Metric(axis.name, axis.unit, axis.description, lambda points, k=k: points.coordinates[:, k])
+            for k, axis in enumerate(self.domain.axes)
+            if axis.count == 0
+        ]
+        return (*sampled, STATUS, *self.metrics)
+
+    @property
+    def chunks(self) -> tuple[int, ...]:
+        """Number of chunks along each dimension."""
+        return tuple(-(-length // size) for length, size in zip(self.domain.shape, self.chunk, strict=True))
+
+    @property
+    def count(self) -> int:
+        """Number of chunks."""
+        return math.prod(self.chunks)
+
+    def __iter__(self) -> Iterator[tuple[int, ...]]:
+        """Iterate over the indices of the chunks, without a list of them."""
+        return np.ndindex(self.chunks)
+
+    def chunk_size(self, index: tuple[int, ...]) -> int:
+        """Return the number of points of the chunk at `index`."""
+        return math.prod(part.stop - part.start for part in self.domain.region(index, self.chunk))
+
+    def prepare(self) -> None:
+        """Evaluate the metrics at one point; raises `SpmError` where one cannot be computed for this machine."""
+        first = self.domain.points((0,) * len(self.chunk), (1,) * len(self.chunk))
+        prepare_metrics(self.metrics, Points(self.geometry, self.domain.space, first))
+
+    def evaluate(self, index: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
+        """Return the values of all variables on the chunk at `index`, each of the shape of its region."""
+        coordinates = self.domain.points(index, self.chunk)
+        # Metrics are given parts of this array.
+        coordinates.flags.writeable = False
+        variables, count = self.variables, len(coordinates)
+        values = {metric.name: np.empty(count, dtype=metric.dtype) for metric in variables}
+        for first in range(0, count, _BLOCK):
+            block = slice(first, first + _BLOCK)
+            points = Points(self.geometry, self.domain.space, coordinates[block])
+            for metric in variables:
+                values[metric.name][block] = metric.evaluate(points)
+        shape = tuple(part.stop - part.start for part in self.domain.region(index, self.chunk))
+        return {name: array.reshape(shape) for name, array in values.items()}
+
+
+def package_version() -> str:
+    """Return the version of this package."""
+    # By name: the root imports every floor, and no floor the root.
+    return str(import_module("spm_pin").__version__)
+
+
+def definition_differences(stored: Any, requested: Any, where: str = "", *, of: str = "sweep") -> list[str]:
+    """Return the differences between two definitions, as JSON, a line for each."""
+    if stored == requested:
+        return []
+    both: tuple[Any, ...] = stored, requested
+    if all(isinstance(side, dict) for side in both):
+        pairs = [(f"{where}.{key}".lstrip("."), stored.get(key), requested.get(key)) for key in {**stored, **requested}]
+    elif all(isinstance(side, list) for side in both) and len(stored) == len(requested):
+        pairs = [(f"{where}[{k}]", *pair) for k, pair in enumerate(zip(stored, requested, strict=True))]
+    else:
+        if where == "metrics":
+            both = tuple([metric["name"] for metric in side] for side in both)
+        old, new = (json.dumps(side, ensure_ascii=False) for side in both)
+        return [f"{where} is {old} in the store and {new} in this {of}"]
+    return [line for name, old, new in pairs for line in definition_differences(old, new, name, of=of)]

@@ -1,6 +1,6 @@
 """Metrics: functions that compute one number per point of a sweep, each with its unit, meaning and parameters.
 
-The metrics of this package are the rows of `METRICS`, at the end. Those of a state describe the physical configuration
+Those of this package are the rows of a table at the end. Those of a state describe the physical configuration
 within the leg limits, and are NaN where there is none. Those of the Jacobian make it homogeneous: with a characteristic
 length L the twist is (v, Lω). By default L is the platform's radius C: then Lω is the speed that a rotation about o
 gives to the joints c_i.
@@ -25,7 +25,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_displacement, singular_values
 from spm_pin.mechanism import BRANCHES, Configuration, Status
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, choice, real_number
+from spm_pin.mechanism.arguments import BoolArray, check_instance, choice, real_number
 from spm_pin.sweeps.points import Points
 
 DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")
@@ -69,10 +69,10 @@ class Metric:
     version: str | int | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.name, str) and _NAME.fullmatch(self.name)):
+        for name in ("name", "unit", "description"):
+            check_instance(getattr(self, name), str, name)
+        if not _NAME.fullmatch(self.name):
             raise ArgumentError("name", "letters, digits and underscores", repr(self.name))
-        check_instance(self.unit, str, "unit")
-        check_instance(self.description, str, "description")
         try:
             arguments = inspect.signature(self.function).parameters.values()
         except (TypeError, ValueError) as error:
@@ -81,16 +81,16 @@ class Metric:
         if type(self.version) not in (int, str, type(None)):
             raise ArgumentError("version", "a text or an integer", repr(self.version))
         flags = check_instance(self.flags, dict, "flags")
-        fits = self.dtype.startswith("int") and all(
+        fits = self.is_integer and all(
             isinstance(text, str) and len(text.split()) == 1 and type(value) is int for text, value in flags.items()
         )
         if flags and not fits:
             raise ArgumentError("flags", "texts without blanks, each with an integer; none for floats", repr(flags))
         defaults = {argument.name: argument.default for argument in arguments if argument.kind is argument.KEYWORD_ONLY}
         parameters = defaults | check_instance(self.parameters, dict, "parameters")
-        missing = [name for name, value in parameters.items() if value is inspect.Parameter.empty]
-        if missing:
-            raise ArgumentError(missing[0], "a default for every parameter of a metric", "none")
+        for name, value in parameters.items():
+            if value is inspect.Parameter.empty:
+                raise ArgumentError(name, "a default for every parameter of a metric", "none")
         try:
             # A copy, of plain types, that no caller changes afterwards.
             copy = json.loads(json.dumps(parameters, allow_nan=False))
@@ -103,6 +103,7 @@ class Metric:
 
     def __reduce__(self) -> tuple[Callable[..., Metric], tuple[Any, ...]]:
         if self.is_of_package:
+            # Functions of the package's table have no name by which pickle finds them.
             return _package_metric, (self.name, self.parameters)
         return Metric, tuple(getattr(self, field.name) for field in dataclasses.fields(self))
 
@@ -115,13 +116,11 @@ class Metric:
         >>> spm.sweeps.METRICS["payload"](push=900.0, pull=400.0).parameters
         {'push': 900.0, 'pull': 400.0}
         """
-        unknown = [name for name in parameters if name not in self.parameters]
-        if unknown:
-            raise ArgumentError(unknown[0], f"a parameter among {', '.join(self.parameters) or 'none'}", self.name)
-        if self.is_of_package:
-            for name, value in parameters.items():
-                if value is not None:
-                    parameters[name] = real_number(value, name, "a positive number", above=0.0)
+        for name, value in parameters.items():
+            if name not in self.parameters:
+                raise ArgumentError(name, f"a parameter among {', '.join(self.parameters) or 'none'}", self.name)
+            if self.is_of_package and value is not None:
+                parameters[name] = real_number(value, name, "a positive number", above=0.0)
         return dataclasses.replace(self, parameters={**self.parameters, **parameters})
 
     @property
@@ -131,9 +130,14 @@ class Metric:
         return known is not None and dataclasses.replace(self, parameters=known.parameters) == known
 
     @property
+    def is_integer(self) -> bool:
+        """True if values are stored as whole numbers."""
+        return self.dtype.startswith("int")
+
+    @property
     def not_computed(self) -> float | int:
         """The value in the results where nothing has been computed: NaN, or the least integer."""
-        return math.nan if self.dtype.startswith("float") else int(np.iinfo(self.dtype).min)
+        return int(np.iinfo(self.dtype).min) if self.is_integer else math.nan
 
     def evaluate(self, points: Points) -> npt.NDArray[Any]:
         """Return the metric at `points` in its own type, shape (N,), after a check of what the function returns."""
@@ -143,14 +147,13 @@ class Metric:
             error.add_note(f"while evaluating the metric {self.name!r}")
             raise
         expected = f"an array of shape ({len(points)},), of values that {self.dtype} can hold"
-        is_integer = self.dtype.startswith("int")
-        fits = values.shape == (len(points),) and values.dtype.kind in ("biu" if is_integer else "biuf")
+        fits = values.shape == (len(points),) and values.dtype.kind in ("biu" if self.is_integer else "biuf")
         if not fits or np.ma.is_masked(values):
             received = "masked values" if fits else f"{values.dtype} of shape {values.shape}"
             raise ArgumentError(f"metric {self.name}", expected, received)
         with np.errstate(over="ignore"):
             stored = np.asarray(values).astype(self.dtype)
-        if is_integer:
+        if self.is_integer:
             is_lost = (stored != values) | (stored == self.not_computed)
         else:
             is_lost = np.isinf(stored) & np.isfinite(values)
@@ -164,17 +167,17 @@ class Metric:
         return {name: getattr(self, name) for name in names}
 
     @staticmethod
-    def from_definition(content: Mapping[str, Any]) -> Metric:
+    def from_definition(content: dict[str, Any]) -> Metric:
         """Make a metric from its `definition`; the function of one that is not of the package is `unavailable`."""
-        if content["is_of_package"]:
+        others = dict(content)
+        if others.pop("is_of_package"):
             return _package_metric(content["name"], content["parameters"])
-        others = {name: content[name] for name in ("dtype", "parameters", "version")}
-        return Metric(content["name"], content["unit"], "", unavailable, **others)
+        return Metric(description="", function=unavailable, **others)
 
     def attributes(self) -> dict[str, Any]:
         """Return the attributes of the variable in a store: description, unit, flags, parameters."""
         attributes: dict[str, Any] = {"long_name": self.description, "units": self.unit}
-        if self.dtype.startswith("int"):
+        if self.is_integer:
             attributes["not_computed"] = self.not_computed
         if self.flags:
             flags = {"not_computed": self.not_computed, **self.flags}
@@ -211,26 +214,24 @@ def metric(
         name = getattr(function, "__name__", "metric")
         made = Metric(name, unit, description, function, dtype, flags or {}, version=version)
         # So that pickle finds the function below the name that the metric takes.
-        function.__qualname__ = f"{function.__qualname__}.function"
+        function.__qualname__ += ".function"
         return made
 
     return decorate
 
 
 def unavailable(points: Points, **parameters: Any) -> npt.ArrayLike:
-    """Stand for the function of a metric whose definition alone is known."""
+    """Refuse to compute a metric whose definition alone is known."""
     cause = "A metric of your own has to be given again, to `run_sweep`, with all the rest"
     raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", "one whose function is not known", cause)
 
 
 def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Metric, ...]:
     """Return metrics, each given by its name or as it is."""
-    given: list[Any] = [metrics]
-    if isinstance(metrics, Iterable) and not isinstance(metrics, str | Metric):
-        given = list(metrics)
-    resolved = [METRICS.get(each) if isinstance(each, str) else each for each in given]
-    chosen = tuple(each for each in resolved if isinstance(each, Metric))
-    if len(chosen) < len(given):
+    is_list = isinstance(metrics, Iterable) and not isinstance(metrics, str | Metric)
+    given: list[Any] = list(metrics) if is_list else [metrics]  # type: ignore[arg-type]
+    chosen: tuple[Any, ...] = tuple(METRICS.get(each) if isinstance(each, str) else each for each in given)
+    if not all(isinstance(each, Metric) for each in chosen):
         raise ArgumentError("metrics", f"a Metric, or names among {', '.join(METRICS)}", repr(metrics))
     names = [each.name for each in chosen]
     if not names or len(set(names)) < len(names):
@@ -300,7 +301,6 @@ _MODES_AT_A_TIME = 64
 
 
 def _branch(points: Points) -> npt.ArrayLike:
-    """Return the number of the branch that `Points.physical` is, -1 where there is none."""
     # Where the state was computed from leg lengths it is one of the branches up to rounding.
     gaps = np.abs(points.solutions.middle_joints - points.physical.middle_joints[:, None]).max(axis=(-1, -2))
     gaps = np.where(np.isnan(gaps), np.inf, gaps)
@@ -328,40 +328,35 @@ def _leg_margin(points: Points) -> npt.ArrayLike:
 def _conditioning(points: Points, *, length: float | None = None) -> npt.ArrayLike:
     """Return the local conditioning index of C. Gosselin, J. Angeles, Journal of Mechanical Design 113 (1991)."""
     values = points.singular_values(length)
-    return points.spread(_zero_if_singular(values[:, -1] / values[:, 0]))
+    return points.spread(np.nan_to_num(values[:, -1] / values[:, 0]))
 
 
 def _isotropy(points: Points, *, length: float | None = None) -> npt.ArrayLike:
     """Return the measure of isotropy of J.-O. Kim, P. K. Khosla, "Dexterity measures...", IROS 1991."""
     values = points.singular_values(length)
     squares = (values / values[:, :1]) ** 2
-    return points.spread(_zero_if_singular(squares.prod(axis=-1) ** (1.0 / 6.0) / squares.mean(axis=-1)))
+    return points.spread(np.nan_to_num(squares.prod(axis=-1) ** (1.0 / 6.0) / squares.mean(axis=-1)))
 
 
 def _payload(points: Points, *, push: float = 1.0, pull: float | None = None) -> npt.ArrayLike:
     """Return the force held at o whatever its direction, without a moment, for leg forces of at most push and pull."""
     # f = -Gᵀ w: a unit force u takes -G_v[:, i] · u of leg i, at most |G_v[:, i]| in either sense.
     largest = np.linalg.norm(points.platform_jacobians[:, :3], axis=-2).max(axis=-1)
-    return points.spread(_zero_if_singular(min(push, push if pull is None else pull) / largest))
+    return points.spread(np.nan_to_num(min(push, push if pull is None else pull) / largest))
 
 
 def _payload_down(points: Points, *, push: float = 1.0, pull: float | None = None) -> npt.ArrayLike:
     """Return the force along -Z of {B} that the machine holds at o, without a moment: a weight."""
     forces = points.platform_jacobians[:, 2]
     share = np.maximum(forces / push, -forces / (push if pull is None else pull)).max(axis=-1)
-    return points.spread(_zero_if_singular(1.0 / share))
+    return points.spread(np.nan_to_num(1.0 / share))
 
 
 def _least_stiffness(points: Points, rows: slice, leg_stiffness: float) -> npt.ArrayLike:
     """Return the least stiffness against a force or a moment, `rows` of G, that leaves the other motion free."""
     # A force f moves o by G_v G_vᵀ f / leg_stiffness, G_v the upper three rows of G; everything but the legs is rigid.
     largest = singular_values(points.platform_jacobians[:, rows])[:, 0]
-    return points.spread(_zero_if_singular(leg_stiffness / largest**2))
-
-
-def _zero_if_singular(values: FloatArray) -> FloatArray:
-    """Return `values` with 0 for NaN, which stands for a forward singularity."""
-    return np.where(np.isnan(values), 0.0, values)
+    return points.spread(np.nan_to_num(leg_stiffness / largest**2))
 
 
 _ABSENT = "NaN where not reachable"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +20,9 @@ from spm_pin.kinematics import (
 )
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.sweeps.domains import Space
 
+Space = Literal["pose", "legs"]
+"""The coordinates of points: poses of the platform, or six leg lengths."""
 Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 _SHORTEST = float(np.finfo(np.float64).tiny)
@@ -91,8 +92,7 @@ class Points:
         """
         if self.space == "pose":
             return inverse_displacement(self.geometry, self._poses)
-        exists = self.assembled.exists
-        solutions = inverse_displacement(self.geometry, self._poses)
+        exists, solutions = self.assembled.exists, inverse_displacement(self.geometry, self._poses)
         branches = solutions.configurations.transformed(lambda values, _: _spread(values, exists))
         status = _spread(np.asarray(solutions.status), exists, Status.UNREACHABLE).astype(np.int8)
         return SolutionSet(branches, BRANCHES, status)
@@ -100,27 +100,29 @@ class Points:
     @cached_property
     def physical(self) -> Configuration:
         """The physical configuration, shape (N,); NaN where there is none within the leg limits."""
-        if self.space == "legs":
-            reachable = self.limits.contains(self.coordinates) & self.assembled.exists
-            states = self.assembled[reachable]
-        else:
-            # Most points of a box have no branch within the limits: the others alone are solved for the joints.
-            reachable = np.asarray(self.branches_within.any(axis=-1))
-            poses = _Poses(self._poses.rotation[reachable], self._poses.translation[reachable])
-            states = inverse_physical(self.geometry, poses)
-            is_within = self.limits.contains(states.readings)
-            reachable[reachable], states = is_within, states[is_within]
-        return states.transformed(lambda values, _: _spread(values, reachable))
+        return self.reached.transformed(lambda values, _: _spread(values, self.reachable))
 
-    @cached_property
+    @property
     def reachable(self) -> BoolArray:
         """True if `physical` exists, shape (N,)."""
-        return _locked(self.physical.exists)
+        return self._reached[0]
 
-    @cached_property
+    @property
     def reached(self) -> Configuration:
         """The M members of `physical` that exist."""
-        return self.physical[self.reachable]
+        return self._reached[1]
+
+    @cached_property
+    def _reached(self) -> tuple[BoolArray, Configuration]:
+        if self.space == "legs":
+            reachable = self.limits.contains(self.coordinates) & self.assembled.exists
+            return _locked(reachable), self.assembled[reachable]
+        # Most points of a box have no branch within the limits: the others alone are solved for the joints.
+        reachable = np.asarray(self.branches_within.any(axis=-1))
+        states = inverse_physical(self.geometry, _Poses(*(values[reachable] for values in self._poses)))
+        is_within = self.limits.contains(states.readings)
+        reachable[reachable] = is_within
+        return _locked(reachable), states[is_within]
 
     def spread(self, values: npt.ArrayLike, absent: float = np.nan) -> FloatArray:
         """Return values of the M `reached` points as an array of shape (N,), `absent` elsewhere."""
@@ -142,10 +144,7 @@ class Points:
         return _locked(platform_jacobian(self.reached))
 
     def singular_values(self, length: float | None = None) -> FloatArray:
-        """Return those of G for the twist (v, Lω), shape (M, 6), falling; NaN as G is.
-
-        L is `length` [m], the platform's radius if not given.
-        """
+        """Return those of G for the twist (v, Lω), L = `length` [m] or C, shape (M, 6), falling; NaN as G is."""
         length = self.geometry.platform_radius if length is None else length
         if length not in self._singular_values:
             scaled = self.platform_jacobians * np.repeat([1.0, length], 3)[:, None]
@@ -154,10 +153,7 @@ class Points:
 
     @cached_property
     def assembled(self) -> Configuration:
-        """The physical configuration with the given readings, limits aside, shape (N,).
-
-        Only where points are leg lengths.
-        """
+        """The physical configuration with readings that are the coordinates, limits aside, shape (N,)."""
         return forward_physical(self.geometry, self.coordinates)
 
     @cached_property

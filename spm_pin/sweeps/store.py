@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.mechanism.arguments import file_path
-from spm_pin.sweeps.sweep_plan import FORMAT, SweepPlan, definition_differences
+from spm_pin.sweeps.domains import FORMAT, SweepPlan, definition_differences
 
 _LOCK = "sweep/lock"
 _RECORDS = "sweep/crc32c"
@@ -39,23 +39,10 @@ _UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, At
 
 
 class SweepError(SpmError):
-    """A sweep that stopped; what it had done is kept.
-
-    Attributes
-    ----------
-    store : str
-        Path of the store.
-    reason : str
-        Why it stopped.
-    done, total : int
-        Chunks that are complete, and all chunks.
-    """
+    """A sweep that stopped, `reason` says why; `done` of `total` chunks are complete in `store`, and kept."""
 
     def __init__(self, store: str, reason: str, done: int, total: int) -> None:
-        self.store = store
-        self.reason = reason
-        self.done = done
-        self.total = total
+        self.store, self.reason, self.done, self.total = store, reason, done, total
         super().__init__(
             f"{reason}. {done} of {total} chunks are complete in {store} and stay so; "
             "the same sweep, started again, does the others"
@@ -63,19 +50,10 @@ class SweepError(SpmError):
 
 
 class StoreError(SpmError):
-    """A store that cannot be read or written.
+    """A store at `path` that cannot be read or written; `reason` says what failed, and on which host."""
 
-    Attributes
-    ----------
-    path : str
-        The store.
-    reason : str
-        What failed, and on which host.
-    """
-
-    def __init__(self, path: str, reason: str) -> None:
-        self.path = path
-        self.reason = reason
+    def __init__(self, path: str | Path, reason: str) -> None:
+        self.path, self.reason = str(path), reason
         super().__init__(f"{path}: {reason}")
 
 
@@ -93,13 +71,13 @@ def as_store_error(path: Path, reading: str = "") -> Iterator[None]:
     except OSError as error:
         where = f" at {error.filename}" if error.filename and str(error.filename) != str(path) else ""
         reason = f"{(error.strerror or str(error)).lower()}{where}, on host {socket.gethostname()}"
-        raise StoreError(str(path), reason) from error
+        raise StoreError(path, reason) from error
     except _UNREADABLE as error:
         if not reading:
             raise
         text = " ".join(str(error).split())[:200]
         reason = f"its {reading} cannot be read ({type(error).__name__}: {text}). Sweep into another folder"
-        raise StoreError(str(path), reason) from error
+        raise StoreError(path, reason) from error
 
 
 class Store:
@@ -110,7 +88,7 @@ class Store:
 
         self.path = path
         self.plan = plan
-        lines = definition_differences(read_plan(path).definition(), plan.definition())
+        lines = definition_differences(json.loads(read_plan(path).text), json.loads(plan.text))
         if lines:
             expected = "a new folder, or one with a store of this very sweep"
             more = [f"{len(lines) - _SHOWN} more differences"] if len(lines) > _SHOWN else []
@@ -216,9 +194,9 @@ def read_plan(path: Path) -> SweepPlan:
         if stored is not None:
             definition = json.loads(stored)
             if definition["format"] != FORMAT:
-                raise StoreError(str(path), f"a store of format {definition['format']}; this version has {FORMAT}")
+                raise StoreError(path, f"a store of format {definition['format']}; this version has {FORMAT}")
             plan = SweepPlan.from_definition(definition)
-            lines = definition_differences(definition, plan.definition())
+            lines = definition_differences(definition, json.loads(plan.text))
             if lines:
                 raise ValueError(lines[0])
             return plan
@@ -245,7 +223,7 @@ def locked(path: Path) -> Iterator[None]:
         except Timeout:
             holder = file.read_text(encoding="utf-8", errors="replace") or "another process"
             reason = f"{holder} is at work on this store. Wait for it, or end it; what it did is kept"
-            raise StoreLockedError(str(path), reason) from None
+            raise StoreLockedError(path, reason) from None
         except OSError as error:
             # A file system without locks; two processes would write the same bytes, each file as a whole.
             if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
@@ -284,12 +262,9 @@ def _create(path: Path, plan: SweepPlan) -> None:
     group = zarr.create_group(path, zarr_format=3, attributes=attributes | ({"coordinates": apart} if apart else {}))
     for axis in axes:
         if axis.count:
-            group.create_array(
-                axis.name,
-                data=np.asarray(axis.start) if axis.is_fixed else axis.values,
-                dimension_names=() if axis.is_fixed else (axis.name,),
-                attributes={"units": axis.unit, "long_name": axis.description},
-            )
+            data, names = (np.asarray(axis.start), ()) if axis.is_fixed else (axis.values, (axis.name,))
+            meaning: dict[str, Any] = {"units": axis.unit, "long_name": axis.description}
+            group.create_array(axis.name, data=data, dimension_names=names, attributes=meaning)
     layout: dict[str, Any] = {
         "chunk_key_encoding": {"name": "default", "separator": "."},
         "dimension_names": plan.domain.dims,

@@ -12,8 +12,8 @@ from scipy.optimize import linprog
 import spm_pin as spm
 from spm_pin.mechanism.branch_of_state import BRANCHES
 from spm_pin.sweeps import METRICS, Metric, Points
-from spm_pin.sweeps.domains import Space
 from spm_pin.sweeps.metrics import resolve_metrics
+from spm_pin.sweeps.points import Space
 
 GEOMETRY = spm.Geometry.paper()
 
@@ -226,7 +226,7 @@ def test_singular_states_among_regular_ones_do_not_stop_a_sweep(which: int) -> N
         np.concatenate([getattr(regular, name), getattr(singular, name)[None]])
         for name in ("rotation", "translation", "middle_joints")
     ]
-    vars(points)["physical"] = spm.Configuration.from_arrays(GEOMETRY, *joined)
+    vars(points)["_reached"] = np.ones(4, dtype=bool), spm.Configuration.from_arrays(GEOMETRY, *joined)
     alone = Points(GEOMETRY, "legs", legs(3))
     for mine in (METRICS[name] for name in ("conditioning", "isotropy", "payload", "payload_down", "least_stiffness")):
         values = mine.evaluate(points)

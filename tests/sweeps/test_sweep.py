@@ -37,8 +37,8 @@ from spm_pin.sweeps import (
     run_sweep,
     sweep_status,
 )
+from spm_pin.sweeps.domains import SweepPlan
 from spm_pin.sweeps.store import locked
-from spm_pin.sweeps.sweep_plan import SweepPlan
 
 payload = spm.sweeps.METRICS["payload"]
 
@@ -515,7 +515,8 @@ def test_memory_does_not_grow_with_the_number_of_points(tmp_path: Path) -> None:
 
 def test_a_plan_is_made_again_from_its_definition() -> None:
     geometry = dataclasses.replace(GEOMETRY, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
-    for machine in (geometry, geometry.perturbed(1)):
-        plan = SweepPlan.make(machine, GRID, (payload(push=3.0),), CHUNK)
+    sample = leg_sample(100, (1.1, 1.5), [1.2, (1.1, 1.3), 1.4], seed=3)
+    for machine, domain in ((geometry, GRID), (geometry.perturbed(1), sample)):
+        plan = SweepPlan.make(machine, domain, (payload(push=3.0),), CHUNK)
         again = SweepPlan.from_definition(json.loads(plan.text))
-        assert (again.text, again.geometry, again.domain) == (plan.text, machine, GRID)
+        assert (again.text, again.geometry, again.domain) == (plan.text, machine, domain)

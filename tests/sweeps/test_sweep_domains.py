@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from itertools import product
 from math import prod
 
@@ -101,18 +100,6 @@ def test_a_sample_depends_on_its_seed_alone() -> None:
     assert not np.array_equal(points(1), points(2))
     # A shorter last chunk is the beginning of a whole one.
     np.testing.assert_array_equal(points(1, 650), points(1)[:50])
-
-
-@pytest.mark.parametrize(
-    "domain",
-    [
-        pose_grid((-1, 1, 3), 0.1, (2, 3, 2), xyx=[0.1, (0.2, 0.8, 7), -0.1]),
-        leg_sample(100, (1.1, 1.5), [1.2, (1.1, 1.3), 1.4], seed=3),
-    ],
-    ids=["grid", "sample"],
-)
-def test_a_definition_makes_it_again(domain: Domain) -> None:
-    assert Domain.from_definition(json.loads(json.dumps(domain.definition()))) == domain
 
 
 XYX = [0.1, 0.2, 0.3]

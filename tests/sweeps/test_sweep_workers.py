@@ -31,8 +31,8 @@ from spm_pin.sweeps import (
     pose_grid,
     resume_sweep,
     run_sweep,
+    runner,
     sweep_status,
-    workers,
 )
 
 EVERYTHING = tuple(name for name in METRICS if name != "assembly_modes")
@@ -164,7 +164,7 @@ def test_a_client_is_used_and_left_open(tmp_path: Path, undisturbed: Path, clust
 def test_more_chunks_than_are_handed_out_at_a_time(
     tmp_path: Path, undisturbed: Path, cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workers, "_AHEAD", 2)
+    monkeypatch.setattr(runner, "_AHEAD", 2)
     small(tmp_path / "map.zarr", workers=None, scheduler=cluster.scheduler_address)
     assert contents(tmp_path / "map.zarr") == contents(undisturbed)
 
@@ -234,18 +234,18 @@ def test_a_scheduler_that_is_gone(tmp_path: Path, undisturbed: Path) -> None:
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", ""])
 def test_a_scheduler_that_is_not_there(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "_PATIENCE", 0.5)
+    monkeypatch.setattr(runner, "_PATIENCE", 0.5)
     with pytest.raises(spm.ArgumentError, match="the address of a Dask scheduler"):
         small(tmp_path / "map.zarr", workers=None, scheduler=address)
 
 
 def test_a_worker_of_another_version_or_elsewhere_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = workers.SweepPlan.make(stores.GEOMETRY, stores.GRID, (METRICS["reachable"],), 100)
+    plan = runner.SweepPlan.make(stores.GEOMETRY, stores.GRID, (METRICS["reachable"],), 100)
     with pytest.raises(StoreError, match="need a file system in common"):
-        workers.complete_chunk(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
+        runner.complete_chunk(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
     monkeypatch.setattr(spm, "__version__", "9.9")
     with pytest.raises(StoreError, match=r"of spm_pin 0\..* but the worker on .* has 9.9"):
-        workers.complete_chunk(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
+        runner.complete_chunk(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
 
 
 def test_ctrl_c_ends_the_workers_quietly(tmp_path: Path) -> None:
