@@ -13,8 +13,7 @@ import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from spm_pin.arrays.library import Array, Library, library_of, quietly
-from spm_pin.arrays.machines import Machine, read_machine, state_arrays
+from spm_pin.arrays.library import Array, Library, Machine, library_of, quietly, read_machine, state_arrays
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas import ball_motions, branches, joint_values, leg_planes, vectors
 from spm_pin.formulas.ball_motions import BallMotions
@@ -99,10 +98,8 @@ def inverse_physical(
     ----------
     geometry : Geometry or array, shape (..., 3) or (..., 54)
         A machine, its dimensions E, C, d [m], or the parameters of its legs, see `spm_pin.Geometry.parameters`.
-    rotation : array, shape (..., 3, 3)
-        From {m} to {B}. It is not checked.
-    translation : array, shape (..., 3)
-        o in {B} [m].
+    rotation, translation
+        As for `inverse_displacement`.
     near : State, optional
         From where Newton's method begins: the branch to which it leads, if it is on the same side of the inverse
         singularities. No proof is given that it has not left the branch where the state is far away.
@@ -160,7 +157,13 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     both = library.together(list(zip(machine.legs, halves, machine.squares, strict=True)), zero)
     legs, lengths, _ = fixed = library.constant(both)
     r = library.constant(machine.r)
-    start = library.constant(library.together(_starts(library, machine, halves, near), zero))
+    if near is None:
+        stages = zip(halves, machine.radii, (1.0, -1.0), strict=True)
+        starts = [run(ball_motions.level_balls, half, radius, machine.r, up) for half, radius, up in stages]
+    else:
+        b, pose = rows_of(near.middle_joints), (rows_of(near.rotation), vector_of(near.translation))
+        starts = [b, run(ball_motions.points_from_platform, machine.upper_balls(library, b), *pose)]
+    start = library.constant(library.together(starts, zero))
 
     def step(b: Any) -> Any:
         return run(ball_motions.moved_balls, b, run(ball_motions.stage_step, b, *fixed), _LONGEST_STEP * r)
@@ -285,18 +288,6 @@ def _with_derivatives(
         return mapped(lambda x, y: x - y, b, step)
 
     return library.repeated(corrected, b, _ORDERS)
-
-
-def _starts(library: Library, machine: Machine, halves: Any, near: State | None) -> list[Any]:
-    """Return the balls of both stages, seen from their platforms, from which Newton's method begins."""
-    run = library.run
-    if near is None:
-        return [
-            run(ball_motions.level_balls, half, radius, machine.r, up)
-            for half, radius, up in zip(halves, machine.radii, (1.0, -1.0), strict=True)
-        ]
-    b, pose = rows_of(near.middle_joints), (rows_of(near.rotation), vector_of(near.translation))
-    return [b, run(ball_motions.points_from_platform, machine.upper_balls(library, b), *pose)]
 
 
 def _physical(library: Library, machine: Machine, pose: Any, b: Any) -> tuple[Any, Any]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from spm_pin.arrays.displacement import State
-from spm_pin.arrays.library import Array, library_of, quietly
-from spm_pin.arrays.machines import read_machine, state_arrays
+from spm_pin.arrays.library import Array, library_of, quietly, read_machine, state_arrays
 from spm_pin.formulas import ball_motions, leg_constants, leg_planes, vectors, wrenches
 from spm_pin.formulas import joint_values as values
 from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS, UP
@@ -90,32 +89,24 @@ def leg_forces(geometry: Geometry | Array, state: State | Configuration, wrench:
 def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Array:
     """Compute the values of the eighteen joints of the URDF, shape (..., 18), in the order of `JOINTS`.
 
-    Angles in radians, slides in metres: with these a simulator of the open tree is reset to a closed state.
-
-    Parameters
-    ----------
-    geometry : Geometry or array, shape (..., 3) or (..., 54)
-        As for `inverse_physical`. Its leg limits decide where the joints are at zero; dimensions and parameters have
-        none.
-    state : State or Configuration
-        Of shape (...).
+    Angles in radians, slides in metres: with these a simulator of the open tree is reset to a closed state. Leg limits
+    decide where the joints are at zero; dimensions and parameters have none. Arguments are as for `leg_forces`.
     """
     legs = _Legs(geometry, state)
     library, machine, run = legs.library, legs.machine, legs.library.run
     triangle, columns = run(values.triangle_axes, legs.b), run(vectors.transposed, legs.pose[0])
     own = run(values.triangle_axes, machine.balls[0])
     upper_balls = run(ball_motions.points_from_platform, legs.c, *legs.pose)
-    homes = [
-        (length, machine.r - radius, outward, up)
-        for length, radius, up in zip(machine.home_lengths(library), machine.radii, (1.0, -1.0), strict=True)
-        for outward in TANGENT_SIGNS
-    ]
-    constants = [
-        run(leg_constants.leg_frame, axis, pivot, AXES[k % 3], own, homes[k])
-        for k, (axis, pivot) in enumerate((x, p) for half in machine.legs for x, p in zip(*half, strict=True))
-    ]
-    balls = library.together([*legs.b, *upper_balls], legs.zero)
-    frames = library.together(constants, legs.zero)
+    shortest, longest = machine.limits
+    constants = []
+    for k, radius, stage, up in zip((0, 3), machine.radii, machine.legs, (1.0, -1.0), strict=True):
+        ends = max(shortest[k : k + 3]), min(longest[k : k + 3])
+        home = run(leg_constants.home_length, radius, machine.r, *ends)
+        for axis, pivot, drawn, outward in zip(*stage, AXES, TANGENT_SIGNS, strict=True):
+            constants.append(
+                run(leg_constants.leg_frame, axis, pivot, drawn, own, (home, machine.r - radius, outward, up))
+            )
+    balls, frames = library.together([*legs.b, *upper_balls], legs.zero), library.together(constants, legs.zero)
     of_legs = run(values.leg_values, balls, frames)
     seen = tuple(run(vectors.times, columns, axis) for axis in triangle)
     first = mapped(lambda x: library.xp.stack([x[0, ...], x[3, ...]]), (of_legs, frames))

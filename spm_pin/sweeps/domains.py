@@ -104,9 +104,8 @@ class Sample:
     """
 
     count: int
-    """Number of points."""
     seed: int
-    """Seed of the random numbers, from 0 to 2¹²⁸."""
+    """From 0 to 2¹²⁸."""
 
     def __post_init__(self) -> None:
         for argument, least, most in (("count", 1, 2**53), ("seed", 0, 2**128)):
@@ -130,7 +129,7 @@ class Domain:
     axes: tuple[Axis, ...]
     """The six coordinates, in the order of `AXES`."""
     sample: Sample | None = None
-    """How points are drawn from the box of the axes; a lattice, all combinations of their values, if not given."""
+    """How points are drawn from the box of the axes; all combinations of their values if not given."""
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -218,13 +217,11 @@ def pose_sample(
 
     Parameters
     ----------
-    count : int
-        Number of poses.
+    count, seed : int
+        Number of poses, and seed of the random generator.
     x, y, z, xyx
         As for `pose_grid`, with ranges (start, stop). The distribution is uniform in these coordinates; one that is
         uniform over rotations has the weight ``|sin β|``.
-    seed : int
-        Seed of the random generator.
     """
     return _domain("pose", [x, y, z, *_three(xyx, "xyx")], Sample(count, seed))
 
@@ -236,12 +233,10 @@ def leg_sample(
 
     Parameters
     ----------
-    count : int
-        Number of sets of six lengths.
+    count, seed : int
+        Number of sets of six lengths, and seed of the random generator.
     lower, upper
         As for `leg_grid`, with ranges (start, stop).
-    seed : int
-        Seed of the random generator.
     """
     return _domain("legs", [*_leg_ranges(lower, "lower"), *_leg_ranges(upper, "upper")], Sample(count, seed))
 

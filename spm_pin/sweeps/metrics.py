@@ -12,7 +12,6 @@ import dataclasses
 import inspect
 import json
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -31,7 +30,6 @@ from spm_pin.sweeps.points import Points
 DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")
 """Types in which a metric can be stored."""
 _ATTRIBUTES = {"long_name", "units", "not_computed", "flag_values", "flag_meanings", "coordinates"}
-_NAME = re.compile(r"(?!__)[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class Metric:
     def __post_init__(self) -> None:
         for name in ("name", "unit", "description"):
             check_instance(getattr(self, name), str, name)
-        if not _NAME.fullmatch(self.name):
+        if not (self.name.isidentifier() and self.name.isascii()) or self.name.startswith("__"):
             raise ArgumentError("name", "letters, digits and underscores", repr(self.name))
         try:
             arguments = inspect.signature(self.function).parameters.values()

@@ -134,13 +134,7 @@ def resume_sweep(
     workers: int | None = None,
     progress: PointProgress | None = None,
 ) -> xarray.Dataset:
-    """Continue a sweep from its store alone.
-
-    Parameters
-    ----------
-    store, scheduler, workers, progress
-        As for `run_sweep`.
-    """
+    """Continue a sweep from its store alone; arguments are as for `run_sweep`."""
     path = store_path(store)
     plan, here = read_plan(path), package_version()
     if plan.version != here:
@@ -150,13 +144,7 @@ def resume_sweep(
 
 
 def sweep_status(store: str | os.PathLike[str]) -> SweepStatus:
-    """Return the progress of a sweep, without disturbing it.
-
-    Parameters
-    ----------
-    store : path
-        The folder that `run_sweep` was given.
-    """
+    """Return the progress of the sweep into a store, without disturbing it."""
     path = store_path(store)
     plan = read_plan(path)
     return SweepStatus(

@@ -7,7 +7,6 @@ tests, the benchmark and the page's table follow from it; a recipe for one more 
 from __future__ import annotations
 
 import re
-import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -194,27 +193,23 @@ def write_c(
 
 def write_files(directory: str | Path, texts: dict[str, str]) -> list[Path]:
     """Write texts by their places in a directory; all of them or nothing."""
-    if isinstance(directory, str) and not directory:
-        raise ArgumentError("directory", "a directory that can be written", "an empty name", "The current one is '.'")
     folder = file_path(directory, "directory", expected="the name of a directory")
-    existed, beside = folder.is_dir(), None
+    existed = folder.is_dir()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         # Files are written beside their places, and moved when all are whole.
-        beside = Path(tempfile.mkdtemp(prefix=".export", dir=folder))
-        for name, text in texts.items():
-            (beside / name).parent.mkdir(parents=True, exist_ok=True)
-            (beside / name).write_text(text, encoding="utf-8")
-            if (folder / name).is_dir():
-                raise IsADirectoryError(0, f"{folder / name} is a directory")
-        for name in texts:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (beside / name).replace(folder / name)
+        with tempfile.TemporaryDirectory(prefix=".export", dir=folder, ignore_cleanup_errors=True) as beside:
+            for name, text in texts.items():
+                Path(beside, name).parent.mkdir(parents=True, exist_ok=True)
+                Path(beside, name).write_text(text, encoding="utf-8")
+                if (folder / name).is_dir():
+                    raise IsADirectoryError(0, f"{folder / name} is a directory")
+            for name in texts:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                Path(beside, name).replace(folder / name)
     except OSError as error:
         raise ArgumentError("directory", "a directory that can be written", folder, str(error.strerror)) from error
     finally:
-        if beside is not None:
-            shutil.rmtree(beside, ignore_errors=True)
         if not existed and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
     return [folder / name for name in texts]
@@ -329,7 +324,7 @@ def _c_text(function: ca.Function) -> str:
     (body,) = re.findall(r"^static int casadi_f0\([^)]*\) {\n(.*?)^  return 0;\n}", text, re.MULTILINE | re.DOTALL)
     # No argument is ever left out.
     body = re.sub(r"(arg\[\d+\])\? (arg\[\d+\]\[\d+\]) : 0;", r"\2;", body)
-    body = re.sub(r"if \(res\[\d+\]!=0\) ", "", body).replace("casadi_inf", "INFINITY")
+    body = re.sub(r"if \(res\[\d+\]!=0\) ", "", body).replace("casadi_inf", "INFINITY").replace("casadi_fabs", "fabs")
     # Numbers that stand for conditions are compared, as clang asks for.
     body = re.sub(r"\((a\d+)(?=\?)", r"(\1!=0.0", body)
     body = re.sub(r"(a\d+)(&&|\|\|)(a\d+)", r"\1!=0.0\2\3!=0.0", body)
@@ -381,18 +376,11 @@ def _known_answers(geometry: Geometry) -> dict[str, str]:
     def padded(count: int, compute: Callable[..., npt.ArrayLike], *arguments: FloatArray) -> str:
         return _table([np.ravel(compute(s, *arguments)) if s.exists else np.zeros(count) for s in states])
 
-    answers = [
-        *(
-            f"static const double {f.name}_{name}[{len(x)}] = {{{_row(x)}}};"
-            for f in STATE_FUNCTIONS
-            for name, x in f.arguments.items()
-        ),
-        *(
-            f"static const double {f.name}_answers[CASES][{f.count}] = {{\n"
-            f"{padded(f.count, f.answer, *f.arguments.values())}\n}};"
-            for f in STATE_FUNCTIONS
-        ),
-    ]
+    answers = []
+    for f in STATE_FUNCTIONS:
+        answers += [f"static const double {f.name}_{x}[{len(n)}] = {{{_row(n)}}};" for x, n in f.arguments.items()]
+        rows = padded(f.count, f.answer, *f.arguments.values())
+        answers.append(f"static const double {f.name}_answers[CASES][{f.count}] = {{\n{rows}\n}};")
     return {
         "CASES": str(len(pose)),
         "HEIGHT": repr(rise),

@@ -423,18 +423,13 @@ def _frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
     return ca.vertcat(*(ca.horzcat(*row) for row in rotation)), ca.vertcat(*position)
 
 
-def lower_coordinates(machine: Machine, joints: Any) -> Any:
-    """Return where the rows of `joints` (3, 3) are in the planes of the lower legs (6,)."""
-    return ca.vertcat(*(machine.planes[i].coordinates(joints[i, :].T) for i in range(3)))
-
-
 def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
     """Return from where Newton's method starts: TT+ and TT- of the drawing, and both as if they were farther apart.
 
     Beside a fold of the drawing the branches of a machine as built are elsewhere, or real where those are not.
     """
-    pairs = [(least, sign) for least in (0.0, 1e-3, 1e-1) for sign in (1.0, -1.0)]
-    return [lower_coordinates(machine, drawn.branch("TT", sign, least)) for least, sign in pairs]
+    joints = [drawn.branch("TT", sign, least) for least in (0.0, 1e-3, 1e-1) for sign in (1.0, -1.0)]
+    return [ca.vertcat(*(machine.planes[i].coordinates(b[i, :].T) for i in range(3))) for b in joints]
 
 
 def _preference(machine: Machine, state: State) -> tuple[Any, Any]:

@@ -138,27 +138,30 @@ def test_single_precision_keeps_five_digits_away_from_singularities(name: str) -
     assert np.abs(single.translation - exact.translation)[well].max() < 2e-5
 
 
-def test_what_is_wrong_is_named() -> None:
-    state = arrays.forward_physical(PAPER, random_readings(2))
-    with pytest.raises(spm.ArgumentError, match=re.escape("rotation")):
-        arrays.inverse_physical(PAPER, np.eye(4), np.zeros(3))
-    with pytest.raises(spm.ArgumentError, match="floating-point"):
-        arrays.forward_physical(PAPER, np.ones(6, dtype=int))
-    with pytest.raises(spm.ArgumentError, match="arrays of one library"):
-        arrays.inverse_physical(PAPER, state.rotation, strict.asarray(state.translation))
-    with pytest.raises(spm.ArgumentError, match="a machine as drawn"):
-        arrays.inverse_displacement(BUILT, state.rotation, state.translation)
-    with pytest.raises(spm.ArgumentError, match=re.escape("(..., 54)")):
-        arrays.forward_physical(np.ones(7), np.ones(6))
-    with pytest.raises(spm.ArgumentError, match="as 54 parameters always count"):
-        arrays.inverse_displacement(BUILT.parameters, state.rotation, state.translation)
-    with pytest.raises(spm.ArgumentError, match=re.escape("near.middle_joints: expected shape (..., 3, 3)")):
-        arrays.forward_physical(PAPER, state.readings, near=state._replace(middle_joints=np.ones((2, 3))))
-    with pytest.raises(spm.ArgumentError, match=re.escape("those of rotation, (2,), got (3,)")):
-        arrays.inverse_physical(PAPER, state.rotation, np.ones((3, 3)))
-    with pytest.raises(spm.ArgumentError, match=re.escape("readings is array_api_strict. Convert")):
-        arrays.forward_physical(np.array(PAPER.dimensions), strict.asarray(state.readings))
-    with pytest.raises(spm.ArgumentError, match="dtype float16"):
-        arrays.forward_physical(PAPER, np.ones(6, dtype=np.float16))
-    with pytest.raises(spm.ArgumentError, match="near"):
-        arrays.forward_physical(PAPER, np.ones(6), near=np.ones(6))
+STATE = arrays.forward_physical(PAPER, random_readings(2))
+TORN = STATE._replace(middle_joints=np.ones((2, 3)))
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "says"),
+    [
+        (arrays.inverse_physical, (PAPER, np.eye(4), np.zeros(3)), "rotation"),
+        (arrays.inverse_physical, (PAPER, STATE.rotation, strict.asarray(STATE.translation)), "arrays of one library"),
+        (arrays.inverse_physical, (PAPER, STATE.rotation, np.ones((3, 3))), "those of rotation, (2,), got (3,)"),
+        (arrays.inverse_displacement, (BUILT, STATE.rotation, STATE.translation), "a machine as drawn"),
+        (arrays.inverse_displacement, (BUILT.parameters, *STATE[:2]), "as 54 parameters always count"),
+        (arrays.forward_physical, (PAPER, np.ones(6, dtype=int)), "floating-point"),
+        (arrays.forward_physical, (PAPER, np.ones(6, dtype=np.float16)), "dtype float16"),
+        (arrays.forward_physical, (np.ones(7), np.ones(6)), "(..., 54)"),
+        (arrays.forward_physical, (PAPER, STATE.readings, TORN), "near.middle_joints: expected shape (..., 3, 3)"),
+        (
+            arrays.forward_physical,
+            (np.array(PAPER.dimensions), strict.asarray(STATE.readings)),
+            "readings is array_api_strict. Convert",
+        ),
+        (arrays.forward_physical, (PAPER, np.ones(6), np.ones(6)), "near"),
+    ],
+)
+def test_what_is_wrong_is_named(function: Any, arguments: tuple[Any, ...], says: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=re.escape(says)):
+        function(*arguments)

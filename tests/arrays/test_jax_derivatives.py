@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -19,13 +18,7 @@ from spm_pin.formulas import ball_motions, joint_values, leg_constants, vectors
 from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind
 
-
-@pytest.fixture(autouse=True)
-def double_precision() -> Iterator[None]:
-    before = jax.config.jax_enable_x64
-    jax.config.update("jax_enable_x64", True)
-    yield
-    jax.config.update("jax_enable_x64", before)
+pytestmark = pytest.mark.usefixtures("double_precision")
 
 
 def twists(rotation: Any, rotation_rates: Any, position_rates: Any) -> Any:

@@ -77,18 +77,15 @@ def test_all_is_finite_where_nothing_exists_and_at_level_states(kind: str, name:
 
 @pytest.mark.parametrize("name", [pytest.param("joint_values", marks=pytest.mark.slow), *list(FUNCTIONS)[1:]])
 @pytest.mark.parametrize("kind", ["dimensions", "parameters"])
+@pytest.mark.usefixtures("double_precision")
 def test_what_does_not_exist_leaves_a_masked_gradient_finite(kind: str, name: str) -> None:
-    geometry, before = GEOMETRIES[kind], jax.config.jax_enable_x64
-    jax.config.update("jax_enable_x64", True)
-    try:
-        for found in absent_and_level(geometry):
-            state = arrays.State(*map(jnp.asarray, found))
+    geometry = GEOMETRIES[kind]
+    for found in absent_and_level(geometry):
+        state = arrays.State(*map(jnp.asarray, found))
 
-            def cost(fields: Any, machine: Any, state: Any = state) -> Any:
-                values = FUNCTIONS[name](machine, arrays.State(*fields, state.exists))
-                return jnp.where(state.exists, values.reshape(len(values), -1).sum(axis=-1), 0.0).sum()
+        def cost(fields: Any, machine: Any, state: Any = state) -> Any:
+            values = FUNCTIONS[name](machine, arrays.State(*fields, state.exists))
+            return jnp.where(state.exists, values.reshape(len(values), -1).sum(axis=-1), 0.0).sum()
 
-            slopes = jax.grad(cost, argnums=(0, 1))(state[:4], jnp.asarray(geometry))
-            assert all(jnp.isfinite(x).all() for x in jax.tree.leaves(slopes))
-    finally:
-        jax.config.update("jax_enable_x64", before)
+        slopes = jax.grad(cost, argnums=(0, 1))(state[:4], jnp.asarray(geometry))
+        assert all(jnp.isfinite(x).all() for x in jax.tree.leaves(slopes))

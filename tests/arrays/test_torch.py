@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import pytest
 import torch
 from arrays.array_problems import BUILT, LEVEL, NOWHERE, PAPER, random_poses, random_readings
 
@@ -35,20 +36,16 @@ def check(found: Any, expected: Any) -> None:
         np.testing.assert_allclose(x.numpy(), y, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.usefixtures("double_precision")
 def test_derivatives_are_those_of_jax_and_finite_everywhere() -> None:
-    before = jax.config.jax_enable_x64
-    jax.config.update("jax_enable_x64", True)
-    try:
-        readings, parameters = np.concatenate([random_readings(6), NOWHERE, LEVEL]), BUILT.parameters
-        derivatives = jax.jit(jax.vmap(jax.jacrev(_place(jax.numpy), argnums=(0, 1)), (None, 0)))
-        expected = derivatives(jax.numpy.asarray(parameters), jax.numpy.asarray(readings))
-        for k, row in enumerate(readings):
-            found = torch.autograd.functional.jacobian(_place(torch), (tensor(parameters), tensor(row)))
-            for x, y in zip(found, expected, strict=True):
-                assert torch.isfinite(x).all()
-                np.testing.assert_allclose(x.numpy(), y[k], rtol=1e-9, atol=1e-9 * max(1.0, np.abs(y[k]).max()))
-    finally:
-        jax.config.update("jax_enable_x64", before)
+    readings, parameters = np.concatenate([random_readings(6), NOWHERE, LEVEL]), BUILT.parameters
+    derivatives = jax.jit(jax.vmap(jax.jacrev(_place(jax.numpy), argnums=(0, 1)), (None, 0)))
+    expected = derivatives(jax.numpy.asarray(parameters), jax.numpy.asarray(readings))
+    for k, row in enumerate(readings):
+        found = torch.autograd.functional.jacobian(_place(torch), (tensor(parameters), tensor(row)))
+        for x, y in zip(found, expected, strict=True):
+            assert torch.isfinite(x).all()
+            np.testing.assert_allclose(x.numpy(), y[k], rtol=1e-9, atol=1e-9 * max(1.0, np.abs(y[k]).max()))
 
 
 def _place(library: Any) -> Any:

@@ -14,7 +14,6 @@ import stores
 
 import spm_pin as spm
 from spm_pin.sweeps import METRICS, Metric, Points, metric
-from spm_pin.sweeps.metrics import unavailable
 
 FACTORS = {"factor": 1.0}
 
@@ -81,13 +80,6 @@ def test_metrics_keep_their_identity_on_the_way_to_workers() -> None:
         for again in (pickle.loads(pickle.dumps(made)), cloudpickle.loads(cloudpickle.dumps(made))):
             assert again.definition() == made.definition()
             assert again == made
-
-
-def test_definitions_of_metrics_of_ones_own_cannot_be_computed() -> None:
-    mine = Metric("mine", "m", "", from_a_global, version=3)
-    again = Metric.from_definition(mine.definition())
-    assert again.definition() == mine.definition()
-    assert again.function is unavailable
 
 
 @metric("m", "x of the point, shifted and scaled", version=1)

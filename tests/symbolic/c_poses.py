@@ -14,7 +14,7 @@ Poses = tuple[np.ndarray, np.ndarray]
 def spread_poses(geometry: spm.Geometry, count: int, seed: int) -> Poses:
     """Poses of known branches of all families, and some anywhere, most out of reach."""
     rng = np.random.default_rng(seed)
-    size = geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    size = sum(geometry.dimensions)
     made = [
         random_branches(geometry, family, count // 5, seed + k).pose for k, family in enumerate(spm.mechanism.FAMILIES)
     ]
@@ -29,7 +29,7 @@ def hard_poses(geometry: spm.Geometry, count: int, seed: int) -> Poses:
     """Level and nearly level platforms, half turns, folds, and platforms upside down, on the axis and off it."""
     rng = np.random.default_rng(seed)
     r = geometry.middle_radius
-    size = geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    size = sum(geometry.dimensions)
     azimuth, aside, turn = rng.uniform(-np.pi, np.pi, (3, count))
     small = 10.0 ** rng.uniform(-17.0, -1.0, count)
     tilt = rng.choice([0.0, 1.0, -1.0], count) * small + rng.choice([0.0, np.pi], count)
@@ -58,7 +58,7 @@ def hard_poses(geometry: spm.Geometry, count: int, seed: int) -> Poses:
 def possible_lengths(geometry: spm.Geometry, count: int, seed: int, spread: float) -> np.ndarray:
     """Leg lengths (count, 6) [m] of level stages, varied by up to `spread` times the middle platform's radius."""
     rng = np.random.default_rng(seed)
-    size = geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    size = sum(geometry.dimensions)
     aside = np.repeat([geometry.base_radius, geometry.platform_radius], 3) - geometry.middle_radius
     level = np.hypot(aside, size * rng.uniform(0.3, 0.9, (count, 2)).repeat(3, axis=-1))
     return np.abs(level + spread * geometry.middle_radius * rng.uniform(-1.0, 1.0, (count, 6)))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from problems import GEOMETRIES, random_branches
 from symbolic.c_poses import held_states
-from symbolic.test_symbolic_functions import called
+from symbolic.test_symbolic_functions import as_columns, called
 
 import spm_pin as spm
 
@@ -80,18 +80,14 @@ def agree(found: np.ndarray, expected: np.ndarray) -> None:
     assert (error <= TOLERANCE * np.abs(expected).reshape(n, -1).max(axis=-1)).all()
 
 
-def parts_of(configuration: spm.Configuration) -> State:
-    return configuration.middle_joints, configuration.rotation, configuration.translation
-
-
 def moving(geometry: spm.Geometry) -> tuple[State, State, np.ndarray, np.ndarray]:
     """A thousand states away from singularities, rates that the closure allows, leg rates by twist, and twists."""
     found = held_states(geometry, 12 * COUNT, 31)
     found = found[np.abs(spm.determinants(found)[..., 2]) > 0.005]
-    regular = np.linalg.cond(velocities(geometry, parts_of(found))[1]) < 1000.0
+    regular = np.linalg.cond(velocities(geometry, as_columns(found))[1]) < 1000.0
     found = found[np.flatnonzero(regular)[:COUNT]]
     assert len(found) == COUNT
-    state = parts_of(found)
+    state = as_columns(found)
     twist = np.random.default_rng(32).normal(size=(COUNT, 6))
     joints, legs = velocities(geometry, state)
     rates = (joints @ twist[..., None]).reshape(-1, 3, 3), turned(found.rotation, twist[:, 3:]), twist[:, :3]
@@ -120,7 +116,7 @@ def test_derivatives_of_every_branch_are_velocities_of_the_closed_chain(name: st
         branch = spm.inverse_displacement(geometry, pose)[label]
         branch = branch[branch.exists]
         branch = branch[np.abs(spm.determinants(branch)[..., 2]) > 0.02]
-        state = parts_of(branch)
+        state = as_columns(branch)
         twist = rng.normal(size=(len(branch), 6))
         joints, legs = (rate @ twist[..., None] for rate in velocities(geometry, state))
         rates = turned(branch.rotation, twist[:, 3:]), twist[:, :3]

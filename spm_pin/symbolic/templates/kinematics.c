@@ -30,11 +30,6 @@ static double casadi_fmin(double x, double y)
     return x < y ? x : y;
 }
 
-static double casadi_fabs(double x)
-{
-    return fabs(x);
-}
-
 @FORMULAS@
 #define ROUNDED 1e-6            /* largest error of R^T R, and of a state to begin from in units of d */
 #define FARTHEST 1e5            /* largest length in units of E + C + d */
@@ -223,16 +218,16 @@ static int invert(const double *matrix, double *inverse)
     double rows[72];
     int i, j;
     for (i = 0; i < 6; ++i) {
+        copy(matrix + 6 * i, rows + 12 * i, 6);
         for (j = 0; j < 6; ++j) {
-            rows[12 * i + j] = matrix[6 * i + j];
             rows[12 * i + 6 + j] = i == j ? 1.0 : 0.0;
         }
     }
     if (!eliminate(rows, 12)) {
         return 0;
     }
-    for (i = 0; i < 36; ++i) {
-        inverse[i] = rows[12 * (i / 6) + 6 + i % 6];
+    for (i = 0; i < 6; ++i) {
+        copy(rows + 12 * i + 6, inverse + 6 * i, 6);
     }
     return are_within(inverse, 36, DBL_MAX);
 }
@@ -328,14 +323,12 @@ static int solve(const way *w, double t, double most, double *balls)
 {
     equations e;
     double rows[42], step[6], last = DBL_MAX, size = w->geometry->dimensions[2] + longest(balls);
-    int turn, i, j;
+    int turn, i;
     for (turn = 0; turn < 40; ++turn) {
         double length, scale;
         evaluate(w, t, balls, &e);
         for (i = 0; i < 6; ++i) {
-            for (j = 0; j < 6; ++j) {
-                rows[7 * i + j] = e.jacobian[6 * i + j];
-            }
+            copy(e.jacobian + 6 * i, rows + 7 * i, 6);
             rows[7 * i + 6] = -e.errors[i];
         }
         if (!eliminate(rows, 7)) {
@@ -745,9 +738,8 @@ int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], 
         const double *const in[] = {lengths, LEGS(geometry)};
         double *const out[] = {levels[0], levels[1]};
         level_stages(in, out);
-        copy(levels[0], balls[0], 6);
-        copy(levels[1], balls[1], 6);
         for (k = 0; k < 2; ++k) {
+            copy(levels[k], balls[k], 6);
             converged = solve(&ways[k], 1.0, 0.3 * geometry->dimensions[2], balls[k]) && converged;
         }
         if (converged && join(geometry, balls[0], balls[1], state) > 0) {
