@@ -60,41 +60,13 @@ if TYPE_CHECKING:
 
 __version__ = "0.3.0"
 
-__all__ = [
-    "ArgumentError",
-    "Certificate",
-    "ClosedChain",
-    "ClosureError",
-    "Configuration",
-    "Geometry",
-    "GeometryError",
-    "LegLimits",
-    "NotOneSolutionError",
-    "PlatformPath",
-    "PoseError",
-    "SingularConfigurationError",
-    "SolutionSet",
-    "SpmError",
-    "Status",
-    "certify",
-    "determinants",
-    "follow",
-    "forward_displacement",
-    "forward_physical",
-    "inverse_displacement",
-    "inverse_jacobian",
-    "inverse_physical",
-    "largest_certified_limits",
-    "leg_forces",
-    "leg_rates",
-    "plan",
-    "pose",
-    "set_threads",
-    "singularities",
-    "stiffness",
-    "threads",
-    "time_optimal",
-]
+__all__ = ["ArgumentError", "ClosureError", "GeometryError", "NotOneSolutionError", "PoseError"]
+__all__ += ["SingularConfigurationError", "SpmError"]
+__all__ += ["Configuration", "Geometry", "LegLimits", "SolutionSet", "Status", "pose"]
+__all__ += ["forward_displacement", "forward_physical", "inverse_displacement", "inverse_physical"]
+__all__ += ["determinants", "inverse_jacobian", "leg_forces", "leg_rates", "singularities", "stiffness"]
+__all__ += ["Certificate", "ClosedChain", "PlatformPath", "certify", "follow", "largest_certified_limits"]
+__all__ += ["plan", "set_threads", "threads", "time_optimal"]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"calibration", "kinematics", "crosscheck", "errors", "mechanism", "motion", "multibody", "nlp", "proofs"}

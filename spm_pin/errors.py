@@ -6,22 +6,14 @@ nothing of this package still catches them. "No real branch" is no error: it is 
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
 
-__all__ = [
-    "ArgumentError",
-    "ClosureError",
-    "DescriptionError",
-    "GeometryError",
-    "MissingExtraError",
-    "NotOneSolutionError",
-    "PoseError",
-    "SelectionError",
-    "SingularConfigurationError",
-    "SpmError",
-    "UnreachableError",
-]
+__all__ = ["ArgumentError", "ClosureError", "DescriptionError", "GeometryError", "MissingExtraError"]
+__all__ += ["NotOneSolutionError", "PoseError", "SelectionError", "SingularConfigurationError", "SpmError"]
+__all__ += ["UnreachableError"]
 
 EXTRAS = {
     "arrays": ("array_api_compat",),
@@ -33,13 +25,6 @@ EXTRAS = {
     "workspace": ("trimesh", "skimage"),
 }
 """Packages looked for, of those that the optional extras bring, by the names under which they are imported."""
-
-_INSTALLED_AS = {
-    "array_api_compat": "array-api-compat",
-    "google_crc32c": "google-crc32c",
-    "skimage": "scikit-image",
-}
-"""Names for pip of the packages that are imported under another name."""
 
 _LONGEST = 500
 """Characters of a received value that a message shows."""
@@ -77,6 +62,16 @@ class ArgumentError(SpmError, ValueError):
         self.cause = cause
         message = f"{argument}: expected {expected}, got {_brief(received)}"
         super().__init__(f"{message}. {cause}" if cause else message)
+
+
+@contextlib.contextmanager
+def raised_as(kind: type[ArgumentError], place: str = "") -> Iterator[None]:
+    """Raise an `ArgumentError` of a block, or of the function decorated, as one of another kind, in a place."""
+    try:
+        yield
+    except ArgumentError as error:
+        argument = f"{error.argument} in {place}" if place else error.argument
+        raise kind(argument, error.expected, error.received, error.cause) from error.__cause__
 
 
 def _brief(received: Any) -> str:
@@ -148,9 +143,7 @@ class SingularConfigurationError(SpmError):
     """
 
     def __init__(self, kind: str, sigma_min: float, index: tuple[int, ...] = ()) -> None:
-        self.kind = kind
-        self.sigma_min = sigma_min
-        self.index = index
+        self.kind, self.sigma_min, self.index = kind, sigma_min, index
         meaning = {
             "inverse": "the twist of the platform does not determine the leg rates",
             "forward": "the legs do not hold the platform",
@@ -168,7 +161,7 @@ class MissingExtraError(SpmError, ImportError):
         self.package = package
         # Not published on a package index yet: the advice is for a folder of the sources.
         advice = f'pip install ".[{extra}]" in the folder of the sources'
-        installed = _INSTALLED_AS.get(package, package)
+        installed = "scikit-image" if package == "skimage" else package.replace("_", "-")
         super().__init__(f"this needs {installed}, of the extra {extra}: {advice}", name=package)
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.calibration.error_model import platform_error
-from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, SingularConfigurationError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
@@ -209,6 +209,7 @@ def pose_covariances(
     return poses + slopes @ covariances(length_noise, "length_noise", 6, len(states)) @ np.swapaxes(slopes, -1, -2)
 
 
+@raised_as(MeasurementError)
 def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     """Read a CSV file of measurements.
 
@@ -223,6 +224,6 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     readings : ndarray, shape (N, 6)
         Readings of the legs [m].
     """
-    table = MotionTable(path, error=MeasurementError)
+    table = MotionTable(path)
     readings = table.columns([*POSITION, *LEGS])[:, 3:]
     return table.poses(), readings

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import yaml
 from scipy.spatial.transform import Rotation
 
-from spm_pin.errors import ArgumentError, DescriptionError
+from spm_pin.errors import ArgumentError, DescriptionError, raised_as
 from spm_pin.mechanism.arguments import (
     FloatArray,
     check_instance,
@@ -96,7 +96,8 @@ class Masses:
     @classmethod
     def from_yaml(cls, path: str | Path) -> Masses:
         """Read a YAML file with the keys `bodies` and `payload`, each of which may be left out."""
-        file = file_path(path, error=DescriptionError)
+        with raised_as(DescriptionError):
+            file = file_path(path)
         try:
             content = yaml.safe_load(file.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

@@ -9,7 +9,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from spm_pin.description.masses import Masses, put_masses
-from spm_pin.errors import DescriptionError
+from spm_pin.errors import DescriptionError, raised_as
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import as_bool, check_instance, writing
 from spm_pin.mechanism.geometry import config_directory
@@ -51,7 +51,7 @@ def copy_meshes(folder: Path) -> None:
     target = folder / MESHES
     for source in sorted((description_directory() / MESHES).iterdir()):
         copy, content = target / source.name, source.read_bytes()
-        with writing(copy, "out", error=DescriptionError):
+        with raised_as(DescriptionError), writing(copy, "out"):
             if copy.exists() and copy.read_bytes() != content:
                 cause = "Of another version? Move it away"
                 raise DescriptionError("out", "no other meshes beside the file", str(copy), cause)

@@ -20,7 +20,7 @@ from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, unit_hint
 from spm_pin.mechanism.joint_angles import home_lengths
-from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")

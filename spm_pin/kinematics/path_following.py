@@ -33,7 +33,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration, compared_points
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.pose import as_rigid_transform, pose
 from spm_pin.mechanism.solutions import SolutionSet
 

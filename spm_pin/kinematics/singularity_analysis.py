@@ -205,7 +205,7 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
     from spm_pin.kinematics.kernels import singular_values as kernels
 
     expected = "matrices with at most six rows and columns"
-    array = shaped_array(matrices, "matrices", (), expected, error=ArgumentError)
+    array = shaped_array(matrices, "matrices", (), expected)
     if array.ndim < 2 or max(array.shape[-2:]) > kernels.WIDTH:
         raise ArgumentError("matrices", expected, f"shape {array.shape}")
     if array.shape[-2] > array.shape[-1]:

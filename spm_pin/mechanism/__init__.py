@@ -4,8 +4,7 @@ from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import PARAMETERS, Geometry
 from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
-from spm_pin.mechanism.leg_limits import LEGS, LegLimits
-from spm_pin.mechanism.legs import Legs
+from spm_pin.mechanism.legs import LEGS, LegLimits, Legs
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 

@@ -2,7 +2,7 @@
 
 Every check takes the value as the caller gave it, then `argument`, its name in the caller's signature. In messages,
 `expected` and `meaning` say what is accepted, with the unit, and `cause` what the caller may have meant. The error is
-an `ArgumentError`, or the kind of it given as `error`.
+an `ArgumentError`, which `raised_as` turns into another kind.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.errors import ArgumentError
 
 FloatArray = npt.NDArray[np.float64]
 """An array of 64-bit floating-point numbers."""
@@ -69,7 +69,6 @@ def real_number(
     least: float = -np.inf,
     most: float = np.inf,
     below: float = np.inf,
-    error: type[ArgumentError] = ArgumentError,
     cause: str = "",
 ) -> float:
     """Read a finite real number, no boolean, with above < number < below and least <= number <= most."""
@@ -77,14 +76,14 @@ def real_number(
         try:
             number = float(value)
         except OverflowError:
-            raise error(argument, expected, "an integer beyond all floats", cause) from None
+            raise ArgumentError(argument, expected, "an integer beyond all floats", cause) from None
     else:
         array = as_array(value)
         if array is None or array.shape or array.dtype.kind not in "fiu":
-            raise error(argument, expected, type_and_value(value))
+            raise ArgumentError(argument, expected, type_and_value(value))
         number = float(array)
     if not (np.isfinite(number) and above < number < below and least <= number <= most):
-        raise error(argument, expected, f"{number:g}", cause if np.isfinite(number) else "")
+        raise ArgumentError(argument, expected, f"{number:g}", cause if np.isfinite(number) else "")
     return number
 
 
@@ -94,24 +93,16 @@ SMALLEST, LARGEST = 1e-9, 1e9
 
 def dimension(value: Any, argument: str) -> float:
     """Read a radius or a side [m]."""
-    return real_number(
-        value,
-        argument,
-        f"a positive length in metres, from {SMALLEST:g} to {LARGEST:g}",
-        least=SMALLEST,
-        most=LARGEST,
-        error=GeometryError,
-        cause="Given in another unit?" if isinstance(value, float | int) and value > 0 else "",
-    )
+    expected = f"a positive length in metres, from {SMALLEST:g} to {LARGEST:g}"
+    cause = "Given in another unit?" if isinstance(value, float | int) and value > 0 else ""
+    return real_number(value, argument, expected, least=SMALLEST, most=LARGEST, cause=cause)
 
 
-def number_pair(
-    value: Any, argument: str, unit: str, *, error: type[ArgumentError] = ArgumentError
-) -> tuple[float, float]:
+def number_pair(value: Any, argument: str, unit: str) -> tuple[float, float]:
     """Read a pair (minimum, maximum), which may be infinite, in a unit for the message."""
     array = as_array(value)
     if array is None or array.shape != (2,) or array.dtype.kind not in "fiu":
-        raise error(argument, f"a pair (minimum, maximum) in {unit}", type_and_value(value))
+        raise ArgumentError(argument, f"a pair (minimum, maximum) in {unit}", type_and_value(value))
     return float(array[0]), float(array[1])
 
 
@@ -146,35 +137,30 @@ def choice(value: Any, argument: str, choices: Collection[str]) -> str:
 
 
 def file_path(
-    value: Any,
-    argument: str = "path",
-    *,
-    suffixes: Collection[str] = (),
-    expected: str = "the name of a file",
-    error: type[ArgumentError] = ArgumentError,
+    value: Any, argument: str = "path", *, suffixes: Collection[str] = (), expected: str = "the name of a file"
 ) -> Path:
     """Read the name of a file without access to it; `suffixes` are the endings accepted, lower case with their dot."""
     try:
         text = os.fspath(value)
         fits = isinstance(text, str) and bool(text) and b"\0" not in os.fsencode(text)
     except Exception as failed:  # whatever __fspath__ of a foreign object raises
-        raise error(argument, expected, type_and_value(value), str(failed)) from failed
+        raise ArgumentError(argument, expected, type_and_value(value), str(failed)) from failed
     if not fits:
-        raise error(argument, expected, repr(value), "Empty, or a byte of zero in it?")
+        raise ArgumentError(argument, expected, repr(value), "Empty, or a byte of zero in it?")
     path = Path(text)
     if suffixes and path.suffix.lower() not in suffixes:
-        raise error(argument, f"a file name ending in {', '.join(suffixes)}", repr(path.name))
+        raise ArgumentError(argument, f"a file name ending in {', '.join(suffixes)}", repr(path.name))
     return path
 
 
 @contextlib.contextmanager
-def writing(path: Path, argument: str = "path", *, error: type[ArgumentError] = ArgumentError) -> Iterator[None]:
+def writing(path: Path, argument: str = "path") -> Iterator[None]:
     """Make the folders of a file, and turn an `OSError` of a block that writes it into an error with the argument."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield
     except OSError as failed:
-        raise error(argument, "a file that can be written", path, str(failed.strerror)) from failed
+        raise ArgumentError(argument, "a file that can be written", path, str(failed.strerror)) from failed
 
 
 def generator(value: Any, argument: str = "rng") -> np.random.Generator:
@@ -199,20 +185,13 @@ def boolean_array(value: Any, argument: str, shape: tuple[int, ...]) -> BoolArra
         raise ArgumentError(argument, expected, f"shape {array.shape}") from None
 
 
-def broadcastable(
-    argument: str,
-    shape: tuple[int, ...],
-    other: str,
-    other_shape: tuple[int, ...],
-    *,
-    error: type[ArgumentError] = ArgumentError,
-) -> tuple[int, ...]:
+def broadcastable(argument: str, shape: tuple[int, ...], other: str, other_shape: tuple[int, ...]) -> tuple[int, ...]:
     """Return the shape to which the leading axes of an argument and of another broadcast."""
     try:
         return np.broadcast_shapes(shape, other_shape)
     except ValueError:
         expected = f"leading axes that broadcast with those of {other}, {other_shape}"
-        raise error(argument, expected, f"{shape}") from None
+        raise ArgumentError(argument, expected, f"{shape}") from None
 
 
 def check_shapes(shapes: dict[str, tuple[int, ...]], last: dict[str, tuple[int, ...]]) -> None:
@@ -229,17 +208,11 @@ def check_shapes(shapes: dict[str, tuple[int, ...]], last: dict[str, tuple[int, 
 
 
 def real_array(
-    value: npt.ArrayLike,
-    argument: str,
-    trailing: tuple[int, ...],
-    meaning: str,
-    *,
-    error: type[ArgumentError] = ArgumentError,
-    allow_nan: bool = False,
+    value: npt.ArrayLike, argument: str, trailing: tuple[int, ...], meaning: str, *, allow_nan: bool = False
 ) -> FloatArray:
     """Read finite real numbers as float64 of shape `(..., *trailing)`; NaN marks an absent member with `allow_nan`."""
-    array = shaped_array(value, argument, trailing, meaning, error=error)
-    return finite_array(array, argument, trailing, meaning, error=error, allow_nan=allow_nan)
+    array = shaped_array(value, argument, trailing, meaning)
+    return finite_array(array, argument, trailing, meaning, allow_nan=allow_nan)
 
 
 def leg_values(value: npt.ArrayLike, argument: str, meaning: str, *, most: float, cause: str = "") -> FloatArray:
@@ -262,30 +235,23 @@ def leg_bounds(
     Of one positive number for all, or one each (count,), for both senses; or of a least and a largest (2, count).
     """
     array = as_array(value)
-    if array is None or array.shape != (2, count):
+    if array is None or array.shape not in ((), (count,), (2, count)):
         shapes = f"shape () or ({count},), the largest in either sense, or (2, {count}), the least and the largest"
-        if array is None or array.shape not in ((), (count,)):
-            received = type_and_value(value) if array is None else f"shape {array.shape}"
-            raise ArgumentError(argument, f"{meaning} of {shapes}", received)
-        largest = np.broadcast_to(real_array(value, argument, (), meaning), (count,))
-        lower, upper = -largest, largest
-    else:
-        lower, upper = real_array(array, argument, (2, count), f"the least and the largest, {meaning}")
-    if (lower >= upper).any() or max(np.abs(lower).max(initial=0.0), np.abs(upper).max(initial=0.0)) > most:
+        received = type_and_value(value) if array is None else f"shape {array.shape}"
+        raise ArgumentError(argument, f"{meaning} of {shapes}", received)
+    bounds = real_array(array, argument, (), meaning)
+    if bounds.ndim < 2:
+        bounds = np.multiply.outer([-1.0, 1.0], np.broadcast_to(bounds, (count,)))
+    lower, upper = bounds
+    if (lower >= upper).any() or np.abs(bounds).max(initial=0.0) > most:
         expected = f"{meaning}, least ones below the largest, of at most {most:g}"
-        received = str(array if array is not None and array.size <= 1 else [lower.tolist(), upper.tolist()])
+        received = str(array if array.size <= 1 else bounds.tolist())
         raise ArgumentError(argument, expected, received, "Rows exchanged, or no positive numbers?")
     return np.array(lower), np.array(upper)
 
 
 def symmetric_matrices(
-    value: npt.ArrayLike,
-    argument: str,
-    size: int,
-    meaning: str,
-    *,
-    allow_nan: bool = False,
-    positive: bool = False,
+    value: npt.ArrayLike, argument: str, size: int, meaning: str, *, allow_nan: bool = False, positive: bool = False
 ) -> FloatArray:
     """Read matrices (..., size, size), symmetric to 1e-9 of their largest entry; else as `real_array` does.
 
@@ -303,33 +269,25 @@ def symmetric_matrices(
     return matrices
 
 
-def shaped_array(
-    value: npt.ArrayLike, argument: str, trailing: tuple[int, ...], meaning: str, *, error: type[ArgumentError]
-) -> FloatArray:
+def shaped_array(value: npt.ArrayLike, argument: str, trailing: tuple[int, ...], meaning: str) -> FloatArray:
     """Read real numbers that need not be finite as float64 of shape `(..., *trailing)`."""
     if isinstance(value, np.ma.MaskedArray):
-        raise error(argument, _expected(trailing, meaning), "a masked array", "Fill or drop what is masked")
+        raise ArgumentError(argument, _expected(trailing, meaning), "a masked array", "Fill or drop what is masked")
     array = as_array(value)
     if array is None:
-        raise error(argument, _expected(trailing, meaning), type_and_value(value), "Rows of different lengths?")
+        raise ArgumentError(argument, _expected(trailing, meaning), type_and_value(value), "Rows of different lengths?")
     if array.dtype.kind not in "fiu" and not (array.size == 0 and array.dtype.kind != "O"):
-        raise error(argument, _expected(trailing, meaning), f"{type_and_value(value)} of dtype {array.dtype}")
+        raise ArgumentError(argument, _expected(trailing, meaning), f"{type_and_value(value)} of dtype {array.dtype}")
     if array.dtype != np.float64:
         with np.errstate(over="ignore"):
             array = array.astype(np.float64)
     if array.ndim < len(trailing) or array.shape[array.ndim - len(trailing) :] != trailing:
-        raise error(argument, _expected(trailing, meaning), f"shape {array.shape}")
+        raise ArgumentError(argument, _expected(trailing, meaning), f"shape {array.shape}")
     return array
 
 
 def finite_array(
-    array: FloatArray,
-    argument: str,
-    trailing: tuple[int, ...],
-    meaning: str,
-    *,
-    error: type[ArgumentError],
-    allow_nan: bool = False,
+    array: FloatArray, argument: str, trailing: tuple[int, ...], meaning: str, *, allow_nan: bool = False
 ) -> FloatArray:
     """Return `array`, whose shape has been checked, if its numbers are finite."""
     wrong = np.isinf(array) if allow_nan else ~np.isfinite(array)
@@ -337,7 +295,7 @@ def finite_array(
         index = first_offender(wrong)
         where = f" at index {index}" if index else ""
         cause = "A missing sample, or a division by zero before this call?"
-        raise error(argument, f"finite {_expected(trailing, meaning)}", f"{array[index]}{where}", cause)
+        raise ArgumentError(argument, f"finite {_expected(trailing, meaning)}", f"{array[index]}{where}", cause)
     return array
 
 

@@ -23,8 +23,7 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
 )
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_limits import LEGS
-from spm_pin.mechanism.legs import triangle_frames, triangle_sides, upper_ball_weights
+from spm_pin.mechanism.legs import LEGS, triangle_frames, triangle_sides, upper_ball_weights
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
 
 _COLUMNS = ("o in {B} [m]", "roll, pitch, yaw [°]", *(f"{leg} [m]" for leg in LEGS))

@@ -1,4 +1,4 @@
-"""The dimensions of a manipulator and its parameters, as drawn or as built, and whether lengths fit its size.
+"""The dimensions of a manipulator and its parameters, as drawn or as built, its files, and lengths that fit its size.
 
 Frames (Fig. 1 and Eq. (1) of the paper): {B} at the centre O of the base triangle, Z up; {m} at the centre o of the
 terminal platform, z up; {n} at the centre of the middle platform's triangle, x along b_3 b_1 and z normal to it. Legs
@@ -9,21 +9,32 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+import re
+import warnings
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import yaml
 
-from spm_pin.errors import GeometryError
+from spm_pin.errors import GeometryError, raised_as
 from spm_pin.formulas.leg_constants import turned_axis
 from spm_pin.formulas.operations import on_arrays
-from spm_pin.mechanism import geometry_files, notebook
-from spm_pin.mechanism.arguments import FloatArray, check_instance, dimension, generator, real_number
-from spm_pin.mechanism.leg_limits import LEGS, LegLimits
-from spm_pin.mechanism.legs import AXES, RADIAL, Legs, axis_directions, bounded_array, drawn_legs
+from spm_pin.mechanism import notebook
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    check_instance,
+    dimension,
+    file_path,
+    generator,
+    real_number,
+    writing,
+)
+from spm_pin.mechanism.legs import AXES, LEGS, RADIAL, LegLimits, Legs, axis_directions, bounded_array, drawn_legs
 
 _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in _COMPONENTS)
@@ -37,6 +48,15 @@ PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """Units of length, and how many of them are a metre."""
 _PROPORTION = 10.0
 """Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
+
+_DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
+_LEG_KEYS = ("axis", "pivot", "ball", "offset")
+_LARGEST_FILE = 1 << 20
+"""Characters of a file that are read; a larger one is refused."""
+_IMPLAUSIBLE = 20.0
+"""A file with a larger dimension [m] is suspected to be in another unit."""
+_HEADING = "# A 3RPS-3SPR manipulator, lengths in metres: see Geometry of spm_pin.\n"
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)
 
 
 def config_directory() -> Path:
@@ -73,16 +93,16 @@ class Geometry:
     limits: LegLimits | None = None
     legs: Legs = None  # type: ignore[assignment]  # drawn below
 
+    @raised_as(GeometryError)
     def __post_init__(self) -> None:
-        for name in ("base_radius", "platform_radius", "middle_side"):
+        for name in _DIMENSIONS.values():
             object.__setattr__(self, name, dimension(getattr(self, name), name))
-        if self.limits is not None and not isinstance(self.limits, LegLimits):
-            expected = "LegLimits(minimum, maximum) or None"
-            raise GeometryError("limits", expected, type(self.limits).__name__)
+        if self.limits is not None:
+            check_instance(self.limits, LegLimits, "limits", "LegLimits(minimum, maximum), or None")
         drawn = drawn_legs(*self.dimensions)
         legs: Legs | None = self.legs
-        if legs is not None and not isinstance(legs, Legs):
-            raise GeometryError("legs", "Legs(axes, pivots, balls, offsets) or None", type(legs).__name__)
+        if legs is not None:
+            check_instance(legs, Legs, "legs", "Legs(axes, pivots, balls, offsets), or None")
         # Drawn legs follow the dimensions when these are replaced.
         if legs is None or legs.is_drawn or legs == drawn:
             object.__setattr__(self, "legs", drawn)
@@ -141,16 +161,26 @@ class Geometry:
         A `GeometryError` names the line and the key of what describes no manipulator. A warning is given for dimensions
         above 20 m, which are often centimetres or millimetres.
         """
-        dimensions, limits, legs = geometry_files.read(path)
-        return cls(*dimensions, limits) if legs is None else cls(*dimensions, limits, legs)
+        return _read(path)
 
     def to_yaml(self, path: str | Path) -> None:
         """Write the geometry to a YAML file that `from_yaml` reads, every number with all its digits."""
-        geometry_files.write(path, self.as_data())
+        with raised_as(GeometryError):
+            path = file_path(path)
+            text = yaml.safe_dump(self.as_data(), sort_keys=False, default_flow_style=None, width=120)
+            with writing(path):
+                path.write_text(_HEADING + text, encoding="utf-8")
 
     def as_data(self) -> dict[str, Any]:
         """Return what `to_yaml` writes."""
-        return geometry_files.as_data(self.dimensions, self.limits, self.legs)
+        data: dict[str, Any] = dict(zip(_DIMENSIONS.values(), self.dimensions, strict=True))
+        if self.limits is not None:
+            pairs = [list(pair) for pair in zip(self.limits.minimum, self.limits.maximum, strict=True)]
+            data["leg_limits"] = pairs[0] if pairs.count(pairs[0]) == 6 else dict(zip(LEGS, pairs, strict=True))
+        if not self.is_nominal:
+            rows = zip(*(array.tolist() for array in self.legs.arrays), strict=True)
+            data["legs"] = {leg: dict(zip(_LEG_KEYS, row, strict=True)) for leg, row in zip(LEGS, rows, strict=True)}
+        return data
 
     @property
     def is_nominal(self) -> bool:
@@ -213,6 +243,7 @@ class Geometry:
         _, pivots, balls, offsets = self.legs.arrays
         return np.concatenate([turn, pivots, balls, offsets[:, None]], axis=-1).reshape(54)
 
+    @raised_as(GeometryError)
     def from_parameters(self, parameters: npt.ArrayLike) -> Geometry:
         """Return the machine of the same dimensions and limits whose legs have these 54 `parameters`."""
         values = bounded_array(parameters, "parameters", (54,), "radians and metres, see PARAMETERS").reshape(6, 9)
@@ -277,3 +308,132 @@ def unit_hint(geometry: Geometry, lengths: npt.ArrayLike) -> str:
     if unit is None:
         return ""
     return f"Lengths are in metres, and {length:g} m are out of proportion to this machine; is it {length:g} {unit}?"
+
+
+@raised_as(GeometryError)
+def _read(path: str | Path) -> Geometry:
+    root = _root(file_path(path))
+    sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
+    nodes = root.mapping({"middle_side"}, sizes | {"leg_limits", "legs"})
+    limits, legs = nodes.pop("leg_limits", None), nodes.pop("legs", None)
+    lengths = {
+        key: dimension(node.number(f"a number of metres under the key {key}"), f"{key} in {node.place}")
+        for key, node in nodes.items()
+    }
+    radii = []
+    for triangle in ("base", "platform"):
+        keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
+        if len(keys) != 1:
+            expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
+            raise GeometryError(str(root.path), expected, " and ".join(keys) or "neither")
+        radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
+    geometry = Geometry(radii[0], radii[1], lengths["middle_side"], None if limits is None else _limits(limits))
+    if legs is not None:
+        geometry = replace(geometry, legs=_legs(legs))
+    longest = max(lengths, key=lambda key: lengths[key])
+    if lengths[longest] > _IMPLAUSIBLE:
+        text = f"{root.path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres"
+        warnings.warn(f"{text}; are these in another unit?", stacklevel=4)
+    return geometry
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A node of a file; its methods raise `GeometryError` where it is not what it should be.
+
+    Files are read node by node: errors name the line, keys given twice are found, aliases are not expanded. Nothing is
+    constructed, so no tag in a file has an effect.
+    """
+
+    node: yaml.Node
+    path: Path
+
+    @property
+    def place(self) -> str:
+        """The file and the line, as ``machine.yaml:5``."""
+        return f"{self.path}:{self.node.start_mark.line + 1}"
+
+    @property
+    def text(self) -> str:
+        """What the node is, for messages."""
+        kind = type(self.node).__name__.removesuffix("Node").lower()
+        return repr(self.node.value) if isinstance(self.node, yaml.ScalarNode) else f"a {kind}"
+
+    def mapping(self, keys: Collection[str], optional: Collection[str] = ()) -> dict[str, _Node]:
+        """Return the values of a mapping that must have all of `keys` and may have `optional` ones, each once."""
+        expected = f"a mapping with the keys {', '.join(sorted(keys))}"
+        if optional:
+            expected += f", and perhaps {', '.join(sorted(optional))}"
+        if not isinstance(self.node, yaml.MappingNode):
+            raise GeometryError(self.place, expected, self.text)
+        values: dict[str, _Node] = {}
+        for entry, value in self.node.value:
+            key = _Node(entry, self.path)
+            if not isinstance(entry, yaml.ScalarNode) or (entry.value not in keys and entry.value not in optional):
+                meant = _DIMENSIONS.get(str(entry.value))
+                cause = f"{entry.value} is {meant}" if meant in keys or meant in optional else ""
+                raise GeometryError(key.place, expected, f"the key {key.text}", cause)
+            if entry.value in values:
+                raise GeometryError(key.place, expected, f"the key {entry.value!r} twice")
+            values[entry.value] = _Node(value, self.path)
+        missing = set(keys) - values.keys()
+        if missing:
+            raise GeometryError(self.place, expected, f"no key {', '.join(sorted(missing))}")
+        return values
+
+    def numbers(self, count: int, expected: str) -> list[float]:
+        """Return the members of a list of numbers."""
+        if not isinstance(self.node, yaml.SequenceNode):
+            raise GeometryError(self.place, f"a list of {expected}", self.text)
+        if len(self.node.value) != count:
+            raise GeometryError(self.place, expected, f"{len(self.node.value)} of them")
+        return [_Node(member, self.path).number(expected) for member in self.node.value]
+
+    def number(self, expected: str) -> float:
+        """Return a scalar that is written as a decimal number, or `.inf`, without quotes."""
+        node = self.node
+        if isinstance(node, yaml.ScalarNode) and node.style is None and _NUMBER.fullmatch(node.value):
+            return float(node.value.lower().replace(".inf", "inf"))
+        raise GeometryError(self.place, expected, self.text)
+
+
+def _root(path: Path) -> _Node:
+    """Return the root node of a file."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(_LARGEST_FILE + 1)
+    except OSError as failed:
+        raise GeometryError(str(path), "a readable YAML file", str(failed.strerror)) from failed
+    except ValueError as failed:
+        raise GeometryError(str(path), "a YAML file, text in UTF-8", str(failed)) from failed
+    if len(text) > _LARGEST_FILE:
+        raise GeometryError(str(path), f"a YAML file of at most {_LARGEST_FILE} characters", "a longer one")
+    try:
+        root: yaml.Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
+    except Exception as failed:  # YAMLError; of malformed escapes, tags and nesting also other kinds
+        raise GeometryError(str(path), "a YAML file", str(failed) or type(failed).__name__) from failed
+    if root is None:
+        raise GeometryError(str(path), "a YAML mapping of dimensions", "an empty file")
+    return _Node(root, path)
+
+
+def _limits(node: _Node) -> LegLimits:
+    pairs = node.mapping(LEGS) if isinstance(node.node, yaml.MappingNode) else {"leg_limits": node}
+    bounds = {key: pair.numbers(2, f"a pair of lengths in metres under the key {key}") for key, pair in pairs.items()}
+    for key, (low, high) in bounds.items():
+        try:
+            LegLimits(low, high)
+        except GeometryError as wrong:
+            place = f"{key} in {pairs[key].place}"
+            raise GeometryError(place, wrong.expected, f"[{low:g}, {high:g}]", wrong.cause) from None
+    lows, highs = zip(*(bounds.get(leg) or bounds["leg_limits"] for leg in LEGS), strict=True)
+    return LegLimits(lows, highs)
+
+
+def _legs(node: _Node) -> Legs:
+    legs = node.mapping(LEGS)
+    rows = [legs[leg].mapping(_LEG_KEYS) for leg in LEGS]
+    vectors = [[row[key].numbers(3, f"three numbers under the key {key}") for row in rows] for key in _LEG_KEYS[:3]]
+    offsets = [row["offset"].number("a number of metres under the key offset") for row in rows]
+    with raised_as(GeometryError, node.place):
+        return Legs(*map(np.array, (*vectors, offsets)))

@@ -1,21 +1,36 @@
-"""The legs of one machine, drawn or as built: axes, pivots, balls and offsets; and the triangles of their balls."""
+"""The six legs of a machine: their names, the limits of their lengths, their axes, pivots, balls and offsets."""
 
 from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import GeometryError
+from spm_pin.errors import ArgumentError, GeometryError, raised_as
 from spm_pin.formulas import ball_motions, leg_constants, leg_planes
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.operations import on_arrays, rows_of
-from spm_pin.mechanism.arguments import LARGEST, SMALLEST, FloatArray, real_array
-from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism.arguments import (
+    LARGEST,
+    SMALLEST,
+    BoolArray,
+    FloatArray,
+    as_array,
+    frozen,
+    number_pair,
+    real_array,
+    type_and_value,
+)
+
+LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
+"""Names and order of the legs: the lower stage's three, then the upper stage's."""
+
+ORDERED = "0 <= minimum < maximum for every leg, in metres"
 
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
@@ -26,6 +41,76 @@ _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
 _FLAT = 1e-6
 """Smallest height of the triangle of three balls, in units of its longest side."""
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class LegLimits:
+    """Shortest and longest length of each leg.
+
+    Parameters
+    ----------
+    minimum, maximum : float or sequence of six floats
+        Lengths in metres, in the order of `LEGS`. `maximum` may be infinite.
+    """
+
+    minimum: tuple[float, ...]
+    maximum: tuple[float, ...]
+
+    def __init__(self, minimum: float | Sequence[float], maximum: float | Sequence[float]) -> None:
+        object.__setattr__(self, "minimum", _six(minimum, "minimum"))
+        object.__setattr__(self, "maximum", _six(maximum, "maximum"))
+        for leg, low, high in zip(LEGS, self.minimum, self.maximum, strict=True):
+            if not 0.0 <= low < high:
+                cause = "Minimum and maximum exchanged?" if low > high >= 0.0 else ""
+                raise GeometryError("limits", ORDERED, f"[{low:g}, {high:g}] for {leg}", cause)
+
+    @classmethod
+    @raised_as(GeometryError)
+    def stages(cls, lower: Sequence[float], upper: Sequence[float]) -> LegLimits:
+        """Make limits from one (minimum, maximum) pair [m] for the lower legs and one for the upper."""
+        pairs = [number_pair(lower, "lower", "metres")] * 3 + [number_pair(upper, "upper", "metres")] * 3
+        return cls(*zip(*pairs, strict=True))
+
+    def __repr__(self) -> str:
+        pairs = [f"{low:.6g}, {high:.6g}" for low, high in zip(self.minimum, self.maximum, strict=True)]
+        if len(set(pairs)) == 1:
+            return f"LegLimits({pairs[0]})"
+        if len(set(pairs[:3])) == len(set(pairs[3:])) == 1:
+            return f"LegLimits.stages(({pairs[0]}), ({pairs[3]}))"
+        bounds = (f"[{', '.join(f'{end:.6g}' for end in ends)}]" for ends in (self.minimum, self.maximum))
+        return f"LegLimits({', '.join(bounds)})"
+
+    def contains(self, readings: npt.ArrayLike) -> BoolArray:
+        """Return which sets of readings (..., 6) [m] respect all limits; NaN does not."""
+        return np.asarray(self.margin(readings) >= 0.0)
+
+    def excess(self, readings: npt.ArrayLike) -> FloatArray:
+        """Return by how much each leg of (..., 6) [m] is too long, or too short (negative); 0 within its limits."""
+        lengths = _read(readings)
+        return np.asarray(np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0))
+
+    def margin(self, readings: npt.ArrayLike) -> FloatArray:
+        """Return the margin [m] of the worst leg of (..., 6) [m] to its limits; negative outside, NaN for NaN."""
+        lengths = _read(readings)
+        inside = np.minimum(lengths - np.array(self.minimum), np.array(self.maximum) - lengths)
+        # Leg by leg: NumPy takes several times as long to reduce a short last axis.
+        return np.asarray(functools.reduce(np.minimum, np.moveaxis(inside, -1, 0)))
+
+
+def _read(readings: npt.ArrayLike) -> FloatArray:
+    return real_array(readings, "readings", (6,), "what the encoders show, in metres", allow_nan=True)
+
+
+def _six(value: float | Sequence[float], argument: str) -> tuple[float, ...]:
+    expected = "one length or six in the order " + ", ".join(LEGS) + ", in metres"
+    array = as_array(value)
+    if array is None or array.dtype.kind not in "fiu":
+        raise GeometryError(argument, expected, type_and_value(value))
+    if array.shape not in ((), (6,)):
+        raise GeometryError(argument, expected, f"shape {array.shape}")
+    if np.isnan(array).any():
+        raise GeometryError(argument, expected, "NaN", "Use 0 and infinity where there is no limit")
+    return tuple(float(x) for x in np.broadcast_to(array, 6))
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -57,6 +142,7 @@ class Legs:
     is_drawn: bool = field(default=False, init=False)
     """True for legs that a `Geometry` has drawn from its dimensions."""
 
+    @raised_as(GeometryError)
     def __post_init__(self) -> None:
         axes = bounded_array(self.axes, "axes", (6, 3), "unit vectors along the revolute axes")
         sizes = np.sqrt((axes**2).sum(axis=-1))
@@ -64,24 +150,20 @@ class Legs:
         if wrong.any():
             leg = int(wrong.argmax())
             expected = "unit vectors along the revolute axes"
-            raise GeometryError("axes", expected, f"length {sizes[leg]:g} of {LEGS[leg]}", "Divide it by its length")
+            raise ArgumentError("axes", expected, f"length {sizes[leg]:g} of {LEGS[leg]}", "Divide it by its length")
         # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
         exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
-        self._put("axes", axes / np.where(exact, 1.0, sizes)[:, None])
-        self._put("pivots", bounded_array(self.pivots, "pivots", (6, 3), "points of the revolute axes in metres"))
+        pivots = bounded_array(self.pivots, "pivots", (6, 3), "points of the revolute axes in metres")
         balls = bounded_array(self.balls, "balls", (6, 3), "ball centres in {n} in metres")
         for stage, b in (("lower", balls[:3]), ("upper", balls[3:])):
             longest = triangle_sides(b).max()
             if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
                 expected = "three ball centres of each stage that form a triangle"
-                raise GeometryError("balls", expected, f"those of the {stage} legs on one line")
-        self._put("balls", balls)
-        self._put("offsets", bounded_array(self.offsets, "offsets", (6,), "offsets of the readings in metres"))
-
-    def _put(self, name: str, array: FloatArray) -> None:
-        copy = np.array(array)
-        copy.flags.writeable = False
-        object.__setattr__(self, name, copy)
+                raise ArgumentError("balls", expected, f"those of the {stage} legs on one line")
+        offsets = bounded_array(self.offsets, "offsets", (6,), "offsets of the readings in metres")
+        arrays = axes / np.where(exact, 1.0, sizes)[:, None], pivots, balls, offsets
+        for name, array in zip(("axes", "pivots", "balls", "offsets"), arrays, strict=True):
+            object.__setattr__(self, name, frozen(array.copy()))
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -91,9 +173,7 @@ class Legs:
     @functools.cached_property
     def sides(self) -> FloatArray:
         """Distances 12, 23, 31 of the lower legs' balls [m], shape (3,)."""
-        sides = triangle_sides(self.balls[:3])
-        sides.flags.writeable = False
-        return sides
+        return frozen(triangle_sides(self.balls[:3]))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Legs):
@@ -148,9 +228,9 @@ def upper_ball_weights(balls: FloatArray) -> FloatArray:
 
 def bounded_array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning: str) -> FloatArray:
     """Read finite numbers of this shape, none above the largest dimension."""
-    array = real_array(value, argument, shape, meaning, error=GeometryError)
+    array = real_array(value, argument, shape, meaning)
     if array.shape != shape:
-        raise GeometryError(argument, f"shape {shape}, {meaning}", f"shape {array.shape}")
+        raise ArgumentError(argument, f"shape {shape}, {meaning}", f"shape {array.shape}")
     if (np.abs(array) > LARGEST).any():
-        raise GeometryError(argument, f"{meaning}, at most {LARGEST:g}", f"{np.abs(array).max():g}", "Another unit?")
+        raise ArgumentError(argument, f"{meaning}, at most {LARGEST:g}", f"{np.abs(array).max():g}", "Another unit?")
     return array

@@ -8,6 +8,7 @@ takes the columns that it needs by their names, in any order, and passes over ot
 from __future__ import annotations
 
 import csv
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,40 +17,40 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, file_path, writing
+from spm_pin.mechanism.arguments import FloatArray, file_path, first_offender, writing
 from spm_pin.mechanism.pose import UNIT, first_wrong_quaternion, pose
 
 TIME, POSITION, QUATERNION = "time", ("x", "y", "z"), ("qx", "qy", "qz", "qw")
 
 
 class MotionTable:
-    """A table read from a file; columns become numbers when they are taken. Errors are of the type `error`."""
+    """A table read from a file; columns become numbers when they are taken."""
 
-    def __init__(self, path: str | Path, *, error: type[ArgumentError] = ArgumentError) -> None:
-        self.path = file_path(path, suffixes=(".csv",), error=error)
-        self._error = error
+    def __init__(self, path: str | Path) -> None:
+        self.path = file_path(path, suffixes=(".csv",))
         try:
             with self.path.open(encoding="utf-8-sig", newline="") as file:
                 reader = csv.reader(file)
                 lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
         except (OSError, UnicodeDecodeError, csv.Error) as failed:
             reason = getattr(failed, "strerror", None) or str(failed)
-            raise error(str(self.path), "a readable CSV file in UTF-8", reason) from failed
+            raise ArgumentError(str(self.path), "a readable CSV file in UTF-8", reason) from failed
         lines = [(number, row) for number, row in lines if any(row) and not row[0].startswith("#")]
         if len(lines) < 2:
-            raise error(str(self.path), "a heading that names the columns, then rows of numbers", f"{len(lines)} lines")
+            expected = "a heading that names the columns, then rows of numbers"
+            raise ArgumentError(str(self.path), expected, f"{len(lines)} lines")
         (number, self.names), *self._rows = lines
-        if all(map(_is_number, self.names)):
+        place = f"{self.path}:{number}"
+        if not np.isnan([_number(name) for name in self.names]).any():
             cause = "The first line looks like numbers: no heading?"
-            expected = "a heading that names the columns"
-            raise error(f"{self.path}:{number}", expected, ", ".join(self.names[:3]) + ", …", cause)
+            raise ArgumentError(place, "a heading that names the columns", ", ".join(self.names[:3]) + ", …", cause)
         twice = [name for name, count in Counter(self.names).items() if count > 1]
         if twice:
-            raise error(f"{self.path}:{number}", "a heading with each column once", f"twice {', '.join(twice[:3])}")
+            raise ArgumentError(place, "a heading with each column once", f"twice {', '.join(twice[:3])}")
         for number, cells in self._rows:
             if len(cells) != len(self.names):
                 expected = f"{len(self.names)} values, one per column of the heading"
-                raise error(f"{self.path}:{number}", expected, len(cells))
+                raise ArgumentError(f"{self.path}:{number}", expected, len(cells))
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -68,21 +69,18 @@ class MotionTable:
         missing = [name for name in names if name not in self.names]
         if missing:
             expected = f"a heading with the columns {', '.join(names)}"
-            raise self._error(f"{self.path}:1", expected, f"one without {', '.join(missing)}")
+            raise ArgumentError(f"{self.path}:1", expected, f"one without {', '.join(missing)}")
         places = [self.names.index(name) for name in names]
-        return np.array([[self._number(line, cells, place) for place in places] for line, cells in self._rows])
-
-    def _number(self, line: int, cells: list[str], place: int) -> float:
-        cell = cells[place]
-        try:
-            number = float(cell)
-        except ValueError:
-            number = np.nan
-        if not np.isfinite(number):
+        numbers = np.array([[_number(cells[place]) for place in places] for _, cells in self._rows])
+        wrong = ~np.isfinite(numbers)
+        if wrong.any():
+            row, column = first_offender(wrong)
+            line, cells = self._rows[row]
+            cell = cells[places[column]]
             cause = "A decimal comma?" if "," in cell else ""
-            where = f"column {self.names[place]} in {self.path}:{line}"
-            raise self._error(where, "a finite number", repr(cell) if cell else "nothing", cause)
-        return number
+            where = f"column {names[column]} in {self.path}:{line}"
+            raise ArgumentError(where, "a finite number", repr(cell) if cell else "nothing", cause)
+        return numbers
 
     def poses(self) -> RigidTransform | FloatArray | None:
         """Return poses (n,), or positions (n, 3) if there is no quaternion; None if there are no positions."""
@@ -95,7 +93,7 @@ class MotionTable:
         wrong = first_wrong_quaternion(quaternion)
         if wrong is not None:
             (row,), received, cause = wrong
-            raise self._error(f"columns qx to qw in {self.path}:{self.lines[row]}", UNIT, received, cause)
+            raise ArgumentError(f"columns qx to qw in {self.path}:{self.lines[row]}", UNIT, received, cause)
         return pose(position, quat=quaternion)
 
     def times(self) -> FloatArray | None:
@@ -106,17 +104,17 @@ class MotionTable:
         backward = np.diff(times) <= 0.0
         if backward.any():
             row = 1 + int(backward.argmax())
-            place = f"column {TIME} in {self.path}:{self._rows[row][0]}"
-            raise self._error(place, "increasing times in seconds", f"{times[row]:g} after {times[row - 1]:g}")
+            place = f"column {TIME} in {self.path}:{self.lines[row]}"
+            raise ArgumentError(place, "increasing times in seconds", f"{times[row]:g} after {times[row - 1]:g}")
         return np.asarray(times)
 
 
-def _is_number(cell: str) -> bool:
+def _number(cell: str) -> float:
+    """Return a number, or NaN where a cell holds none."""
     try:
-        float(cell)
+        return float(cell)
     except ValueError:
-        return False
-    return True
+        return math.nan
 
 
 def table_text(columns: Mapping[str, FloatArray]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.errors import PoseError
+from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.mechanism.arguments import (
     FloatArray,
     as_array,
@@ -38,7 +38,6 @@ _WRITTEN_OUT = {
 }
 """How to say a pose that comes as six or seven numbers."""
 _TRANSFORM = "A homogeneous transform? That is a pose already: scipy.spatial.transform.RigidTransform.from_matrix(a)"
-_ALREADY = "That is a pose already; its parts are a.translation and a.rotation"
 _ROTATION = "a rotation matrix"
 _POSITION = "a position in metres"
 
@@ -98,35 +97,32 @@ def pose(
     >>> spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])).translation
     array([0.6889, 0.4963, 2.253 ])
     """
-    position = _read_translation(translation)
     values = {"xyx": xyx, "rpy": rpy, "quat": quat, "rotvec": rotvec, "matrix": matrix, "rotation": rotation}
     named = [name for name, value in values.items() if value is not None]
-    if len(named) != 1:
-        expected = f"exactly one orientation: {', '.join(f'{name}=...' for name in values)}"
-        raise PoseError("rotation", expected, " and ".join(named) or "none")
-    (name,) = named
-    value: Any = values[name]
-    matrices = np.asarray(value.as_matrix()) if isinstance(value, Rotation) else _read_orientation(value, name)
-    return unchecked_transform(*_broadcast(_rotations(matrices, name), position, "translation"))
-
-
-def _read_translation(value: Any) -> FloatArray:
-    """Return positions (..., 3), or raise `PoseError`, with a way to say it for what looks like a whole pose."""
+    value: Any = None
     try:
-        return real_array(value, "translation", (3,), "the position of o in {B} in metres", error=PoseError)
-    except PoseError as error:
-        raise _with_way_to_say(error, value) from None
+        position = real_array(translation, "translation", (3,), "the position of o in {B} in metres")
+        if len(named) != 1:
+            expected = f"exactly one orientation: {', '.join(f'{name}=...' for name in values)}"
+            raise ArgumentError("rotation", expected, " and ".join(named) or "none")
+        (name,) = named
+        value = values[name]
+        matrices = np.asarray(value.as_matrix()) if isinstance(value, Rotation) else _read_orientation(value, name)
+        return unchecked_transform(*_broadcast(_rotations(matrices, name), position, "translation"))
+    except ArgumentError as error:
+        wrong = translation if error.argument == "translation" else value
+        if isinstance(wrong, HasRotationTranslation):
+            cause = "That is a pose already; its parts are a.translation and a.rotation"
+            raise PoseError(error.argument, error.expected, f"a {type(wrong).__name__}", cause) from None
+        raise _pose_error(error, wrong, _TRANSFORM if error.argument not in _ORIENTATIONS else "") from None
 
 
-def _with_way_to_say(error: PoseError, value: Any) -> PoseError:
-    """Return an error about numbers that look like a whole pose, with the way to make one of them."""
-    if isinstance(value, HasRotationTranslation):
-        return PoseError(error.argument, error.expected, f"a {type(value).__name__}", _ALREADY)
+def _pose_error(error: ArgumentError, value: Any, transform: str = "") -> PoseError:
+    """Return an error as one about a pose, with the way to say what looks like a whole one; `transform` if 4 x 4."""
     array = as_array(value)
-    if array is None or not array.ndim:
-        return error
-    way = _TRANSFORM if array.shape[-2:] == (4, 4) else _WRITTEN_OUT.get(array.shape[-1])
-    return error if way is None else PoseError(error.argument, error.expected, error.received, way)
+    shape = () if array is None else array.shape
+    cause = transform if shape[-2:] == (4, 4) else _WRITTEN_OUT.get(shape[-1] if shape else 0, "")
+    return PoseError(error.argument, error.expected, error.received, cause or error.cause)
 
 
 _ORIENTATIONS: dict[str, tuple[int, str, Callable[[FloatArray], Rotation]]] = {
@@ -141,12 +137,9 @@ _ORIENTATIONS: dict[str, tuple[int, str, Callable[[FloatArray], Rotation]]] = {
 def _read_orientation(value: Any, name: str) -> FloatArray:
     """Return the matrices (..., 3, 3) of an orientation, by the name of its argument."""
     if name not in _ORIENTATIONS:
-        try:
-            return shaped_array(value, name, (3, 3), _ROTATION, error=PoseError)
-        except PoseError as error:
-            raise _with_way_to_say(error, value) from None
+        return shaped_array(value, name, (3, 3), _ROTATION)
     size, meaning, read = _ORIENTATIONS[name]
-    numbers = real_array(value, name, (size,), meaning, error=PoseError)
+    numbers = real_array(value, name, (size,), meaning)
     if name == "quat":
         wrong = first_wrong_quaternion(numbers)
         if wrong is not None:
@@ -192,49 +185,48 @@ def unchecked_pose(value: PoseLike, argument: str = "pose") -> tuple[FloatArray,
     if isinstance(value, Rotation):
         cause = "A rotation alone is no pose: spm.pose(translation, rotation=...)"
         raise PoseError(argument, "a rigid transform", "a Rotation", cause)
-    if not isinstance(value, np.ndarray) and isinstance(value, HasRotationTranslation):
-        turn, place = value.rotation, value.translation
-        turn = turn.as_matrix() if isinstance(turn, Rotation) else turn
-        rotation = shaped_array(turn, f"{argument}.rotation", (3, 3), _ROTATION, error=PoseError)
-        position = shaped_array(place, f"{argument}.translation", (3,), _POSITION, error=PoseError)
-        return _broadcast(rotation, position, f"{argument}.translation")
     try:
-        matrices = shaped_array(value, argument, (4, 4), "a homogeneous transform", error=PoseError)
-    except PoseError as error:
-        array = as_array(value)
-        way = _WRITTEN_OUT.get(array.shape[-1]) if array is not None and array.ndim else None
-        if way is None:
-            raise
-        raise PoseError(argument, "a rigid transform", error.received, way) from None
-    if not (matrices[..., 3, :] == _LAST_ROW).all():
-        finite_array(matrices, argument, (4, 4), "a homogeneous transform", error=PoseError)
-        index = first_offender((matrices[..., 3, :] != _LAST_ROW).any(axis=-1))
-        cause = "Transposed matrix?" if (matrices[index][:, 3] == _LAST_ROW).all() else ""
-        where = f" at index {index}" if index else ""
-        raise PoseError(argument, "the last row [0, 0, 0, 1]", f"{matrices[index][3]}{where}", cause)
+        if not isinstance(value, np.ndarray) and isinstance(value, HasRotationTranslation):
+            turn, place = value.rotation, value.translation
+            turn = turn.as_matrix() if isinstance(turn, Rotation) else turn
+            rotation = shaped_array(turn, f"{argument}.rotation", (3, 3), _ROTATION)
+            position = shaped_array(place, f"{argument}.translation", (3,), _POSITION)
+            return _broadcast(rotation, position, f"{argument}.translation")
+        matrices = shaped_array(value, argument, (4, 4), "a homogeneous transform")
+        if not (matrices[..., 3, :] == _LAST_ROW).all():
+            finite_array(matrices, argument, (4, 4), "a homogeneous transform")
+            index = first_offender((matrices[..., 3, :] != _LAST_ROW).any(axis=-1))
+            cause = "Transposed matrix?" if (matrices[index][:, 3] == _LAST_ROW).all() else ""
+            where = f" at index {index}" if index else ""
+            raise ArgumentError(argument, "the last row [0, 0, 0, 1]", f"{matrices[index][3]}{where}", cause)
+    except ArgumentError as error:
+        raise _pose_error(error, value) from None
     return matrices[..., :3, :3], matrices[..., :3, 3]
 
 
 def checked_pose(rotation: FloatArray, position: FloatArray, argument: str) -> tuple[FloatArray, FloatArray]:
     """Return rotations (..., 3, 3), rounding repaired, and positions (..., 3), or raise `PoseError`."""
-    finite_array(position, argument, (3,), _POSITION, error=PoseError)
-    return _rotations(rotation, argument), position
+    try:
+        finite_array(position, argument, (3,), _POSITION)
+        return _rotations(rotation, argument), position
+    except ArgumentError as error:
+        raise _pose_error(error, None) from None
 
 
 def _rotations(matrices: FloatArray, argument: str) -> FloatArray:
     """Return matrices (..., 3, 3), those that rounding made no rotations repaired; raise if one is far from any."""
-    finite_array(matrices, argument, (3, 3), _ROTATION, error=PoseError)
+    finite_array(matrices, argument, (3, 3), _ROTATION)
     error = np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)).max(axis=(-1, -2), initial=0.0)
     wrong = error > ORTHONORMALITY_TOLERANCE
     if wrong.any():
         index = first_offender(wrong)
         received = f"RᵀR - I with an entry of {error[index]:.1e}" + (f" at index {index}" if index else "")
-        raise PoseError(argument, _ROTATION, received, "Scaled, sheared, or rounded to few digits?")
+        raise ArgumentError(argument, _ROTATION, received, "Scaled, sheared, or rounded to few digits?")
     mirrored = np.linalg.det(matrices) < 0.0
     if mirrored.any():
         index = first_offender(mirrored)
         received = "determinant -1" + (f" at index {index}" if index else "")
-        raise PoseError(argument, _ROTATION, received, "A reflection: a left-handed frame?")
+        raise ArgumentError(argument, _ROTATION, received, "A reflection: a left-handed frame?")
     rounded = error > EXACT
     if rounded.any():
         # Member by member: what one pose is must not depend on its neighbours.
@@ -244,7 +236,7 @@ def _rotations(matrices: FloatArray, argument: str) -> FloatArray:
 
 
 def _broadcast(rotation: FloatArray, position: FloatArray, argument: str) -> tuple[FloatArray, FloatArray]:
-    shape = broadcastable(argument, position.shape[:-1], "the rotation", rotation.shape[:-2], error=PoseError)
+    shape = broadcastable(argument, position.shape[:-1], "the rotation", rotation.shape[:-2])
     return np.broadcast_to(rotation, (*shape, 3, 3)), np.broadcast_to(position, (*shape, 3))
 
 

@@ -27,7 +27,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration, batch_index, compared_points
 from spm_pin.mechanism.geometry import Geometry, unit_hint
-from spm_pin.mechanism.leg_limits import LEGS, LegLimits
+from spm_pin.mechanism.legs import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
 _PARALLEL = 1e-12

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
-from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism.legs import LEGS
 from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.path_dynamics import LimitRows, MotionLimits, PathDynamics, Payload, path_dynamics

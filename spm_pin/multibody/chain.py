@@ -31,7 +31,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.joint_angles import joint_angles
-from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.multibody.chain_state import ChainState, ConstrainedChain, NaturalFrequencies, PlatformDynamics, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose

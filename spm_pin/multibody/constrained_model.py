@@ -31,7 +31,7 @@ from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationErr
 from spm_pin.mechanism.arguments import FloatArray, IntArray, frozen, real_array
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.joint_angles import JOINTS, home_lengths
-from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism.legs import LEGS
 
 AGREEMENT = 1e-9
 """Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""

@@ -26,7 +26,7 @@ from scipy.optimize import brentq
 
 from spm_pin.errors import ClosureError
 from spm_pin.mechanism.arguments import FloatArray, real_number
-from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism.legs import LEGS
 from spm_pin.multibody.closure_solvers import close_loops
 from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.trajectory import increasing_times

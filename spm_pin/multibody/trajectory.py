@@ -17,7 +17,7 @@ from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, file_path, frozen, real_array, writing
-from spm_pin.mechanism.leg_limits import LEGS
+from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.multibody.chain_state import ChainState, at_index

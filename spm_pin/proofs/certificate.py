@@ -16,7 +16,7 @@ from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_limits import LegLimits
+from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.stage_proof import StageProof, prove_stage
 from spm_pin.proofs.stage_region import StageRegion, configuration_at, region_coordinates
 

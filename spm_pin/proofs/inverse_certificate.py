@@ -30,7 +30,7 @@ from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_limits import LegLimits
+from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
 from spm_pin.proofs.stage_proof import Int64Array, StageProof
 from spm_pin.proofs.stage_region import StageRegion

@@ -20,7 +20,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.kernels import RESOLUTION
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, generator, real_number, whole_number
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_limits import LegLimits
+from spm_pin.mechanism.legs import LegLimits
 from spm_pin.workspace.closed_mesh import ClosedMesh
 from spm_pin.workspace.search import (
     SINGULARITY_MARGIN,
