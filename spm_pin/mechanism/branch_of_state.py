@@ -20,32 +20,18 @@ FAMILIES = ("TT", "TF", "FT", "FF")
 BRANCHES = ("TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-")
 """Canonical order of the eight branches of an inverse displacement."""
 
-_is_upright, _is_stage_at_home, _tilt_cosine_sum, _structure_determinant = (
-    on_arrays(formula)
-    for formula in (
-        branches.is_upright,
-        wrenches.is_stage_at_home,
-        branches.tilt_cosine_sum,
-        wrenches.structure_determinant,
-    )
-)
-
-
-def _mean_radii(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
-    """Return the means of b_i along the drawn radial directions of {B} and of {m} [m]."""
-    radial = configuration.geometry.radial_directions
-    # The radial directions add up to zero, so b_i may stand for b_i - o.
-    moments = np.swapaxes(configuration.middle_joints, -1, -2) @ radial
-    lower = moments[..., 0, 0] + moments[..., 1, 1] + moments[..., 2, 2]
-    upper = np.einsum("...ij,...ij->...", moments, configuration.rotation)
-    return np.asarray(lower / 3.0), np.asarray(upper / 3.0)
+_is_upright, _tilt_cosine_sum = on_arrays(branches.is_upright), on_arrays(branches.tilt_cosine_sum)
+_is_stage_at_home = on_arrays(wrenches.is_stage_at_home)
+_structure_determinant = on_arrays(wrenches.structure_determinant)
 
 
 def family(configuration: Configuration) -> IntArray:
     """Return the index in `FAMILIES` of each state, shape (...); -1 where it does not exist."""
-    lower, upper = _mean_radii(configuration)
-    index = 2 * (lower < 0.0) + (upper < 0.0)
-    return np.where(configuration.exists, index, -1).astype(np.intp)
+    # Signs of the mean radii of the b_i in {B} and in {m}. The radial directions add up to zero, so b_i is b_i - o.
+    moments = np.swapaxes(configuration.middle_joints, -1, -2) @ configuration.geometry.radial_directions
+    lower = moments[..., 0, 0] + moments[..., 1, 1] + moments[..., 2, 2]
+    upper = np.einsum("...ij,...ij->...", moments, configuration.rotation)
+    return np.where(configuration.exists, 2 * (lower < 0.0) + (upper < 0.0), -1).astype(np.intp)
 
 
 def branch_sign(configuration: Configuration) -> FloatArray:
@@ -55,8 +41,10 @@ def branch_sign(configuration: Configuration) -> FloatArray:
     quaternions of the middle platform seen from {B} and from {m}, their nonzero component in the mode's
     coordinate taken positive, it is det K times the sign of that component of a b*.
     """
-    index = family(configuration)
-    a, b = _stage_quaternions(configuration)
+    index, exists = family(configuration), configuration.exists
+    middle = np.where(exists[..., None, None], configuration.middle_pose.as_matrix()[..., :3, :3], np.eye(3))
+    back = np.where(exists[..., None, None], np.swapaxes(configuration.rotation, -1, -2), np.eye(3))
+    a, b = Rotation.from_matrix(middle).as_quat(), Rotation.from_matrix(back @ middle).as_quat()
     a = a * np.where(np.where(index >= 2, a[..., 2], a[..., 3]) < 0.0, -1.0, 1.0)[..., None]
     b = b * np.where(np.where(index % 2 == 1, b[..., 2], b[..., 3]) < 0.0, -1.0, 1.0)[..., None]
     # The component of a b* that cannot vanish in this family: the scalar part, in mixed families the z part.
@@ -64,20 +52,12 @@ def branch_sign(configuration: Configuration) -> FloatArray:
     kappa = np.select([index == 1, index == 2], [-z, z], (a * b).sum(axis=-1))
     arms = configuration.balls - configuration.middle_joints.mean(axis=-2, keepdims=True)
     det_k = _structure_determinant(*map(rows_of, (*_stages(arms), *_stages(configuration.leg_axes))))
-    return np.where(configuration.exists, det_k * np.sign(kappa), np.nan)
+    return np.where(exists, det_k * np.sign(kappa), np.nan)
 
 
 def _stages(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the vectors (..., 3, 3) of the lower and of the upper legs, of six (..., 6, 3)."""
     return vectors[..., :3, :], vectors[..., 3:, :]
-
-
-def _stage_quaternions(configuration: Configuration) -> tuple[FloatArray, FloatArray]:
-    """Return the unit quaternions (..., 4) of the middle platform against {B} and {m}, of any sign, scalar last."""
-    exists = configuration.exists[..., None, None]
-    middle = np.where(exists, configuration.middle_pose.as_matrix()[..., :3, :3], np.eye(3))
-    from_platform = np.where(exists, np.swapaxes(configuration.rotation, -1, -2), np.eye(3))
-    return Rotation.from_matrix(middle).as_quat(), Rotation.from_matrix(from_platform @ middle).as_quat()
 
 
 def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatArray:
@@ -116,16 +96,9 @@ def physical(configuration: Configuration) -> BoolArray:
     """
     position = tuple(np.moveaxis(configuration.translation, -1, 0))
     upright = np.asarray(_is_upright(rows_of(configuration.middle_joints), rows_of(configuration.rotation), position))
-    if configuration.shape:
-        # Few are upright, and the aspect takes longer.
-        at_home: BoolArray = upright.copy()
-        at_home[upright] = _in_home_aspects(configuration[upright])
-        return at_home
-    return np.asarray(upright & _in_home_aspects(configuration))
-
-
-def _in_home_aspects(configuration: Configuration) -> BoolArray:
-    """Return for which states both stages are in the home's aspect, shape (...)."""
-    vectors = configuration.balls, configuration.leg_vectors, configuration.leg_axes
-    aspects = [_is_stage_at_home(*map(rows_of, of_stage)) for of_stage in zip(*map(_stages, vectors), strict=True)]
-    return np.asarray(np.logical_and(*aspects))
+    # Of a batch few are upright, and the aspect takes longer.
+    states = configuration[upright] if configuration.shape else configuration
+    stages = zip(*map(_stages, (states.balls, states.leg_vectors, states.leg_axes)), strict=True)
+    at_home: BoolArray = upright.copy()
+    at_home[upright] = np.logical_and(*(_is_stage_at_home(*map(rows_of, vectors)) for vectors in stages))
+    return at_home

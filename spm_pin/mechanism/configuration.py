@@ -119,13 +119,11 @@ class Configuration:
             raise SelectionError("index", expected, type_and_value(index), str(error)) from error
 
     def __iter__(self) -> Iterator[Configuration]:
-        if not self.shape:
-            raise TypeError("a single configuration has no batch axes to iterate over")
-        return (self[i] for i in range(self.shape[0]))
+        return (self[i] for i in range(len(self)))
 
     def __len__(self) -> int:
         if not self.shape:
-            raise TypeError("a single configuration has no length")
+            raise TypeError("a single configuration has no length and no batch axes to iterate over")
         return self.shape[0]
 
     def __repr__(self) -> str:

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,23 +58,12 @@ def home_lengths(geometry: Geometry) -> tuple[float, float]:
     return lengths[0], lengths[1]
 
 
-class _Formulas(NamedTuple):
-    """The formulas for one kind of number."""
-
-    sqrt: Callable[[Any], Any]
-    upper_balls: Callable[..., Any]
-    leg_values: Callable[..., Any]
-    triangle_axes: Callable[..., Any]
-    ball_angles: Callable[..., Any]
-    leg_frame: Callable[..., Any]
-
-    @classmethod
-    def from_operations(cls, **operations: Any) -> _Formulas:
-        used = upper_balls, formulas.leg_values, formulas.triangle_axes, formulas.ball_angles, leg_frame
-        return cls(operations["sqrt"], *(bind(formula, **operations) for formula in used))
-
-
-_ON_NUMBERS, _ON_ARRAYS = _Formulas.from_operations(sqrt=math.sqrt), _Formulas.from_operations(**ARRAYS)
+_FORMULAS = upper_balls, formulas.leg_values, formulas.triangle_axes, formulas.ball_angles, leg_frame
+# By the names of the formulas, and with the square root of each kind of number.
+_ON_NUMBERS, _ON_ARRAYS = (
+    SimpleNamespace(sqrt=operations["sqrt"], **{formula.__name__: bind(formula, **operations) for formula in _FORMULAS})
+    for operations in ({"sqrt": math.sqrt}, ARRAYS)
+)
 
 
 class _Constants(NamedTuple):
@@ -188,7 +178,7 @@ def _rows(parts: Sequence[Sequence[Any]]) -> Sequence[Any]:
 
 
 def _values(
-    state: Sequence[Any], constants: _Constants, corners: tuple[int, ...], run: _Formulas
+    state: Sequence[Any], constants: _Constants, corners: tuple[int, ...], run: SimpleNamespace
 ) -> tuple[list[formulas.Angle], list[Any], list[Any]]:
     """Return joint angles as multiples of (sine, cosine), slides, and closure errors: of numbers, or of arrays (n,).
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from typing import Any, TypeVar, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,7 @@ from spm_pin.mechanism.geometry import Geometry, unit_hint
 from spm_pin.mechanism.legs import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
+Value = TypeVar("Value")
 _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
 
@@ -64,6 +65,11 @@ class Degeneracy:
     def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
         inner = (*batch, slice(None))
         return Degeneracy(self.dimension[batch], self.families[inner], self.legs[inner])
+
+
+def _of_each(read: Callable[[Configuration], Value], meaning: str) -> Value:
+    """Return a property of a `SolutionSet` that reads all its configurations; its type is that of what it gives."""
+    return cast(Value, property(lambda solutions: read(solutions.configurations), doc=meaning))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -167,50 +173,25 @@ class SolutionSet:
         """Batch shape, without the axis of solutions."""
         return self.configurations.shape[:-1]
 
-    @property
-    def geometry(self) -> Geometry:
-        """The manipulator."""
-        return self.configurations.geometry
-
-    @property
-    def exists(self) -> BoolArray:
-        """True for the solutions that are real, shape (..., n)."""
-        return self.configurations.exists
+    geometry = _of_each(lambda states: states.geometry, "The manipulator.")
+    exists = _of_each(lambda states: states.exists, "True for the solutions that are real, shape (..., n).")
+    rotation = _of_each(lambda states: states.rotation, "Rotations from {m} to {B}, shape (..., n, 3, 3).")
+    translation = _of_each(lambda states: states.translation, "Positions of o in {B} [m], shape (..., n, 3).")
+    middle_joints = _of_each(
+        lambda states: states.middle_joints,
+        "Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real.",
+    )
+    leg_lengths = _of_each(
+        lambda states: states.leg_lengths,
+        "r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., n, 6); NaN where not real.",
+    )
+    readings = _of_each(lambda states: states.readings, "Readings of the legs' encoders [m], shape (..., n, 6).")
+    residual = _of_each(lambda states: states.closure_residual, "Closure residual of each solution [m], (..., n).")
 
     @property
     def count(self) -> IntArray:
         """Number of real solutions, shape (...)."""
         return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
-
-    @property
-    def rotation(self) -> FloatArray:
-        """Rotations from {m} to {B}, shape (..., n, 3, 3)."""
-        return self.configurations.rotation
-
-    @property
-    def translation(self) -> FloatArray:
-        """Positions of o in {B} [m], shape (..., n, 3)."""
-        return self.configurations.translation
-
-    @property
-    def middle_joints(self) -> FloatArray:
-        """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real."""
-        return self.configurations.middle_joints
-
-    @property
-    def leg_lengths(self) -> FloatArray:
-        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., n, 6); NaN where not real."""
-        return self.configurations.leg_lengths
-
-    @property
-    def readings(self) -> FloatArray:
-        """Readings of the legs' encoders [m], shape (..., n, 6)."""
-        return self.configurations.readings
-
-    @property
-    def residual(self) -> FloatArray:
-        """Closure residual of each solution [m], shape (..., n)."""
-        return self.configurations.closure_residual
 
     @property
     def certain(self) -> BoolArray | None:
@@ -432,21 +413,17 @@ def _in_canonical_order(
     """Return branches (..., 8) in the order of `BRANCHES`, and the status (...)."""
     matrix = pose.as_matrix()[..., None, :, :]
     unordered = Configuration(geometry, matrix, joints)
-    families, signs = family(unordered), branch_sign(unordered)
-    ordered = np.full((*unordered.shape[:-1], len(BRANCHES), 3, 3), np.nan)
-    counts = np.stack([(families == index).sum(axis=-1) for index in range(len(FAMILIES))], axis=-1)
-    good = solved & (counts <= 2).all(axis=-1)
-    for index in range(len(FAMILIES)):
-        member = families == index
-        count = np.where(good, counts[..., index], 0)
-        top = np.where(member, signs, -np.inf).argmax(axis=-1)[..., None]
-        bottom = np.where(member, signs, np.inf).argmin(axis=-1)[..., None]
-        # Two members are distinguished by their order, which is right also where rounding hides a sign.
-        plus = (count == 2) | ((count == 1) & (np.take_along_axis(signs, top, -1)[..., 0] >= 0.0))
-        minus = (count == 2) | ((count == 1) & ~plus)
-        for place, chosen, present in ((2 * index, top, plus), (2 * index + 1, bottom, minus)):
-            joint = np.take_along_axis(unordered.middle_joints, chosen[..., None, None], -3)[..., 0, :, :]
-            ordered[..., place, :, :] = np.where(present[..., None, None], joint, np.nan)
-    branches = Configuration(geometry, matrix, ordered)
+    signs = branch_sign(unordered)[..., None, :]
+    member = family(unordered)[..., None, :] == np.arange(len(FAMILIES))[:, None]
+    count = member.sum(axis=-1)
+    good = solved & (count <= 2).all(axis=-1)
+    top, bottom = np.where(member, signs, -np.inf).argmax(axis=-1), np.where(member, signs, np.inf).argmin(axis=-1)
+    # Two members are distinguished by their order, which is right also where rounding hides a sign.
+    upper = np.take_along_axis(signs, top[..., None], axis=-1)[..., 0] >= 0.0
+    present = np.stack([(count == 2) | ((count == 1) & upper), (count == 2) | ((count == 1) & ~upper)], axis=-1)
+    present &= good[..., None, None]
+    places = np.stack([top, bottom], axis=-1).reshape(*good.shape, len(BRANCHES), 1, 1)
+    ordered = np.take_along_axis(unordered.middle_joints, places, axis=-3)
+    branches = Configuration(geometry, matrix, np.where(present.reshape(places.shape), ordered, np.nan))
     reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)
     return branches, np.where(good, reached, Status.UNSOLVED)
