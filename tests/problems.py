@@ -131,10 +131,7 @@ def _home_mode(lengths: Array, radius: float, geometry: spm.Geometry) -> tuple[A
         lift = x1 * sin_phi - x2 * cos_phi
         z = height + 2 * r * x0 * lift
         error = rho**2 + z**2 - lengths**2
-        d_rho = [
-            r * (-2 * x1 - 4 * (x1 * sin_phi + x2 * cos_phi)),
-            r * (-2 * x2 - 4 * (-x2 * sin_phi + x1 * cos_phi)),
-        ]
+        d_rho = [r * (-2 * x1 - 4 * (x1 * sin_phi + x2 * cos_phi)), r * (-2 * x2 - 4 * (-x2 * sin_phi + x1 * cos_phi))]
         d_z = [2 * r * (-x1 / x0 * lift + x0 * sin_phi), 2 * r * (-x2 / x0 * lift - x0 * cos_phi)]
         columns = [2 * rho * d_rho[k] + 2 * z * d_z[k] for k in range(2)] + [2 * z]
         unknown -= np.linalg.solve(np.stack(columns, axis=-1), error[..., None])[..., 0]

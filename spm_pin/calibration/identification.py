@@ -1,14 +1,15 @@
-"""The parameters of a machine from measured poses and readings, by least squares.
+"""The parameters of a machine from measured poses and readings, by least squares, and the poses to measure.
 
 The poses of a machine at the measured readings are compared with the poses measured, because forward displacement has
-no singularity where a machine works. Errors of the readings count as the pose errors that they cause.
+no singularity where a machine works. Errors of the readings count as the pose errors that they cause. Poses are chosen
+by exchange of a D-optimal design.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,8 @@ from spm_pin.calibration.measurements import MeasurementError, Measurements, pos
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry, notebook
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool, check_instance, choice, generator, whole_number
+from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.mechanism.legs import RADIAL
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
@@ -39,6 +41,11 @@ _MISFIT = 9.0
 _MANUFACTURE = 0.04
 """Largest correction of E, C or d, relative: for the paper's C three standard deviations where coordinates have errors
 of 1 % of d."""
+
+_SWEEPS, _GAIN = 20, 1e-6
+"""Passes of exchanges over all chosen poses at most, and the relative gain below which no pose is exchanged."""
+_RIDGE = 1e-6
+"""Information, relative to that of a pose, from which the first choice starts."""
 
 _Function = Callable[[FloatArray], FloatArray]
 
@@ -76,7 +83,7 @@ class Calibration:
     """Measurements that do not belong to the others, shape (N,)."""
 
     def __repr__(self) -> str:
-        first, last = (1e3 * np.sqrt((e[:, :3] ** 2).sum(axis=-1).mean()) for e in (self.before, self.residuals))
+        first, last = (1e3 * np.sqrt((size**2).mean()) for size in self._sizes())
         return (
             f"<Calibration: {self.status}, {len(self.deviations)} of "
             f"{len(self.deviations) + len(self.unidentifiable)} combinations from {len(self.residuals)} measurements, "
@@ -84,13 +91,16 @@ class Calibration:
         )
 
     def _repr_html_(self) -> str:
-        sizes = [1e3 * np.linalg.norm(errors[:, :3], axis=-1) for errors in (self.before, self.residuals)]
         rows = [
-            (name, f"{np.sqrt((size**2).mean()):.3g}", f"{size.max():.3g}")
-            for name, size in zip(("before", "after"), sizes, strict=True)
+            (name, f"{1e3 * np.sqrt((size**2).mean()):.3g}", f"{1e3 * size.max():.3g}")
+            for name, size in zip(("before", "after"), self._sizes(), strict=True)
         ]
         rows += [("reduced χ²", f"{self.chi_square:.3g}", ""), ("outliers", f"{np.count_nonzero(self.outliers)}", "")]
         return notebook.table(repr(self), ("position error", "RMS [mm]", "largest [mm]"), rows)
+
+    def _sizes(self) -> list[FloatArray]:
+        """Return the position errors before and after [m], (N,) each."""
+        return [np.linalg.norm(errors[:, :3], axis=-1) for errors in (self.before, self.residuals)]
 
     def plot(self) -> Any:
         """Return a matplotlib figure of the position errors before and after, and of the uncertainties."""
@@ -169,7 +179,7 @@ def identify(
     total = pose_covariances(forward_physical(start, data.readings), components, pose_noise, length_noise)
     # Matrices (N, n, n) that give residuals unit covariance.
     whitening = np.linalg.inv(np.linalg.cholesky(total))
-    basis, invisible = visible_basis(start, wanted, components == 3)
+    basis, invisible = _visible_basis(start, wanted, components == 3)
     if count * components < basis.shape[1]:
         few = -(-basis.shape[1] // components)
         expected = f"at least {few} measurements for {basis.shape[1]} unknowns"
@@ -219,7 +229,7 @@ def identify(
     )
 
 
-def visible_basis(start: Geometry, wanted: BoolArray, positions_only: bool) -> tuple[FloatArray, FloatArray]:
+def _visible_basis(start: Geometry, wanted: BoolArray, positions_only: bool) -> tuple[FloatArray, FloatArray]:
     """Return orthonormal combinations of scaled parameters that measurements show, (54, n), and the others, (k, 54)."""
     scale = parameter_scale(start)
     hidden = gauge_directions(start, positions_only) / scale[:, None]
@@ -257,28 +267,46 @@ def _other_nominal(start: Geometry, fitted: Geometry, covariance: FloatArray) ->
     )
 
 
-class _Fit(NamedTuple):
+@dataclass(frozen=True)
+class _Fit:
     unknown: FloatArray
-    status: str
-    reason: str
-    reason_rows: tuple[int, ...]
-    chi_square: float
     outliers: BoolArray
+    chi_square: float
+    status: str = "fits"
+    reason: str = ""
+    reason_rows: tuple[int, ...] = ()
 
 
 def _fit(whitened: _Function, jacobian: _Function, first: FloatArray, loss: str) -> _Fit:
     """Fit residuals (N, n): by least squares if that explains them, else by a robust loss that finds the outliers."""
-    direct, converged = _minimize(whitened, jacobian, first, evaluations=_DIRECT)
+
+    def minimize(
+        begin: FloatArray, loss: str = "linear", scale: float = 1.0, evaluations: int = _EVALUATIONS, rows: Any = ...
+    ) -> tuple[FloatArray, bool]:
+        """Return the unknowns that fit these rows best, from a first guess, and whether the search converged."""
+        options: Any = dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED)
+        options |= {"loss": loss, "f_scale": scale, "max_nfev": evaluations}
+
+        def flat(unknown: FloatArray) -> FloatArray:
+            return np.asarray(whitened(unknown)[rows].ravel())
+
+        def slopes(unknown: FloatArray) -> FloatArray:
+            return np.concatenate(jacobian(unknown)[rows])
+
+        result = scipy.optimize.least_squares(flat, begin, jac=slopes, **options)
+        return np.asarray(result.x), result.status > 0
+
+    direct, converged = minimize(first, evaluations=_DIRECT)
     fit = _judged(whitened(direct), direct, converged)
     if fit.status == "fits":
         if loss == "linear":
             return fit
-        robust, converged = _minimize(whitened, jacobian, direct, loss)
+        robust, converged = minimize(direct, loss)
         return _judged(whitened(robust), robust, converged, accept_outliers=True)
     unknown, scale, converged = first, max(float(np.median(np.abs(whitened(first)))), 1.0), True
     # First what is far off at the start too counts as good, then less and less, down to the noise.
     while converged:
-        unknown, converged = _minimize(whitened, jacobian, unknown, "soft_l1" if loss == "linear" else loss, scale)
+        unknown, converged = minimize(unknown, "soft_l1" if loss == "linear" else loss, scale)
         if scale == 1.0:
             break
         scale = max(0.1 * scale, 1.0)
@@ -287,42 +315,15 @@ def _fit(whitened: _Function, jacobian: _Function, first: FloatArray, loss: str)
         return robust_fit
     outliers = robust_fit.outliers
     while True:
-        good = np.flatnonzero(~outliers)
-        if whitened(unknown)[good].size <= len(first):
+        if whitened(unknown)[~outliers].size <= len(first):
             return robust_fit
-        unknown, converged = _minimize(_of_rows(whitened, good), _of_rows(jacobian, good), unknown)
+        unknown, converged = minimize(unknown, rows=~outliers)
         residuals = whitened(unknown)
         # Rows that fit the machine of the others were only far off while wrong rows bent the fit.
         left = outliers & _outliers(residuals, len(unknown))
         if not converged or not left.any() or np.array_equal(left, outliers):
             return _judged(residuals, unknown, converged, outliers)
         outliers = left
-
-
-def _of_rows(values: _Function, rows: IntArray) -> _Function:
-    return lambda unknown: values(unknown)[rows]
-
-
-def _minimize(
-    whitened: _Function,
-    jacobian: _Function,
-    first: FloatArray,
-    loss: str = "linear",
-    scale: float = 1.0,
-    evaluations: int = _EVALUATIONS,
-) -> tuple[FloatArray, bool]:
-    """Return the unknowns that least squares or a robust loss find from a first guess, and whether it converged."""
-    options: Any = dict.fromkeys(("xtol", "ftol", "gtol"), _CONVERGED)
-    options |= {"loss": loss, "f_scale": scale, "max_nfev": evaluations}
-
-    def flat(unknown: FloatArray) -> FloatArray:
-        return whitened(unknown).ravel()
-
-    def slopes(unknown: FloatArray) -> FloatArray:
-        return np.concatenate(jacobian(unknown))
-
-    result = scipy.optimize.least_squares(flat, first, jac=slopes, **options)
-    return np.asarray(result.x), result.status > 0
 
 
 def _judged(
@@ -339,32 +340,33 @@ def _judged(
     freedom = int((~outliers).sum()) * residuals.shape[1] - len(unknown)
     chi_square = float(squares[~outliers].sum()) / freedom if freedom > 0 else float("nan")
     limit = max(_MISFIT, float(chdtri(freedom, _CHANCE)) / freedom) if freedom > 0 else _MISFIT
-    size = (
-        f"residuals {np.sqrt(chi_square):.3g} times what the noise explains" if freedom else "no residuals to compare"
-    )
     rows = np.flatnonzero(outliers)
     named = tuple(rows[:10].tolist())
     shown = f"row{'s' * (len(rows) > 1)} {', '.join(map(str, named))}" + (", …" if len(rows) > 10 else "")
-    status, reason, reason_rows = "fits", "", tuple[int, ...]()
+    fit, failed = _Fit(unknown, outliers, chi_square), "misfit" if converged else "not converged"
     if freedom < 0 or (len(rows) and not freedom):
-        status = "misfit" if converged else "not converged"
-        reason_rows = named
         reason = f"too few rows to tell which are wrong: without {shown} none is left over to compare. Measure more"
-    elif chi_square > limit or not converged:
-        status = "misfit" if converged else "not converged"
+        return replace(fit, status=failed, reason=reason, reason_rows=named)
+    if chi_square > limit or not converged:
+        size = (
+            f"residuals {np.sqrt(chi_square):.3g} times what the noise explains"
+            if freedom
+            else "no residuals to compare"
+        )
         ended = "" if converged else ", when the search for a better fit was given up"
         causes = (
             "Larger noise than given, or errors that are not among the parameters?"
             if chi_square < _GROSS**2
             else "Another nominal geometry or unit, poses and readings of different rows, or many wrong rows?"
         )
-        reason_rows = (int(squares.argmax()),)
-        reason = f"{size}{ended}, largest in row {reason_rows[0]}. {causes}"
-    elif len(rows) and not accept_outliers:
-        status, these = "outliers", ("this row, leave it" if len(rows) == 1 else "these rows, leave them")
-        reason_rows = named
+        worst = int(squares.argmax())
+        reason = f"{size}{ended}, largest in row {worst}. {causes}"
+        return replace(fit, status=failed, reason=reason, reason_rows=(worst,))
+    if len(rows) and not accept_outliers:
+        these = "this row, leave it" if len(rows) == 1 else "these rows, leave them"
         reason = f"outlier{'s' * (len(rows) > 1)} in {shown}. Look at {these} out, or use the loss soft_l1"
-    return _Fit(unknown, status, reason, reason_rows, chi_square, outliers)
+        return replace(fit, status="outliers", reason=reason, reason_rows=named)
+    return fit
 
 
 def _check_determined(slopes: FloatArray, basis: FloatArray, count: int) -> None:
@@ -387,3 +389,99 @@ def _outliers(whitened: FloatArray, unknowns: int) -> BoolArray:
     median, largest = (float(chdtri(freedom, p)) for p in (0.5, _CHANCE / len(squares)))
     left = max(1.0 - unknowns / whitened.size, 1.0 / whitened.size)
     return np.asarray(squares > max(float(np.median(squares)) / median, left) * largest)
+
+
+def choose_poses(
+    geometry: Geometry,
+    count: int = 40,
+    *,
+    candidates: int | Configuration = 500,
+    parameters: Collection[str] | str | None = None,
+    positions_only: bool = False,
+    pose_noise: npt.ArrayLike = (1e-5, 1e-5),
+    length_noise: npt.ArrayLike = 1e-6,
+    rng: object = None,
+) -> Configuration:
+    """Choose the poses whose measurement identifies a machine best: with the smallest ellipsoid of uncertainty.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The machine as it is known before.
+    count : int
+        Number of poses.
+    candidates : int or Configuration
+        What to choose from: states of shape (M,), or the number of states drawn uniformly within the leg limits.
+    parameters, pose_noise, length_noise
+        As for `identify`.
+    positions_only : bool
+        Positions of o will be measured, no orientations.
+    rng : numpy.random.Generator, seed, or None
+        Source of the candidates.
+
+    Returns
+    -------
+    Configuration
+        States of shape (count,), the most informative first; each candidate at most once.
+    """
+    machine = check_instance(geometry, Geometry, "geometry")
+    wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
+    basis, _ = _visible_basis(machine, wanted, as_bool(positions_only, "positions_only"))
+    components = 3 if positions_only else 6
+    few = -(-basis.shape[1] // components)
+    count = whole_number(count, "count", f"a number of poses, at least {few} for {basis.shape[1]} unknowns", least=few)
+    if isinstance(candidates, Configuration):
+        states = check_configuration(candidates, "candidates", existing=True)
+    else:
+        states = random_states(machine, whole_number(candidates, "candidates", least=1), rng)
+    if len(states.shape) != 1 or len(states) < count:
+        raise ArgumentError("candidates", f"at least {count} states along one axis", f"shape {states.shape}")
+    total = pose_covariances(states, components, pose_noise, length_noise)
+    rows = error_jacobian(states)[:, :components] @ (parameter_scale(machine)[:, None] * basis)
+    rows = np.linalg.solve(np.linalg.cholesky(total), rows)
+    return states[np.array(_exchanged(rows, count))]
+
+
+def random_states(geometry: Geometry, count: int, rng: object) -> Configuration:
+    """Return states at leg readings drawn uniformly from the limits, (count,)."""
+    if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
+        cause = "Give the limits to the Geometry, or the states to choose from"
+        raise ArgumentError("geometry", "a machine with leg limits to draw states from", "none", cause)
+    random, readings, wanted = generator(rng), [], count
+    for _ in range(100):
+        low, high = np.array(geometry.limits.minimum), np.array(geometry.limits.maximum)
+        states = forward_physical(geometry, random.uniform(low, high, (2 * wanted, 6)))
+        readings.append(states.readings[states.exists][:wanted])
+        wanted -= len(readings[-1])
+        if not wanted:
+            return forward_physical(geometry, np.concatenate(readings))
+    raise ArgumentError("geometry", "leg limits within which the machine has states", repr(geometry.limits))
+
+
+def _exchanged(rows: FloatArray, count: int) -> list[int]:
+    """Choose `count` of M whitened Jacobians (M, c, n): one after the other, then by exchange."""
+    information = np.swapaxes(rows, -1, -2) @ rows
+    total = _RIDGE * np.trace(information, axis1=-2, axis2=-1).mean() * np.eye(rows.shape[-1])
+    chosen: list[int] = []
+
+    def best(base: FloatArray) -> tuple[int, FloatArray]:
+        """Return the candidate that adds most to the determinant of this information, and what each candidate adds."""
+        inner = np.eye(rows.shape[1]) + rows @ np.linalg.inv(base) @ np.swapaxes(rows, -1, -2)
+        gains = np.linalg.slogdet(inner)[1]
+        free = np.where(np.isin(np.arange(len(rows)), chosen), -np.inf, gains)
+        return int(free.argmax()), gains
+
+    for _ in range(count):
+        index, _ = best(total)
+        chosen.append(index)
+        total = total + information[index]
+    for _ in range(_SWEEPS):
+        changed = False
+        for place, index in enumerate(list(chosen)):
+            base = total - information[index]
+            other, gains = best(base)
+            if gains[other] > gains[index] + _GAIN * abs(gains[index]):
+                chosen[place], total, changed = other, base + information[other], True
+        if not changed:
+            break
+    return chosen

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,11 @@ from spm_pin.errors import ArgumentError, SingularConfigurationError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
-from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, first_offender, real_array
+from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, first_offender, real_array, symmetric_matrices
 from spm_pin.mechanism.geometry import unit_hint
 from spm_pin.mechanism.motion_table import POSITION, MotionTable
 
+Key = TypeVar("Key")
 _SUSPICIOUS = 0.02
 """Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""
 _SUBSET = 40
@@ -95,26 +96,27 @@ class Measurements:
         state = forward_physical(geometry, self.readings)
         if self.components == 6:
             scalar_first = np.roll(Rotation.from_matrix(self.rotation).as_quat(), -1, axis=-1)
-            errors = [
-                platform_error(state, rotation, self.position)[:, 3:]
-                for rotation in (
-                    self.rotation,
-                    np.swapaxes(self.rotation, -1, -2),
-                    Rotation.from_quat(scalar_first).as_matrix(),
+            rotations = {
+                "rotations from {m} to {B}": self.rotation,
+                "rotations from {B} to {m}": np.swapaxes(self.rotation, -1, -2),
+                "quaternions whose scalar is first": Rotation.from_quat(scalar_first).as_matrix(),
+            }
+            turns = {
+                received: _median_size(platform_error(state, rotation, self.position)[:, 3:])
+                for received, rotation in rotations.items()
+            }
+            expected, *_ = turns
+            received = _better(turns, _SUSPICIOUS)
+            if received is not None:
+                how = "Transposed" if received.startswith("rotations") else "Scalar last"
+                cause = (
+                    f"{how} they agree to {1e3 * turns[received]:.3g} mrad instead of {1e3 * turns[expected]:.3g} mrad"
                 )
-            ]
-            turns = [float(np.median(np.linalg.norm(error, axis=-1))) for error in errors]
-            best_turn = int(np.argmin(turns))
-            if turns[0] > max(_SUSPICIOUS, _BETTER * turns[best_turn]):
-                received = ("", "rotations from {B} to {m}", "quaternions whose scalar is first")[best_turn]
-                how = ("", "Transposed", "Scalar last")[best_turn]
-                cause = f"{how} they agree to {1e3 * turns[best_turn]:.3g} mrad instead of {1e3 * turns[0]:.3g} mrad"
-                raise MeasurementError("poses", "rotations from {m} to {B}", received, cause)
+                raise MeasurementError("poses", expected, received, cause)
         shifts = [0, *(shift for k in range(1, len(self.position) // 2 + 1) for shift in (k, -k))]
-        gaps = (state.translation - np.roll(self.position, shift, axis=0) for shift in shifts)
-        sizes = {k: float(np.median(np.linalg.norm(gap, axis=-1))) for k, gap in zip(shifts, gaps, strict=True)}
-        best = min(sizes, key=lambda shift: sizes[shift])
-        if sizes[0] > max(_SUSPICIOUS * geometry.middle_side, _BETTER * sizes[best]):
+        sizes = {k: _median_size(state.translation - np.roll(self.position, k, axis=0)) for k in shifts}
+        best = _better(sizes, _SUSPICIOUS * geometry.middle_side)
+        if best is not None:
             cause = f"Shifted they agree to {1e3 * sizes[best]:.3g} mm instead of {1e3 * sizes[0]:.3g} mm"
             expected, received = "poses in the order of the readings", f"readings shifted by {best} rows"
             raise MeasurementError("poses", expected, received, cause)
@@ -122,19 +124,19 @@ class Measurements:
     def _check_axes(self, geometry: Geometry) -> None:
         """Raise if coordinates that are exchanged or negated explain the positions much better."""
         errors = np.nan_to_num(self.errors(geometry), nan=np.inf)
-        typical = float(np.median(np.linalg.norm(errors[:, :3], axis=-1)))
-        turned = self.components == 6 and np.median(np.linalg.norm(errors[:, 3:], axis=-1)) > _SUSPICIOUS
-        if turned or not _SUSPICIOUS * geometry.middle_side < typical < np.inf:
+        turned = self.components == 6 and _median_size(errors[:, 3:]) > _SUSPICIOUS
+        if turned or not np.isfinite(_median_size(errors[:, :3])):
             return
         predicted = errors[:, :3] + self.position
         sizes = {
-            (order, signs): float(np.median(np.linalg.norm(predicted - self.position[:, order] * signs, axis=-1)))
+            (order, signs): _median_size(predicted - self.position[:, order] * signs)
             for order in itertools.permutations(range(3))
             for signs in itertools.product((1, -1), repeat=3)
         }
-        order, signs = best = min(sizes, key=lambda tried: sizes[tried])
-        if _BETTER * sizes[best] < typical:
-            meant = ", ".join(f"{'-' * (sign < 0)}{POSITION[k]}" for k, sign in zip(order, signs, strict=True))
+        best = _better(sizes, _SUSPICIOUS * geometry.middle_side)
+        if best is not None:
+            meant = ", ".join(f"{'-' * (sign < 0)}{POSITION[k]}" for k, sign in zip(*best, strict=True))
+            typical = next(iter(sizes.values()))
             cause = f"As {meant} they agree to {1e3 * sizes[best]:.3g} mm instead of {1e3 * typical:.3g} mm"
             raise MeasurementError("poses", "positions x, y, z of o in {B}", "positions along other axes", cause)
 
@@ -146,23 +148,20 @@ class Measurements:
             received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
             raise MeasurementError("readings", "readings that exceed the offsets", received, rows=(row,))
         errors = self.errors(geometry)
-        side = geometry.middle_side
-        size = np.linalg.norm(np.nan_to_num(errors[:, :3], nan=np.inf), axis=-1)
-        typical = float(np.median(size))
-        if typical > _SUSPICIOUS * side:
-            best, order = typical, tuple(range(6))
-            some = slice(None, None, -(-len(size) // _SUBSET))
+        typical = _median_size(np.nan_to_num(errors[:, :3], nan=np.inf))
+        if typical > _SUSPICIOUS * geometry.middle_side:
+            sizes = {tuple(range(6)): typical}
+            some = slice(None, None, -(-len(errors) // _SUBSET))
             for tried in itertools.permutations(range(6)):
                 swapped = Measurements(self.rotation[some], self.position[some], self.readings[some][:, tried], 3)
-                if (swapped.readings > geometry.legs.offsets).all():
+                if tried not in sizes and (swapped.readings > geometry.legs.offsets).all():
                     with np.errstate(invalid="ignore"):
-                        gaps = np.linalg.norm(np.nan_to_num(swapped.errors(geometry), nan=np.inf), axis=-1)
-                    if np.median(gaps) < best:
-                        best, order = float(np.median(gaps)), tried
-            if best * _BETTER < typical:
+                        sizes[tried] = _median_size(np.nan_to_num(swapped.errors(geometry), nan=np.inf))
+            order = _better(sizes, 0.0)
+            if order is not None:
                 wrong = [f"{LEGS[i]} holds {LEGS[order.index(i)]}" for i in range(6) if order[i] != i]
                 received = f"columns in another order: {', '.join(wrong)}"
-                cause = f"In that order the positions agree to {1e3 * best:.3g} mm"
+                cause = f"In that order the positions agree to {1e3 * sizes[order]:.3g} mm"
                 if np.isfinite(typical):
                     cause += f" instead of {1e3 * typical:.3g} mm"
                 raise MeasurementError("readings", f"readings in the order {', '.join(LEGS)}", received, cause)
@@ -173,15 +172,25 @@ class Measurements:
             raise MeasurementError("readings", "readings that this machine can have", received, cause, (row,))
 
 
+def _median_size(vectors: FloatArray) -> float:
+    return float(np.median(np.linalg.norm(vectors, axis=-1)))
+
+
+def _better(sizes: dict[Key, float], least: float) -> Key | None:
+    """Return what makes an error smallest, if that is much less than the first, which is above `least`; else None."""
+    first, best = next(iter(sizes)), min(sizes, key=lambda tried: sizes[tried])
+    return best if sizes[first] > max(least, _BETTER * sizes[best]) else None
+
+
 def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int) -> FloatArray:
     """Read standard deviations or covariances of measurements with this many components, as (count, n, n).
 
     A pair for poses, one number for positions or readings, n numbers, or a covariance (n, n) or (count, n, n).
     """
     array = real_array(noise, argument, (), "standard deviations in metres and radians, or covariances")
-    positive = "positive standard deviations, or symmetric positive definite covariances, in metres and radians"
     if (np.abs(array) > LARGEST).any() or (array.ndim < 2 and (array <= 0.0).any()):
-        raise ArgumentError(argument, positive, f"{array.ravel()[0]:g}")
+        expected = "positive standard deviations, or covariances, in metres and radians"
+        raise ArgumentError(argument, expected, f"{array.ravel()[0]:g}")
     if array.shape == () or (array.shape == (2,) and argument == "pose_noise"):
         array = np.repeat(np.broadcast_to(array, 2), 3)[:components]
     if array.shape == (components,):
@@ -189,12 +198,8 @@ def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int
     if array.shape not in ((components, components), (count, components, components)):
         expected = f"one standard deviation, {components}, or covariances of shape ({components}, {components})"
         raise ArgumentError(argument, expected, f"shape {array.shape}")
-    array = np.broadcast_to(array, (count, components, components))
-    scale = np.abs(array).max(axis=(-1, -2), initial=0.0)[..., None, None]
-    uneven = (np.abs(array - np.swapaxes(array, -1, -2)) > 1e-9 * scale).any()
-    if uneven or (count and np.linalg.eigvalsh(array).min() <= 0.0):
-        raise ArgumentError(argument, positive, "other")
-    return array
+    array = symmetric_matrices(array, argument, components, "covariances", positive=True)
+    return np.broadcast_to(array, (count, components, components))
 
 
 def pose_covariances(

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.calibration.error_model import error_jacobian, platform_error, selected
-from spm_pin.calibration.pose_choice import random_states
+from spm_pin.calibration.identification import random_states
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, Configuration, Geometry, notebook

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from text_files import written
 
 import spm_pin as spm
 
@@ -19,24 +22,18 @@ leg_limits: [1.10, 1.50]
 """
 
 
-def write(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def test_yaml_with_radii_and_without_limits(tmp_path: Path) -> None:
-    path = write(tmp_path / "robot.yaml", "base_radius: 0.5\nplatform_side: 0.3\nmiddle_side: 0.4\n")
+    path = written(tmp_path / "robot.yaml", "base_radius: 0.5\nplatform_side: 0.3\nmiddle_side: 0.4\n")
     assert spm.Geometry.from_yaml(path) == spm.Geometry(0.5, 0.3 / 3**0.5, 0.4)
 
 
-def test_yaml_with_a_byte_order_mark(tmp_path: Path) -> None:
-    """Editors on Windows write one before the text."""
-    assert spm.Geometry.from_yaml(write(tmp_path / "robot.yaml", "\ufeff" + GOOD)) == spm.Geometry.paper()
+def test_yaml_with_the_byte_order_mark_of_editors_on_windows(tmp_path: Path) -> None:
+    assert spm.Geometry.from_yaml(written(tmp_path / "robot.yaml", "\ufeff" + GOOD)) == spm.Geometry.paper()
 
 
 def test_yaml_with_limits_leg_by_leg(tmp_path: Path) -> None:
     legs = "".join(f"  {leg}: [{1 + k / 10}, {2 + k / 10}]\n" for k, leg in enumerate(spm.mechanism.LEGS))
-    path = write(tmp_path / "robot.yaml", "base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits:\n" + legs)
+    path = written(tmp_path / "robot.yaml", "base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits:\n" + legs)
     limits = spm.Geometry.from_yaml(path).limits
     assert limits == spm.LegLimits([1.0, 1.1, 1.2, 1.3, 1.4, 1.5], [2.0, 2.1, 2.2, 2.3, 2.4, 2.5])
 
@@ -47,24 +44,19 @@ def test_yaml_that_is_not_there(tmp_path: Path) -> None:
 
 
 def test_a_file_in_centimetres_gives_a_warning(tmp_path: Path) -> None:
-    path = write(tmp_path / "robot.yaml", "base_side: 120\nmiddle_side: 80\nplatform_side: 60\n")
+    path = written(tmp_path / "robot.yaml", "base_side: 120\nmiddle_side: 80\nplatform_side: 60\n")
     with pytest.warns(UserWarning, match=r"robot\.yaml: base_side is 120 m\. .* another unit\?"):
         assert spm.Geometry.from_yaml(path).middle_side == 80.0
 
 
-@pytest.mark.parametrize("number", ["1e-3", "1.0e+3", "+.5", "3.", "7"])
+@pytest.mark.parametrize("number", ["1e-3", "1.0e+1", "+.5", "3.", "7"])
 def test_numbers_are_read_as_python_writes_them(tmp_path: Path, number: str) -> None:
-    path = write(tmp_path / "robot.yaml", f"base_radius: 1\nmiddle_side: 1\nplatform_radius: {number}\n")
-    if float(number) > 20.0:
-        with pytest.warns(UserWarning, match="another unit"):
-            geometry = spm.Geometry.from_yaml(path)
-    else:
-        geometry = spm.Geometry.from_yaml(path)
-    assert geometry.platform_radius == float(number)
+    path = written(tmp_path / "robot.yaml", f"base_radius: 1\nmiddle_side: 1\nplatform_radius: {number}\n")
+    assert spm.Geometry.from_yaml(path).platform_radius == float(number)
 
 
 def test_a_maximum_may_be_infinite(tmp_path: Path) -> None:
-    path = write(tmp_path / "robot.yaml", GOOD.replace("[1.10, 1.50]", "[0, .inf]"))
+    path = written(tmp_path / "robot.yaml", GOOD.replace("[1.10, 1.50]", "[0, .inf]"))
     assert spm.Geometry.from_yaml(path).limits == spm.LegLimits(0.0, float("inf"))
 
 
@@ -80,16 +72,11 @@ BOMB = "".join(
         ("base_side: 1\nbase_radius: 1\nplatform_side: 1\nmiddle_side: 1", "base_side and base_radius"),
         ("base_side: 1\nplatform_side: 1", "middle_side"),
         ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\ncolour: red", "colour"),
-        ("base_side: wide\nplatform_side: 1\nmiddle_side: 1", "number of metres"),
         ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: 1", "a list"),
         ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [1, 2], upper: [1, 2]}", "r_b1"),
         ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: [a, b]", "a pair"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: [2, 1]", "exchanged"),
-        ("[1, 2", "YAML file"),
-        ("- 1\n- 2", "mapping"),
         ("", "mapping"),
         (GOOD.replace("1.20", "0"), r"^base_side in .*robot\.yaml:1: expected a positive length"),
-        (GOOD.replace("0.60", "-0.6"), r"^platform_side in .*robot\.yaml:3: expected a positive length"),
         (GOOD.replace("0.80", "8e12"), r"^middle_side in .*robot\.yaml:2: .* Given in another unit\?"),
         (GOOD.replace("[1.10, 1.50]", "[1.5, 1.1]"), r"^leg_limits in .*robot\.yaml:4: .* exchanged\?"),
         (GOOD + "middle_side: 0.9\n", r"robot\.yaml:5: .* the key 'middle_side' twice"),
@@ -120,7 +107,7 @@ BOMB = "".join(
 )
 def test_a_malformed_file_gives_a_short_geometry_error(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(spm.GeometryError, match=words) as caught:
-        spm.Geometry.from_yaml(write(tmp_path / "robot.yaml", text))
+        spm.Geometry.from_yaml(written(tmp_path / "robot.yaml", text))
     assert len(str(caught.value)) < 1500
 
 
@@ -147,3 +134,34 @@ def test_a_mutated_file_gives_a_geometry_or_a_geometry_error(tmp_path: Path, edi
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     with contextlib.suppress(spm.GeometryError):
         assert spm.Geometry.from_yaml(path).middle_side > 0.0
+
+
+@pytest.mark.parametrize("limits", [None, spm.LegLimits([1.0, 1.1, 1.2, 0.9, 0.8, 0.7], [1.5, np.inf, 2, 2, 2, 2])])
+def test_a_file_there_and_back_keeps_every_bit(tmp_path: Path, limits: spm.LegLimits | None) -> None:
+    nominal = spm.Geometry(0.7, 1e-7, 0.8, limits)
+    built = nominal.perturbed(2, length=1e-9, angle=1e-3)
+    file = tmp_path / "machine.yaml"
+    built.to_yaml(file)
+    assert spm.Geometry.from_yaml(file) == built
+    assert "r_b1:" in file.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("offset: 0.0", "offset: zero", "offset"),
+        ("offset: 0.0", "ofset: 0.0", "ofset"),
+        ("axis: [0.5, 0.8660254037844386, 0.0]", "axis: [0.5, 0.866]", r"yaml:\d+: expected three numbers.* 2 of"),
+        ("axis: [0.5, 0.8660254037844386, 0.0]", "axis: [0.5, 0.5, 0.0]", "axes in .*yaml"),
+        ("r_b1:", "r_b9:", "r_b9"),
+    ],
+)
+def test_errors_of_a_file_name_the_line_and_the_key(tmp_path: Path, old: str, new: str, message: str) -> None:
+    file = tmp_path / "machine.yaml"
+    legs = spm.Geometry(0.7, 0.4, 0.8).legs
+    spm.Geometry(0.7, 0.4, 0.8, legs=replace(legs, offsets=[0, 0, 0, 0, 0, 1e-3])).to_yaml(file)
+    text = file.read_text(encoding="utf-8")
+    assert old in text, text
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(spm.GeometryError, match=message):
+        spm.Geometry.from_yaml(file)

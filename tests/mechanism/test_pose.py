@@ -119,10 +119,7 @@ def replaced(row: object, column: object, value: object) -> np.ndarray:
         (lambda: spm.pose(np.zeros((2, 3)), xyx=np.zeros((3, 3))), "broadcast"),
         (lambda: as_rigid_transform(np.eye(3)), r"pose: expected .*\(\.\.\., 4, 4\)"),
         (lambda: as_rigid_transform(replaced(3, 0, 0.5)), r"last row \[0, 0, 0, 1\]"),
-        (
-            lambda: as_rigid_transform(np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1.0]])),
-            "Transposed",
-        ),
+        (lambda: as_rigid_transform(np.linalg.inv(replaced(0, 3, 2.0)).T), "Transposed"),
         (lambda: as_rigid_transform(replaced(0, 3, np.nan)), "pose: expected finite"),
         (lambda: as_rigid_transform(replaced(0, 0, 0.9)), "pose: expected a rotation matrix"),
         (lambda: as_rigid_transform(Rotation.identity()), "A rotation alone is no pose"),

@@ -70,7 +70,7 @@ def test_a_batch_is_indexed_by_its_problems(batch: spm.SolutionSet) -> None:
 
 def test_what_selects_nothing_is_one_kind_of_error(branches: spm.SolutionSet, batch: spm.SolutionSet) -> None:
     assert issubclass(SelectionError, LookupError)
-    for wrong in (
+    wrong_indices = (
         1.5,
         "\0",
         "tt+",
@@ -82,7 +82,8 @@ def test_what_selects_nothing_is_one_kind_of_error(branches: spm.SolutionSet, ba
         (0, 0, 0),
         np.ones(9, dtype=bool),
         b"TT+",
-    ):
+    )
+    for wrong in wrong_indices:
         for indexed in (branches, batch, branches.configurations, branches[0]):
             with pytest.raises(SelectionError, match=r"^index: expected .*, got "):
                 indexed[wrong]
@@ -270,18 +271,14 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
 @pytest.mark.parametrize(
     ("call", "argument"),
     [
-        (lambda s: s.where(np.ones((2, 8), dtype=bool)), "mask"),
         (lambda s: s.nearest(np.zeros((2, 3, 3))), "near"),
-        (lambda s: s.nearest(s), "near"),
         (lambda s: spm.SolutionSet(s, ["a"], 0), "configurations"),
+        (lambda s: spm.SolutionSet(s.configurations, ["a"], 0), "configurations"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((0, 3, 3))), "middle_joints"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((1, 3, 3))), "middle_joints"),
-        (lambda s: spm.SolutionSet.from_unordered(PAPER, [POSE.as_matrix()] * 2, np.zeros((3, 1, 3, 3))), "middle_joi"),
     ],
 )
-def test_wrong_arguments_are_named(
-    branches: spm.SolutionSet, call: Callable[[spm.SolutionSet], object], argument: str
-) -> None:
+def test_wrong_arguments_are_named(branches: spm.SolutionSet, call: Callable, argument: str) -> None:
     with pytest.raises(spm.ArgumentError, match=f"^{argument}.*: expected"):
         call(branches)
 
