@@ -173,7 +173,6 @@ def test_power_of_leg_forces_equals_that_of_the_wrench(peer: Peer) -> None:
 
 
 def test_plain_pinocchio_has_the_dynamics_of_the_chain() -> None:
-    pytest.importorskip("pinocchio")
     from benchmarks.peers.one_state import PlainPinocchio
 
     chain = spm.ClosedChain.from_urdf()
@@ -187,7 +186,6 @@ def test_plain_pinocchio_has_the_dynamics_of_the_chain() -> None:
 
 
 def test_a_control_tick_lets_the_platform_move_on_evenly() -> None:
-    pytest.importorskip("pinocchio")
     from benchmarks.sections.jobs import tick, walk
 
     chain = spm.ClosedChain.from_urdf()
@@ -201,7 +199,6 @@ def test_a_control_tick_lets_the_platform_move_on_evenly() -> None:
 
 
 def test_ticks_end_in_the_same_numbers() -> None:
-    pytest.importorskip("pinocchio")
     from benchmarks.peers import exported
     from benchmarks.sections.controller import ticks_by_chain, ticks_by_package
     from benchmarks.sections.jobs import walk

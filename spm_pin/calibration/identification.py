@@ -430,28 +430,30 @@ def choose_poses(
     components = 3 if positions_only else 6
     few = -(-basis.shape[1] // components)
     count = whole_number(count, "count", f"a number of poses, at least {few} for {basis.shape[1]} unknowns", least=few)
-    if isinstance(candidates, Configuration):
-        states = check_configuration(candidates, "candidates", existing=True)
-    else:
-        states = random_states(machine, whole_number(candidates, "candidates", least=1), rng)
-    if len(states.shape) != 1 or len(states) < count:
-        raise ArgumentError("candidates", f"at least {count} states along one axis", f"shape {states.shape}")
+    states = given_or_drawn(machine, candidates, "candidates", rng)
+    if len(states) < count:
+        raise ArgumentError("candidates", f"at least {count} states", f"{len(states)}")
     total = pose_covariances(states, components, pose_noise, length_noise)
     rows = error_jacobian(states)[:, :components] @ (parameter_scale(machine)[:, None] * basis)
     rows = np.linalg.solve(np.linalg.cholesky(total), rows)
     return states[np.array(_exchanged(rows, count))]
 
 
-def random_states(geometry: Geometry, count: int, rng: object) -> Configuration:
-    """Return states at leg readings drawn uniformly from the limits, (count,)."""
+def given_or_drawn(geometry: Geometry, states: Configuration | int, argument: str, rng: object) -> Configuration:
+    """Return the states (N,) given, or a number of them at leg readings drawn uniformly from the limits."""
+    if isinstance(states, Configuration):
+        if len(check_configuration(states, argument, existing=True).shape) != 1:
+            raise ArgumentError(argument, "states along one axis", f"shape {states.shape}")
+        return states
+    wanted = whole_number(states, argument, least=1)
     if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
         cause = "Give the limits to the Geometry, or the states to choose from"
         raise ArgumentError("geometry", "a machine with leg limits to draw states from", "none", cause)
-    random, readings, wanted = generator(rng), [], count
+    random, readings = generator(rng), []
     for _ in range(100):
-        low, high = np.array(geometry.limits.minimum), np.array(geometry.limits.maximum)
-        states = forward_physical(geometry, random.uniform(low, high, (2 * wanted, 6)))
-        readings.append(states.readings[states.exists][:wanted])
+        drawn = random.uniform(geometry.limits.minimum, geometry.limits.maximum, (2 * wanted, 6))
+        possible = forward_physical(geometry, drawn)
+        readings.append(possible.readings[possible.exists][:wanted])
         wanted -= len(readings[-1])
         if not wanted:
             return forward_physical(geometry, np.concatenate(readings))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,6 @@ from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, first_off
 from spm_pin.mechanism.geometry import unit_hint
 from spm_pin.mechanism.motion_table import POSITION, MotionTable
 
-Key = TypeVar("Key")
 _SUSPICIOUS = 0.02
 """Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""
 _SUBSET = 40
@@ -97,29 +96,23 @@ class Measurements:
         if self.components == 6:
             scalar_first = np.roll(Rotation.from_matrix(self.rotation).as_quat(), -1, axis=-1)
             rotations = {
-                "rotations from {m} to {B}": self.rotation,
-                "rotations from {B} to {m}": np.swapaxes(self.rotation, -1, -2),
-                "quaternions whose scalar is first": Rotation.from_quat(scalar_first).as_matrix(),
+                ("", ""): self.rotation,
+                ("rotations from {B} to {m}", "Transposed"): np.swapaxes(self.rotation, -1, -2),
+                ("quaternions whose scalar is first", "Scalar last"): Rotation.from_quat(scalar_first).as_matrix(),
             }
             turns = {
-                received: _median_size(platform_error(state, rotation, self.position)[:, 3:])
-                for received, rotation in rotations.items()
+                tried: _median_size(platform_error(state, rotation, self.position)[:, 3:])
+                for tried, rotation in rotations.items()
             }
-            expected, *_ = turns
-            received = _better(turns, _SUSPICIOUS)
-            if received is not None:
-                how = "Transposed" if received.startswith("rotations") else "Scalar last"
-                cause = (
-                    f"{how} they agree to {1e3 * turns[received]:.3g} mrad instead of {1e3 * turns[expected]:.3g} mrad"
-                )
-                raise MeasurementError("poses", expected, received, cause)
+            _refuse_if_better("poses", "rotations from {m} to {B}", turns, _SUSPICIOUS, "mrad")
         shifts = [0, *(shift for k in range(1, len(self.position) // 2 + 1) for shift in (k, -k))]
-        sizes = {k: _median_size(state.translation - np.roll(self.position, k, axis=0)) for k in shifts}
-        best = _better(sizes, _SUSPICIOUS * geometry.middle_side)
-        if best is not None:
-            cause = f"Shifted they agree to {1e3 * sizes[best]:.3g} mm instead of {1e3 * sizes[0]:.3g} mm"
-            expected, received = "poses in the order of the readings", f"readings shifted by {best} rows"
-            raise MeasurementError("poses", expected, received, cause)
+        sizes = {
+            (f"readings shifted by {shift} rows", "Shifted"): _median_size(
+                state.translation - np.roll(self.position, shift, axis=0)
+            )
+            for shift in shifts
+        }
+        _refuse_if_better("poses", "poses in the order of the readings", sizes, _SUSPICIOUS * geometry.middle_side)
 
     def _check_axes(self, geometry: Geometry) -> None:
         """Raise if coordinates that are exchanged or negated explain the positions much better."""
@@ -127,18 +120,12 @@ class Measurements:
         turned = self.components == 6 and _median_size(errors[:, 3:]) > _SUSPICIOUS
         if turned or not np.isfinite(_median_size(errors[:, :3])):
             return
-        predicted = errors[:, :3] + self.position
-        sizes = {
-            (order, signs): _median_size(predicted - self.position[:, order] * signs)
-            for order in itertools.permutations(range(3))
-            for signs in itertools.product((1, -1), repeat=3)
-        }
-        best = _better(sizes, _SUSPICIOUS * geometry.middle_side)
-        if best is not None:
-            meant = ", ".join(f"{'-' * (sign < 0)}{POSITION[k]}" for k, sign in zip(*best, strict=True))
-            typical = next(iter(sizes.values()))
-            cause = f"As {meant} they agree to {1e3 * sizes[best]:.3g} mm instead of {1e3 * typical:.3g} mm"
-            raise MeasurementError("poses", "positions x, y, z of o in {B}", "positions along other axes", cause)
+        predicted, sizes = errors[:, :3] + self.position, {}
+        for order, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1, -1), repeat=3)):
+            meant = ", ".join(f"{'-' * (sign < 0)}{POSITION[k]}" for k, sign in zip(order, signs, strict=True))
+            size = _median_size(predicted - self.position[:, order] * signs)
+            sizes["positions along other axes", f"As {meant}"] = size
+        _refuse_if_better("poses", "positions x, y, z of o in {B}", sizes, _SUSPICIOUS * geometry.middle_side)
 
     def _check_columns(self, geometry: Geometry) -> None:
         """Raise if there is no state, or if exchanged columns explain the positions much better."""
@@ -150,21 +137,16 @@ class Measurements:
         errors = self.errors(geometry)
         typical = _median_size(np.nan_to_num(errors[:, :3], nan=np.inf))
         if typical > _SUSPICIOUS * geometry.middle_side:
-            sizes = {tuple(range(6)): typical}
+            sizes = {("", ""): typical}
             some = slice(None, None, -(-len(errors) // _SUBSET))
-            for tried in itertools.permutations(range(6)):
-                swapped = Measurements(self.rotation[some], self.position[some], self.readings[some][:, tried], 3)
-                if tried not in sizes and (swapped.readings > geometry.legs.offsets).all():
-                    with np.errstate(invalid="ignore"):
-                        sizes[tried] = _median_size(np.nan_to_num(swapped.errors(geometry), nan=np.inf))
-            order = _better(sizes, 0.0)
-            if order is not None:
+            for order in itertools.permutations(range(6)):
+                swapped = Measurements(self.rotation[some], self.position[some], self.readings[some][:, order], 3)
                 wrong = [f"{LEGS[i]} holds {LEGS[order.index(i)]}" for i in range(6) if order[i] != i]
-                received = f"columns in another order: {', '.join(wrong)}"
-                cause = f"In that order the positions agree to {1e3 * sizes[order]:.3g} mm"
-                if np.isfinite(typical):
-                    cause += f" instead of {1e3 * typical:.3g} mm"
-                raise MeasurementError("readings", f"readings in the order {', '.join(LEGS)}", received, cause)
+                if wrong and (swapped.readings > geometry.legs.offsets).all():
+                    with np.errstate(invalid="ignore"):
+                        size = _median_size(np.nan_to_num(swapped.errors(geometry), nan=np.inf))
+                    sizes[f"columns in another order: {', '.join(wrong)}", "In that order"] = size
+            _refuse_if_better("readings", f"readings in the order {', '.join(LEGS)}", sizes, 0.0)
         if np.isnan(errors).any():
             row = int(np.isnan(errors).any(axis=-1).argmax())
             received = f"row {row} with {', '.join(f'{x:g}' for x in self.readings[row])}"
@@ -176,10 +158,16 @@ def _median_size(vectors: FloatArray) -> float:
     return float(np.median(np.linalg.norm(vectors, axis=-1)))
 
 
-def _better(sizes: dict[Key, float], least: float) -> Key | None:
-    """Return what makes an error smallest, if that is much less than the first, which is above `least`; else None."""
-    first, best = next(iter(sizes)), min(sizes, key=lambda tried: sizes[tried])
-    return best if sizes[first] > max(least, _BETTER * sizes[best]) else None
+def _refuse_if_better(
+    argument: str, expected: str, sizes: dict[tuple[str, str], float], least: float, unit: str = "mm"
+) -> None:
+    """Raise if a reading of the argument, named by what it is and how, has a much smaller error than the first one."""
+    as_given, best = next(iter(sizes.values())), min(sizes, key=lambda tried: sizes[tried])
+    if as_given > max(least, _BETTER * sizes[best]):
+        received, how = best
+        instead = f" instead of {1e3 * as_given:.3g} {unit}" if np.isfinite(as_given) else ""
+        cause = f"{how} they agree to {1e3 * sizes[best]:.3g} {unit}{instead}"
+        raise MeasurementError(argument, expected, received, cause)
 
 
 def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int) -> FloatArray:

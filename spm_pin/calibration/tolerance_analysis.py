@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.calibration.error_model import error_jacobian, platform_error, selected
-from spm_pin.calibration.identification import random_states
+from spm_pin.calibration.identification import given_or_drawn
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import PARAMETERS, Configuration, Geometry, notebook
@@ -23,7 +23,6 @@ from spm_pin.mechanism.arguments import (
     real_number,
     whole_number,
 )
-from spm_pin.mechanism.configuration import check_configuration
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,24 +54,26 @@ class ToleranceAnalysis:
     @property
     def rms(self) -> tuple[float, float]:
         """Root mean squares of the displacement [m] and of the rotation angle [rad], to first order."""
-        diagonal = np.diagonal(self.covariance, axis1=-2, axis2=-1)
-        return float(np.sqrt(diagonal[:, :3].sum(axis=-1).mean())), float(np.sqrt(diagonal[:, 3:].sum(axis=-1).mean()))
+        variances = np.diagonal(self.covariance, axis1=-2, axis2=-1).reshape(-1, 2, 3).sum(axis=-1)
+        position, angle = np.sqrt(variances.mean(axis=0))
+        return float(position), float(angle)
 
     @property
     def sampled_rms(self) -> tuple[float, float]:
         """Root mean squares of displacement [m] and angle [rad] of the samples, NaN if there are none."""
         if not len(self.samples):
             return float("nan"), float("nan")
-        squares = self.samples**2
-        return tuple(float(np.sqrt(np.nanmean(squares[..., k : k + 3].sum(axis=-1)))) for k in (0, 3))  # type: ignore[return-value]
+        position, angle = np.sqrt(np.nanmean((self.samples.reshape(-1, 2, 3) ** 2).sum(axis=-1), axis=0))
+        return float(position), float(angle)
 
     def percentile(self, percent: float = 95.0) -> tuple[float, float]:
         """Return the displacement [m] and the angle [rad] that this part of the samples does not exceed."""
         level = real_number(percent, "percent", "a percentage from 0 to 100", least=0.0, most=100.0)
         if not len(self.samples):
             raise ArgumentError("samples", "a Monte Carlo analysis, samples > 0", 0)
-        sizes = (np.linalg.norm(self.samples[..., k : k + 3], axis=-1) for k in (0, 3))
-        return tuple(float(np.nanpercentile(size, level)) for size in sizes)  # type: ignore[return-value]
+        sizes = np.linalg.norm(self.samples.reshape(-1, 2, 3), axis=-1)
+        position, angle = np.nanpercentile(sizes, level, axis=0)
+        return float(position), float(angle)
 
     def ranking(self, by: str = "parameter") -> list[tuple[str, float]]:
         """Return names and shares, the largest first, added up by "parameter", "component", "kind" or "leg"."""
@@ -121,26 +122,18 @@ def tolerance(
     machine, random = check_instance(geometry, Geometry, "geometry"), generator(rng)
     deviations = _deviations(tolerances)
     samples = whole_number(samples, "samples", least=0, most=10**6)
-    if isinstance(states, Configuration):
-        sampled_states = check_configuration(states, "states", existing=True)
-        if len(sampled_states.shape) != 1 or sampled_states.geometry != machine:
-            raise ArgumentError(
-                "states",
-                "states of this machine, shape (N,)",
-                f"shape {sampled_states.shape}, {sampled_states.geometry!r}",
-            )
-    else:
-        sampled_states = random_states(machine, whole_number(states, "states", least=1), random)
-    scaled = error_jacobian(sampled_states) * deviations
+    places = given_or_drawn(machine, states, "states", random)
+    if places.geometry != machine:
+        raise ArgumentError("states", "states of this machine", repr(places.geometry))
+    scaled = error_jacobian(places) * deviations
     variances = (scaled[:, :3] ** 2).sum(axis=1).mean(axis=0)
-    errors = np.empty((samples, len(sampled_states), 6))
+    errors = np.empty((samples, len(places), 6))
     for sample in range(samples):
         built = machine.from_parameters(machine.parameters + deviations * random.standard_normal(54))
-        errors[sample] = platform_error(
-            forward_physical(built, sampled_states.readings), sampled_states.rotation, sampled_states.translation
-        )
+        states_of_built = forward_physical(built, places.readings)
+        errors[sample] = platform_error(states_of_built, places.rotation, places.translation)
     return ToleranceAnalysis(
-        states=sampled_states,
+        states=places,
         deviations=deviations,
         covariance=scaled @ np.swapaxes(scaled, -1, -2),
         shares=variances / max(variances.sum(), np.finfo(float).tiny),

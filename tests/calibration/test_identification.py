@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import spm_pin as spm
 from spm_pin import calibration
 from spm_pin.calibration import MeasurementError, identify
 from spm_pin.mechanism import PARAMETERS
+from spm_pin.mechanism.motion_table import table_text
 
 
 @pytest.mark.parametrize("positions_only", [pytest.param(False, marks=pytest.mark.slow), True])
@@ -117,48 +119,38 @@ def with_reading(row: int, leg: int, change: Callable[[float], float]) -> Change
     return changed
 
 
-def swapped(poses: Any, readings: Any) -> tuple[Any, Any]:
-    return poses, readings[:, [0, 4, 2, 3, 1, 5]]
-
-
-def in_millimetres(poses: Any, readings: Any) -> tuple[Any, Any]:
+def altered(poses: Any, rotation: Any = None, position: Any = None) -> Any:
+    """Return poses (N, 4, 4) with other rotations or positions, functions of their own ones."""
     wrong = poses.copy()
-    wrong[:, :3, 3] *= 1000.0
-    return wrong, readings
-
-
-def transposed(poses: Any, readings: Any) -> tuple[Any, Any]:
-    wrong = poses.copy()
-    wrong[:, :3, :3] = np.swapaxes(poses[:, :3, :3], -1, -2)
-    return wrong, readings
-
-
-def scalar_first(poses: Any, readings: Any) -> tuple[Any, Any]:
-    wrong = poses.copy()
-    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-    wrong[:, :3, :3] = Rotation.from_quat(quaternions[:, [3, 0, 1, 2]]).as_matrix()
-    return wrong, readings
-
-
-def along(poses: Any, order: list[int], factors: list[int]) -> Any:
-    """Return poses whose positions have other coordinates."""
-    wrong = poses.copy()
-    wrong[:, :3, 3] = poses[:, order, 3] * factors
+    if rotation is not None:
+        wrong[:, :3, :3] = rotation(poses[:, :3, :3])
+    if position is not None:
+        wrong[:, :3, 3] = position(poses[:, :3, 3])
     return wrong
+
+
+def scalar_first(rotation: Any) -> Any:
+    return Rotation.from_quat(Rotation.from_matrix(rotation).as_quat()[:, [3, 0, 1, 2]]).as_matrix()
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda poses, readings: (poses, 100.0 * readings), r"readings: expected lengths in metres.*cm\?"),
-        (in_millimetres, r"poses: expected lengths in metres.*mm\?"),
-        (swapped, r"readings.*r_b2 holds r_c2, r_c2 holds r_b2.*instead of"),
+        (lambda p, r: (altered(p, position=lambda o: 1000.0 * o), r), r"poses: expected lengths in metres.*mm\?"),
+        (lambda p, r: (p, r[:, [0, 4, 2, 3, 1, 5]]), r"readings.*r_b2 holds r_c2, r_c2 holds r_b2.*instead of"),
         (lambda p, r: (p[:, :3, 3], np.roll(r, 3, axis=-1)), r"readings.*r_b1 holds r_c1.*r_c3 holds r_b3"),
-        (transposed, "poses: expected rotations from {m} to {B}.*Transposed they agree to"),
-        (scalar_first, "poses.*got quaternions whose scalar is first. Scalar last they agree to"),
-        (lambda p, r: (along(p, [0, 1, 2], [1, -1, 1]), r), "poses.*other axes. As x, -y, z they agree"),
-        (lambda p, r: (along(p, [1, 0, 2], [1, 1, 1])[:, :3, 3], r), "poses.*other axes. As y, x, z they agree"),
-        (lambda p, r: (along(p, [0, 1, 2], [1, 1, 1000]), r), r"poses: expected lengths in metres.*for z.*mm\?"),
+        (
+            lambda p, r: (altered(p, rotation=lambda turn: np.swapaxes(turn, -1, -2)), r),
+            "poses: expected rotations from {m} to {B}.*Transposed they agree to",
+        ),
+        (
+            lambda p, r: (altered(p, scalar_first), r),
+            "poses.*quaternions whose scalar is first. Scalar last they agree to",
+        ),
+        (lambda p, r: (altered(p, position=lambda o: o * [1, -1, 1]), r), "poses.*other axes. As x, -y, z they agree"),
+        (lambda p, r: (p[:, [1, 0, 2], 3], r), "poses.*other axes. As y, x, z they agree"),
+        (lambda p, r: (p[:, :3, 3] * [1, 1, 1000], r), r"poses: expected lengths in metres.*for z.*mm\?"),
         (lambda p, r: (p, np.roll(r, 1, axis=0)), "poses.*order of the readings, got readings shifted by 1 rows"),
         (lambda p, r: (p[:, :3, 3], np.roll(r, -3, axis=0)), "poses.*order.*got readings shifted by -3 rows"),
         (with_reading(5, 3, lambda _: 0.13), r"readings.*row 5 with.*0\.13.*mistyped"),
@@ -294,12 +286,9 @@ def test_chosen_poses_identify_better_than_random_ones() -> None:
 
 
 def test_few_candidates_are_chosen_from_as_by_trying_all() -> None:
-    from itertools import combinations
-
     legs = np.random.default_rng(8).uniform(1.1, 1.5, (9, 6))
     states = spm.forward_physical(PAPER, legs)
-    options: dict[str, Any] = {"parameters": "offset"}
-    chosen = calibration.choose_poses(PAPER, 3, candidates=states, **options)
+    chosen = calibration.choose_poses(PAPER, 3, candidates=states, parameters="offset")
 
     def value(part: spm.Configuration) -> float:
         found = identify(PAPER, part.pose, part.leg_lengths, parameters="offset")
@@ -309,16 +298,11 @@ def test_few_candidates_are_chosen_from_as_by_trying_all() -> None:
     assert value(chosen) <= best + 0.2
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: calibration.choose_poses(PAPER, 5), "count.*at least 8 for 48"),
-        (lambda: calibration.choose_poses(spm.Geometry(0.7, 0.3, 0.8), 40), "geometry.*leg limits"),
-    ],
-)
-def test_plans_that_cannot_be_made_are_refused(call: Callable[[], object], message: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=message):
-        call()
+def test_plans_that_cannot_be_made_are_refused() -> None:
+    with pytest.raises(spm.ArgumentError, match=r"count.*at least 8 for 48"):
+        calibration.choose_poses(PAPER, 5)
+    with pytest.raises(spm.ArgumentError, match=r"geometry.*leg limits"):
+        calibration.choose_poses(spm.Geometry(0.7, 0.3, 0.8), 40)
 
 
 HEADING = "x,y,z,qx,qy,qz,qw,r_b1,r_b2,r_b3,r_c1,r_c2,r_c3"
@@ -328,19 +312,14 @@ ROW = "0.1,0.2,2.2,0,0,0,1,1.2,1.3,1.4,1.2,1.3,1.4"
 def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) -> None:
     poses, readings = measure(PAPER, 1)
     rotation = spm.mechanism.as_rigid_transform(poses).rotation
-    columns = dict(
-        zip(HEADING.split(","), np.concatenate([poses[:, :3, 3], rotation.as_quat(), readings], 1).T, strict=True)
-    )
+    values = np.concatenate([poses[:, :3, 3], rotation.as_quat(), readings], axis=1)
+    columns = dict(sorted(zip(HEADING.split(","), values.T, strict=True)))
     file = tmp_path / "measured.csv"
-    names = sorted(columns)
-    rows = "\n".join(", ".join(repr(float(x)) for x in row) for row in np.stack([columns[n] for n in names], 1))
-    file.write_text(f"\ufeff{', '.join(names)}\n{rows}\n\n", encoding="utf-8")
+    file.write_text("\ufeff" + table_text(columns).replace(",", ", ") + "\n", encoding="utf-8")
     found, lengths = calibration.read_measurements(file)
     np.testing.assert_array_equal(lengths, readings)
     np.testing.assert_allclose(found.as_matrix(), poses, atol=1e-15)
-    names = [name for name in names if not name.startswith("q")]
-    rows = "\n".join(",".join(repr(float(x)) for x in row) for row in np.stack([columns[n] for n in names], 1))
-    file.write_text(f"{','.join(names)}\n{rows}\n", encoding="utf-8")
+    file.write_text(table_text({name: x for name, x in columns.items() if name[0] != "q"}), encoding="utf-8")
     positions, lengths = calibration.read_measurements(file)
     np.testing.assert_array_equal(positions, poses[:, :3, 3])
     np.testing.assert_array_equal(lengths, readings)
