@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import live_page
@@ -23,7 +24,7 @@ pytestmark = pytest.mark.slow  # a browser without a graphics card
 
 ROOT = Path(__file__).parents[1]
 GEOMETRY = spm.Geometry.paper()
-BRANCHES = ["TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-"]
+BRANCHES = list(spm.mechanism.BRANCHES)
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +52,9 @@ def browser() -> Iterator:
         yield found
 
 
-def opened(browser, file: Path, script: str = "", **options):
-    """Return the page from the disk, and lists of its errors and requests."""
+@contextmanager
+def opened(browser, file: Path, script: str = "", **options) -> Iterator:
+    """Have the page from the disk, which must load nothing else and have no errors."""
     page = browser.new_page(**{"reduced_motion": "reduce", **options})
     requests: list[str] = []
     page.on("request", lambda request: requests.append(request.url))
@@ -60,17 +62,17 @@ def opened(browser, file: Path, script: str = "", **options):
     if script:
         page.add_init_script(script)
     page.goto(file.as_uri())
-    return page, errors, requests
+    yield page
+    assert not errors
+    assert all(url.startswith((file.parent.as_uri(), ROOT.as_uri())) for url in requests)
+    page.close()
 
 
 @pytest.fixture(scope="module")
 def page(browser, file: Path) -> Iterator:
-    found, errors, requests = opened(browser, file, viewport={"width": 800, "height": 700})
-    until(lambda: found.locator("#live b.live-time").inner_text() != "a few", "a solution", page=found)
-    yield found
-    assert not errors
-    assert all(url.startswith(file.parent.as_uri()) for url in requests)
-    found.close()
+    with opened(browser, file, viewport={"width": 800, "height": 700}) as found:
+        until(lambda: found.locator("#live b.live-time").inner_text() != "a few", "a solution", page=found)
+        yield found
 
 
 def test_the_page_in_one_file_is_as_new_as_its_parts(module: bytes, tmp_path: Path) -> None:
@@ -102,12 +104,15 @@ def check_what_is_shown(page) -> spm.SolutionSet:
         np.testing.assert_allclose(expected.leg_lengths[k], physical.leg_lengths, rtol=0.0, atol=1e-12)
     for k in np.flatnonzero(expected.exists):
         choose(page, BRANCHES[k])
-        shown = page.locator("#live data").evaluate_all("all => all.map((one) => Number(one.value))")
-        np.testing.assert_allclose(shown, expected.leg_lengths[k], rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(lengths_shown(page), expected.leg_lengths[k], rtol=0.0, atol=1e-12)
         texts = [float(text) for text in page.locator("#live data").all_inner_texts()]
         np.testing.assert_allclose(texts, expected.leg_lengths[k], rtol=0.0, atol=0.51e-4)
     assert page.locator("#live table").is_visible() == bool(expected.exists.any())
     return expected
+
+
+def lengths_shown(page) -> list[float]:
+    return page.locator("#live data").evaluate_all("all => all.map((one) => Number(one.value))")
 
 
 def order(page) -> list[int]:
@@ -166,8 +171,7 @@ def test_leg_lengths_have_a_state_where_branches_are_not_isolated(page, lengths:
     set_sliders(page, lengths)
     assert solved_in_python(page).status == spm.Status.DEGENERATE
     check_solids(page, spm.forward_physical(GEOMETRY, lengths))
-    shown = page.locator("#live data").evaluate_all("all => all.map((one) => Number(one.value))")
-    np.testing.assert_allclose(shown, lengths, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(lengths_shown(page), lengths, rtol=0.0, atol=1e-12)
     assert page.locator("#live table").is_visible()
     assert page.locator("#live caption").inner_text() == "Leg lengths of this state in m"
     assert page.locator(".live-status").inner_text() == "Degenerate"
@@ -208,8 +212,7 @@ def test_of_two_physical_branches_the_one_of_the_legs_is_shown(page) -> None:
     twice = np.flatnonzero((branches.is_physical.sum(axis=-1) == 2) & (np.abs(taken - lengths).max(axis=-1) > 0.1))
     choose(page, "legs")
     set_sliders(page, lengths[twice[0]])
-    shown = page.locator("#live data").evaluate_all("all => all.map((one) => Number(one.value))")
-    np.testing.assert_allclose(shown, lengths[twice[0]], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(lengths_shown(page), lengths[twice[0]], rtol=0.0, atol=1e-12)
 
 
 def test_colours_of_a_slider_tell_where_a_real_machine_can_be(page) -> None:
@@ -291,40 +294,38 @@ def test_the_platform_follows_a_drag_within_the_limits_of_the_legs(page, distanc
 
 @pytest.mark.parametrize("drive", ["pose", "legs"])
 def test_a_drag_changes_the_legs_least_and_comes_back_to_where_it_began(browser, file: Path, drive: str) -> None:
-    page, errors, _ = opened(browser, file, viewport={"width": 800, "height": 700})
-    until(page.locator(".live-handle").is_visible, "the handle", page=page)
-    choose(page, drive)
-    before = solved_in_python(page).physical()
-    text = page.locator("#live pre").text_content()
-    x, y = handle(page)
-    page.mouse.move(x, y)
-    page.mouse.down()
-    for across, down in ([80.0, 0.0], [0.0, 60.0], [-400.0, 300.0], [-80.0, 0.0]):
-        page.mouse.move(x + across, y + down, steps=6)
-        assert page.locator("#live pre").text_content() != text
-        page.mouse.move(x, y, steps=6)
-        assert page.locator("#live pre").text_content() == text
-    page.mouse.move(x - 80.0, y, steps=3)
-    page.mouse.up()
-    # The view's directions to the right and up, at an azimuth of 15 degrees and an elevation of 25.
-    view = Rotation.from_euler("ZY", [15.0, -25.0], degrees=True).as_matrix()[:, 1:].T
-    found = solved_in_python(page).physical()
-    least = minimize(
-        lambda lengths: np.sum((lengths - before.leg_lengths) ** 2),
-        before.leg_lengths,
-        bounds=[(1.1, 1.5)] * 6,
-        constraints={
-            "type": "eq",
-            "fun": lambda x: view @ (spm.forward_physical(GEOMETRY, x).translation - found.translation),
-        },
-        method="SLSQP",
-        options={"ftol": 1e-12},
-    )
-    assert least.success
-    # Of four digits of a pose that is nearly level, as this one is, three remain in the legs.
-    np.testing.assert_allclose(found.leg_lengths, least.x, rtol=0.0, atol=2e-3 if drive == "pose" else 3e-4)
-    assert not errors
-    page.close()
+    with opened(browser, file, viewport={"width": 800, "height": 700}) as page:
+        until(page.locator(".live-handle").is_visible, "the handle", page=page)
+        choose(page, drive)
+        before = solved_in_python(page).physical()
+        text = page.locator("#live pre").text_content()
+        x, y = handle(page)
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for across, down in ([80.0, 0.0], [0.0, 60.0], [-400.0, 300.0], [-80.0, 0.0]):
+            page.mouse.move(x + across, y + down, steps=6)
+            assert page.locator("#live pre").text_content() != text
+            page.mouse.move(x, y, steps=6)
+            assert page.locator("#live pre").text_content() == text
+        page.mouse.move(x - 80.0, y, steps=3)
+        page.mouse.up()
+        # The view's directions to the right and up, at an azimuth of 15 degrees and an elevation of 25.
+        view = Rotation.from_euler("ZY", [15.0, -25.0], degrees=True).as_matrix()[:, 1:].T
+        found = solved_in_python(page).physical()
+        least = minimize(
+            lambda lengths: np.sum((lengths - before.leg_lengths) ** 2),
+            before.leg_lengths,
+            bounds=[(1.1, 1.5)] * 6,
+            constraints={
+                "type": "eq",
+                "fun": lambda x: view @ (spm.forward_physical(GEOMETRY, x).translation - found.translation),
+            },
+            method="SLSQP",
+            options={"ftol": 1e-12},
+        )
+        assert least.success
+        # Of four digits of a pose that is nearly level, as this one is, three remain in the legs.
+        np.testing.assert_allclose(found.leg_lengths, least.x, rtol=0.0, atol=2e-3 if drive == "pose" else 3e-4)
 
 
 def handle(page) -> np.ndarray:
@@ -333,13 +334,11 @@ def handle(page) -> np.ndarray:
 
 
 def test_a_phone_shows_it_in_one_column(browser, file: Path) -> None:
-    page, errors, _ = opened(browser, file, viewport={"width": 390, "height": 844})
-    until(lambda: page.locator("#live data").count() == 6, "leg lengths", page=page)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    canvas, panel = (page.locator(name).bounding_box() for name in ("#live canvas", ".live-panel"))
-    assert panel["y"] >= canvas["y"] + canvas["height"]
-    assert not errors
-    page.close()
+    with opened(browser, file, viewport={"width": 390, "height": 844}) as page:
+        until(lambda: page.locator("#live data").count() == 6, "leg lengths", page=page)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        canvas, panel = (page.locator(name).bounding_box() for name in ("#live canvas", ".live-panel"))
+        assert panel["y"] >= canvas["y"] + canvas["height"]
 
 
 @pytest.mark.parametrize(
@@ -352,13 +351,11 @@ def test_a_phone_shows_it_in_one_column(browser, file: Path) -> None:
     ids=["no scripts", "no WebAssembly", "no WebGL"],
 )
 def test_the_picture_stands_in_its_place(browser, file: Path, options: dict[str, bool], script: str) -> None:
-    page, errors, _ = opened(browser, file, script, **options)
-    until(page.locator("img").is_visible, "the picture", page=page)
-    assert page.locator("#live").is_hidden()
-    page.goto((ROOT / "docs/live.html").as_uri())
-    until(page.get_by_text("needs a browser with").is_visible, "what the page in one file needs", page=page)
-    assert not errors
-    page.close()
+    with opened(browser, file, script, **options) as page:
+        until(page.locator("img").is_visible, "the picture", page=page)
+        assert page.locator("#live").is_hidden()
+        page.goto((ROOT / "docs/live.html").as_uri())
+        until(page.get_by_text("needs a browser with").is_visible, "what the page in one file needs", page=page)
 
 
 def test_the_picture_is_hidden_where_the_machine_is_shown(page) -> None:

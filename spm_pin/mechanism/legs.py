@@ -175,18 +175,16 @@ class Legs:
         """Distances 12, 23, 31 of the lower legs' balls [m], shape (3,)."""
         return frozen(triangle_sides(self.balls[:3]))
 
+    @functools.cached_property
+    def _key(self) -> tuple[bytes, ...]:
+        # -0.0 and 0.0 are equal.
+        return tuple((array + 0.0).tobytes() for array in self.arrays)
+
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Legs):
-            return NotImplemented
-        return self is other or all(map(np.array_equal, self.arrays, other.arrays))
+        return self._key == other._key if isinstance(other, Legs) else NotImplemented
 
     def __hash__(self) -> int:
-        return self._hash
-
-    @functools.cached_property
-    def _hash(self) -> int:
-        # -0.0 and 0.0 are equal and must have one hash.
-        return hash(tuple((array + 0.0).tobytes() for array in self.arrays))
+        return hash(self._key)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Legs, self.arrays

@@ -177,13 +177,9 @@ class SolutionSet:
     exists = _of_each(lambda states: states.exists, "True for the solutions that are real, shape (..., n).")
     rotation = _of_each(lambda states: states.rotation, "Rotations from {m} to {B}, shape (..., n, 3, 3).")
     translation = _of_each(lambda states: states.translation, "Positions of o in {B} [m], shape (..., n, 3).")
-    middle_joints = _of_each(
-        lambda states: states.middle_joints,
-        "Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real.",
-    )
+    middle_joints = _of_each(lambda states: states.middle_joints, "b_1, b_2, b_3 as rows in {B} [m], (..., n, 3, 3).")
     leg_lengths = _of_each(
-        lambda states: states.leg_lengths,
-        "r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., n, 6); NaN where not real.",
+        lambda states: states.leg_lengths, "r_b1 to r_c3 [m], shape (..., n, 6); NaN where not real."
     )
     readings = _of_each(lambda states: states.readings, "Readings of the legs' encoders [m], shape (..., n, 6).")
     residual = _of_each(lambda states: states.closure_residual, "Closure residual of each solution [m], (..., n).")

@@ -116,21 +116,16 @@ def test_absent_members_are_nan_throughout() -> None:
 
 
 @pytest.mark.parametrize(
-    ("joints", "words"),
+    ("pose", "joints", "words"),
     [
-        (np.diag([np.nan, 1, 1]), "all nine coordinates finite, or all NaN"),
-        (np.full((3, 3), np.inf), "middle_joints: expected finite"),
+        (POSE, np.diag([np.nan, 1, 1]), "all nine coordinates finite, or all NaN"),
+        (POSE, np.full((3, 3), np.inf), "middle_joints: expected finite"),
+        (spm.pose(np.zeros((3, 3)), rotation=np.eye(3)), np.zeros((2, 3, 3)), "broadcast"),
     ],
 )
-def test_invalid_middle_joints_are_refused(joints: object, words: str) -> None:
+def test_invalid_middle_joints_are_refused(pose: object, joints: np.ndarray, words: str) -> None:
     with pytest.raises(spm.ArgumentError, match=words):
-        spm.Configuration(spm.Geometry.paper(), POSE, joints)  # type: ignore[arg-type]
-
-
-def test_arguments_that_do_not_fit_together() -> None:
-    poses = spm.pose(np.zeros((3, 3)), rotation=np.eye(3))
-    with pytest.raises(spm.ArgumentError, match="broadcast"):
-        spm.Configuration(spm.Geometry.paper(), poses, np.zeros((2, 3, 3)))
+        spm.Configuration(spm.Geometry.paper(), pose, joints)  # type: ignore[arg-type]
 
 
 def test_a_single_state_is_no_sequence(configuration: spm.Configuration) -> None:

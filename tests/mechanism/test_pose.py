@@ -125,6 +125,13 @@ def replaced(row: object, column: object, value: object) -> np.ndarray:
         (lambda: as_rigid_transform(Rotation.identity()), "A rotation alone is no pose"),
         (lambda: as_rigid_transform(RigidTransform(replaced(0, 0, 0.9), normalize=False)), "rotation matrix"),
         (lambda: as_rigid_transform(np.stack([GOOD, replaced(1, 1, -1)])), r"determinant -1 at index \(1,\)"),
+        # Whole poses are refused with the way to say them.
+        (lambda: spm.pose(np.ones(6)), r"spm\.pose\(a\[\.\.\., :3\], rpy=a"),
+        (lambda: spm.pose(np.ones(7)), r"spm\.pose\(a\[\.\.\., :3\], quat=a"),
+        (lambda: spm.pose(np.eye(4)), r"RigidTransform\.from_matrix\(a\)"),
+        (lambda: spm.pose(pinocchio.SE3.Identity()), "got a SE3. That is a pose already"),
+        (lambda: spm.pose(RigidTransform.identity(), rpy=np.zeros(3)), "got a RigidTransform. That is a pose already"),
+        (lambda: spm.pose(np.ones(3), rotation=np.eye(4)), r"^rotation: .*RigidTransform\.from_matrix\(a\)"),
     ],
 )
 def test_what_is_no_pose_is_refused(make: object, words: str) -> None:
@@ -145,19 +152,3 @@ def test_angles_in_degrees_are_noticed() -> None:
     # A full turn itself is none of it: warnings are errors here.
     spm.pose([0.0, 0.0, 2.0], xyx=[2.0 * np.pi, -2.0 * np.pi, 0.0])
     spm.pose(np.zeros((0, 3)), xyx=np.zeros((0, 3)))
-
-
-@pytest.mark.parametrize(
-    ("translation", "orientation", "says"),
-    [
-        (np.ones(6), {}, r"spm\.pose\(a\[\.\.\., :3\], rpy=a"),
-        (np.ones(7), {}, r"spm\.pose\(a\[\.\.\., :3\], quat=a"),
-        (np.eye(4), {}, r"RigidTransform\.from_matrix\(a\)"),
-        (pinocchio.SE3.Identity(), {}, "got a SE3. That is a pose already"),
-        (RigidTransform.identity(), {"rpy": np.zeros(3)}, "got a RigidTransform. That is a pose already"),
-        (np.ones(3), {"rotation": np.eye(4)}, r"^rotation: .*RigidTransform\.from_matrix\(a\)"),
-    ],
-)
-def test_whole_poses_are_refused_with_the_way_to_say_them(translation, orientation, says):
-    with pytest.raises(spm.PoseError, match=says):
-        spm.pose(translation, **orientation)
