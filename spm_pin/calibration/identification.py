@@ -209,13 +209,12 @@ def identify(
     _, values, right = np.linalg.svd(np.concatenate(jacobian(fit.unknown)[used]), full_matrices=False)
     spread = scaled @ (right.T / values)
     fitted, covariance = machine(fit.unknown), spread @ spread.T
-    status, reason = fit.status, fit.reason
-    if status == "fits" and (other := _other_nominal(start, fitted, covariance)):
-        status, reason = "another nominal", other  # names no rows, as "fits" does not
+    if fit.status == "fits" and (other := _other_nominal(start, fitted, covariance)):
+        fit = replace(fit, status="another nominal", reason=other)
     return Calibration(
         fitted=fitted,
-        status=status,
-        reason=reason,
+        status=fit.status,
+        reason=fit.reason,
         reason_rows=fit.reason_rows,
         chi_square=fit.chi_square,
         covariance=covariance,
@@ -348,11 +347,8 @@ def _judged(
         reason = f"too few rows to tell which are wrong: without {shown} none is left over to compare. Measure more"
         return replace(fit, status=failed, reason=reason, reason_rows=named)
     if chi_square > limit or not converged:
-        size = (
-            f"residuals {np.sqrt(chi_square):.3g} times what the noise explains"
-            if freedom
-            else "no residuals to compare"
-        )
+        times = f"residuals {np.sqrt(chi_square):.3g} times what the noise explains"
+        size = times if freedom else "no residuals to compare"
         ended = "" if converged else ", when the search for a better fit was given up"
         causes = (
             "Larger noise than given, or errors that are not among the parameters?"
