@@ -55,10 +55,10 @@ _COMMANDS = {
     "demo": "crosscheck",
     "inverse": "pose_commands",
     "forward": "pose_commands",
-    "reproduce": "reproduce",
+    "reproduce": "crosscheck",
     "crosscheck": "crosscheck",
     "singularities": "pose_commands",
-    "certify": "certify",
+    "certify": "move",
     "calibrate": "calibrate",
     "tolerance": "calibrate",
     "move": "move",
@@ -68,8 +68,8 @@ _COMMANDS = {
     "view": "draw",
     "export": "export",
     "workspace": "workspace",
-    "sweep": "sweep",
-    "design": "design",
+    "sweep": "workspace",
+    "design": "workspace",
 }
 """The commands, which are functions of these names, and their files, in the order of the help."""
 

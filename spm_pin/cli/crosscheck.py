@@ -1,10 +1,13 @@
-"""`spm-pin crosscheck`, independent methods compared on random poses, and `demo`, a first look at the package."""
+"""`spm-pin crosscheck`, methods compared on random poses; `reproduce`, the paper recomputed; and `demo`, both."""
 
 from __future__ import annotations
 
 import shutil
 import sys
+from collections import Counter
+from dataclasses import astuple
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,14 +15,29 @@ import numpy as np
 import typer
 
 from spm_pin.cli import options, outputs
-from spm_pin.cli.reproduce import print_summary, summary_line
-from spm_pin.crosscheck import METHODS, MethodScore, PairDifference, Report, compare_in_batches
+from spm_pin.crosscheck import METHODS, POSE, TABLES, PairDifference, Report, Reproduction, Verdict, compare_in_batches
 from spm_pin.crosscheck import reproduce as recompute
 from spm_pin.display.figures import agreement_figure
 from spm_pin.display.plots import save_gallery
+from spm_pin.display.writing import fixed
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import Geometry, pose
 from spm_pin.paper import published
+
+_TITLES = {
+    POSE: "The example's pose (cm, degrees) from the leg lengths 120, 120, 140, 125, 120, 150 cm",
+    1: "Table 1: coordinates of b_1 (cm)",
+    2: "Table 2: coordinates of b_2 (cm)",
+    3: "Table 3: coordinates of b_3 (cm)",
+    4: "Table 4: leg lengths (cm) of the real solutions",
+    5: "Table 5: leg rates and forces (cm/s, kN) at solution 3",
+}
+_MISTAKES = {
+    "printed_lever_arm": "the lever arm e_i - r_bi of Eq. (30a) instead of e_i - r_ci of Eq. (25b)",
+    "missing_entry": "entry (9, 9) of J_α left zero",
+    "other_load": "the load F = (-20, -30, 60) kN, T = (-30, -30, -100) kN cm, not the one printed",
+}
+_STYLES = {Verdict.MISPRINT: "yellow", Verdict.NOT_PRINTED: "yellow", Verdict.UNEXPLAINED: "red"}
 
 
 @outputs.name_options(methods="--method")
@@ -42,32 +60,25 @@ def crosscheck(
     Exits with 1 if the methods disagree, and says which is wrong. Interrupted, it reports the poses done so far.
     --figure needs the extra "plots".
     """
-    report = compare_with_progress(options.read_geometry(geometry), poses, seed, method)
+    report = _compare(options.read_geometry(geometry), poses, seed, method)
     file = None if geometry is None else str(geometry)
-    content = _content(report, file)
+    content = _comparison_content(report, file)
     if out is not None:
         outputs.write_json(content, out)
     outputs.write_figure(figure, style, agreement_figure, report)
     if json:
         outputs.write_json(content)
     else:
-        print_verdict("", report)
+        _print_verdict("", report)
         outputs.stdout.print()
-        print_report(report, pairs=pairs)
+        _print_scores(report)
+        _print_differences(report, pairs)
         for line in _remarks(report, method is None, file):
             outputs.stdout.print(line, soft_wrap=True)
     _end(report)
 
 
-def _end(report: Report, failed: bool = False) -> None:
-    """Raise the exit code of a comparison, which Ctrl-C may have ended before its last pose."""
-    if len(report.xyx) < report.requested:
-        raise typer.Exit(130)
-    if failed or not report.agrees:
-        raise typer.Exit(1)
-
-
-def compare_with_progress(geometry: Geometry, poses: int, seed: int, methods: list[str] | None) -> Report:
+def _compare(geometry: Geometry, poses: int, seed: int, methods: list[str] | None) -> Report:
     """Run a comparison with a progress bar; on Ctrl-C return the report of the poses done so far, if there are any."""
     names = None if methods is None else list(dict.fromkeys(methods))
     report = None
@@ -82,28 +93,31 @@ def compare_with_progress(geometry: Geometry, poses: int, seed: int, methods: li
     return report
 
 
-def print_verdict(heading: str, report: Report) -> None:
-    """Print the outcome of a comparison in one sentence."""
-    done = len(report.xyx)
-    finished = done == report.requested
-    count = f"{done} random poses" if finished else f"Interrupted after {done} of {report.requested} poses"
-    names = ", ".join(_part(score, report) for score in report.scores)
-    line = f"{heading}{count}, {report.states} configurations, by {names}. {report.verdict}"
+def _end(report: Report, failed: bool = False) -> None:
+    """Raise the exit code of a comparison, which Ctrl-C may have ended before its last pose."""
+    if len(report.xyx) < report.requested:
+        raise typer.Exit(130)
+    if failed or not report.agrees:
+        raise typer.Exit(1)
+
+
+def _print_verdict(heading: str, report: Report) -> None:
+    """Print the outcome of a comparison in one sentence, with the part of methods that did not solve every pose."""
+    done, names = len(report.xyx), []
+    for score in report.scores:
+        pairs = (pair for pair in report.differences if score.name in (pair.first, pair.second))
+        part = f"{score.solved} of the poses"
+        if not score.solved:
+            part = ", ".join(dict.fromkeys(str(pair.quantity) for pair in pairs)) + " only"
+        names.append(score.name if score.solved == done else f"{score.name} ({part})")
+    count = f"{done} random poses"
+    if done < report.requested:
+        count = f"Interrupted after {done} of {report.requested} poses"
+    line = f"{heading}{count}, {report.states} configurations, by {', '.join(names)}. {report.verdict}"
     outputs.print_lines([line], "bold green" if report.agrees else "bold red")
 
 
-def _part(score: MethodScore, report: Report) -> str:
-    """Return the name of a method, with its part in the comparison where it did not solve every pose."""
-    if score.solved == len(report.xyx):
-        return score.name
-    if score.solved:
-        return f"{score.name} ({score.solved} of the poses)"
-    quantities = [str(pair.quantity) for pair in report.differences if score.name in (pair.first, pair.second)]
-    return f"{score.name} ({', '.join(dict.fromkeys(quantities))} only)"
-
-
-def print_report(report: Report, *, pairs: bool = False) -> None:
-    """Print the scores of the methods, and the differences between them."""
+def _print_scores(report: Report) -> None:
     counts = {"poses": "solved", "branches": "branches", "not closed": "invented", "poses lacking one": "missed"}
     columns: dict[str, Any] = {"method": lambda score: score.name}
     columns |= {
@@ -114,15 +128,14 @@ def print_report(report: Report, *, pairs: bool = False) -> None:
     faulty = {score.name: "red" for score in report.scores if score.invented or score.misses_too_often}
     title = "Inverse displacement by each method, and at how many poses it is known to lack a branch"
     outputs.print_table(title, columns, report.scores, style=lambda score: faulty.get(score.name))
-    _print_differences(report, pairs=pairs)
 
 
-def _print_differences(report: Report, *, pairs: bool = False) -> None:
+def _print_differences(report: Report, pairs: bool) -> None:
     """Print the differences of all pairs of methods, or the largest of each quantity."""
     shown: list[PairDifference] = []
-    for _, group in groupby(report.differences, key=lambda pair: pair.quantity):
+    for _, group in groupby(report.differences, key=attrgetter("quantity")):
         of_quantity = list(group)
-        shown += of_quantity if pairs else [max(of_quantity, key=lambda pair: pair.ratio)]
+        shown += of_quantity if pairs else [max(of_quantity, key=attrgetter("ratio"))]
     columns = {
         "quantity": lambda pair: str(pair.quantity),
         "methods": lambda pair: f"{pair.first} - {pair.second}",
@@ -152,25 +165,24 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
     if worst is not None:
         what = f"{worst.quantity}, {worst.first} and {worst.second}, branch {worst.branch}"
         which = "Largest difference" if worst.ratio > 1.0 else "Nearest to the tolerance"
-        lines.append(f"{which}: {what}, {worst.ratio:.0e} of it, at the pose")
-        lines.append(f"  {report.command(worst.pose, file)}")
+        lines.append(f"{which}: {what}, {worst.ratio:.0e} of it, at the pose\n  {report.command(worst.pose, file)}")
     for score in report.scores:
         if score.pose >= 0:
             rate = f"{100 * score.allowed:g} %"
             rated = f"more often than the {rate} it states" if score.misses_too_often else f"within its {rate}"
-            lost = f"branches lost at {score.missed} poses, {rated}"
-            what = f"{score.invented} branches whose loops are not closed" if score.invented else lost
-            lines.append(f"{score.name}: {what}. The first is at the pose")
-            lines.append(f"  {report.command(score.pose, file)}")
+            what = f"branches lost at {score.missed} poses, {rated}"
+            if score.invented:
+                what = f"{score.invented} branches whose loops are not closed"
+            lines.append(f"{score.name}: {what}. The first is at the pose\n  {report.command(score.pose, file)}")
     return lines
 
 
-def _content(report: Report, file: str | None) -> dict[str, Any]:
+def _comparison_content(report: Report, file: str | None) -> dict[str, Any]:
     content = {name: getattr(report, name) for name in ("agrees", "verdict", "outliers", "seed", "requested")}
-    sizes = {name: getattr(report.geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
+    sizes = ("base_radius", "platform_radius", "middle_side")
     poses = zip(report.translation, report.xyx, strict=True)
     return content | {
-        "geometry": sizes,
+        "geometry": {name: getattr(report.geometry, name) for name in sizes},
         "poses": [{"translation": translation, "xyx_degrees": xyx} for translation, xyx in poses],
         "reached": report.reached,
         "states": report.states,
@@ -199,16 +211,15 @@ def demo(
     Exits with 1 if a printed number is unexplained or the methods disagree. --out needs the extra "plots".
     """
     reproduction = recompute()
-    report = compare_with_progress(Geometry.paper(), poses, 0, None)
+    report = _compare(Geometry.paper(), poses, 0, None)
     if out is not None:
         example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
         solutions = inverse_displacement(Geometry.paper(), example)
         save_gallery(options.titled_branches(solutions, options.selected_labels(solutions, None)), out)
-    style = "bold red" if reproduction.unexplained else "bold green"
-    outputs.print_lines([f"The paper:   {summary_line(reproduction)}"], style)
-    print_verdict("The methods: ", report)
-    print_summary(reproduction)
-    _print_differences(report)
+    _print_summary("The paper:   ", reproduction)
+    _print_verdict("The methods: ", report)
+    _print_tables_summary(reproduction)
+    _print_differences(report, pairs=False)
     if out is not None:
         outputs.stdout.print(f"Picture of the six real branches of the paper's pose: {out}", soft_wrap=True)
     outputs.stdout.print("Try next:")
@@ -217,3 +228,134 @@ def demo(
     for arguments, what in _NEXT:
         outputs.stdout.print(f"  {program} {arguments:{width}}  {what}", soft_wrap=True)
     _end(report, failed=bool(reproduction.unexplained))
+
+
+@outputs.name_options(tables="--table")
+def reproduce(
+    table: Annotated[
+        list[int] | None,
+        typer.Option(metavar="NUMBER", help="Show every cell of a table, 1 to 5; may be repeated. All if not given."),
+    ] = None,
+    cells: Annotated[bool, typer.Option("--cells", help="Show every cell of all tables.")] = False,
+    json: options.AsJson = False,
+    out: Annotated[Path | None, outputs.file_option("Also write everything to a file, as JSON.")] = None,
+) -> None:
+    """Recompute the paper's tables and compare every printed digit.
+
+    Exits with 1 if a printed number differs and nothing in the numbers explains why.
+    """
+    reproduction = recompute(TABLES if table is None else table)
+    content = {
+        "unit": "cm",
+        "cells": [vars(cell) | {"difference": cell.difference} for cell in reproduction.cells],
+        "solutions": [vars(each) for each in reproduction.solutions],
+        "true_values": [vars(each) for each in reproduction.true_values],
+        "diagnoses": [
+            {"row": each.row, "mistakes": each.names, "values": each.values} for each in reproduction.diagnoses
+        ],
+        "equation_17_real_roots": vars(reproduction.equation_17),
+    }
+    if out is not None:
+        outputs.write_json(content, out)
+    if json:
+        outputs.write_json(content)
+    else:
+        _print_summary("", reproduction)
+        outputs.stdout.print()
+        _print_tables_summary(reproduction)
+        if cells or table is not None:
+            _print_cells(reproduction)
+        outputs.print_lines(f"• {line}" for line in _findings(reproduction))
+    if reproduction.unexplained:
+        outputs.note(f"{len(reproduction.unexplained)} printed values differ without an explanation", "bold red")
+        raise typer.Exit(1)
+
+
+def _print_summary(heading: str, reproduction: Reproduction) -> None:
+    """Print the outcome in one sentence; the counts are those of the tables, without the example's pose."""
+    cells = reproduction.in_tables
+    counts = Counter(cell.verdict for cell in cells)
+    numbers = sorted({cell.table for cell in cells})
+    tables = "Tables 1 to 5" if len(numbers) == len(TABLES) else f"Table {', '.join(map(str, numbers))}"
+    line = f"{heading}{counts[Verdict.SAME]} of the {len(cells)} cells of {tables} agree in every printed digit"
+    words = {Verdict.MISPRINT: "misprinted", Verdict.NOT_PRINTED: "left empty", Verdict.UNEXPLAINED: "unexplained"}
+    others = ", ".join(f"{counts[verdict]} {word}" for verdict, word in words.items() if counts[verdict])
+    if others:
+        line += f", {'not all' if reproduction.unexplained else 'all'} others are explained: {others}"
+    outputs.print_lines([f"{line}."], "bold red" if reproduction.unexplained else "bold green")
+
+
+def _print_tables_summary(reproduction: Reproduction) -> None:
+    """Print how many cells of each table agree."""
+    rows = {number: [cell.verdict for cell in reproduction.table(number)] for number in _TITLES}
+    columns: dict[str, Any] = {"": lambda n: _TITLES[n].partition(" (")[0], "cells": lambda n: str(len(rows[n]))}
+    columns |= {str(verdict): lambda n, verdict=verdict: str(rows[n].count(verdict)) for verdict in Verdict}
+    red = {n: "red" for n in rows if Verdict.UNEXPLAINED in rows[n]}
+    outputs.print_table("The paper's numbers, recomputed", columns, filter(rows.get, rows), style=red.get)
+
+
+def _number(value: complex, like: str = "0.0000") -> str:
+    """Format with one digit more than printed, so that the rounding can be followed."""
+    digits = len(like.removesuffix("i").rpartition(".")[2]) if "." in like else 0
+    digits = min(digits + 1, 5)
+    real = fixed(value.real, digits)
+    return real if abs(value.imag) < 1e-9 else f"{real}{value.imag:+.{digits}f}i"
+
+
+def _print_cells(reproduction: Reproduction) -> None:
+    columns: dict[str, Any] = {
+        "": lambda cell: cell.row,
+        "solution": lambda cell: cell.column,
+        "published": lambda cell: cell.published or "",
+        "recomputed": lambda cell: _number(cell.recomputed, cell.published or "0.0000"),
+        "difference": lambda cell: "" if cell.difference is None else f"{cell.difference:.0e}",
+        "verdict": lambda cell: cell.verdict,
+    }
+    for number, cells in groupby(reproduction.cells, key=attrgetter("table")):
+        outputs.print_table(
+            _TITLES[number],
+            columns,
+            cells,
+            left=["verdict"],
+            group=lambda cell: cell.row if 0 < cell.table < 5 else None,
+            style=lambda cell: _STYLES.get(cell.verdict),
+        )
+    if any(cell.table < 5 for cell in reproduction.cells):
+        columns = {
+            "solution": lambda each: str(each.solution),
+            "branch": lambda each: each.label,
+            "paper: |U| = 0": lambda each: _number(each.paper, "0.000"),
+            "four quadratics": lambda each: _number(each.closed_form, "0.000"),
+            "difference": lambda each: f"{each.difference:.0e}",
+        }
+        title = "The same solutions by two methods: b_2Y (cm), and the largest difference"
+        outputs.print_table(title, columns, reproduction.solutions, left=["branch"])
+    if reproduction.true_values:
+        names = ("", "paper: 9 × 9", "wrench form", "Pinocchio")
+        columns = {name: lambda row, k=k: fixed(row[k], 6) if k else row[k] for k, name in enumerate(names)}
+        columns["difference"] = lambda row: f"{max(row[1:]) - min(row[1:]):.0e}"
+        rows = [astuple(true) for true in reproduction.true_values]
+        outputs.print_table("The true numbers of Table 5 by three methods", columns, rows)
+
+
+def _findings(reproduction: Reproduction) -> list[str]:
+    lines = [
+        f"Table {cell.table}, {cell.row}, solution {cell.column}: printed {cell.published or 'nothing'}, "
+        f"true {_number(cell.recomputed, cell.published or '0.0000')}; {cell.note}."
+        for cell in reproduction.cells
+        if cell.note
+    ]
+    for diagnosis in reproduction.diagnoses:
+        what = {"v": "rates", "f": "forces"}[diagnosis.row]
+        causes = "; ".join(_MISTAKES[name] for name in diagnosis.names)
+        lines.append(
+            f"Table 5, {what}: the printed row comes out to its four decimals with "
+            f"{len(diagnosis.names)} mistakes made together, and with no fewer: {causes}."
+        )
+    if any(cell.table < 5 for cell in reproduction.cells):
+        equation = reproduction.equation_17
+        lines.append(
+            f"Eq. (17): with the signs as printed |U| = 0 has {equation.printed} real roots; with the product "
+            f"of Eq. (16) moved across correctly it has {equation.mended}, and the example has {equation.true}."
+        )
+    return lines

@@ -70,14 +70,13 @@ def draw(
         names = width >= NARROWEST[True] if names is None else names
         save_picture(states[""], out, labels=names, width=width, **appearance)
     outputs.note(f"wrote {out}")
-    beyond = {
-        title: ", ".join(LEGS[leg] for leg in outside)
-        for title, state in states.items()
-        if (outside := options.beyond_limits(state)).size
-    }
+    beyond = []
+    for title, state in states.items():
+        beyond_limits = ", ".join(LEGS[leg] for leg in options.beyond_limits(state))
+        if beyond_limits:
+            beyond.append(f"{title}: {beyond_limits}" if title else beyond_limits)
     if beyond:
-        named_legs = "; ".join(f"{title}: {some}" if title else some for title, some in beyond.items())
-        outputs.note(f"legs beyond their limits: {named_legs}", "yellow")
+        outputs.note(f"legs beyond their limits: {'; '.join(beyond)}", "yellow")
 
 
 @outputs.name_options(leg_lengths="--legs", readings="--legs", points="--path")
@@ -130,11 +129,7 @@ def view(
         outputs.note(f"viewer at {viewer.url}, Ctrl-C ends it")
         if host not in ("127.0.0.1", "localhost", "::1"):
             outputs.note("there is no password: whoever reaches this port can use the page", "yellow")
-        if browser and _has_screen():
+        # Without a screen, a browser in text would take the terminal.
+        if browser and (sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             webbrowser.open(viewer.url)
         viewer.wait()
-
-
-def _has_screen() -> bool:
-    """Return whether a browser has somewhere to appear; without one, text browsers would take the terminal."""
-    return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

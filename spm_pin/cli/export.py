@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 from typer import Argument, Option
 
+from spm_pin import description
 from spm_pin.cli import options, outputs
+from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism import Geometry
 
 Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "ros"]
+_OWN_OPTIONS: dict[str, set[str]] = {
+    "urdf": {"ros_constraints", "masses"},
+    "mjcf": {"anchors", "collisions", "masses"},
+    "sdf": {"loops", "masses"},
+    "c": {"masses"},
+    "ros": {"masses"},
+}
+"""Options that not every format takes, by the formats that do."""
 
 
 @outputs.name_options(directory="--out")
@@ -48,53 +58,32 @@ def export(
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
     program. ros: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
     """
-    from spm_pin import description
-
     if (format_ is None) == (option is None):
         received = "none" if format_ is None else "two"
         raise ArgumentError("FORMAT", f"one of {', '.join(get_args(Format))}", received)
-    format_ = format_ or option
-    special: dict[str | None, dict[str, Any]] = {
-        "urdf": {"ros_constraints": ros_constraints},
-        "mjcf": {"anchors": anchors, "collisions": collisions},
-        "sdf": {"loops": loops},
-    }
-    for only, name, value in ((only, *each) for only, own in special.items() for each in own.items()):
-        if value and format_ != only:
-            raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {format_}", value)
+    chosen = str(format_ or option)
+    special = {"ros_constraints": ros_constraints, "anchors": anchors, "collisions": collisions, "loops": loops}
+    own = _OWN_OPTIONS.get(chosen, set())
+    for name, value in (special | {"masses": masses}).items():
+        if value and name not in own:
+            raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {chosen}", value)
     machine = options.read_geometry(geometry)
-    if format_ in ("srdf", "extended-urdf"):
-        if masses is not None:
-            raise ArgumentError("--masses", f"to be left out with --format {format_}", masses)
+    bodies = options.read_masses(masses, "written") if "masses" in own else None
+    if chosen not in ("c", "ros"):
         if out is not None:
             outputs.check_output(out)
-        write = description.srdf_text if format_ == "srdf" else description.extended_urdf_text
-        outputs.write_text(write(prefix=prefix or ""), out)
+        _write_model(chosen, out, machine, bodies, prefix or "", {name: special[name] for name in own - {"masses"}})
         return
-    bodies = options.read_masses(masses, "written")
-    if format_ in ("c", "ros"):
-        if out is None:
-            raise ArgumentError("--out", "the directory to write into", "none")
-        from spm_pin.symbolic import write_c, write_ros
+    if out is None:
+        raise ArgumentError("--out", "the directory to write into", "none")
+    from spm_pin.symbolic import write_c, write_ros
 
-        if format_ == "ros":
-            write_ros(machine, out, prefix=prefix or "", masses=bodies)
-            outputs.note(f"wrote a ROS 2 package into {out}")
-            return
-        for path in write_c(machine, out, prefix="spm_" if prefix is None else prefix, masses=bodies):
-            outputs.note(f"wrote {path}")
+    if chosen == "ros":
+        write_ros(machine, out, prefix=prefix or "", masses=bodies)
+        outputs.note(f"wrote a ROS 2 package into {out}")
         return
-    if out is not None:
-        outputs.check_output(out)
-    writers: dict[str | None, Callable[..., str]] = {
-        "urdf": description.urdf_text,
-        "mjcf": description.mjcf_text,
-        "sdf": description.sdf_text,
-    }
-    # Beside a file go its meshes; a text on standard output has whole paths.
-    meshes = "meshes" if out is not None else None
-    text = writers[format_](machine, prefix=prefix or "", meshes=meshes, masses=bodies, **special[format_])
-    _write_model(text, out)
+    for path in write_c(machine, out, prefix="spm_" if prefix is None else prefix, masses=bodies):
+        outputs.note(f"wrote {path}")
 
 
 @outputs.name_options()
@@ -111,18 +100,23 @@ def urdf(
     Pinocchio finds them if it is told the file's folder, package_dirs=".". A URDF on standard output names them by
     their whole paths.
     """
-    from spm_pin.description import urdf_text
-
     machine, bodies = options.read_geometry(geometry), options.read_masses(masses, "written")
-    _write_model(urdf_text(machine, prefix=prefix, meshes="meshes" if out else None, masses=bodies), out)
+    _write_model("urdf", out, machine, bodies, prefix, {})
 
 
-def _write_model(text: str, path: Path | None) -> None:
-    """Write a model, and the meshes into a folder beside its file."""
-    from spm_pin.description.source_files import copy_meshes
-
+def _write_model(
+    chosen: str, path: Path | None, machine: Geometry, masses: Masses | None, prefix: str, special: dict[str, Any]
+) -> None:
+    """Write a model; where it has meshes, these go into a folder beside its file."""
+    write = getattr(description, f"{chosen.replace('-', '_')}_text")
+    if "masses" not in _OWN_OPTIONS.get(chosen, set()):
+        outputs.write_text(write(prefix=prefix), path)
+        return
+    # Beside a file go its meshes; a text on standard output has whole paths.
+    meshes = "meshes" if path is not None else None
+    text = write(machine, prefix=prefix, meshes=meshes, masses=masses, **special)
     if path is not None:
-        copy_meshes(path.parent)
+        description.source_files.copy_meshes(path.parent)
     outputs.write_text(text, path)
     if path is not None and path.suffix == ".urdf":
         load = f'pinocchio.buildModelsFromUrdf("{path}", package_dirs="{path.parent}")'

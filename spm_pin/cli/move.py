@@ -1,4 +1,4 @@
-"""`spm-pin move`: the fastest motion from one state to another, within limits of the legs."""
+"""`spm-pin certify`, leg limits proved free of singularities, and `move`, the fastest motion within limits."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
-from spm_pin.display.figures import motion_figure
+from spm_pin.display.figures import certificate_figure, motion_figure
 from spm_pin.display.writing import fixed
-from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS, LegLimits
+from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.mechanism import LEGS, Configuration, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, IntArray
-from spm_pin.proofs import certify
+from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
+from spm_pin.proofs import certify as prove
 from spm_pin.workspace import JointLimits
 
 if TYPE_CHECKING:
@@ -28,12 +29,11 @@ if TYPE_CHECKING:
 _NAMES: dict[str, str | tuple[str, ...]] = {
     "start": ("--from-translation", "--from"),
     "goal": ("--to-translation", "--to"),
-    "leg_rates": "--leg-rate",
-    "leg_accelerations": "--leg-acceleration",
     "leg_forces, leg_accelerations": "--leg-force, --leg-acceleration",
+    "mass": "--payload",
+    **{f"leg_{name}s": f"--leg-{name}" for name in ("rate", "acceleration", "force", "jerk")},
+    **dict.fromkeys(("minimum", "maximum"), "--limits"),
 }
-_NAMES |= {"leg_forces": "--leg-force", "leg_jerks": "--leg-jerk", "mass": "--payload"}
-_NAMES |= {"minimum": "--limits", "maximum": "--limits"}
 
 _Ends = tuple[float, float] | None
 
@@ -45,6 +45,79 @@ def _largest(help_text: str) -> Any:
 
 def _degrees(help_text: str) -> Any:
     return Option(metavar="MIN MAX", help=help_text)
+
+
+@outputs.name_options(
+    limits="--min, --max", boxes="--boxes", length_error="--length-error", angle_error="--angle-error"
+)
+def certify(
+    minimum: Annotated[float | None, Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
+    maximum: Annotated[float | None, Option("--max", help="Longest length of all six legs, in --unit.")] = None,
+    boxes: Annotated[int, Option(min=1, help="Boxes to look at in each stage, at most.")] = 300_000,
+    length_error: Annotated[float, Option(help="Errors of pivots, balls, readings to prove it for, in --unit.")] = 0.0,
+    angle_error: Annotated[float, Option(help="Errors of the revolute axes to prove it for, in radians.")] = 0.0,
+    inverse: Annotated[
+        bool, Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
+    ] = False,
+    out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
+    style: outputs.PictureStyle = None,
+    unit: Annotated[LengthUnit, Option(help="Unit of the lengths typed; the answer is in metres.")] = LengthUnit.M,
+    geometry: options.GeometryFile = None,
+    json: options.AsJson = False,
+) -> None:
+    """Prove that leg limits hold no forward singularity, so that six lengths mean one configuration.
+
+    Example: spm-pin certify --min 1.1 --max 1.5
+
+    Without --min and --max the limits are the geometry's. The exit code is 0 if the proof succeeds, 1 if a singular
+    configuration was found or boxes were left undecided. --out needs the extra "plots". For the file of a machine as
+    built it is proved for all machines that are as near to the nominal one.
+    """
+    dimensions = options.read_geometry(geometry)
+    if (minimum is None) != (maximum is None):
+        raise GeometryError("--min and --max", "both or neither", "one of them")
+    if inverse and (length_error or angle_error or not dimensions.is_nominal):
+        cause = "A bound of |det K| is proved for one nominal machine only"
+        raise GeometryError("--inverse", "no errors of the machine", "errors as well", cause)
+    limits = other = None
+    if minimum is not None and maximum is not None:
+        limits = LegLimits(minimum / unit.per_metre, maximum / unit.per_metre)
+        options.note_unit("--max", maximum, unit, dimensions)
+    errors = {"length_error": length_error / unit.per_metre, "angle_error": angle_error}
+    with outputs.stderr.status("dividing the states of both stages"):
+        certificate = prove(dimensions, limits, boxes=boxes, **errors)
+        if inverse:
+            other = certify_inverse(certificate.geometry, certificate.limits, boxes=boxes, forward=certificate)
+    outputs.write_figure(out, style, certificate_figure, certificate)
+    if json:
+        outputs.write_json(_content(certificate, other))
+    else:
+        texts = [certificate.explain()] + ([] if other is None else [other.explain()])
+        outputs.print_lines("\n\n".join(texts).splitlines())
+    if not (certificate.holds and (other is None or other.holds)):
+        raise typer.Exit(1)
+
+
+def _content(certificate: Certificate, other: InverseCertificate | None) -> dict[str, Any]:
+    def state(witness: Configuration | None) -> dict[str, Any] | None:
+        return None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()}
+
+    lower, upper = certificate.bounds
+    content = {
+        "holds": certificate.holds,
+        "limits": {"minimum": certificate.limits.minimum, "maximum": certificate.limits.maximum},
+        "errors": {"length": certificate.errors[0], "angle": certificate.errors[1]},
+        "bounds": {"J_b": lower, "J_c": upper},
+        "boxes": {
+            name: {"examined": proof.boxes, "proved": len(proof.proved), "undecided": len(proof.undecided)}
+            for name, proof in (("lower", certificate.lower), ("upper", certificate.upper))
+        },
+        "witness": state(certificate.witness),
+    }
+    if other is not None:
+        measures = {name: getattr(other, name) for name in ("holds", "bound", "least")}
+        content["inverse"] = {**measures, "undecided": len(other.undecided), "witness": state(other.witness)}
+    return content
 
 
 @outputs.name_options(**_NAMES)
@@ -117,7 +190,7 @@ def move(
     }
     MotionLimits.read(**largest, twist=twist)  # what it refuses is refused before the search for a path
     ways: dict[str, Any] = {"via": passed, "joint_limits": joint_limits, "line": "poses" if straight else "legs"}
-    certificate = certify(dimensions, allowed) if allowed is not None else None
+    certificate = prove(dimensions, allowed) if allowed is not None else None
     planned = plan(dimensions, first, last, allowed, margin=margin, certificate=certificate, **ways)
     if planned.path is None:
         outputs.note(f"no path: {planned.reason}")
@@ -163,9 +236,8 @@ def _end_state(
 def _report(planned: MotionPlan, motion: JointTrajectory, legs: IntArray, unit: LengthUnit) -> None:
     proved = ", proved to be free of forward singularities" if planned.certified else ""
     outputs.print_lines([f"{motion.times[-1]:.4g} s, {planned.method}{proved}"])
-    ends = {
-        f"{name} [{unit}]": lambda leg, k=k: unit.text(motion.readings[k, leg]) for name, k in (("from", 0), ("to", -1))
-    }
+    lengths = motion.readings * unit.per_metre
+    ends = {f"{name} [{unit}]": lambda leg, k=k: unit.text(lengths[k, leg]) for name, k in (("from", 0), ("to", -1))}
     kinds = {
         "rate [m/s]": (motion.velocities, 3),
         "acceleration [m/s²]": (motion.accelerations, 2),

@@ -37,9 +37,9 @@ class LengthUnit(enum.StrEnum):
         """Number of units in a metre."""
         return PER_METRE[self.value]
 
-    def text(self, metres: float, more: int = 0) -> str:
-        """Return a length for a table, to hundredths of a millimetre, or with more decimals."""
-        return fixed(metres * self.per_metre, {"m": 5, "cm": 3, "mm": 2}[self.value] + more)
+    def text(self, length: float, more: int = 0) -> str:
+        """Return a length in this unit for a table, to hundredths of a millimetre, or with more decimals."""
+        return fixed(length, {"m": 5, "cm": 3, "mm": 2}[self.value] + more)
 
 
 Triple = tuple[float, float, float]
@@ -89,7 +89,8 @@ def read_geometry(path: Path | None) -> Geometry:
     return geometry
 
 
-_ORIENTATIONS: dict[str, tuple[Any, str, str]] = {
+_POSE: dict[str, tuple[Any, str, str]] = {
+    "translation": (Triple, "X Y Z", "Position of o in {B}, in --unit."),
     "xyx": (Triple, "ALPHA BETA LAMBDA", "The paper's X-Y-X Euler angles in degrees."),
     "rpy": (Triple, "ROLL PITCH YAW", "Instead: about the fixed axes X, Y, Z in degrees, as in URDF."),
     "quat": (tuple[float, float, float, float], "X Y Z W", "Instead: unit quaternion, scalar last."),
@@ -100,7 +101,7 @@ _ORIENTATIONS: dict[str, tuple[Any, str, str]] = {
         "Instead: rotation matrix from {m} to {B}, row by row.",
     ),
 }
-"""Options of an orientation: what they take, its name in the help, and the help."""
+"""Options of a pose, its position and then its orientations: what they take, its name in the help, and the help."""
 
 
 def takes_pose(
@@ -111,34 +112,30 @@ def takes_pose(
     The options have `prefix` before their names. If the pose is not `required`, it is None where no option is given.
     The command has an argument `unit`.
     """
-    rows = {"translation": (Triple, "X Y Z", "Position of o in {B}, in --unit."), **_ORIENTATIONS}
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        added = []
-        for name, (kind, metavar, text) in rows.items():
+        options = {}
+        for name, (kind, metavar, text) in _POSE.items():
             needed = required and name == "translation"
             option = typer.Option(f"--{prefix}{name}", metavar=metavar, help=text)
-            added.append(
-                inspect.Parameter(
-                    f"{prefix}{name}".replace("-", "_"),
-                    inspect.Parameter.KEYWORD_ONLY,
-                    default=inspect.Parameter.empty if needed else None,
-                    annotation=Annotated[kind if needed else kind | None, option],
-                )
+            options[name] = inspect.Parameter(
+                f"{prefix}{name}".replace("-", "_"),
+                inspect.Parameter.KEYWORD_ONLY,
+                default=inspect.Parameter.empty if needed else None,
+                annotation=Annotated[kind if needed else kind | None, option],
             )
 
         @functools.wraps(command)
-        def run(**options: Any) -> None:
-            typed = {name: options.pop(parameter.name) for name, parameter in zip(rows, added, strict=True)}
-            command(**options, **{argument: _read_pose(typed, prefix, options["unit"], required)})
+        def run(**arguments: Any) -> None:
+            typed = {name: arguments.pop(parameter.name) for name, parameter in options.items()}
+            command(**arguments, **{argument: _read_pose(typed, prefix, arguments["unit"], required)})
 
-        parameters = []
+        parameters: list[inspect.Parameter] = []
         for parameter in inspect.signature(command, eval_str=True).parameters.values():
             whole = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-            parameters += added if parameter.name == argument else [whole]
+            parameters += options.values() if parameter.name == argument else [whole]
         run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        kept = {name: hint for name, hint in command.__annotations__.items() if name != argument}
-        run.__annotations__ = kept | {parameter.name: parameter.annotation for parameter in added}
+        run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         return run
 
     return decorate
@@ -147,16 +144,16 @@ def takes_pose(
 def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: bool) -> RigidTransform | None:
     """Return the pose of `--translation` and one orientation, in degrees where these are angles."""
     translation, *_ = typed.values()
-    chosen = [name for name in _ORIENTATIONS if typed[name] is not None]
+    _, *orientations = typed
+    chosen = [name for name in orientations if typed[name] is not None]
     if not (required or chosen or translation is not None):
         return None
     if translation is None:
         received = f"--{prefix}{chosen[0]} alone"
         raise ArgumentError(f"--{prefix}translation", "a position with the orientation", received)
     if len(chosen) != 1:
-        names = ", ".join(f"--{prefix}{name}" for name in _ORIENTATIONS)
-        received = " and ".join(f"--{prefix}{name}" for name in chosen) or "none"
-        argument = received if chosen else f"--{prefix}translation"
+        names = ", ".join(f"--{prefix}{name}" for name in orientations)
+        argument = " and ".join(f"--{prefix}{name}" for name in chosen) or f"--{prefix}translation"
         raise ArgumentError(argument, f"one orientation, of {names}", f"{len(chosen)} of them" if chosen else "none")
     (name,) = chosen
     value = np.array(typed[name])
@@ -164,10 +161,9 @@ def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: b
         value = np.fmod(value, 360.0)
     if name in ("xyx", "rpy", "rotvec"):
         value = np.deg2rad(value)
-    if name == "matrix":
-        value = value.reshape(3, 3)
     try:
-        return pose(np.array(translation) / unit.per_metre, **{name: value})
+        shaped = value.reshape(3, 3) if name == "matrix" else value
+        return pose(np.array(translation) / unit.per_metre, **{name: shaped})
     except PoseError as error:
         raise PoseError(f"--{prefix}{error.argument}", error.expected, error.received, error.cause) from error
 
@@ -180,8 +176,8 @@ def read_masses(path: Path | None, what: str) -> Masses | None:
     return None
 
 
-def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, geometry: Geometry) -> str:
-    """Return a hint at the unit where lengths, in norm, are out of proportion to the machine, else an empty string."""
+def unit_hint(option: str, typed: Any, unit: LengthUnit, geometry: Geometry) -> str:
+    """Return a hint at the unit where a length, or three in norm, is out of proportion to the machine, else nothing."""
     length = float(np.linalg.norm(typed))
     better = likely_unit(geometry, length / unit.per_metre, unit)
     if better is None:
@@ -191,11 +187,6 @@ def unit_hint(option: str, typed: float | tuple[float, ...], unit: LengthUnit, g
         f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:.3g} {unit}. "
         f"In {better} it would be in proportion: --unit {better}."
     )
-
-
-def translation_hint(pose: RigidTransform, unit: LengthUnit, geometry: Geometry) -> str:
-    """Return the hint of `unit_hint` for --translation."""
-    return unit_hint("--translation", tuple(pose.translation * unit.per_metre), unit, geometry)
 
 
 def note_unit(option: str, typed: float, unit: LengthUnit, geometry: Geometry) -> None:
@@ -228,7 +219,7 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
 
 
 def status_content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
-    """Return what `--json` says of all solutions: their unit, the status, and a continuous family or None."""
+    """Return what `--json` says of all solutions: their unit, the status, and any continuous family."""
     degeneracy = solutions.degeneracy
     family = degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")}
     return {"unit": unit, "status": str(solutions.status), "degeneracy": family}
@@ -263,8 +254,17 @@ def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, require
 
 def exit_code(solutions: SolutionSet) -> int:
     """Return the exit code of a command that solved a displacement: 0, 3 if unreachable, 4 if degenerate."""
-    assert isinstance(solutions.status, Status), "a single problem"
-    return {Status.OK: 0, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}.get(solutions.status, 1)
+    return {Status.OK: 0, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}.get(Status(int(solutions.status)), 1)
+
+
+def solve_pose(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> tuple[SolutionSet, list[str]]:
+    """Return the branches of the pose typed, and remarks on one that has none or too many."""
+    solutions = inverse_displacement(geometry, pose)
+    hint = unit_hint("--translation", pose.translation * unit.per_metre, unit, geometry)
+    remarks = [hint] if hint else pose_remarks(solutions)
+    if solutions.status is Status.UNREACHABLE and not remarks:
+        remarks.append("No configuration holds this pose, whatever the leg lengths.")
+    return solutions, remarks
 
 
 def requested_solutions(
@@ -278,10 +278,10 @@ def requested_solutions(
     if legs is not None and pose is not None:
         raise ArgumentError("--legs", "leg lengths or a pose", "both")
     if pose is not None:
-        solutions = inverse_displacement(geometry, pose)
+        solutions, remarks = solve_pose(geometry, pose, unit)
         if not solutions.count:
-            cause = translation_hint(pose, unit, geometry) or " ".join(pose_remarks(solutions))
-            raise ArgumentError("--translation", "a pose with a real branch", f"status {solutions.status}", cause)
+            received = f"status {solutions.status}"
+            raise ArgumentError("--translation", "a pose with a real branch", received, " ".join(remarks))
         physical = solutions.physical()
         return solutions, physical if physical.exists else solutions.configurations[int(solutions.exists.argmax())]
     if legs is None:
@@ -307,17 +307,6 @@ def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, 
     physical = solutions.is_physical
     places = [solutions.labels.index(label) for label in labels]
     return {solutions.labels[k] + ", physical" * bool(physical[k]): solutions.configurations[k] for k in places}
-
-
-def solve_pose(geometry: Path | None, pose: RigidTransform, unit: LengthUnit) -> tuple[SolutionSet, list[str]]:
-    """Return the branches of the pose typed, and remarks on one that has none or too many."""
-    dimensions = read_geometry(geometry)
-    solutions = inverse_displacement(dimensions, pose)
-    hint = translation_hint(pose, unit, dimensions)
-    remarks = [hint] if hint else pose_remarks(solutions)
-    if solutions.status is Status.UNREACHABLE and not remarks:
-        remarks.append("No configuration holds this pose, whatever the leg lengths.")
-    return solutions, remarks
 
 
 def end_command(solutions: SolutionSet, remarks: list[str]) -> NoReturn:

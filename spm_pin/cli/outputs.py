@@ -243,17 +243,16 @@ def name_options(**options: str | tuple[str, ...]) -> Callable[[Callable[P, R]],
                 if isinstance(option, tuple):
                     given = {typed[name] for name in typed.keys() & kwargs.keys() if kwargs[name] is not None}
                     option = next((name for name in option if name in given), option[-1])
+                files = {name: value for name, value in kwargs.items() if isinstance(value, Path)}
                 if option is None and kwargs.get(argument) is not None:
                     option = typed[argument]
-                    if isinstance(kwargs[argument], Path) and str(kwargs[argument]) not in str(error.received):
-                        option += f" {kwargs[argument]}"
-                for name, value in kwargs.items():
-                    place = error.argument.rpartition(" in ")[2].partition(":")[0]
-                    if not isinstance(value, Path):
-                        continue
-                    if argument == "path" and str(error.received) in (str(value), repr(value.name)):
+                    if argument in files and str(files[argument]) not in str(error.received):
+                        option += f" {files[argument]}"
+                place = error.argument.rpartition(" in ")[2].partition(":")[0]
+                for name, path in files.items():
+                    if argument == "path" and str(error.received) in (str(path), repr(path.name)):
                         option = typed[name]
-                    elif place == str(value) and not argument.startswith("--"):
+                    elif place == str(path) and not argument.startswith("--"):
                         option, bracket, index = f"{typed[name]}: {error.argument}", "", ""
                 if option is None:
                     raise

@@ -5,6 +5,7 @@ Each builds one record per state, which is the JSON, and prints a table of colum
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Annotated, Any
 
 import numpy as np
@@ -40,7 +41,7 @@ def inverse(
 
     The exit code is 5 if every branch has a leg beyond its limits.
     """
-    solutions, remarks = options.solve_pose(geometry, pose, unit)
+    solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
     branches = [_branch(solutions, k, unit) for k in np.flatnonzero(solutions.exists).tolist()]
     code = options.exit_code(solutions)
     if code == 0 and not any(record["within_limits"] for record in branches):
@@ -50,16 +51,15 @@ def inverse(
         outputs.write_json(content | {"discriminants": solutions.discriminants, "branches": branches})
         raise typer.Exit(code)
 
-    def length(leg: int, record: Record) -> str:
-        # The space stands for the mark of a leg beyond its limits.
-        return unit.text(record["readings"][leg] / unit.per_metre) + " *"[leg in record["beyond_limits"]]
-
-    if branches:
-        legs = {f"{name} ": lambda record, leg=leg: length(leg, record) for leg, name in enumerate(LEGS)}
-        physical = {"": lambda record: "physical" if record["physical"] else ""}
-        columns = {"branch": lambda record: record["label"], **legs, **physical}
-        title = f"Real branches: leg lengths in {unit}, as the encoders show them"
-        outputs.print_table(title, columns, branches, left=[""])
+    # The space stands for the mark of a leg beyond its limits.
+    legs = {
+        f"{name} ": lambda record, leg=leg: unit.text(record["readings"][leg]) + " *"[leg in record["beyond_limits"]]
+        for leg, name in enumerate(LEGS)
+    }
+    columns: dict[str, Any] = {"branch": itemgetter("label"), **legs, "": _physical}
+    outputs.print_table(
+        f"Real branches: leg lengths in {unit}, as the encoders show them", columns, branches, left=[""]
+    )
     lines = [options.status_line(solutions, "branches")]
     if not all(record["within_limits"] for record in branches):
         lines.append("* beyond the limits of this leg" + ", as in every branch" * (code == 5))
@@ -68,6 +68,10 @@ def inverse(
         lines.append("Two branches are physical, on either side of an inverse singularity; the straighter is likelier.")
     outputs.print_lines(lines)
     raise typer.Exit(code)
+
+
+def _physical(record: Record) -> str:
+    return "physical" if record["physical"] else ""
 
 
 def _branch(solutions: SolutionSet, k: int, unit: LengthUnit) -> Record:
@@ -102,67 +106,52 @@ def forward(
     lengths = np.array(legs) / unit.per_metre
     dimensions = options.read_geometry(geometry)
     physical = forward_physical(dimensions, lengths)
-    # All modes are those of a machine as drawn; for one as built --all is refused.
-    modes = forward_displacement(dimensions, lengths) if every or dimensions.is_nominal else _alone(physical)
-    shown = {modes.labels[0]: physical} if physical.exists else {}
+    # Of a machine as built all modes are not sought: --all is refused.
+    if every or dimensions.is_nominal:
+        modes = forward_displacement(dimensions, lengths)
+    else:
+        alone = physical.rotation[None], physical.translation[None], physical.middle_joints[None]
+        status = Status.OK if physical.exists else Status.UNREACHABLE
+        modes = SolutionSet(Configuration.from_arrays(dimensions, *alone), ("physical",), status)
+    home = modes.labels[0] if physical.exists else ""
+    shown = {home: physical} if home else {}
     if every:
         shown = {modes.labels[k]: modes.configurations[k] for k in np.flatnonzero(modes.exists)}
-    home = modes.labels[0] if physical.exists else ""
+    states = [
+        {
+            "label": label,
+            "translation": state.translation * unit.per_metre,
+            "xyx": state.pose.rotation.as_euler("XYX", degrees=True, suppress_warnings=True),
+            "rpy": state.pose.rotation.as_euler("xyz", degrees=True, suppress_warnings=True),
+            "quat": state.pose.rotation.as_quat(),
+            "rotation": state.rotation,
+            "middle_joints": state.middle_joints * unit.per_metre,
+            "physical": label == home,
+            "residual": state.closure_residual * unit.per_metre,
+        }
+        for label, state in shown.items()
+    ]
     if json:
-        states = [
-            {
-                "label": label,
-                "translation": state.translation * unit.per_metre,
-                "xyx": _angles(state),
-                "rpy": state.pose.rotation.as_euler("xyz", degrees=True, suppress_warnings=True),
-                "quat": state.pose.rotation.as_quat(),
-                "rotation": state.rotation,
-                "middle_joints": state.middle_joints * unit.per_metre,
-                "physical": label == home,
-                "residual": state.closure_residual * unit.per_metre,
-            }
-            for label, state in shown.items()
-        ]
         outputs.write_json(options.status_content(modes, unit) | {"count": modes.count, "modes": states})
-    else:
-        if shown:
-            _print_states(shown, home, unit, "Assembly modes" if every else "The physical configuration")
-        remarks = [options.status_line(modes, "assembly modes")]
-        if modes.status is Status.DEGENERATE:
-            remarks += ["With these legs locked the platform can still move.", *options.pose_remarks(modes)]
-        if modes.status is Status.UNREACHABLE:
-            hint = options.unit_hint("--legs", max(legs), unit, dimensions)
-            remarks.append(hint or "A stage cannot be closed with these leg lengths.")
-        elif not physical.exists:
-            remarks.append("No mode is reached from the symmetric home without a forward singularity.")
-        outputs.print_lines(remarks)
-    raise typer.Exit(options.exit_code(modes))
-
-
-def _alone(physical: Configuration) -> SolutionSet:
-    """Return the physical configuration as the only mode that is sought."""
-    state = physical.rotation[None], physical.translation[None], physical.middle_joints[None]
-    status = Status.OK if physical.exists else Status.UNREACHABLE
-    return SolutionSet(Configuration.from_arrays(physical.geometry, *state), ("physical",), status)
-
-
-def _angles(state: Configuration) -> list[float]:
-    return [float(angle) for angle in state.pose.rotation.as_euler("XYX", degrees=True, suppress_warnings=True)]
-
-
-def _print_states(states: dict[str, Configuration], physical: str, unit: LengthUnit, title: str) -> None:
+        raise typer.Exit(options.exit_code(modes))
     # One digit more where there is room for it in 80 columns.
     finer = int(len(states) == 1)
-    columns: dict[str, Any] = {"mode": str}
-    columns |= {
-        name: lambda label, k=k: unit.text(float(states[label].translation[k]), finer) for k, name in enumerate("XYZ")
-    }
-    columns |= {
-        name: lambda label, k=k: fixed(_angles(states[label])[k], 3 + finer)
-        for k, name in enumerate(("alpha", "beta", "lambda"))
-    }
-    columns[""] = lambda label: "physical" if label == physical else ""
-    outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", columns, states, left=[""])
+    columns: dict[str, Any] = {"mode": itemgetter("label")}
+    columns |= {name: lambda mode, k=k: unit.text(mode["translation"][k], finer) for k, name in enumerate("XYZ")}
+    angles = enumerate(("alpha", "beta", "lambda"))
+    columns |= {name: lambda mode, k=k: fixed(mode["xyx"][k], 3 + finer) for k, name in angles}
+    title = "Assembly modes" if every else "The physical configuration"
+    outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", columns | {"": _physical}, states, left=[""])
+    remarks = [options.status_line(modes, "assembly modes")]
+    if modes.status is Status.DEGENERATE:
+        remarks += ["With these legs locked the platform can still move.", *options.pose_remarks(modes)]
+    if modes.status is Status.UNREACHABLE:
+        hint = options.unit_hint("--legs", max(legs), unit, dimensions)
+        remarks.append(hint or "A stage cannot be closed with these leg lengths.")
+    elif not physical.exists:
+        remarks.append("No mode is reached from the symmetric home without a forward singularity.")
+    outputs.print_lines(remarks)
+    raise typer.Exit(options.exit_code(modes))
 
 
 @outputs.name_options()
@@ -179,17 +168,17 @@ def singularities(
     Determinants are divided by d³, the distance is the smallest singular value; both are dimensionless and zero at a
     singularity: forward for J_b and J_c, the lower and the upper stage, inverse for K.
     """
-    solutions, remarks = options.solve_pose(geometry, pose, unit)
+    solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
     branches = {label: _singularity(solutions[label]) for label in options.selected_labels(solutions, branch)}
     if json:
         outputs.write_json({"status": str(solutions.status), "branches": branches})
-    elif branches:
+    else:
         numbers = {
             f"{symbol} {key}": lambda row, name=name, key=key: outputs.significant(row[1][name][key], 1.0, 4)
             for symbol, name in (("det", "scaled_determinants"), ("σ", "distance"))
             for key in _MATRICES
         }
-        columns = {"branch": lambda row: row[0], **numbers, "kind": lambda row: row[1]["kind"]}
+        columns: dict[str, Any] = {"branch": itemgetter(0), **numbers, "kind": lambda row: row[1]["kind"]}
         title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"
         outputs.print_table(title, columns, branches.items(), left=["kind"])
     options.end_command(solutions, remarks)
@@ -231,15 +220,16 @@ def statics(
     twist = np.concatenate([np.array(velocity) / unit.per_metre, np.deg2rad(angular_velocity)])
     if not (json or wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
-    solutions, remarks = options.solve_pose(geometry, pose, unit)
+    solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
     labels = options.selected_labels(solutions, branch)
     branches = {label: _leg_loads(solutions[label], wrench, twist, unit) for label in labels}
     if json:
         outputs.write_json({"unit": unit, "status": str(solutions.status), "branches": branches})
-    elif branches and wrench.any():
-        _print_loads("Leg forces in N: positive extends the leg", branches, "forces")
-    if not json and branches and twist.any():
-        _print_loads(f"Leg rates in {unit}/s", branches, "rates")
+    else:
+        if wrench.any():
+            _print_loads("Leg forces in N: positive extends the leg", branches, "forces")
+        if twist.any():
+            _print_loads(f"Leg rates in {unit}/s", branches, "rates")
     options.end_command(solutions, remarks)
 
 
@@ -254,7 +244,7 @@ def _leg_loads(state: Configuration, wrench: np.ndarray, twist: np.ndarray, unit
 
 
 def _print_loads(title: str, branches: dict[str, Record], name: str) -> None:
-    def first(row: tuple[str, Record]) -> str:
+    def branch(row: tuple[str, Record]) -> str:
         label, record = row
         return label if record[name] is not None else f"{label}: {record['singular'][0]} singularity"
 
@@ -262,4 +252,4 @@ def _print_loads(title: str, branches: dict[str, Record], name: str) -> None:
         return "" if values is None else outputs.significant(values[leg], np.abs(values).max())
 
     legs = {text: lambda row, leg=leg: value(leg, row[1][name]) for leg, text in enumerate(LEGS)}
-    outputs.print_table(title, {"branch": first, **legs}, branches.items())
+    outputs.print_table(title, {"branch": branch, **legs}, branches.items())

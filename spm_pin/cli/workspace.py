@@ -1,21 +1,47 @@
-"""`spm-pin workspace`: the paper's workspace as numbers, a picture or a mesh."""
+"""`spm-pin workspace`, the paper's workspace; `sweep`, metrics over many points; `design`, dimensions searched."""
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import math
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from typer import Option
+import typer
+from typer import Argument, Option
 
+from spm_pin import sweeps
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
-from spm_pin.display.writing import FORMATS, Style, save_figure
+from spm_pin.design import VARIABLES, DesignProblem, Front, pareto_front
+from spm_pin.design.evaluation import leg_ranges
+from spm_pin.display.figures import front_figure
+from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, sections_figure, shell_figure
+from spm_pin.display.writing import FORMATS, save_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
+from spm_pin.sweeps.domains import Domain
+from spm_pin.sweeps.runner import CHUNK
 from spm_pin.workspace.paper_shell import ERRATA, Shell, workspace_shell
+from spm_pin.workspace.sampling import sample_positions_near_limits
+
+_NAMES = {"store": "--out", "count": "--samples", "metrics": "--metric", "push": "--leg-force"}
+_NAMES |= {"leg_stiffness": "--leg-stiffness", **dict.fromkeys(LEGS, "--legs")}
+_NAMES |= dict.fromkeys(("alpha", "beta", "lambda_"), "--xyx")
+_DEFAULT = ("reachable", "branches", "conditioning")
+_RANGE = "START:STOP:COUNT"
+_LEGS = (
+    "Leg lengths as encoders show them, instead of poses: once for all six, twice for lower and upper, or six times."
+)
+_SAMPLES = "Draw so many points instead; ranges are then START:STOP."
+_METRICS = f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}."
+_LENGTH = "Characteristic length of conditioning and isotropy, in --unit; the platform's radius."
+_COLUMNS = "volume, footprint, assembled, certified, or a metric with _mean or _low, such as payload_low"
+_NONE = "no machine keeps the bounds"
 
 
 @outputs.name_options(limits="--limits")
@@ -55,30 +81,22 @@ def workspace(
         if not hint:
             raise
         raise ArgumentError("--limits", error.expected, error.received, hint) from error
-    if out is not None:
-        _write(shell, out, samples if sections else None, style)
-    if json:
-        outputs.write_json(_content(shell, unit))
-    else:
-        if out is None:
-            _print_tables(shell, unit)
-        outputs.print_lines(_remarks(shell, unit))
-
-
-def _write(shell: Shell, out: Path, samples: int | None, style: Style | None) -> None:
-    """Write a mesh, a picture of the shell, or of its sections with what `samples` sets of leg lengths reach."""
-    if out.suffix.lower() in MESH_FORMATS:
+    if out is not None and out.suffix.lower() in MESH_FORMATS:
         save_mesh(shell, out)
-    elif samples is None:
-        save_figure(shell_figure(shell), out, style=style)
-    else:
-        from spm_pin.display.shell_plots import sections_figure
-        from spm_pin.workspace.sampling import sample_positions_near_limits
-
+    elif out is not None and sections:
         with outputs.stderr.status("drawing leg lengths"):
             reached, aspect = sample_positions_near_limits(shell.geometry, shell.limits, count=samples)
         save_figure(sections_figure(shell, reached, aspect), out, style=style)
-    outputs.note(f"wrote {out}")
+    elif out is not None:
+        save_figure(shell_figure(shell), out, style=style)
+    if out is not None:
+        outputs.note(f"wrote {out}")
+    if json:
+        outputs.write_json(_content(shell, unit))
+        return
+    if out is None:
+        _print_tables(shell, unit)
+    outputs.print_lines(_remarks(shell, unit))
 
 
 def _print_tables(shell: Shell, unit: LengthUnit) -> None:
@@ -98,24 +116,21 @@ def _print_tables(shell: Shell, unit: LengthUnit) -> None:
 
 
 def _remarks(shell: Shell, unit: LengthUnit) -> list[str]:
-    scale = unit.per_metre**3
+    def lengths(ends: tuple[float, ...]) -> str:
+        return ", ".join(f"{end * unit.per_metre:g}" for end in (ends[:1] if len(set(ends)) == 1 else ends))
+
     vertices, faces = len(shell.vertices), len(shell.faces)
     edges = vertices + faces - shell.euler_characteristic
-    low, high = (_range(ends, unit) for ends in (shell.limits.minimum, shell.limits.maximum))
+    volume, error = shell.volume * unit.per_metre**3, shell.volume_error * unit.per_metre**3
     # As many digits as the error leaves, and one more.
-    digits = max(0, 1 - math.floor(math.log10(shell.volume_error * scale))) if shell.volume_error else 0
-    volume, error = shell.volume * scale, shell.volume_error * scale
+    digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
     return [
-        f"legs from {low} to {high} {unit}",
+        f"legs from {lengths(shell.limits.minimum)} to {lengths(shell.limits.maximum)} {unit}",
         f"volume {volume:.{digits}f} ± {error:.1g} {unit}³",
         f"order of convergence {shell.convergence.order:.3f}",
         f"V - E + F = {vertices} - {edges} + {faces} = {shell.euler_characteristic}",
         "misprints read: " + ", ".join(f"{leg} of {name}" for name, leg in ERRATA),
     ]
-
-
-def _range(ends: tuple[float, ...], unit: LengthUnit) -> str:
-    return ", ".join(f"{end * unit.per_metre:g}" for end in (ends[:1] if len(set(ends)) == 1 else ends))
 
 
 def _content(shell: Shell, unit: LengthUnit) -> dict[str, Any]:
@@ -143,3 +158,253 @@ def _content(shell: Shell, unit: LengthUnit) -> dict[str, Any]:
             for patch in shell.patches
         ],
     }
+
+
+@outputs.name_options(**_NAMES)
+def sweep(
+    out: Annotated[Path, Option(metavar="FOLDER", help="Store of the results, in Zarr v3.")],
+    x: Annotated[str | None, Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number.")] = None,
+    y: Annotated[str | None, Option(metavar=_RANGE, help="Y, likewise.")] = None,
+    z: Annotated[str | None, Option(metavar=_RANGE, help="Z, likewise.")] = None,
+    xyx: Annotated[
+        tuple[str, str, str] | None,
+        Option(metavar="ALPHA BETA LAMBDA", help="X-Y-X angles in degrees, each a range or one number."),
+    ] = None,
+    legs: Annotated[list[str] | None, Option(metavar=_RANGE, help=_LEGS)] = None,
+    samples: Annotated[int | None, Option(min=1, help=_SAMPLES)] = None,
+    seed: Annotated[int, Option(min=0, help="Seed of the drawing.")] = 0,
+    metric: Annotated[list[str] | None, Option(metavar="NAME", help=_METRICS)] = None,
+    limits: options.Limits = None,
+    length: Annotated[float | None, Option(help=_LENGTH)] = None,
+    leg_force: Annotated[float, Option(help="Largest force of a leg, for the payloads [N].")] = 1.0,
+    leg_stiffness: Annotated[float, Option(help="Stiffness of a leg, for the stiffnesses [N/m].")] = 1.0,
+    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler: tcp://head:8786.")] = None,
+    workers: Annotated[int | None, Option(min=1, help="Processes on this machine; one per processor.")] = None,
+    chunk: Annotated[int, Option(min=1, help="Most points per chunk, the unit of work and of storage.")] = CHUNK,
+    status: Annotated[bool, Option("--status", help="Only print how much is done.")] = False,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.GeometryFile = None,
+    json: options.AsJson = False,
+) -> None:
+    """Map metrics over poses or leg lengths, in parallel, into a Zarr store.
+
+    Example: spm-pin sweep --legs 1.1:1.5 --samples 100000 --out map.zarr
+
+    Killed or interrupted it loses nothing: the same command goes on, and so does spm-pin sweep --out FOLDER alone.
+    """
+    poses = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
+    drawn: dict[str, Any] = {} if samples is None else {"count": samples, "seed": seed}
+    run: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
+    domain = None if status else _domain(poses, legs, drawn, 1.0 / unit.per_metre)
+    if domain is not None:
+        require_extra("cluster")
+        machine = options.read_geometry(geometry)
+        longest = max(abs(end) for axis in domain.axes if axis.unit == "m" for end in (axis.start, axis.stop))
+        options.note_unit("--legs" if legs else "--x, --y, --z", longest * unit.per_metre, unit, machine)
+        if limits is not None:
+            options.note_unit("--limits", limits[1], unit, machine)
+            machine = dataclasses.replace(machine, limits=LegLimits(*(end / unit.per_metre for end in limits)))
+        parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}
+        if length is not None:
+            parameters["length"] = length / unit.per_metre
+        chosen = [_with_parameters(name, parameters) for name in metric or _DEFAULT]
+        with _progress(out) as progress:
+            sweeps.run_sweep(machine, domain, chosen, out, chunk=chunk, progress=progress, **run)
+    elif not status:
+        beside = {"--samples": samples, "--metric": metric, "--limits": limits, "--length": length}
+        named = ", ".join(option for option, value in beside.items() if value)
+        if named:
+            cause = "To go on with a sweep, give --out alone."
+            raise ArgumentError(", ".join((*poses, "--legs")), f"ranges beside {named}", "none", cause)
+        require_extra("cluster")
+        with _progress(out) as progress:
+            sweeps.resume_sweep(out, progress=progress, **run)
+    stored = sweeps.sweep_status(out)
+    if json:
+        outputs.write_json(dataclasses.asdict(stored) | {"complete": stored.complete, "store": str(out)})
+        return
+    shape = ", ".join(f"{name} {size}" for name, size in stored.shape.items())
+    lines = [f"{stored.points} points: {shape}", f"metrics: {', '.join(stored.metrics)}"]
+    lines.append(f"{stored.done} of {stored.total} chunks complete")
+    outputs.print_lines([*lines, f'open with: xarray.open_zarr("{out}")' if stored.complete else _go_on(out)])
+
+
+def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], scale: float) -> Domain | None:
+    """Return the domain that the options describe; None where there is none of them."""
+    missing = [option for option, value in poses.items() if value is None]
+    if legs and len(missing) < len(poses):
+        raise ArgumentError("--legs", "poses or leg lengths, not both", "both")
+    if legs:
+        if len(legs) not in (1, 2, 6):
+            raise ArgumentError("--legs", "one range, two, or six", f"{len(legs)}")
+        ranges = [_range("--legs", text, scale) for text in legs]
+        six = [interval for interval in ranges for _ in range(6 // len(ranges))]
+        return (sweeps.leg_sample if drawn else sweeps.leg_grid)(lower=six[:3], upper=six[3:], **drawn)
+    if len(missing) == len(poses):
+        return None
+    if missing:
+        raise ArgumentError(", ".join(missing), "a range or a number for every coordinate of a pose", "none")
+    pose: dict[str, Any] = {axis: _range(f"--{axis}", poses[f"--{axis}"], scale) for axis in "xyz"}
+    pose["xyx"] = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
+    return (sweeps.pose_sample if drawn else sweeps.pose_grid)(**drawn, **pose)
+
+
+def _range(option: str, text: str, scale: float) -> float | tuple[float, ...]:
+    """Read a number, START:STOP or START:STOP:COUNT; which of them is right is not known here."""
+    parts = text.split(":")
+    try:
+        numbers = [float(part) for part in parts]
+        counts = [int(part) for part in parts[2:]]
+    except ValueError:
+        raise ArgumentError(option, f"a number, START:STOP or {_RANGE}", repr(text)) from None
+    scaled = [number * scale for number in numbers[:2]]
+    return scaled[0] if len(numbers) == 1 else (*scaled, *counts)
+
+
+def _with_parameters(name: str, parameters: dict[str, float]) -> str | sweeps.Metric:
+    metric = sweeps.METRICS.get(name)
+    if metric is None:
+        return name
+    return metric(**{key: value for key, value in parameters.items() if key in metric.parameters})
+
+
+def _go_on(out: Path) -> str:
+    return f"go on with: spm-pin sweep --out {out}"
+
+
+@contextlib.contextmanager
+def _progress(out: Path) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar; after Ctrl-C, print what is kept and how to go on, and exit."""
+    try:
+        with outputs.progress_bar() as bar:
+            yield lambda done, total: bar(out.name, done, total)
+    except KeyboardInterrupt as interrupt:
+        for text in (*getattr(interrupt, "__notes__", ["interrupted before it began"]), _go_on(out)):
+            outputs.note(text)
+        raise typer.Exit(130) from None
+
+
+@outputs.name_options(store="STORE", free="--free", aims="--maximise, --minimise")
+def design(
+    store: Annotated[Path, Argument(metavar="STORE", help="JSON file of the search; one that exists is continued.")],
+    free: Annotated[
+        list[str],
+        Option(metavar="NAME:LOW:HIGH", help=f"A free dimension in metres: {', '.join(VARIABLES)}. May be repeated."),
+    ],
+    maximise: Annotated[list[str] | None, Option(metavar="COLUMN", help=f"To be large: {_COLUMNS}.")] = None,
+    minimise: Annotated[list[str] | None, Option(metavar="COLUMN", help="To be small, likewise.")] = None,
+    at_least: Annotated[
+        list[str] | None, Option(metavar="COLUMN:VALUE", help="A least value, such as certified:1. May be repeated.")
+    ] = None,
+    at_most: Annotated[
+        list[str] | None,
+        Option(metavar="COLUMN:VALUE", help="A largest value, such as footprint:1.2. May be repeated."),
+    ] = None,
+    population: Annotated[int, Option(min=2, help="Machines of a generation.")] = 40,
+    generations: Annotated[int, Option(min=2, help="Number of generations.")] = 25,
+    states: Annotated[int, Option(min=2, help="States at which each machine is evaluated.")] = 2000,
+    seed: Annotated[int, Option(min=0, help="Seed of the search and of the states.")] = 0,
+    workers: Annotated[
+        int | None,
+        Option(min=1, help="Processes on this machine, by default 1. More pay where a generation takes long."),
+    ] = None,
+    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler: tcp://head:8786.")] = None,
+    choose: Annotated[int | None, Option(metavar="ROW", help="Row of the front to write to --out, from 0.")] = None,
+    out: Annotated[Path | None, outputs.file_option("YAML file of that machine to write.", (".yaml", ".yml"))] = None,
+    figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the front to write.")] = None,
+    style: outputs.PictureStyle = None,
+    geometry: options.GeometryFile = None,
+    json: options.AsJson = False,
+) -> None:
+    """Search for dimensions that no others beat in all aims: a Pareto front.
+
+    Example: spm-pin design front.json --free base_radius:0.4:0.8 --free platform_radius:0.25:0.6
+    --free middle_side:0.5:1 --maximise payload_low --maximise volume --at-least certified:1 --at-most footprint:1.2
+
+    What is not free is as in --geometry, which the front is compared with. Stopped by Ctrl-C, the same command goes on
+    where it was; ended, it shows the front again at once. Exit code 3 if no machine keeps the bounds. It needs the
+    extra "design".
+    """
+    require_extra("design")
+    if (choose is None) != (out is None):
+        raise ArgumentError("--choose and --out", "both or neither", "one of them")
+    if choose is not None and choose < 0:
+        raise ArgumentError("--choose", "a row of the front, from 0", choose)
+    ends = _by_name("--free", [_numbers("--free", text, 2) for text in free])
+    least = _by_name("--at-least", [_numbers("--at-least", text, 1) for text in at_least or []])
+    most = _by_name("--at-most", [_numbers("--at-most", text, 1) for text in at_most or []])
+    aims = [(name, "max") for name in maximise or []] + [(name, "min") for name in minimise or []]
+    problem = DesignProblem(
+        options.read_geometry(geometry),
+        {name: (low, high) for name, (low, high) in ends.items()},
+        _by_name("--maximise, --minimise", aims),
+        *({name: value for name, (value,) in bounds.items()} for bounds in (least, most)),
+    )
+    search = {"population": population, "generations": generations, "states": states, "seed": seed}
+    with outputs.progress_bar() as progress:
+        front = pareto_front(problem, store, **search, scheduler=scheduler, workers=workers, progress=progress)
+    if choose is not None and out is not None:
+        if choose >= len(front.designs):
+            if not len(front.designs):
+                raise ArgumentError("--choose", "a front that has rows", choose, _NONE.capitalize())
+            raise ArgumentError("--choose", f"a row from 0 to {len(front.designs) - 1}", choose)
+        front.designs.geometries[choose].to_yaml(out)
+        outputs.note(f"wrote {out}")
+    outputs.write_figure(figure, style, front_figure, front)
+    if json:
+        machines = [machine.as_data() for machine in front.designs.geometries]
+        outputs.write_json({"machines": machines, "columns": dict(front.designs.columns), "better": front.better})
+    else:
+        _print_front(front)
+    if not len(front.designs):
+        outputs.note(_NONE)
+        raise typer.Exit(3)
+
+
+def _numbers(option: str, text: str, count: int) -> tuple[str, list[float]]:
+    """Read a name and numbers, separated by colons."""
+    name, *numbers = text.split(":")
+    try:
+        values = [float(number) for number in numbers]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise ArgumentError(option, f"a name and {count} number{'s' * (count > 1)}, with colons between", repr(text))
+    return name, values
+
+
+def _by_name(option: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    names = [name for name, _ in pairs]
+    repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if repeated is not None:
+        raise ArgumentError(option, "each name once", f"{repeated} twice")
+    return dict(pairs)
+
+
+def _print_front(front: Front) -> None:
+    designs, problem = front.designs, front.problem
+    rows: list[int | None] = [None, *range(len(designs))]
+
+    def size(name: str, row: int | None) -> str:
+        machine = problem.geometry if row is None else designs.geometries[row]
+        ends = dict(zip(("minimum", "stroke"), leg_ranges(machine), strict=True))
+        stage, _, end = name.rpartition("_")
+        leg = 3 if stage == "upper" else 0
+        return f"{ends[end][leg] if end in ends else getattr(machine, name):.4f}"
+
+    def value(name: str, row: int | None) -> str:
+        part = front.reference if row is None else designs
+        return outputs.significant(float(part.columns[name][row or 0]), digits=4)
+
+    def title(row: int | None) -> str:
+        return "began with" if row is None else f"{row}{' better' if front.better[row] else ''}"
+
+    columns: dict[str, Callable[[int | None], str]] = {"row": title}
+    columns |= {f"{name} [m]": partial(size, name) for name in problem.free}
+    columns |= {name: partial(value, name) for name in problem.columns}
+    outputs.print_table("Machines that no other beats in all aims", columns, rows)
+    better = int(front.better.sum())
+    text = f"{len(front.evaluated)} machines evaluated, {len(designs)} on the front, {better} of them at least as good"
+    outputs.print_lines([f"{text} as the geometry that the search began with in all aims"])
+    if "volume" in problem.columns and not {"certified", "assembled"} & problem.at_least.keys():
+        outputs.note("volume comes out small where a forward singularity is within the limits: --at-least certified:1")

@@ -1,3 +1,5 @@
+"""`spm-pin reproduce`, `inverse`, `forward`, `statics` and `singularities`."""
+
 from __future__ import annotations
 
 import json
@@ -11,40 +13,6 @@ import spm_pin as spm
 from spm_pin.paper import published
 
 EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88", "--unit", "cm"]
-
-
-def test_reproduce_prints_the_verdict_every_table_and_each_finding() -> None:
-    done = run("reproduce", "--cells")
-    assert done.returncode == 0, done.stderr
-    for words in (
-        "Table 1:",
-        "Table 4:",
-        "Table 5:",
-        "105 of the 120 cells of Tables 1 to 5",
-        "a shifted number",
-        "Eq. (17)",
-    ):
-        assert words in done.stdout.replace("\n", " "), words
-    assert "…" not in done.stdout, "nothing is cut off at 80 columns"
-
-
-def test_reproduce_writes_json(tmp_path: Path) -> None:
-    target = tmp_path / "tables.json"
-    assert run("reproduce", "--table", "3", "--out", str(target)).returncode == 0
-    text = target.read_text(encoding="utf-8")
-    assert run("reproduce", "--table", "3", "--json").stdout == text
-    content = json.loads(text)
-    assert {cell["table"] for cell in content["cells"]} == {3}
-    assert [cell["column"] for cell in content["cells"] if cell["verdict"] == "misprint"] == ["5"]
-
-
-def test_reproduce_fails_on_a_difference_nothing_explains(monkeypatch: pytest.MonkeyPatch) -> None:
-    first = ("116.1501", *published.TABLE_4[0][1:])
-    monkeypatch.setattr(published, "TABLE_4", (first, *published.TABLE_4[1:]))
-    done = run("reproduce", "--table", "4")
-    assert done.returncode == 1
-    assert "not all others are explained: 1 misprinted, 1 left empty, 1 unexplained" in done.stdout
-    assert "1 printed value" in done.stderr
 
 
 def test_inverse_in_every_unit_and_as_json() -> None:
@@ -68,16 +36,6 @@ def test_inverse_says_which_branch_is_physical_and_which_leg_is_too_long() -> No
     assert line.split() == ["TT+", "119.982", "119.996", "139.856", "125.012", "120.004", "150.127*", "physical"]
     assert "6 of 8 branches real" in out
     assert "…" not in out
-
-
-def test_another_geometry_from_yaml(tmp_path: Path) -> None:
-    path = tmp_path / "robot.yaml"
-    path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
-    done = run("inverse", *EXAMPLE, "--geometry", str(path), "--json")
-    content = json.loads(done.stdout)
-    pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
-    expected = spm.inverse_displacement(spm.Geometry(0.7, 0.35, 0.8), pose)
-    np.testing.assert_allclose(content["branches"][0]["leg_lengths"], 100 * expected.leg_lengths[0], rtol=1e-12)
 
 
 def test_statics_of_every_branch_and_of_one() -> None:
@@ -109,3 +67,71 @@ def test_singularities_of_each_branch() -> None:
     table = run("singularities", *EXAMPLE, "--branch", "TT+").stdout
     assert "TT-" not in table
     assert "…" not in table
+
+
+LEGS = ["--legs", "120", "120", "140", "125", "120", "150", "--unit", "cm"]
+
+
+def forward(*arguments: str, code: int = 0) -> str:
+    done = run("forward", *arguments)
+    assert done.returncode == code, done.stderr
+    return done.stdout
+
+
+def test_the_papers_lengths_give_its_pose() -> None:
+    out = forward(*LEGS)
+    (line,) = [line for line in out.splitlines() if "T1+/T1+" in line]
+    mode, *numbers, word = line.split()
+    assert (mode, word) == ("T1+/T1+", "physical")
+    np.testing.assert_allclose(
+        [float(x) for x in numbers], [68.8872, 49.6307, 225.3025, -11.0818, 32.9691, -12.8831], atol=1.01e-4
+    )
+    assert "144 of 256 assembly modes real" in out
+
+
+def test_all_modes_fit_into_80_columns() -> None:
+    out = forward(*LEGS, "--all")
+    rows = [line for line in out.splitlines() if line.strip().startswith(("T", "F")) and "/" in line]
+    assert len(rows) == 144
+    assert sum("physical" in row for row in rows) == 1
+    assert "…" not in out
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 0.01), ("cm", 1.0), ("mm", 10.0)])
+def test_forward_as_json_in_every_unit(unit: str, factor: float) -> None:
+    legs = [str(float(x) * factor) for x in LEGS[1:7]]
+    content = json.loads(forward("--legs", *legs, "--unit", unit, "--all", "--json"))
+    assert (content["unit"], content["status"], content["count"]) == (unit, "ok", 144)
+    assert len(content["modes"]) == 144
+    first = content["modes"][0]
+    assert first["physical"]
+    np.testing.assert_allclose(np.array(first["translation"]) / factor, [68.88715, 49.63068, 225.30253], atol=1e-5)
+    state = spm.Configuration(
+        spm.Geometry.paper(),
+        spm.pose(np.array(first["translation"]) / factor / 100, rotation=first["rotation"]),
+        np.array(first["middle_joints"]) / factor / 100,
+    )
+    np.testing.assert_allclose(100 * state.leg_lengths, [float(x) for x in LEGS[1:7]], rtol=1e-12)
+    for written in ({"rpy": np.deg2rad(first["rpy"])}, {"quat": first["quat"]}):
+        np.testing.assert_allclose(spm.pose([0, 0, 1], **written).rotation.as_matrix(), first["rotation"], atol=1e-14)
+    only = json.loads(forward("--legs", *legs, "--unit", unit, "--json"))
+    (alone,) = only["modes"]
+    assert [alone[key] for key in ("label", "physical")] == [first[key] for key in ("label", "physical")]
+    # By another way to the same configuration: as many digits as a pose has.
+    for key in ("translation", "rotation", "middle_joints"):
+        np.testing.assert_allclose(alone[key], first[key], rtol=0, atol=1e-13 * factor)
+
+
+def test_unreachable_lengths_hint_at_the_unit() -> None:
+    out = forward(*LEGS[:-2], code=3)
+    assert "0 of 256" in out
+    assert "--legs was read in m: 150 m, on a machine of 2.64 m. In cm it would be in proportion: --unit cm." in out
+    assert "--unit" not in forward("--legs", "1.2", "0.1", "1.2", "1.2", "1.2", "1.2", code=3)
+
+
+def test_a_continuous_family_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text("base_radius: 1.0\nplatform_radius: 0.7\nmiddle_side: 2.0\n", encoding="utf-8")
+    out = " ".join(forward("--legs", "1", "3", "1", "2", "2", "2", "--geometry", str(path), code=4).split())
+    assert "status: degenerate" in out
+    assert "continuous family of dimension 1" in out

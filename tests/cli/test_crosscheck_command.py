@@ -8,6 +8,7 @@ from cli.running import run
 
 import spm_pin as spm
 from spm_pin.crosscheck import METHODS, Method, Paper
+from spm_pin.paper import published
 from spm_pin.paper.jacobian import Table5Mistakes
 
 
@@ -75,3 +76,37 @@ def test_a_method_that_cannot_be_imported_is_mentioned(monkeypatch: pytest.Monke
     done = run("crosscheck", "--poses", "2")
     assert done.returncode == 0
     assert "Left out, since their packages are not installed: pinocchio, ipopt." in done.stdout
+
+
+def test_reproduce_prints_the_verdict_every_table_and_each_finding() -> None:
+    done = run("reproduce", "--cells")
+    assert done.returncode == 0, done.stderr
+    for words in (
+        "Table 1:",
+        "Table 4:",
+        "Table 5:",
+        "105 of the 120 cells of Tables 1 to 5",
+        "a shifted number",
+        "Eq. (17)",
+    ):
+        assert words in done.stdout.replace("\n", " "), words
+    assert "…" not in done.stdout, "nothing is cut off at 80 columns"
+
+
+def test_reproduce_writes_json(tmp_path: Path) -> None:
+    target = tmp_path / "tables.json"
+    assert run("reproduce", "--table", "3", "--out", str(target)).returncode == 0
+    text = target.read_text(encoding="utf-8")
+    assert run("reproduce", "--table", "3", "--json").stdout == text
+    content = json.loads(text)
+    assert {cell["table"] for cell in content["cells"]} == {3}
+    assert [cell["column"] for cell in content["cells"] if cell["verdict"] == "misprint"] == ["5"]
+
+
+def test_reproduce_fails_on_a_difference_nothing_explains(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = ("116.1501", *published.TABLE_4[0][1:])
+    monkeypatch.setattr(published, "TABLE_4", (first, *published.TABLE_4[1:]))
+    done = run("reproduce", "--table", "4")
+    assert done.returncode == 1
+    assert "not all others are explained: 1 misprinted, 1 left empty, 1 unexplained" in done.stdout
+    assert "1 printed value" in done.stderr
