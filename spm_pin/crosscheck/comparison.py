@@ -38,6 +38,8 @@ _FORCE = 1e3
 _UNLIKELY = 1e-6
 """A number of missed branches less probable than this at a method's stated rate counts as a fault."""
 _BRANCHES = len(BRANCHES)
+_FAR = 1e9
+"""Distance [m] beyond that of any two branches."""
 
 
 class Quantity(enum.StrEnum):
@@ -78,7 +80,7 @@ class PairDifference:
     pose: int
     """Number of the pose where that is, counted as in the report."""
     branch: str
-    """Branch of that pose, one of `BRANCHES`."""
+    """Branch of that pose, by its label in the first method that finds branches."""
 
     @property
     def ratio(self) -> float:
@@ -253,7 +255,8 @@ def compare_methods(
     Parameters
     ----------
     geometry : Geometry
-        The manipulator.
+        The manipulator, drawn or as built. A numerical search knows no labels of a machine as built: the branches of
+        such a machine are compared as sets, each paired with the nearest of those that the methods before have found.
     poses : int
         Number of poses; four fifths of them in leg space.
     seed : int
@@ -296,7 +299,7 @@ class _Comparison:
         self._geometry = geometry
         self._methods = methods
         self._describe_step = describe_step
-        self._solves_inverse = False
+        self._labels: tuple[str, ...] = ()
 
     @property
     def differences(self) -> tuple[PairDifference, ...]:
@@ -306,9 +309,13 @@ class _Comparison:
 
     def add(self, poses: RigidTransform, selected: Mapping[str, BoolArray], rng: np.random.Generator) -> None:
         """Compare the methods at poses (n,), each solving those of its mask `selected` (n,); one must solve some."""
-        answers = {m.name: a for m in self._methods if (a := self._solve(m, poses, selected[m.name])) is not None}
-        self._solves_inverse |= bool(answers)
-        if not self._solves_inverse:
+        known = np.full((len(poses), _BRANCHES, 3, 3), np.nan)
+        answers = {}
+        for method in self._methods:
+            answer = self._solve(method, poses, selected[method.name], known)
+            if answer is not None:
+                answers[method.name] = answer
+        if not self._labels:
             raise ArgumentError("methods", "one at least that solves the inverse displacement", list(self.scores))
         proved = self._proved(poses, list(answers.values()))
         for method in self._methods:
@@ -322,8 +329,11 @@ class _Comparison:
         self.reached += len(np.unique(place // _BRANCHES))
         self.states += len(place)
 
-    def _solve(self, method: Method, poses: RigidTransform, selected: BoolArray) -> _Answer | None:
-        """Return a method's branches of poses (n,); None if it solves none of them."""
+    def _solve(self, method: Method, poses: RigidTransform, selected: BoolArray, known: FloatArray) -> _Answer | None:
+        """Return a method's branches of poses (n,); None if it solves none of them.
+
+        Those of a machine as built are put into the order of the branches `known` (n, 8, 3, 3), and added to these.
+        """
         if not selected.any():
             return None
         self._describe_step(f"{method.name}: branches")
@@ -333,6 +343,14 @@ class _Comparison:
         joints = np.full((len(poses), _BRANCHES, 3, 3), np.nan)
         status = np.full(len(poses), Status.UNSOLVED, dtype=np.int8)
         joints[selected], status[selected] = solutions.middle_joints, solutions.status
+        self._labels = self._labels or solutions.labels
+        if not self._geometry.is_nominal:
+            for before, branches in zip(known, joints, strict=True):
+                distance = np.linalg.norm((before[:, None] - branches).reshape(_BRANCHES, _BRANCHES, 9), axis=-1)
+                # What is absent is paired last.
+                order = scipy.optimize.linear_sum_assignment(np.nan_to_num(distance, nan=_FAR))[1]
+                branches[:] = branches[order]
+                np.copyto(before, branches, where=np.isnan(before))
         states = self._configuration(poses, joints.reshape(-1, 3, 3))
         with np.errstate(invalid="ignore"):
             return _Answer(states, selected, status, method.rounding(states))
@@ -429,7 +447,7 @@ class _Comparison:
             k = int(ratio.argmax())
             pose, branch = divmod(int(place[k]), _BRANCHES)
             counts = int(both.sum()), int(apart.sum()), float(difference[k]), float(tolerance[k])
-            pair = PairDifference(quantity, first, second, *counts, self.poses + pose, BRANCHES[branch])
+            pair = PairDifference(quantity, first, second, *counts, self.poses + pose, self._labels[branch])
             before = self._differences.get((quantity, first, second))
             self._differences[quantity, first, second] = pair if before is None else before.combined(pair)
         strongest = np.max(list(support.values()), axis=0, initial=0)

@@ -103,7 +103,10 @@ class Paper(Method):
     """Mistakes of the paper's Table 5 to repeat; none by default."""
 
     def __post_init__(self) -> None:
-        _check_drawn(self.geometry, self.name)
+        if not self.geometry.is_nominal:
+            expected = "a machine as drawn, whose equations are those of the paper"
+            cause = "Leave this method out, or compare its drawing, geometry.nominal"
+            raise GeometryError("geometry", expected, "one as built", cause)
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
@@ -137,7 +140,6 @@ class _MultiStart(Method):
     """One of `spm_pin.nlp.SOLVERS`."""
 
     def __post_init__(self) -> None:
-        _check_drawn(self.geometry, self.name)
         self._nlp = import_module("spm_pin.nlp")
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
@@ -202,13 +204,6 @@ class Pinocchio(Method):
         """Return the configurations that the tree's frames give at the joint values of states (N,)."""
         states: Configuration = self.chain.configuration(self.chain.joint_values(configuration))
         return states
-
-
-def _check_drawn(geometry: Geometry, method: str) -> None:
-    if not geometry.is_nominal:
-        expected = f"a machine as drawn, whose equations are those of the method {method}"
-        cause = "Leave this method out, or compare its drawing, geometry.nominal"
-        raise GeometryError("geometry", expected, "one as built", cause)
 
 
 METHODS: dict[str, Callable[[Geometry], Method]] = {

@@ -51,7 +51,7 @@ class Conditioning:
     @classmethod
     def from_configuration(cls, configuration: Configuration) -> Conditioning:
         """Return the conditioning of states (N,); NaN for a member that does not exist."""
-        sides, weights = _middle_platform(configuration.geometry)
+        sides, weights = configuration.geometry.legs.sides, upper_ball_weights(configuration.geometry.legs.balls)
         curvature = 1.5 * (1.0 / sides.min() + np.abs(weights[:, 2]).sum())
         exists = configuration.exists[:, None, None]
         closure_b, closure_x, lengths_b, lengths_x = (
@@ -91,11 +91,6 @@ class Conditioning:
     def forces(self, rounding: FloatArray) -> FloatArray:
         """Return the error of forces relative to their norm, (N,), for a closure residual [m] (N,)."""
         return np.asarray(self.inverse * self.rates(rounding))
-
-
-def _middle_platform(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
-    """Return the sides b_1 b_2, b_2 b_3, b_3 b_1 [m], and α, β [-] and γ [1/m] of the upper legs' balls as rows."""
-    return geometry.legs.sides, upper_ball_weights(geometry.legs.balls)
 
 
 def _derivatives(configuration: Configuration) -> list[FloatArray]:

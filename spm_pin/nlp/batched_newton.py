@@ -3,8 +3,10 @@
 Residuals and exact Jacobians come from one CasADi function mapped over all starts; the steps are NumPy's batched
 solve. CasADi's own linear solvers end a whole mapped call where one matrix is singular, which at some poses one is.
 
-The equations are quadratic, F(b + h) = F(b) + J h + Q(h) with |Q(h)| <= q |h|² and q = 3/(2d), because
-Σ|h_i - h_j|² <= 3 |h|². With s the smallest singular value of J this gives, without any approximation:
+The equations are quadratic, F(b + h) = F(b) + J h + Q(h) with |Q(h)| <= q |h|² and q = 3/2 (1/a + Σ|γ_i|), because
+Σ|h_i - h_j|² <= 3 |h|². Here a is the shortest side of the triangle of the b_i, and γ_i (b_2 - b_1) x (b_3 - b_1) is
+how far the ball of upper leg i is out of its plane, zero in a drawn machine, where q = 3/(2d). With s the smallest
+singular value of J this gives, without any approximation:
 
 - from |F| <= δ and s² > 4 q δ: a solution exists within 2δ/(s + √(s² - 4qδ)) (Kantorovich);
 - two solutions are at least s/q apart, s taken at either: J h = -Q(h).
@@ -22,6 +24,7 @@ import numpy as np
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import upper_ball_weights
 from spm_pin.nlp import loop_equations
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -36,6 +39,9 @@ class LoopEquations:
 
     def __init__(self, geometry: Geometry) -> None:
         self.geometry = geometry
+        weights = upper_ball_weights(geometry.legs.balls)
+        self.curvature = 1.5 * float(1.0 / geometry.legs.sides.min() + np.abs(weights[:, 2]).sum())
+        """The bound q of the equations' quadratic part [1/m]."""
         self._function = loop_equations.closure(geometry)
         self._mapped: dict[int, ca.Function] = {}
 
@@ -117,24 +123,10 @@ def certify_root(equations: LoopEquations, b: FloatArray, matrix: FloatArray) ->
     polished, derivative = equations(better[None], matrix)
     if np.abs(polished).max() < np.abs(residual).max():
         b, residual, jacobian = better, polished, derivative
-    sigmas, deltas, margins = _margins(equations, b[None], matrix, residual, jacobian)
-    sigma, delta, margin = float(sigmas[0]), float(deltas[0]), float(margins[0])
-    q = 1.5 / equations.geometry.middle_side
-    double = (delta / q) ** 0.5
+    sigma = float(np.linalg.svd(jacobian[0], compute_uv=False)[-1])
+    delta = float(np.linalg.norm(residual) + 3.0 * equations.rounding(b[None], matrix)[0])
+    q = equations.curvature
+    margin, double = sigma**2 - 4.0 * q * delta, (delta / q) ** 0.5
     if margin <= 0.0:
         return RootCertificate(b, sigma, double, False, 4.0 * double)
     return RootCertificate(b, sigma, 2.0 * delta / (sigma + margin**0.5), True, max(0.5 * sigma / q, 4.0 * double))
-
-
-def isolated(equations: LoopEquations, b: FloatArray, matrix: FloatArray) -> BoolArray:
-    """Test which converged points (n, 9) are proved to be isolated solutions, shape (n,)."""
-    return _margins(equations, b, matrix, *equations(b, matrix))[2] > 0.0
-
-
-def _margins(
-    equations: LoopEquations, b: FloatArray, matrix: FloatArray, residual: FloatArray, jacobian: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return s, δ [m] and s² - 4 q δ of points (n, 9), each (n,)."""
-    sigma = np.asarray(np.linalg.svd(jacobian, compute_uv=False)[:, -1], dtype=np.float64)
-    delta = np.asarray(np.linalg.norm(residual, axis=-1) + 3.0 * equations.rounding(b, matrix), dtype=np.float64)
-    return sigma, delta, sigma**2 - 6.0 / equations.geometry.middle_side * delta

@@ -1,8 +1,8 @@
 """The loop equations in task space, as CasADi functions made from the geometry alone.
 
-The unknowns are the nine coordinates of the ball joints b_1, b_2, b_3 in {B}. Each joint moves in the plane of
-its lower leg and in that of its upper leg, Eqs. (5b) and (5c), and the joints are d apart, Eq. (12): nine
-equations. Nothing is eliminated.
+The unknowns are the nine coordinates of the lower legs' ball joints b_1, b_2, b_3 in {B}. Each leg moves in a plane,
+Eqs. (5b) and (5c), and the joints are as far apart as the middle platform holds them, Eq. (12): nine equations, of any
+machine, drawn or as built. Nothing is eliminated.
 
 A `casadi.Function` can be called with numbers or symbols, saved with `Function.save`, and turned into C with
 `Function.generate`: https://web.casadi.org/docs/#generating-c-code.
@@ -16,55 +16,50 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, GeometryError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, type_and_value
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import upper_ball_weights
 
 _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 """Shapes of the derivatives that `leg_jacobian` returns."""
 
 
-def check_drawn(geometry: Geometry) -> None:
-    """Raise a GeometryError for a machine as built: the equations are those of the drawing."""
-    if not check_instance(geometry, Geometry, "geometry").is_nominal:
-        cause = "spm.symbolic has the equations of any machine; its drawing is geometry.nominal"
-        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
+def legs(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
+    """Return of each leg the unit revolute axis, and the vector from its pivot to its ball [m], in {B}. Eqs. (2), (4b).
 
-
-def _vector(value: npt.ArrayLike) -> ca.DM:
-    """Return a NumPy array as a dense CasADi matrix."""
-    return ca.DM(np.asarray(value, dtype=np.float64))
-
-
-def placed_platform(geometry: Geometry, rotation: ca.SX, translation: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Return c_1..c_3 [m] and the unit axes of their revolute joints, in {B}. Eqs. (2) and (4b)."""
-    joints = [translation + rotation @ _vector(point) for point in geometry.platform_joints]
-    axes = [rotation @ _vector(axis) for axis in geometry.revolute_axes]
-    return joints, axes
+    b (9,) are the lower legs' balls in {B} [m]; `rotation` (3, 3) and `translation` (3,) are the pose of {m} in {B}.
+    """
+    axes, pivots = ([ca.SX(row) for row in rows] for rows in (geometry.legs.axes, geometry.legs.pivots))
+    axes[3:] = [rotation @ axis for axis in axes[3:]]
+    pivots[3:] = [translation + rotation @ pivot for pivot in pivots[3:]]
+    b_1, b_2, b_3 = balls = _points(b)
+    # In a machine as built the upper legs' balls are beside the lower ones, fixed to their triangle.
+    frame = ca.horzcat(b_2 - b_1, b_3 - b_1, ca.cross(b_2 - b_1, b_3 - b_1))
+    weights = upper_ball_weights(geometry.legs.balls)
+    balls = balls + [ball + frame @ ca.SX(row) for ball, row in zip(balls, weights, strict=True)]
+    return [(axis, ball - pivot) for axis, pivot, ball in zip(axes, pivots, balls, strict=True)]
 
 
 def equations(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
     """Return the nine loop equations [m] as an expression (9,).
 
-    They are the distances of the b_i, b (9,) in {B} [m], from the planes of the lower legs, then of the upper legs; and
-    for the sides 12, 23, 31, (|b_i - b_j|² - d²)/(2d), which is the side's error to first order and smooth everywhere.
-    `rotation` (3, 3) and `translation` (3,) are the pose of {m} in {B}.
+    They are the distances of the six legs' balls from the planes of their legs; and for the sides 12, 23, 31 of length
+    s, (|b_i - b_j|² - s²)/(2s), which is the side's error to first order and smooth everywhere. Arguments are those of
+    `legs`.
     """
     points = _points(b)
-    joints, axes = placed_platform(geometry, rotation, translation)
-    lower = [ca.dot(_vector(axis), point) for axis, point in zip(geometry.revolute_axes, points, strict=True)]
-    upper = [ca.dot(axis, point - joint) for axis, point, joint in zip(axes, points, joints, strict=True)]
-    d = geometry.middle_side
-    sides = [(ca.sumsqr(points[i] - points[(i + 1) % 3]) - d * d) / (2.0 * d) for i in range(3)]
-    return ca.vertcat(*lower, *upper, *sides)
+    planes = [ca.dot(axis, vector) for axis, vector in legs(geometry, b, rotation, translation)]
+    sides = [
+        (ca.sumsqr(points[i] - points[(i + 1) % 3]) - side * side) / (2.0 * side)
+        for i, side in enumerate(geometry.legs.sides.tolist())
+    ]
+    return ca.vertcat(*planes, *sides)
 
 
-def leg_vectors(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> list[ca.SX]:
-    """Return a_i to b_i of the lower legs, then b_i to c_i of the upper legs, as expressions in {B} [m]."""
-    points = _points(b)
-    joints, _ = placed_platform(geometry, rotation, translation)
-    lower = [point - _vector(joint) for joint, point in zip(geometry.base_joints, points, strict=True)]
-    return lower + [joint - point for joint, point in zip(joints, points, strict=True)]
+def lengths_of_legs(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
+    """Return the leg lengths r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m] as an expression (6,). Eq. (20)."""
+    return ca.vertcat(*(ca.norm_2(vector) for _, vector in legs(geometry, b, rotation, translation)))
 
 
 def closure(geometry: Geometry) -> ca.Function:
@@ -81,7 +76,7 @@ def closure(geometry: Geometry) -> ca.Function:
 def leg_lengths(geometry: Geometry) -> ca.Function:
     """Make ``leg_lengths(b, rotation, translation) -> lengths``: r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]. Eq. (20)."""
     state = _symbols(geometry)
-    return _function("leg_lengths", state, lengths=ca.vertcat(*map(ca.norm_2, leg_vectors(geometry, *state))))
+    return _function("leg_lengths", state, lengths=lengths_of_legs(geometry, *state))
 
 
 def leg_jacobian(geometry: Geometry) -> ca.Function:
@@ -101,11 +96,12 @@ def leg_jacobian(geometry: Geometry) -> ca.Function:
     # Around zero motion, R + [ω] R is the rotation to first order, and only that is differentiated.
     moved = rotation + ca.skew(motion[3:]) @ rotation
     position = translation + motion[:3]
-    residual = equations(geometry, b, moved, position)
-    lengths = ca.vertcat(*(ca.norm_2(leg) for leg in leg_vectors(geometry, b, moved, position)))
     at_rest = {
         f"{name}_{variable}": ca.densify(ca.substitute(ca.jacobian(value, by), motion, ca.SX.zeros(6)))
-        for name, value in (("closure", residual), ("lengths", lengths))
+        for name, value in (
+            ("closure", equations(geometry, b, moved, position)),
+            ("lengths", lengths_of_legs(geometry, b, moved, position)),
+        )
         for variable, by in (("b", b), ("x", motion))
     }
     return _function("leg_jacobian", state, **at_rest)
@@ -132,7 +128,7 @@ def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray
 
 
 def _symbols(geometry: Geometry) -> tuple[ca.SX, ca.SX, ca.SX]:
-    check_drawn(geometry)
+    check_instance(geometry, Geometry, "geometry")
     return ca.SX.sym("b", 9), ca.SX.sym("R", 3, 3), ca.SX.sym("o", 3)
 
 

@@ -24,8 +24,8 @@ def flipped_sign() -> Iterator[None]:
 
     def flipped(geometry: spm.Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
         rows = ca.vertsplit(true(geometry, b, rotation, translation))
-        joints, axes = loop_equations.placed_platform(geometry, rotation, translation)
-        rows[4] = ca.dot(axes[1], b[3:6] + joints[1])
+        axis, vector = loop_equations.legs(geometry, b, rotation, translation)[4]
+        rows[4] = ca.dot(axis, 2.0 * b[3:6] - vector)
         return ca.vertcat(*rows)
 
     with pytest.MonkeyPatch.context() as patch:

@@ -92,14 +92,16 @@ def test_the_printed_lever_arm_is_found() -> None:
         assert (pair.disagreements > 0) == wrong_pair, pair
 
 
-def test_lost_branches_are_found() -> None:
-    found = compare_methods(GEOMETRY, poses=12, methods=["closed-form", "paper", Forgetful(GEOMETRY)])
+@pytest.mark.parametrize("geometry", [GEOMETRY, GEOMETRY.perturbed(1, length=1e-3, angle=1e-3)])
+def test_lost_branches_are_found(geometry: spm.Geometry) -> None:
+    # Of the machine as built `nlp`, which comes first, knows no labels: the others are put into its order.
+    found = compare_methods(geometry, poses=12, methods=["nlp", "closed-form", Forgetful(geometry)])
     assert found.outliers == ("forgetful",)
     (score,) = (score for score in found.scores if score.name == "forgetful")
     assert score.missed >= 3
     assert score.invented == 0
     lost = spm.inverse_displacement(
-        GEOMETRY, spm.pose(found.translation[score.pose], xyx=np.deg2rad(found.xyx[score.pose]))
+        geometry, spm.pose(found.translation[score.pose], xyx=np.deg2rad(found.xyx[score.pose]))
     )
     assert lost.count > 0
 
@@ -122,11 +124,6 @@ def test_two_methods_that_contradict_each_other_are_both_outliers() -> None:
     found = compare_methods(GEOMETRY, poses=5, methods=["closed-form", wrong])
     assert set(found.outliers) == {"closed form", "paper"}
     assert "a third method can decide" in found.verdict
-
-
-def test_another_geometry() -> None:
-    geometry = spm.Geometry(0.06, 0.04, 0.05)
-    assert compare_methods(geometry, poses=10, methods=["closed-form", "paper", "pinocchio", "nlp"]).agrees
 
 
 @pytest.mark.parametrize(
@@ -152,8 +149,9 @@ def test_progress_names_the_method_and_counts_poses() -> None:
 
 
 def test_each_batch_reports_all_poses_so_far() -> None:
-    names = ["closed-form", "paper", "nlp"]
-    partial, whole = list(compare_in_batches(GEOMETRY, poses=16, seed=4, methods=names))
+    geometry, names = spm.Geometry(0.06, 0.04, 0.05), ["closed-form", "paper", "nlp"]
+    partial, whole = list(compare_in_batches(geometry, poses=16, seed=4, methods=names))
+    assert whole.agrees
     assert (len(partial.xyx), len(whole.xyx), partial.requested) == (10, 16, 16)
     np.testing.assert_array_equal(partial.xyx, whole.xyx[:10])
     assert [score.solved for score in partial.scores] == [10, 10, 10]
@@ -163,7 +161,7 @@ def test_each_batch_reports_all_poses_so_far() -> None:
     for before, after in zip(partial.differences, whole.differences, strict=True):
         assert after.compared > before.compared
         assert after.ratio >= before.ratio
-    branches = spm.inverse_displacement(GEOMETRY, spm.pose(whole.translation, xyx=np.deg2rad(whole.xyx)))
+    branches = spm.inverse_displacement(geometry, spm.pose(whole.translation, xyx=np.deg2rad(whole.xyx)))
     assert whole.states == branches.count.sum()
     assert whole.scores[0].branches == branches.count.sum()
 

@@ -66,6 +66,16 @@ def test_the_miss_rate_is_at_most_what_is_stated() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("size", [1e-4, 1e-3, 3e-3])
+def test_the_miss_rate_holds_for_machines_as_built(size: float) -> None:
+    built, sample = GEOMETRY.perturbed(5, length=size, angle=size), poses(160, 40, 3)
+    truth = spm.inverse_displacement(built, sample).count
+    count = nlp.search(built, sample).solutions.count
+    assert (count <= truth).all()
+    assert np.count_nonzero(count < truth) <= binom.isf(1e-4, len(truth), MISS_RATE)
+
+
+@pytest.mark.slow
 def test_ipopt_misses_no_more_branches_than_newton_is_allowed() -> None:
     sample = poses(10, 5, 2)
     truth = certified(sample)

@@ -47,12 +47,17 @@ def test_residuals_are_distances_from_planes_and_errors_of_sides() -> None:
     np.testing.assert_allclose(sides, (1.5**2 - 1.0) * geometry.middle_side / 2.0, rtol=1e-12)
 
 
-def test_jacobian_equals_finite_differences() -> None:
-    geometry = GEOMETRIES["paper"]
-    state = random_branches(geometry, "TF", 1, 1).configuration[0]
-    closure = nlp.closure(geometry)
+def test_equations_and_their_jacobian_in_a_machine_as_built() -> None:
+    built = GEOMETRIES["paper"].perturbed(2, length=3e-3, angle=3e-3)
+    state = spm.forward_physical(built, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
+    closure = nlp.closure(built)
     b, rotation, translation = arguments(state)
-    jacobian = np.asarray(closure(b, rotation, translation)[1])
+    residual, jacobian = (np.asarray(part) for part in closure(b, rotation, translation))
+    assert np.abs(residual).max() < 1e-14
+    lengths = np.asarray(nlp.leg_lengths(built)(b, rotation, translation)).ravel()
+    np.testing.assert_allclose(lengths, state.leg_lengths, rtol=1e-13)
+    rates = nlp.inverse_jacobian(nlp.leg_jacobian(built)(b, rotation, translation))
+    np.testing.assert_allclose(rates, spm.inverse_jacobian(state), atol=1e-9)
     # The equations are quadratic: central differences have no truncation error.
     step = 2.0**-10
     for k in range(9):
