@@ -19,7 +19,9 @@ import pytest
 
 import spm_pin as spm
 
-HEAVY = "pinocchio casadi numba llvmlite matplotlib trimesh yourdfpy mujoco xacro mpmath scipy.optimize scipy.stats"
+HEAVY = (
+    "pinocchio casadi numba llvmlite matplotlib trimesh yourdfpy mujoco xacro mpmath flint scipy.optimize scipy.stats"
+)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +51,7 @@ print(*(name for name in sys.argv[1:] if name in sys.modules))
 
 
 def test_a_solve_loads_nothing_that_it_does_not_need() -> None:
-    others = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "mpmath", "trimesh", "xacro")
+    others = ("pinocchio", "casadi", "matplotlib", "scipy.optimize", "flint", "trimesh", "xacro")
     done = subprocess.run([sys.executable, "-c", SOLVE, *others], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
 

@@ -1,36 +1,45 @@
 """Branches with proof: whether each family is real, and how far from the computed joints the exact ones can be.
 
-A discriminant above the bound of its rounding error has the computed sign; the others are computed without rounding,
-see `spm_pin.kinematics.exact_discriminants`. For the joints, the nine coordinates x of the lower legs' balls are
-unknown, and the equations, of degree two, are the six leg planes, the upper legs' balls being combinations of the lower
-ones, and the three distances. With A an approximate inverse of the Jacobian J, the map δ -> δ - A F(x + δ) contracts a
-cube into itself if the bounds of |A F|, of |1 - A J| and of the quadratic part allow it, and has then one fixed point
-there, the only solution. All bounds are computed with outward rounding. See `docs/theory/proofs.md`.
+A discriminant above the bound of its rounding error has the computed sign. The others are computed by the same formulas
+in balls (python-flint), with more digits until the ball leaves zero, and the joints with them. Exact is the rotation of
+the quaternion that the kernels take from the doubles of a rotation matrix, which is orthogonal to rounding only.
+
+For the joints, the nine coordinates x of the lower legs' balls are unknown, and the equations, of degree two, are the
+six leg planes, the upper legs' balls being combinations of the lower ones, and the three distances. With A an
+approximate inverse of the Jacobian J, the map δ -> δ - A F(x + δ) contracts a cube into itself if the bounds of |A F|,
+of |1 - A J| and of the quadratic part allow it, and has then one fixed point there, the only solution. All bounds are
+computed with outward rounding. See `docs/theory/proofs.md`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from flint import arb, ctx
 
+from spm_pin.formulas import branches as formulas
 from spm_pin.formulas.leg_planes import upper_ball_weights, upper_balls
-from spm_pin.formulas.vectors import combined, cross, dot, minus, scaled, times
-from spm_pin.kinematics.exact_discriminants import ExactPose, largest_component, quaternions, scaled_rotation
+from spm_pin.formulas.operations import bind
+from spm_pin.formulas.stages import cartesian
+from spm_pin.formulas.vectors import combined, cross, dot, minus, rotation_of, scaled, times
 from spm_pin.kinematics.intervals import SQRT_3, Interval
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.branch_of_state import physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.solutions import SolutionSet
 
 Vectors = Any
-"""Vectors of intervals instead of numbers, which formulas take as well."""
+"""Vectors of intervals or balls instead of numbers, which formulas take as well."""
 _SAFE = 1.0 + 1e-12
 """Factor for the rounding of a few products of bounds."""
 _CHUNK = 1 << 14
 """Branches whose radii are computed at once."""
+_BITS = 400, 1600, 6400
+"""Precisions in which a discriminant is computed; one that is zero to the last is left undecided."""
 
 
 def certify_branches(branches: SolutionSet) -> SolutionSet:
@@ -63,23 +72,17 @@ def _decide_families(
     rotation, position, joints, lengths, discriminants, hint, status, _ = solved
     decided = np.zeros_like(undecided)
     for n in np.flatnonzero(undecided.any(axis=-1)):
-        exact = ExactPose(rotation[n], position[n], geometry.middle_side)
-        signs = [exact.sign(family) for family in range(4)]
+        families = _families_in_balls(rotation[n], position[n], geometry.middle_side)
         for family in np.flatnonzero(undecided[n]).tolist():
-            sign = signs[family]
-            if sign is None:
-                continue
-            pair = slice(2 * family, 2 * family + 2)
-            decided[n, family], discriminants[n, family] = True, exact.discriminant(family)
-            joints[n, pair], lengths[n, pair], radius[n, pair] = np.nan, np.nan, np.nan
-            if sign >= 0:
-                for branch in (2 * family, 2 * family + 1):
-                    joints[n, branch], radius[n, branch] = exact.middle_joints(branch)
+            if (exact := families[family]) is not None:
+                pair = slice(2 * family, 2 * family + 2)
+                decided[n, family] = True
+                discriminants[n, family], joints[n, pair], radius[n, pair] = exact
         anew = np.repeat(decided[n], 2)
         # The exact joints are known; nothing else is near them if all other solutions are known to be farther away.
         apart = np.linalg.norm(joints[n][:, None] - joints[n], axis=-1).max(axis=-1)
         far = (apart > _SAFE * (radius[n] + radius[n][:, None])) | np.isnan(apart) | np.eye(8, dtype=np.bool_)
-        radius[n, anew & ~(far.all(axis=-1) & (None not in signs))] = np.nan
+        radius[n, anew & ~(far.all(axis=-1) & (None not in families))] = np.nan
         branches = Configuration.from_arrays(
             geometry, np.broadcast_to(rotation[n], (8, 3, 3)), np.broadcast_to(position[n], (8, 3)), joints[n]
         )
@@ -91,6 +94,72 @@ def _decide_families(
             tilts = tilt_cosine_sum(branches[:2])
             hint[n, 2] = tilts[1] > tilts[0]
     return decided
+
+
+_ExactFamily = tuple[float, FloatArray, FloatArray]
+"""The discriminant of a family over r², the joints (2, 3, 3) of its branches [m], and how far the exact ones can be."""
+
+
+def _families_in_balls(rotation: FloatArray, position: FloatArray, side: float) -> list[_ExactFamily | None]:
+    """Return the families of a pose from ball arithmetic; None where the sign of a discriminant is not known."""
+    solved: list[_ExactFamily | None] = [None] * 4
+    quaternion = _quaternions([arb(x) for x in rotation.ravel().tolist()])[int(_largest_component(rotation))]
+    place: Vectors = tuple(arb(x) for x in position.tolist())
+    for bits in _BITS:
+        with ctx.workprec(bits):
+            r: Any = arb(side) / arb(3).sqrt()
+            frame = _in_balls(formulas.pose_frame)(quaternion, place, r)
+            if frame.is_vertical:
+                break
+            for k, family in enumerate(_in_balls(formulas.families)(frame, r)):
+                discriminant: Any = formulas.discriminant(family)
+                if solved[k] is None and (discriminant > 0 or discriminant < 0):
+                    joints, errors = np.full((2, 3, 3), np.nan), np.full(2, np.nan)
+                    for branch, sign in enumerate((1.0, -1.0) if discriminant > 0 else ()):
+                        u, v, square = formulas.root(family, sign, discriminant.sqrt())
+                        b = _in_balls(formulas.middle_joints)(u, v, r / square, family, frame, place)
+                        joints[branch], errors[branch] = _rounded(_in_balls(cartesian)(*b))
+                    solved[k] = float(discriminant / r**2), joints, errors
+        if None not in solved:
+            break
+    return solved
+
+
+def _in_balls(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a formula of balls of the working precision, and of the quaternion of a pose instead of its matrix."""
+    return bind(formula, sqrt=arb.sqrt, COS_30=arb(3).sqrt() / 2, quaternion=_normalised)
+
+
+def _normalised(quaternion: Vectors) -> Vectors:
+    length = sum(x * x for x in quaternion).sqrt()
+    return tuple(x / length for x in quaternion)
+
+
+def _rounded(points: Vectors) -> tuple[FloatArray, float]:
+    """Return the doubles next to three points, and how far from them the points can be."""
+    doubles = np.array([[float(x) for x in point] for point in points])
+    squares = [
+        sum((x - y) ** 2 for x, y in zip(*pair, strict=True)) for pair in zip(points, doubles.tolist(), strict=True)
+    ]
+    return doubles, max(float(np.nextafter(float(square.abs_upper().sqrt()), np.inf)) for square in squares)
+
+
+def _largest_component(rotation: FloatArray) -> IntArray:
+    """Return which of `_quaternions` the kernels take of matrices (..., 3, 3): that of the largest component."""
+    a, b, c = np.moveaxis(np.diagonal(rotation, axis1=-2, axis2=-1), -1, 0)
+    return np.asarray(np.argmax([a + b + c, c, b, a], axis=0))
+
+
+def _quaternions(rotation: Sequence[Any]) -> tuple[tuple[Any, Any, Any, Any], ...]:
+    """Return x0, x1, x2, x3, of any length, computed from x0, x3, x2 and x1 of the nine entries of a matrix."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation
+    trace = r00 + r11 + r22
+    return (
+        (1.0 + trace, r21 - r12, r02 - r20, r10 - r01),
+        (r10 - r01, r20 + r02, r21 + r12, 1.0 - trace + 2.0 * r22),
+        (r02 - r20, r10 + r01, 1.0 - trace + 2.0 * r11, r21 + r12),
+        (r21 - r12, 1.0 - trace + 2.0 * r00, r10 + r01, r20 + r02),
+    )
 
 
 def _radii(states: Configuration) -> FloatArray:
@@ -131,14 +200,14 @@ def _drawn_legs(geometry: Geometry) -> tuple[Vectors, Vectors, Vectors, Vectors]
 
 
 def _enclosed_rotation(rotation: FloatArray) -> Vectors:
-    """Return enclosures of a multiple of R (N,), R the rotation of the quaternion that the kernels take of matrices."""
-    entries = [Interval.from_numbers(entry) for entry in rotation.reshape(-1, 9).T]
-    largest = largest_component(rotation)
-    chosen = [
-        Interval(np.choose(largest, [x.low for x in component]), np.choose(largest, [x.high for x in component]))
-        for component in zip(*quaternions(entries, 1.0), strict=True)
-    ]
-    return scaled_rotation(chosen, Interval.square)
+    """Return enclosures of R (N,), the rotation of the quaternion that the kernels take of each matrix."""
+    largest, entries = _largest_component(rotation), [Interval.from_numbers(x) for x in rotation.reshape(-1, 9).T]
+    x0, x1, x2, x3 = (
+        Interval(*(np.choose(largest, ends) for ends in ([x.low for x in component], [x.high for x in component])))
+        for component in zip(*_quaternions(entries), strict=True)
+    )
+    components: Vectors = x1, x2, x3, x0
+    return rotation_of(*components)
 
 
 def _radii_of_equations(
@@ -151,7 +220,7 @@ def _radii_of_equations(
     rows: Vectors,
     o: Vectors,
 ) -> FloatArray:
-    """Return the radii around balls `b` of poses with these rows of R, or of a multiple, and positions."""
+    """Return the radii around balls `b` of poses with these rows of R and positions."""
     count = len(o[0].low)
     p, q, upper = minus(b[1], b[0]), minus(b[2], b[0]), upper_balls(b, weights)
     errors: list[Any] = []

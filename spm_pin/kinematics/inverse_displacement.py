@@ -47,7 +47,7 @@ def inverse_displacement(
         everything taken from it then hold the new numbers.
     certify : bool
         Bound the error of all joints, in `SolutionSet.radius`. In a drawn machine also decide the families that are not
-        `certain` without rounding, and compute their branches with more digits, a few milliseconds each.
+        `certain`, and compute their branches, with more digits, a few milliseconds each.
 
     Returns
     -------
