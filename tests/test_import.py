@@ -20,7 +20,7 @@ import pytest
 import spm_pin as spm
 
 HEAVY = (
-    "pinocchio casadi numba llvmlite matplotlib trimesh yourdfpy mujoco xacro mpmath flint scipy.optimize scipy.stats"
+    "pinocchio casadi numba llvmlite matplotlib trimesh yourdfpy mujoco xacro flint scipy.optimize scipy.stats"
 )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import FloatArray, Progress, check_progress, real_number, type_and_value, whole_number
-from spm_pin.proofs.symmetric_stages import free_of_singularities
+from spm_pin.proofs.certificate import free_of_singularities
 from spm_pin.sweeps.domains import Sample
 from spm_pin.sweeps.metrics import Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points

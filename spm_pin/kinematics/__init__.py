@@ -9,8 +9,16 @@ from spm_pin.kinematics.inverse_displacement import (
     inverse_physical,
 )
 from spm_pin.kinematics.path_following import CertifiedLimits, Event, EventKind, FollowedPath, follow
-from spm_pin.kinematics.platform_stiffness import PrincipalStiffness, compliance, principal_stiffness, stiffness
-from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces, leg_rates, platform_jacobian
+from spm_pin.kinematics.rates_and_forces import (
+    PrincipalStiffness,
+    compliance,
+    inverse_jacobian,
+    leg_forces,
+    leg_rates,
+    platform_jacobian,
+    principal_stiffness,
+    stiffness,
+)
 from spm_pin.kinematics.singularity_analysis import (
     Singularities,
     SingularityKind,

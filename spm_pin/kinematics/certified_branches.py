@@ -171,8 +171,8 @@ def _radii(states: Configuration) -> FloatArray:
     geometry, radius = states.geometry, np.full(states.exists.size, np.nan)
     joints, rotation = states.middle_joints.reshape(-1, 3, 3), states.rotation.reshape(-1, 3, 3)
     position = states.translation.reshape(-1, 3)
-    machine = _drawn_legs(geometry) if geometry.is_nominal else _legs(geometry)
-    enclosed = _enclosed_rotation if geometry.is_nominal else _rows
+    legs, enclosed = (_drawn_legs, _enclosed_rotation) if geometry.is_nominal else (_legs, _rows)
+    machine = legs(geometry)
     existing = np.flatnonzero(states.exists)
     for first in range(0, len(existing), _CHUNK):
         some = existing[first : first + _CHUNK]

@@ -8,8 +8,8 @@ three quadrics, all eight roots of which are found, and the labels of the drawn 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,6 @@ from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
 
-Memory = tuple[npt.NDArray[Any], ...]
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 
 
@@ -81,11 +80,14 @@ def inverse_displacement(
     """
     certified = as_bool(certify, "certify")
     shape, rotation, position = read_pose(geometry, pose)
-    memory = None if out is None else _memory_of(out, geometry, shape)
-    solved = _solve(geometry, rotation, position, memory)
+    method = _method(geometry)
+    results = method.results if out is None else _memory_of(out, geometry, shape)
+    solved = run_kernel(method.all_branches, (rotation, position), method.constants, results, method.min_batch)
+    rotation, position, joints, lengths, *_ = solved
+    status = solved[6]
     details: dict[str, Any]
-    if geometry.is_nominal:
-        rotation, position, joints, lengths, discriminants, hint, status, flagged = solved
+    if method.is_drawn:
+        discriminants, hint, _, flagged = solved[4:]
         details = {
             "discriminants": discriminants.reshape(*shape, 4),
             "degeneracy": _find_degeneracy(geometry, shape, rotation, position, flagged, status),
@@ -93,8 +95,7 @@ def inverse_displacement(
             "rounding": ROUNDING_BOUND,
         }
     else:
-        rotation, position, joints, lengths, carried, status, _ = solved
-        details = {"merged": (carried == 0).reshape(*shape, 8)}
+        details = {"merged": (solved[5] == 0).reshape(*shape, 8)}
     states = Configuration.from_arrays(
         geometry,
         np.broadcast_to(rotation.reshape(*shape, 1, 3, 3), (*shape, 8, 3, 3)),
@@ -109,7 +110,7 @@ def inverse_displacement(
     return certify_branches(branches)
 
 
-def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> Memory:
+def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> tuple[npt.NDArray[Any], ...]:
     expected = f"what `inverse_displacement` returned for this geometry and a batch of shape {shape}"
     if not isinstance(out, SolutionSet):
         raise ArgumentError("out", expected, type(out).__name__)
@@ -121,17 +122,43 @@ def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> 
     return out.memory
 
 
-def _solve(geometry: Geometry, rotation: FloatArray, position: FloatArray, memory: Memory | None) -> Memory:
-    """Return R, o, the joints and lengths of all branches of N poses, and what else the machine's kernel writes."""
-    if geometry.is_nominal:
-        from spm_pin.kinematics.kernels.branch_kernels import all_branches
+class _Method(NamedTuple):
+    """The kernels that solve poses of a machine, what else they take, and the results of all branches.
 
-        results = BRANCH_RESULTS if memory is None else memory
-        return run_kernel(all_branches, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD)
-    # The poses may be the caller's memory.
-    poses = (np.empty_like(rotation), np.empty_like(position)) if memory is None else memory[:2]
-    poses[0][...], poses[1][...] = rotation, position
-    return *poses, *_as_built_roots(geometry, rotation, position, None if memory is None else memory[2:])
+    Results are R, o, joints, lengths, two of its own, status, and perhaps one more of its own.
+    """
+
+    all_branches: Callable[..., None]
+    physical_branches: Callable[..., None]
+    constants: tuple[Any, ...]
+    results: tuple[Any, ...]
+    min_batch: int
+    is_drawn: bool
+
+
+def _method(geometry: Geometry) -> _Method:
+    if geometry.is_nominal:
+        from spm_pin.kinematics.kernels.branch_kernels import all_branches, physical_branches
+
+        constants = radii(geometry)
+        return _Method(all_branches, physical_branches, constants, BRANCH_RESULTS, _MIN_BATCH_PER_THREAD, True)
+    from spm_pin.kinematics.kernels.as_built_kernels import as_built_physical_branches
+
+    unit = geometry.middle_radius
+    machines = [(x.axes, x.pivots / unit, x.balls / unit) for x in (geometry.nominal.legs, geometry.legs)]
+    no_roots = np.empty((0, 8, 3, 3), np.complex128)
+    results: tuple[Any, ...] = *BRANCH_RESULTS[:4], no_roots, ((8,), np.uint8), ((), np.int8)
+    kernels = _as_built_branches, as_built_physical_branches
+    return _Method(*kernels, (np.stack(machines), unit), results, _MIN_BATCH_PER_THREAD_AS_BUILT, False)
+
+
+def _as_built_branches(*arguments: Any) -> None:
+    """Run the kernel of this name, and copy the poses, which may be the caller's memory."""
+    from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches
+
+    rotation, position, machines, unit, *copies, joints, lengths, roots, is_carried, status = arguments
+    copies[0][...], copies[1][...] = rotation, position
+    as_built_branches(rotation, position, machines, unit, joints, lengths, is_carried, status, roots)
 
 
 def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
@@ -169,18 +196,9 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     limits, offsets = geometry.limits, geometry.legs.offsets
     bounds = np.array([[-np.inf] * 6, [np.inf] * 6] if limits is None else [limits.minimum, limits.maximum]) - offsets
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64)
-    kernel: Callable[..., None]
-    constants: tuple[Any, ...]
-    if geometry.is_nominal:
-        from spm_pin.kinematics.kernels.branch_kernels import physical_branches
-
-        kernel, constants, min_batch = physical_branches, radii(geometry), _MIN_BATCH_PER_THREAD
-    else:
-        from spm_pin.kinematics.kernels.as_built_kernels import as_built_physical_branches
-
-        constants = _machines(geometry), geometry.middle_radius
-        kernel, min_batch = as_built_physical_branches, _MIN_BATCH_PER_THREAD_AS_BUILT
-    solved = run_kernel(kernel, (rotation, position), (*constants, bounds), results, min_batch)
+    method = _method(geometry)
+    constants = *method.constants, bounds
+    solved = run_kernel(method.physical_branches, (rotation, position), constants, results, method.min_batch)
     state = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
     if not shape and not state.exists:
         # The same, with the reason why there is none.
@@ -204,19 +222,18 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     status : ndarray of int8, shape (...)
         `Status` of each pose.
     """
-    from spm_pin.kinematics.kernels import branch_kernels as kernels
+    method = _method(geometry)
+    if not method.is_drawn:
+        solutions = inverse_displacement(geometry, pose)
+        return solutions.leg_lengths, np.asarray(solutions.status, np.int8)
+    from spm_pin.kinematics.kernels import branch_kernels
 
     shape, rotation, position = read_pose(geometry, pose)
-    if geometry.is_nominal:
-        results = ((8, 6), np.float64), ((), np.int8), ((), np.uint8)
-        lengths, status, flagged = run_kernel(
-            kernels.branch_lengths, (rotation, position), radii(geometry), results, _MIN_BATCH_PER_THREAD
-        )
-        _find_degeneracy(geometry, shape, rotation, position, flagged, status)
-    else:
-        _, lengths, _, status, _ = _as_built_roots(geometry, rotation, position)
-    leg_lengths, outcome = with_batch_shape((lengths, status), shape)
-    return leg_lengths, outcome
+    kernel, results = branch_kernels.branch_lengths, (((8, 6), np.float64), ((), np.int8), ((), np.uint8))
+    solved = run_kernel(kernel, (rotation, position), method.constants, results, method.min_batch)
+    lengths, status, flagged = solved
+    _find_degeneracy(geometry, shape, rotation, position, flagged, status)
+    return lengths.reshape(*shape, 8, 6), status.reshape(shape)
 
 
 def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
@@ -234,39 +251,17 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
         in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. Of a machine as built
         real roots stand under their labels of `inverse_displacement`, the others under those left over.
     """
-    shape, rotation, position = read_pose(geometry, pose)
-    roots = (8, 3, 3), np.complex128
-    if geometry.is_nominal:
+    shape, *poses = read_pose(geometry, pose)
+    method, roots = _method(geometry), ((8, 3, 3), np.complex128)
+    if method.is_drawn:
         from spm_pin.kinematics.kernels.branch_kernels import complex_branches
 
-        poses, size = (rotation, position), radii(geometry)[:1]
-        (joints,) = run_kernel(complex_branches, poses, size, [roots], _MIN_BATCH_PER_THREAD_AS_BUILT)
+        radius = method.constants[:1]
+        (joints,) = run_kernel(complex_branches, poses, radius, [roots], _MIN_BATCH_PER_THREAD_AS_BUILT)
     else:
-        *_, joints = _as_built_roots(geometry, rotation, position, (*_ROOT_RESULTS, roots))
+        results = *method.results[:4], roots, *method.results[5:]
+        joints = run_kernel(method.all_branches, poses, method.constants, results, method.min_batch)[4]
     return np.asarray(joints.reshape(*shape, 8, 3, 3))
-
-
-def _machines(geometry: Geometry) -> FloatArray:
-    """Return axes, and pivots and balls in units of the middle radius, of the drawn machine and of this one."""
-    unit = geometry.middle_radius
-    legs = geometry.nominal.legs, geometry.legs
-    return np.stack([(x.axes, x.pivots / unit, x.balls / unit) for x in legs])
-
-
-_ROOT_RESULTS = ((8, 3, 3), np.float64), ((8, 6), np.float64), ((8,), np.uint8), ((), np.int8)
-"""Results of the kernel `as_built_branches`: joints, lengths, labels carried and status. Complex joints if asked."""
-
-
-def _as_built_roots(
-    geometry: Geometry, rotation: FloatArray, position: FloatArray, results: Sequence[Any] | None = None
-) -> Memory:
-    """Run the kernel `as_built_branches` on N poses, into `results` if they are arrays."""
-    from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches
-
-    if results is None:
-        results = *_ROOT_RESULTS, np.empty((0, 8, 3, 3), np.complex128)
-    constants = _machines(geometry), geometry.middle_radius
-    return run_kernel(as_built_branches, (rotation, position), constants, results, _MIN_BATCH_PER_THREAD_AS_BUILT)
 
 
 def _find_degeneracy(
@@ -277,7 +272,7 @@ def _find_degeneracy(
     flagged: npt.NDArray[np.uint8],
     status: npt.NDArray[np.int8],
 ) -> Degeneracy:
-    """Describe the continuous families of a batch of this shape, N poses (N, 3, 3), (N, 3); set their `status` (N,).
+    """Describe the continuous families of a batch of this shape, and set their `status` (N,).
 
     Only poses that a kernel has `flagged` (N,) can have any. Where the two Z axes meet or cross, a family is continuous
     iff its form vanishes: (P : Q) is then free and the family has one dimension. Where they are parallel, see

@@ -212,7 +212,7 @@ def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configurat
 
 def _solver(geometry: Geometry, path: Any) -> tuple[PathSolver, FloatArray, bool]:
     """Return all solutions as a function of the parameter, the parameters of given points, and if those are legs."""
-    point: Callable[[float], Any] = path
+    point: Callable[[Any], Any] = path
     knots = np.array([0.0, 1.0])
     if callable(path):
         has_legs = np.shape(_matrices(path(0.0))) == (6,)
@@ -224,18 +224,17 @@ def _solver(geometry: Geometry, path: Any) -> tuple[PathSolver, FloatArray, bool
         has_legs, knots = array.ndim == 2, np.linspace(0.0, 1.0, len(array))
         if has_legs:
             readings = real_array(path, "path", (6,), "readings of the legs in metres, or poses of shape (n, 4, 4)")
-            point = lambda s: _between(s, knots, readings)  # noqa: E731
+            point = scipy.interpolate.make_interp_spline(knots, readings, k=1)
         else:
             poses = as_rigid_transform(path, "path")
-            turn, positions = Slerp(knots, poses.rotation), poses.translation
-            point = lambda s: pose(_between(s, knots, positions), rotation=turn(s))  # noqa: E731
+            turn, place = (
+                Slerp(knots, poses.rotation),
+                scipy.interpolate.make_interp_spline(knots, poses.translation, k=1),
+            )
+            point = lambda s: pose(place(s), rotation=turn(s))  # noqa: E731
     if has_legs:
         return lambda s, near: modes_near(geometry, point(s), near), knots, True
     return lambda s, near: inverse_displacement(geometry, point(s)), knots, False
-
-
-def _between(s: float, knots: FloatArray, rows: FloatArray) -> FloatArray:
-    return np.array([np.interp(s, knots, column) for column in rows.T])
 
 
 def _matrices(value: Any) -> Any:
@@ -253,7 +252,9 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
     chosen = solutions.physical() if start is None else solutions.nearest(start)
     if not chosen.exists:
         cause = (
-            f"{chosen.missing_reason}. A solution that is not physical is named by its label" if start is None else ""
+            ""
+            if start is not None
+            else f"{chosen.missing_reason}. A solution that is not physical is named by its label"
         )
         raise ArgumentError("start", "a solution that exists where the path begins", "none", cause)
     gap = np.abs(compared_points(solutions.configurations) - compared_points(chosen)).max(axis=(-1, -2))
@@ -276,12 +277,8 @@ class Tracker:
 
     def configurations(self) -> Configuration:
         """Return the states as one batch."""
-        return Configuration.from_arrays(
-            self.states[0].geometry,
-            np.stack([state.rotation for state in self.states]),
-            np.stack([state.translation for state in self.states]),
-            np.stack([state.middle_joints for state in self.states]),
-        )
+        arrays = zip(*((x.rotation, x.translation, x.middle_joints) for x in self.states), strict=True)
+        return Configuration.from_arrays(self.states[0].geometry, *map(np.stack, arrays))
 
     def advance(self, stop: float) -> bool:
         """Follow the solution to `stop`; False where it ends before."""
@@ -298,7 +295,12 @@ class Tracker:
             same = place is not None and solutions.labels[place] == self.labels[-1]
             if place is not None and ((clear and same) or (shortest and self._unclear < _MOST_UNCLEAR)):
                 self._unclear = 0 if clear else self._unclear + 1
-                self._accept(ahead, solutions, place)
+                if not same:
+                    detail = f"{self.labels[-1]} becomes {solutions.labels[place]}"
+                    self.events.append(Event(EventKind.SWITCH, ahead, detail))
+                self.parameters.append(ahead)
+                self.states.append(solutions.configurations[place])
+                self.labels.append(solutions.labels[place])
                 self._step = 2.0 * (ahead - here)
             elif not shortest:
                 self._step = 0.5 * (ahead - here)
@@ -325,23 +327,14 @@ class Tracker:
         rounding = 1e-12 * float(np.abs(here).max())
         return nearest, bool(error[nearest] <= _CLEARLY * others + rounding and others > 4 * rounding)
 
-    def _accept(self, parameter: float, solutions: SolutionSet, place: int) -> None:
-        label = solutions.labels[place]
-        if label != self.labels[-1]:
-            self.events.append(Event(EventKind.SWITCH, parameter, f"{self.labels[-1]} becomes {label}"))
-        self.parameters.append(parameter)
-        self.states.append(solutions.configurations[place])
-        self.labels.append(label)
-
     def _end(self, parameter: float) -> None:
-        if self._unclear >= _MOST_UNCLEAR:
-            what = f"{self.labels[-1]}, which coincides with another solution"
-            self.events.append(Event(EventKind.END, parameter, what))
-            return
-        # Given leg lengths end at a forward singularity of a stage, given poses at an inverse one.
-        lower, upper, _ = np.abs(determinants(self.states[-1]))
-        meets = ("forward, lower stage" if lower < upper else "forward, upper stage") if self.has_legs else "inverse"
-        self.events.append(Event(EventKind.END, parameter, f"{self.labels[-1]}, at a singularity: {meets}"))
+        reason = "which coincides with another solution"
+        if self._unclear < _MOST_UNCLEAR:
+            # Given leg lengths end at a forward singularity of a stage, given poses at an inverse one.
+            lower, upper, _ = np.abs(determinants(self.states[-1]))
+            stage = "lower" if lower < upper else "upper"
+            reason = f"at a singularity: {f'forward, {stage} stage' if self.has_legs else 'inverse'}"
+        self.events.append(Event(EventKind.END, parameter, f"{self.labels[-1]}, {reason}"))
 
     def state(self, parameter: float) -> Configuration:
         """Return the followed solution anywhere between two places where it is known."""

@@ -1,22 +1,38 @@
-"""Leg rates from the platform's twist and back, and leg forces that hold a wrench, from forces through the balls.
+"""Leg rates from the platform's twist and back, leg forces that hold a wrench, and the platform's stiffness.
 
 Every leg acts on the middle platform through its ball along the leg, where its actuator holds, and along its revolute
 axis, where its structure holds: six forces in each stage, the rows of J_b and of J_c; K are the six structural ones.
-No 6 x 6 is decomposed, see `spm_pin.formulas.wrenches`; singular values decide about the few states that
-may be singular. One that is raises if it is a single state; in a batch its result is NaN, and the `kind` of
+Both stages carry the whole load, so that their compliances add,
+
+    C = J_b⁻¹ D_b J_b⁻ᵀ + J_c⁻¹ D_c J_c⁻ᵀ,    D = diag(1 / stiffness) of the six forces.
+
+With rigid structures that is C = G diag(1/k) Gᵀ, G = J_f⁻¹. Weights and other loads are taken to be small: what a load
+itself adds by turning the legs is of the size load / (leg length · k) relative to C⁻¹.
+
+For rates and forces no 6 x 6 is decomposed, see `spm_pin.formulas.wrenches`; singular values decide about the few
+states that may be singular. One that is raises if it is a single state; in a batch its result is NaN, and the `kind` of
 `singularities` says why. Derivation: `docs/theory/rates_forces_singularities.md`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import SingularConfigurationError
-from spm_pin.kinematics.batches import Result, run_on_states
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, broadcastable, real_array
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.kinematics.batches import run_on_states
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    broadcastable,
+    leg_values,
+    real_array,
+    symmetric_matrices,
+)
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import upper_ball_weights
@@ -28,6 +44,8 @@ A unit vector computed from joint positions is off by a few eps, and so is an ar
 such parts, of coordinates a few times d, make a matrix off by some 10 √12 eps < 64 eps in the Frobenius norm:
 a smaller singular value may as well be zero.
 """
+_STIFFEST = 1e100
+"""Largest stiffness [N/m]: products of two are still numbers."""
 
 
 def inverse_jacobian(configuration: Configuration) -> FloatArray:
@@ -132,22 +150,22 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces
 
     load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
-    forces, suspect = run_on_states(stage_forces, configuration, _constants(configuration), _results(6), load=load)
+    forces, suspect = _run(stage_forces, configuration, (6,), load)
     if suspect.any():
         # A state is as singular under any wrench.
         forces[np.broadcast_to(_without_hold(configuration), forces.shape[:-1])] = np.nan
-    return np.asarray(forces)
+    return forces
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
     """Return the matrices of a kernel, shape (..., 6, 6); NaN at a singularity of this kind, or raise for one state."""
     check_configuration(configuration)
-    matrices, suspect = run_on_states(kernel, configuration, _constants(configuration), _results(6, 6))
+    matrices, suspect = _run(kernel, configuration, (6, 6))
     if suspect.any():
         singular = suspect.astype(bool)
         singular[singular] = _are_singular(configuration, np.argwhere(suspect), kind)
         matrices[singular] = np.nan
-    return np.asarray(matrices)
+    return matrices
 
 
 def _without_hold(configuration: Configuration) -> BoolArray:
@@ -155,12 +173,14 @@ def _without_hold(configuration: Configuration) -> BoolArray:
     return np.asarray(np.isnan(platform_jacobian(configuration)).any(axis=(-1, -2)))
 
 
-def _constants(configuration: Configuration) -> tuple[FloatArray, float, float]:
-    return leg_constants(configuration.geometry), configuration.geometry.middle_side, SINGULAR
-
-
-def _results(*shape: int) -> tuple[Result, Result]:
-    return (shape, np.float64), ((), np.uint8)
+def _run(
+    kernel: Callable[..., object], configuration: Configuration, shape: tuple[int, ...], load: FloatArray | None = None
+) -> tuple[FloatArray, IntArray]:
+    """Return the result of a kernel, of this shape per state, and which states may be singular."""
+    constants = leg_constants(configuration.geometry), configuration.geometry.middle_side, SINGULAR
+    results = (shape, np.float64), ((), np.uint8)
+    values, suspect = run_on_states(kernel, configuration, constants, results, load=load)
+    return values, suspect
 
 
 def _broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, configuration: Configuration) -> FloatArray:
@@ -199,9 +219,7 @@ def stage_inverses(configuration: Configuration) -> FloatArray:
 
     NaN where `platform_jacobian` is; a single state that is singular raises.
     """
-    held = ~_without_hold(configuration)[..., None, None, None]
-    matrices = force_matrices(configuration)[..., :2, :, :]
-    inverses = np.where(held, np.linalg.inv(np.where(held, matrices, np.eye(6))), np.nan)
+    inverses = _inverses(force_matrices(configuration)[..., :2, :, :], _without_hold(configuration)[..., None])
     lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
     angular = inverses[..., 3:, :] / configuration.geometry.middle_side
     linear = inverses[..., :3, :] + np.cross(angular, lever[..., None, :, None], axis=-2)
@@ -228,3 +246,137 @@ def _are_singular(configuration: Configuration, indices: IntArray, kind: str) ->
     if (structure[:, -1] <= SINGULAR * structure[:, 0]).any():
         raise SingularConfigurationError("constraint", float(structure[:, -1].min()))
     raise SingularConfigurationError(kind, float(smallest.min()))
+
+
+class PrincipalStiffness(NamedTuple):
+    """Stiffness in its principal directions, weakest first."""
+
+    translational: FloatArray
+    """Force per displacement of o while the platform turns as it likes [N/m], shape (..., 3)."""
+    translational_directions: FloatArray
+    """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
+    rotational: FloatArray
+    """Moment per rotation while o moves as it likes [N m/rad], shape (..., 3)."""
+    rotational_directions: FloatArray
+    """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
+
+
+def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
+    """Return the displacement of the platform per unit wrench.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+    legs : array_like, shape (..., 6) or ()
+        Stiffness of each actuator with its leg, along the leg [N/m], one number for all.
+    structure : array_like, shape (..., 6) or (), optional
+        Stiffness of each leg and its joints along the axis of its revolute joint, at the ball joint [N/m]; rigid by
+        default.
+
+    Returns
+    -------
+    ndarray, shape (..., 6, 6)
+        Maps (f, m) at o in {B} [N, N m] to a displacement of o [m] and a small rotation [rad] in {B}; symmetric.
+        Of rank less than 6 at an inverse singularity with rigid structures. NaN for a member of a batch that does not
+        exist or is singular as below.
+
+    Raises
+    ------
+    SingularConfigurationError
+        For a single state at a forward or a constraint singularity, where the legs do not hold the platform.
+    """
+    check_configuration(configuration)
+    along = _compliances(legs, "legs", configuration)
+    across = np.zeros(6) if structure is None else _compliances(structure, "structure", configuration)
+    inverses = stage_inverses(configuration)
+    halves = (x.reshape(*x.shape[:-1], 2, 3) for x in (along, across))
+    shares = np.concatenate(np.broadcast_arrays(*halves), axis=-1)
+    total = ((inverses * shares[..., None, :]) @ inverses.swapaxes(-1, -2)).sum(axis=-3)
+    return np.asarray(0.5 * (total + total.swapaxes(-1, -2)))
+
+
+def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
+    """Return the wrench per unit displacement of the platform: the inverse of `compliance`.
+
+    Parameters
+    ----------
+    configuration, legs, structure
+        As for `compliance`.
+
+    Returns
+    -------
+    ndarray, shape (..., 6, 6)
+        Maps a displacement of o [m] and a small rotation [rad] to (f, m) at o [N, N m], all in {B}; symmetric and
+        positive definite. NaN for a member of a batch that does not exist or is singular as below.
+
+    Raises
+    ------
+    SingularConfigurationError
+        For a single state at a forward or a constraint singularity; with a rigid structure at an inverse one as well,
+        where the legs' lengths do not show some motion of the platform: its stiffness is infinite there, its
+        `compliance` finite.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> state = spm.forward_physical(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> spm.stiffness(state, legs=1e7)[2, 2].round(-5)
+    np.float64(28900000.0)
+    """
+    if structure is not None:
+        flexible = compliance(configuration, legs, structure)
+        inverses = _inverses(flexible, np.asarray(np.isnan(flexible).any(axis=(-1, -2))))
+        return 0.5 * (inverses + inverses.swapaxes(-1, -2))
+    along = 1.0 / _compliances(legs, "legs", check_configuration(configuration))
+    jacobian = inverse_jacobian(configuration)
+    return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
+
+
+def principal_stiffness(compliance: npt.ArrayLike) -> PrincipalStiffness:
+    """Return the stiffness against pure forces at o and against pure moments, in their principal directions.
+
+    Parameters
+    ----------
+    compliance : array_like, shape (..., 6, 6)
+        Displacement per wrench, as of the function `compliance`, positive semidefinite. NaN gives NaN.
+
+    Returns
+    -------
+    PrincipalStiffness
+        Infinite where a direction is rigid.
+    """
+    matrices = symmetric_matrices(compliance, "compliance", 6, "in m/N, rad/(N m)", allow_nan=True)
+    # Scaled to a diagonal of ones, eigenvalues are free of their units.
+    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    absent = np.asarray(np.isnan(matrices).any(axis=(-1, -2)))
+    smallest = np.linalg.eigvalsh(np.nan_to_num(matrices * scale[..., None, :] * scale[..., :, None], nan=1.0))[..., 0]
+    wrong = (smallest < -1e-9) & ~absent
+    if wrong.any():
+        received = f"an eigenvalue of {smallest[wrong].flat[0]:.1e} of its diagonal"
+        raise ArgumentError("compliance", "positive semidefinite matrices", received)
+    principal: list[FloatArray] = []
+    for block in (matrices[..., :3, :3], matrices[..., 3:, 3:]):
+        values, vectors = np.linalg.eigh(np.where(absent[..., None, None], np.eye(3), block))
+        rigid = values <= 1e-14 * values[..., -1:]
+        stiffnesses = np.where(rigid, np.inf, 1.0 / np.where(rigid, 1.0, values))[..., ::-1]
+        directions = vectors.swapaxes(-1, -2)[..., ::-1, :]
+        principal.append(np.where(absent[..., None], np.nan, stiffnesses))
+        principal.append(np.where(absent[..., None, None], np.nan, directions))
+    return PrincipalStiffness(*principal)
+
+
+def _compliances(value: npt.ArrayLike, argument: str, configuration: Configuration) -> FloatArray:
+    """Return 1 / stiffness of six forces, shape (..., 6)."""
+    meaning = "the stiffness of r_b1 to r_c3 in N/m, or one for all"
+    cause = "A rigid leg has a large stiffness, not none"
+    inverses = 1.0 / leg_values(value, argument, meaning, most=_STIFFEST, cause=cause)
+    broadcastable(argument, inverses.shape[:-1], "configuration", configuration.shape)
+    return np.asarray(inverses)
+
+
+def _inverses(matrices: FloatArray, absent: BoolArray) -> FloatArray:
+    """Return the inverses of matrices (..., n, n), NaN for those that are `absent` (...)."""
+    absent = absent[..., None, None]
+    return np.where(absent, np.nan, np.linalg.inv(np.where(absent, np.eye(matrices.shape[-1]), matrices)))

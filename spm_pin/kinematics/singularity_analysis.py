@@ -20,7 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
-from spm_pin.formulas.vectors import direction
+from spm_pin.formulas.operations import rows_of
+from spm_pin.formulas.vectors import directions
 from spm_pin.formulas.wrenches import determinant, structure_determinant
 from spm_pin.kinematics.batches import run_kernel, run_on_states
 from spm_pin.kinematics.rates_and_forces import SINGULAR, leg_constants, platform_jacobian
@@ -274,15 +275,14 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
     above = moved(bases[..., 3:, :], none) - upper
     fixed = np.broadcast_to(axes[..., None, :3, :], lower.shape)
     turned = axes[..., None, 3:, :] + 1j * _STEP * np.cross(angular[..., None, :], axes[..., None, 3:, :])
-    b, c, first, second, a, a_m = (_rows(x) for x in (lower, upper, below, above, fixed, turned))
+    rows: list[Any] = [rows_of(x) for x in (lower, upper, below, above, fixed, turned)]
+    b, c, first, second, a, a_m = rows
     with np.errstate(invalid="ignore", divide="ignore"):
-        along, across = ((direction(x), direction(y), direction(z)) for x, y, z in (first, second))
-        values = determinant(b, along, a), determinant(c, across, a_m), structure_determinant(b, c, a, a_m)
+        values = (
+            determinant(b, directions(first), a),
+            determinant(c, directions(second), a_m),
+            structure_determinant(b, c, a, a_m),
+        )
     # Without subtraction, a complex step loses no digits.
     known = np.asarray(~np.isnan(twists).any(axis=(-1, -2), keepdims=True))
     return np.where(known, np.stack(values, axis=-2).imag / _STEP, np.nan)
-
-
-def _rows(array: Any) -> Any:
-    """Return an array (..., 3, 3) as formulas take it: three rows of three numbers, each an array (...)."""
-    return tuple(tuple(array[..., i, j] for j in range(3)) for i in range(3))

@@ -1,7 +1,13 @@
-"""Certificates that leg limits hold no forward singularity, so that six leg lengths mean one configuration."""
+"""Certificates that leg limits hold no forward singularity, so that six leg lengths mean one configuration.
+
+One machine is certified with its least determinants and a counterexample; of many it is only decided which are free of
+forward singularities, all their symmetric stages at once. Derivation: `docs/theory/proofs.md`.
+"""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -9,15 +15,27 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.errors import ArgumentError, GeometryError, SpmError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, leg_values, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LegLimits
-from spm_pin.proofs.stage_proof import StageProof, prove_stage
+from spm_pin.proofs.stage_proof import (
+    DEEPEST,
+    Boxes,
+    Int64Array,
+    StageProof,
+    are_in_boxes,
+    edges,
+    examine,
+    first_boxes,
+    halves,
+    joined,
+    prove_stage,
+)
 from spm_pin.proofs.stage_region import StageRegion, configuration_at, region_coordinates
 
 _LONGEST = 1e3
@@ -29,6 +47,12 @@ _ROUNDING = 1e-15
 """Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""
 _LINES = 1_000
 """Lines of leg lengths along which a forward singularity is looked for."""
+_FIRST_LEVEL = 3
+"""Level of division that symmetric stages begin with."""
+_SLOPE = 1.7320508075689
+"""A little more than √3, so that rounding leaves no box out."""
+_FLAT = 1e-10
+"""Least Z² of a level state over its legs' length squared: above this it exists, and is known to `joined`."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +117,7 @@ class Certificate:
             return np.zeros_like(inside)
         states = region_coordinates(configuration)
         for k, proof in enumerate((self.lower, self.upper)):
-            inside = inside & _contained(states[..., k, :], proof.proved)
+            inside = inside & are_in_boxes(states[..., k, :], proof.proved)
         return np.asarray(inside)
 
     def explain(self) -> str:
@@ -246,16 +270,10 @@ def largest_certified_limits(
         if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
             raise ArgumentError("centre", "leg lengths, as the geometry has no finite limits", "None")
         centre = 0.5 * (np.array(geometry.limits.minimum) + np.array(geometry.limits.maximum))
-    lengths = real_array(centre, "centre", (), "leg lengths in metres")
-    if lengths.shape not in ((), (6,)) or not (lengths > 0.0).all():
-        received = f"shape {lengths.shape}" if lengths.shape not in ((), (6,)) else float(lengths.min())
-        raise ArgumentError("centre", "one or six positive leg lengths in metres", received)
-    lengths = np.broadcast_to(lengths, 6)
-    size = sum(geometry.dimensions)
-    if not (lengths <= _LONGEST * size).all() or not forward_physical(geometry, lengths).exists:
-        raise ArgumentError(
-            "centre", "leg lengths in metres that can be assembled", f"{lengths.max():g} m at the longest"
-        )
+    lengths = leg_values(centre, "centre", "leg lengths in metres", most=_LONGEST * sum(geometry.dimensions))
+    if lengths.shape != (6,) or not forward_physical(geometry, lengths).exists:
+        received = f"shape {lengths.shape}, {lengths.max(initial=0.0):g} m at the longest"
+        raise ArgumentError("centre", "one or six leg lengths in metres that can be assembled", received)
     rng = np.random.default_rng(0)
     directions = np.concatenate([list(product((-1.0, 1.0), repeat=6)), rng.uniform(-1.0, 1.0, (_LINES, 6))])
     directions /= np.abs(directions).max(axis=-1, keepdims=True)
@@ -305,8 +323,71 @@ def _deviation(machine: Geometry, nominal: Geometry) -> tuple[float, float]:
     return float(errors[:, 2:].max()), float(errors[:, :2].max())
 
 
-def _contained(states: FloatArray, boxes: FloatArray) -> BoolArray:
-    """Return which states (..., 3) lie in one of the boxes (M, 3, 2), shape (...)."""
-    flat = states.reshape(-1, 3)
-    inside = [((boxes[..., 0] <= state) & (state <= boxes[..., 1])).all(axis=-1).any() for state in flat]
-    return np.array(inside, dtype=np.bool_).reshape(states.shape[:-1])
+def free_of_singularities(machines: Sequence[Geometry], boxes: int) -> BoolArray:
+    """Return which machines (N,) are proved free of forward singularities within their limits.
+
+    At most `boxes` are looked at for a stage. Where its legs have equal limits, the stage is the same after a turn by
+    120° about its axis, and in a mirror, which exchanges legs; a sixth of its states, 0 <= y <= √3 x, stands for all: a
+    path in the others, mirrored wherever it leaves the sixth, stays within it. Other machines are given to `certify`.
+    """
+    regions = [stage_regions(machine, machine.limits) for machine in machines if machine.limits is not None]
+    symmetric = [
+        machine.is_nominal and all(np.ptp(ends) == 0.0 for region in pair for ends in (region.minimum, region.maximum))
+        for machine, pair in zip(machines, regions, strict=True)
+    ]
+    free = np.zeros(len(machines), dtype=np.bool_)
+    stages = [region for pair, equal in zip(regions, symmetric, strict=True) if equal for region in pair]
+    if stages:
+        free[symmetric] = _stages_free(stages, boxes).reshape(-1, 2).all(axis=-1)
+    for index, (machine, equal) in enumerate(zip(machines, symmetric, strict=True)):
+        if not equal:
+            with contextlib.suppress(SpmError):
+                free[index] = certify(machine, boxes=boxes).holds
+    return free
+
+
+def _stages_free(stages: Sequence[StageRegion], most: int) -> BoolArray:
+    """Return which stages (S,) have no singular state joined to the level one with the lengths in the middle."""
+    every = StageRegion(
+        np.array([stage.leg_base_radius for stage in stages]),
+        np.array([stage.side for stage in stages]),
+        np.stack([stage.minimum for stage in stages], axis=-1),
+        np.stack([stage.maximum for stage in stages], axis=-1),
+        margin=np.array([stage.margin for stage in stages]),
+    )
+    scale, length = edges(every), 0.5 * (every.minimum[0] + every.maximum[0])
+    square = length**2 - (every.side / np.sqrt(3.0) - every.leg_base_radius) ** 2
+    start = np.stack(
+        [0.0 * square, 0.0 * square, np.sqrt(np.where(square > _FLAT * length**2, square, np.nan))], axis=-1
+    )
+    boxes = np.tile(first_boxes(_FIRST_LEVEL), len(stages))
+    boxes["stage"] = np.repeat(np.arange(len(stages)), len(boxes) // len(stages))
+    seen, free = np.full(len(stages), 8**_FIRST_LEVEL), np.zeros(len(stages), dtype=np.bool_)
+    kept = boxes[:0]
+    while len(boxes):
+        boxes = boxes[_in_sixth(boxes)]
+        stage = boxes["stage"]
+        kept = np.concatenate([kept, examine(_each(every, stage), scale[stage], boxes)])
+        kept = kept[joined(scale[kept["stage"]], kept, start[kept["stage"]])]
+        stage, undecided = kept["stage"], ~(kept["bound"] > 0.0)
+        count = np.bincount(stage[undecided], minlength=len(stages))
+        free |= (count == 0) & (np.bincount(stage, minlength=len(stages)) > 0)
+        seen += 8 * count
+        going_on = (count > 0) & (seen <= most)
+        going_on[stage[undecided & (kept["level"] == DEEPEST)]] = False
+        boxes = halves(kept[undecided & going_on[stage]])
+        kept = kept[~undecided & going_on[stage]]
+    return free
+
+
+def _each(every: StageRegion, stage: Int64Array) -> StageRegion:
+    """Return the regions of boxes, of the stages (N,)."""
+    radius, side, margin = (np.asarray(numbers)[stage] for numbers in (every.leg_base_radius, every.side, every.margin))
+    return StageRegion(radius, side, every.minimum[:, stage], every.maximum[:, stage], margin=margin)
+
+
+def _in_sixth(boxes: Boxes) -> BoolArray:
+    """Return which boxes may have a point with 0 <= y <= √3 x."""
+    size, (x, y, _) = np.ldexp(1.0, 1 - boxes["level"]), boxes["position"].T
+    most_x, most_y = (x + 1) * size - 1.0, (y + 1) * size - 1.0
+    return np.asarray((most_y >= 0.0) & (most_x >= 0.0) & (most_y - size <= _SLOPE * most_x))

@@ -43,9 +43,6 @@ class StageProof:
 
     bound: float
     """Proved lower bound of |det J| [m³] over the component of the start; 0 where something is undecided."""
-    least: float
-    """Smallest |det J| [m³] at the start and at centres of boxes with lengths within the limits: the minimum over the
-    component lies between `bound` and this, if each of the boxes meets the component."""
     undecided: FloatArray
     """Boxes of (x, y, Z) [-, -, m] joined to the start in which D may be zero: low and high ends, (N, 3, 2)."""
     proved: FloatArray
@@ -95,7 +92,6 @@ def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000) 
     complete = len(proved) > 0 and bool(positive.all()) and has_one_state(region, proved)
     return StageProof(
         bound=float(kept["bound"].min()) if complete else 0.0,
-        least=least,
         undecided=_ends(scale, kept[~positive]),
         proved=proved,
         singular=singular,
@@ -248,9 +244,17 @@ def _singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None
         if not inside[best] >= 0.0:
             break
         state = states[best]
-        if ((boxes[..., 0] <= state) & (state <= boxes[..., 1])).all(axis=-1).any():
+        if are_in_boxes(state, boxes):
             return np.asarray(state)
     return None
+
+
+def are_in_boxes(states: FloatArray, boxes: FloatArray) -> BoolArray:
+    """Return which states (..., 3) lie in one of the boxes (M, 3, 2), shape (...)."""
+    inside = [
+        ((boxes[..., 0] <= state) & (state <= boxes[..., 1])).all(axis=-1).any() for state in states.reshape(-1, 3)
+    ]
+    return np.array(inside, dtype=np.bool_).reshape(states.shape[:-1])
 
 
 def _evaluate(region: StageRegion, states: FloatArray) -> tuple[FloatArray, FloatArray]:

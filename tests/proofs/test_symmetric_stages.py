@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 import spm_pin as spm
 from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.proofs import stage_proof
-from spm_pin.proofs.symmetric_stages import free_of_singularities
+from spm_pin.proofs.certificate import free_of_singularities
 
 PAPER = spm.Geometry.paper()
 
