@@ -67,7 +67,7 @@ def octic(
 ) -> arb_poly:
     """Return the polynomial of degree eight in l_2 whose roots are the branches."""
     x, y, z, w = (arb(float(c)) for c in quaternion)
-    rotation = _rotation([x, y, z + arb(nudge), w + arb(nudge)])
+    rotation = rotation_rows([x, y, z + arb(nudge), w + arb(nudge)])
     o = [arb(float(c)) for c in position]
     half, half_sqrt3 = arb(1) / 2, arb(3).sqrt() / 2
     axes = [[half, half_sqrt3, arb(0)], [arb(1), arb(0), arb(0)], [-half, half_sqrt3, arb(0)]]
@@ -155,7 +155,7 @@ def quaternion_of(rotation: npt.NDArray[np.float64]) -> tuple[fmpq, fmpq, fmpq, 
     return found[0], found[1], found[2], found[3]
 
 
-def _rotation(quaternion: Vector) -> list[Vector]:
+def rotation_rows(quaternion: Vector) -> list[Vector]:
     x, y, z, w = quaternion
     n = x * x + y * y + z * z + w * w
     rows = [

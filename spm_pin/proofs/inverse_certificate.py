@@ -32,7 +32,7 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
-from spm_pin.proofs.stage_proof import Int64Array, StageProof
+from spm_pin.proofs.stage_proof import Int64Array, StageProof, columns
 from spm_pin.proofs.stage_region import StageRegion
 
 Cells = tuple[Interval, Interval]
@@ -152,7 +152,7 @@ class _StageCells:
         boxes = np.concatenate([proof.proved, proof.undecided])
         self._region = region
         # Above the legs' bases the sign of a corner's height is known, if no box says otherwise.
-        heights = region.corners(*(Interval(boxes[:, i, 0], boxes[:, i, 1]) for i in range(3)))[1]
+        heights = region.corners(*columns(boxes))[1]
         self._upward = all((height.low > 0.0).all() for height in heights)
         side = 1 << _GRID
         ends = (boxes[:, :2] + 1.0) * (side / 2)
@@ -186,13 +186,10 @@ def _ends(level: int, position: Int64Array) -> Cells:
     return x, y
 
 
-def _scalar(cells: Cells) -> Interval:
-    return (1.0 - (cells[0].square() + cells[1].square())).root()
-
-
 def _axes(cells: Cells, upward: float) -> list[tuple[Interval, Interval, Interval]]:
     """Return the directions v of a stage's three revolute axes, seen from the middle platform."""
-    (x, y), x0 = cells, _scalar(cells)
+    x, y = cells
+    x0 = (1.0 - (x.square() + y.square())).root()
     across = 0.5 * SQRT_3
     side, half = across * x, 0.5 * y
     lift, back = across * y, 0.5 * x

@@ -13,12 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import product
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from spm_pin.formulas.vectors import combined, matrix_product, minus, times
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.proofs.stage_region import StageRegion
@@ -137,8 +139,7 @@ def _measure(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
 
 def examine(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
     """Return the boxes that may hold lengths within the limits, with lower bounds of |det J| in them."""
-    ends = _ends(scale, boxes)
-    x, y, z = (Interval(ends[:, i, 0], ends[:, i, 1]) for i in range(3))
+    x, y, z = columns(_ends(scale, boxes))
     tilt = x.square() + y.square()
     squares, determinant = region.evaluate(x, y, z)
     limits = [length.square() for length in region.lengths]
@@ -279,7 +280,7 @@ def has_one_state(region: StageRegion, boxes: FloatArray) -> bool:
     lengths = 0.5 * (region.minimum + region.maximum)
     region = replace(region, minimum=lengths, maximum=lengths, length_error=0.0, angle_error=0.0, margin=0.0)
     for _ in range(_ROUNDS):
-        squares, _ = region.evaluate(*_columns(boxes))
+        squares, _ = region.evaluate(*columns(boxes))
         missed = [square.misses(length.square()) for square, length in zip(squares, region.lengths, strict=True)]
         boxes = boxes[~np.any(missed, axis=0)]
         if not 0 < len(boxes) <= _MOST_BOXES:
@@ -292,38 +293,33 @@ def has_one_state(region: StageRegion, boxes: FloatArray) -> bool:
     return False
 
 
-def _columns(boxes: FloatArray) -> list[Interval]:
+def columns(boxes: FloatArray) -> list[Interval]:
+    """Return the intervals of x, y and Z of boxes (..., 3, 2)."""
     return [Interval(boxes[..., i, 0], boxes[..., i, 1]) for i in range(3)]
 
 
 def _krawczyk(region: StageRegion, box: FloatArray) -> bool:
     """Return whether Krawczyk's operator maps a box (3, 2), widened by a tenth, into its interior."""
     box = box + (0.1 * (box[:, 1] - box[:, 0]) + 1e-12)[:, None] * [-1.0, 1.0]
-    unknowns, centre = _columns(box), box.mean(axis=-1)
+    unknowns: Any = columns(box)
+    centre = box.mean(axis=-1)
     if not float((unknowns[0].square() + unknowns[1].square()).high) < 1.0:
         return False
     slopes = _slopes(region, *unknowns)
     middle = np.array([[0.5 * float(slope.low + slope.high) for slope in row] for row in slopes])
     if not np.isfinite(middle).all() or np.linalg.matrix_rank(middle) < 3:
         return False
-    inverse = np.linalg.inv(middle)
-    squares, _ = region.evaluate(*(Interval.from_numbers(value) for value in centre))
-    misses = [square - length.square() for square, length in zip(squares, region.lengths, strict=True)]
-    for i in range(3):
-        image = Interval.from_numbers(centre[i])
-        for k in range(3):
-            image = image - inverse[i, k] * misses[k]
-        for j in range(3):
-            defect = Interval.from_numbers(float(i == j))
-            for k in range(3):
-                defect = defect - inverse[i, k] * slopes[k][j]
-            image = image + defect * (unknowns[j] - Interval.from_numbers(centre[j]))
-        if not (image.low > box[i, 0] and image.high < box[i, 1]):
-            return False
-    return True
+    inverse: Any = np.linalg.inv(middle)
+    unit: Any = np.eye(3)
+    point: Any = [Interval.from_numbers(value) for value in centre]
+    squares, _ = region.evaluate(*point)
+    misses: Any = [square - length.square() for square, length in zip(squares, region.lengths, strict=True)]
+    defects: Any = [minus(*rows) for rows in zip(unit, matrix_product(inverse, slopes), strict=True)]
+    image: Any = combined(minus(point, times(inverse, misses)), 1.0, times(defects, minus(unknowns, point)))
+    return all(x.low > low and x.high < high for x, (low, high) in zip(image, box, strict=True))
 
 
-def _slopes(region: StageRegion, x: Interval, y: Interval, z: Interval) -> list[list[Interval]]:
+def _slopes(region: StageRegion, x: Interval, y: Interval, z: Interval) -> Any:
     """Return enclosures of the derivatives of the three squared lengths with respect to x, y and Z."""
     r, base = Interval.from_numbers(region.side) * SQRT_3.reciprocal(), Interval.from_numbers(region.leg_base_radius)
     x0 = (1.0 - (x.square() + y.square())).root()

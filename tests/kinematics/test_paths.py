@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -90,12 +90,9 @@ def test_an_end_is_where_two_branches_meet() -> None:
             assert not branches[1][label].exists
 
 
-def excess(ends: RigidTransform, label: str, leg: int, bound: float) -> Callable[[float], float]:
-    def value(s: float) -> float:
-        branches = spm.inverse_displacement(PAPER, pose_between(ends[0], ends[1], s))
-        return float(branches[label].leg_lengths[leg]) - bound
-
-    return value
+def excess(s: float, ends: RigidTransform, label: str, leg: int, bound: float) -> float:
+    branches = spm.inverse_displacement(PAPER, pose_between(ends[0], ends[1], s))
+    return float(branches[label].leg_lengths[leg]) - bound
 
 
 def test_a_limit_is_crossed_where_the_leg_is_as_long_as_it_may_be() -> None:
@@ -110,9 +107,8 @@ def test_a_limit_is_crossed_where_the_leg_is_as_long_as_it_may_be() -> None:
             if event.kind is not EventKind.LIMIT:
                 continue
             leg = spm.mechanism.LEGS.index(event.detail.split()[0])
-            bound = {"minimum": 1.1, "maximum": 1.5}["maximum" if "maximum" in event.detail else "minimum"]
-
-            beyond = excess(problem.pose, label, leg, bound)
+            bound = 1.5 if "maximum" in event.detail else 1.1
+            beyond = functools.partial(excess, ends=problem.pose, label=label, leg=leg, bound=bound)
             low, high = event.parameter - 1e-5, event.parameter + 1e-5
             assert beyond(low) * beyond(high) < 0.0
             assert event.parameter == pytest.approx(brentq(beyond, low, high, xtol=1e-13), abs=RESOLUTION)
@@ -184,10 +180,9 @@ def test_along_leg_lengths_the_machine_stays_in_its_mode() -> None:
 
 def test_leg_lengths_that_can_no_longer_close_end_the_path() -> None:
     """One leg grows while the others stay: the stage ceases to close at a forward singularity."""
-    start = np.full(6, 1.3)
-    grown = start.copy()
+    start, grown = np.full((2, 6), 1.3)
     grown[0] = 2.6
-    found = follow(replace(PAPER, limits=None), np.stack([start, grown]), samples=100)
+    found = follow(FREE, np.stack([start, grown]), samples=100)
     assert not found.complete
     (end,) = of_kind(found, EventKind.END)
     assert "forward, lower stage" in found.events[-1].detail
@@ -256,10 +251,10 @@ def test_the_share_of_a_line_in_the_home_mode_is_that_of_the_followed_path() -> 
 
 def test_another_mode_is_followed_along_a_line_to_its_end() -> None:
     start = spm.inverse_displacement(FREE, POSE)["FF+"]
-    last, share = last_on_line(start, np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31]))
+    end = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31])
+    last, share = last_on_line(start, end)
     assert 0.0 < share < 1.0
-    line = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31]) - start.leg_lengths
-    np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * line, atol=1e-9)
+    np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * (end - start.leg_lengths), atol=1e-9)
 
 
 def test_a_followed_path_is_shown_by_its_events() -> None:

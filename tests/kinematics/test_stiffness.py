@@ -66,7 +66,6 @@ def test_a_soft_structure_lets_the_balls_leave_the_planes_of_their_legs() -> Non
 
     def gaps(x: np.ndarray, load: np.ndarray) -> np.ndarray:
         b, o, rotation, _ = place(x)
-        total = []
         forces = []
         for foot, axis, sign in ((feet, axes, 1.0), (o + tips @ rotation.T, axes @ rotation.T, -1.0)):
             part = slice(0, 3) if sign > 0 else slice(3, 6)
@@ -80,7 +79,7 @@ def test_a_soft_structure_lets_the_balls_leave_the_planes_of_their_legs() -> Non
             forces.append(push[:, None] * along / length[:, None] + side[:, None] * axis)
         lower, upper = forces
         # Equilibrium of the middle platform, and of the terminal one, which the upper springs push the other way.
-        total += [(lower + upper).sum(axis=0), np.cross(b, lower + upper).sum(axis=0)]
+        total = [(lower + upper).sum(axis=0), np.cross(b, lower + upper).sum(axis=0)]
         total += [load[:3] - upper.sum(axis=0), load[3:] + np.cross(o, load[:3]) - np.cross(b, upper).sum(axis=0)]
         return np.concatenate(total) / 1e4
 
@@ -117,10 +116,9 @@ def test_principal_stiffness_is_force_over_displacement_in_its_directions() -> N
     matrix = compliance(STATE, LEGS)
     found = principal_stiffness(matrix)
     assert (np.diff(found.translational) >= 0.0).all()
-    for value, direction in zip(found.translational, found.translational_directions, strict=True):
-        np.testing.assert_allclose(matrix[:3, :3] @ direction, direction / value, rtol=0, atol=1e-9 / value)
-    for value, direction in zip(found.rotational, found.rotational_directions, strict=True):
-        np.testing.assert_allclose(matrix[3:, 3:] @ direction, direction / value, rtol=0, atol=1e-9 / value)
+    for block, values, directions in ((matrix[:3, :3], *found[:2]), (matrix[3:, 3:], *found[2:])):
+        for value, direction in zip(values, directions, strict=True):
+            np.testing.assert_allclose(block @ direction, direction / value, rtol=0, atol=1e-9 / value)
 
 
 @pytest.mark.parametrize(

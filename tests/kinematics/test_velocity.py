@@ -54,8 +54,7 @@ def test_the_two_jacobians_are_inverse_in_every_family(name, family):
 def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """J_f from the displacement alone, and the error to expect; `size` is about the norm of J_f, for the steps.
 
-    Two branches meet at a fold as square roots do, so its
-    distance goes with 1/|J|², and the steps as well.
+    Two branches meet at a fold as square roots do, so its distance goes with 1/|J|², and the steps as well.
     """
     d = state.geometry.middle_side
     unit = np.concatenate([np.eye(6), -np.eye(6)]) * np.array([1, 1, 1, *[1 / d] * 3])
@@ -77,18 +76,13 @@ def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.nd
     return fine, norm(fine - coarse) + rounding
 
 
-@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
-def test_finite_differences_at_random(name, family):
-    check_finite_differences(problems.random_branches(problems.GEOMETRIES[name], family, 100, seed=43))
-
-
-def test_finite_differences_in_leg_space():
-    check_finite_differences(problems.in_leg_space(PAPER, 500, seed=44))
-
-
-def check_finite_differences(problem: problems.Problem) -> None:
+@pytest.mark.parametrize(("name", "family"), [*EVERY_FAMILY, ("paper", "in leg space")])
+def test_finite_differences(name, family):
     """Nearly all members must tell to four digits; so close to a fold that none is left, some may not."""
+    if family == "in leg space":
+        problem = problems.in_leg_space(PAPER, 500, seed=44)
+    else:
+        problem = problems.random_branches(problems.GEOMETRIES[name], family, 100, seed=43)
     state = problem.configuration
     solved = spm.inverse_displacement(problem.geometry, problem.pose)
     distance = np.abs(solved.middle_joints - problem.middle_joints[:, None]).max(axis=(-1, -2))
@@ -108,36 +102,35 @@ def in_stages(geometry: spm.Geometry, lower: tuple[float, ...], upper: tuple[flo
     return problems.without_torsion(geometry, *tilts)
 
 
+PATHS = ("inverse", "forward")
 REGULAR = (0.3, 0.2, 1.5), (2.0, 0.15, -1.4)
 
 
-def crossing(make: Callable[[float], spm.Configuration], which: int, values: np.ndarray) -> float:
-    """Follow a path of states to where det J_b, det J_c or det K (0, 1, 2) changes sign, to the last bit."""
-    signs = np.sign([spm.determinants(make(value))[which] for value in values])
+def crossing(path: str, geometry: spm.Geometry) -> tuple[Callable[[float], spm.Configuration], float]:
+    """Return states over the azimuth of the upper stage's tilt, or the height of the lower stage, and a singular one.
+
+    There det K or det J_b changes sign, to the last bit.
+    """
+    if path == "inverse":
+        which, values = 2, np.linspace(0.5, 3.5, 61)
+    else:
+        which, values = 0, np.linspace(-1.0, 1.0, 60)
+
+    def make(value: float) -> spm.Configuration:
+        lower, upper = REGULAR
+        if path == "inverse":
+            return in_stages(geometry, lower, (value, *upper[1:]))
+        return in_stages(geometry, (*lower[:2], value), upper)
+
+    def sign(value: float) -> float:
+        return float(np.sign(spm.determinants(make(value))[which]))
+
+    signs = np.array([sign(value) for value in values])
     first = int(np.flatnonzero(signs[1:] != signs[:-1])[0])
     low, high = values[first], values[first + 1]
     while low < (middle := (low + high) / 2) < high:
-        same = np.sign(spm.determinants(make(middle))[which]) == signs[first]
-        low, high = (middle, high) if same else (low, middle)
-    return float(low)
-
-
-def inverse_path(geometry: spm.Geometry) -> tuple[Callable[[float], spm.Configuration], float]:
-    """States over the azimuth of the upper stage's tilt, and where one is singular."""
-
-    def make(azimuth: float) -> spm.Configuration:
-        return in_stages(geometry, REGULAR[0], (azimuth, *REGULAR[1][1:]))
-
-    return make, crossing(make, 2, np.linspace(0.5, 3.5, 61))
-
-
-def forward_path(geometry: spm.Geometry) -> tuple[Callable[[float], spm.Configuration], float]:
-    """States over the height of the lower stage, and where one near the base is singular."""
-
-    def make(height: float) -> spm.Configuration:
-        return in_stages(geometry, (*REGULAR[0][:2], height), REGULAR[1])
-
-    return make, crossing(make, 0, np.linspace(-1.0, 1.0, 60))
+        low, high = (middle, high) if sign(middle) == signs[first] else (low, middle)
+    return make, float(low)
 
 
 # Lower stage level at the height of the base: all its forces are in one plane.
@@ -149,7 +142,7 @@ TURNED_OVER = (0.3, 1.0, 1.5), REGULAR[1]
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
 def test_singular_states(name):
     geometry = problems.GEOMETRIES[name]
-    inverse, forward = (make(value) for make, value in (inverse_path(geometry), forward_path(geometry)))
+    inverse, forward = (make(value) for make, value in (crossing(path, geometry) for path in PATHS))
     constraint = in_stages(geometry, *TURNED_OVER)
     expected = [
         (inverse, inverse_jacobian, "inverse"),
@@ -203,11 +196,11 @@ def test_singular_members_of_a_batch_are_marked_and_the_others_computed():
     assert list(spm.singularities(level).kind) == [SingularityKind.INVERSE, SingularityKind.REGULAR]
 
 
-@pytest.mark.parametrize("path", [inverse_path, forward_path])
+@pytest.mark.parametrize("path", PATHS)
 def test_singular_means_singular_to_rounding(path):
     """Away from a singularity by more and more, a state is refused exactly as long as the singular values say."""
-    make, value = path(PAPER)
-    matrix, function = (2, inverse_jacobian) if path is inverse_path else (0, platform_jacobian)
+    make, value = crossing(path, PAPER)
+    matrix, function = (2, inverse_jacobian) if path == "inverse" else (0, platform_jacobian)
     decisions = []
     for offset in np.logspace(-16, -10, 121):
         state = make(value + offset)

@@ -41,26 +41,6 @@ def middle_and_half(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.n
     return 0.5 * (low + high), 0.5 * (high - low) * (1.0 + 1e-12) + 1e-14
 
 
-def factors(p: Interval, azimuth, rise, ratio: Interval):  # type: ignore[no-untyped-def]
-    """Return the six m_ij, and their derivatives with respect to ψ."""
-    (sine, cosine), radii, heights, d_radii, d_heights = sine_and_cosine(*rise), [], [], [], []
-    for phi in AZIMUTHS:
-        s2, c2 = sine_and_cosine(2.0 * azimuth[0] + phi, 2.0 * azimuth[1])
-        s1, c1 = sine_and_cosine(phi - azimuth[0], azimuth[1])
-        radii.append(1.0 - p * (1.0 + 2.0 * s2))
-        heights.append(cosine + sine * s1)
-        d_radii.append(-4.0 * (p * c2))
-        d_heights.append(-(sine * c1))
-    values, slopes = {}, {}
-    for i, j in PAIRS:
-        low, out = ratio + 0.5 * radii[j], radii[i] - ratio
-        values[i, j] = heights[i] * low + heights[j] * out
-        slopes[i, j] = (
-            d_heights[i] * low + heights[i] * (0.5 * d_radii[j]) + d_heights[j] * out + heights[j] * d_radii[i]
-        )
-    return values, slopes
-
-
 def sign(x: Interval) -> np.ndarray:
     return np.where(x.low > 0.0, 1, np.where(x.high < 0.0, -1, 0))
 
@@ -82,53 +62,6 @@ def undecided(excluded: Callable[..., np.ndarray], ends: tuple[tuple[float, floa
     return len(cells)
 
 
-def evaluated(cells: np.ndarray, low: np.ndarray, high: np.ndarray):  # type: ignore[no-untyped-def]
-    """Return factors, their derivatives, and D over cells whose azimuths are replaced by [low, high]."""
-    p, ratio = (Interval(cells[:, k, 0], cells[:, k, 1]) for k in (0, 3))
-    m, slopes = factors(p, middle_and_half(low, high), middle_and_half(*cells[:, 2].T), ratio)
-    return m, slopes, m[0, 1] * m[1, 2] * m[2, 0] + m[1, 0] * m[2, 1] * m[0, 2]
-
-
-def without_exit(cells: np.ndarray) -> np.ndarray:
-    """Return which cells hold no states with D > 0, m12, m23 <= 0 and m21, m32, m13 >= 0.
-
-    Some cells without such states are beside a plane of symmetry, ψ = ψ0. There two legs change places, and with them
-    m12 and m32, m21 and m23 for legs 1 and 3: their differences are (ψ - ψ0) times derivatives in between, and have
-    signs that agree with the inequalities for ψ = ψ0 only, where the four are zero and D is too.
-    """
-    m, _, determinant = evaluated(cells, *cells[:, 1].T)
-    gone = (m[0, 1].low > 0.0) | (m[1, 2].low > 0.0) | (determinant.high <= 0.0)
-    for pair in ((1, 0), (2, 1), (0, 2)):
-        gone |= m[pair].high < 0.0
-    number = np.round(cells[:, 1].mean(axis=-1) / (np.pi / 3.0)).astype(int)
-    plane = number * np.pi / 3.0
-    _, d, _ = evaluated(cells, np.minimum(cells[:, 1, 0], plane), np.maximum(cells[:, 1, 1], plane))
-    # Legs 1 and 3 change places at multiples of a half turn, 2 and 3, and 1 and 2, a third of a turn from there.
-    signs = (
-        sign(d[0, 1] - d[2, 1]) * sign(d[1, 0] - d[1, 2]),
-        -sign(d[0, 1] - d[0, 2]) * sign(d[1, 2] - d[2, 1]),
-        -sign(d[0, 1] - d[1, 0]) * sign(d[1, 2] - d[0, 2]),
-    )
-    return gone | (np.choose(number % 3, signs) > 0)
-
-
-def without_rule(cells: np.ndarray) -> np.ndarray:
-    """Return which cells hold no states with D > 0 and at most one negative factor."""
-    m, _, determinant = evaluated(cells, *cells[:, 1].T)
-    negative = np.sum([value.high < 0.0 for value in m.values()], axis=0)
-    return np.asarray((determinant.high <= 0.0) | (negative >= 2))
-
-
-def exits(least: float, most: float, boxes: int) -> int:
-    ends = (0.0, 1.0), (-np.pi - 1e-12, np.pi + 1e-12), (0.0, np.pi + 1e-12), (least, most)
-    return undecided(without_exit, ends, boxes)
-
-
-def below_the_hips(least: float, most: float) -> int:
-    ends = (0.0, 1.0), (-np.pi - 1e-12, np.pi + 1e-12), (np.pi / 2.0 - 1e-12, np.pi + 1e-12), (least, most)
-    return undecided(without_rule, ends, 100_000)
-
-
 Series = tuple[Interval, ...]
 """A function of ψ and its derivatives."""
 PRODUCTS = ((0, 1), (1, 2), (2, 0)), ((1, 0), (2, 1), (0, 2))
@@ -143,8 +76,8 @@ def times(f: Series, g: Series) -> Series:
     return tuple(reduce(operator.add, (comb(n, k) * (f[k] * g[n - k]) for k in range(n + 1))) for n in orders)
 
 
-def determinant_and_slope(cells: np.ndarray, low: np.ndarray, high: np.ndarray, order: int):  # type: ignore[no-untyped-def]
-    """Return the factors, D and its derivative with respect to p, over azimuths [low, high].
+def factors(cells: np.ndarray, low: np.ndarray, high: np.ndarray, order: int):  # type: ignore[no-untyped-def]
+    """Return the six m_ij and their derivatives with respect to p, over cells whose azimuths are [low, high].
 
     Each comes with its first derivatives with respect to ψ, up to the order of 0 to 2.
     """
@@ -167,9 +100,59 @@ def determinant_and_slope(cells: np.ndarray, low: np.ndarray, high: np.ndarray, 
         outward = total(radii[i], tuple(-part for part in constant))
         m[i, j] = total(times(heights[i], inward), times(heights[j], outward))
         slopes[i, j] = total(times(heights[i], half), times(heights[j], falls[i]))
-    determinant = total(*(times(times(m[a], m[b]), m[c]) for a, b, c in PRODUCTS))
+    return m, slopes
+
+
+def determinant(m) -> Series:  # type: ignore[no-untyped-def]
+    return total(*(times(times(m[a], m[b]), m[c]) for a, b, c in PRODUCTS))
+
+
+def determinant_and_slope(cells: np.ndarray, low: np.ndarray, high: np.ndarray, order: int):  # type: ignore[no-untyped-def]
+    """Return the factors, D and its derivative with respect to p, as `factors` does."""
+    m, slopes = factors(cells, low, high, order)
     turns = [(a, b, c) for x, y, z in PRODUCTS for a, b, c in ((x, y, z), (y, z, x), (z, x, y))]
-    return m, determinant, total(*(times(slopes[a], times(m[b], m[c])) for a, b, c in turns))
+    return m, determinant(m), total(*(times(slopes[a], times(m[b], m[c])) for a, b, c in turns))
+
+
+def without_exit(cells: np.ndarray) -> np.ndarray:
+    """Return which cells hold no states with D > 0, m12, m23 <= 0 and m21, m32, m13 >= 0.
+
+    Some cells without such states are beside a plane of symmetry, ψ = ψ0. There two legs change places, and with them
+    m12 and m32, m21 and m23 for legs 1 and 3: their differences are (ψ - ψ0) times derivatives in between, and have
+    signs that agree with the inequalities for ψ = ψ0 only, where the four are zero and D is too.
+    """
+    m, _ = factors(cells, *cells[:, 1].T, 0)
+    gone = (m[0, 1][0].low > 0.0) | (m[1, 2][0].low > 0.0) | (determinant(m)[0].high <= 0.0)
+    for pair in ((1, 0), (2, 1), (0, 2)):
+        gone |= m[pair][0].high < 0.0
+    number = np.round(cells[:, 1].mean(axis=-1) / (np.pi / 3.0)).astype(int)
+    plane = number * np.pi / 3.0
+    m, _ = factors(cells, np.minimum(cells[:, 1, 0], plane), np.maximum(cells[:, 1, 1], plane), 1)
+    d = {pair: series[1] for pair, series in m.items()}
+    # Legs 1 and 3 change places at multiples of a half turn, 2 and 3, and 1 and 2, a third of a turn from there.
+    signs = (
+        sign(d[0, 1] - d[2, 1]) * sign(d[1, 0] - d[1, 2]),
+        -sign(d[0, 1] - d[0, 2]) * sign(d[1, 2] - d[2, 1]),
+        -sign(d[0, 1] - d[1, 0]) * sign(d[1, 2] - d[0, 2]),
+    )
+    return gone | (np.choose(number % 3, signs) > 0)
+
+
+def without_rule(cells: np.ndarray) -> np.ndarray:
+    """Return which cells hold no states with D > 0 and at most one negative factor."""
+    m, _ = factors(cells, *cells[:, 1].T, 0)
+    negative = np.sum([value[0].high < 0.0 for value in m.values()], axis=0)
+    return np.asarray((determinant(m)[0].high <= 0.0) | (negative >= 2))
+
+
+def exits(least: float, most: float, boxes: int) -> int:
+    ends = (0.0, 1.0), (-np.pi - 1e-12, np.pi + 1e-12), (0.0, np.pi + 1e-12), (least, most)
+    return undecided(without_exit, ends, boxes)
+
+
+def below_the_hips(least: float, most: float) -> int:
+    ends = (0.0, 1.0), (-np.pi - 1e-12, np.pi + 1e-12), (np.pi / 2.0 - 1e-12, np.pi + 1e-12), (least, most)
+    return undecided(without_rule, ends, 100_000)
 
 
 def without_ascent(cells: np.ndarray) -> np.ndarray:
@@ -180,16 +163,16 @@ def without_ascent(cells: np.ndarray) -> np.ndarray:
     corners that the reflection exchanges, u = z (ε + 1/2 - 3/2 p) + z' (1 - ε), v = z' (ε + 1/2) + z (1 - 3p - ε),
     where z' is the height of the third. Two arguments are used, see `docs/theory/forward_displacement.md`.
     """
-    m, determinant, slope = determinant_and_slope(cells, *cells[:, 1].T, 0)
-    negative = np.sum([value[0].high < 0.0 for value in m.values()], axis=0)
-    gone = (determinant[0].low > 0.0) | (determinant[0].high < 0.0) | (negative >= 2) | (slope[0].high < 0.0)
+    m, value, slope = determinant_and_slope(cells, *cells[:, 1].T, 0)
+    negative = np.sum([series[0].high < 0.0 for series in m.values()], axis=0)
+    gone = (value[0].low > 0.0) | (value[0].high < 0.0) | (negative >= 2) | (slope[0].high < 0.0)
     rest = np.flatnonzero(~gone)
     cells = cells[rest]
     number = np.round(cells[:, 1].mean(axis=-1) / (np.pi / 3.0)).astype(int)
     plane = number * np.pi / 3.0
     h = np.abs(cells[:, 1] - plane[:, None]).max(axis=-1) + 1e-15
-    m, determinant, slope = determinant_and_slope(cells, plane - h, plane + h, 2)
-    g, g_slope = 0.5 * determinant[2], 0.5 * slope[2]
+    m, value, slope = determinant_and_slope(cells, plane - h, plane + h, 2)
+    g, g_slope = 0.5 * value[2], 0.5 * slope[2]
     p, ratio = (Interval(cells[:, k, 0], cells[:, k, 1]) for k in (0, 3))
     sine, cosine = sine_and_cosine(*middle_and_half(*cells[:, 2].T))
     side = Interval.from_numbers(np.where(number == 0, 1.0, -1.0)) * sine
@@ -238,33 +221,28 @@ def test_the_factors_are_those_of_the_package() -> None:
         rises = [-x0 * (x + 3**0.5 * y), 2.0 * x0 * x, -x0 * (x - 3**0.5 * y)]
         np.testing.assert_allclose(heights, height + np.array(rises), atol=1e-14)
         size, theta = np.hypot(height, reach), np.arctan2(reach, height)
-        point = [np.array([value]) for value in (p, psi, theta, ratio)]
-        none = np.zeros(1)
-        found, slopes = factors(
-            Interval.from_numbers(point[0]), (point[1], none), (point[2], none), Interval.from_numbers(point[3])
-        )
-        nearby, _ = factors(
-            Interval.from_numbers(point[0]), (point[1] + 1e-6, none), (point[2], none), Interval.from_numbers(point[3])
-        )
+        cell = np.array([(p, psi, theta, ratio)])[..., None].repeat(2, axis=-1)
+        found, _ = factors(cell, *cell[:, 1].T, 1)
+        nearby, _ = factors(cell, *cell[:, 1].T + 1e-6, 0)
         for i, j in PAIRS:
             value = heights[i] * (ratio + radii[j] / 2.0) + heights[j] * (radii[i] - ratio)
-            assert size * found[i, j].low[0] <= value + 1e-12
-            assert value - 1e-12 <= size * found[i, j].high[0]
-            difference = (nearby[i, j].low[0] - found[i, j].low[0]) / 1e-6
-            assert slopes[i, j].low[0] == pytest.approx(difference, abs=1e-4)
+            assert size * found[i, j][0].low[0] <= value + 1e-12
+            assert value - 1e-12 <= size * found[i, j][0].high[0]
+            difference = (nearby[i, j][0].low[0] - found[i, j][0].low[0]) / 1e-6
+            assert found[i, j][1].low[0] == pytest.approx(difference, abs=1e-4)
 
 
 def test_series_of_the_determinant_in_the_azimuth() -> None:
     rng = np.random.default_rng(2)
 
     def values(p: float, psi: float, theta: float, ratio: float) -> tuple[float, float]:
-        cell = np.array([[[p, p], [psi, psi], [theta, theta], [ratio, ratio]]])
+        cell = np.array([(p, psi, theta, ratio)])[..., None].repeat(2, axis=-1)
         return tuple(float(x[0].low[0] + x[0].high[0]) / 2.0 for x in determinant_and_slope(cell, *cell[:, 1].T, 2)[1:])
 
     for number in (0, 1) * 10:
         plane = number * np.pi / 3.0
         p, theta, ratio = rng.uniform([0.0, 0.0, 0.1], [1.0, 1.5, 2.0])
-        cell = np.array([[[p, p], [plane, plane], [theta, theta], [ratio, ratio]]])
+        cell = np.array([(p, plane, theta, ratio)])[..., None].repeat(2, axis=-1)
         for k, found in enumerate(determinant_and_slope(cell, *cell[:, 1].T, 2)[1:]):
             below, here, above = (values(p, plane + h, theta, ratio)[k] for h in (-1e-4, 0.0, 1e-4))
             assert below == pytest.approx(above, abs=1e-12), "even about the plane"
