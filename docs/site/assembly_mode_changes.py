@@ -1,6 +1,6 @@
 """Assembly modes of one stage joined without a singularity, for docs/theory/literature_checks.md.
 
-A state in mode T is (x, y, Z/r), as in `spm_pin.proofs.stage_region`: the vector part of the middle platform's
+A state in mode T is (x, y, Z/r), as in `spm_pin.proofs.stage_proof`: the vector part of the middle platform's
 quaternion and its height in units of r. Mode F is mode T with -E for E.
 """
 
@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval
-from spm_pin.proofs.stage_region import StageRegion
+from spm_pin.proofs.stage_proof import StageRegion
 
 Array = npt.NDArray[np.float64]
 Shape = tuple[float, float, float]

@@ -2,7 +2,8 @@
 
 A discriminant above the bound of its rounding error has the computed sign. The others are computed by the same formulas
 in balls (python-flint), with more digits until the ball leaves zero, and the joints with them. Exact is the rotation of
-the quaternion that the kernels take from the doubles of a rotation matrix, which is orthogonal to rounding only.
+the quaternion that the kernels take from the doubles of a rotation matrix, which is orthogonal to rounding only; pose
+and legs of a machine as built are the exact numbers that they are stored as.
 
 For the joints, the nine coordinates x of the lower legs' balls are unknown, and the equations, of degree two, are the
 six leg planes, the upper legs' balls being combinations of the lower ones, and the three distances. With A an
@@ -43,10 +44,7 @@ _BITS = 400, 1600, 6400
 
 
 def certify_branches(branches: SolutionSet) -> SolutionSet:
-    """Decide the families that are not `certain`, and bound the error of all joints, in `radius`.
-
-    The families that are decided are written anew in the memory of `branches`.
-    """
+    """Decide the families that are not `certain`, in the memory of `branches`, and bound the error of all joints."""
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
     assert branches.memory is not None
@@ -64,11 +62,7 @@ def certify_branches(branches: SolutionSet) -> SolutionSet:
 def _decide_families(
     geometry: Geometry, solved: tuple[Any, ...], undecided: BoolArray, radius: FloatArray
 ) -> BoolArray:
-    """Decide the families of N poses whose discriminants may have the wrong sign, and compute their branches anew.
-
-    The results of `kernels.branch_kernels.all_branches` and the radii (N, 8) are corrected for the families `undecided`
-    (N, 4). Returned is for which families (N, 4) it is proved that they are real, or not: not for continuous ones.
-    """
+    """Compute the families `undecided` (N, 4), and their radii (N, 8), anew; return which of them are decided now."""
     rotation, position, joints, lengths, discriminants, hint, status, _ = solved
     decided = np.zeros_like(undecided)
     for n in np.flatnonzero(undecided.any(axis=-1)):
@@ -163,11 +157,7 @@ def _quaternions(rotation: Sequence[Any]) -> tuple[tuple[Any, Any, Any, Any], ..
 
 
 def _radii(states: Configuration) -> FloatArray:
-    """Return radii (...) [m] around computed joints within which exact joints exist, and are the only ones.
-
-    NaN where nothing is proved. Of a drawn machine the exact rotation is that of the quaternion which the kernels take
-    from a matrix; pose and legs of a machine as built are taken as the exact numbers that they are stored as.
-    """
+    """Return radii (...) [m] around joints in which exact ones exist, and are the only ones; NaN where not proved."""
     geometry, radius = states.geometry, np.full(states.exists.size, np.nan)
     joints, rotation = states.middle_joints.reshape(-1, 3, 3), states.rotation.reshape(-1, 3, 3)
     position = states.translation.reshape(-1, 3)

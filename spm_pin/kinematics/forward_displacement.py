@@ -169,10 +169,7 @@ def starting_configuration(geometry: Geometry) -> Configuration:
 
 
 def modes_near(geometry: Geometry, readings: FloatArray, near: Configuration | None) -> SolutionSet:
-    """Return the assembly modes of readings (6,) among which a path from the state `near` goes on.
-
-    All of a drawn machine. Of one as built the only one that is followed from there, or without `near` the physical.
-    """
+    """Return all assembly modes of readings (6,); of a machine as built the one followed from `near`, or physical."""
     if geometry.is_nominal:
         return forward_displacement(geometry, readings)
     state = forward_physical(geometry, readings, near)
@@ -223,12 +220,9 @@ def _follow(start: Geometry, state: tuple[FloatArray, ...], end: Geometry, lengt
 
 
 def _solve_as_built(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
-    """Return R, o and the b_i (N, ...) of the physical state of a machine as built with leg lengths (N, 6).
-
-    The state of the drawn machine with the same distances from pivots to balls is followed while the dimensions change
-    to those of this machine, or, where that gives none, the level state with equal legs is followed to the given legs.
-    """
+    """Return R, o and the b_i (N, ...) of the physical state of a machine as built with leg lengths (N, 6)."""
     drawn = geometry.nominal
+    # The drawn machine's state is followed with the same leg lengths; where that gives none, the level one's.
     state = _follow(drawn, _solve_drawn(drawn, lengths), geometry, lengths)
     missing = np.flatnonzero(~physical(Configuration.from_arrays(geometry, *state)))
     if len(missing):

@@ -29,13 +29,7 @@ def _above(x: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Interval:
-    """Closed intervals [low, high], two arrays of one shape.
-
-    Parameters
-    ----------
-    low, high : ndarray
-        Ends, low <= high.
-    """
+    """Closed intervals [low, high], low <= high: two arrays of one shape."""
 
     low: FloatArray
     high: FloatArray

@@ -272,17 +272,13 @@ def _find_degeneracy(
     flagged: npt.NDArray[np.uint8],
     status: npt.NDArray[np.int8],
 ) -> Degeneracy:
-    """Describe the continuous families of a batch of this shape, and set their `status` (N,).
-
-    Only poses that a kernel has `flagged` (N,) can have any. Where the two Z axes meet or cross, a family is continuous
-    iff its form vanishes: (P : Q) is then free and the family has one dimension. Where they are parallel, see
-    `kernels.branch_kernels.continuous_families`.
-    """
+    """Describe the continuous families, which only poses that are `flagged` (N,) can have; set their `status` (N,)."""
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL, continuous_families
 
     n, some = len(flagged), np.flatnonzero(flagged)
     families, dimension, legs = np.zeros((n, 4), np.bool_), np.zeros(n, np.int8), np.zeros((n, 3), np.bool_)
     families[some] = (flagged[some, None] & np.array([1, 2, 4, 8])) > 0
+    # Where the two Z axes meet or cross, (P : Q) is free in a continuous family: it has one dimension.
     dimension[some] = families[some].any(axis=-1)
     vertical = np.flatnonzero(flagged & VERTICAL)
     if len(vertical):

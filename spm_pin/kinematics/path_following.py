@@ -182,10 +182,9 @@ def follow(
 def physical_mode_share(
     geometry: Geometry, start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
 ) -> FloatArray:
-    """Return the shares of lines from readings (6,), at which the physical mode exists, to which it lasts, shape (n,).
+    """Return the shares (n,) of lines from readings (6,) to `ends` (n, 6) to which the physical mode lasts.
 
-    A line to one of `ends` (n, 6) [m] is solved at the ends of `parts` parts, and each further of `rounds` divides the
-    first part at whose end the mode is gone: a shorter gap may be missed.
+    Each of `rounds` solves one part of every line at the ends of `parts` parts: a shorter gap may be missed.
     """
     low, high = np.zeros(len(ends)), np.ones(len(ends))
     for _ in range(rounds):
@@ -198,10 +197,7 @@ def physical_mode_share(
 
 
 def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configuration, float]:
-    """Return the last configuration found on the straight line to readings (6,), and its share of the line.
-
-    The mode is that of `start`; the share is 1 if it lasts to the end.
-    """
+    """Return the last configuration in the mode of `start` on the line to readings (6,), and its share of the line."""
     geometry, first = start.geometry, start.readings
     if not physical(start):
         path = follow(geometry, np.stack([first, readings]), start, samples=4)
@@ -351,10 +347,7 @@ class Tracker:
 def find_events(
     geometry: Geometry, parameters: list[float], states: Configuration, state_at: Callable[[float], Configuration]
 ) -> list[Event]:
-    """Find the singularities and leg limits that a followed solution meets.
-
-    `states` (n,) are the solution at the n parameters, `state_at` finds it at any parameter in between.
-    """
+    """Find the singularities and leg limits that a solution, `states` (n,) at the n parameters, meets."""
     values = _monitored(geometry, states)
     # A leg that is as long as its limit, to rounding, is within it.
     values[:, 3:][np.abs(values[:, 3:]) <= _ROUNDING * geometry.middle_side] = 0.0

@@ -28,15 +28,17 @@ from spm_pin.proofs.stage_proof import (
     Boxes,
     Int64Array,
     StageProof,
+    StageRegion,
     are_in_boxes,
+    configuration_at,
     edges,
     examine,
     first_boxes,
     halves,
     joined,
     prove_stage,
+    region_coordinates,
 )
-from spm_pin.proofs.stage_region import StageRegion, configuration_at, region_coordinates
 
 _LONGEST = 1e3
 """Largest leg lengths that are worth a proof, in units of the machine's size."""

@@ -32,8 +32,7 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
-from spm_pin.proofs.stage_proof import Int64Array, StageProof, columns
-from spm_pin.proofs.stage_region import StageRegion
+from spm_pin.proofs.stage_proof import Int64Array, StageProof, StageRegion, columns
 
 Cells = tuple[Interval, Interval]
 """x and y of cells of one stage."""

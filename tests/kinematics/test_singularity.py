@@ -37,12 +37,6 @@ def inverse() -> spm.Configuration:
     return singular_state(STRUCTURE, *PAPER_TILTS[STRUCTURE])
 
 
-@pytest.fixture(scope="module")
-def forward() -> spm.Configuration:
-    """A low lower stage: as it tilts further, its legs cease to hold it."""
-    return singular_state(LOWER, *PAPER_TILTS[LOWER])
-
-
 INVERSE, FORWARD, CONSTRAINT = SingularityKind.INVERSE, SingularityKind.FORWARD, SingularityKind.CONSTRAINT
 # Tilt axis, sine of half the tilt and height of both stages; ranks of J_b, J_c and K, mobility and kind. Both stages
 # tilted about the revolute axis of one leg are mirror symmetric and lose one freedom, level ones three; half a turn
@@ -125,7 +119,8 @@ def test_lost_wrench_is_carried_without_the_legs(inverse: spm.Configuration) -> 
     assert np.abs(found.lost_wrench @ spm.kinematics.platform_jacobian(inverse)).max() < 1e-11
 
 
-def test_gained_twist_leaves_the_leg_lengths(forward: spm.Configuration) -> None:
+def test_gained_twist_leaves_the_leg_lengths() -> None:
+    forward = singular_state(LOWER, *PAPER_TILTS[LOWER])
     found = singularities(forward, tolerance=1e-9)
     assert SingularityKind(int(found.kind)) is SingularityKind.FORWARD
     assert found.rank[LOWER] == 5

@@ -139,20 +139,24 @@ def test_digits_kept_towards_a_fold(target):
         assert errors[:, 1:].max(axis=0).min() > 1e4 * errors[:, 0].max()
 
 
-def between(share: float) -> spm.Configuration:
-    """A state between the branches that `fold` brings together: TT+ at 1, singular at 0.
+def halfway() -> spm.Configuration:
+    """The state halfway between the branches that `fold` brings together.
 
     The closure equations are quadratic in b, so halfway their derivative along b(TT+) - b(TT-) is the difference
-    of their values at the two ends, zero: det K vanishes there to the last bit, and grows linearly with the share.
-    Closure is violated only to second order in the branches' distance.
+    of their values at the two ends, zero: det K vanishes there to the last bit. Closure is violated only to second
+    order in the branches' distance.
     """
     plus, minus = fold(1e-14)
-    middle, half = (plus.middle_joints + minus.middle_joints) / 2, (plus.middle_joints - minus.middle_joints) / 2
-    return spm.Configuration(PAPER, plus.pose, middle + share * half)
+    return spm.Configuration(PAPER, plus.pose, (plus.middle_joints + minus.middle_joints) / 2)
 
 
-def test_forces_halfway_between_two_branches():
-    state = between(0.0)
+# Level and on the axis, K has rank three; J_f does not exist, the forces do.
+LEVEL = problems.without_torsion(PAPER, (0.0, 0.0, 1.3), (0.0, 0.0, -1.2))
+
+
+@pytest.mark.parametrize("make", [halfway, lambda: LEVEL], ids=["halfway between two branches", "level"])
+def test_forces_at_an_inverse_singularity(make):
+    state = make()
     with pytest.raises(SingularConfigurationError, match=r"^inverse singularity: "):
         inverse_jacobian(state)
     for wrench in WRENCHES:
@@ -161,16 +165,8 @@ def test_forces_halfway_between_two_branches():
         assert error <= min(1e-12, 8 * EPS * stage_conditions(state))
 
 
-def test_forces_on_a_level_platform():
-    """Level and on the axis, K has rank three; J_f does not exist, the forces do."""
-    level = problems.without_torsion(PAPER, (0.0, 0.0, 1.3), (0.0, 0.0, -1.2))
-    with pytest.raises(SingularConfigurationError, match=r"^inverse singularity: "):
-        inverse_jacobian(level)
-    for wrench in WRENCHES:
-        true = reference(level, wrench)
-        error = np.linalg.norm(leg_forces(level, wrench) - true) / np.linalg.norm(true)
-        assert error <= 8 * EPS * stage_conditions(level)
-    # By symmetry a weight is shared equally: each leg carries a third of it along its own slope.
-    forces = leg_forces(level, [0, 0, -6.0, 0, 0, 0])
-    slope = level.leg_vectors[:, 2] / level.leg_lengths
+def test_a_weight_on_a_level_platform_is_shared_equally():
+    """Each leg carries a third of it along its own slope."""
+    forces = leg_forces(LEVEL, [0, 0, -6.0, 0, 0, 0])
+    slope = LEVEL.leg_vectors[:, 2] / LEVEL.leg_lengths
     assert np.allclose(forces * slope, 2.0, rtol=64 * EPS)

@@ -11,7 +11,7 @@ import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.proofs import certify_inverse
 from spm_pin.proofs.certificate import stage_regions
-from spm_pin.proofs.stage_region import region_coordinates
+from spm_pin.proofs.stage_proof import region_coordinates
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -133,11 +133,10 @@ def test_errors_of_one_kind_cover_machines_with_errors_of_this_kind(errors: tupl
         assert found.covers(spm.forward_physical(machine_within(length, angle, rng), np.full(6, 1.3)))
 
 
-def test_other_dimensions_are_errors_of_pivots_and_balls(certificate: spm.Certificate) -> None:
-    sizes = np.array(PAPER.dimensions)
-    for signs in ([1, 1, 1], [-1, 1, -1]):
-        other = spm.Geometry(*(sizes + 0.999e-4 * np.array(signs)))
-        assert certificate.covers(spm.forward_physical(other, np.full(6, 1.4)))
+@pytest.mark.parametrize("signs", [[1, 1, 1], [-1, 1, -1]])
+def test_other_dimensions_are_errors_of_pivots_and_balls(certificate: spm.Certificate, signs: list[int]) -> None:
+    other = spm.Geometry(*(np.array(PAPER.dimensions) + 0.999e-4 * np.array(signs)))
+    assert certificate.covers(spm.forward_physical(other, np.full(6, 1.4)))
 
 
 def test_the_widest_limits_for_machines_with_errors() -> None:

@@ -215,7 +215,7 @@ def test_the_factors_are_those_of_the_package() -> None:
         heights = height + reach * np.sin(AZIMUTHS - psi)
         x, y = np.sqrt(p) * np.cos(psi), np.sqrt(p) * np.sin(psi)
         x0 = np.sqrt(1.0 - p)
-        # Radii and heights as in `spm_pin.proofs.stage_region`.
+        # Radii and heights as in `spm_pin.proofs.stage_proof`.
         expected = [1.0 - 2.0 * y * y - 12**0.5 * x * y, 1.0 - 3.0 * x * x + y * y, 1.0 - 2.0 * y * y + 12**0.5 * x * y]
         np.testing.assert_allclose(radii, expected, atol=1e-14)
         rises = [-x0 * (x + 3**0.5 * y), 2.0 * x0 * x, -x0 * (x - 3**0.5 * y)]
