@@ -260,12 +260,6 @@ def test_states_of_a_path_in_certified_limits(certificate: spm.Certificate) -> N
         spm.follow(PAPER, np.array([inside, outside]), certificate=LIMITS)  # type: ignore[arg-type]
 
 
-def test_states_of_another_machine_are_refused(certificate: spm.Certificate) -> None:
-    other = spm.forward_physical(spm.Geometry(0.6, 0.4, 0.8), np.full(6, 1.3))
-    with pytest.raises(spm.ArgumentError, match="configuration"):
-        certificate.covers(other)
-
-
 def test_a_second_state_with_the_same_lengths_is_found_among_the_boxes() -> None:
     lengths = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     modes = spm.forward_displacement(PAPER, lengths)
