@@ -97,11 +97,11 @@ _ExactFamily = tuple[float, FloatArray, FloatArray]
 def _families_in_balls(rotation: FloatArray, position: FloatArray, side: float) -> list[_ExactFamily | None]:
     """Return the families of a pose from ball arithmetic; None where the sign of a discriminant is not known."""
     solved: list[_ExactFamily | None] = [None] * 4
-    quaternion = _quaternions([arb(x) for x in rotation.ravel().tolist()])[int(_largest_component(rotation))]
-    place: Vectors = tuple(arb(x) for x in position.tolist())
+    entries, place = ([arb(x) for x in array.ravel().tolist()] for array in (rotation, position))
     for bits in _BITS:
         with ctx.workprec(bits):
             r: Any = arb(side) / arb(3).sqrt()
+            quaternion = _quaternions(entries)[int(_largest_component(rotation))]
             frame = _in_balls(formulas.pose_frame)(quaternion, place, r)
             if frame.is_vertical:
                 break

@@ -223,10 +223,8 @@ def _solver(geometry: Geometry, path: Any) -> tuple[PathSolver, FloatArray, bool
             point = scipy.interpolate.make_interp_spline(knots, readings, k=1)
         else:
             poses = as_rigid_transform(path, "path")
-            turn, place = (
-                Slerp(knots, poses.rotation),
-                scipy.interpolate.make_interp_spline(knots, poses.translation, k=1),
-            )
+            turn = Slerp(knots, poses.rotation)
+            place = scipy.interpolate.make_interp_spline(knots, poses.translation, k=1)
             point = lambda s: pose(place(s), rotation=turn(s))  # noqa: E731
     if has_legs:
         return lambda s, near: modes_near(geometry, point(s), near), knots, True
@@ -247,11 +245,8 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
         return solutions.labels.index(start)
     chosen = solutions.physical() if start is None else solutions.nearest(start)
     if not chosen.exists:
-        cause = (
-            ""
-            if start is not None
-            else f"{chosen.missing_reason}. A solution that is not physical is named by its label"
-        )
+        reason = f"{chosen.missing_reason}. A solution that is not physical is named by its label"
+        cause = reason if start is None else ""
         raise ArgumentError("start", "a solution that exists where the path begins", "none", cause)
     gap = np.abs(compared_points(solutions.configurations) - compared_points(chosen)).max(axis=(-1, -2))
     return int(np.where(solutions.exists, gap, np.inf).argmin())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import flint
 import mpmath
 import numpy as np
 import pytest
@@ -14,6 +15,12 @@ from spm_pin.kinematics.inverse_displacement import ROUNDING_BOUND
 
 PAPER = spm.Geometry.paper()
 FAMILIES = ("TT", "TF", "FT", "FF")
+
+
+@pytest.fixture(autouse=True)
+def default_precision() -> None:
+    """The package sets the precision of its balls itself; the oracle leaves its own behind."""
+    flint.ctx.default()
 
 
 def poses(count: int, seed: int, size: float = 0.6) -> RigidTransform:
