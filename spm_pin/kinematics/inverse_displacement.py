@@ -222,17 +222,17 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     status : ndarray of int8, shape (...)
         `Status` of each pose.
     """
-    method = _method(geometry)
-    if not method.is_drawn:
-        solutions = inverse_displacement(geometry, pose)
-        return solutions.leg_lengths, np.asarray(solutions.status, np.int8)
-    from spm_pin.kinematics.kernels import branch_kernels
-
     shape, rotation, position = read_pose(geometry, pose)
-    kernel, results = branch_kernels.branch_lengths, (((8, 6), np.float64), ((), np.int8), ((), np.uint8))
-    solved = run_kernel(kernel, (rotation, position), method.constants, results, method.min_batch)
-    lengths, status, flagged = solved
-    _find_degeneracy(geometry, shape, rotation, position, flagged, status)
+    method, poses = _method(geometry), (rotation, position)
+    if method.is_drawn:
+        from spm_pin.kinematics.kernels import branch_kernels
+
+        kernel, results = branch_kernels.branch_lengths, (((8, 6), np.float64), ((), np.int8), ((), np.uint8))
+        lengths, status, flagged = run_kernel(kernel, poses, method.constants, results, method.min_batch)
+        _find_degeneracy(geometry, shape, rotation, position, flagged, status)
+    else:
+        solved = run_kernel(method.all_branches, poses, method.constants, method.results, method.min_batch)
+        lengths, status = solved[3], solved[6]
     return lengths.reshape(*shape, 8, 6), status.reshape(shape)
 
 

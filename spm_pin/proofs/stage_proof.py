@@ -13,10 +13,10 @@ leg k the length √((ρ_k - ρ)² + z_k²), where ρ is E or C, and the stage i
 In a machine with errors the quaternion has a small fourth component x3, and each of these numbers differs by what is
 bounded over all machines.
 
-The cube of the states (x, y, Z) is divided into eight again and again: what has no
-lengths within the limits goes; what keeps the sign of D is proved; of the others only what is joined to a given state,
-through touching boxes, is divided further. That one state has the lengths in the middle of the limits is proved by
-subdivision, until Krawczyk's test succeeds. Derivation and theorem: `docs/theory/proofs.md`.
+The cube of the states (x, y, Z) is divided into eight again and again: what has no lengths within the limits goes; what
+keeps the sign of D is proved; of the others only what is joined to a given state, through touching boxes, is divided
+further. That one state has the lengths in the middle of the limits is proved by subdivision, until Krawczyk's test
+succeeds. Derivation and theorem: `docs/theory/proofs.md`.
 """
 
 from __future__ import annotations
