@@ -19,9 +19,7 @@ import pytest
 
 import spm_pin as spm
 
-HEAVY = (
-    "pinocchio casadi numba llvmlite matplotlib trimesh yourdfpy mujoco xacro flint scipy.optimize scipy.stats"
-)
+HEAVY = "pinocchio casadi numba llvmlite matplotlib trimesh yourdfpy mujoco xacro flint scipy.optimize scipy.stats"
 
 
 @pytest.mark.parametrize(
