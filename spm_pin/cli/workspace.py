@@ -26,8 +26,7 @@ from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, LegLimits
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
-from spm_pin.workspace.paper_shell import ERRATA, Shell, workspace_shell
-from spm_pin.workspace.sampling import sample_positions_near_limits
+from spm_pin.workspace.paper_shell import ERRATA, Shell, sample_positions_near_limits, workspace_shell
 
 _NAMES = {"store": "--out", "count": "--samples", "metrics": "--metric", "push": "--leg-force"}
 _NAMES |= {"leg_stiffness": "--leg-stiffness", **dict.fromkeys(LEGS, "--legs")}

@@ -38,7 +38,7 @@ from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spa
 from spm_pin.multibody.chain import check_same_machine
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
-from spm_pin.workspace.joint_limits import JointLimits
+from spm_pin.workspace.poses import JointLimits
 
 Place = Configuration | PoseLike | npt.ArrayLike
 

@@ -1,13 +1,26 @@
 """Workspace of the terminal platform: the paper's 24 surfaces as one shell, and the reachable set itself."""
 
 from spm_pin.workspace.boundary import Boundary, BoundaryPoints, reachable_boundary
-from spm_pin.workspace.closed_mesh import Convergence
-from spm_pin.workspace.joint_limits import JointLimits, leg_clearance
-from spm_pin.workspace.orientation import OrientationWorkspace, orientation_workspace
-from spm_pin.workspace.paper_shell import LegSetting, Patch, Shell, workspace_shell
-from spm_pin.workspace.poses import NearestPose, Reachability, nearest_reachable_pose, pose_distance, reachable
-from spm_pin.workspace.positions import Estimate, PositionReach, pose_volume, reachable_position, reachable_volume
-from spm_pin.workspace.sampling import sample_reachable
+from spm_pin.workspace.paper_shell import Convergence, LegSetting, Patch, Shell, workspace_shell
+from spm_pin.workspace.poses import (
+    JointLimits,
+    NearestPose,
+    Reachability,
+    leg_clearance,
+    nearest_reachable_pose,
+    pose_distance,
+    reachable,
+)
+from spm_pin.workspace.positions import (
+    Estimate,
+    OrientationWorkspace,
+    PositionReach,
+    orientation_workspace,
+    pose_volume,
+    reachable_position,
+    reachable_volume,
+)
+from spm_pin.workspace.states import sample_reachable
 
 __all__ = [
     "Boundary",

@@ -1,4 +1,4 @@
-"""The boundary of the reachable positions, as a closed mesh whose vertices lie on it.
+"""Closed meshes, and the boundary of the reachable positions as one whose vertices lie on it.
 
 Marching cubes need only the reachability of the nodes of a grid: it determines which edges the boundary crosses; where
 is found by halving the edges. What bounds the set is derived in `docs/theory/reachable_set.md`.
@@ -7,33 +7,48 @@ is found by halving the edges. What bounds the set is derived in `docs/theory/re
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, generator, real_number, whole_number
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import LegLimits
-from spm_pin.workspace.closed_mesh import ClosedMesh
+from spm_pin.mechanism import Geometry, LegLimits
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Progress,
+    generator,
+    real_array,
+    real_number,
+    whole_number,
+)
 from spm_pin.workspace.search import (
     SINGULARITY_MARGIN,
     NearestPoints,
     in_chunks,
     nearest_points,
+    nearest_states,
     search_states,
     start_table,
 )
-from spm_pin.workspace.states import StateSet, states_within
+from spm_pin.workspace.states import StateSet, finite_limits, states_within
 
-_STRIDES = (8, 4, 2, 1)
-"""Spacings of the grids searched one after the other, in units of the final spacing."""
+if TYPE_CHECKING:
+    from trimesh import Trimesh
+
+_OBLIQUE = Rotation.from_rotvec([0.37, -0.59, 0.83]).as_matrix()
+"""To a frame whose last axis is far from the symmetries of a mesh: of a face that a ray runs along, rounding could not
+tell whether it is ahead of the point."""
+_TOGETHER = 256
+"""Points of which winding numbers are counted together."""
 _MOST_NODES = 5_000_000
 """Nodes of the grid at most."""
 _HALVINGS = 25
@@ -42,6 +57,117 @@ _CHECK_DISTANCE = 1e-4
 """Distance beyond the place found, as a share of the edge, at which nothing must be reachable."""
 _BESIDE = 0.05
 """Share of the way from a point found nearest to the given one, where nothing may be nearer."""
+
+
+@dataclass(frozen=True)
+class ClosedMesh:
+    """A closed, oriented triangle mesh; it may pass through itself."""
+
+    vertices: FloatArray
+    """Positions of o in {B} [m], shape (V, 3)."""
+    faces: IntArray
+    """Triangles, counter-clockwise seen from outside, shape (F, 3)."""
+
+    @property
+    def volume(self) -> float:
+        """Volume enclosed by the mesh [m³]; its error falls with the square of the spacing of its vertices."""
+        a, b, c = np.moveaxis(self.vertices[self.faces] - self.vertices.mean(axis=0), 1, 0)
+        return float((a * np.cross(b, c)).sum()) / 6.0
+
+    @property
+    def face_areas(self) -> FloatArray:
+        """Areas of the faces [m²], shape (F,)."""
+        return np.asarray(np.linalg.norm(self._doubled_normals, axis=-1) / 2.0)
+
+    @property
+    def area(self) -> float:
+        """Area of the mesh [m²]."""
+        return float(self.face_areas.sum())
+
+    @property
+    def euler_characteristic(self) -> int:
+        """V - E + F of the mesh, 2 for a sphere; where a set has thin parts, it depends on the spacing."""
+        return len(self.vertices) - 3 * len(self.faces) // 2 + len(self.faces)
+
+    @property
+    def _doubled_normals(self) -> FloatArray:
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        return np.cross(b - a, c - a)
+
+    @cached_property
+    def mesh(self) -> Trimesh:
+        """The mesh as a `trimesh.Trimesh` in {B} [m], watertight, its normals outward."""
+        mesh: Trimesh = _trimesh().Trimesh(self.vertices, self.faces, process=False)
+        return mesh
+
+    def winding_number(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
+        """Return how many times the mesh goes round each of `points` (..., 3) [m], shape (...).
+
+        For a point on the mesh to within rounding it is the number on one of its sides. The signed crossings of a ray
+        from the point are counted. Whether it passes left or right of an edge is decided by the same arithmetic for
+        both faces at the edge, so no ray slips through between them.
+        """
+        array = real_array(points, "points", (3,), "positions in metres")
+        flat, vertices = array.reshape(-1, 3) @ _OBLIQUE, self.vertices @ _OBLIQUE
+        top, (tree, reach) = vertices[self.faces, 2].max(axis=1), self._faces_across_rays
+        following = np.roll(self.faces, -1, axis=1)
+        number = np.zeros(len(flat), dtype=np.int32)
+        for begin in range(0, len(flat), _TOGETHER):
+            near = [*tree.query_ball_point(flat[begin : begin + _TOGETHER, :2], reach)]
+            point = np.repeat(np.arange(begin, begin + len(near)), [*map(len, near)])
+            face = np.concatenate(near).astype(np.intp)
+            ahead = top[face] >= flat[point, 2]
+            point, face = point[ahead], face[ahead]
+            corners, after = self.faces[face], following[face]
+            a, b = (vertices[pick(corners, after)] for pick in (np.minimum, np.maximum))
+            x, y = flat[point, None, 0], flat[point, None, 1]
+            upward, downward = (a[..., 1] <= y) & (y < b[..., 1]), (b[..., 1] <= y) & (y < a[..., 1])
+            side = (b[..., 0] - a[..., 0]) * (y - a[..., 1]) - (x - a[..., 0]) * (b[..., 1] - a[..., 1])
+            turn = (upward & (side > 0.0)).astype(np.int32) - (downward & (side < 0.0))
+            # How often the outline of the face goes round the ray, and whether the face is ahead of the point.
+            turn = np.where(corners < after, turn, -turn).sum(axis=1, dtype=np.int32)
+            hit = np.flatnonzero(turn)
+            p, q, r = np.moveaxis(vertices[corners[hit]], 1, 0)
+            hit = hit[(np.cross(q - p, r - p) * (p - flat[point[hit]])).sum(axis=1) * turn[hit] > 0.0]
+            np.add.at(number, point[hit], turn[hit])
+        return number.reshape(array.shape[:-1])
+
+    def contains(self, points: npt.ArrayLike) -> BoolArray:
+        """Return which of `points` (..., 3) [m] are inside: whose winding number is not zero, shape (...)."""
+        return np.asarray(self.winding_number(points) != 0)
+
+    def distance(self, points: npt.ArrayLike) -> FloatArray:
+        """Return how far `points` (..., 3) are from the mesh [m], shape (...): positive inside, negative outside."""
+        array = real_array(points, "points", (3,), "positions in metres")
+        closest_point = _trimesh().triangles.closest_point
+        tree, reach = self._faces_by_place
+        shortest = np.empty(array.shape[:-1])
+        for k, point in enumerate(array.reshape(-1, 3)):
+            # The nearest centroid is on the mesh; a face whose centroid is farther by `reach` is itself farther.
+            near = tree.query_ball_point(point, tree.query(point)[0] + reach)
+            nearest = closest_point(self.vertices[self.faces[near]], np.broadcast_to(point, (len(near), 3)))
+            shortest.flat[k] = np.linalg.norm(nearest - point, axis=1).min()
+        return np.where(self.contains(array), shortest, -shortest)
+
+    @cached_property
+    def _faces_by_place(self) -> tuple[KDTree, float]:
+        return _centroids(self.vertices[self.faces])
+
+    @cached_property
+    def _faces_across_rays(self) -> tuple[KDTree, float]:
+        return _centroids((self.vertices @ _OBLIQUE)[self.faces, :2])
+
+
+def _centroids(corners: FloatArray) -> tuple[KDTree, float]:
+    """Return a tree of the centroids of faces (F, 3, k), and a bound on how far a face reaches from its own."""
+    centroids = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - centroids[:, None], axis=-1).max()
+    return KDTree(centroids), (1.0 + 1e-9) * float(reach)
+
+
+def _trimesh() -> Any:
+    require_extra("workspace", "trimesh")
+    return import_module("trimesh")
 
 
 @dataclass(frozen=True)
@@ -56,11 +182,8 @@ class BoundaryPoints:
     """Readings r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (n, 6); a leg at a limit has it to the last bit."""
     at_limit: npt.NDArray[np.int8]
     """-1 for a leg at its minimum, 1 at its maximum, 0 for one that is free, shape (n, 6)."""
-    gradient: FloatArray
-    """How fast o moves along the normal with each leg, shape (n, 6): zero for those free, else of the sign of
-    `at_limit`, or zero. At a forward singularity, where that is infinite, the multipliers of the limits."""
     violation: FloatArray
-    """By how much normal and `gradient` miss the conditions of a nearest point, shape (n,); rounding."""
+    """By how much the conditions of a nearest point are missed, shape (n,); rounding."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +236,7 @@ class Boundary(ClosedMesh):
         position, readings = states.positions(result.coordinates), result.readings
         normal = (points - position) / np.maximum(result.distance, np.finfo(float).tiny)[:, None]
         at_limit = (readings >= states.maximum).astype(np.int8) - (readings <= states.minimum).astype(np.int8)
-        return BoundaryPoints(position, normal, readings, at_limit, result.gradient, result.optimality)
+        return BoundaryPoints(position, normal, readings, at_limit, result.optimality)
 
 
 def _globally_nearest(states: StateSet, points: FloatArray) -> NearestPoints:
@@ -127,7 +250,7 @@ def _globally_nearest(states: StateSet, points: FloatArray) -> NearestPoints:
         beside = nearest_points(states, here + _BESIDE * (points[left] - here))
         nearer = np.flatnonzero(beside.distance < (1.0 - 1e-6) * _BESIDE * distance)
         left = left[nearer]
-        better = nearest_points(states, points[left], beside.coordinates[nearer])
+        better = nearest_states(states, points[left], beside.coordinates[nearer, None])
         nearer = np.flatnonzero(better.distance < (1.0 - 1e-9) * result.distance[left])
         left = left[nearer]
         result.update(left, better, nearer)
@@ -139,8 +262,7 @@ class _Grid:
     """A grid wide enough to begin and to end outside the reachable set, and which of its nodes are in it."""
 
     def __init__(self, states: StateSet, spacing: float, progress: Progress | None) -> None:
-        self.set, self.progress = states, progress
-        self.spacing = spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
+        self.set, self.spacing, self.progress = states, spacing, progress
         low, high = start_table(states).extent
         pad = 0.02 * (high - low) + 1.5 * spacing
         with np.errstate(over="ignore"):
@@ -150,51 +272,22 @@ class _Grid:
             received = f"{spacing:g}, which makes {numbers.prod():.0e}"
             raise ArgumentError("spacing", expected, received, "In millimetres?")
         self.origin = 0.5 * (low + high - (numbers - 1.0) * spacing)
-        self.inside, self.states = self._classified(tuple(numbers.astype(int)))
-
-    def _classified(self, shape: tuple[int, ...]) -> tuple[BoolArray, FloatArray]:
-        """Return which nodes are reachable, shape `shape`, and states there, shape `shape` + (2, 3).
-
-        The farther away, the coarser the grid that is searched.
-        """
-        index = np.indices(shape).reshape(3, -1).T
-        nodes = self._place(index)
-        inside, known = np.zeros(len(nodes), dtype=bool), np.zeros(len(nodes), dtype=bool)
-        states = np.full((len(nodes), 2, 3), np.nan)
-
-        def search(what: str, chosen: IntArray, starts: FloatArray | None) -> FloatArray:
-            member = search_states(self.set, nodes[chosen], starts, what=what, progress=self.progress)
-            states[chosen] = member.coordinates
-            known[chosen] = True
-            inside[chosen] |= member.reached
-            return member.distance
-
-        for stride in _STRIDES:
-            chosen = np.flatnonzero(~known & (index % stride == 0).all(axis=-1))
-            what = f"reachable nodes, every {stride * self.spacing:g} m"
-            distance = search(what, chosen, None) - start_table(self.set).margin
-            # Nothing within that distance is reachable.
-            remote = distance > self.spacing
-            if remote.any() and not known.all():
-                unknown = np.flatnonzero(~known)
-                around = KDTree(nodes[unknown]).query_ball_point(nodes[chosen[remote]], (1.0 - 1e-9) * distance[remote])
-                for members in around:
-                    known[unknown[members]] = True
-        # What a search has overlooked beside a reachable node is found from there.
+        shape = tuple(numbers.astype(int))
+        nodes = self.origin + spacing * np.indices(shape).reshape(3, -1).T
+        member = search_states(states, nodes, what="reachable nodes", progress=progress)
+        inside, known = member.reached, member.coordinates
+        # What a search has overlooked beside a reachable node is found from there. No reachable node is at the end of
+        # a row: around the set there is room.
         steps = [way * stride for stride in (1, shape[2], shape[1] * shape[2]) for way in (1, -1)]
-        fresh = np.flatnonzero(inside)
+        fresh, what = np.flatnonzero(inside), "nodes beside reachable ones"
         while len(fresh):
             before = inside.copy()
             for step in steps:
-                # No reachable node is at the end of a row: around the set there is room.
                 beside = fresh[~inside[fresh + step]] + step
-                search("nodes beside reachable ones", beside, states[beside - step])
+                member = search_states(states, nodes[beside], known[beside - step], what=what, progress=progress)
+                inside[beside], known[beside] = member.reached, member.coordinates
             fresh = np.flatnonzero(inside & ~before)
-        return inside.reshape(shape), states.reshape(*shape, 2, 3)
-
-    def _place(self, index: npt.NDArray[Any]) -> FloatArray:
-        """Return the positions [m] of points in units of the grid."""
-        return np.asarray(self.origin + self.spacing * index)
+        self.inside, self.states = inside.reshape(shape), known.reshape(*shape, 2, 3)
 
     def crossings(self, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Move vertices of marching cubes (V, 3), in units of the grid, to the boundary [m]; and readings there."""
@@ -207,12 +300,12 @@ class _Grid:
         for k in np.flatnonzero((a == b) | ((last - first).sum(axis=-1) != 1)):
             cube = np.floor(corners[k]).astype(int) + np.indices((2, 2, 2)).reshape(3, -1).T
             reached = self.inside[tuple(cube.T)]
-            centre = search_states(self.set, self._place(corners[k : k + 1]))
+            centre = search_states(self.set, self.origin + self.spacing * corners[k : k + 1])
             if centre.reached[0]:
                 inner[k], outer[k], known[k] = corners[k], cube[~reached][0], centre.coordinates[0]
             else:
                 inner[k], outer[k], known[k] = cube[reached][0], corners[k], self.states[tuple(cube[reached][0])]
-        arrays = self._place(inner), self._place(outer), known
+        arrays = self.origin + self.spacing * inner, self.origin + self.spacing * outer, known
         vertices, readings = in_chunks(partial(_crossings, self.set), "vertices", self.progress, *arrays)
         return vertices, readings
 
@@ -284,7 +377,9 @@ def reachable_boundary(
     """
     require_extra("workspace", "skimage")
     measure: Any = import_module("skimage.measure")
+    limits = finite_limits(geometry, limits)
     states = states_within(geometry, limits)
+    spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
     grid = _Grid(states, spacing, progress)
     if not grid.inside.any():
         low, high = start_table(states).extent
@@ -293,7 +388,5 @@ def reachable_boundary(
         raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
     corners, faces, _, _ = measure.marching_cubes(np.where(grid.inside, 1.0, -1.0), 0.0)
     vertices, readings = grid.crossings(corners.astype(np.float64))
-    bounds = geometry.limits if limits is None else limits
-    assert bounds is not None
-    boundary = Boundary(vertices, faces.astype(np.intp), geometry, bounds, grid.spacing, readings)
+    boundary = Boundary(vertices, faces.astype(np.intp), geometry, limits, spacing, readings)
     return boundary if boundary.volume > 0.0 else replace(boundary, faces=boundary.faces[:, ::-1])

@@ -13,24 +13,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError, GeometryError, SelectionError
 from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits, notebook
-from spm_pin.mechanism.arguments import (
-    FloatArray,
-    IntArray,
-    check_instance,
-    first_offender,
-    frozen,
-    type_and_value,
-    whole_number,
-)
+from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, frozen, type_and_value, whole_number
 from spm_pin.paper import published
-from spm_pin.workspace.closed_mesh import ClosedMesh, Convergence, enclosed_volume
+from spm_pin.workspace.boundary import ClosedMesh
+from spm_pin.workspace.states import finite_limits
 
 FINEST = 2000
 """Increments of a varying leg, at most: 24 surfaces of four million vertices."""
+_AT_A_LIMIT = 0.35
+"""Share of the legs that `sample_positions_near_limits` draws at a limit."""
 
 SENSES = (1, -1, 1, -1, 1, 1, -1, 1, 1, -1, -1, 1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, -1, -1)
 """Senses in which the outlines of the surfaces are gone round: neighbours run along their edge in opposite ones.
@@ -43,7 +41,7 @@ has it. A missing "~" needs no mention: two limits in one cell can mean nothing 
 
 
 class LegSetting(enum.Enum):
-    """LegSetting of a leg in Table 6; the value is the text of the table."""
+    """Setting of a leg in Table 6; the value is the text of the table."""
 
     MINIMUM = "min"
     MAXIMUM = "max"
@@ -106,6 +104,41 @@ class Patch(SubWorkspace):
     """Faces of the shell's mesh, shape (2n²,)."""
     area: float
     """Area of those faces [m²]."""
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """The volume that meshes of growing resolution enclose, extrapolated.
+
+    A mesh's error is a series in even powers of 1/n, so a polynomial in 1/n² through the values leads to its limit.
+    """
+
+    resolutions: tuple[int, ...]
+    """Resolutions n of the meshes, growing."""
+    volumes: tuple[float, ...]
+    """Volumes that the meshes enclose [m³]."""
+
+    @property
+    def limit(self) -> float:
+        """The polynomial at 1/n = 0 [m³]."""
+        return self._extrapolated(slice(None))
+
+    @property
+    def error(self) -> float:
+        """Change of the limit without the coarsest or the finest mesh [m³], a bound on the limit's error."""
+        return max(abs(self.limit - self._extrapolated(part)) for part in (slice(1, None), slice(None, -1)))
+
+    @property
+    def order(self) -> float:
+        """Power of 1/n with which the error falls from the last mesh but one to the last; 2 in theory."""
+        coarse, fine = (abs(volume - self.limit) for volume in self.volumes[-2:])
+        if fine == 0.0:
+            return float("inf")
+        return float(np.log(coarse / fine) / np.log(self.resolutions[-1] / self.resolutions[-2]))
+
+    def _extrapolated(self, part: slice) -> float:
+        squares = 1.0 / np.array(self.resolutions[part], dtype=np.float64) ** 2
+        return float(np.polyfit(squares, self.volumes[part], len(squares) - 1)[-1])
 
 
 @dataclass(frozen=True)
@@ -184,19 +217,21 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     >>> len(shell.patches), shell.euler_characteristic, round(shell.volume, 3)
     (24, 2, 1.653)
     """
-    if not check_instance(geometry, Geometry, "geometry").is_nominal:
+    limits = finite_limits(geometry, limits)
+    if not geometry.is_nominal:
         cause = "The paper's 24 surfaces are those of the drawing: geometry.nominal, or the file without its legs"
         raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
-    limits = _read_limits(geometry, limits)
+    if min(limits.minimum) == 0.0:
+        raise ArgumentError("limits", "a positive minimum for every leg", f"{limits.minimum} m")
     n = whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)
     rows = sub_workspaces()
     coarser = sorted({-(-n // 4), -(-n // 2)})
     volumes = []
     for m in (*coarser, n):
         lengths, grids = _joined(rows, limits, m)
-        states = _assembled(geometry, limits, lengths)
+        states = _assembled(geometry, lengths)
         faces = np.concatenate([_lofted(grid, sign) for grid, sign in zip(grids, SENSES, strict=True)])
-        volumes.append(enclosed_volume(states.translation, faces))
+        volumes.append(ClosedMesh(states.translation, faces).volume)
     outward = 1 if volumes[-1] > 0.0 else -1
     vertices, faces = states.translation, frozen(faces[:, ::outward])
     areas = ClosedMesh(vertices, faces).face_areas.reshape(len(rows), -1).sum(axis=1)
@@ -223,25 +258,17 @@ def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[Fl
     return lengths, number.reshape(steps.shape[:-1])
 
 
-def _assembled(geometry: Geometry, limits: LegLimits, lengths: FloatArray) -> Configuration:
+def _assembled(geometry: Geometry, lengths: FloatArray) -> Configuration:
     """Return the states with these leg lengths: what the paper's CAD mechanism solves in step 3."""
     states = forward_physical(geometry, lengths)
     absent = ~states.exists
-    if not absent.any():
-        return states
-    expected = "leg limits between which the mechanism can be assembled"
-    if absent.all():
-        lower, upper = (max(legs) for legs in (limits.maximum[:3], limits.maximum[3:]))
-        stages = ("lower", geometry.base_radius, lower), ("upper", geometry.platform_radius, upper)
-        for stage, radius, longest in stages:
-            gap = abs(radius - geometry.middle_radius)
-            if longest <= gap:
-                legs = f"{stage} legs of at most {longest:g} m to span {gap:g} m"
-                raise ArgumentError("limits", expected, legs, "This geometry has no symmetric home within them")
-        raise ArgumentError("limits", expected, "limits at which no surface has a physical configuration")
-    first = ", ".join(f"{leg} = {x:g}" for leg, x in zip(LEGS, lengths[first_offender(absent)], strict=True))
-    share = f"{np.count_nonzero(absent)} of {len(absent)} vertices without a physical configuration, as at {first} m"
-    raise ArgumentError("limits", expected, share, "A narrower range would close the shell")
+    if absent.any():
+        first = ", ".join(f"{leg} = {x:g}" for leg, x in zip(LEGS, lengths[first_offender(absent)], strict=True))
+        share = f"{np.count_nonzero(absent)} of {len(absent)} vertices without a physical configuration"
+        cause = "Too short to join the platforms?" if absent.all() else "A narrower range would close the shell"
+        expected = "leg limits between which the mechanism can be assembled"
+        raise ArgumentError("limits", expected, f"{share}, as at {first} m", cause)
+    return states
 
 
 def _lofted(grid: IntArray, sign: int) -> IntArray:
@@ -254,14 +281,26 @@ def _lofted(grid: IntArray, sign: int) -> IntArray:
     return triangles[:, ::sign]
 
 
-def _read_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:
-    box = geometry.limits if limits is None else limits
-    expected = "LegLimits with a positive minimum and a finite maximum for every leg, in metres"
-    if box is None:
-        raise GeometryError("limits", expected, "None, and the geometry has none", "A workspace needs limits")
-    if not isinstance(box, LegLimits):
-        raise GeometryError("limits", expected, repr(limits), "Use LegLimits(minimum, maximum)")
-    for leg, low, high in zip(LEGS, box.minimum, box.maximum, strict=True):
-        if not (low > 0.0 and np.isfinite(high)):
-            raise GeometryError("limits", expected, f"[{low:g}, {high:g}] for {leg}")
-    return box
+def sample_positions_near_limits(
+    geometry: Geometry, limits: LegLimits, *, count: int, seed: int = 0
+) -> tuple[FloatArray, npt.NDArray[np.int8]]:
+    """Draw leg lengths at limits or near them; return positions of o (N, 3) [m] and the sign of det K (N,) there.
+
+    Drawn evenly, leg lengths seldom put the platform near the boundary of what it can reach. Of `count` sets of leg
+    lengths within positive and finite limits. If the limits are the same for the legs of a stage, each gives six
+    positions: it stands for its images under the symmetries of the machine as well.
+    """
+    low, high = np.array(limits.minimum), np.array(limits.maximum)
+    rng = np.random.default_rng(seed)
+    share = np.sin(0.5 * np.pi * rng.random((count, 6))) ** 2
+    share = np.where(rng.random(share.shape) < _AT_A_LIMIT, share.round(), share)
+    states = forward_physical(geometry, (1.0 - share) * low + share * high)
+    states = states[states.exists]
+    positions, aspect = states.translation, np.sign(determinants(states)[:, 2]).astype(np.int8)
+    if all(len(set(ends)) == 1 for ends in (low[:3], low[3:], high[:3], high[3:])):
+        # A mirror changes the sign of det K, turns by 0, 120 and 240 degrees do not.
+        positions = np.concatenate([positions, positions * [-1.0, 1.0, 1.0]])
+        aspect = np.tile(np.concatenate([aspect, -aspect]), 3)
+        turns = Rotation.from_euler("z", [[0.0], [120.0], [240.0]], degrees=True)
+        positions = np.concatenate([turn.apply(positions) for turn in turns])
+    return positions, aspect

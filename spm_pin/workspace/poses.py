@@ -1,5 +1,6 @@
-"""Which poses are reachable, and the reachable poses nearest to the others.
+"""Which poses are reachable, within limits of passive joints too, and the reachable poses nearest to the others.
 
+Angles are those of `spm_pin.mechanism.joint_angles`: of the description's joints, and of the ball joints of every leg.
 Distance is measured where the platform is held: the root of the mean squared displacement of c_1, c_2, c_3.
 """
 
@@ -24,13 +25,26 @@ from spm_pin.mechanism import (
     SolutionSet,
     Status,
     as_rigid_transform,
+    joint_angles,
 )
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, choice
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    check_instance,
+    choice,
+    number_pair,
+    real_number,
+)
 from spm_pin.mechanism.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
-from spm_pin.workspace.joint_limits import JointLimits
+from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.states import free_states, states_around, states_within
 
+_PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
+"""Pairs of legs that have no joint in common, by their indices in `LEGS`."""
+_ANGLES = ("hip", "ball_x", "ball_y", "ball_z")
+"""Names of the limits of angles."""
 _STARTS = 8
 """Starts of a search: the states of a sample whose platform joints are nearest to the target's."""
 _MODE_TOLERANCE = 1e-7
@@ -41,6 +55,93 @@ _SPREADS = 4 * (0.1, 0.3, 1.0)
 """How far from where they ended searches without leg limits begin again, in the coordinates."""
 _OFF_THE_EDGE = 1e-5
 """Step in the coordinates away from where two branches meet: there rounding decides whether they are real."""
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of passive joints; None where there is none.
+
+    Parameters
+    ----------
+    hip : pair of floats, optional
+        Smallest and largest angle of the six revolute joints, from the home's direction [rad].
+    ball_x, ball_y, ball_z : pairs of floats, optional
+        The same of each angle of the six ball joints [rad]: from the leg's rod to the middle platform about the leg's
+        revolute axis, then about the middle one, then about the platform's normal.
+    clearance : float, optional
+        Least distance of the axes of two legs that have no joint in common [m]: the sum of their radii.
+    """
+
+    hip: tuple[float, float] | None = None
+    ball_x: tuple[float, float] | None = None
+    ball_y: tuple[float, float] | None = None
+    ball_z: tuple[float, float] | None = None
+    clearance: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in _ANGLES:
+            if (pair := getattr(self, name)) is not None:
+                low, high = number_pair(pair, name, "radians")
+                if not low < high:
+                    cause = "Minimum and maximum exchanged?" if low > high else ""
+                    raise ArgumentError(name, "a minimum below the maximum, in radians", f"({low:g}, {high:g})", cause)
+                object.__setattr__(self, name, (low, high))
+        if self.clearance is not None:
+            clearance = real_number(self.clearance, "clearance", "a distance in metres, not negative", least=0.0)
+            object.__setattr__(self, "clearance", clearance)
+
+    def angle_margin(self, configuration: Configuration) -> FloatArray:
+        """Return how far the worst angle is inside its limits, shape (...) [rad].
+
+        Negative outside, infinite without limits, NaN where a state does not exist.
+        """
+        margin = np.full(check_configuration(configuration).shape, np.inf)
+        limited = [name for name in _ANGLES if getattr(self, name) is not None]
+        angles = joint_angles(configuration) if limited else None
+        for name in limited:
+            (low, high), values = getattr(self, name), getattr(angles, name)
+            margin = np.minimum(margin, np.minimum(values - low, high - values).min(axis=-1))
+        return np.where(configuration.exists, margin, np.nan)
+
+    def clearance_margin(self, configuration: Configuration) -> FloatArray:
+        """Return by how much the nearest legs are farther apart than they must, shape (...) [m]; as `angle_margin`."""
+        if self.clearance is None:
+            return np.where(check_configuration(configuration).exists, np.inf, np.nan)
+        return leg_clearance(configuration) - self.clearance
+
+
+def leg_clearance(configuration: Configuration) -> FloatArray:
+    """Return the least distance of the axes of two legs that have no joint in common, shape (...) [m].
+
+    An axis is the segment from the revolute joint to the ball joint's centre. Of the fifteen pairs of legs, the three
+    that meet at a corner of the middle platform are left out. NaN where a state does not exist.
+    """
+    check_configuration(configuration)
+    starts = np.concatenate([configuration.leg_bases[..., :3, :], configuration.balls[..., 3:, :]], axis=-2)
+    along = configuration.leg_vectors
+    i, j = _PAIRS.T
+    squares = _segment_distance2(starts[..., i, :], along[..., i, :], starts[..., j, :], along[..., j, :])
+    return np.asarray(np.sqrt(squares.min(axis=-1)))
+
+
+def _segment_distance2(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArray) -> FloatArray:
+    """Return the squared distance of segments from p to p + u and from q to q + v, arrays (..., 3).
+
+    C. Ericson, "Real-Time Collision Detection", 2005, section 5.1.9.
+    """
+
+    def share(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
+        # Of a segment without length, or where two are parallel, any point is as good.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.clip(np.nan_to_num(numerator / denominator, posinf=1.0, neginf=0.0), 0.0, 1.0)
+
+    arm = p - q
+    a, b, c, d, e = ((x * y).sum(axis=-1) for x, y in ((u, u), (u, v), (v, v), (u, arm), (v, arm)))
+    s = share(b * e - c * d, a * c - b * b)
+    t = share(b * s + e, c)
+    s = share(b * t - d, a)
+    gap = arm + s[..., None] * u - t[..., None] * v
+    return np.asarray((gap * gap).sum(axis=-1))
 
 
 @dataclass(frozen=True)
@@ -163,14 +264,20 @@ def pose_distance(geometry: Geometry, first: PoseLike, second: PoseLike) -> Any:
     """
     check_instance(geometry, Geometry, "geometry")
     matrices = [as_rigid_transform(pose, name).as_matrix() for pose, name in ((first, "first"), (second, "second"))]
-    distance = _joint_distance(geometry, matrices[0] - matrices[1])
+    return _distance(geometry, *matrices)
+
+
+def _distance(geometry: Geometry, first: FloatArray, second: FloatArray) -> Any:
+    """Return the root mean square displacement of the joints between poses (..., 4, 4), a float for one [m]."""
+    moved = _joint_positions(geometry, first - second)
+    distance = np.asarray(np.sqrt((moved**2).sum(axis=-1) / 3.0))
     return distance if distance.shape else float(distance)
 
 
-def _joint_distance(geometry: Geometry, difference: FloatArray) -> FloatArray:
-    """Return the root mean square displacement (...) [m] for differences of matrices (..., 4, 4)."""
-    moved = difference[..., None, :3, 3] + geometry.platform_joints @ np.swapaxes(difference[..., :3, :3], -1, -2)
-    return np.asarray(np.sqrt((moved**2).sum(axis=-1).mean(axis=-1)))
+def _joint_positions(geometry: Geometry, matrices: FloatArray) -> FloatArray:
+    """Return the positions of c_1, c_2, c_3 in poses (..., 4, 4), shape (..., 9) [m]; linear in the matrices."""
+    moved = geometry.platform_joints @ np.swapaxes(matrices[..., :3, :3], -1, -2)
+    return (matrices[..., None, :3, 3] + moved).reshape(*matrices.shape[:-2], 9)
 
 
 def nearest_reachable_pose(
@@ -233,15 +340,10 @@ def nearest_reachable_pose(
     if limited:
         states = _nearest_within(geometry, matrices, limits, near)
     else:
-        states = _nearest_real(geometry, matrices, branch or _own_branch(near), near)
-    difference = states.pose.as_matrix() - matrices
-    distance = _joint_distance(geometry, difference).reshape(target.shape)
+        own = "TT+" if near is None else FAMILIES[int(family(near))] + ("+" if branch_sign(near) >= 0.0 else "-")
+        states = _nearest_real(geometry, matrices, branch or own, near)
     states = states.transformed(lambda array, inner: array.reshape(*target.shape, *array.shape[array.ndim - inner :]))
-    return NearestPose(states, distance if target.shape else float(distance))
-
-
-def _own_branch(near: Configuration | None) -> str:
-    return "TT+" if near is None else FAMILIES[int(family(near))] + ("+" if branch_sign(near) >= 0.0 else "-")
+    return NearestPose(states, _distance(geometry, states.pose.as_matrix(), target.as_matrix()))
 
 
 def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> None:
@@ -251,12 +353,6 @@ def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> N
         raise ArgumentError("near", "a configuration of the same geometry", repr(near.geometry))
     if not limits.margin(near.readings) >= -1e-9 * geometry.middle_side:
         raise ArgumentError("near", "a configuration within the leg limits", repr(near))
-
-
-def _joint_positions(geometry: Geometry, matrices: FloatArray) -> FloatArray:
-    """Return the positions of c_1, c_2, c_3 in poses (N, 4, 4), shape (N, 9) [m]."""
-    moved = geometry.platform_joints @ np.swapaxes(matrices[:, :3, :3], -1, -2)
-    return (matrices[:, None, :3, 3] + moved).reshape(-1, 9)
 
 
 def _nearest_within(
@@ -320,9 +416,9 @@ def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: C
     sides = [states.states(result.coordinates + sign * step) for sign in (1.0, -1.0)]
     with np.errstate(invalid="ignore"):  # a step off the edge that leads nowhere is NaN
         wanted = branch_sign(sides[0]) * (1.0 if branch[2] == "+" else -1.0) > 0.0
-
-    arrays = [np.array(getattr(solved, name)) for name in ("rotation", "translation", "middle_joints")]
-    for array, name in zip(arrays, ("rotation", "translation", "middle_joints"), strict=True):
-        first, second = (getattr(side, name) for side in sides)
+    arrays = []
+    for name in ("rotation", "translation", "middle_joints"):
+        array, (first, second) = np.array(getattr(solved, name)), (getattr(side, name) for side in sides)
         array[left] = np.where(wanted.reshape(-1, *(1,) * (first.ndim - 1)), first, second)
+        arrays.append(array)
     return Configuration.from_arrays(geometry, *arrays)

@@ -1,9 +1,15 @@
-"""Which positions are reachable in some orientation, the nearest ones that are, and how much volume they fill."""
+"""Which positions are reachable, the nearest ones that are, the orientations at one, and how much volume all fill.
+
+Rotations are described by tilt and torsion, R = Rz(φ) Ry(θ) Rz(σ - φ): the platform's normal leans by the tilt θ
+towards the azimuth φ, and the platform is turned by the torsion σ about it. The uniform measure of rotations is
+sin θ dφ dθ dσ, 8π² in all. Bonev, Zlatanov, Gosselin, "Advantages of the modified Euler angles in the design and
+control of PKMs", 2002.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -32,6 +38,8 @@ _OPTIMALITY_TOLERANCE = 1e-6
 """Violation of the conditions of a nearest point, dimensionless, above which the search has not converged."""
 _TRIED = 8
 """States that satisfy a condition from which one at a point is looked for."""
+ROTATIONS = 8.0 * np.pi**2
+"""Measure of all rotations [rad³]."""
 _LARGE = 0.99
 """Share of the states with a smaller weight than one that is assumed where no state counts."""
 
@@ -44,7 +52,7 @@ class PositionReach:
     """Which positions of shape (...) can be reached in some orientation."""
 
     reachable: BoolArray
-    """Whether o can be there, to within `tolerance`, shape (...)."""
+    """Whether o can be there, to a billionth of the machine's size, shape (...)."""
     distance: FloatArray
     """Distance to the nearest reachable position that was found [m], shape (...); zero where reachable."""
     nearest: FloatArray
@@ -52,11 +60,8 @@ class PositionReach:
     readings: FloatArray
     """Readings within the limits that put o there [m], shape (..., 6); there may be others."""
     optimality: FloatArray
-    """How far `nearest` is from obeying the conditions of a nearest point, shape (...), Eq. (1) of
-    `docs/theory/reachable_set.md`; rounding, unless the search has not converged and `distance` is only an upper
-    bound."""
-    tolerance: float
-    """Tolerance of the positions [m]: one nearer than this counts as reached."""
+    """By how much `nearest` misses Eq. (1) of `docs/theory/reachable_set.md`, shape (...); rounding, unless the search
+    has not converged and `distance` is only an upper bound."""
 
     @property
     def undecided(self) -> BoolArray:
@@ -76,8 +81,6 @@ class Estimate:
     """Upper end of the interval."""
     confidence: float
     """How probable it is that such an interval holds the truth; NaN where the interval is an extrapolation's error."""
-    samples: int
-    """How many points the estimate is made from."""
     method: str
     """The method of the estimate."""
     unit: str
@@ -87,9 +90,8 @@ class Estimate:
         return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}] {self.unit}".rstrip()
 
     def times(self, factor: float, unit: str) -> Estimate:
-        """Return the estimate of a multiple."""
-        low, high = sorted((self.low * factor, self.high * factor))
-        return Estimate(self.value * factor, low, high, self.confidence, self.samples, self.method, unit)
+        """Return the estimate of a positive multiple."""
+        return replace(self, value=factor * self.value, low=factor * self.low, high=factor * self.high, unit=unit)
 
     @classmethod
     def from_hits(
@@ -103,8 +105,7 @@ class Estimate:
 
         low = stats.binomtest(hits, samples).proportion_ci(confidence, method="exact").low
         high = stats.binomtest(hits + undecided, samples).proportion_ci(confidence, method="exact").high
-        ends = whole * float(low), whole * float(high)
-        return cls(whole * hits / samples, *ends, confidence, samples, method, unit)
+        return cls(whole * hits / samples, whole * float(low), whole * float(high), confidence, method, unit)
 
     @classmethod
     def from_mean(
@@ -131,8 +132,7 @@ class Estimate:
         if unseen is not None:
             counted = _counted_ends(values, unseen, confidence)
             low, high = float(np.fmin(low, counted[0])), float(np.fmax(high, counted[1]))
-        ends = whole * low, whole * high
-        return cls(whole * mean, *ends, confidence, len(values), method, unit)
+        return cls(whole * mean, whole * low, whole * high, confidence, method, unit)
 
 
 def _counted_ends(values: FloatArray, unseen: float, confidence: float) -> tuple[float, float]:
@@ -145,10 +145,8 @@ def _counted_ends(values: FloatArray, unseen: float, confidence: float) -> tuple
 
     def end(share: float, more: float) -> float:
         total, squares = float(values.sum()) + more, float((values**2).sum()) + more**2
-        if total == 0.0:
-            return 0.0
-        hits = total**2 / squares
-        return float(stats.beta.ppf(share, hits, len(values) - hits + 1.0)) * squares / total
+        hits = total**2 / squares if total else 0.0
+        return float(stats.beta.ppf(share, hits, len(values) - hits + 1.0)) * squares / total if hits else 0.0
 
     return end(0.5 - 0.5 * confidence, 0.0), end(0.5 + 0.5 * confidence, max(float(values.max()), unseen))
 
@@ -163,12 +161,10 @@ def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLim
 
     Parameters
     ----------
-    geometry : Geometry
-        The manipulator.
+    geometry, limits
+        As for `reachable_boundary`.
     points : array_like, shape (..., 3)
         In {B} [m].
-    limits : LegLimits, optional
-        Leg limits; the geometry's own if not given.
 
     Notes
     -----
@@ -179,15 +175,13 @@ def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLim
     states = states_within(geometry, limits)
     flat, shape = array.reshape(-1, 3), array.shape[:-1]
     result = nearest_points(states, flat)
-    tolerance = RESOLUTION * states.size
-    reached = result.distance <= tolerance
+    reached = result.distance <= RESOLUTION * states.size
     return PositionReach(
         reached.reshape(shape),
         np.where(reached, 0.0, result.distance).reshape(shape),
         states.positions(result.coordinates).reshape(*shape, 3),
         result.readings.reshape(*shape, 6),
         np.where(reached, 0.0, result.optimality).reshape(shape),
-        tolerance,
     )
 
 
@@ -236,7 +230,7 @@ def reachable_volume(
         added = (fine.volume - coarse.volume) / 3.0
         value, error = fine.volume + added, abs(added)
         how = f"meshes of spacing {spacing:g} and {0.5 * spacing:g} m, extrapolated"
-        return Estimate(value, value - error, value + error, float("nan"), len(fine.vertices), how, "m³")
+        return Estimate(value, value - error, value + error, float("nan"), how, "m³")
     count = whole_number(samples, "samples", least=2)
     states, rng = states_within(geometry, limits), generator(rng)
     points, region = start_table(states).draw_around(count, rng)
@@ -262,7 +256,7 @@ def pose_volume(
 
     Parameters
     ----------
-    geometry, limits
+    geometry, limits, rng
         As for `reachable_volume`.
     where : callable, optional
         Takes states (n,) and returns which of them count, (n,); all if not given. A state counts with one over the
@@ -272,8 +266,6 @@ def pose_volume(
     confidence : float
         Of the interval, which is Student's; with `where` the wider of that and one of the effective number of states
         that count. The estimate's `method` says how many do.
-    rng : Generator or int, optional
-        Source of randomness, or its seed.
 
     Notes
     -----
@@ -327,3 +319,106 @@ def _with_condition(
         left, coordinates = left[moved.reached], moved.coordinates[moved.reached]
         satisfied[left] = check_condition(where, states.states(coordinates))
     return satisfied
+
+
+@dataclass(frozen=True)
+class OrientationWorkspace:
+    """Orientations that can be reached at one position; arrays over the n states found."""
+
+    states: Configuration
+    """States with o at the position, uniform in the coordinates of the lower stage, shape (n,)."""
+    weights: FloatArray
+    """Volume of the orientations that each state stands for [rad³], shape (n,); they add up to `volume.value`."""
+    azimuth: FloatArray
+    """Azimuth to which the platform's normal leans [rad], shape (n,)."""
+    tilt: FloatArray
+    """Angle of the platform's normal to the vertical [rad], shape (n,)."""
+    torsion: FloatArray
+    """Rotation about the platform's normal [rad], shape (n,)."""
+    volume: Estimate
+    """Volume of the orientations in rad³; all rotations measure 8π²."""
+
+    def __repr__(self) -> str:
+        return f"<OrientationWorkspace: {len(self.weights)} states, {self.volume}>"
+
+    @property
+    def share(self) -> Estimate:
+        """Share of all rotations."""
+        return self.volume.times(1.0 / ROTATIONS, "")
+
+    def largest_tilt(self, sectors: int = 36) -> tuple[FloatArray, FloatArray]:
+        """Return the middles of `sectors` equal sectors of azimuth and the largest tilt found in each [rad].
+
+        NaN for a sector with no state. A sample finds a little less than there is.
+        """
+        from scipy import stats
+
+        number = whole_number(sectors, "sectors", least=1)
+        largest, edges, _ = stats.binned_statistic(self.azimuth, self.tilt, "max", number, [(-np.pi, np.pi)])
+        return 0.5 * (edges[1:] + edges[:-1]), largest
+
+
+def orientation_workspace(
+    geometry: Geometry,
+    position: npt.ArrayLike,
+    limits: LegLimits | None = None,
+    *,
+    samples: int = 20_000,
+    confidence: float = 0.95,
+    rng: np.random.Generator | int | None = None,
+) -> OrientationWorkspace:
+    """Find the orientations that the platform can have at a position in the physical mode.
+
+    Parameters
+    ----------
+    geometry, limits, rng
+        As for `reachable_volume`.
+    position : array_like, shape (3,)
+        Of o in {B} [m].
+    samples : int
+        States of the lower stage to try.
+    confidence : float
+        Of the volume's interval: Student's; if no state is found, Clopper and Pearson's for the share of states,
+        taken of all rotations, which is generous.
+
+    Returns
+    -------
+    OrientationWorkspace
+        Without states and of volume 0 where the position is out of reach, or hardly reached.
+
+    Notes
+    -----
+    The coordinates u of the lower stage and the position determine those of the upper one, v, so the orientations have
+    the volume ∫ |det ∂(o, R)/∂(u, v)| / |det ∂o/∂v| du over the lower stages for which the upper one is within its
+    limits too. An orientation that several sets of lengths lead to is counted once. Where several upper stages see o in
+    the same place, the one is taken that is nearest to pointing at it.
+    """
+    point = real_array(position, "position", (3,), "a position in metres").reshape(-1, 3)
+    if len(point) != 1:
+        raise ArgumentError("position", "one position of shape (3,), in metres", f"{len(point)} of them")
+    count, confidence = whole_number(samples, "samples", least=2), check_confidence(confidence)
+    states, rng = states_within(geometry, limits), generator(rng)
+    lower, region = states.draw_stages(0, count, rng)
+    upper = states.upper_for(lower, point)
+    index = np.flatnonzero(states.contains(1, upper))
+    coordinates = np.stack([lower[index], upper[index]], axis=1)
+    across = np.abs(np.linalg.det(states.jacobians(coordinates)[:, :3, 3:]))
+    values = np.zeros(count)
+    values[index] = pose_densities(states, coordinates) / across
+    method = "change of variables from the lower stage's coordinates"
+    if len(index):
+        volume = Estimate.from_mean(values, region, confidence, method, "rad³", 1.0 / count)
+    else:
+        volume = Estimate.from_hits(0, count, ROTATIONS, confidence, method, "rad³")
+    configurations = states.states(coordinates)
+    azimuth, tilt, torsion = tilt_torsion(configurations.rotation)
+    weights = values[index] * region / count
+    return OrientationWorkspace(configurations, weights, azimuth, tilt, torsion, volume)
+
+
+def tilt_torsion(rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return azimuth in [-π, π), tilt in [0, π] and torsion in [-π, π] of matrices (..., 3, 3) [rad]."""
+    azimuth = np.arctan2(rotation[..., 1, 2], rotation[..., 0, 2])
+    tilt = np.arctan2(np.hypot(rotation[..., 0, 2], rotation[..., 1, 2]), rotation[..., 2, 2])
+    torsion = np.arctan2(rotation[..., 1, 0] - rotation[..., 0, 1], rotation[..., 0, 0] + rotation[..., 1, 1])
+    return azimuth, tilt, torsion

@@ -8,9 +8,8 @@ See `docs/theory/reachable_set.md`.
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable, Iterator
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,9 +32,9 @@ _VOXELS, _PAD = 64, 0.15
 """Cells of the distance table along the longest side of S and its margin, and that margin over the size of S."""
 _CELLS = 20
 """Cells along each axis of the grid that covers the reachable positions."""
-_NEAR_STARTS, _REMOTE_STARTS, _MORE_STARTS = 32, 6, 8
-"""Starts of each search for a nearest point: the best of the groups, and the states of the sample whose positions are
-nearest; and those of the sample with which a point is searched again that the groups have not led to."""
+_REMOTE_STARTS, _MORE_STARTS = 6, 8
+"""States of the sample whose positions are nearest that are starts, besides those of the groups, of each search for a
+nearest point; and with which a point is searched again that the groups have not led to."""
 _MOST_STEPS, _PATIENT = 400, 3000
 """Newton steps of a search for the nearest state at most: while a platform is dragged, and for the nearest point."""
 _CHUNK, _MIN_BATCH = 4096, 256
@@ -66,10 +65,8 @@ class NearestPoints(NamedTuple):
     """Their readings (N, 6), within the limits; a leg at a limit has that limit to the last bit."""
     distance: FloatArray
     """Root mean square distance from the targets (N,) [m]."""
-    gradient: FloatArray
-    """The q_i of Eq. (1) of the page, (N, 6), the direction being that to the target; zero where that is reachable."""
     optimality: FloatArray
-    """By how much the conditions of a nearest point are missed, (N,); infinite where the state is the start."""
+    """By how much Eq. (1) of the page is missed, (N,); infinite where the state is the start."""
 
     def update(self, index: IntArray, other: NearestPoints, chosen: IntArray | slice = slice(None)) -> None:
         """Put those states of `other` that are `chosen` in the places `index`."""
@@ -88,11 +85,12 @@ class StartTable:
         rng = np.random.default_rng(_SEED)
         lower, _ = states.draw_stages(0, _GROUP << _LEVELS, rng)
         for level in range(_LEVELS):
-            lower = np.concatenate([_halved(block) for block in np.split(lower, 1 << level)])
+            # Sorted along the coordinate that differs most, alike ones are in one half of a block.
+            blocks = np.split(lower, 1 << level)
+            lower = np.concatenate([block[block[:, np.ptp(block, axis=0).argmax()].argsort()] for block in blocks])
         self._lower, self._upper = lower, states.draw_stages(1, _UPPER, rng)[0]
         stages = states.stages(1, self._upper)
-        between = np.diag(np.prod(states._turns, axis=0))
-        seen = -(between @ np.swapaxes(stages.rotation, -1, -2) @ stages.centre[..., None])[..., 0]
+        seen = -states.between * (np.swapaxes(stages.rotation, -1, -2) @ stages.centre[..., None])[..., 0]
         low, high = seen.min(axis=0), seen.max(axis=0)
         longest = float((high - low).max())
         pad = _PAD * longest
@@ -151,19 +149,10 @@ class StartTable:
         return points, float(len(corners) * size.prod())
 
 
-def _halved(coordinates: FloatArray) -> FloatArray:
-    """Sort coordinates (n, 3) along the one that differs most: alike ones are in one half."""
-    return coordinates[coordinates[:, np.ptp(coordinates, axis=0).argmax()].argsort()]
-
-
-_TABLES: weakref.WeakKeyDictionary[StateSet, StartTable] = weakref.WeakKeyDictionary()
-
-
+@lru_cache(maxsize=8)
 def start_table(states: StateSet) -> StartTable:
     """Return the table of a set of states, made when first asked for."""
-    if states not in _TABLES:
-        _TABLES[states] = StartTable(states)
-    return _TABLES[states]
+    return StartTable(states)
 
 
 def search_states(
@@ -227,38 +216,28 @@ def nearest_states(
     inputs = [np.require(array, requirements=("C", "W")) for array in (targets / np.sqrt(len(body)), starts)]
     constants = states.machine(body, SINGULARITY_MARGIN), most
     results = ((2, 3), np.float64), ((6,), np.float64), ((6,), np.float64), ((2,), np.float64)
-    coordinates, readings, gradient, quality = run_kernel(search_nearest, inputs, constants, results, 16)
+    coordinates, readings, _, quality = run_kernel(search_nearest, inputs, constants, results, 16)
     distance, slope = quality.T
     scale = np.where(distance > RESOLUTION * states.size, distance, np.inf)
-    optimality = np.where(np.isinf(slope), np.inf, slope / scale)
-    return NearestPoints(coordinates, readings, distance, gradient / scale[:, None], optimality)
+    return NearestPoints(coordinates, readings, distance, np.where(np.isinf(slope), np.inf, slope / scale))
 
 
-def nearest_points(states: StateSet, points: FloatArray, starts: FloatArray | None = None) -> NearestPoints:
-    """Return the states with o nearest to `points` (N, 3) [m].
+def nearest_points(states: StateSet, points: FloatArray) -> NearestPoints:
+    """Return the states with o nearest to `points` (N, 3) [m]."""
 
-    The search begins at `starts` (N, 2, 3). If not given, `search_states` says which points are reachable, and the
-    others begin at the best states of `StartTable.nearby`.
-    """
-
-    def search(points: FloatArray, starts: FloatArray | None = None) -> NearestPoints:
-        if starts is not None:
-            return nearest_states(states, points, starts[:, None])
-        table = start_table(states)
+    def search(points: FloatArray) -> NearestPoints:
         member = search_states(states, points)
-        zeros = np.zeros(len(points))
-        result = NearestPoints(member.coordinates, member.readings, zeros.copy(), np.zeros_like(member.readings), zeros)
+        result = NearestPoints(member.coordinates, member.readings, *np.zeros((2, len(points))))
         left = np.flatnonzero(~member.reached)
         if len(left):
             # A sample's state is within the limits; that with the smallest residual may not be, or not be the nearest.
             remote = states.sample[states.tree.query(points[left], _REMOTE_STARTS)[1]]
-            near = table.nearby(points[left])[1][:, :_NEAR_STARTS]
+            near = start_table(states).nearby(points[left])[1]
             starts = np.concatenate([remote, near, member.coordinates[left, None]], axis=1)
             result.update(left, nearest_states(states, points[left], starts, most=_PATIENT))
         return result
 
-    arrays = (points,) if starts is None else (points, starts)
-    return NearestPoints(*in_chunks(search, "nearest points", None, *arrays))
+    return NearestPoints(*in_chunks(search, "", None, points))
 
 
 def in_chunks(

@@ -1,4 +1,4 @@
-"""The states of a machine within its leg limits, by the coordinates of both stages, and samples of them.
+"""The states of a machine within its leg limits, by the coordinates of both stages, and random ones of them.
 
 The coordinates of a stage are (x, y, Z/r), see `spm_pin.kinematics.kernels.stage_states`: unlike leg lengths, each
 within the unit circle are a state, and poses and readings are smooth functions of them.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -19,7 +20,16 @@ from spm_pin.kinematics.batches import run_kernel
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, check_instance, first_offender
+from spm_pin.mechanism.arguments import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Progress,
+    check_instance,
+    choice,
+    generator,
+    whole_number,
+)
 from spm_pin.mechanism.branch_of_state import FAMILIES, family, physical, stage_coordinates
 
 CENTRE = np.zeros((1, 3))
@@ -38,6 +48,8 @@ _RESERVE = 1.2
 """Growth of the bound on how far balls move in a box, for a machine as built has a little torsion."""
 _DRAWN_TOGETHER, _LEAST_TRIED = 50_000, 1_000_000
 """Stages drawn together at most, and tried at least before a set is taken for one that is too small to be hit."""
+_CHUNK, _MOST_CHUNKS = 20_000, 1000
+"""Reachable states drawn together at most, and how often."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +84,7 @@ class StateSet:
         """The middle platform's radius r [m], the unit of heights."""
         return self.geometry.middle_radius
 
-    @cached_property
+    @property
     def size(self) -> float:
         """E + C + d + the longest legs [m]: what lengths are compared with."""
         g, longest = self.geometry, float(self.maximum.max())
@@ -82,6 +94,11 @@ class StateSet:
     def _turns(self) -> FloatArray:
         """Diagonals (2, 3) of the turns that take each stage to mode T."""
         return np.array([np.ones(3) if mode == "T" else _HALF_TURN for mode in self.family])
+
+    @property
+    def between(self) -> FloatArray:
+        """Diagonal (3,) of the half turn that is left between stages of different modes."""
+        return np.asarray(self._turns.prod(axis=0))
 
     @cached_property
     def legs(self) -> FloatArray:
@@ -99,8 +116,8 @@ class StateSet:
         aspects = np.array(self.aspects)
         least = np.where(aspects == ANY_ASPECT, -np.inf, margin * self.size)
         limits = np.array([[*self.minimum, *least], [*self.maximum, np.inf, np.inf]])
-        between = self._turns[0] * self._turns[1]
-        return self.legs, self.radius, self.size, aspects, np.require(body, requirements=("C", "W")), between, limits
+        points = np.require(body, requirements=("C", "W"))
+        return self.legs, self.radius, self.size, aspects, points, self.between, limits
 
     def stages(self, stage: int, coordinates: FloatArray) -> Stages:
         """Return the lower (0) or upper (1) stage at coordinates (N, 3), seen from {B} or {m}."""
@@ -110,15 +127,15 @@ class StateSet:
         results = ((16,), np.float64), ((10, 3), np.float64), ((), np.int64)
         inputs = [np.require(coordinates, requirements=("C", "W"))]
         values, slopes, places = run_kernel(stage_states, inputs, constants, results, _MIN_BATCH)
-        return Stages(
-            values[:, :9].reshape(-1, 3, 3),
-            values[:, 9:12],
-            values[:, 12:15],
-            values[:, 15],
-            places == INSIDE,
-            slopes[:, :3],
-            slopes[:, 3:6],
-        )
+        rotation, centre, readings, determinant = np.split(values, [9, 12, 15], axis=1)
+        within = places == INSIDE
+        rotation = rotation.reshape(-1, 3, 3)
+        return Stages(rotation, centre, readings, determinant[:, 0], within, slopes[:, :3], slopes[:, 3:6])
+
+    def _both(self, coordinates: FloatArray) -> tuple[Stages, Stages, FloatArray]:
+        """Return both stages at coordinates (N, 2, 3), and the rotation of the platform (N, 3, 3)."""
+        lower, upper = (self.stages(k, coordinates[:, k]) for k in range(2))
+        return lower, upper, lower.rotation * self.between @ np.swapaxes(upper.rotation, -1, -2)
 
     def readings(self, coordinates: FloatArray) -> FloatArray:
         """Return the readings (N, 6) [m] at coordinates (N, 2, 3)."""
@@ -130,8 +147,7 @@ class StateSet:
 
     def states(self, coordinates: FloatArray, readings: FloatArray | None = None) -> Configuration:
         """Return the configurations (N,) at coordinates (N, 2, 3), with their readings (N, 6) if these are known."""
-        lower, upper = (self.stages(k, coordinates[:, k]) for k in range(2))
-        rotation = lower.rotation * (self._turns[0] * self._turns[1]) @ np.swapaxes(upper.rotation, -1, -2)
+        lower, upper, rotation = self._both(coordinates)
         translation = lower.centre - (rotation @ upper.centre[..., None])[..., 0]
         balls = self.legs[0, :, 6:9] @ np.swapaxes(lower.rotation, -1, -2) + lower.centre[:, None]
         lengths = None if readings is None else readings - self.geometry.legs.offsets
@@ -145,8 +161,7 @@ class StateSet:
 
     def jacobians(self, coordinates: FloatArray) -> FloatArray:
         """Return the derivatives of o and of the rotation by the coordinates, (N, 6, 6) [m, rad]."""
-        lower, upper = (self.stages(k, coordinates[:, k]) for k in range(2))
-        rotation = lower.rotation * (self._turns[0] * self._turns[1]) @ np.swapaxes(upper.rotation, -1, -2)
+        lower, upper, rotation = self._both(coordinates)
         matrix = np.empty((len(coordinates), 6, 6))
         matrix[:, :3, :3] = lower.velocities - _turned(lower.spins, rotation @ upper.centre[..., None])
         matrix[:, :3, 3:] = -rotation @ (upper.velocities - _turned(upper.spins, upper.centre[..., None]))
@@ -187,29 +202,25 @@ class StateSet:
         return np.asarray(stages.in_aspect & within.all(axis=-1))
 
     @cached_property
-    def _covers(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
-        return self._cover(0), self._cover(1)
-
-    def _cover(self, stage: int) -> tuple[FloatArray, FloatArray]:
-        """Return the centres (n, 3) of equal boxes that cover the states of a stage, and their half sides (3,)."""
-        # Z is the mean height of the balls, none of which is higher than its leg is long; pivots are nearly level.
-        legs = self.legs[stage]
-        top = (self.maximum[3 * stage : 3 * stage + 3] - legs[:, 9]).max() + np.abs(legs[:, 5]).max()
-        top = (top + np.abs(legs[:, 8]).max()) / self.radius
-        half, centres = np.array([1.0, 1.0, 0.5 * top]), np.array([[0.0, 0.0, 0.5 * _UPWARD[stage] * top]])
-        corners = 2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0
-        for _ in range(_HALVINGS):
-            half = 0.5 * half
-            centres = self._near(stage, (centres[:, None] + half * corners).reshape(-1, 3), half)
-            if not 0 < len(centres) < _BOXES:
-                break
-        return centres, half
+    def _covers(self) -> list[tuple[FloatArray, FloatArray]]:
+        """The centres (n, 3) of equal boxes that cover the states of each stage, and their half sides (3,)."""
+        covers, corners = [], 2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0
+        for stage, legs in enumerate(self.legs):
+            # Z is the mean height of the balls, none of which is higher than its leg is long; pivots are nearly level.
+            top = (self.maximum[3 * stage : 3 * stage + 3] - legs[:, 9]).max() + np.abs(legs[:, 5]).max()
+            top = (top + np.abs(legs[:, 8]).max()) / self.radius
+            half, centres = np.array([1.0, 1.0, 0.5 * top]), np.array([[0.0, 0.0, 0.5 * _UPWARD[stage] * top]])
+            for _ in range(_HALVINGS):
+                half = 0.5 * half
+                centres = self._near(stage, (centres[:, None] + half * corners).reshape(-1, 3), half)
+                if not 0 < len(centres) < _BOXES:
+                    break
+            covers.append((centres, half))
+        return covers
 
     def _near(self, stage: int, centres: FloatArray, half: FloatArray) -> FloatArray:
         """Return the centres of those boxes (n, 3) in which readings within the limits cannot be excluded."""
         r, legs = self.radius, slice(3 * stage, 3 * stage + 3)
-        across = np.abs(centres[:, :2])
-        centres = centres[(np.maximum(across - half[:2], 0.0) ** 2).sum(axis=-1) < 1.0]
         across = np.abs(centres[:, :2])
         nearest, farthest = ((np.maximum(across + way * half[:2], 0.0) ** 2).sum(axis=-1) for way in (-1.0, 1.0))
         # Beyond the unit circle there are no states; readings are taken at a point inside.
@@ -219,13 +230,13 @@ class StateSet:
         point[:, :2] *= (inner / np.maximum(radius, 1e-300))[:, None]
         shift = np.hypot(half[0], half[1]) + radius - inner
         x0 = np.sqrt(1.0 - inner * inner)
-        ends = np.sqrt(1.0 - nearest), np.sqrt(1.0 - np.minimum(farthest, 1.0))
+        ends = [np.sqrt(1.0 - np.minimum(square, 1.0)) for square in (nearest, farthest)]
         chord = np.sqrt(shift**2 + np.maximum(ends[0] - x0, x0 - ends[1]) ** 2)
         # Quaternions q and q' turn a point at the distance r to places at most 2r |q - q'| apart.
         bound = 2.0 * r * np.minimum(chord, 1.0) + r * shift * (2.0 * inner + shift) + r * half[2]
         readings = self.stages(stage, point).readings
         outside = np.maximum(self.minimum[legs] - readings, readings - self.maximum[legs]).max(axis=-1)
-        return np.asarray(centres[~(outside > _RESERVE * bound + 1e-12)])
+        return np.asarray(centres[(nearest < 1.0) & ~(outside > _RESERVE * bound + 1e-12)])
 
     def draw_stages(self, stage: int, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
         """Draw `count` states of a stage uniformly: coordinates (count, 3), and an estimate of the set's volume.
@@ -302,18 +313,23 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
     return np.asarray(np.maximum(same, 1), dtype=np.intp)
 
 
-def states_within(geometry: Geometry, limits: LegLimits | None = None) -> StateSet:
-    """Return the physical states within `limits`, or within those of `geometry`; these have to be finite."""
+def finite_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:
+    """Return leg limits, or those of the geometry, which have to be finite."""
     check_instance(geometry, Geometry, "geometry")
     limits = geometry.limits if limits is None else limits
     if not isinstance(limits, LegLimits):
         cause = "The geometry has none of its own" if limits is None else ""
         raise ArgumentError("limits", "LegLimits(minimum, maximum) in metres", repr(limits), cause)
-    if not np.isfinite(limits.maximum).all():
-        leg = LEGS[first_offender(~np.isfinite(limits.maximum))[0]]
-        expected = "a finite maximum for every leg"
-        raise ArgumentError("limits", expected, f"infinity for {leg}", "The set has no end then")
-    return _checked(geometry, limits)
+    for leg, maximum in zip(LEGS, limits.maximum, strict=True):
+        if not np.isfinite(maximum):
+            expected = "a finite maximum for every leg"
+            raise ArgumentError("limits", expected, f"infinity for {leg}", "The set has no end then")
+    return limits
+
+
+def states_within(geometry: Geometry, limits: LegLimits | None = None) -> StateSet:
+    """Return the physical states within `limits`, or within those of `geometry`; these have to be finite."""
+    return _checked(geometry, finite_limits(geometry, limits))
 
 
 @lru_cache(maxsize=8)
@@ -332,7 +348,7 @@ def states_around(near: Configuration, limits: LegLimits) -> tuple[StateSet, Flo
     """Return the states within limits on the side of forward singularities of `near`, and its coordinates (1, 2, 3)."""
     geometry, joints = near.geometry, near.middle_joints[None]
     batch = Configuration.from_arrays(geometry, near.rotation[None], near.translation[None], joints)
-    states = _home_states(geometry, limits)
+    states = StateSet(geometry, np.array(limits.minimum), np.array(limits.maximum))
     start = states.coordinates(batch)
     stages = [states.stages(stage, start[:, stage]) for stage in range(2)]
     readings = np.concatenate([stage.readings[0] for stage in stages])
@@ -346,11 +362,67 @@ def states_around(near: Configuration, limits: LegLimits) -> tuple[StateSet, Flo
     return StateSet(geometry, states.minimum, states.maximum, modes, (lower, upper)), start
 
 
-@lru_cache(maxsize=8)
-def _home_states(geometry: Geometry, limits: LegLimits) -> StateSet:
-    return StateSet(geometry, np.array(limits.minimum), np.array(limits.maximum))
-
-
 def free_states(geometry: Geometry, modes: str) -> StateSet:
     """Return all states of a family, whatever the readings, on all sides of forward singularities."""
     return StateSet(geometry, np.full(6, -np.inf), np.full(6, np.inf), modes, (ANY_ASPECT, ANY_ASPECT))
+
+
+def sample_reachable(
+    geometry: Geometry,
+    count: int,
+    limits: LegLimits | None = None,
+    *,
+    space: Literal["legs", "poses"] = "legs",
+    rng: np.random.Generator | int | None = None,
+    progress: Progress | None = None,
+) -> Configuration:
+    """Draw physical states.
+
+    Parameters
+    ----------
+    geometry, limits
+        As for `reachable_boundary`.
+    count : int
+        How many.
+    space : str
+        "legs": uniform in the readings that belong to a configuration. "poses": uniform in the reachable poses, with
+        the volume of positions times the uniform measure of rotations.
+    rng : Generator or int, optional
+        Source of randomness, or its seed.
+    progress : callable, optional
+        Called with what is being done, how many states are found, and of how many.
+
+    Returns
+    -------
+    Configuration
+        Of shape (count,).
+
+    Notes
+    -----
+    For poses, coordinates c of the stages are drawn uniformly and states kept in proportion to |det ∂(o, R)/∂c| over
+    the number of states with the same pose. The largest value is taken from what has been drawn; all is drawn again
+    whenever a larger one comes up.
+    """
+    count = whole_number(count, "count")
+    choice(space, "space", ("legs", "poses"))
+    states, rng = states_within(geometry, limits), generator(rng)
+    parts, largest, kept = [np.empty((0, 2, 3))], 0.0, 0
+    for _ in range(_MOST_CHUNKS):
+        if progress is not None:
+            progress("reachable states", min(kept, count), count)
+        if kept >= count:
+            break
+        number = min(max(4 * count, 64), _CHUNK)
+        if space == "legs":
+            parts.append(states.draw_in_readings(number, rng))
+        else:
+            coordinates = states.draw(number, rng)
+            density = pose_densities(states, coordinates)
+            if density.max() > largest:
+                # A bound that a later sample will hardly exceed.
+                parts, largest = [parts[0]], 1.2 * float(density.max())
+            parts.append(coordinates[rng.uniform(size=number) * largest < density])
+        kept = sum(len(part) for part in parts)
+    else:
+        raise ArgumentError("limits", "limits within which states are not too rare to be drawn", f"{kept} of {count}")
+    return states.states(np.concatenate(parts)[:count])

@@ -133,7 +133,7 @@ REFUSED = [
     # workspace
     ("workspace --resolution 1", "--resolution: expected a whole number of increments, at least 2, got 1"),
     ("workspace --limits 1.5 1.1", "exchanged"),
-    ("workspace --limits 0.05 0.1", "no symmetric home"),
+    ("workspace --limits 0.05 0.1", "Too short to join"),
     ("workspace --limits 110 150", "--limits was read in m: 150 m, on a machine of 2.64 m"),
     ("workspace --out fig.jpg", "--out: expected a file name ending in .png, .svg, .pdf, .stl"),
     ("workspace --out map.zarr", "Maps over many poses are for spm-pin sweep"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -14,7 +16,15 @@ from scipy.stats import binomtest
 import spm_pin as spm
 from spm_pin.errors import SelectionError
 from spm_pin.paper import published
-from spm_pin.workspace.paper_shell import Shell, workspace_shell
+from spm_pin.workspace.paper_shell import (
+    ERRATA,
+    SENSES,
+    LegSetting,
+    Shell,
+    SubWorkspace,
+    sub_workspaces,
+    workspace_shell,
+)
 
 PAPER = spm.Geometry.paper()
 SHELL = workspace_shell(PAPER, resolution=16)
@@ -214,15 +224,11 @@ def test_arrays_are_read_only_and_the_shell_says_what_it_is() -> None:
 @pytest.mark.parametrize(
     ("geometry", "limits", "says"),
     [
-        (spm.Geometry(0.7, 0.35, 0.8), None, "the geometry has none"),
-        (PAPER, spm.LegLimits(0.0, 1.5), r"got \[0, 1.5\] for r_b1"),
-        (PAPER, spm.LegLimits(1.1, np.inf), r"got \[1.1, inf\] for r_b1"),
-        (PAPER, (1.1, 1.5), "Use LegLimits"),
-        (PAPER, spm.LegLimits(0.05, 0.1), "lower legs of at most 0.1 m to span 0.23094 m. .* no symmetric home"),
-        (spm.Geometry(3.0, 0.3, 0.8), spm.LegLimits(1.1, 1.5), "no symmetric home"),
-        (spm.Geometry(0.3, 3.0, 0.8), spm.LegLimits(1.1, 1.5), "upper legs of at most 1.5 m"),
+        (spm.Geometry(0.7, 0.35, 0.8), None, "The geometry has none"),
+        (PAPER, spm.LegLimits(0.0, 1.5), "a positive minimum for every leg"),
+        (PAPER, spm.LegLimits(1.1, np.inf), "infinity for r_b1"),
+        (PAPER, spm.LegLimits(0.05, 0.1), "26 of 26 vertices .* Too short to join the platforms"),
         (PAPER, spm.LegLimits(0.3, 4.0), "vertices without a physical configuration, as at r_b1 = 0.3"),
-        ("paper", None, "a Geometry, got str"),
     ],
 )
 def test_limits_and_geometries_without_a_shell(geometry: object, limits: object, says: str) -> None:
@@ -238,3 +244,89 @@ def test_without_trimesh_all_but_the_mesh_works(monkeypatch: pytest.MonkeyPatch)
         _ = shell.mesh
     with pytest.raises(spm.errors.MissingExtraError, match="workspace"):
         shell.distance([0.0, 0.0, 2.5])
+
+
+# --- Table 6: every cell is legible or a misprint named, and its rows close to a sphere ------------------------------
+
+ROWS = sub_workspaces()
+CYCLE = (1, 2, 0, 4, 5, 3)  # leg 1 takes the settings of leg 2, and so on
+MIRROR = (2, 1, 0, 5, 4, 3)
+
+
+def relabelled(rows: tuple[SubWorkspace, ...], order: tuple[int, ...]) -> set[tuple[LegSetting, ...]]:
+    return {tuple(row.settings[leg] for leg in order) for row in rows}
+
+
+def outline(row: SubWorkspace) -> list[tuple[int, ...]]:
+    """Return the four corners, 0 at a minimum and 1 at a maximum: first varying leg out, second out, both back."""
+    square = row.increments(1)
+    return [tuple(square[at].tolist()) for at in ((0, 0), (1, 0), (1, 1), (0, 1))]
+
+
+def sides(row: SubWorkspace) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+    ring = outline(row)
+    return list(zip(ring, [*ring[1:], ring[0]], strict=True))
+
+
+def shared_edges(rows: Sequence[SubWorkspace]) -> Counter[frozenset[tuple[int, ...]]]:
+    return Counter(frozenset(side) for row in rows for side in sides(row))
+
+
+def test_every_row_has_four_legs_at_limits_and_two_that_vary() -> None:
+    assert len(ROWS) == len({row.settings for row in ROWS}) == 24
+    assert all(row.settings.count(LegSetting.VARIES) == 2 for row in ROWS)
+    assert Counter(row.family for row in ROWS) == {"St": 3, "Sc": 9, "Sm": 9, "Sl": 3}
+
+
+def test_the_surface_that_the_text_describes() -> None:
+    # Step 1: r_b3 = r_bmax and all r_c = r_cmax; steps 2 and 3: r_b1 and r_b2 vary.
+    high, varies = LegSetting.MAXIMUM, LegSetting.VARIES
+    assert ROWS[0].name == "St1"
+    assert ROWS[0].settings == (varies, varies, high, high, high, high)
+    steps = ROWS[0].increments(5)
+    assert steps.shape == (6, 6, 6)
+    assert steps[2, 4].tolist() == [2, 4, 5, 5, 5, 5]
+
+
+def test_the_rows_close_to_a_sphere() -> None:
+    corners = {corner for row in ROWS for corner in outline(row)}
+    edges = shared_edges(ROWS)
+    assert (len(corners), len(edges), len(ROWS)) == (26, 48, 24)
+    assert len(corners) - len(edges) + len(ROWS) == 2
+    assert set(edges.values()) == {2}
+
+
+def test_neighbours_run_along_their_common_edge_in_opposite_senses() -> None:
+    directed = Counter(side[::sense] for row, sense in zip(ROWS, SENSES, strict=True) for side in sides(row))
+    assert len(directed) == 96
+    assert set(directed.values()) == {1}
+
+
+@pytest.mark.parametrize("order", [CYCLE, MIRROR])
+def test_the_table_is_symmetric_in_the_legs(order: tuple[int, ...]) -> None:
+    assert relabelled(ROWS, order) == relabelled(ROWS, tuple(range(6)))
+
+
+def test_only_the_misprints_named_are_misprints() -> None:
+    """All other cells name their own column's stage, and the erroneous ones stand in the table as printed."""
+    found = {}
+    for name, *cells in published.TABLE_6:
+        for leg, cell in zip(spm.mechanism.LEGS, cells, strict=True):
+            low, high = f"{leg[2]}min", f"{leg[2]}max"
+            if cell.replace("~", " ").split() not in ([low], [high], [low, high]):
+                found[name, leg] = cell
+    assert found == ERRATA
+
+
+def test_other_corrections_of_a_misprint_open_the_surface() -> None:
+    other = {
+        LegSetting.MINIMUM: LegSetting.MAXIMUM,
+        LegSetting.MAXIMUM: LegSetting.MINIMUM,
+        LegSetting.VARIES: LegSetting.MINIMUM,
+    }
+    for name, leg in ERRATA:
+        (k,) = [k for k, row in enumerate(ROWS) if row.name == name]
+        settings = list(ROWS[k].settings)
+        settings[spm.mechanism.LEGS.index(leg)] = other[settings[spm.mechanism.LEGS.index(leg)]]
+        if settings.count(LegSetting.VARIES) == 2:
+            assert set(shared_edges([*ROWS[:k], SubWorkspace(name, tuple(settings)), *ROWS[k + 1 :]]).values()) != {2}
