@@ -3,13 +3,14 @@
 from spm_pin.capability.polytopes import (
     Ellipsoid,
     HalfSpaces,
+    JointReactions,
     Polytope,
     Section,
     acceleration_polytope,
+    joint_reactions,
     velocity_polytope,
     wrench_polytope,
 )
-from spm_pin.capability.reactions import JointReactions, joint_reactions
 
 __all__ = [
     "Ellipsoid",

@@ -10,6 +10,10 @@ corners of the box through N⁻¹, and of both matrices there is a closed form:
 
 Facets therefore also hold where the other matrix does not exist: at an inverse singularity the structure holds some
 wrenches without any leg, at a forward singularity some twists need no leg rates, and the set has no end there.
+
+A leg without weight carries a force through its ball that lies in the plane of its direction and its revolute axis: the
+actuator's force along the leg, and s along the axis, which the structure carries. At the pivot, s is an axial load of
+the revolute joint, and with the leg's length as lever the moment r s bends its bearing and the leg.
 """
 
 from __future__ import annotations
@@ -24,12 +28,12 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_jacobian, platform_jacobian
+from spm_pin.kinematics.rates_and_forces import stage_inverses
 from spm_pin.mechanism import Configuration
 from spm_pin.mechanism.arguments import (
     BoolArray,
     FloatArray,
     IntArray,
-    as_array,
     broadcastable,
     choice,
     leg_bounds,
@@ -42,6 +46,8 @@ _PARTS = {"linear": slice(3), "angular": slice(3, 6)}
 _CORNERS = (np.arange(64)[:, None] >> np.arange(6)) & 1 == 1
 _MOST = 1e100
 _ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
+_DIRECTIONS = 8
+"""Directions of half a turn in which the force of a ball is looked at: its size is then known to 2 %."""
 
 
 class HalfSpaces(NamedTuple):
@@ -73,6 +79,18 @@ class Section(NamedTuple):
     """Triangles, counter-clockwise seen from outside, shape (m, 3)."""
 
 
+class JointReactions(NamedTuple):
+    """Rows that multiply a wrench (f, m) at o in {B} [N, N m]; for `Polytope.within`, or ``rows @ wrench``."""
+
+    axial: FloatArray
+    """Force of the leg onto what it carries along its revolute axis `leg_axes`, of the six legs, shape (..., 6, 6)."""
+    bending: FloatArray
+    """Moment at the pivot of the six legs, about the direction of the leg x its axis [N m], shape (..., 6, 6)."""
+    ball: FloatArray
+    """Components of each ball's force in eight directions, over cos(π/16), shape (..., 48, 6), leg by leg: all of them
+    within ±F guarantee a resultant of at most F, and a resultant of at most 0.98 F keeps them within it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Polytope:
     """Points x with lower <= rows · x <= upper, for states of shape (...); NaN for a state that does not exist.
@@ -97,9 +115,8 @@ class Polytope:
     @property
     def half_spaces(self) -> HalfSpaces:
         """All points x with A x <= b."""
-        return HalfSpaces(
-            np.concatenate([self.rows, -self.rows], axis=-2), np.concatenate([self.upper, -self.lower], axis=-1)
-        )
+        normals = np.concatenate([self.rows, -self.rows], axis=-2)
+        return HalfSpaces(normals, np.concatenate([self.upper, -self.lower], axis=-1))
 
     @cached_property
     def vertices(self) -> FloatArray:
@@ -112,7 +129,7 @@ class Polytope:
             cause = "Its vertices have no closed form: take a section, or scipy.spatial.HalfspaceIntersection"
             raise ArgumentError("vertices", "a parallelotope, of limits of six legs alone", repr(self), cause)
         corners = np.where(_CORNERS, self.upper[..., None, :], self.lower[..., None, :])
-        return np.asarray(corners @ np.swapaxes(self.columns(), -1, -2))
+        return np.asarray(corners @ self.columns().mT)
 
     def within(self, rows: npt.ArrayLike, limits: npt.ArrayLike, *, load: npt.ArrayLike | None = None) -> Polytope:
         """Return the part of the polytope in which other linear functions of x keep their limits as well.
@@ -126,19 +143,17 @@ class Polytope:
         load : array_like, shape (..., 6), optional
             What is there besides x and adds to the functions: for reactions, the payload's part of the polytope's load.
         """
-        given = as_array(rows)
-        count = given.shape[-2] if given is not None and given.ndim > 1 else 1
-        trailing = (6,) if given is not None and given.ndim == 1 else (count, 6)
-        added = np.atleast_2d(real_array(rows, "rows", trailing, "functions of x at o in {B}", allow_nan=True))
-        bounds = leg_bounds(limits, "limits", "values of the rows", count=count, most=_MOST)
+        added = np.atleast_2d(real_array(rows, "rows", (6,), "functions of x at o in {B}", allow_nan=True))
+        lower, upper = leg_bounds(limits, "limits", "values of the rows", count=added.shape[-2], most=_MOST)
         shape = broadcastable("rows", added.shape[:-2], "the polytope", self.lower.shape[:-1])
         offset = _taken(added, load, "the polytope", shape)
         shape = np.broadcast_shapes(shape, offset.shape[:-1])
-        pairs = (self.lower, bounds[0] - offset), (self.upper, bounds[1] - offset)
-        whole = ([np.broadcast_to(x, (*shape, x.shape[-1])) for x in pair] for pair in pairs)
-        lower, upper = (np.concatenate(pair, axis=-1) for pair in whole)
-        both = [np.broadcast_to(x, (*shape, *x.shape[-2:])) for x in (self.rows, added)]
-        return Polytope(np.concatenate(both, axis=-2), lower, upper)
+
+        def joined(own: FloatArray, new: FloatArray, axis: int) -> FloatArray:
+            return np.concatenate([np.broadcast_to(x, (*shape, *x.shape[axis:])) for x in (own, new)], axis=axis)
+
+        ends = joined(self.lower, lower - offset, -1), joined(self.upper, upper - offset, -1)
+        return Polytope(joined(self.rows, added, -2), *ends)
 
     def contains(self, points: npt.ArrayLike) -> BoolArray:
         """Return which points x (..., 6) are inside; their leading axes broadcast with those of the polytope."""
@@ -190,16 +205,16 @@ class Polytope:
         half = 0.5 * (self.upper - self.lower)
         scaled = self.rows[..., _PARTS[choice(part, "part", tuple(_PARTS))]] / half[..., None]
         middle = 0.5 * (self.upper + self.lower) / half
-        matrix = np.swapaxes(scaled, -1, -2) @ scaled
+        matrix = scaled.mT @ scaled
         absent = np.asarray(~np.isfinite(matrix).all(axis=(-1, -2)))
         values, vectors = np.linalg.eigh(np.where(absent[..., None, None], np.eye(3), matrix))
-        towards = np.swapaxes(scaled @ vectors, -1, -2) @ middle[..., None]
+        towards = (scaled @ vectors).mT @ middle[..., None]
         with np.errstate(divide="ignore", invalid="ignore"):
             centre = (vectors @ (towards / values[..., None]))[..., 0]
             left = 1.0 - ((middle - (scaled @ centre[..., None])[..., 0]) ** 2).sum(axis=-1)
             axes = np.sqrt(np.where(left < 0.0, np.nan, left)[..., None] / values)
         nowhere = np.isnan(axes).any(axis=-1, keepdims=True) | absent[..., None]
-        directions = np.where(nowhere[..., None], np.nan, np.swapaxes(vectors, -1, -2))
+        directions = np.where(nowhere[..., None], np.nan, vectors.mT)
         return Ellipsoid(np.where(nowhere, np.nan, centre), np.where(nowhere, np.nan, axes), directions)
 
     def section(self, part: str = "linear") -> Section:
@@ -280,7 +295,7 @@ def wrench_polytope(
     ((64, 6), 492.1, 933.9)
     """
     bounds = leg_bounds(force_limits, "force_limits", "forces of the legs in N", most=_MOST)
-    rows = -np.swapaxes(platform_jacobian(configuration), -1, -2)
+    rows = -platform_jacobian(configuration).mT
     offset = _taken(rows, load, "the configuration", configuration.shape)
     return _polytope(rows, bounds, offset, partial(_wrenches_of_forces, configuration))
 
@@ -339,9 +354,36 @@ def acceleration_polytope(
     matrix = symmetric_matrices(mass, "mass", 6, "in kg, kg m, kg m²", allow_nan=True, positive=True)
     check_configuration(configuration)
     broadcastable("mass", matrix.shape[:-2], "the configuration", configuration.shape)
-    forces = -np.swapaxes(platform_jacobian(configuration), -1, -2)
+    forces = -platform_jacobian(configuration).mT
     offset = _taken(forces, load, "the configuration", configuration.shape) + np.zeros(matrix.shape[:-1])
     return _polytope(-forces @ matrix, bounds, offset, partial(_accelerations_of_forces, configuration, matrix))
+
+
+def joint_reactions(configuration: Configuration) -> JointReactions:
+    """Return the reactions at the ball and revolute joints to a wrench onto the terminal platform.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        States of shape (...).
+
+    Returns
+    -------
+    JointReactions
+        Weights and friction are left out, the structure is rigid. NaN for a member that does not exist.
+
+    Raises
+    ------
+    SingularConfigurationError
+        At a forward or a constraint singularity, where the legs do not hold the platform.
+    """
+    rows = -stage_inverses(configuration).mT
+    shape = rows.shape[:-3]
+    along, axial = (rows[..., k, :].reshape(*shape, 6, 6) for k in (slice(3), slice(3, 6)))
+    angles = np.pi * np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS
+    ball = np.cos(angles) * along[..., None, :] + np.sin(angles) * axial[..., None, :]
+    bending = configuration.leg_lengths[..., None] * axial
+    return JointReactions(axial, bending, ball.reshape(*shape, -1, 6) / np.cos(0.5 * np.pi / _DIRECTIONS))
 
 
 def _taken(rows: FloatArray, load: npt.ArrayLike | None, other: str, shape: tuple[int, ...]) -> FloatArray:
@@ -361,10 +403,10 @@ def _polytope(
 
 
 def _wrenches_of_forces(configuration: Configuration) -> FloatArray:
-    return -np.swapaxes(inverse_jacobian(configuration), -1, -2)
+    return -inverse_jacobian(configuration).mT
 
 
 def _accelerations_of_forces(configuration: Configuration, mass: FloatArray) -> FloatArray:
     absent = np.isnan(mass).any(axis=(-1, -2), keepdims=True)
-    wrenches = np.where(absent, np.nan, np.swapaxes(inverse_jacobian(configuration), -1, -2))
+    wrenches = np.where(absent, np.nan, inverse_jacobian(configuration).mT)
     return np.linalg.solve(np.where(absent, np.eye(6), mass), wrenches)

@@ -18,7 +18,7 @@ from spm_pin import sweeps
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
 from spm_pin.design import VARIABLES, DesignProblem, Front, pareto_front
-from spm_pin.design.evaluation import leg_ranges
+from spm_pin.design.designs import leg_ranges
 from spm_pin.display.figures import front_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, sections_figure, shell_figure
 from spm_pin.display.writing import FORMATS, save_figure

@@ -1,6 +1,5 @@
 """Dimensions compared and searched: many machines over one sample of states, and fronts of what they can do."""
 
-from spm_pin.design.evaluation import Designs, evaluate_designs
-from spm_pin.design.front import VARIABLES, DesignProblem, Front, pareto_front
+from spm_pin.design.designs import VARIABLES, DesignProblem, Designs, Front, evaluate_designs, pareto_front
 
 __all__ = ["VARIABLES", "DesignProblem", "Designs", "Front", "evaluate_designs", "pareto_front"]

@@ -45,7 +45,6 @@ class Table5Mistakes:
     A diagnosis made here, not in the paper: at solution 3 of the example, the three together reproduce every printed
     number to its four decimals. The rates need the first two, the lower legs' forces all three, the upper legs'
     forces the first and the third: with the lower legs locked, all ω_rbi are zero whatever their coefficients.
-
     """
 
     printed_lever_arm: bool = False
@@ -113,10 +112,7 @@ def J_lambda(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -
 def J(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> FloatArray:
     """Return J = J_α⁻¹ J_λ of Eq. (30b), shape (..., 9, 9), from (v, ω, 0, 0, 0) to the leg rates and ω_rb1..ω_rb3, SI.
 
-    Raises
-    ------
-    SingularConfigurationError
-        Also as "inverse", where J_α is singular to rounding.
+    `SingularConfigurationError` is also raised as "inverse", where J_α is singular to rounding.
     """
     J_α = J_alpha(configuration, mistakes)
     scaled = J_α.copy()

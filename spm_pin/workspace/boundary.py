@@ -113,7 +113,7 @@ class ClosedMesh:
         following = np.roll(self.faces, -1, axis=1)
         number = np.zeros(len(flat), dtype=np.int32)
         for begin in range(0, len(flat), _TOGETHER):
-            near = [*tree.query_ball_point(flat[begin : begin + _TOGETHER, :2], reach)]
+            near: Any = tree.query_ball_point(flat[begin : begin + _TOGETHER, :2], reach)
             point = np.repeat(np.arange(begin, begin + len(near)), [*map(len, near)])
             face = np.concatenate(near).astype(np.intp)
             ahead = top[face] >= flat[point, 2]

@@ -355,7 +355,7 @@ class OrientationWorkspace:
 
         number = whole_number(sectors, "sectors", least=1)
         largest, edges, _ = stats.binned_statistic(self.azimuth, self.tilt, "max", number, [(-np.pi, np.pi)])
-        return 0.5 * (edges[1:] + edges[:-1]), largest
+        return 0.5 * (edges[1:] + edges[:-1]), np.asarray(largest, dtype=np.float64)
 
 
 def orientation_workspace(

@@ -49,7 +49,7 @@ def test_the_volume_is_that_of_the_poses_where_each_has_one_state() -> None:
 
 
 def test_rows_do_not_depend_on_the_number_of_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("spm_pin.design.evaluation._TOGETHER", 2)
+    monkeypatch.setattr("spm_pin.design.designs._TOGETHER", 2)
     alone = evaluate_designs(MACHINES, METRICS, states=64)
     steps: list[tuple[str, int, int]] = []
     shared = evaluate_designs(MACHINES, METRICS, states=64, workers=2, progress=lambda *step: steps.append(step))

@@ -81,7 +81,7 @@ def test_a_finished_search_is_read_and_another_one_refused(tmp_path: Path, monke
         evaluated.append(len(machines))
         return evaluate_designs(machines, *args, **options)
 
-    monkeypatch.setattr("spm_pin.design.front.evaluate_designs", count)
+    monkeypatch.setattr("spm_pin.design.designs.evaluate_designs", count)
     again = pareto_front(PROBLEM, path, **SMALL)
     assert evaluated == [1]  # the reference
     np.testing.assert_array_equal(again.designs.columns["volume"], front.designs.columns["volume"])

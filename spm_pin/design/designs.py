@@ -1,10 +1,11 @@
-"""Dimensions searched for several aims at once: Pareto fronts by NSGA-II of pymoo, in a file that can be resumed."""
+"""Dimensions compared and searched: many machines over one sample of leg lengths, and Pareto fronts by NSGA-II."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 import os
+from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -14,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spm_pin.design.evaluation import SIZES, Designs, column_names, evaluate_designs, leg_ranges
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.arguments import (
@@ -27,26 +27,172 @@ from spm_pin.mechanism.arguments import (
     file_path,
     number_pair,
     real_number,
+    type_and_value,
     whole_number,
     writing,
 )
-from spm_pin.sweeps.domains import definition_differences, package_version
-from spm_pin.sweeps.metrics import METRICS, resolve_metrics
-from spm_pin.sweeps.runner import check_workers, processes
+from spm_pin.proofs.certificate import free_of_singularities
+from spm_pin.sweeps.domains import Sample, definition_differences, package_version
+from spm_pin.sweeps.metrics import METRICS, Metric, prepare_metrics, resolve_metrics
+from spm_pin.sweeps.points import Points
+from spm_pin.sweeps.runner import check_workers, processes, run_tasks
 
 if TYPE_CHECKING:
     from distributed import Client
 
+Task = tuple[int, tuple[Geometry, ...]]
+Rows = tuple[int, FloatArray]
+
+_TOGETHER = 16
+"""Machines in a task, at most: some tenths of a second for 10⁴ states each."""
+SIZES = ("assembled", "volume", "footprint")
+"""Columns that are no statistics of metrics, besides "certified"."""
 _STAGES = ("", "lower_", "upper_")
 VARIABLES = (
     *("base_radius", "platform_radius", "middle_side"),
     *(f"{stage}{end}" for stage in _STAGES for end in ("minimum", "stroke")),
 )
 """Names of variables that may be free [m]: E, C, d, the shortest length and the stroke of all legs, or of a stage's."""
-COLUMNS = tuple(column_names(tuple(METRICS.values()), 1))
-"""Names of columns of `Designs` that aims and bounds may name."""
 _CHOICES = ("free", "aims", "at_least", "at_most")
 _FORMAT, _IMPOSSIBLE = 2, 1e30
+
+
+@dataclass(frozen=True)
+class Designs:
+    """Numbers of N machines, evaluated over the same states in shares of their strokes."""
+
+    geometries: tuple[Geometry, ...]
+    """The machines."""
+    columns: Mapping[str, FloatArray]
+    """Numbers (N,) by their names, NaN where a machine has none:
+
+    - "assembled": share of the leg lengths with a physical configuration; below 1 a forward singularity is within the
+      limits.
+    - "volume": of the poses of these configurations, ∫ |det ∂(o, R)/∂l| dl [m³ rad³]; a pose that several of them have
+      counts as often. Holds where "certified" is 1: it has no bound at a forward singularity, and comes out small.
+    - "footprint": area of the base circle π E² [m²].
+    - "certified": 1 where the limits are proved free of forward singularities, 0 where they are not, or the proof takes
+      more than the boxes allowed; if asked for.
+    - "<metric>_mean" and "<metric>_low": mean of a metric of `spm_pin.sweeps` and the value that it exceeds at all but
+      the share `quantile` of the configurations.
+    """
+
+    def __len__(self) -> int:
+        return len(self.geometries)
+
+
+def evaluate_designs(
+    geometries: Iterable[Geometry],
+    metrics: str | Metric | Iterable[str | Metric] = ("conditioning", "payload"),
+    *,
+    states: int = 10_000,
+    quantile: float = 0.05,
+    boxes: int = 0,
+    seed: int = 0,
+    scheduler: str | Client | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Designs:
+    """Evaluate many machines over one sample of leg lengths, drawn uniformly in shares of their limits.
+
+    Parameters
+    ----------
+    geometries : iterable of Geometry
+        Machines with finite leg limits. One whose limits hold no configuration has NaN in its row, and stops nothing.
+    metrics : metrics or their names
+        Of `spm_pin.sweeps`; those of a state.
+    states : int
+        Sets of leg lengths for each machine: a Sobol sequence, the same shares of the strokes for all.
+    quantile : float
+        Share of the configurations at which a metric may be below its "_low".
+    boxes : int
+        Prove as `certify` does, with at most so many boxes for a stage, that the limits are free of forward
+        singularities; not tried where some leg lengths have no configuration. Where the legs of a stage have equal
+        limits, a sixth of its states is searched. 0 leaves the column out.
+    seed : int
+        Of the sequence.
+    scheduler, workers
+        As for `spm_pin.sweeps.run_sweep`, but without them all is done in this process. A script that asks for more
+        calls this below ``if __name__ == "__main__":``.
+    progress : callable, optional
+        Called with what is being done, the machines done and all machines.
+
+    Returns
+    -------
+    Designs
+        A row for each machine, in their order; it does not depend on the number of workers.
+    """
+    machines = tuple(geometries) if isinstance(geometries, Iterable) else ()
+    for index, machine in enumerate(machines):
+        if not isinstance(machine, Geometry) or not _has_finite_limits(machine):
+            received = repr(machine) if isinstance(machine, Geometry) else type(machine).__name__
+            raise ArgumentError("geometries", "Geometry objects with finite leg limits", f"{received} at index {index}")
+    if not machines:
+        received = "none" if isinstance(geometries, Iterable) else type_and_value(geometries)
+        raise ArgumentError("geometries", "an iterable of at least one Geometry", received)
+    chosen, sample = resolve_metrics(metrics), Sample(whole_number(states, "states", least=2, most=10**7), seed)
+    real_number(quantile, "quantile", "a share from 0 to 1", least=0.0, most=1.0)
+    whole_number(boxes, "boxes")
+    check_workers(scheduler, workers)
+    check_progress(progress)
+    if scheduler is not None or workers not in (None, 1):
+        require_extra("cluster")
+    task = partial(_evaluate_some, sample.draw(6, (0,), sample.count), chosen, quantile, boxes)
+    values = np.full((len(machines), len(column_names(chosen, boxes))), np.nan)
+    together = min(_TOGETHER, -(-len(machines) // 4))
+    tasks, done = ((k, machines[k : k + together]) for k in range(0, len(machines), together)), 0
+    low, stroke = leg_ranges(machines[0])
+    prepare_metrics(chosen, Points(machines[0], "legs", np.tile(low + 0.3 * stroke, (2, 1))))
+    for first, rows in run_tasks(task, tasks, -(-len(machines) // together), scheduler, workers or 1):
+        values[first : first + len(rows)] = rows
+        done += len(rows)
+        if progress is not None:
+            progress("machines", done, len(machines))
+    return Designs(machines, dict(zip(column_names(chosen, boxes), values.T, strict=True)))
+
+
+def _has_finite_limits(machine: Geometry) -> bool:
+    return machine.limits is not None and bool(np.isfinite(machine.limits.maximum).all())
+
+
+def leg_ranges(machine: Geometry) -> tuple[FloatArray, FloatArray]:
+    """Return the shortest lengths and the strokes of the legs, shapes (6,) [m]."""
+    assert machine.limits is not None
+    low = np.array(machine.limits.minimum)
+    return low, np.array(machine.limits.maximum) - low
+
+
+def column_names(metrics: tuple[Metric, ...], boxes: int) -> list[str]:
+    """Return the names of the columns of `Designs`, in their order."""
+    statistics = [f"{metric.name}_{which}" for metric in metrics for which in ("mean", "low")]
+    return [*SIZES, *statistics, *(["certified"] if boxes else [])]
+
+
+def _evaluate_some(shares: FloatArray, metrics: tuple[Metric, ...], quantile: float, boxes: int, task: Task) -> Rows:
+    first, machines = task
+    rows = np.array([_evaluate(shares, metrics, quantile, machine) for machine in machines])
+    if boxes:
+        whole = np.flatnonzero(rows[:, 0] == 1.0)
+        certified = np.zeros(len(machines))
+        certified[whole] = free_of_singularities([machines[k] for k in whole], boxes)
+        rows = np.column_stack([rows, certified])
+    return first, rows
+
+
+def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], quantile: float, machine: Geometry) -> list[float]:
+    low, stroke = leg_ranges(machine)
+    points = Points(machine, "legs", low + shares * stroke)
+    assembled, area = float(points.reachable.mean()), np.pi * machine.base_radius**2
+    if not assembled:
+        return [0.0, 0.0, area] + [np.nan] * (2 * len(metrics))
+    # The determinant of G from what the conditioning needs as well: singular values of the twist (v, L ω).
+    determinants = np.nan_to_num(points.singular_values().prod(axis=-1)) / machine.platform_radius**3
+    row = [assembled, float(determinants.sum()) / len(shares) * float(stroke.prod()), area]
+    for metric in metrics:
+        values = metric.evaluate(points).astype(np.float64)
+        values = values[np.isfinite(values)]
+        row += [float(values.mean()), float(np.quantile(values, quantile))] if len(values) else [np.nan, np.nan]
+    return row
 
 
 @dataclass(frozen=True)
@@ -74,7 +220,7 @@ class DesignProblem:
 
     def __post_init__(self) -> None:
         geometry = check_instance(self.geometry, Geometry, "geometry")
-        if not geometry.is_nominal or geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
+        if not geometry.is_nominal or not _has_finite_limits(geometry):
             raise ArgumentError("geometry", "a drawn machine with finite leg limits", repr(geometry))
         for name in _CHOICES:
             object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))
@@ -190,6 +336,10 @@ def pareto_front(
     Computation 6 (2002). A search that goes on repeats the choices of NSGA-II with the numbers of the file.
     """
     require_extra("design")
+    from pymoo.algorithms.moo.nsga2 import NSGA2
+    from pymoo.core.evaluator import Evaluator
+    from pymoo.core.problem import Problem
+    from pymoo.problems.static import StaticProblem
     from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
 
     check_instance(problem, DesignProblem, "problem")
@@ -225,14 +375,26 @@ def pareto_front(
         designs = evaluate_designs(some, problem.metrics, scheduler=client, **options)
         numbers = {name: [None if np.isnan(x) else x for x in column] for name, column in designs.columns.items()}
         stored.append({"values": values.tolist(), "columns": numbers})
-        _write(path, {**definition, "generations": stored})
+        draft = path.with_name(f"{path.name}.draft")
+        with writing(path, "store"):
+            # What was there is lost only when the new file is complete.
+            draft.write_text(json.dumps({**definition, "generations": stored}, allow_nan=False), encoding="utf-8")
+            draft.replace(path)
         return designs
 
+    ends = np.array(list(problem.free.values()))
+    count = len(problem.at_least) + len(problem.at_most) + 1
+    space = Problem(n_var=len(ends), n_obj=len(problem.aims), n_ieq_constr=count, xl=ends[:, 0], xu=ends[:, 1])
+    algorithm = NSGA2(pop_size=population)
+    algorithm.setup(space, termination=("n_gen", generations), seed=seed, verbose=False)
     started = processes(population, scheduler, workers or 1) if len(stored) < generations else nullcontext()
     with started as client:
-        search = _search(problem, population, generations, seed, partial(evaluate, client))
-        for generation, designs in enumerate(search):
-            parts.append(designs)
+        for generation in range(generations):
+            asked = algorithm.ask()
+            parts.append(evaluate(client, asked.get("X"), generation))
+            values, bounds = problem.objectives(parts[-1])
+            Evaluator().eval(StaticProblem(space, F=values, G=bounds), asked)
+            algorithm.tell(infills=asked)
             if progress is not None:
                 progress("generations", generation + 1, generations)
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
@@ -251,28 +413,7 @@ def _column(name: str, argument: str) -> str:
     """Check the name of a column of `Designs`."""
     if name in METRICS:
         raise ArgumentError(argument, f"'{name}_mean' or '{name}_low'", repr(name))
-    return choice(name, argument, COLUMNS)
-
-
-def _search(problem: DesignProblem, population: int, generations: int, seed: int, evaluate: Any) -> Any:
-    """Yield the machines of each generation of NSGA-II, whose numbers `evaluate(values, generation)` returns."""
-    from pymoo.algorithms.moo.nsga2 import NSGA2
-    from pymoo.core.evaluator import Evaluator
-    from pymoo.core.problem import Problem
-    from pymoo.problems.static import StaticProblem
-
-    ends = np.array(list(problem.free.values()))
-    count = len(problem.at_least) + len(problem.at_most) + 1
-    space = Problem(n_var=len(ends), n_obj=len(problem.aims), n_ieq_constr=count, xl=ends[:, 0], xu=ends[:, 1])
-    algorithm = NSGA2(pop_size=population)
-    algorithm.setup(space, termination=("n_gen", generations), seed=seed, verbose=False)
-    for generation in range(generations):
-        asked = algorithm.ask()
-        designs = evaluate(asked.get("X"), generation)
-        values, bounds = problem.objectives(designs)
-        Evaluator().eval(StaticProblem(space, F=values, G=bounds), asked)
-        algorithm.tell(infills=asked)
-        yield designs
+    return choice(name, argument, column_names(tuple(METRICS.values()), 1))
 
 
 def _read(path: Path, definition: dict[str, Any], names: list[str]) -> list[dict[str, Any]]:
@@ -293,11 +434,3 @@ def _read(path: Path, definition: dict[str, Any], names: list[str]) -> list[dict
     if differences:
         raise ArgumentError("store", expected, path, f"{'; '.join(differences)}. Give another file")
     return generations
-
-
-def _write(path: Path, content: dict[str, Any]) -> None:
-    """Write a file at once, so that what was there is lost only when the new one is complete."""
-    draft = path.with_name(f"{path.name}.draft")
-    with writing(path, "store"):
-        draft.write_text(json.dumps(content, allow_nan=False), encoding="utf-8")
-        draft.replace(path)
