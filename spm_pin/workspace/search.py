@@ -90,7 +90,7 @@ class StartTable:
             lower = np.concatenate([block[block[:, np.ptp(block, axis=0).argmax()].argsort()] for block in blocks])
         self._lower, self._upper = lower, states.draw_stages(1, _UPPER, rng)[0]
         stages = states.stages(1, self._upper)
-        seen = -states.between * (np.swapaxes(stages.rotation, -1, -2) @ stages.centre[..., None])[..., 0]
+        seen = -states.between * (stages.rotation.mT @ stages.centre[..., None])[..., 0]
         low, high = seen.min(axis=0), seen.max(axis=0)
         longest = float((high - low).max())
         pad = _PAD * longest
@@ -106,7 +106,7 @@ class StartTable:
         self._table = (outside - distance_transform_edt(member >= 0)) * self.spacing
         stages = states.stages(0, lower)
         self._rotation, centre = np.ascontiguousarray(stages.rotation), stages.centre
-        self._offset = ((np.swapaxes(self._rotation, -1, -2) @ centre[..., None])[..., 0] + origin) / self.spacing
+        self._offset = ((self._rotation.mT @ centre[..., None])[..., 0] + origin) / self.spacing
         # Where o is along each axis of {B}, for every lower stage and every place at which o is seen.
         hull = seen[ConvexHull(seen).vertices]
         along = [(centre[:, k, None] + self._rotation[:, k] @ hull.T) for k in range(3)]

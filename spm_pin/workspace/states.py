@@ -128,14 +128,13 @@ class StateSet:
         inputs = [np.require(coordinates, requirements=("C", "W"))]
         values, slopes, places = run_kernel(stage_states, inputs, constants, results, _MIN_BATCH)
         rotation, centre, readings, determinant = np.split(values, [9, 12, 15], axis=1)
-        within = places == INSIDE
-        rotation = rotation.reshape(-1, 3, 3)
-        return Stages(rotation, centre, readings, determinant[:, 0], within, slopes[:, :3], slopes[:, 3:6])
+        derivatives = slopes[:, :3], slopes[:, 3:6]
+        return Stages(rotation.reshape(-1, 3, 3), centre, readings, determinant[:, 0], places == INSIDE, *derivatives)
 
     def _both(self, coordinates: FloatArray) -> tuple[Stages, Stages, FloatArray]:
         """Return both stages at coordinates (N, 2, 3), and the rotation of the platform (N, 3, 3)."""
         lower, upper = (self.stages(k, coordinates[:, k]) for k in range(2))
-        return lower, upper, lower.rotation * self.between @ np.swapaxes(upper.rotation, -1, -2)
+        return lower, upper, lower.rotation * self.between @ upper.rotation.mT
 
     def readings(self, coordinates: FloatArray) -> FloatArray:
         """Return the readings (N, 6) [m] at coordinates (N, 2, 3)."""
@@ -149,22 +148,22 @@ class StateSet:
         """Return the configurations (N,) at coordinates (N, 2, 3), with their readings (N, 6) if these are known."""
         lower, upper, rotation = self._both(coordinates)
         translation = lower.centre - (rotation @ upper.centre[..., None])[..., 0]
-        balls = self.legs[0, :, 6:9] @ np.swapaxes(lower.rotation, -1, -2) + lower.centre[:, None]
+        balls = self.legs[0, :, 6:9] @ lower.rotation.mT + lower.centre[:, None]
         lengths = None if readings is None else readings - self.geometry.legs.offsets
         return Configuration.from_arrays(self.geometry, rotation, translation, balls, lengths)
 
     def positions(self, coordinates: FloatArray, body: FloatArray = CENTRE) -> FloatArray:
         """Return the positions of points `body` (K, 3) of the platform in {B} [m], (N, 3K)."""
         states = self.states(coordinates)
-        moved = states.translation[:, None] + body @ np.swapaxes(states.rotation, -1, -2)
+        moved = states.translation[:, None] + body @ states.rotation.mT
         return moved.reshape(len(coordinates), 3 * len(body))
 
     def jacobians(self, coordinates: FloatArray) -> FloatArray:
         """Return the derivatives of o and of the rotation by the coordinates, (N, 6, 6) [m, rad]."""
         lower, upper, rotation = self._both(coordinates)
         matrix = np.empty((len(coordinates), 6, 6))
-        matrix[:, :3, :3] = lower.velocities - _turned(lower.spins, rotation @ upper.centre[..., None])
-        matrix[:, :3, 3:] = -rotation @ (upper.velocities - _turned(upper.spins, upper.centre[..., None]))
+        matrix[:, :3, :3] = lower.velocities - np.cross(lower.spins, rotation @ upper.centre[..., None], axis=1)
+        matrix[:, :3, 3:] = -rotation @ (upper.velocities - np.cross(upper.spins, upper.centre[..., None], axis=1))
         matrix[:, 3:, :3], matrix[:, 3:, 3:] = lower.spins, -rotation @ upper.spins
         return matrix
 
@@ -175,7 +174,7 @@ class StateSet:
         home's aspect only.
         """
         stage = self.stages(0, lower)
-        target = (np.swapaxes(stage.rotation, -1, -2) @ (points - stage.centre)[..., None])[..., 0]
+        target = (stage.rotation.mT @ (points - stage.centre)[..., None])[..., 0]
         distance, across = np.linalg.norm(target, axis=-1), np.hypot(target[:, 0], target[:, 1])
         half = 0.5 * np.arctan2(across, target[:, 2])
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -184,13 +183,10 @@ class StateSet:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             for _ in range(24):
                 stage = self.stages(1, upper)
-                back = np.swapaxes(stage.rotation, -1, -2)
-                gap = target + (back @ stage.centre[..., None])[..., 0]
-                slopes = back @ (stage.velocities - _turned(stage.spins, stage.centre[..., None]))
-                regular = np.isfinite(slopes).all(axis=(-1, -2)) & (np.abs(np.linalg.det(slopes)) > 0.0)
-                slopes = np.where(regular[:, None, None], slopes, np.eye(3))
-                step = np.linalg.solve(slopes, np.where(regular[:, None], gap, np.nan)[..., None])[..., 0]
-                upper = upper - step
+                gap = target + (stage.rotation.mT @ stage.centre[..., None])[..., 0]
+                slopes = stage.rotation.mT @ (stage.velocities - np.cross(stage.spins, stage.centre[..., None], axis=1))
+                slopes[np.linalg.det(slopes) == 0.0] = np.nan
+                upper = upper - np.linalg.solve(slopes, gap[..., None])[..., 0]
             error = np.abs(gap).max(axis=-1, initial=0.0)
         return np.where((error <= 1e-11 * (1.0 + distance))[:, None], upper, np.nan)
 
@@ -292,11 +288,6 @@ class StateSet:
         return KDTree(self.positions(self.sample, self.geometry.platform_joints))
 
 
-def _turned(spins: FloatArray, arms: FloatArray) -> FloatArray:
-    """Return the velocities (N, 3, 3) of points at `arms` (N, 3, 1) for spins (N, 3, 3), the columns of matrices."""
-    return np.cross(spins, arms, axis=1)
-
-
 def pose_densities(states: StateSet, coordinates: FloatArray) -> FloatArray:
     """Return the volume of poses per volume of `coordinates` (N, 2, 3), each pose counted once, (N,) [m³ rad³]."""
     densities = np.abs(np.linalg.det(states.jacobians(coordinates)))
@@ -309,8 +300,7 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
     with np.errstate(invalid="ignore"):
         within = ((branches.readings >= states.minimum) & (branches.readings <= states.maximum)).all(axis=-1)
     # A state at a limit may miss it by rounding: it counts itself at least.
-    same = (physical(branches) & within).sum(axis=-1)
-    return np.asarray(np.maximum(same, 1), dtype=np.intp)
+    return np.asarray(np.maximum((physical(branches) & within).sum(axis=-1), 1), dtype=np.intp)
 
 
 def finite_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:

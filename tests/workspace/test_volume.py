@@ -64,14 +64,6 @@ def test_text_of_an_estimate() -> None:
     assert str(estimate.times(100.0, "")) == "185.9 [185.3, 186.5]"
 
 
-def test_computation_can_be_interrupted() -> None:
-    def stop(what: str, done: int, of: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        reachable_volume(PAPER, NARROW, samples=100, progress=stop)
-
-
 @pytest.mark.slow
 def test_the_reachable_volume_is_more_than_a_tenth_larger_than_the_shell() -> None:
     sampled = reachable_volume(PAPER, samples=20_000, rng=7)

@@ -161,20 +161,19 @@ def test_poses_of_leg_lengths_within_limits_are_reachable(limits: tuple[float, f
     assert found.reached.mean() > 0.99
 
 
-def test_legs_whose_position_was_said_to_be_out_of_reach() -> None:
-    state = spm.forward_physical(PAPER, [0.7744, 0.7266, 1.5551, 1.731, 1.2393, 1.9364])
-    answer = reachable_position(PAPER, state.translation, spm.LegLimits(0.6, 2.0))
+@pytest.mark.parametrize(
+    ("point", "limits"),
+    [
+        (spm.forward_physical(PAPER, [0.7744, 0.7266, 1.5551, 1.731, 1.2393, 1.9364]).translation, (0.6, 2.0)),
+        # At the rim: from all states of the coarse search nearest to them the search fails.
+        ([-1.652707286540605, 1.0849784717830464, 0.46500716046279306], (0.8, 1.8)),
+        ([-0.7339725659912846, 1.3696271722165698, 0.042995802957564166], (0.8, 1.8)),
+    ],
+)
+def test_points_once_said_to_be_out_of_reach_are_reachable(point: np.ndarray, limits: tuple[float, float]) -> None:
+    answer = reachable_position(PAPER, point, spm.LegLimits(*limits))
     assert answer.reachable
     assert not answer.undecided
-
-
-def test_points_at_the_rim_that_the_best_starts_miss_are_reachable() -> None:
-    """Legs within the limits put o there, but from all states of the coarse search nearest to it the search fails."""
-    points = [
-        [-1.652707286540605, 1.0849784717830464, 0.46500716046279306],
-        [-0.7339725659912846, 1.3696271722165698, 0.042995802957564166],
-    ]
-    assert reachable_position(PAPER, points, spm.LegLimits(0.8, 1.8)).reachable.all()
 
 
 def test_nearest_positions_are_not_farther_than_those_of_legs_beside_forward_singularities() -> None:
