@@ -191,16 +191,9 @@ class Polytope:
     def ellipsoid(self, part: str = "linear") -> Ellipsoid:
         """Return the section, where the other part is zero, of the ellipsoid Σ ((y_i - middle_i) / half range_i)² <= 1.
 
-        Parameters
-        ----------
-        part : str
-            "linear" or "angular".
-
-        Returns
-        -------
-        Ellipsoid
-            NaN where the ellipsoid has no such section. Of a parallelotope, the ellipsoid in six dimensions is the one
-            of largest volume inside it, which touches all twelve facets. With other rows it is inside, not the largest.
+        `part` as for `ball`. NaN where the ellipsoid has no such section. Of a parallelotope, the ellipsoid in six
+        dimensions is the one of largest volume inside it, which touches all twelve facets. With other rows it is
+        inside, not the largest.
         """
         half = 0.5 * (self.upper - self.lower)
         scaled = self.rows[..., _PARTS[choice(part, "part", tuple(_PARTS))]] / half[..., None]
@@ -213,9 +206,9 @@ class Polytope:
             centre = (vectors @ (towards / values[..., None]))[..., 0]
             left = 1.0 - ((middle - (scaled @ centre[..., None])[..., 0]) ** 2).sum(axis=-1)
             axes = np.sqrt(np.where(left < 0.0, np.nan, left)[..., None] / values)
-        nowhere = np.isnan(axes).any(axis=-1, keepdims=True) | absent[..., None]
-        directions = np.where(nowhere[..., None], np.nan, vectors.mT)
-        return Ellipsoid(np.where(nowhere, np.nan, centre), np.where(nowhere, np.nan, axes), directions)
+        present = ~np.isnan(axes).any(axis=-1, keepdims=True) & ~absent[..., None]
+        directions = np.where(present[..., None], vectors.mT, np.nan)
+        return Ellipsoid(np.where(present, centre, np.nan), np.where(present, axes, np.nan), directions)
 
     def section(self, part: str = "linear") -> Section:
         """Return the polyhedron of one part with the other part zero, of a single state; it has to have some volume."""

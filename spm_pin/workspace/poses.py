@@ -39,7 +39,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.workspace.search import nearest_states
-from spm_pin.workspace.states import free_states, states_around, states_within
+from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
 
 _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
 """Pairs of legs that have no joint in common, by their indices in `LEGS`."""
@@ -230,13 +230,11 @@ def reachable(
     >>> answer.reachable, spm.mechanism.BRANCHES[answer.branch], float(answer.leg_margin[answer.branch].round(2))
     (True, 'TT+', 0.05)
     """
-    check_instance(geometry, Geometry, "geometry")
+    limits = given_limits(geometry, limits)
     choice(branch, "branch", ("physical", "any", *BRANCHES))
-    limits = limits if limits is None else check_instance(limits, LegLimits, "limits")
     joints = JointLimits() if joints is None else check_instance(joints, JointLimits, "joints")
     branches = inverse_displacement(geometry, pose)
     states = branches.configurations
-    limits = limits or geometry.limits
     leg_margin = np.where(states.exists, np.inf, np.nan) if limits is None else limits.margin(states.readings)
     angle_margin, clearance_margin = joints.angle_margin(states), joints.clearance_margin(states)
     with np.errstate(invalid="ignore"):
@@ -325,10 +323,8 @@ def nearest_reachable_pose(
     >>> bool(geometry.limits.contains(nearest.configuration.readings)), round(nearest.distance, 3)
     (True, 0.141)
     """
-    check_instance(geometry, Geometry, "geometry")
-    limits = limits if limits is None else check_instance(limits, LegLimits, "limits")
+    limits = given_limits(geometry, limits) or LegLimits(0.0, np.inf)
     target = as_rigid_transform(pose)
-    limits = limits or geometry.limits or LegLimits(0.0, np.inf)
     limited = max(limits.minimum) > 0.0 or min(limits.maximum) < np.inf
     if near is not None:
         _check_near(geometry, near, limits)

@@ -35,7 +35,7 @@ from spm_pin.workspace.search import Membership, nearest_points, search_states, 
 from spm_pin.workspace.states import StateSet, pose_densities, states_within
 
 _OPTIMALITY_TOLERANCE = 1e-6
-"""Violation of the conditions of a nearest point, dimensionless, above which the search has not converged."""
+"""Violation of Eq. (1) of `docs/theory/reachable_set.md`, above which the search has not converged."""
 _TRIED = 8
 """States that satisfy a condition from which one at a point is looked for."""
 ROTATIONS = 8.0 * np.pi**2
@@ -59,14 +59,8 @@ class PositionReach:
     """The nearest reachable position that was found, in {B} [m], shape (..., 3)."""
     readings: FloatArray
     """Readings within the limits that put o there [m], shape (..., 6); there may be others."""
-    optimality: FloatArray
-    """By how much `nearest` misses Eq. (1) of `docs/theory/reachable_set.md`, shape (...); rounding, unless the search
-    has not converged and `distance` is only an upper bound."""
-
-    @property
-    def undecided(self) -> BoolArray:
-        """Points where no state was found, and no nearest one either, shape (...)."""
-        return np.asarray(~self.reachable & (self.optimality > _OPTIMALITY_TOLERANCE))
+    undecided: BoolArray
+    """Points where no state was found, and no nearest one either: `distance` is an upper bound, shape (...)."""
 
 
 @dataclass(frozen=True)
@@ -181,7 +175,7 @@ def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLim
         np.where(reached, 0.0, result.distance).reshape(shape),
         states.positions(result.coordinates).reshape(*shape, 3),
         result.readings.reshape(*shape, 6),
-        np.where(reached, 0.0, result.optimality).reshape(shape),
+        (~reached & (result.optimality > _OPTIMALITY_TOLERANCE)).reshape(shape),
     )
 
 

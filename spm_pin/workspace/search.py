@@ -52,8 +52,6 @@ class Membership(NamedTuple):
     """The states (N, 2, 3); where there is none, those found with the smallest residual norm."""
     readings: FloatArray
     """Their readings (N, 6), within the limits; NaN where there is no state."""
-    distance: FloatArray
-    """How far the reachable set is, to about two cells of the table (N,) [m]; zero where reached."""
 
 
 class NearestPoints(NamedTuple):
@@ -182,9 +180,8 @@ def search_states(
         if starts is None:
             table = start_table(states)
             distances, several = table.nearby(points)
-            nearest = distances[:, 0]
             # Near the rim states that seem farther may be the only ones that lead there: all are tried, or none.
-            near = nearest <= table.margin
+            near = distances[:, 0] <= table.margin
             result = run(points, several, np.where(near[:, None], distances, np.inf))
             left = np.flatnonzero(near & (result[2] != 1))
             again = run(points[left], states.sample[states.tree.query(points[left], _MORE_STARTS)[1]], distances[left])
@@ -192,11 +189,9 @@ def search_states(
             for array, values in zip(result, again, strict=True):
                 array[left[better]] = values[better]
         else:
-            nearest = np.linalg.norm(states.positions(starts) - points, axis=-1)
             result = run(points, starts[:, None], np.zeros((len(points), 1)))
         coordinates, readings, outcome = result
-        distance = np.where(outcome == 1, 0.0, np.maximum(nearest, 0.0))
-        return Membership(outcome == 1, outcome == -1, coordinates, readings, distance)
+        return Membership(outcome == 1, outcome == -1, coordinates, readings)
 
     arrays = (points,) if starts is None else (points, starts)
     return Membership(*in_chunks(search, what, progress, *arrays))

@@ -303,13 +303,17 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
     return np.asarray(np.maximum((physical(branches) & within).sum(axis=-1), 1), dtype=np.intp)
 
 
+def given_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits | None:
+    """Return leg limits, or those of the geometry, which may have none."""
+    check_instance(geometry, Geometry, "geometry")
+    return geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
+
+
 def finite_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:
     """Return leg limits, or those of the geometry, which have to be finite."""
-    check_instance(geometry, Geometry, "geometry")
-    limits = geometry.limits if limits is None else limits
-    if not isinstance(limits, LegLimits):
-        cause = "The geometry has none of its own" if limits is None else ""
-        raise ArgumentError("limits", "LegLimits(minimum, maximum) in metres", repr(limits), cause)
+    limits = given_limits(geometry, limits)
+    if limits is None:
+        raise ArgumentError("limits", "LegLimits(minimum, maximum) in metres", None, "The geometry has none of its own")
     for leg, maximum in zip(LEGS, limits.maximum, strict=True):
         if not np.isfinite(maximum):
             expected = "a finite maximum for every leg"

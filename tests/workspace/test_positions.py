@@ -83,7 +83,7 @@ def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)])
 def test_shapes(shape: tuple[int, ...]) -> None:
     answer = reachable_position(PAPER, np.full((*shape, 3), [0.1, 0.2, 2.4]))
-    assert answer.reachable.shape == answer.distance.shape == answer.optimality.shape == shape
+    assert answer.reachable.shape == answer.distance.shape == answer.undecided.shape == shape
     assert answer.nearest.shape == (*shape, 3)
     assert answer.readings.shape == (*shape, 6)
     assert answer.reachable.all()

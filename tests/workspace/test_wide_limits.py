@@ -198,7 +198,7 @@ def test_no_state_is_found_by_random_starts_where_none_was() -> None:
     within, rng = states_within(PAPER, limits), np.random.default_rng(2)
     points = rng.uniform(*start_table(within).extent, (150, 3))
     member = search_states(within, points)
-    near = np.flatnonzero(~member.reached & ~member.undecided & (member.distance < 0.3))[:3]
+    near = np.flatnonzero(~member.reached & ~member.undecided & (start_table(within).nearby(points)[0][:, 0] < 0.3))[:3]
     for k in near:
         for start in within.draw(30, rng):
 
