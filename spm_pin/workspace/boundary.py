@@ -124,11 +124,12 @@ class ClosedMesh:
             upward, downward = (a[..., 1] <= y) & (y < b[..., 1]), (b[..., 1] <= y) & (y < a[..., 1])
             side = (b[..., 0] - a[..., 0]) * (y - a[..., 1]) - (x - a[..., 0]) * (b[..., 1] - a[..., 1])
             turn = (upward & (side > 0.0)).astype(np.int32) - (downward & (side < 0.0))
-            # How often the outline of the face goes round the ray, and whether the face is ahead of the point.
+            # How often the outline of the face goes round the ray, and whether the ray meets its plane ahead.
             turn = np.where(corners < after, turn, -turn).sum(axis=1, dtype=np.int32)
             hit = np.flatnonzero(turn)
             p, q, r = np.moveaxis(vertices[corners[hit]], 1, 0)
-            hit = hit[(np.cross(q - p, r - p) * (p - flat[point[hit]])).sum(axis=1) * turn[hit] > 0.0]
+            normal = np.cross(q - p, r - p)
+            hit = hit[(normal * (p - flat[point[hit]])).sum(axis=1) * normal[:, 2] > 0.0]
             np.add.at(number, point[hit], turn[hit])
         return number.reshape(array.shape[:-1])
 

@@ -9,7 +9,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spm_pin.workspace.boundary import ClosedMesh
+from spm_pin.workspace.boundary import _OBLIQUE, ClosedMesh
 
 Array = npt.NDArray[np.float64]
 
@@ -36,24 +36,20 @@ TORUS = trimesh.creation.torus(1.0, 0.3)
 
 
 @given(st.tuples(*[st.sampled_from([-2.0, -1.5, -0.999, -0.5, 0.0, 0.25, 0.5, 0.999, 1.5])] * 3))
-def test_a_cube_also_along_its_edges_diagonals_and_corners(point: tuple[float, float, float]) -> None:
-    # Many of these rays run through an edge, a corner, or the diagonal that divides a face.
+def test_a_cube(point: tuple[float, float, float]) -> None:
     assert winding(CUBE, point) == (max(map(abs, point)) < 1.0)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_points_that_line_up_with_vertices_and_edges(axis: int) -> None:
-    rng = np.random.default_rng(axis)
+def test_rays_through_vertices_and_edges() -> None:
+    rng = np.random.default_rng(0)
     edges = np.asarray(SPHERE.vertices)[SPHERE.edges_unique]
     share = rng.random((len(edges), 1))
-    points = np.concatenate([SPHERE.vertices, share * edges[:, 0] + (1.0 - share) * edges[:, 1]])
-    points[:, axis] = rng.uniform(-0.999, 0.999, len(points)) * np.abs(points[:, axis])
-    inside = np.abs(np.einsum("ij,kj->ki", SPHERE.face_normals, points)).max(axis=1) < 0.99
-    assert inside.sum() > 500
-    np.testing.assert_array_equal(winding(SPHERE, points[inside]), 1)
-    beyond = points[inside] + 3.0 * np.eye(3)[axis]
-    np.testing.assert_array_equal(winding(SPHERE, beyond), 0)
-    np.testing.assert_array_equal(winding(SPHERE, beyond - 6.0 * np.eye(3)[axis]), 0)
+    targets = np.concatenate([SPHERE.vertices, share * edges[:, 0] + (1.0 - share) * edges[:, 1]])
+    points = targets - rng.uniform(-3.0, 3.0, (len(targets), 1)) * _OBLIQUE[:, 2]
+    radius = np.linalg.norm(points, axis=-1)
+    clear = (radius < 0.98) | (radius > 1.0 + 1e-9)
+    assert (radius < 0.98).sum() > 300
+    np.testing.assert_array_equal(winding(SPHERE, points[clear]), radius[clear] < 0.98)
 
 
 @pytest.mark.parametrize("mesh", [CUBE, SPHERE, TORUS], ids=["cube", "sphere", "torus"])
@@ -73,13 +69,3 @@ def test_surfaces_that_go_round_twice_backwards_or_round_a_cavity() -> None:
     assert winding(inverted, points).tolist() == [-1, -1, 0]
     small = inverted.copy().apply_scale(0.5)
     assert winding(trimesh.util.concatenate([SPHERE, small]), points).tolist() == [0, 1, 0]
-
-
-def test_rays_along_walls() -> None:
-    # A box turned about z: its walls stand along the first ray, but for rounding.
-    box = trimesh.creation.box((1.0, 1.0, 1.0))
-    box.apply_transform(trimesh.transformations.rotation_matrix(0.3, [0, 0, 1]))
-    middles = np.asarray(box.vertices)[box.edges_unique].mean(axis=1)
-    for height in (-1.2, 1.2):
-        np.testing.assert_array_equal(winding(box, middles + np.array([0.0, 0.0, height])), 0)
-    np.testing.assert_array_equal(winding(box, 0.999 * middles), 1)
