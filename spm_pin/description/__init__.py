@@ -17,10 +17,12 @@ from spm_pin.description.source_files import (
     SDF,
     SRDF,
     URDF,
+    Closure,
     description_directory,
+    read_closures,
     urdf_text,
 )
-from spm_pin.description.tree import SLIDES, Closure, extended_urdf_text, joint_values, read_closures, srdf_text
+from spm_pin.description.tree import SLIDES, extended_urdf_text, joint_values, srdf_text
 from spm_pin.description.write_xml import mjcf_text, sdf_text
 from spm_pin.mechanism.joint_angles import JOINTS
 

@@ -1,4 +1,4 @@
-"""Masses of a machine's bodies in place of the assumed ones of `config/inertials.yaml`, and a payload."""
+"""Masses of the links of a URDF: read, checked, and replaced by those of a machine and its payload."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
-from xml.dom.minidom import Document, Element, parseString
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import numpy.typing as npt
@@ -24,10 +25,36 @@ from spm_pin.mechanism.arguments import (
     real_number,
     symmetric_matrices,
 )
+from spm_pin.mechanism.pose import homogeneous
+
+# Some readers of URDFs know Drake's elements by this prefix, not by its namespace.
+ElementTree.register_namespace("drake", "http://drake.mit.edu")
 
 _KEYS = {"mass", "centre", "inertia"}
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _LINK = "terminal_platform"
 """The link that carries the payload; its frame is {m}."""
+_LARGEST = 1e12
+"""Largest mass [kg], moment of inertia [kg m²] and distance of a centre of mass [m] in a URDF."""
+
+Numbers = tuple[float, ...]
+
+
+class Placement(NamedTuple):
+    """Placement of a frame in another: origin [m]; roll, pitch and yaw about the fixed x, y and z axes [rad]."""
+
+    xyz: Numbers = (0.0, 0.0, 0.0)
+    rpy: Numbers = (0.0, 0.0, 0.0)
+
+    @property
+    def rotation(self) -> Rotation:
+        """The orientation."""
+        return Rotation.from_euler("xyz", self.rpy)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The homogeneous transform, shape (4, 4)."""
+        return homogeneous(self.rotation.as_matrix(), np.array(self.xyz))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +84,8 @@ class RigidBody:
         moments = np.linalg.eigvalsh(inertia)
         rounding = 1e-9 * abs(moments).max()
         if moments[0] < -rounding or moments[:2].sum() < moments[2] - rounding:
-            expected = "principal moments of a body: none negative or above the sum"
-            raise ArgumentError("inertia", expected + " of the other two", f"moments {moments}", "About another point?")
+            expected = "principal moments of a body: none negative or above the sum of the other two"
+            raise ArgumentError("inertia", expected, f"moments {moments}", "About another point?")
         object.__setattr__(self, "mass", mass)
         object.__setattr__(self, "centre", frozen(centre.copy()))
         object.__setattr__(self, "inertia", frozen(inertia.copy()))
@@ -66,7 +93,7 @@ class RigidBody:
 
 @dataclass(frozen=True, eq=False)
 class Masses:
-    """Masses of links in place of the assumed ones, and a payload on the terminal platform.
+    """Masses of links in place of the assumed ones of `config/inertials.yaml`, and a payload.
 
     Parameters
     ----------
@@ -85,10 +112,8 @@ class Masses:
         if not isinstance(self.bodies, Mapping):
             raise ArgumentError("bodies", "a mapping of names to masses", type(self.bodies).__name__)
         for name, body in self.bodies.items():
-            named = isinstance(name, str) and isinstance(body, Mapping)
-            if not named or "mass" not in body or set(body) - _KEYS:
-                received = ", ".join(map(str, body)) if isinstance(body, Mapping) else type(body).__name__
-                raise ArgumentError(f"bodies[{name}]", "a mapping with mass, and perhaps centre and inertia", received)
+            if not isinstance(name, str):
+                raise ArgumentError("bodies", "names of links", repr(name))
             _read_body(body, f"bodies[{name}]")
         if self.payload is not None:
             check_instance(self.payload, RigidBody, "payload")
@@ -104,42 +129,49 @@ class Masses:
             reason = getattr(error, "strerror", None) or str(error)
             raise DescriptionError(str(file), "a readable YAML file", reason) from error
         if not isinstance(content, dict) or set(content) - {"bodies", "payload"}:
-            received = ", ".join(map(str, content)) if isinstance(content, dict) else type(content).__name__
-            raise DescriptionError(str(file), "a mapping with the keys bodies and payload", received)
+            raise DescriptionError(str(file), "a mapping with the keys bodies and payload", _keys(content))
+        payload = content.get("payload")
         try:
-            payload = content.get("payload")
-            if payload is not None and (not isinstance(payload, dict) or set(payload) - _KEYS):
-                raise ArgumentError("payload", "a mapping with mass, and perhaps centre and inertia", payload)
             return cls(content.get("bodies") or {}, None if payload is None else _read_body(payload, "payload"))
         except ArgumentError as error:
             raise DescriptionError(f"{file}: {error.argument}", error.expected, error.received, error.cause) from error
 
 
-def put_masses(masses: Masses, urdf: Document, prefix: str) -> None:
-    """Replace the inertials of a URDF."""
-    links = {link.getAttribute("name").removeprefix(prefix): link for link in urdf.getElementsByTagName("link")}
+def _read_body(body: Any, name: str) -> RigidBody:
+    """Return the body of a mapping with the keys of `Masses.bodies`."""
+    if not isinstance(body, Mapping) or "mass" not in body or set(body) - _KEYS:
+        raise ArgumentError(name, "a mapping with mass, and perhaps centre and inertia", _keys(body))
+    try:
+        return RigidBody(**body)
+    except ArgumentError as error:
+        raise ArgumentError(f"{name}.{error.argument}", error.expected, error.received, error.cause) from error
+
+
+def _keys(content: Any) -> str:
+    """Return the keys of a mapping, or the type of what is none, for a message."""
+    return ", ".join(map(str, content)) if isinstance(content, Mapping) else type(content).__name__
+
+
+def with_masses(urdf: str, masses: Masses, prefix: str) -> str:
+    """Return the text of a URDF with other masses."""
+    root = ElementTree.fromstring(urdf, ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True)))
+    links = {str(link.get("name")).removeprefix(prefix): link for link in root.iter("link")}
     changed: dict[str, RigidBody] = {}
     for pattern, body in masses.bodies.items():
         fitting = [name for name in links if fnmatchcase(name, pattern)]
         if not fitting:
             raise DescriptionError("masses", "names of links in the URDF, such as leg_b1_rod", repr(pattern))
         for name in fitting:
-            assumed = _inertial(links[name])
+            assumed = _body(links[name])
             share = float(body["mass"]) / assumed.mass if assumed.mass else 0.0
             inertia = body.get("inertia", share * np.asarray(assumed.inertia))
             changed[name] = RigidBody(body["mass"], body.get("centre", assumed.centre), inertia)
     if masses.payload is not None:
-        platform = changed[_LINK] if _LINK in changed else _inertial(links[_LINK])
-        changed[_LINK] = _joined(platform, masses.payload)
-    for name, one in changed.items():
-        _write(links[name], one)
-
-
-def with_masses(urdf: str, masses: Masses, prefix: str) -> str:
-    """Return the text of a URDF with other masses."""
-    document = parseString(urdf)
-    put_masses(masses, document, prefix)
-    return str(document.toxml())
+        changed[_LINK] = _joined(changed.get(_LINK) or _body(links[_LINK]), masses.payload)
+    for name, body_ in changed.items():
+        _write(links[name], body_)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _joined(body: RigidBody, other: RigidBody) -> RigidBody:
@@ -153,49 +185,77 @@ def _joined(body: RigidBody, other: RigidBody) -> RigidBody:
     return RigidBody(mass, centre, inertia)
 
 
-def _read_body(body: Mapping[str, Any], name: str) -> RigidBody:
-    try:
-        return RigidBody(**body)
-    except (ArgumentError, TypeError) as error:
-        if isinstance(error, TypeError):
-            raise ArgumentError(name, "a mapping with mass", ", ".join(body)) from error
-        raise ArgumentError(f"{name}.{error.argument}", error.expected, error.received, error.cause) from error
+def numbers(node: Any, key: str, default: str = "") -> Numbers:
+    """Return the numbers in an attribute of an element."""
+    return tuple(map(float, node.get(key, default).split()))
 
 
-def _numbers(element: Element, attribute: str, default: str) -> FloatArray:
-    return np.array((element.getAttribute(attribute) or default).split(), dtype=np.float64)
+def read_placement(node: Element) -> Placement:
+    """Return the placement in the `<origin>` of an element, the identity if there is none."""
+    origin = node.find("origin")
+    return Placement() if origin is None else Placement(*(numbers(origin, key, "0 0 0") for key in ("xyz", "rpy")))
 
 
-def _children(link: Element) -> tuple[Element, Element, Element]:
-    """Return the elements of a link's inertial: origin, mass and inertia."""
-    (inertial,) = link.getElementsByTagName("inertial")
-    if not inertial.getElementsByTagName("origin"):
-        inertial.appendChild(Element("origin"))
-    origin, mass, inertia = (inertial.getElementsByTagName(tag)[0] for tag in ("origin", "mass", "inertia"))
-    return origin, mass, inertia
+def read_inertial(inertial: Element) -> tuple[float, Placement, FloatArray]:
+    """Return the mass, the inertial frame and the moments of inertia (3, 3) about its axes."""
+    (mass,) = numbers(inertial.find("mass"), "value")
+    xx, xy, xz, yy, yz, zz = (numbers(inertial.find("inertia"), key)[0] for key in _MOMENTS)
+    return mass, read_placement(inertial), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _inertial(link: Element) -> RigidBody:
-    """Return the body of a link, in the link's axes."""
-    origin, mass, inertia = _children(link)
-    turn = Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0")).as_matrix()
-    xx, xy, xz, yy, yz, zz = (float(inertia.getAttribute(key) or 0.0) for key in _ENTRIES)
-    moments = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
-    return RigidBody(float(mass.getAttribute("value")), _numbers(origin, "xyz", "0 0 0"), 0.5 * (moments + moments.T))
-
-
-_ENTRIES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+def _body(link: Element) -> RigidBody:
+    """Return the body of a link, in the link's axes; without an inertial it has no mass."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return RigidBody(0.0)
+    mass, placement, moments = read_inertial(inertial)
+    turn = placement.rotation.as_matrix()
+    turned = turn @ moments @ turn.T
+    return RigidBody(mass, placement.xyz, 0.5 * (turned + turned.T))
 
 
 def _write(link: Element, body: RigidBody) -> None:
-    """Write the inertial of a link, its axes the principal ones, which all formats can express."""
-    origin, mass, inertia = _children(link)
+    """Replace the inertial of a link; its axes are the principal ones, which all formats can express."""
+    for old in link.findall("inertial"):
+        link.remove(old)
     moments, axes = np.linalg.eigh(np.asarray(body.inertia))
     axes *= np.sign(np.linalg.det(axes))
     turn = Rotation.from_matrix(axes).as_euler("xyz", suppress_warnings=True)
-    origin.setAttribute("xyz", " ".join(map(repr, np.asarray(body.centre).tolist())))
-    origin.setAttribute("rpy", " ".join(map(repr, turn.tolist())))
-    mass.setAttribute("value", repr(body.mass))
+    inertial = SubElement(link, "inertial")
+    places = {"xyz": np.asarray(body.centre), "rpy": turn}
+    SubElement(inertial, "origin", {key: " ".join(map(repr, place.tolist())) for key, place in places.items()})
+    SubElement(inertial, "mass", value=repr(body.mass))
     diagonal = dict(zip(("ixx", "iyy", "izz"), np.maximum(moments, 0.0).tolist(), strict=True))
-    for key in _ENTRIES:
-        inertia.setAttribute(key, repr(diagonal.get(key, 0.0)))
+    SubElement(inertial, "inertia", {key: repr(diagonal.get(key, 0.0)) for key in _MOMENTS})
+
+
+def check_inertials(urdf: str, source: str) -> None:
+    """Check masses and moments of inertia of a URDF's text, and that no joint has the name of a link.
+
+    Pinocchio keeps both kinds of names in one list, and takes a mass of NaN for none. Errors call the text `source`.
+    """
+    root = ElementTree.fromstring(urdf)
+    links = {str(link.get("name")): link.find("inertial") for link in root.iter("link")}
+    for joint in root.findall("joint"):
+        if joint.get("name") in links:
+            cause = "Pinocchio keeps both in one list"
+            raise DescriptionError(source, "names of joints that no link has", repr(joint.get("name")), cause)
+    for name, inertial in links.items():
+        if inertial is not None:
+            _check_inertial(inertial, f"{source}, link {name}")
+
+
+def _check_inertial(inertial: Element, place: str) -> None:
+    try:
+        mass, (centre, _), moments = read_inertial(inertial)
+    except (AttributeError, ValueError, IndexError) as error:
+        raise DescriptionError(place, "a <mass> and an <inertia> of numbers", str(error)) from error
+    real_number(mass, place, f"a mass from 0 to {_LARGEST:g} kg", least=0.0, most=_LARGEST, error=DescriptionError)
+    if not np.all(np.abs([*centre, *moments.ravel()]) <= _LARGEST):
+        expected = f"moments of inertia [kg m²] and a centre of mass [m] of at most {_LARGEST:g}"
+        raise DescriptionError(place, expected, f"{moments.tolist()} and {centre}")
+    least, largest = np.linalg.eigvalsh(moments)[[0, -1]]
+    # A negligible violation comes from the digits of an exporter.
+    if least < -1e-9 * largest or largest < 0.0:
+        cause = "Products of inertia with the wrong sign, or not about the centre of mass?"
+        raise DescriptionError(place, "moments of inertia of which none is negative", f"principal {least:g}", cause)

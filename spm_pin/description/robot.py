@@ -12,50 +12,21 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.description.masses import Masses
-from spm_pin.description.source_files import urdf_text
-from spm_pin.description.tree import Closure, read_closures
-from spm_pin.errors import DescriptionError
+from spm_pin.description.masses import Masses, Numbers, Placement, numbers, read_inertial, read_placement
+from spm_pin.description.source_files import Closure, read_closures, urdf_text
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.pose import homogeneous
-
-_LARGEST = 1e12
-"""Largest mass [kg], moment of inertia [kg m²] and distance of a centre of mass [m] accepted."""
-
-Numbers = tuple[float, ...]
-
-
-class Placement(NamedTuple):
-    """Placement of a frame in another: origin [m]; roll, pitch and yaw about the fixed x, y and z axes [rad]."""
-
-    xyz: Numbers = (0.0, 0.0, 0.0)
-    rpy: Numbers = (0.0, 0.0, 0.0)
-
-    @property
-    def matrix(self) -> FloatArray:
-        """The homogeneous transform, shape (4, 4)."""
-        return homogeneous(Rotation.from_euler("xyz", self.rpy).as_matrix(), np.array(self.xyz))
-
-    @property
-    def quaternion(self) -> FloatArray:
-        """The orientation as w, x, y, z."""
-        return Rotation.from_euler("xyz", self.rpy).as_quat(scalar_first=True)
 
 
 class Shape(NamedTuple):
     """A shape that is seen, which has a material, or one that collides."""
 
-    kind: str
-    """"box", "cylinder", "sphere" or "mesh"."""
-    size: Numbers
-    """Sides of a box, radius and length of a cylinder about z, radius of a sphere [m]; scales of a mesh."""
-    placement: Placement
-    """Placement of the centre, or of the mesh's origin, in the link."""
-    mesh: str
-    """The file of a mesh, as the URDF names it; empty for the others."""
-    material: str
-    """Name of the colour."""
+    kind: str  # "box", "cylinder", "sphere" or "mesh"
+    size: Numbers  # sides of a box, radius and length of a cylinder about z, radius of a sphere [m]; scales of a mesh
+    placement: Placement  # of the centre, or of the mesh's origin, in the link
+    mesh: str  # the file of a mesh, as the URDF names it; empty for the others
+    material: str  # name of the colour
 
 
 class Link(NamedTuple):
@@ -100,10 +71,8 @@ class Robot:
     links: dict[str, Link]
     joints: dict[str, Joint]
     closures: tuple[Closure, ...]
-    motors: dict[str, str]
-    """Names of the actuators by those of the joints that they drive, in the order of the legs."""
-    materials: dict[str, Numbers]
-    """Red, green, blue and opacity, from 0 to 1, by name."""
+    motors: dict[str, str]  # names of the actuators by those of the joints that they drive, in the order of the legs
+    materials: dict[str, Numbers]  # red, green, blue and opacity, from 0 to 1, by name
 
     @cached_property
     def joint_to(self) -> dict[str, Joint]:
@@ -170,7 +139,7 @@ def read_robot(
         {joint.name: joint for joint in map(_joint, root.findall("joint"))},
         read_closures(prefix=prefix),
         {_name(node.find("joint")): _name(node.find("actuator")) for node in root.iter("transmission")},
-        {_name(node): _numbers(node.find("color"), "rgba") for node in root.findall("material")},
+        {_name(node): numbers(node.find("color"), "rgba") for node in root.findall("material")},
     )
 
 
@@ -178,82 +147,24 @@ def _name(node: Any, key: str = "name") -> str:
     return str(node.get(key))
 
 
-def _numbers(node: Any, key: str, default: str = "") -> Numbers:
-    return tuple(map(float, node.get(key, default).split()))
-
-
-def _placement(node: Element) -> Placement:
-    origin = node.find("origin")
-    return Placement() if origin is None else Placement(*(_numbers(origin, key, "0 0 0") for key in ("xyz", "rpy")))
-
-
 def _link(node: Element) -> Link:
     inertial = node.find("inertial")
     assert inertial is not None, "every link of the description has a mass"
-    (mass,) = _numbers(inertial.find("mass"), "value")
-    moments = tuple(_numbers(inertial.find("inertia"), key)[0] for key in ("ixx", "iyy", "izz"))
+    mass, placement, moments = read_inertial(inertial)
     visuals, collisions = (tuple(map(_shape, node.findall(tag))) for tag in ("visual", "collision"))
-    return Link(mass, moments, _placement(inertial), visuals, collisions)
+    return Link(mass, tuple(moments.diagonal().tolist()), placement, visuals, collisions)
 
 
 def _shape(node: Element) -> Shape:
-    geometry, material = node.find("geometry"), node.find("material")
-    assert geometry is not None
-    (solid,) = geometry
+    ((solid,),) = node.findall("geometry")
     keys = {"mesh": ("scale",), "box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}[solid.tag]
-    size = tuple(number for key in keys for number in _numbers(solid, key))
-    return Shape(
-        solid.tag, size, _placement(node), solid.get("filename", ""), "" if material is None else _name(material)
-    )
+    size = tuple(number for key in keys for number in numbers(solid, key))
+    material = "".join(map(_name, node.findall("material")))
+    return Shape(solid.tag, size, read_placement(node), solid.get("filename", ""), material)
 
 
 def _joint(node: Element) -> Joint:
     parent, child = (_name(node.find(end), "link") for end in ("parent", "child"))
-    axis, limit = node.find("axis"), node.find("limit")
-    return Joint(
-        _name(node),
-        _name(node, "type"),
-        parent,
-        child,
-        _placement(node),
-        () if axis is None else _numbers(axis, "xyz"),
-        {} if limit is None else {key: float(value) for key, value in limit.items()},
-    )
-
-
-def check_inertials(urdf: str, source: str) -> None:
-    """Check masses and moments of inertia of a URDF's text, and that no joint has the name of a link.
-
-    Pinocchio keeps both kinds of names in one list, and takes a mass of NaN for none. Errors call the text `source`.
-    """
-    root = ElementTree.fromstring(urdf)
-    links = {_name(link) for link in root.iter("link")}
-    for joint in root.findall("joint"):
-        if _name(joint) in links:
-            cause = "Pinocchio keeps both in one list"
-            raise DescriptionError(source, "names of joints that no link has", repr(_name(joint)), cause)
-    for link in root.iter("link"):
-        inertial = link.find("inertial")
-        if inertial is not None:
-            _check_inertial(inertial, f"{source}, link {_name(link)}")
-
-
-def _check_inertial(inertial: Element, place: str) -> None:
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    try:
-        (value,) = _numbers(mass, "value")
-        xx, xy, xz, yy, yz, zz = (_numbers(inertia, key)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-        centre = _placement(inertial).xyz
-    except (AttributeError, ValueError, IndexError) as error:
-        raise DescriptionError(place, "a <mass> and an <inertia> of numbers", str(error)) from error
-    moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if not 0.0 <= value <= _LARGEST:
-        raise DescriptionError(place, f"a mass from 0 to {_LARGEST:g} kg", f"{value:g}")
-    if not np.all(np.abs(np.array([*centre, *moments.ravel()])) <= _LARGEST):
-        expected = f"moments of inertia [kg m²] and a centre of mass [m] of at most {_LARGEST:g}"
-        raise DescriptionError(place, expected, f"{moments.tolist()} and {centre}")
-    least, largest = np.linalg.eigvalsh(moments)[[0, -1]]
-    # A negligible violation comes from the digits of an exporter.
-    if least < -1e-9 * largest or largest < 0.0:
-        cause = "Products of inertia with the wrong sign, or not about the centre of mass?"
-        raise DescriptionError(place, "moments of inertia of which none is negative", f"principal {least:g}", cause)
+    axis = tuple(number for axis in node.findall("axis") for number in numbers(axis, "xyz"))
+    limits = {key: float(value) for limit in node.findall("limit") for key, value in limit.items()}
+    return Joint(_name(node), _name(node, "type"), parent, child, read_placement(node), axis, limits)

@@ -1,14 +1,16 @@
-"""The description's files, and the URDF that xacro makes of them for any geometry."""
+"""The description's files: the closures, and the URDF that xacro makes for any geometry."""
 
 from __future__ import annotations
 
 import re
 import tempfile
 import threading
+from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
-from spm_pin.description.masses import Masses, put_masses
+import yaml
+
+from spm_pin.description.masses import Masses, with_masses
 from spm_pin.errors import DescriptionError, raised_as
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import as_bool, check_instance, writing
@@ -68,6 +70,25 @@ def check_prefix(prefix: str) -> None:
         raise DescriptionError("prefix", expected, repr(prefix))
 
 
+@dataclass(frozen=True)
+class Closure:
+    """Two frames whose origins a ball joint holds together, at which a loop is cut."""
+
+    name: str
+    """Name of the closure."""
+    frame_a: str
+    """Name of the first frame, a link of the URDF."""
+    frame_b: str
+    """Name of the second frame, a link of the URDF."""
+
+
+def read_closures(*, prefix: str = "") -> tuple[Closure, ...]:
+    """Return the closures of the robot, from `config/closures.yaml`; each name begins with `prefix`, as in the URDF."""
+    check_prefix(prefix)
+    entries = yaml.safe_load(description_file(CLOSURES).read_text(encoding="utf-8"))["closures"]
+    return tuple(Closure(**{key: prefix + name for key, name in entry.items()}) for entry in entries)
+
+
 def urdf_text(
     geometry: Geometry | None = None,
     *,
@@ -107,29 +128,23 @@ def urdf_text(
         folder_of_meshes = (description_directory() / MESHES).as_posix() if meshes is None else meshes
         mappings = {"prefix": prefix, "geometry": str(path), "meshes": folder_of_meshes}
         expanded = xacro.process_file(str(description_file(ENTRY)), mappings=mappings)
+    text = str(expanded.documentElement.toprettyxml(indent="  "))
     if masses is not None:
-        put_masses(masses, expanded, prefix)
-    # xacro's banner holds the path of this machine's copy; the source's own comment stays.
-    while expanded.firstChild is not expanded.documentElement:
-        expanded.removeChild(expanded.firstChild).unlink()
-    banner = f" Expanded from {ENTRY}, which is the place for changes. "
-    expanded.insertBefore(expanded.createComment(banner), expanded.documentElement)
-    text = str(expanded.toprettyxml(indent="  "))
-    return text.replace("</robot>", f"{_ros_constraints(text)}</robot>") if ros_constraints else text
+        text = with_masses(text, masses, prefix)
+    if ros_constraints:
+        elements = "".join(map(_ros_constraint, read_closures(prefix=prefix)))
+        text = text.replace("</robot>", f"{elements}</robot>")
+    # xacro's own banner holds the path of this machine's copy.
+    return f'<?xml version="1.0" ?>\n<!-- Expanded from {ENTRY}, which is the place for changes. -->\n{text}'
 
 
-def _ros_constraints(urdf: str) -> str:
-    """Return Drake's closures of a URDF as the elements proposed for ROS."""
-    lines = []
-    for ball in ElementTree.fromstring(urdf).iter(DRAKE_BALL):
-        a, b = (str(end.get("name")) for end in ball if end.get("name"))
-        ends = (
-            f'    <{end} link="{link}"/>\n    <{end}_origin xyz="0 0 0" rpy="0 0 0"/>'
-            for end, link in (("parent", a), ("child", b))
-        )
-        lines += [f'  <constraint name="{a}_{b}" type="spherical_joint">', *ends, "  </constraint>"]
-    return "\n".join([*lines, ""])
-
-
-DRAKE_BALL = "{http://drake.mit.edu}ball_constraint"
-"""Drake's element of a closure, as ElementTree names it."""
+def _ros_constraint(closure: Closure) -> str:
+    """Return a closure as the element proposed for ROS."""
+    a, b = closure.frame_a, closure.frame_b
+    return f"""  <constraint name="{a}_{b}" type="spherical_joint">
+    <parent link="{a}"/>
+    <parent_origin xyz="0 0 0" rpy="0 0 0"/>
+    <child link="{b}"/>
+    <child_origin xyz="0 0 0" rpy="0 0 0"/>
+  </constraint>
+"""

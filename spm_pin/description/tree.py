@@ -1,14 +1,11 @@
-"""The spanning tree, as `urdf/spm_macro.xacro` has it: its joints and their values, its closures, the SRDF."""
+"""The spanning tree, as `urdf/spm_macro.xacro` has it: its joints and their values, and the files that name them."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
 
-import yaml
-
-from spm_pin.description.source_files import CLOSURES, check_prefix, description_file
+from spm_pin.description.source_files import check_prefix, read_closures
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import Configuration, joint_angles
 from spm_pin.mechanism.configuration import check_configuration
@@ -28,25 +25,6 @@ PASSIVE = tuple(name for name in JOINTS if name not in SLIDES)
 
 HOME = "home"
 """Name of the state in which all joints are at zero."""
-
-
-@dataclass(frozen=True)
-class Closure:
-    """Two frames whose origins a ball joint holds together, at which a loop is cut."""
-
-    name: str
-    """Name of the closure."""
-    frame_a: str
-    """Name of the first frame, a link of the URDF."""
-    frame_b: str
-    """Name of the second frame, a link of the URDF."""
-
-
-def read_closures(*, prefix: str = "") -> tuple[Closure, ...]:
-    """Return the closures of the robot, from `config/closures.yaml`; each name begins with `prefix`, as in the URDF."""
-    check_prefix(prefix)
-    entries = yaml.safe_load(description_file(CLOSURES).read_text(encoding="utf-8"))["closures"]
-    return tuple(Closure(**{key: prefix + name for key, name in entry.items()}) for entry in entries)
 
 
 def extended_urdf_text(*, prefix: str = "") -> str:

@@ -27,16 +27,11 @@ BODIES = (*PLATFORMS, *(f"leg_{leg[2:]}_{half}" for half in ("cylinder", "rod") 
 class VisualPart:
     """A closed surface of one colour, fixed to a body of the robot."""
 
-    name: str
-    """Its link in the URDF and its mesh: "base_a1 clevis", "leg_b1_rod tube"."""
-    body: str
-    """The body it moves with, one of `BODIES`."""
-    colour: tuple[float, float, float]
-    """Red, green and blue in sRGB, from 0 to 1."""
-    vertices: FloatArray
-    """Vertices in the frame of the body [m], shape (n, 3); of a leg that is as long as in the URDF at zero."""
-    faces: npt.NDArray[np.int32]
-    """Triangles, counter-clockwise seen from outside, shape (m, 3)."""
+    name: str  # its link in the URDF and its mesh: "base_a1 clevis", "leg_b1_rod tube"
+    body: str  # the body it moves with, one of `BODIES`
+    colour: tuple[float, float, float]  # red, green and blue in sRGB, from 0 to 1
+    vertices: FloatArray  # in the frame of the body [m], shape (n, 3); of a leg as long as in the URDF at zero
+    faces: npt.NDArray[np.int32]  # triangles, counter-clockwise seen from outside, shape (m, 3)
 
     @property
     def mesh(self) -> str:

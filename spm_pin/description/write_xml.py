@@ -11,10 +11,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.description.masses import Masses
-from spm_pin.description.robot import Joint, Link, Placement, Robot, Shape, read_robot
-from spm_pin.description.source_files import check_prefix
-from spm_pin.description.tree import Closure, state_values
+from spm_pin.description.masses import Masses, Numbers, Placement
+from spm_pin.description.robot import Joint, Link, Robot, Shape, read_robot
+from spm_pin.description.source_files import Closure, check_prefix
+from spm_pin.description.tree import state_values
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, choice
@@ -56,17 +56,18 @@ def mjcf_text(
     """
     check_prefix(prefix)
     values_by_state = state_values({} if states is None else states, prefix)
-    anchors = None if anchors is None else choice(anchors, "anchors", ("bodies", "sites"))
     shapes = choice("exact" if collisions is None else collisions, "collisions", ("exact", "simple", "none"))
     robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
     if states and next(iter(states.values())).geometry != (Geometry.paper() if geometry is None else geometry):
         raise DescriptionError("states", "the robot's geometry in all states", "another one")
-    assembled = robot.is_assembled()
-    anchors = anchors or ("bodies" if assembled else "sites")
-    if anchors == "bodies" and not assembled:
-        expected = "sites for a machine whose loops are open at zero"
-        raise DescriptionError("anchors", expected, "bodies", "Those of a machine as built are")
-    names, assets = _mesh_assets(robot)
+    by_sites = _closed_by(robot, anchors, "anchors", ("bodies", "sites")) == "sites"
+    # Each scale of a file is a mesh of its own.
+    files: dict[tuple[str, Numbers], str] = {}
+    for shape in (shape for link in robot.links.values() for shape in link.visuals):
+        stem = PurePosixPath(shape.mesh).stem
+        count = sum(PurePosixPath(file).stem == stem for file, _ in files)
+        files.setdefault((shape.mesh, shape.size), f"{stem}_{count + 1}" if count else stem)
+    assets = [_element("mesh", name=name, file=file, scale=size) for (file, size), name in files.items()]
     assets += [_element("material", name=name, rgba=rgba) for name, rgba in robot.materials.items()]
     motors = []
     for joint, motor in robot.motors.items():
@@ -77,7 +78,6 @@ def mjcf_text(
         for name, values in values_by_state.items()
     ]
     velocities = [joint.limits["velocity"] for joint in robot.moving]
-    closures = [_connection(robot, closure, anchors == "sites") for closure in robot.closures]
     root = _element(
         "mujoco",
         _element("compiler", angle="radian", autolimits="true"),
@@ -90,8 +90,8 @@ def mjcf_text(
             _element("global", offwidth="1280", offheight="960"),
         ),
         _element("asset", *assets),
-        _element("worldbody", _body(robot, robot.base, None, _sites(robot), names, shapes)),
-        _element("equality", *closures),
+        _element("worldbody", _body(robot, robot.base, _sites(robot), files, shapes)),
+        _element("equality", *(_connection(robot, closure, by_sites) for closure in robot.closures)),
         _element("actuator", *motors),
         _element("custom", _element("numeric", name="velocity_limit", data=velocities)),
         _element("keyframe", *keys),
@@ -100,14 +100,14 @@ def mjcf_text(
     return _document(root)
 
 
-def _mesh_assets(robot: Robot) -> tuple[dict[tuple[str, tuple[float, ...]], str], list[Element]]:
-    """Return the names of scaled meshes, and their elements: each scale of a file is a mesh of its own."""
-    names: dict[tuple[str, tuple[float, ...]], str] = {}
-    for shape in (shape for link in robot.links.values() for shape in link.visuals):
-        stem = PurePosixPath(shape.mesh).stem
-        count = sum(PurePosixPath(file).stem == stem for file, _ in names)
-        names.setdefault((shape.mesh, shape.size), f"{stem}_{count + 1}" if count else stem)
-    return names, [_element("mesh", name=name, file=file, scale=size) for (file, size), name in names.items()]
+def _closed_by(robot: Robot, chosen: str | None, argument: str, ways: tuple[str, str]) -> str:
+    """Return how loops are closed: by the first way if the robot stands assembled at zero, unless another is chosen."""
+    assembled = robot.is_assembled()
+    if chosen is None:
+        return ways[0] if assembled else ways[1]
+    if choice(chosen, argument, ways) == ways[0] and not assembled:
+        raise DescriptionError(argument, f"{ways[1]} for a machine whose loops are open at zero", chosen)
+    return chosen
 
 
 def _sites(robot: Robot) -> dict[str, dict[str, FloatArray]]:
@@ -127,14 +127,12 @@ def _sites(robot: Robot) -> dict[str, dict[str, FloatArray]]:
 def _body(
     robot: Robot,
     name: str,
-    joint: Joint | None,
     sites: Mapping[str, Mapping[str, FloatArray]],
-    meshes: Mapping[tuple[str, tuple[float, ...]], str],
+    meshes: Mapping[tuple[str, Numbers], str],
     collisions: str,
 ) -> Element:
     """Return the body of a link, with those of the links that it carries inside."""
-    link = robot.links[name]
-    parts = []
+    link, joint, parts = robot.links[name], robot.joint_to.get(name), []
     if joint is not None and joint.moves:
         limits, effort = joint.limits, joint.limits["effort"]
         kind = {"prismatic": "slide", "revolute": "hinge"}[joint.kind]
@@ -155,11 +153,11 @@ def _body(
     for frame, pose in sites.get(name, {}).items():
         turn = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
         parts.append(_element("site", name=f"{frame}_site", size="0.005", pos=pose[:3, 3], quat=turn))
-    parts += [_body(robot, each.child, each, sites, meshes, collisions) for each in robot.order if each.parent == name]
+    parts += [_body(robot, each.child, sites, meshes, collisions) for each in robot.order if each.parent == name]
     return _element("body", *parts, name=name, **({} if joint is None else _place(joint.placement)))
 
 
-def _solid(shape: Shape, group: str, meshes: Mapping[tuple[str, tuple[float, ...]], str]) -> dict[str, Value]:
+def _solid(shape: Shape, group: str, meshes: Mapping[tuple[str, Numbers], str]) -> dict[str, Value]:
     solid: dict[str, Value] = {"type": shape.kind, "group": group, **_place(shape.placement)}
     if shape.kind == "mesh":
         return solid | {"mesh": meshes[shape.mesh, shape.size]}
@@ -184,7 +182,7 @@ def _connection(robot: Robot, closure: Closure, by_sites: bool) -> Element:
 
 
 def _place(placement: Placement) -> dict[str, Value]:
-    return {"pos": placement.xyz, "quat": placement.quaternion}
+    return {"pos": placement.xyz, "quat": placement.rotation.as_quat(scalar_first=True)}
 
 
 def sdf_text(
@@ -210,12 +208,8 @@ def sdf_text(
     -----
     http://sdformat.org/spec, version 1.9. A joint is driven if its limit of effort is not zero.
     """
-    loops = None if loops is None else choice(loops, "loops", ("joints", "drake"))
     robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
-    assembled = robot.is_assembled()
-    loops = loops or ("joints" if assembled else "drake")
-    if loops == "joints" and not assembled:
-        raise DescriptionError("loops", "drake for a machine whose loops are open at zero", "joints")
+    loops = _closed_by(robot, loops, "loops", ("joints", "drake"))
     ends = {"parent": "world", "child": robot.base}
     model = _element(
         "model",
@@ -233,17 +227,19 @@ def _pose(placement: Placement, **relative: str) -> Element:
 
 
 def _sdf_link(robot: Robot, name: str, link: Link) -> Element:
-    inertia = _element(
-        "inertia", *_texts(**dict(zip(("ixx", "iyy", "izz"), link.moments, strict=True)), ixy=0.0, ixz=0.0, iyz=0.0)
-    )
+    moments = dict(zip(("ixx", "iyy", "izz"), link.moments, strict=True))
+    inertia = _element("inertia", *_texts(**moments, ixy=0.0, ixz=0.0, iyz=0.0))
     carrier = robot.joint_to.get(name)
-    shapes = [("visual", i, shape) for i, shape in enumerate(link.visuals, start=1)]
-    shapes += [("collision", i, shape) for i, shape in enumerate(link.collisions, start=1)]
+    shapes = {"visual": link.visuals, "collision": link.collisions}
     return _element(
         "link",
         None if carrier is None else _pose(Placement(), relative_to=carrier.name),
         _element("inertial", _pose(link.inertial), *_texts(mass=link.mass), inertia),
-        *(_sdf_shape(robot, tag, f"{name}_{tag}_{i}", shape) for tag, i, shape in shapes),
+        *(
+            _sdf_shape(robot, tag, f"{name}_{tag}_{i}", shape)
+            for tag, solids in shapes.items()
+            for i, shape in enumerate(solids, start=1)
+        ),
         name=name,
     )
 
@@ -255,24 +251,18 @@ def _sdf_shape(robot: Robot, tag: str, name: str, shape: Shape) -> Element:
         solid = _texts(size=shape.size)
     else:
         solid = _texts(**dict(zip(("radius", "length"), shape.size, strict=False)))
-    material = None
+    parts = [_pose(shape.placement), _element("geometry", _element(shape.kind, *solid))]
     if shape.material:
-        material = _element(
-            "material", *_texts(**dict.fromkeys(("ambient", "diffuse"), robot.materials[shape.material]))
-        )
-    return _element(
-        tag, _pose(shape.placement), _element("geometry", _element(shape.kind, *solid)), material, name=name
-    )
+        colour = robot.materials[shape.material]
+        parts.append(_element("material", *_texts(ambient=colour, diffuse=colour)))
+    return _element(tag, *parts, name=name)
 
 
 def _sdf_joint(joint: Joint) -> Element:
-    axis = (
-        _element("axis", *_texts(xyz=joint.axis), _element("limit", *_texts(**joint.limits))) if joint.moves else None
-    )
-    pose = _pose(joint.placement, relative_to=joint.parent)
-    return _element(
-        "joint", pose, *_texts(parent=joint.parent, child=joint.child), axis, name=joint.name, type=joint.kind
-    )
+    parts = [_pose(joint.placement, relative_to=joint.parent), *_texts(parent=joint.parent, child=joint.child)]
+    if joint.moves:
+        parts.append(_element("axis", *_texts(xyz=joint.axis), _element("limit", *_texts(**joint.limits))))
+    return _element("joint", *parts, name=joint.name, type=joint.kind)
 
 
 def _sdf_closure(closure: Closure, loops: str) -> Element:

@@ -1,6 +1,6 @@
 """The mechanism in Pinocchio, its loops closed by constraints: kinematics, dynamics, motion in time, mounting."""
 
-from spm_pin.description.tree import Closure
+from spm_pin.description.source_files import Closure
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.chain_state import (
     ChainState,

@@ -11,10 +11,16 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.description.masses import Masses, with_masses
-from spm_pin.description.robot import check_inertials
-from spm_pin.description.source_files import URDF, check_prefix, description_directory, description_file, urdf_text
-from spm_pin.description.tree import ANGLES, SLIDES, read_closures, srdf_text
+from spm_pin.description.masses import Masses, check_inertials, with_masses
+from spm_pin.description.source_files import (
+    URDF,
+    check_prefix,
+    description_directory,
+    description_file,
+    read_closures,
+    urdf_text,
+)
+from spm_pin.description.tree import ANGLES, SLIDES, srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, GeometryError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical

@@ -26,7 +26,8 @@ import numpy.typing as npt
 import pinocchio as pin
 from scipy.linalg import lapack
 
-from spm_pin.description.tree import SLIDES, Closure
+from spm_pin.description.source_files import Closure
+from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, frozen, real_array
 from spm_pin.mechanism.geometry import Geometry

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.description.tree import Closure, read_closures
+from spm_pin.description.source_files import Closure, read_closures
 
 Array = npt.NDArray[np.float64]
 Values = Mapping[str, float]

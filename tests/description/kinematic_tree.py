@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from spm_pin.description.tree import Closure
+from spm_pin.description.source_files import Closure
 
 Array = npt.NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from problems import GEOMETRIES, in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.description import JOINTS, urdf_text
-from spm_pin.description.source_files import SRDF, URDF, description_file
-from spm_pin.description.tree import SLIDES, joint_values, read_closures
+from spm_pin.description.source_files import SRDF, URDF, description_file, read_closures
+from spm_pin.description.tree import SLIDES, joint_values
 from spm_pin.mechanism.joint_angles import home_lengths
 
 EPS = np.finfo(float).eps

@@ -30,7 +30,8 @@ from problems import GEOMETRIES
 import spm_pin as spm
 from spm_pin.description import MJCF_PATH, PACKAGE_PATH, SDF_PATH, SRDF_PATH, URDF_PATH, mjcf_text, sdf_text, urdf_text
 from spm_pin.description.robot import read_robot
-from spm_pin.description.tree import SLIDES, read_closures
+from spm_pin.description.source_files import read_closures
+from spm_pin.description.tree import SLIDES
 
 TEXT = Path(URDF_PATH).read_text(encoding="utf-8")
 TREE = KinematicTree(TEXT)

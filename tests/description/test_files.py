@@ -28,8 +28,9 @@ from spm_pin.description.source_files import (
     URDF,
     description_directory,
     description_file,
+    read_closures,
 )
-from spm_pin.description.tree import PASSIVE, SLIDES, read_closures, srdf_text
+from spm_pin.description.tree import PASSIVE, SLIDES, srdf_text
 from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
 

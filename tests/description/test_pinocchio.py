@@ -11,8 +11,8 @@ from problems import in_leg_space
 
 import spm_pin as spm
 from spm_pin.description import urdf_text
-from spm_pin.description.source_files import SRDF, URDF, description_file
-from spm_pin.description.tree import joint_values, read_closures
+from spm_pin.description.source_files import SRDF, URDF, description_file, read_closures
+from spm_pin.description.tree import joint_values
 
 pin = pytest.importorskip("pinocchio")
 

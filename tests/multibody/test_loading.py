@@ -14,8 +14,7 @@ from multibody.chains import MACHINES, NAMES, PAPER, chain, placed, six_branches
 
 import spm_pin as spm
 from spm_pin.description import urdf_text
-from spm_pin.description.source_files import ENTRY, URDF, description_file
-from spm_pin.description.tree import read_closures
+from spm_pin.description.source_files import ENTRY, URDF, description_file, read_closures
 from spm_pin.errors import ArgumentError, DescriptionError
 
 pinocchio = pytest.importorskip("pinocchio")
