@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.description.masses import RigidBody
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism import LEGS, Configuration
 from spm_pin.mechanism.arguments import FloatArray, IntArray, leg_bounds, leg_values, real_array
@@ -26,26 +25,6 @@ from spm_pin.multibody.chain_state import ChainState
 
 _LARGEST = 1e12
 """Largest limit of a leg that is accepted, far from overflow."""
-
-
-@dataclass(frozen=True, eq=False)
-class Payload(RigidBody):
-    """A rigid body that the terminal platform carries, its centre and inertia in {m}."""
-
-    def wrench(
-        self, rotation: FloatArray, twist: FloatArray, acceleration: FloatArray, gravity: npt.ArrayLike
-    ) -> FloatArray:
-        """Return the wrench (f, m) that the body exerts onto the platform at o, in {B} [N, N m].
-
-        `rotation` (3, 3) is that of {m} in {B}, `twist` and `acceleration` (6,) are (v, ω) of m at o and its time
-        derivative in {B}, `gravity` (3,) is in {B} [m/s²].
-        """
-        arm, inertia = rotation @ np.asarray(self.centre), rotation @ np.asarray(self.inertia) @ rotation.T
-        spin, change = twist[3:], acceleration[3:]
-        push = acceleration[:3] + np.cross(change, arm) + np.cross(spin, np.cross(spin, arm)) - np.asarray(gravity)
-        force = self.mass * push
-        moment = inertia @ change + np.cross(spin, inertia @ spin) + np.cross(arm, force)
-        return -np.concatenate([force, moment])
 
 
 @dataclass(frozen=True)
@@ -63,9 +42,7 @@ class PathDynamics:
     static: FloatArray  # f_c [N], shape (n, 6)
 
 
-def path_dynamics(
-    chain: ClosedChain, path: MotionPath, parameters: FloatArray, payload: Payload | None
-) -> PathDynamics:
+def path_dynamics(chain: ClosedChain, path: MotionPath, parameters: FloatArray) -> PathDynamics:
     """Return the mechanism along a path; `ArgumentError` where it is out of reach or meets a singularity."""
     states = states_along(chain.geometry, path, parameters)
     if not states.exists.all():
@@ -82,7 +59,7 @@ def path_dynamics(
     state, rows = chain.state(q[0]), []
     for k, joints in enumerate(q):
         try:
-            rows.append(_at(state, joints, rates[k], changes[k], isinstance(path, LegPath), payload))
+            rows.append(_at(state, joints, rates[k], changes[k], isinstance(path, LegPath)))
         except SingularConfigurationError as error:
             expected = "a path that keeps away from singularities"
             received = f"a {error.kind} singularity at parameter {parameters[k]:.6g}"
@@ -91,28 +68,16 @@ def path_dynamics(
 
 
 def _at(
-    state: ChainState, q: FloatArray, rate: FloatArray, change: FloatArray, of_legs: bool, payload: Payload | None
+    state: ChainState, q: FloatArray, rate: FloatArray, change: FloatArray, of_legs: bool
 ) -> tuple[FloatArray, ...]:
     """Return q', q'', the twist, f_a, f_b and f_c at one q, from the derivatives of leg lengths or of the platform."""
     state.update(q)
     first = state.joint_rates(rate) if of_legs else state.joint_velocities(rate)
+    static, moved = state.inverse_dynamics(np.zeros(len(q))), state.inverse_dynamics(first)
     twist = state.kinematics.platform_jacobian @ first
-    no_rates = np.zeros(len(q))
-    static, moved = (_forces(state, a, np.zeros(6), payload) for a in (no_rates, first))
     state.update(q, first)
     second = state.joint_accelerations_of_legs(change) if of_legs else state.joint_accelerations(change)
-    driven = _forces(state, second, twist, payload)
-    return first, second, twist, moved - static, driven - static, static
-
-
-def _forces(state: ChainState, a: FloatArray, twist: FloatArray, payload: Payload | None) -> FloatArray:
-    """Return the leg forces (6,) of joint accelerations a at the velocity of the state."""
-    if payload is None:
-        return state.inverse_dynamics(a)
-    rotation, _ = state.kinematics.terminal_pose()
-    gravity = state.kinematics.model.gravity.linear
-    load = payload.wrench(rotation, twist, state.platform_acceleration(a), gravity)
-    return state.inverse_dynamics(a, load)
+    return first, second, twist, moved - static, state.inverse_dynamics(second) - static, static
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.description.masses import Masses, RigidBody
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
-from spm_pin.motion.path_dynamics import LimitRows, MotionLimits, PathDynamics, Payload, path_dynamics
+from spm_pin.motion.path_dynamics import LimitRows, MotionLimits, PathDynamics, path_dynamics
 from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain, check_same_machine
@@ -34,6 +35,10 @@ _SLOWDOWNS = 16
 """Times that a motion is slowed down at most until its rows keep all limits, each time by four times as much more."""
 _ROUNDING, _RESERVE = 1e-10, 1e-9
 """Share of a limit by which it may be exceeded, and by how much more than that a motion is slowed down at first."""
+
+
+class Payload(RigidBody):
+    """A rigid body that the terminal platform carries, its centre and inertia in {m}."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,7 +62,7 @@ def time_optimal(
     leg_accelerations: npt.ArrayLike | None = None,
     leg_forces: npt.ArrayLike | None = None,
     twist: tuple[float, float] | None = None,
-    payload: Payload | None = None,
+    payload: RigidBody | None = None,
     leg_jerks: npt.ArrayLike | None = None,
     grid: int = 2000,
     period: float = 2e-3,
@@ -77,8 +82,8 @@ def time_optimal(
         Largest force of each leg [N], pushing as pulling; or the least (pulling, negative) and the largest.
     twist : (float, float), optional
         Largest speed of o [m/s] and of turning [rad/s] of the terminal platform.
-    payload : Payload, optional
-        Carried by the terminal platform.
+    payload : RigidBody, optional
+        Carried by the terminal platform besides what the chain's masses have, in {m}.
     leg_jerks : array_like, shape (6,) or (), optional
         Largest jerk of each leg [m/s³], on the average between two rows too. The motion also begins and ends without
         acceleration. Its duration approaches that without a limit where the limit is large.
@@ -108,14 +113,14 @@ def time_optimal(
     check_instance(chain, ClosedChain, "chain")
     way = _path(path, chain)
     if payload is not None:
-        check_instance(payload, Payload, "payload")
+        chain = chain.with_masses(Masses(payload=payload))
     parts = whole_number(grid, "grid", "a number of parts from 10 to 100,000", least=10, most=100_000)
     step = real_number(period, "period", "a positive time in seconds", above=0.0)
     limits = MotionLimits.read(leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
     planned = isinstance(path, MotionPlan)
 
     def dynamics(parameters: FloatArray) -> PathDynamics:
-        return path_dynamics(chain, way, parameters, payload)
+        return path_dynamics(chain, way, parameters)
 
     def checked_rows(parameters: FloatArray) -> LimitRows:
         along = dynamics(parameters)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from scipy.spatial.transform import RigidTransform
 
 from spm_pin.description.masses import Masses, check_inertials, with_masses
 from spm_pin.description.source_files import (
@@ -51,7 +52,7 @@ from spm_pin.multibody.constrained_model import (
 )
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
-from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, follow_path
+from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, increasing_times, read_motion
 
 
 class ClosedChain(ConstrainedChain[ChainState]):
@@ -60,14 +61,11 @@ class ClosedChain(ConstrainedChain[ChainState]):
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. Methods take q, joint values [rad, m] in the
     order of `joint_names`, of one state or of a batch (..., 18). Leading axes of several arguments broadcast. Pinocchio
     answers one state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics`
-    and `inverse_kinematics` without `near`, are vectorised closed forms. `state` computes several quantities of one q
-    and v. nq = nv = 18, and the n = 6 actuators are the legs.
+    and `inverse_kinematics` without `near`, are vectorised closed forms. nq = nv = 18; the n = 6 actuators are legs.
 
-    A single state that is singular or not closed raises. In a batch such members are NaN, and the others are computed:
-    `failures` of a `state` of the batch says why, as does a call for the member alone.
-
-    The machine may be one as built: joint values are zero at the home of its drawing, where its loops are open by about
-    its errors; leg lengths are distances from pivot to ball, and readings what its encoders show of them.
+    A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
+    of the batch says why. Joint values of a machine as built are zero at the home of its drawing, where its loops are
+    open by about its errors; leg lengths are distances from pivot to ball, and readings what its encoders show of them.
 
     Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it;
     legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.
@@ -113,19 +111,22 @@ class ClosedChain(ConstrainedChain[ChainState]):
         perhaps with other inertias, shapes and limits; the closures are the description's. `prefix` stands before the
         name of every link and joint. Raises `DescriptionError` for another tree, and for impossible inertias.
 
-        The masses of the description are assumed, in proportion to the machine's size: weights, dynamics and forces of
-        motions are no better than they. `masses` are those of the machine, and of a payload on it.
+        Without `masses`, those of the description are assumed, in proportion to the machine's size: weights, dynamics
+        and forces of motions are no better than they.
         """
         check_prefix(prefix)
         machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
-        if machine == Geometry.paper() and prefix == "":
-            described = description_file(URDF).read_text(encoding="utf-8")
-        else:
-            described = urdf_text(machine, prefix=prefix)
+        is_shipped = machine == Geometry.paper() and prefix == ""
+        shipped = description_file(URDF)
+        described = shipped.read_text(encoding="utf-8") if is_shipped else urdf_text(machine, prefix=prefix)
         text = described if path is None else _read_urdf(file_path(path), described, machine.middle_side)
-        if masses is not None:
-            text = with_masses(text, check_instance(masses, Masses, "masses"), prefix)
-        return cls(text, machine, prefix)
+        chain = cls(text, machine, prefix)
+        return chain if masses is None else chain.with_masses(masses)
+
+    def with_masses(self, masses: Masses) -> ClosedChain:
+        """Return this chain with other masses, or with a payload on what it carries already."""
+        urdf = with_masses(self._urdf, check_instance(masses, Masses, "masses"), self.prefix)
+        return type(self)(urdf, self.geometry, self.prefix)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Pinocchio's constraints cannot be pickled.
@@ -174,10 +175,10 @@ class ClosedChain(ConstrainedChain[ChainState]):
         return mount(self, other, f"{self.prefix}{frame}", placement, carried=True)
 
     def joint_values(self, configuration: Configuration) -> FloatArray:
-        """Return q (..., 18) of a configuration, in closed form and vectorised: angles in [-π, π].
+        """Return q (..., 18) of a configuration of the chain's machine, in closed form: angles in [-π, π].
 
-        It is of the chain's machine, its leg limits play no part. The tree is closed to rounding, or as far as the
-        configuration is, to 1e-9 of the middle platform's side at least; members of a batch that do not exist are NaN.
+        Its leg limits play no part. The configuration is closed to 1e-9 of the middle platform's side at least, and the
+        tree as far as it is; members of a batch that do not exist are NaN.
         """
         state = check_configuration(configuration)
         if not state.shape:
@@ -203,8 +204,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
     def configuration(self, q: npt.ArrayLike) -> Configuration:
         """Return the configuration in q (..., 18): the poses of m and of the middle platform's corners.
 
-        If q is not closed, neither is the configuration, and its leg lengths are those between its points, not
-        those of q.
+        If q is open, so is the configuration, and its leg lengths are those between its points, not those of q.
         """
         return self._at(q).configuration()
 
@@ -217,10 +217,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
         return np.asarray(self.leg_lengths(q) + self.geometry.legs.offsets)
 
     def with_readings(self, q: npt.ArrayLike, readings: npt.ArrayLike) -> FloatArray:
-        """Return a copy of q (..., 18) with other readings (..., 6) [m], all other joints as they are.
-
-        That opens the loops; `forward_kinematics` keeps them closed.
-        """
+        """Return a copy of q (..., 18) with other readings (..., 6) [m], the other joints as they are: loops open."""
         joints, lengths = self._constrained.read_q(q), self._lengths_of_readings(readings)
         shape = broadcastable("readings", lengths.shape[:-1], "q", joints.shape[:-1])
         changed = np.broadcast_to(joints, (*shape, joints.shape[-1])).copy()
@@ -237,8 +234,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
 
         All joints move, as little as closes the loops to first order, slides measured in units of the middle platform's
         side; with `hold_legs` the passive ones alone: forward displacement, to the assembly mode that q is near to.
-        Steps are halved where a full one does not shrink the gaps. Raises `ClosureError`, with the largest gap and the
-        number of steps, if the loops do not close to rounding in `max_iterations`.
+        Raises `ClosureError` if the loops do not close to rounding in `max_iterations`.
         """
         most = whole_number(max_iterations, "max_iterations", "a number of steps")
         hold_legs, state = as_bool(hold_legs, "hold_legs"), self._at(q)
@@ -251,17 +247,15 @@ class ClosedChain(ConstrainedChain[ChainState]):
         By default in the physical assembly mode of each member, in closed form, angles in [-π, π]; see
         `spm_pin.forward_physical`. With `near` (18,), a closed q, the mechanism goes from there to the first member by
         changing all legs in proportion, and on to each from the one before, in C order, in the assembly mode that it
-        comes to, angles continuous and not reduced to one turn. Closed to rounding.
+        comes to, angles continuous and not reduced to one turn.
 
         Lengths that the physical mode cannot have are an `ArgumentError`, in a batch NaN. A path that does not lead to
         a member, as one that ends at a forward or a constraint singularity, is an error for a batch as well.
         """
         if near is None:
-            configuration = forward_physical(self.geometry, readings)
-            if not configuration.shape and not configuration.exists:
-                received = f"{_listed(np.asarray(readings, dtype=np.float64))} m"
-                raise _absent("readings", "lengths that the physical assembly mode can have", received, configuration)
-            return self._values_of(configuration)
+            expected = "lengths that the physical assembly mode can have"
+            state = forward_physical(self.geometry, readings)
+            return self._physical_values(state, "readings", expected, lambda: f"{_listed(readings)} m")
         return self._follow(near, follow_legs, self._lengths_of_readings(readings), axes=(1,))
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
@@ -270,18 +264,30 @@ class ClosedChain(ConstrainedChain[ChainState]):
         By default in the physical branch of each member, in closed form, angles in [-π, π]; see
         `spm_pin.kinematics.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
         to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
-        that it comes to; leg limits play no part. Closed to rounding. Errors are those of `forward_kinematics`, at
-        inverse singularities instead of forward ones.
+        that it comes to. Leg limits play no part. Errors are those of `forward_kinematics`, at inverse singularities
+        instead of forward ones.
         """
         transform = as_rigid_transform(pose)
         if near is None:
-            configuration = inverse_physical(self.geometry, transform)
-            if not configuration.shape and not configuration.exists:
-                place, turn = transform.translation, transform.rotation.as_rotvec()
-                received = f"o at {_listed(place)} m, turned by the rotation vector {_listed(turn)} rad"
-                raise _absent("pose", "poses that a physical branch has", received, configuration)
-            return self._values_of(configuration)
+            place, rotation = transform.translation, transform.rotation
+            return self._physical_values(
+                inverse_physical(self.geometry, transform),
+                "pose",
+                "poses that a physical branch has",
+                lambda: f"o at {_listed(place)} m, turned by the rotation vector {_listed(rotation.as_rotvec())} rad",
+            )
         return self._follow(near, follow_pose, transform.rotation.as_matrix(), transform.translation, axes=(2, 1))
+
+    def _physical_values(
+        self, configuration: Configuration, argument: str, expected: str, received: Callable[[], str]
+    ) -> FloatArray:
+        """Return the joint values of a physical solution, or raise if there is none of a single problem."""
+        if not configuration.shape and not configuration.exists:
+            reason = configuration.missing_reason or "Out of reach, or a misread number?"
+            sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
+            cause = f"{sentence} Pass a closed q as near: the solution on the path from there need not be physical."
+            raise ArgumentError(argument, expected, received(), cause)
+        return self._values_of(configuration)
 
     def _follow(
         self, near: npt.ArrayLike, follow: Callable[..., FloatArray], *targets: FloatArray, axes: tuple[int, ...]
@@ -373,8 +379,27 @@ class ClosedChain(ConstrainedChain[ChainState]):
         terminal platform; `times` (n,) [s] increase at any rate; `near` (18,) is a closed q in the branch wanted, near
         the path's start. Raises as `inverse_kinematics`, with the index of the time.
         """
-        q = self._constrained.read_q(near, "near", single=True)
-        return follow_path(self.state(q), path, times, self.joint_names, self.leg_indices, self.geometry.legs.offsets)
+        q, t = self._constrained.read_q(near, "near", single=True), increasing_times(times)
+        if not callable(path):
+            raise ArgumentError("path", "a PlatformPath or another function of time", type(path).__name__)
+        state, rows = self.state(q), []
+        state.kinematics.check_closed()
+        # All at once where that is known to be allowed.
+        motions = zip(*path(t), strict=True) if isinstance(path, PlatformPath) else map(path, t.tolist())
+        for k, motion in enumerate(motions):
+            try:
+                pose, twist, acceleration = read_motion(motion)
+                q = follow_pose(state.kinematics, q, pose.rotation.as_matrix(), pose.translation)
+                v = state.update(q).joint_velocities(twist)
+                a = state.update(q, v).joint_accelerations(acceleration)
+                efforts = np.zeros(q.size)
+                efforts[self.leg_indices] = state.inverse_dynamics(a)
+            except (ArgumentError, ClosureError, SingularConfigurationError) as error:
+                raise at_index(error, (k,)) from error
+            rows.append((q, v, a, efforts, self.readings(q), pose.as_matrix()))
+        positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
+        pose = RigidTransform.from_matrix(poses)
+        return JointTrajectory(self.joint_names, t, positions, v, a, efforts, readings, pose)
 
     def simulate(
         self,
@@ -414,17 +439,9 @@ class ClosedChain(ConstrainedChain[ChainState]):
         return run_simulation(self._constrained, q0, v0, times, forces, wrench, period, tolerance)
 
 
-def _listed(numbers: FloatArray) -> str:
+def _listed(numbers: npt.ArrayLike) -> str:
     """Return numbers (n,) as text, to nine digits."""
-    return f"[{', '.join(f'{number:.9g}' for number in numbers)}]"
-
-
-def _absent(argument: str, expected: str, received: str, configuration: Configuration) -> ArgumentError:
-    """Return the error about what has no physical solution."""
-    reason = configuration.missing_reason or "Out of reach, or a misread number?"
-    sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
-    cause = f"{sentence} Pass a closed q as near: the solution on the path from there need not be physical."
-    return ArgumentError(argument, expected, received, cause)
+    return f"[{', '.join(f'{number:.9g}' for number in np.asarray(numbers, dtype=np.float64))}]"
 
 
 def _read_urdf(file: Path, described: str, side: float) -> str:

@@ -73,12 +73,7 @@ class NaturalFrequencies(NamedTuple):
     frequencies; Mᵀ Λ M = 1 of the columns."""
 
 
-class _Placement(NamedTuple):
-    """Rotation and translation of m, and the middle platform's corners as rows."""
-
-    rotation: Any
-    translation: Any
-    corners: Any
+Result = TypeVar("Result")
 
 
 class ConstrainedState:
@@ -143,11 +138,13 @@ class ConstrainedState:
         self._drift: tuple[FloatArray, FloatArray] | None = None
         self._closed = False
 
-    def _each_member(self, function: Callable[..., Any], shape: Any, **arrays: FloatArray) -> Any:
+    def _each_member(
+        self, function: Callable[..., Result], shape: tuple[int, ...] | list[tuple[int, ...]], **arrays: FloatArray
+    ) -> Result:
         """Return the results of a function of one q and v, and of one member of each array, for all members.
 
-        `shape` is that of a result, or a NamedTuple of shapes if the function returns several. For a single state and
-        single arguments, the function's own result is returned.
+        `shape` is that of a result, or a list of shapes if the function returns several. For a single state and single
+        arguments, the function's own result is returned.
         """
         if not self._batch and all(array.ndim == 1 for array in arrays.values()):
             return function(*arrays.values())
@@ -156,28 +153,28 @@ class ConstrainedState:
             batch = broadcastable(name, array.shape[:-1], "the other arguments", batch)
         vectors = self._q, self._v, *arrays.values()
         members = [np.broadcast_to(array, (*batch, array.shape[-1])) for array in vectors]
-        several = hasattr(shape, "_fields")
-        results = [np.full((*batch, *one), np.nan) for one in (shape if several else (shape,))]
+        results: Any = [np.full((*batch, *each), np.nan) for each in (shape if isinstance(shape, list) else [shape])]
         self.failures = {}
         for index in np.ndindex(batch):
             q, v, *arguments = (array[index] for array in members)
             if self._batch:
                 self._move(q, v)
             try:
-                result = function(*arguments)
+                result: Any = function(*arguments)
             except (SingularConfigurationError, ClosureError, ArgumentError) as error:
                 if isinstance(error, ArgumentError) and error.argument != "q":
                     raise at_index(error, index) from error
                 self.failures[index] = error
                 continue
-            for array, value in zip(results, result if several else (result,), strict=True):
+            for array, value in zip(results, result if isinstance(shape, list) else [result], strict=True):
                 array[index] = value
-        return type(shape)(*results) if several else results[0]
+        outcome: Result = results if isinstance(shape, list) else results[0]
+        return outcome
 
-    def _each_closed_member(self, function: Callable[..., Any], shape: Any, **arrays: FloatArray) -> Any:
+    def _each_closed_member(self, function: Callable[..., Result], shape: Any, **arrays: FloatArray) -> Result:
         """Return the same as `_each_member` for a function that takes q to be closed."""
 
-        def member(*arguments: FloatArray) -> Any:
+        def member(*arguments: FloatArray) -> Result:
             result = function(*arguments)
             self.kinematics.check_closed()
             return result
@@ -186,16 +183,16 @@ class ConstrainedState:
 
     def closure_gap(self) -> FloatArray:
         """Return how far the closures are open, shape (..., 4, 3) [m]."""
-        return np.asarray(self._each_member(lambda: self.kinematics.gap.copy(), (len(self._constrained.closures), 3)))
+        return self._each_member(lambda: self.kinematics.gap.copy(), (len(self._constrained.closures), 3))
 
     def constraint_jacobian(self) -> FloatArray:
         """Return the derivative of `closure_gap` by q, shape (..., 12, nv)."""
         shape = 3 * len(self._constrained.closures), self._constrained.model.nv
-        return np.asarray(self._each_member(lambda: self.kinematics.constraint_jacobian.copy(), shape))
+        return self._each_member(lambda: self.kinematics.constraint_jacobian.copy(), shape)
 
     def energy(self) -> Energy:
         """Return the kinetic and the potential energy (...) [J] of all bodies, closed or not."""
-        return Energy(*self._each_member(lambda: Energy(*self.kinematics.energies(self._rates)), Energy((), ())))
+        return Energy(*self._each_member(lambda: self.kinematics.energies(self._rates), [(), ()]))
 
     def forward_dynamics(self, forces: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
         """Return the accelerations of all joints (..., nv) under actuators (..., n), gravity and a wrench (..., 6)."""
@@ -212,7 +209,7 @@ class ConstrainedState:
             torques[constrained.actuated] += force
             return solver.accelerations(kinematics.q, self._rates, torques)
 
-        return np.asarray(self._each_member(member, (kinematics.model.nv,), **arrays))
+        return self._each_member(member, (kinematics.model.nv,), **arrays)
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
         """Return the actuators' forces (..., n) for joint accelerations (..., nv), gravity and a wrench (..., 6)."""
@@ -229,7 +226,7 @@ class ConstrainedState:
             # Forces in the balls do no work on another robot: its actuators carry the tree's torques.
             return np.concatenate([torques[constrained.others], self._balance(torques[constrained.in_v])[0]])
 
-        return np.asarray(self._each_member(member, (constrained.actuated.size,), **arrays))
+        return self._each_member(member, (constrained.actuated.size,), **arrays)
 
     def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return leg forces (6,) and forces in the cut balls (3 n,) that give the tree's generalized forces (18,)."""
@@ -268,12 +265,11 @@ class ChainState(ConstrainedState):
         """Return the poses of m and of the middle platform's corners."""
         kinematics, constrained = self.kinematics, self._constrained
 
-        def member() -> _Placement:
-            corners = np.array([kinematics.data.oMf[frame].translation for frame in constrained.corner_frames])
-            return _Placement(*kinematics.terminal_pose(), corners)
+        def member() -> tuple[FloatArray, ...]:
+            corners = [kinematics.data.oMf[frame].translation for frame in constrained.corner_frames]
+            return *kinematics.terminal_pose(), np.array(corners)
 
-        placement = self._each_member(member, _Placement((3, 3), (3,), (3, 3)))
-        return Configuration.from_arrays(constrained.geometry, *placement)
+        return Configuration.from_arrays(constrained.geometry, *self._each_member(member, [(3, 3), (3,), (3, 3)]))
 
     def leg_lengths(self) -> FloatArray:
         """Return the leg lengths (..., 6) [m]."""
@@ -282,39 +278,38 @@ class ChainState(ConstrainedState):
     def inverse_jacobian(self) -> FloatArray:
         """Return J_f, which maps the platform's twist to the leg rates, shape (..., 6, 6)."""
         legs = self._constrained.legs
-        return np.asarray(self._each_closed_member(lambda: self.kinematics.velocities_of_twists[legs], (6, 6)))
+        return self._each_closed_member(lambda: self.kinematics.velocities_of_twists.take(legs, axis=0), (6, 6))
 
     def joint_velocities(self, twist: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) for a twist (..., 6) of m."""
-
-        def member(twist: FloatArray) -> FloatArray:
-            return self.kinematics.velocities_of_twists @ twist
-
-        return np.asarray(self._each_closed_member(member, (18,), twist=read_vectors(twist, "twist", 6)))
+        twists = read_vectors(twist, "twist", 6)
+        return self._each_closed_member(lambda t: self.kinematics.velocities_of_twists.dot(t), (18,), twist=twists)
 
     def joint_rates(self, leg_rates: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints (..., 18) for rates of the six legs (..., 6)."""
         rates = read_vectors(leg_rates, "leg_rates", 6)
-        return np.asarray(self._each_closed_member(self.kinematics.velocities_of_legs, (18,), leg_rates=rates))
+        return self._each_closed_member(self.kinematics.velocities_of_legs, (18,), leg_rates=rates)
 
     def leg_forces(self, wrench: npt.ArrayLike) -> FloatArray:
         """Return the actuator forces (..., 6) that hold a wrench (..., 6) applied onto the terminal platform."""
-        loads = read_vectors(wrench, "wrench", 6)
-        return np.asarray(self._each_closed_member(lambda load: self._holding(load)[0], (6,), wrench=loads))
+        return self._holding(wrench)[0]
 
     def cut_forces(self, wrench: npt.ArrayLike) -> FloatArray:
         """Return the forces in the cut ball joints, shape (..., 4, 3)."""
-        loads = read_vectors(wrench, "wrench", 6)
-        return np.asarray(
-            self._each_closed_member(lambda load: self._holding(load)[1].reshape(4, 3), (4, 3), wrench=loads)
-        )
+        cuts = self._holding(wrench)[1]
+        return cuts.reshape(*cuts.shape[:-1], 4, 3)
 
-    def _holding(self, wrench: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return self._balance(-(self.kinematics.platform_jacobian.T @ wrench))
+    def _holding(self, wrench: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return the forces of the legs (..., 6) and in the cut balls (..., 12) that hold a wrench (..., 6)."""
+
+        def member(load: FloatArray) -> tuple[FloatArray, FloatArray]:
+            return self._balance(-(self.kinematics.platform_jacobian.T @ load))
+
+        return self._each_closed_member(member, [(6,), (12,)], wrench=read_vectors(wrench, "wrench", 6))
 
     def singular_values(self) -> SingularValues:
         """Return how near q is to each kind of singularity."""
-        return SingularValues(*self._each_closed_member(self.kinematics.singular_values, SingularValues((), (), ())))
+        return SingularValues(*self._each_closed_member(self.kinematics.singular_values, [(), (), ()]))
 
     def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6)."""
@@ -325,8 +320,7 @@ class ChainState(ConstrainedState):
             kinematics = self.kinematics
             return kinematics.inverse_factors.solve(kinematics.nondimensional(acceleration - platform, -gaps))
 
-        wanted = read_vectors(acceleration, "acceleration", 6)
-        return np.asarray(self._each_member(member, (18,), acceleration=wanted))
+        return self._each_member(member, (18,), acceleration=read_vectors(acceleration, "acceleration", 6))
 
     def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (..., 18) for those of the legs (..., 6) [m/s²]."""
@@ -336,7 +330,7 @@ class ChainState(ConstrainedState):
             return self.kinematics.velocities_of_legs(accelerations, self._bias()[0])
 
         wanted = read_vectors(leg_accelerations, "leg_accelerations", 6)
-        return np.asarray(self._each_member(member, (18,), leg_accelerations=wanted))
+        return self._each_member(member, (18,), leg_accelerations=wanted)
 
     def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
         """Return the time derivative of the twist of m (..., 6) [m/s², rad/s²] for joint accelerations (..., nv)."""
@@ -344,14 +338,13 @@ class ChainState(ConstrainedState):
         def member(a: FloatArray) -> FloatArray:
             return self.kinematics.platform_jacobian @ a + self._bias()[1]
 
-        return np.asarray(self._each_closed_member(member, (6,), a=read_vectors(a, "a", 18)))
+        return self._each_closed_member(member, (6,), a=read_vectors(a, "a", 18))
 
     def platform_dynamics(self) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform."""
-        shape = PlatformDynamics((6, 6), (6, 6), (6,), (6,))  # type: ignore[arg-type]
-        return PlatformDynamics(*self._each_member(self._platform_dynamics, shape))
+        return PlatformDynamics(*self._each_member(self._platform_dynamics, [(6, 6), (6, 6), (6,), (6,)]))
 
-    def _platform_dynamics(self) -> PlatformDynamics:
+    def _platform_dynamics(self) -> tuple[FloatArray, ...]:
         self._check_closed()
         kinematics, constrained, v = self.kinematics, self._constrained, self._rates
         model, data, q, x = kinematics.model, kinematics.data, kinematics.q, kinematics.velocities_of_twists
@@ -368,17 +361,16 @@ class ChainState(ConstrainedState):
         reflected = x.T @ mass @ x
         gravity = x.T @ pin.computeGeneralizedGravity(model, data, q)
         bias = coriolis @ (kinematics.platform_jacobian @ v)
-        return PlatformDynamics(0.5 * (reflected + reflected.T), coriolis, bias, gravity)
+        return 0.5 * (reflected + reflected.T), coriolis, bias, gravity
 
     def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
         """Return the vibrations Λ ẍ + K x = 0 on elastic legs, of stiffnesses K (..., 6, 6)."""
         meaning = "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness"
         matrices = symmetric_matrices(stiffness, "stiffness", 6, meaning)
         flat = matrices.reshape(*matrices.shape[:-2], 36)
-        shape = NaturalFrequencies((6,), (6, 6))  # type: ignore[arg-type]
-        return NaturalFrequencies(*self._each_closed_member(self._vibrations, shape, stiffness=flat))
+        return NaturalFrequencies(*self._each_closed_member(self._vibrations, [(6,), (6, 6)], stiffness=flat))
 
-    def _vibrations(self, stiffness: FloatArray) -> NaturalFrequencies:
+    def _vibrations(self, stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, expected = self.kinematics.velocities_of_twists, "a symmetric matrix, positive definite"
         try:
             squares, modes = eigh(stiffness.reshape(6, 6), x.T @ self.kinematics.mass_matrix() @ x)
@@ -386,7 +378,7 @@ class ChainState(ConstrainedState):
             raise ArgumentError("stiffness", expected, str(error)) from error
         if squares[0] <= 0.0:
             raise ArgumentError("stiffness", expected, f"a least ω² of {squares[0]:g} 1/s²")
-        return NaturalFrequencies(np.sqrt(squares) / (2.0 * math.pi), modes.T)
+        return np.sqrt(squares) / (2.0 * math.pi), modes.T
 
 
 State = TypeVar("State", bound=ConstrainedState)

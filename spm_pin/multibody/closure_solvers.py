@@ -33,8 +33,8 @@ SHORTEST_STEP = 1e-6
 """In the units of `LONGEST_STEP`: nearer to a singularity, rounding moves a solution by no small part of a step."""
 MOST_CORRECTIONS = 8
 
-Equations = Callable[[FloatArray], tuple[FloatArray, Callable[[], FloatArray]]]
-"""Moves the kinematics to q; returns the residual [m] there, and a function that returns the Newton step (18,)."""
+Equations = Callable[[float, FloatArray], tuple[FloatArray, Callable[[], FloatArray]]]
+"""Of a share of the path, from 0 to 1, and q: the residual [m], and a function that returns the Newton step (18,)."""
 
 
 def close_loops(kinematics: TreeKinematics, q: FloatArray, hold_legs: bool = False, most: int = 10) -> FloatArray:
@@ -76,19 +76,15 @@ def follow_legs(kinematics: TreeKinematics, q: FloatArray, leg_lengths: FloatArr
     constrained = kinematics.constrained
     begin = constrained.leg_lengths(q)
 
-    def equations_at(share: float) -> Equations:
+    def equations(share: float, q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
+        kinematics.evaluate(q)
         # At the end the target itself, not what adding up makes of it.
         target = leg_lengths if share == 1.0 else begin + share * (leg_lengths - begin)
-
-        def equations(q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
-            kinematics.evaluate(q)
-            missing, gap = target - constrained.leg_lengths(q), kinematics.gap.ravel()
-            return np.concatenate([missing, gap]), lambda: kinematics.velocities_of_legs(missing, gap)
-
-        return equations
+        missing, gap = target - constrained.leg_lengths(q), kinematics.gap.ravel()
+        return np.concatenate([missing, gap]), lambda: kinematics.velocities_of_legs(missing, gap)
 
     cause = "a forward singularity, or the end of this assembly mode?"
-    return _follow(kinematics, q, equations_at, kinematics.forward_determinant, cause)
+    return _follow(kinematics, q, equations, kinematics.forward_determinant, cause)
 
 
 def follow_pose(kinematics: TreeKinematics, q: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -98,36 +94,25 @@ def follow_pose(kinematics: TreeKinematics, q: FloatArray, rotation: FloatArray,
     start, origin = kinematics.terminal_pose()
     turn = pin.log3(rotation @ start.T)
 
-    def equations_at(share: float) -> Equations:
+    def equations(share: float, q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
+        kinematics.evaluate(q)
         target = rotation if share == 1.0 else pin.exp3(share * turn) @ start
         place = translation if share == 1.0 else origin + share * (translation - origin)
-
-        def equations(q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
-            kinematics.evaluate(q)
-            now, here = kinematics.terminal_pose()
-            error = np.concatenate([(place - here) / side, pin.log3(target @ now.T), -kinematics.gap.ravel() / side])
-            return side * error, lambda: kinematics.inverse_factors.solve(error)
-
-        return equations
+        now, here = kinematics.terminal_pose()
+        error = np.concatenate([(place - here) / side, pin.log3(target @ now.T), -kinematics.gap.ravel() / side])
+        return side * error, lambda: kinematics.inverse_factors.solve(error)
 
     cause = "an inverse singularity, or out of reach?"
-    return _follow(kinematics, q, equations_at, kinematics.inverse_determinant, cause)
+    return _follow(kinematics, q, equations, kinematics.inverse_determinant, cause)
 
 
 def _follow(
-    kinematics: TreeKinematics,
-    q: FloatArray,
-    equations_at: Callable[[float], Equations],
-    determinant: Callable[[], float],
-    cause: str,
+    kinematics: TreeKinematics, q: FloatArray, equations: Equations, determinant: Callable[[], float], cause: str
 ) -> FloatArray:
-    """Return q at the end of a path whose equations depend on the share of it, or raise `ClosureError`.
-
-    `determinant` is that of the equations at the q of the kinematics.
-    """
+    """Return q at the end of a path, or raise `ClosureError`; `determinant` is that of the equations."""
     done, share, attempts = 0.0, 1.0, 0
     while done < 1.0:
-        following, change, size = _step(kinematics, q, equations_at(done + share), determinant)
+        following, change, size = _step(kinematics, q, done + share, equations, determinant)
         attempts += 1
         if following is not None:
             q, done = following, done + share
@@ -137,12 +122,12 @@ def _follow(
         share *= 0.5
         if share < SHORTEST_SHARE or size < SHORTEST_STEP:
             where = f"No further than {100.0 * done:.3g} % of the way from the start: {cause}"
-            raise ClosureError(largest(equations_at(1.0)(q)[0]), attempts, where)
+            raise ClosureError(largest(equations(1.0, q)[0]), attempts, where)
     return q
 
 
 def _step(
-    kinematics: TreeKinematics, start: FloatArray, equations: Equations, determinant: Callable[[], float]
+    kinematics: TreeKinematics, start: FloatArray, share: float, equations: Equations, determinant: Callable[[], float]
 ) -> tuple[FloatArray | None, float, float]:
     """Return q at the end of one step, or None if it is too far for one.
 
@@ -151,7 +136,7 @@ def _step(
     constrained = kinematics.constrained
     q, allowed, begin, first = start, math.inf, 0.0, math.inf
     for iteration in range(MOST_CORRECTIONS + 1):
-        residual, step = equations(q)
+        residual, step = equations(share, q)
         if largest(residual) <= 2.0 * constrained.rounding(start):
             if iteration == 0:
                 return start, 0.0, 0.0

@@ -50,11 +50,9 @@ SUSPECT = 1e-9
 BALLS = (("ball_b1_x", "ball_b1_y", "ball_b1_z"), ("ball_c1_z", "ball_c1_y", "ball_c1_x"))
 """The joints that stand for one ball joint each."""
 
-_JOINTS = "joint values in rad and m in Pinocchio's order"
-_RATES = "rates of the joints in Pinocchio's order"
 _MEANINGS = {
-    **dict.fromkeys(("q", "q0", "near"), _JOINTS),
-    **dict.fromkeys(("v", "v0", "a"), _RATES),
+    **dict.fromkeys(("q", "q0", "near"), "joint values in rad and m in Pinocchio's order"),
+    **dict.fromkeys(("v", "v0", "a"), "rates of the joints in Pinocchio's order"),
     **dict.fromkeys(("other", "chain"), "in Pinocchio's order"),
     "readings": "of r_b1 to r_c3 in m",
     "leg_rates": "of r_b1 to r_c3 in m/s",
@@ -104,14 +102,12 @@ class SingularValues(NamedTuple):
     """
 
     inverse: Any
-    """The smallest singular value of K̂, twist of {m} and rates of the closures: zero where the twist does not determine
-    the leg rates."""
+    """That of K̂, twist of {m} and rates of the closures: zero where the twist does not determine the leg rates."""
     forward: Any
-    """The smallest singular value of N̂, rates of the legs and of the closures: zero where the legs do not hold the
-    platform."""
+    """That of N̂, rates of the legs and of the closures: zero where the legs do not hold the platform."""
     constraint: Any
-    """The smallest singular value of Jc C / d, rates of the closures: zero where the revolute joints of a stage do not
-    constrain its platform. Then the other two are zero as well."""
+    """That of Jc C / d, rates of the closures: zero where the revolute joints of a stage do not constrain its platform.
+    Then the other two are zero as well."""
 
 
 class Factors(NamedTuple):
@@ -121,12 +117,6 @@ class Factors(NamedTuple):
     pivots: Any
     zero_pivot: bool
     """True if a pivot is exactly zero: `solve` has no meaning."""
-
-    @classmethod
-    def from_matrix(cls, matrix: FloatArray) -> Factors:
-        """Factorise a square matrix."""
-        lu, pivots, info = lapack.dgetrf(matrix)
-        return cls(lu, pivots, info > 0)
 
     def is_regular(self, matrix: FloatArray) -> bool:
         """Return whether the reciprocal condition number of the matrix that was factorised is above `SUSPECT`."""
@@ -316,20 +306,17 @@ class TreeKinematics:
         """Return Jc C / d, shape (12, 18)."""
         return np.asarray(self.own_constraint_jacobian @ self.velocity_scale) / self._side
 
-    def inverse_matrix(self) -> FloatArray:
-        """Return K̂, shape (18, 18)."""
-        scale = self.velocity_scale
-        return self.nondimensional(self.platform_jacobian @ scale, self.own_constraint_jacobian @ scale)
-
-    def forward_matrix(self) -> FloatArray:
-        """Return N̂, shape (18, 18)."""
-        return np.concatenate([np.eye(len(JOINTS))[self.constrained.legs], self.scaled_constraint_jacobian()])
+    def scaled_matrices(self) -> SingularValues:
+        """Return K̂, N̂ and Jc C / d in place of their smallest singular values."""
+        scale, legs = self.velocity_scale, np.eye(len(JOINTS))[self.constrained.legs]
+        inverse = self.nondimensional(self.platform_jacobian @ scale, self.own_constraint_jacobian @ scale)
+        closures = self.scaled_constraint_jacobian()
+        return SingularValues(inverse, np.concatenate([legs, closures]), closures)
 
     def singular_values(self) -> SingularValues:
         """Return the smallest singular values of K̂, N̂ and Jc C / d."""
         self.check_ball_angles()
-        matrices = self.inverse_matrix(), self.forward_matrix(), self.scaled_constraint_jacobian()
-        return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in matrices))
+        return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in self.scaled_matrices()))
 
     @cached_property
     def forward_factors(self) -> Factors:
@@ -343,11 +330,12 @@ class TreeKinematics:
 
     def _factors(self, matrix: FloatArray, kind: str) -> Factors:
         self.check_ball_angles()
-        factors = Factors.from_matrix(matrix)
+        lu, pivots, info = lapack.dgetrf(matrix)
+        factors = Factors(lu, pivots, info > 0)
         if not factors.is_regular(matrix):
-            scaled = self.forward_matrix() if kind == "forward" else self.inverse_matrix()
-            for concerned, name in ((self.scaled_constraint_jacobian(), "constraint"), (scaled, kind)):
-                values = np.linalg.svd(concerned, compute_uv=False)
+            matrices = self.scaled_matrices()._asdict()
+            for name in ("constraint", kind):
+                values = np.linalg.svd(matrices[name], compute_uv=False)
                 if values[-1] <= SINGULAR * values[0] or (name == kind and factors.zero_pivot):
                     raise SingularConfigurationError(name, float(values[-1]))
         return factors
@@ -367,15 +355,15 @@ class TreeKinematics:
 
     def forward_determinant(self) -> float:
         """Return the determinant of N in scaled velocities, but for a constant factor of the model."""
-        return self.forward_factors.determinant() / self._ball_determinant()
+        return self._scaled_determinant(self.forward_factors)
 
     def inverse_determinant(self) -> float:
         """Return the determinant of K in scaled velocities, but for a constant factor of the model."""
-        return self.inverse_factors.determinant() / self._ball_determinant()
+        return self._scaled_determinant(self.inverse_factors)
 
-    def _ball_determinant(self) -> float:
-        """Return the determinant of what maps rates of the balls' joints to angular velocities, but for its sign."""
-        return math.prod(math.cos(self.q.item(place)) for place in self._middles)
+    def _scaled_determinant(self, factors: Factors) -> float:
+        # The cosines are, but for its sign, the determinant of what maps rates of balls' joints to angular velocities.
+        return factors.determinant() / math.prod(math.cos(self.q.item(place)) for place in self._middles)
 
     def mass_matrix(self) -> FloatArray:
         """Return M (nv, nv); Pinocchio fills one triangle."""

@@ -16,7 +16,7 @@ import enum
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,17 +34,13 @@ from spm_pin.multibody.trajectory import increasing_times
 ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
 """A function of the time, q (18,) and v (18,): leg forces (6,), or a wrench (6,)."""
 _Forces = Callable[[float, FloatArray, FloatArray], FloatArray]
-"""Forces at (t, q, v)."""
 
 LEAST_CONSTRAINED = 1e-5
 """Smallest singular value of the scaled closures at which a run ends: the forces in the balls grow as its inverse."""
-
 SHORTEST_LEG = 1e-6
 """Length of a leg at which a run ends, in units of the middle platform's side: less has no direction."""
-
 LARGEST_RATE = 1e100
 """Velocity, acceleration or power at which a run ends: SciPy's step control loops for ever on infinite ones."""
-
 SHORTEST_PERIOD = 1e-7
 """Shortest period that is accepted, as a share of the run: more steps would not end."""
 
@@ -87,10 +83,6 @@ class Simulation:
     """Why it ended there."""
     detail: str
     """Which leg, or why no step was possible; empty if there is nothing to say."""
-    steps: int
-    """Steps of the integrator."""
-    evaluations: int
-    """Evaluations of the forward dynamics."""
 
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
@@ -138,32 +130,28 @@ def run_simulation(
 
     state = integrator.closed(np.concatenate([q, v, [0.0]]))
     stop = integrator.stop_event(state, begin)
-    for k, (start, end) in enumerate(itertools.pairwise(_force_times(begin, until, period))):
-        applied = act if period is None else _constant(act(start, *integrator.parts(state)))
+    for k, span in enumerate(itertools.pairwise(_force_times(begin, until, period))):
+        applied = act if period is None else _as_function(act(span[0], *_parts(state)), "forces")
         if k == 0:
             integrator.record(begin, state, applied)
         if stop is not None or until == begin:
             break
-        inside = recorded[(recorded > start) & (recorded <= end)]
-        state, stop = integrator.advance(state, (start, end), inside, applied)
+        inside = recorded[(recorded > span[0]) & (recorded <= span[1])]
+        state, stop = integrator.advance(state, span, inside, applied)
         if stop is not None:
             integrator.record(stop.time, state, applied)
-    why, detail = (SimulationEnd.COMPLETE, "") if stop is None else stop[:2]
-    names = (field.name for field in fields(Simulation))
-    columns: dict[str, Any] = dict(zip(names, map(np.array, zip(*integrator.rows, strict=True)), strict=False))
-    return Simulation(**columns, end=why, detail=detail, steps=integrator.steps, evaluations=integrator.evaluations)
-
-
-def _constant(value: FloatArray) -> _Forces:
-    return lambda t, q, v: value
+    end = (SimulationEnd.COMPLETE, "") if stop is None else stop[:2]
+    values: list[Any] = [*map(np.array, zip(*integrator.rows, strict=True)), *end]
+    return Simulation(*values)
 
 
 def _as_function(force: Any, argument: str) -> _Forces:
     """Return a function from a constant or a function; what a function returns is checked."""
-    if not callable(force):
-        return _constant(read_vectors(force, argument, 6, single=True))
-    # Copies: the function may change them.
-    return lambda t, q, v: read_vectors(force(t, q.copy(), v.copy()), argument, 6, single=True)
+    if callable(force):
+        # Copies: the function may change them.
+        return lambda t, q, v: read_vectors(force(t, q.copy(), v.copy()), argument, 6, single=True)
+    value = read_vectors(force, argument, 6, single=True)
+    return lambda t, q, v: value
 
 
 def _force_times(begin: float, until: float, period: float | None) -> list[float]:
@@ -175,8 +163,13 @@ def _force_times(begin: float, until: float, period: float | None) -> list[float
     return [*(begin + k * period for k in range(count)), until]
 
 
+def _parts(state: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return q and v of a state vector."""
+    return state[:18], state[18:36]
+
+
 class StopEvent(NamedTuple):
-    """An event that ends a simulation: its kind, a sentence about it, and where it is found."""
+    """An event that ends a simulation: its kind, a sentence about it, and its time."""
 
     end: SimulationEnd
     detail: str
@@ -194,28 +187,22 @@ class _Integrator:
         self._kinematics, self._constrained = kinematics, kinematics.constrained
         self._solver = AccelerationSolver(self._constrained)
         self._wrench, self._tolerance = wrench, tolerance
-        self._size = len(self._constrained.names)
         self.rows: list[tuple[Any, ...]] = []  # what is recorded: the first fields of `Simulation`
-        self.steps = self.evaluations = 0
-
-    def parts(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return q and v of a state."""
-        return state[: self._size], state[self._size : -1]
 
     def closed(self, state: FloatArray) -> FloatArray:
         """Return the state with q closed and v admissible."""
-        q, v = self.parts(state)
+        q, v = _parts(state)
         q = close_loops(self._kinematics, q)
         jacobian = self._kinematics.constraint_jacobian
         across = np.linalg.solve(self._kinematics.mass_matrix(), jacobian.T)
         v = v - across @ np.linalg.solve(jacobian @ across, jacobian @ v)
-        return np.concatenate([q, v, [state[-1]]])
+        return np.concatenate([q, v, state[36:]])
 
     def _motion(
         self, time: float, q: FloatArray, v: FloatArray, forces: _Forces
     ) -> tuple[FloatArray, FloatArray, float]:
         """Return the accelerations, the leg forces and the power of all but gravity."""
-        force, torques = forces(time, q, v), np.zeros(self._size)
+        force, torques = forces(time, q, v), np.zeros(q.size)
         if self._wrench is not None:
             self._kinematics.evaluate(q)
             torques += self._kinematics.platform_torques(self._wrench(time, q, v))
@@ -226,7 +213,7 @@ class _Integrator:
         """Record the motion at a time, unless the last record is of that time."""
         if self.rows and self.rows[-1][0] == time:
             return
-        q, v = self.parts(state)
+        q, v = _parts(state)
         a, force, _ = self._motion(time, q, v, forces)
         self._kinematics.evaluate(q)
         energies, gap = self._kinematics.energies(v), self._kinematics.widest_gap
@@ -234,7 +221,7 @@ class _Integrator:
 
     def _margins(self, state: FloatArray) -> FloatArray:
         """Return how far a state is from ending a run, shape (7,): leg lengths [m], and σ of the closures."""
-        kinematics, q = self._kinematics, state[: self._size]
+        kinematics, (q, _) = self._kinematics, _parts(state)
         kinematics.evaluate(q)
         kinematics.check_ball_angles()
         sigma = np.linalg.svd(kinematics.scaled_constraint_jacobian(), compute_uv=False)[-1]
@@ -245,18 +232,18 @@ class _Integrator:
         self, state: FloatArray, time: float, until: float | None = None, dense: Any = None
     ) -> StopEvent | None:
         """Return why no run can begin at a state, or what ends it first in the step that `dense` interpolates."""
-        margins = self._margins(state if until is None else dense(until))
         events = []
-        for which in np.flatnonzero(margins < 0.0).tolist():
+        for which in np.flatnonzero(self._margins(state) < 0.0).tolist():
 
             def margin(t: float, which: int = which) -> float:
                 # Rounding must not have it end before the step begins.
                 return float(self._margins(dense(t))[which]) if t > time else float(np.finfo(np.float64).tiny)
 
             when = time if until is None else float(brentq(margin, time, until, xtol=1e-15, rtol=1e-14))
-            is_leg = which < len(LEGS)
-            reason = SimulationEnd.COLLAPSE if is_leg else SimulationEnd.CONSTRAINT_SINGULARITY
-            events.append(StopEvent(reason, LEGS[which] if is_leg else "", when))
+            if which < len(LEGS):
+                events.append(StopEvent(SimulationEnd.COLLAPSE, LEGS[which], when))
+            else:
+                events.append(StopEvent(SimulationEnd.CONSTRAINT_SINGULARITY, "", when))
         return min(events, key=lambda event: event.time, default=None)
 
     def advance(
@@ -265,8 +252,7 @@ class _Integrator:
         """Integrate over a span of time, recording at `times` within; return the state there, or where it ended."""
 
         def rate(time: float, state: FloatArray) -> FloatArray:
-            self.evaluations += 1
-            q, v = self.parts(state)
+            q, v = _parts(state)
             a, _, power = self._motion(time, q, v, forces)
             rates = np.concatenate([v, a, [power]])
             if not np.abs(rates).max() < LARGEST_RATE:
@@ -281,11 +267,10 @@ class _Integrator:
                 # It returns a message where its status becomes "failed".
                 if solver.step() is not None:
                     return state, StopEvent(SimulationEnd.STALLED, "no step is short enough", before)
-                self.steps += 1
                 # Of the step as it was, before its end is moved onto the closures.
-                dense = solver.dense_output()
-                stop = self.stop_event(state, before, float(solver.t), dense)
-                time, end = (float(solver.t), solver.y) if stop is None else (stop.time, dense(stop.time))
+                dense, time = solver.dense_output(), float(solver.t)
+                stop = self.stop_event(dense(time), before, time, dense)
+                time, end = (time, solver.y) if stop is None else (stop.time, dense(stop.time))
                 try:
                     closed = self.closed(end)
                 except (ClosureError, np.linalg.LinAlgError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,14 +13,12 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from spm_pin.description.tree import SLIDES
-from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, file_path, frozen, real_array, writing
+from spm_pin.mechanism.arguments import FloatArray, as_bool, file_path, frozen, real_array, writing
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
-from spm_pin.multibody.chain_state import ChainState, at_index
-from spm_pin.multibody.closure_solvers import follow_pose
 
 
 class PlatformMotion(NamedTuple):
@@ -202,39 +199,7 @@ class JointTrajectory:
         return columns
 
 
-def follow_path(
-    state: ChainState,
-    path: Callable[[float], PlatformMotion],
-    times: npt.ArrayLike,
-    names: tuple[str, ...],
-    legs: IntArray,
-    offsets: FloatArray,
-) -> JointTrajectory:
-    """Return the motion of all joints from a closed state on; see `ClosedChain.joint_trajectory`."""
-    t = increasing_times(times)
-    if not callable(path):
-        raise ArgumentError("path", "a PlatformPath or another function of time", type(path).__name__)
-    state.kinematics.check_closed()
-    q, rows = state.q, []
-    # All at once where that is known to be allowed.
-    motions = zip(*path(t), strict=True) if isinstance(path, PlatformPath) else map(path, t.tolist())
-    for k, motion in enumerate(motions):
-        try:
-            target, twist, acceleration = _read_motion(motion)
-            q = follow_pose(state.kinematics, q, target.rotation.as_matrix(), target.translation)
-            v = state.update(q).joint_velocities(twist)
-            a = state.update(q, v).joint_accelerations(acceleration)
-            efforts = np.zeros(q.size)
-            efforts[legs] = state.inverse_dynamics(a)
-        except (ArgumentError, ClosureError, SingularConfigurationError) as error:
-            raise at_index(error, (k,)) from error
-        readings = state.leg_lengths() + offsets
-        rows.append((q, v, a, efforts, readings, target.as_matrix()))
-    positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
-    return JointTrajectory(names, t, positions, v, a, efforts, readings, RigidTransform.from_matrix(poses))
-
-
-def _read_motion(motion: Any) -> PlatformMotion:
+def read_motion(motion: Any) -> PlatformMotion:
     """Return what a path returned for one time, or raise `ArgumentError`."""
     try:
         place, *rates = PlatformMotion(*motion)

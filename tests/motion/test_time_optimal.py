@@ -84,7 +84,7 @@ def test_a_convex_programme_finds_the_same_duration(name: str) -> None:
     way = path or pose_line()
     n = 400
     grid = np.linspace(0.0, 1.0, n + 1)
-    along = path_dynamics(CHAIN, way, grid, limits.get("payload"))
+    along = path_dynamics(loaded(limits), way, grid)
     first, second = along.first[:, LEGS], along.second[:, LEGS]
     problem = ca.Opti()
     x, u = problem.variable(n + 1), problem.variable(n)
