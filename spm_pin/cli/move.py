@@ -170,7 +170,7 @@ def move(
     path, or an end that the machine does not reach. --plot needs the extra "plots".
     """
     from spm_pin.motion import Payload, plan, time_optimal
-    from spm_pin.motion.path_dynamics import MotionLimits
+    from spm_pin.motion.paths import MotionLimits
     from spm_pin.multibody.chain import ClosedChain
 
     dimensions = options.read_geometry(geometry)
@@ -188,7 +188,7 @@ def move(
     largest: dict[str, Any] = {
         f"leg_{name}s": _each_leg(text, f"--leg-{name}") for name, text in typed.items() if text is not None
     }
-    MotionLimits.read(**largest, twist=twist)  # what it refuses is refused before the search for a path
+    MotionLimits(**largest, twist=twist)  # what it refuses is refused before the search for a path
     ways: dict[str, Any] = {"via": passed, "joint_limits": joint_limits, "line": "poses" if straight else "legs"}
     certificate = prove(dimensions, allowed) if allowed is not None else None
     planned = plan(dimensions, first, last, allowed, margin=margin, certificate=certificate, **ways)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
-from spm_pin.motion.path_dynamics import LimitRows
+from spm_pin.motion.paths import LimitRows
 
 Clock = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """A function of times (m,) [s], which gives s, ṡ and s̈ there."""

@@ -1,6 +1,6 @@
 """The fastest motion along a path under limits of the legs and of the platform.
 
-With the quantities of `path_dynamics`, every limit is linear in u = s̈ and x = ṡ²,
+With the quantities of `paths`, every limit is linear in u = s̈ and x = ṡ²,
 
     lower <= a u + b x + c <= upper,    x <= limit.
 
@@ -23,8 +23,15 @@ from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number,
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
-from spm_pin.motion.path_dynamics import LimitRows, MotionLimits, PathDynamics, path_dynamics
-from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath
+from spm_pin.motion.paths import (
+    ROUNDING,
+    LegPath,
+    LimitRows,
+    MotionLimits,
+    MotionPath,
+    PathDynamics,
+    path_dynamics,
+)
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain, check_same_machine
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
@@ -116,7 +123,7 @@ def time_optimal(
         chain = chain.with_masses(Masses(payload=payload))
     parts = whole_number(grid, "grid", "a number of parts from 10 to 100,000", least=10, most=100_000)
     step = real_number(period, "period", "a positive time in seconds", above=0.0)
-    limits = MotionLimits.read(leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
+    limits = MotionLimits(leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
     planned = isinstance(path, MotionPlan)
 
     def dynamics(parameters: FloatArray) -> PathDynamics:

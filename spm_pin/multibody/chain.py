@@ -28,12 +28,10 @@ from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.mechanism.arguments import (
     FloatArray,
     IntArray,
-    as_bool,
     broadcastable,
     check_instance,
     file_path,
     first_offender,
-    whole_number,
 )
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -229,17 +227,14 @@ class ClosedChain(ConstrainedChain[ChainState]):
         check_leg_lengths(lengths, "readings", "A leg length is the reading less the offset of its encoder")
         return np.asarray(lengths)
 
-    def project(self, q: npt.ArrayLike, *, hold_legs: bool = False, max_iterations: int = 50) -> FloatArray:
+    def project(self, q: npt.ArrayLike) -> FloatArray:
         """Return closed joint values (..., 18) near q, by Newton's method; angles are not reduced to one turn.
 
         All joints move, as little as closes the loops to first order, slides measured in units of the middle platform's
-        side; with `hold_legs` the passive ones alone: forward displacement, to the assembly mode that q is near to.
-        Raises `ClosureError` if the loops do not close to rounding in `max_iterations`.
+        side. Raises `ClosureError` if the loops do not close to rounding in fifty steps.
         """
-        most = whole_number(max_iterations, "max_iterations", "a number of steps")
-        hold_legs, state = as_bool(hold_legs, "hold_legs"), self._at(q)
-        kinematics = state.kinematics
-        return np.array(state._each_member(lambda: close_loops(kinematics, kinematics.q, hold_legs, most), (18,)))
+        state = self._at(q)
+        return np.array(state._each_member(lambda: close_loops(state.kinematics, state.kinematics.q, most=50), (18,)))
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joints (..., 18) of readings (..., 6) [m], of a drawn machine the leg lengths.

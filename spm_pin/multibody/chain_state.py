@@ -49,8 +49,8 @@ class Energy(NamedTuple):
 class PlatformDynamics(NamedTuple):
     """The mechanism's equations of motion at its terminal platform, Λ ṫ + C t + G = J_fᵀ f + w.
 
-    t = (v, ω) is the twist of m at o, ṫ its time derivative: the acceleration of the point o and the angular
-    acceleration; f are the leg forces, w is the wrench applied onto m, all in {B}. The masses of all bodies are in it.
+    t = (v, ω) is the twist of m at o and ṫ its time derivative, f are the leg forces, w is the wrench applied onto m,
+    all in {B}. The masses of all bodies are in it.
     """
 
     mass: FloatArray
@@ -79,12 +79,10 @@ Result = TypeVar("Result")
 class ConstrainedState:
     """Joint values q and velocities v of a model with closures, and what is computed from them.
 
-    Made by the method `state` of `ClosedChain` and of `MountedChain`, and moved on by `update`, without new memory. Of
-    one q and v, kinematics, constraint Jacobian and factorisations are computed once and kept for later calls. Of a
-    batch each call computes them anew, member by member. Arguments broadcast with the batch. A state is for one thread
-    at a time. Its methods are those of the chain, without q and v.
-
-    A single q and v that is open or singular raises. Such a member of a batch is NaN in the result.
+    Made by the method `state` of `ClosedChain` and of `MountedChain`, and moved on by `update`, without new memory. Its
+    methods are those of the chain, without q and v. Of one q and v, kinematics, constraint Jacobian and factorisations
+    are computed once and kept for later calls; of a batch each call computes them anew, member by member. Arguments
+    broadcast with the batch. A state is for one thread at a time.
 
     Attributes
     ----------
@@ -122,13 +120,12 @@ class ConstrainedState:
         joints, rates = self._constrained.read_q(q), self.kinematics.zero_velocity
         if v is not None:
             rates = read_vectors(v, "v", rates.size).copy()
+        self._batch, self._q, self._v = (), joints.copy(), rates
         if joints.ndim == rates.ndim == 1:
-            self._batch, self._q, self._v = (), joints.copy(), rates
             self._move(self._q, rates)
         else:
             self._batch = broadcastable("v", rates.shape[:-1], "q", joints.shape[:-1])
-            self._q = np.broadcast_to(joints, (*self._batch, joints.shape[-1])).copy()
-            self._v = np.broadcast_to(rates, (*self._batch, rates.shape[-1])).copy()
+            self._q, self._v = (np.broadcast_to(x, (*self._batch, x.shape[-1])).copy() for x in (joints, rates))
         return self
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:
@@ -151,8 +148,7 @@ class ConstrainedState:
         batch = self._batch
         for name, array in arrays.items():
             batch = broadcastable(name, array.shape[:-1], "the other arguments", batch)
-        vectors = self._q, self._v, *arrays.values()
-        members = [np.broadcast_to(array, (*batch, array.shape[-1])) for array in vectors]
+        members = [np.broadcast_to(x, (*batch, x.shape[-1])) for x in (self._q, self._v, *arrays.values())]
         results: Any = [np.full((*batch, *each), np.nan) for each in (shape if isinstance(shape, list) else [shape])]
         self.failures = {}
         for index in np.ndindex(batch):
@@ -385,10 +381,7 @@ State = TypeVar("State", bound=ConstrainedState)
 
 
 class ConstrainedChain(Generic[State]):
-    """Dynamics and closures of a model with closed loops as functions of q and v, for `ClosedChain` and `MountedChain`.
-
-    nq, nv and the number n of actuators are those of the model: 18, 18 and 6 for a chain by itself.
-    """
+    """Dynamics and closures of a model as functions of q (..., nq) and v (..., nv): of a `ClosedChain`, or mounted."""
 
     def __init__(self, constrained: ConstrainedModel, state_type: type[State]) -> None:
         self._constrained, self._state_type = constrained, state_type
@@ -397,8 +390,8 @@ class ConstrainedChain(Generic[State]):
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> State:
         """Return the state of joint values q (..., nq) and velocities v (..., nv), by default at rest.
 
-        It has the methods about rates, forces and dynamics, without q and v. For a single q and v they share what they
-        compute; `state.update(q, v)` moves it on.
+        It has the methods about rates, forces and dynamics, without q and v; for a single q and v they share what they
+        compute.
         """
         return self._state_type(self._constrained).update(q, v)
 

@@ -37,17 +37,13 @@ Equations = Callable[[float, FloatArray], tuple[FloatArray, Callable[[], FloatAr
 """Of a share of the path, from 0 to 1, and q: the residual [m], and a function that returns the Newton step (18,)."""
 
 
-def close_loops(kinematics: TreeKinematics, q: FloatArray, hold_legs: bool = False, most: int = 10) -> FloatArray:
+def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> FloatArray:
     """Return closed joint values near q (18,), or raise `ClosureError`; see `ClosedChain.project`.
 
     The kinematics are left at the result.
     """
     constrained = kinematics.constrained
-    free = np.ones(q.shape, dtype=bool)
-    free[constrained.legs] = not hold_legs
-    units = constrained.units[free]
-    cause = "No assembly mode of these leg lengths nearby?" if hold_legs else "Too far from any closed q?"
-    tolerance = constrained.rounding(q)
+    tolerance, cause = constrained.rounding(q), "Too far from any closed q?"
     kinematics.evaluate(q)
     for iteration in range(most + 1):
         gap, widest = kinematics.gap.ravel(), kinematics.widest_gap
@@ -55,8 +51,8 @@ def close_loops(kinematics: TreeKinematics, q: FloatArray, hold_legs: bool = Fal
             return q
         if iteration == most:
             break
-        move, share, size = np.zeros(q.shape), 1.0, np.linalg.norm(gap)
-        move[free] = units * np.linalg.lstsq(kinematics.constraint_jacobian[:, free] * units, -gap, rcond=None)[0]
+        share, size, units = 1.0, np.linalg.norm(gap), constrained.units
+        move = units * np.linalg.lstsq(kinematics.constraint_jacobian * units, -gap, rcond=None)[0]
         while True:
             tried = q + share * move
             if (constrained.leg_lengths(tried) >= 0.0).all():

@@ -36,17 +36,14 @@ from spm_pin.mechanism.legs import LEGS
 
 AGREEMENT = 1e-9
 """Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""
-
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.
 
 Each of the ten joints between {B} and m adds a rounding or two to an entry: matrices are off by a few hundred eps, of a
 largest singular value of about five.
 """
-
 SUSPECT = 1e-9
 """Reciprocal condition number below which a factorisation is checked by singular values: they take longer."""
-
 BALLS = (("ball_b1_x", "ball_b1_y", "ball_b1_z"), ("ball_c1_z", "ball_c1_y", "ball_c1_x"))
 """The joints that stand for one ball joint each."""
 
@@ -115,8 +112,7 @@ class Factors(NamedTuple):
 
     lu: FloatArray
     pivots: Any
-    zero_pivot: bool
-    """True if a pivot is exactly zero: `solve` has no meaning."""
+    zero_pivot: bool  # a pivot is exactly zero: `solve` has no meaning
 
     def is_regular(self, matrix: FloatArray) -> bool:
         """Return whether the reciprocal condition number of the matrix that was factorised is above `SUSPECT`."""
@@ -382,7 +378,7 @@ class TreeKinematics:
     def check_constrained(self) -> None:
         """Raise `SingularConfigurationError` where the closures lose rank."""
         try:
-            # Regular with the legs held: of full rank. That is the case nearly everywhere, and cached.
+            # Regular with the legs held, as nearly everywhere: of full rank.
             _ = self.forward_factors
         except SingularConfigurationError as error:
             if error.kind == "constraint":
@@ -427,12 +423,12 @@ class TreeKinematics:
     def _gap_rate_bound(self, v: FloatArray) -> float:
         """Return the largest rate of a gap if all that joint velocities contribute to its ends had one sign [m/s]."""
         rates, others = np.abs(v), self.constrained.others
-        bound = float(max(np.abs(self.constraint_jacobian).dot(rates).tolist()))
-        if not len(others):
-            return bound
-        # Another robot moves both ends of a gap alike: what is left of the difference is rounding of their speeds.
-        ends = map(self.frame_jacobian, self.constrained.frames)
-        return bound + max(float(np.abs(end[:3, others]).dot(rates[others]).max()) for end in ends)
+        bound = largest(np.abs(self.constraint_jacobian).dot(rates))
+        if len(others):
+            # Another robot moves both ends of a gap alike: what is left of the difference is rounding of their speeds.
+            ends = map(self.frame_jacobian, self.constrained.frames)
+            bound += max(largest(np.abs(end[:3, others]).dot(rates[others])) for end in ends)
+        return bound
 
 
 _CACHED = {name for name, member in vars(TreeKinematics).items() if isinstance(member, cached_property)}

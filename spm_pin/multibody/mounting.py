@@ -17,10 +17,9 @@ from spm_pin.multibody.constrained_model import ConstrainedModel, read_vectors
 class MountedChain(ConstrainedChain[ConstrainedState]):
     """A `ClosedChain` and another robot in one Pinocchio model, the loops closed; read-only.
 
-    Made by `ClosedChain.mounted_on` and `ClosedChain.carrying`. Its q is that of `model`; `join` and `split` put it
-    together from the other robot's and the chain's and take it apart. Leading axes broadcast. The universe is that of
-    whichever robot carries the other: all that is "in {B}" for a chain alone is in its axes here. Actuators are all of
-    the other robot's, then the six legs. nq, nv and the number n of actuators are those of `model`.
+    Made by `ClosedChain.mounted_on` and `ClosedChain.carrying`. The universe is that of whichever robot carries the
+    other: all that is "in {B}" for a chain alone is in its axes here. q, nq and nv are those of `model`. The n
+    actuators are all of the other robot's, then the six legs. Leading axes broadcast.
 
     Attributes
     ----------
@@ -29,8 +28,7 @@ class MountedChain(ConstrainedChain[ConstrainedState]):
     model : pinocchio.Model
         Both trees; do not change it.
     chain_indices, other_indices : ndarray
-        Indices in v of the chain's joints (18,), in the order of `chain.joint_names`, and of the other robot's degrees
-        of freedom, in that robot's order.
+        Indices in v of the chain's joints (18,) and of the other robot's degrees of freedom, each in its own order.
     actuated_indices : ndarray
         Indices of the actuators in v.
     """
@@ -57,11 +55,11 @@ class MountedChain(ConstrainedChain[ConstrainedState]):
 
     def join(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
         """Return q (..., nq) of the model from the other robot's q and the chain's (..., 18)."""
-        return _together(other, self._other_q, chain, self._q)
+        return _joined(other, self._other_q, chain, self._q)
 
     def join_velocities(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
         """Return v (..., nv), or accelerations, from the other robot's and the chain's (..., 18)."""
-        return _together(other, self.other_indices, chain, self.chain_indices)
+        return _joined(other, self.other_indices, chain, self.chain_indices)
 
     def split(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the other robot's q and the chain's (..., 18) from q (..., nq) of the model."""
@@ -73,13 +71,13 @@ class MountedChain(ConstrainedChain[ConstrainedState]):
         return pin.RobotWrapper(self.model, *self._shapes)
 
 
-def _together(other: npt.ArrayLike, other_place: IntArray, chain: npt.ArrayLike, place: IntArray) -> FloatArray:
+def _joined(other: npt.ArrayLike, other_places: IntArray, chain: npt.ArrayLike, places: IntArray) -> FloatArray:
     """Return vectors of the model from those of the other robot and of the chain."""
-    parts = read_vectors(other, "other", other_place.size), read_vectors(chain, "chain", place.size)
+    parts = read_vectors(other, "other", other_places.size), read_vectors(chain, "chain", places.size)
     shape = broadcastable("chain", parts[1].shape[:-1], "other", parts[0].shape[:-1])
-    whole = np.empty((*shape, other_place.size + place.size))
-    whole[..., other_place], whole[..., place] = parts
-    return whole
+    joined = np.empty((*shape, other_places.size + places.size))
+    joined[..., other_places], joined[..., places] = parts
+    return joined
 
 
 def mount(chain: Any, other: Any, frame: str, placement: Any, *, carried: bool) -> MountedChain:
@@ -94,19 +92,17 @@ def mount(chain: Any, other: Any, frame: str, placement: Any, *, carried: bool) 
     if not parent.model.existFrame(frame):
         cause = "The name of a link or another frame of the robot that carries"
         raise ArgumentError("frame", f"a frame of {parent.model.name}", repr(frame), cause)
-    where = pin.SE3.Identity() if placement is None else placement
-    if not isinstance(where, pin.SE3):
-        raise ArgumentError("placement", "a pinocchio.SE3", type(where).__name__)
-    index = parent.model.getFrameId(frame)
-    names = [{*robot.model.names, *(f.name for f in robot.model.frames)} for robot in (parent, child)]
+    if placement is not None and not isinstance(placement, pin.SE3):
+        raise ArgumentError("placement", "a pinocchio.SE3", type(placement).__name__)
+    names = [{*robot.model.names, *(f.name for f in robot.model.frames)} for robot in robots]
     both = sorted((names[0] & names[1]) - {"universe"})
     if both:
         cause = "Give the chain a prefix: ClosedChain.from_urdf(prefix='spm_')"
         raise ArgumentError("other", "names that the chain has not", ", ".join(both[:3]), cause)
+    models, place = (parent.model, child.model), (parent.model.getFrameId(frame), placement or pin.SE3.Identity())
     shapes = []
-    model = pin.appendModel(parent.model, child.model, index, where)
     for kind in ("collision_model", "visual_model"):
         pair = getattr(parent, kind), getattr(child, kind)
         known = all(shape is not None for shape in pair)
-        shapes.append(pin.appendModel(parent.model, child.model, *pair, index, where)[1] if known else None)
-    return MountedChain(chain, other.model, model, *shapes)
+        shapes.append(pin.appendModel(*models, *pair, *place)[1] if known else None)
+    return MountedChain(chain, other.model, pin.appendModel(*models, *place), *shapes)

@@ -66,28 +66,27 @@ class PlatformPath:
     def __call__(self, times: npt.ArrayLike) -> PlatformMotion:
         """Return the motion at times [s] of shape (...), none outside the path's own."""
         t = real_array(times, "times", (), "in seconds")
-        begin, until = self.start, self.end
-        outside = (t < begin) | (t > until)
+        outside = (t < self.start) | (t > self.end)
         if outside.any():
-            raise ArgumentError("times", f"times from {begin:g} to {until:g} s", f"{t[outside].flat[0]:g}")
-        clock, rate, rate_change = t, np.ones_like(t), np.zeros_like(t)
+            raise ArgumentError("times", f"times from {self.start:g} to {self.end:g} s", f"{t[outside].flat[0]:g}")
+        flat, speed, change = t.reshape(-1), np.ones(1), np.zeros(1)
         if self._ease:
-            x = (t - begin) / self.duration
+            x = (flat - self.start) / self.duration
             # Rounding must not run past the end.
-            clock = np.clip(begin + self.duration * x**3 * (10.0 - 15.0 * x + 6.0 * x**2), begin, until)
-            rate = 30.0 * x**2 * (1.0 - x) ** 2
-            rate_change = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / self.duration
-        flat, shape = clock.reshape(-1), t.shape
+            flat = self.start + self.duration * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+            flat = np.clip(flat, self.start, self.end)
+            speed = (30.0 * x**2 * (1.0 - x) ** 2)[:, None]
+            change = (60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / self.duration)[:, None]
         rotation = self._rotation(flat)
         # SciPy's angular rates are in {m}; in {B} their derivative is that in {m}, because ω × ω = 0.
         first, second = (
             np.concatenate([self._translation(flat, order), rotation.apply(self._rotation(flat, order))], axis=-1)
             for order in (1, 2)
         )
-        speed, change = rate.reshape(-1, 1), rate_change.reshape(-1, 1)
-        place, turn = self._translation(flat).reshape(*shape, 3), rotation.as_matrix().reshape(*shape, 3, 3)
+        place = self._translation(flat).reshape(*t.shape, 3)
+        turn = rotation.as_matrix().reshape(*t.shape, 3, 3)
         twist, acceleration = speed * first, speed**2 * second + change * first
-        return PlatformMotion(pose(place, rotation=turn), twist.reshape(*shape, 6), acceleration.reshape(*shape, 6))
+        return PlatformMotion(pose(place, rotation=turn), *(v.reshape(*t.shape, 6) for v in (twist, acceleration)))
 
 
 def increasing_times(times: npt.ArrayLike, *, least: int = 1) -> FloatArray:
@@ -133,6 +132,10 @@ class JointTrajectory:
         # The chain may have a prefix.
         return [next(k for k, name in enumerate(self.joint_names) if name.endswith(slide)) for slide in SLIDES]
 
+    @property
+    def _joints(self) -> tuple[FloatArray, ...]:
+        return self.positions, self.velocities, self.accelerations, self.efforts
+
     def _repr_html_(self) -> str:
         pictures = notebook.curves(self.times, self.velocities[:, self.slides], "rates of the legs [m/s] over time [s]")
         pictures += notebook.curves(self.times, self.efforts[:, self.slides], "forces of the legs [N] over time [s]")
@@ -148,12 +151,11 @@ class JointTrajectory:
         `time_from_start` counts from the first time, in `sec` and `nanosec` as ROS 2 has them. For a
         `sensor_msgs/JointState`, take `joint_names` and a point's `positions`.
         """
-        columns = self.positions, self.velocities, self.accelerations, self.efforts
-        keys = "positions", "velocities", "accelerations", "effort"
         points: list[dict[str, Any]] = []
-        for k, time in enumerate(self.times):
-            nanoseconds = round((float(time) - float(self.times[0])) * 1e9)
-            point: dict[str, Any] = {key: column[k].tolist() for key, column in zip(keys, columns, strict=True)}
+        for time, *rows in zip(self.times.tolist(), *self._joints, strict=True):
+            nanoseconds = round((time - float(self.times[0])) * 1e9)
+            keys = "positions", "velocities", "accelerations", "effort"
+            point: dict[str, Any] = {key: row.tolist() for key, row in zip(keys, rows, strict=True)}
             point["time_from_start"] = {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
             points.append(point)
         return {
@@ -185,16 +187,10 @@ class JointTrajectory:
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the columns (n,) of `to_csv` by their names."""
-        kinds = {
-            "position": self.positions,
-            "velocity": self.velocities,
-            "acceleration": self.accelerations,
-            "effort": self.efforts,
-        }
         columns = {TIME: self.times, **dict(zip(LEGS, self.readings.T, strict=True))}
         columns |= dict(zip(POSITION, self.pose.translation.T, strict=True))
         columns |= dict(zip(QUATERNION, self.pose.rotation.as_quat().T, strict=True))
-        for kind, values in kinds.items():
+        for kind, values in zip(("position", "velocity", "acceleration", "effort"), self._joints, strict=True):
             columns |= {f"{name}.{kind}": values[:, k] for k, name in enumerate(self.joint_names)}
         return columns
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import spm_pin as spm
 from spm_pin.description import mjcf_text
 
 mujoco = pytest.importorskip("mujoco")
@@ -59,8 +58,3 @@ def test_mjx_takes_it(collisions: str) -> None:
         mjx = pytest.importorskip("mujoco.mjx")
         taken = mjx.put_model(model(collisions))
     assert taken.neq == 4
-
-
-def test_another_word_is_refused() -> None:
-    with pytest.raises(spm.ArgumentError, match="collisions"):
-        mjcf_text(collisions="some")

@@ -10,7 +10,7 @@ from motion.example_paths import CHAIN, CURVE, GOAL, LEGS, LINE, PAPER, START, p
 import spm_pin as spm
 from spm_pin.motion import LegPath, Payload
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
-from spm_pin.motion.path_dynamics import LimitRows
+from spm_pin.motion.paths import LimitRows
 
 WINDING = LegPath(np.random.default_rng(4).uniform(1.1, 1.5, (5, 6)))
 POSES = pose_line([3.0, 5.0])

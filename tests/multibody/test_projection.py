@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import problems
 import pytest
-from multibody.chains import EPS, NAMES, PAPER, Array, chain, placed, random_q, six_branches
+from multibody.chains import EPS, NAMES, PAPER, Array, chain, placed, random_q
 
-from spm_pin.errors import ArgumentError, ClosureError, SpmError
+from spm_pin.errors import ClosureError
+from spm_pin.multibody.closure_solvers import close_loops
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -21,12 +22,12 @@ def rounding(robot: Any, q: Array) -> float:
     return float(32 * EPS * way)
 
 
-def residuals(robot: Any, q: Array, *, hold_legs: bool = False) -> list[float]:
+def residuals(robot: Any, q: Array) -> list[float]:
     """Largest gap after 0, 1, 2... steps, until closed."""
     found = []
     for steps in range(30):
         try:
-            closed = robot.project(q, hold_legs=hold_legs, max_iterations=steps)
+            closed = close_loops(robot.state(q).kinematics, q, most=steps)
         except ClosureError as error:
             found.append(error.residual)
         else:
@@ -51,49 +52,19 @@ def test_a_perturbed_q_is_closed(name: str) -> None:
         assert np.linalg.norm((found - q - off) / units) <= 1.5 * np.linalg.norm(off / units)
 
 
-@pytest.mark.parametrize("hold_legs", [False, True])
-def test_convergence_is_quadratic(hold_legs: bool) -> None:
+def test_convergence_is_quadratic() -> None:
     robot, rng = chain(), np.random.default_rng(133)
     for state in problems.in_leg_space(PAPER, 10, seed=134).configuration:
         q = robot.joint_values(state) + 0.02 * rng.uniform(-1, 1, 18)
-        logged = residuals(robot, q, hold_legs=hold_legs)
+        with pytest.raises(ClosureError) as caught:
+            close_loops(robot.state(q).kinematics, q, most=1)
+        assert caught.value.iterations == 1
+        logged = residuals(robot, q)
         assert 3 <= len(logged) <= 7
         assert logged[-1] <= rounding(robot, q)
         for before, after in itertools.pairwise(logged):
             # An error in q of gap/σ leaves a gap of its square; lengths are about a metre.
             assert after <= 100 * before**2 + rounding(robot, q)
-
-
-@pytest.mark.parametrize("start", ["home", "reference"])
-def test_forward_displacement(start: str) -> None:
-    """From a q of the physical mode, any leg lengths within the limits lead to that mode's configuration."""
-    robot = chain()
-    q = np.zeros(18)
-    if start == "reference":
-        state = next(s for s in problems.in_leg_space(PAPER, 1, seed=135).configuration)
-        q = robot.joint_values(state)
-    for state in problems.in_leg_space(PAPER, 150, seed=136).configuration:
-        changed = robot.with_readings(q, state.leg_lengths)
-        found = robot.project(changed, hold_legs=True)
-        assert np.array_equal(found[robot.leg_indices], changed[robot.leg_indices])
-        forward = robot.singular_values(found).forward
-        reached = robot.configuration(found)
-        allowed = 2 * rounding(robot, q) / forward
-        assert np.abs(reached.middle_joints - state.middle_joints).max() <= allowed
-        assert np.abs(reached.pose.as_matrix() - state.pose.as_matrix()).max() <= 4 * allowed
-
-
-@pytest.mark.parametrize(
-    "lengths",
-    [[1.1, 1.1, 4.0, 1.3, 1.3, 1.3], [1.3, 1.3, 1.3, 0.02, 0.02, 0.02]],
-    ids=["one too long", "too short to reach"],
-)
-def test_lengths_without_an_assembly_mode(lengths: list[float]) -> None:
-    robot = chain()
-    with pytest.raises(ClosureError, match=r"m open after \d+ iterations\. No assembly mode of these") as caught:
-        robot.project(robot.with_readings(np.zeros(18), lengths), hold_legs=True)
-    assert caught.value.residual > 1e-3
-    assert 0 < caught.value.iterations < 50
 
 
 def test_starts_that_do_not_converge() -> None:
@@ -113,15 +84,3 @@ def test_starts_that_do_not_converge() -> None:
             assert (robot.leg_lengths(found) >= 0).all()
     assert 0 < len(residuals_left) < 40
     assert min(residuals_left) > 1e-6
-
-
-def test_the_error_carries_its_data() -> None:
-    q = chain().joint_values(six_branches()[0]) + 0.1
-    with pytest.raises(ClosureError) as caught:
-        chain().project(q, max_iterations=1)
-    error = caught.value
-    assert isinstance(error, SpmError)
-    assert error.iterations == 1
-    for bad in (-1, 2.5, True):
-        with pytest.raises(ArgumentError, match=r"^max_iterations: expected a number of steps"):
-            chain().project(q, max_iterations=bad)
