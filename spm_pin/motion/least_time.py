@@ -55,26 +55,28 @@ class _HalfPlanes:
     slopes: FloatArray  # the g, shape (m, 2)
 
     @classmethod
-    def from_rows(cls, parts: IntArray, steps: FloatArray, shares: FloatArray, rows: LimitRows) -> _HalfPlanes:
-        """Return those that matter of limits at p shares, (n, p), of n parts with these steps (n,)."""
-        count, points = shares.shape
-        a, b, c = (values.reshape(count, points, -1) for values in (rows.a, rows.b, rows.c))
+    def from_rows(cls, points: FloatArray, limits: LimitRows, nodes: IntArray) -> _HalfPlanes:
+        """Return those that matter on a grid of some of the points at which limits are known, `nodes` (n,) of them."""
+        index = np.stack([nodes[:-1], (nodes[:-1] + nodes[1:]) // 2, nodes[1:]], axis=-1)
+        steps, rows = np.diff(points[nodes]), limits[index.ravel()]
+        shares = (points[index] - points[nodes[:-1], None]) / steps[:, None]
+        a, b, c = (values.reshape(*index.shape, -1) for values in (rows.a, rows.b, rows.c))
         span = rows.upper - rows.lower
         # In terms of u and of x in the middle of the part: x there is so many times u away from it.
         arm = ((2.0 * shares - 1.0) * steps[:, None])[..., None]
         a = a + arm * b
         rooms = [np.maximum(room, 1e-12 * span) for room in (rows.upper - c, c - rows.lower)]
-        fastest = 1.0 / rows.fastest.reshape(count, points, 1)
+        fastest = 1.0 / rows.fastest.reshape(*index.shape, 1)
         change = np.concatenate(
             [a / rooms[0], -a / rooms[1], (2.0 * shares - 1.0)[..., None] * steps[:, None, None] * fastest], -1
         )
         level = np.concatenate([b / rooms[0], -b / rooms[1], fastest], -1)
-        normals = np.stack([change, level], axis=-1).reshape(count, -1, 2)
-        kept = [_hull(points_) for points_ in normals]
-        interval = np.repeat(np.arange(count), [len(k) for k in kept])
-        u, x = normals[interval, np.concatenate(kept)].T
-        half = 0.5 * u / steps[interval]
-        return cls(parts[interval], np.stack([0.5 * x - half, 0.5 * x + half], axis=-1))
+        normals = np.stack([change, level], axis=-1).reshape(len(steps), -1, 2)
+        kept = [_hull(each) for each in normals]
+        parts = np.repeat(np.arange(len(steps)), [len(k) for k in kept])
+        u, x = normals[parts, np.concatenate(kept)].T
+        half = 0.5 * u / steps[parts]
+        return cls(parts, np.stack([0.5 * x - half, 0.5 * x + half], axis=-1))
 
     def used(self, x: FloatArray) -> FloatArray:
         """Return which share of each limit values x (n,) at the points of the grid use, shape (m,)."""
@@ -107,7 +109,7 @@ class LeastTime:
         for split in range(_SPLITS + 1):
             self.grid = points[::2]
             self._steps = np.diff(self.grid)
-            self.x = _solved(self._steps, _half_planes(points, rows, np.arange(0, len(points), 2)), start)
+            self.x = _solved(self._steps, _HalfPlanes.from_rows(points, rows, np.arange(0, len(points), 2)), start)
             curved = self._curved_parts(rows)
             if split == _SPLITS or len(points) > _MOST_POINTS or not curved.any():
                 break
@@ -120,7 +122,7 @@ class LeastTime:
         corners = 2 * np.searchsorted(self.grid, knots)
         coarse = np.unique(np.concatenate([np.arange(0, len(points), 4), corners]))
         steps = np.diff(points[coarse])
-        slower = _solved(steps, _half_planes(points, rows, coarse), None)
+        slower = _solved(steps, _HalfPlanes.from_rows(points, rows, coarse), None)
         self.error = abs(float(_durations(steps, slower).sum()) / self.duration - 1.0)
         """Share of the duration by which it is expected to be above the least one because of the grid."""
 
@@ -151,14 +153,6 @@ class LeastTime:
         return np.clip(s, 0.0, 1.0), np.maximum(speeds[k] + since * changes[k], 0.0), changes[k]
 
 
-def _half_planes(points: FloatArray, rows: LimitRows, nodes: IntArray) -> _HalfPlanes:
-    """Return the limits of a grid whose points are some of those at which limits are known, `nodes` (n,) of them."""
-    index = np.stack([nodes[:-1], (nodes[:-1] + nodes[1:]) // 2, nodes[1:]], axis=-1)
-    steps = np.diff(points[nodes])
-    shares = (points[index] - points[nodes[:-1], None]) / steps[:, None]
-    return _HalfPlanes.from_rows(np.arange(len(steps)), steps, shares, rows[index.ravel()])
-
-
 def _durations(steps: FloatArray, x: FloatArray) -> FloatArray:
     roots = np.sqrt(x)
     return np.asarray(2.0 * steps / (roots[1:] + roots[:-1]))
@@ -175,11 +169,8 @@ def _solved(steps: FloatArray, planes: _HalfPlanes, start: FloatArray | None) ->
     slow = slow / max(float(planes.used(slow).max()), 1e-300)
     unit = slow.max()
     sizes = unit * np.linalg.norm(planes.slopes, axis=-1)
-    rows = np.arange(len(sizes))
-    entries = unit * planes.slopes / sizes[:, None]
-    matrix = csr_matrix(
-        (entries.T.ravel(), (np.tile(rows, 2), np.concatenate([planes.parts, planes.parts + 1]))), (len(rows), count)
-    )
+    places = np.tile(np.arange(len(sizes)), 2), np.concatenate([planes.parts, planes.parts + 1])
+    matrix = csr_matrix(((unit * planes.slopes / sizes[:, None]).T.ravel(), places), (len(sizes), count))
     z = ca.MX.sym("z", count - 2)
     roots = ca.vertcat(0.0, ca.sqrt(z), 0.0)
     problem = {

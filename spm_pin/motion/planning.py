@@ -10,8 +10,9 @@ proves the rule about forward singularities in between as well.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -161,14 +162,13 @@ def plan(
     for state, name in zip(states, names, strict=True):
         if broken := rules.explain(state):
             raise UnreachableError(name, "a state that keeps the rules of the plan", broken)
-    for k in range(len(states) - 1):
-        if np.linalg.norm(states[k + 1].readings - states[k].readings) <= 1e-12 * geometry.middle_side:
-            raise ArgumentError(names[k + 1], f"another state than {names[k]}", "the same: a motion of no length")
+    for (before, first), (name, state) in pairwise(zip(names, states, strict=True)):
+        if np.linalg.norm(state.readings - first.readings) <= 1e-12 * geometry.middle_side:
+            raise ArgumentError(name, f"another state than {before}", "the same: a motion of no length")
     if line == "poses":
         return _along_poses(rules, states, certificate)
     places = [state.readings for state in states]
-    if allowed is not None:
-        # Not beyond the limits by rounding.
+    if allowed is not None:  # not beyond them by rounding
         places = [np.clip(lengths, allowed.minimum, allowed.maximum) for lengths in places]
     points, reason = places[:1], ""
     for place in places[1:]:
@@ -201,8 +201,8 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
         lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
         state = forward_physical(geometry, lengths)
         if not state.exists:
-            cause = _sentence(state.missing_reason)
-            raise UnreachableError(name, "leg lengths of the physical mode", f"{lengths.tolist()}", cause)
+            expected, cause = "leg lengths of the physical mode", _sentence(state.missing_reason)
+            raise UnreachableError(name, expected, f"{lengths.tolist()}", cause)
         return state
     if array is not None and array.ndim < 2 and array.dtype.kind != "O":
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
@@ -268,8 +268,7 @@ class _PathRules:
     geometry: Geometry
     limits: LegLimits | None
     joints: JointLimits
-    margin: float
-    """Least |det J_b| and |det J_c| over d³."""
+    margin: float  # least |det J_b| and |det J_c| over d³
 
     def margins(self, states: Configuration) -> FloatArray:
         """Return how far states are inside: existence, legs [m], singularities, angles [rad], clearance [m], (..., 5).
@@ -293,10 +292,8 @@ class _PathRules:
         if legs < -ROUNDING:
             assert self.limits is not None
             leg = int(np.abs(self.limits.excess(state.readings)).argmax())
-            return (
-                f"{LEGS[leg]} of {state.readings[leg]:.4g} m is outside its limits, "
-                f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} m"
-            )
+            limits = f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} m"
+            return f"{LEGS[leg]} of {state.readings[leg]:.4g} m is outside its limits, {limits}"
         if least < -ROUNDING:
             determinant = f"|det J| of {least + self.margin:.3g} d³"
             return f"a forward singularity is near: {determinant}, less than the margin of {self.margin:g}"
@@ -320,20 +317,20 @@ def _least_determinant(states: Configuration) -> FloatArray:
     return np.asarray(np.abs(determinants(states)[..., :2]).min(axis=-1) / states.geometry.middle_side**3)
 
 
-@dataclass
-class _Tree:
-    """Leg lengths joined by straight lines that keep the rules."""
+class _Node(NamedTuple):
+    """Leg lengths in a tree, joined to those of its parent by a straight line that keeps the rules."""
 
-    points: list[FloatArray]
-    parents: list[int] = field(default_factory=lambda: [-1])
+    point: FloatArray
+    parent: _Node | None
 
-    def way(self, node: int) -> list[FloatArray]:
-        """Return the points from the root to a node."""
+    def way(self) -> list[FloatArray]:
+        """Return the points from here to the root."""
+        node: _Node | None = self
         points = []
-        while node >= 0:
-            points.append(self.points[node])
-            node = self.parents[node]
-        return points[::-1]
+        while node is not None:
+            points.append(node.point)
+            node = node.parent
+        return points
 
 
 def _find_corners(
@@ -343,36 +340,32 @@ def _find_corners(
     reason = rules.explain_line(line_states(rules.geometry, start, goal))
     if not reason:
         return [start, goal], ""
-    trees = [_Tree([start]), _Tree([goal])]
+    trees = [[_Node(start, None)], [_Node(goal, None)]]
     low, high = 0.5 * np.minimum(start, goal), 1.5 * np.maximum(start, goal)
     if rules.limits is not None:
         low, high = np.array(rules.limits.minimum), np.array(rules.limits.maximum)
     for k in range(tries):
         new = _grow(rules, trees[0], rng.uniform(low, high))
-        if new is not None:
-            target = trees[0].points[new]
-            while (near := _grow(rules, trees[1], target)) is not None:
-                if np.array_equal(trees[1].points[near], target):
-                    corners = trees[0].way(new) + trees[1].way(near)[-2::-1]
-                    return _shortened(rules, corners if k % 2 == 0 else corners[::-1], rng), reason
+        while new is not None and (near := _grow(rules, trees[1], new.point)) is not None:
+            if np.array_equal(near.point, new.point):
+                corners = new.way()[::-1] + near.way()[1:]
+                return _shortened(rules, corners if k % 2 == 0 else corners[::-1], rng), reason
         trees.reverse()
     return None, f"{reason}; no way around was found in {tries} steps"
 
 
-def _grow(rules: _PathRules, tree: _Tree, target: FloatArray) -> int | None:
+def _grow(rules: _PathRules, tree: list[_Node], target: FloatArray) -> _Node | None:
     """Add a step towards `target` to a tree; return the new node, None if the step breaks a rule."""
     reach = _REACH * rules.geometry.middle_side
-    parent = int(np.linalg.norm(np.array(tree.points) - target, axis=-1).argmin())
-    origin = tree.points[parent]
-    distance = float(np.linalg.norm(target - origin))
+    parent = tree[int(np.linalg.norm(np.array([node.point for node in tree]) - target, axis=-1).argmin())]
+    distance = float(np.linalg.norm(target - parent.point))
     if distance == 0.0:
         return parent
-    point = target if distance <= reach else origin + (reach / distance) * (target - origin)
-    if rules.broken(line_states(rules.geometry, origin, point)).any():
+    point = target if distance <= reach else parent.point + (reach / distance) * (target - parent.point)
+    if rules.broken(line_states(rules.geometry, parent.point, point)).any():
         return None
-    tree.points.append(point)
-    tree.parents.append(parent)
-    return len(tree.points) - 1
+    tree.append(_Node(point, parent))
+    return tree[-1]
 
 
 def _shortened(rules: _PathRules, corners: list[FloatArray], rng: np.random.Generator) -> list[FloatArray]:

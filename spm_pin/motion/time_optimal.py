@@ -23,15 +23,7 @@ from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number,
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
-from spm_pin.motion.paths import (
-    ROUNDING,
-    LegPath,
-    LimitRows,
-    MotionLimits,
-    MotionPath,
-    PathDynamics,
-    path_dynamics,
-)
+from spm_pin.motion.paths import ROUNDING, LegPath, MotionLimits, MotionPath, PathDynamics, path_dynamics
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain, check_same_machine
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
@@ -124,32 +116,28 @@ def time_optimal(
     parts = whole_number(grid, "grid", "a number of parts from 10 to 100,000", least=10, most=100_000)
     step = real_number(period, "period", "a positive time in seconds", above=0.0)
     limits = MotionLimits(leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
-    planned = isinstance(path, MotionPlan)
+    # The parameters, from 0 to 1, where the third derivative of the path may jump.
+    knots = way.knots if isinstance(way, LegPath) else (way.times - way.start) / way.duration
 
-    def dynamics(parameters: FloatArray) -> PathDynamics:
-        return path_dynamics(chain, way, parameters)
-
-    def checked_rows(parameters: FloatArray) -> LimitRows:
-        along = dynamics(parameters)
-        _refuse_events(chain, along, way, planned=planned)
-        return limits.rows(chain, along)
+    def checked_dynamics(parameters: FloatArray) -> PathDynamics:
+        along = path_dynamics(chain, way, parameters)
+        _refuse_events(chain, along, way, planned=isinstance(path, MotionPlan))
+        return along
 
     if limits.leg_jerks is None:
-        motion = LeastTime(_knots(way), parts, checked_rows)
+        motion = LeastTime(knots, parts, lambda parameters: limits.rows(chain, checked_dynamics(parameters)))
         clock: Clock = motion.clock
         duration, error = motion.duration, motion.error
     else:
-        eased = EasedGrid.from_knots(_knots(way), parts)
-        along = dynamics(eased.parameters)
-        _refuse_events(chain, along, way, planned=planned)
-        legs = chain.leg_indices
+        eased, legs = EasedGrid.from_knots(knots, parts), chain.leg_indices
+        along = checked_dynamics(eased.parameters)
         derivatives = along.first[:, legs], along.second[:, legs]
         duration, clock, error = limited_jerk(eased, limits.rows(chain, along), *derivatives, limits.leg_jerks)
     slower = 1.0
     for slowdown in range(_SLOWDOWNS):
         times = _times(slower * duration, step)
         s, speeds, accelerations = (values / slower**order for order, values in enumerate(clock(times / slower)))
-        along = dynamics(s)
+        along = path_dynamics(chain, way, s)
         scale = limits.feasible_scale(chain, along, times, speeds, accelerations)
         if scale.min() >= 1.0 - _ROUNDING:
             break
@@ -174,11 +162,6 @@ def _path(path: Any, chain: ClosedChain) -> MotionPath:
     if isinstance(path, PlatformPath) and not np.any(path([path.start, path.end]).twist):
         raise ArgumentError("path", "a path that moves at its ends", "a path at rest there", "Made with ease=True?")
     return path
-
-
-def _knots(path: MotionPath) -> FloatArray:
-    """Return the parameters, from 0 to 1, where the third derivative of a path may jump."""
-    return path.knots if isinstance(path, LegPath) else (path.times - path.start) / path.duration
 
 
 def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *, planned: bool) -> None:
