@@ -168,6 +168,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("design.pareto_front.generations", "starts", "follow.samples"), lambda: 2),
     **dict.fromkeys(("samples", "time_optimal.grid"), lambda: 20),
     "mass": lambda: 1.0,
+    "masses": lambda: spm.description.Masses({"leg_*_rod": {"mass": 2.0}}),
     "mask": lambda: np.ones(8, dtype=bool),
     "maximum": lambda: 1.5,
     "middle_joints": lambda: STATE.middle_joints,

@@ -122,7 +122,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
         return chain if masses is None else chain.with_masses(masses)
 
     def with_masses(self, masses: Masses) -> ClosedChain:
-        """Return this chain with other masses, or with a payload on what it carries already."""
+        """Return this chain with other masses, or with a payload besides what it carries already."""
         urdf = with_masses(self._urdf, check_instance(masses, Masses, "masses"), self.prefix)
         return type(self)(urdf, self.geometry, self.prefix)
 

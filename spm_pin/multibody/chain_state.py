@@ -381,7 +381,7 @@ State = TypeVar("State", bound=ConstrainedState)
 
 
 class ConstrainedChain(Generic[State]):
-    """Dynamics and closures of a model as functions of q (..., nq) and v (..., nv): of a `ClosedChain`, or mounted."""
+    """Dynamics and closures of a `ClosedChain` or a `MountedChain` as functions of q (..., nq) and v (..., nv)."""
 
     def __init__(self, constrained: ConstrainedModel, state_type: type[State]) -> None:
         self._constrained, self._state_type = constrained, state_type

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from description.kinematic_tree import KinematicTree, inertia, named_states
+from description.kinematic_tree import named_states
 from problems import in_leg_space
 
 import spm_pin as spm
@@ -15,8 +15,6 @@ from spm_pin.description.source_files import SRDF, URDF, description_file, read_
 from spm_pin.description.tree import joint_values
 
 pin = pytest.importorskip("pinocchio")
-
-TREE = KinematicTree(description_file(URDF).read_text(encoding="utf-8"))
 
 
 @pytest.fixture
@@ -34,18 +32,6 @@ def closure_gap(model: Any, q: Any, prefix: str = "") -> float:
         gaps.append(np.linalg.norm(data.oMf[ids[0]].translation - data.oMf[ids[1]].translation))
     assert len(gaps) == 4
     return float(max(gaps))
-
-
-def test_limits_and_mass(model: Any) -> None:
-    for name, joint in TREE.moving.items():
-        v = model.joints[model.getJointId(name)].idx_v
-        assert model.lowerPositionLimit[v] == joint.limit["lower"]
-        assert model.upperPositionLimit[v] == joint.limit["upper"]
-        assert model.upperEffortLimit[v] == joint.limit["effort"]
-        assert model.upperVelocityLimit[v] == joint.limit["velocity"]
-    # Pinocchio gives the root link's mass, and that of what is fixed to it, to the universe.
-    total = sum(body.mass for body in model.inertias)
-    assert total == pytest.approx(sum(inertia(link)[0] for link in TREE.links.values()))
 
 
 def test_reference_configurations(model: Any) -> None:
