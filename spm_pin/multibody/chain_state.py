@@ -120,8 +120,8 @@ class ConstrainedState:
         joints, rates = self._constrained.read_q(q), self.kinematics.zero_velocity
         if v is not None:
             rates = read_vectors(v, "v", rates.size).copy()
-        self._batch, self._q, self._v = (), joints.copy(), rates
         if joints.ndim == rates.ndim == 1:
+            self._batch, self._q, self._v = (), joints.copy(), rates
             self._move(self._q, rates)
         else:
             self._batch = broadcastable("v", rates.shape[:-1], "q", joints.shape[:-1])

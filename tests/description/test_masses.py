@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -14,6 +15,7 @@ import yourdfpy
 
 import spm_pin as spm
 from spm_pin.description import Masses, RigidBody, mjcf_text, urdf_text
+from spm_pin.description.masses import with_masses
 from spm_pin.errors import DescriptionError
 
 STATE = spm.forward_physical(spm.Geometry.paper(), [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
@@ -126,6 +128,18 @@ def test_a_file_that_has_no_masses_is_refused(tmp_path: Path, text: str, words: 
         Masses.from_yaml(file)
 
 
+def test_a_payload_on_a_link_without_mass_is_all_of_its_mass() -> None:
+    root = ElementTree.fromstring(urdf_text())
+    (link,) = root.findall("link[@name='terminal_platform']")
+    link.remove(link.find("inertial"))
+    loaded = with_masses(ElementTree.tostring(root, encoding="unicode"), Masses(payload=PAYLOAD), "")
+    expected = PAYLOAD.mass, PAYLOAD.centre, PAYLOAD.inertia
+    for value, wanted in zip(bodies(loaded)["terminal_platform"], expected, strict=True):
+        np.testing.assert_allclose(value, wanted, atol=1e-12)
+
+
 def test_an_unknown_link_is_refused() -> None:
+    with pytest.raises(spm.ArgumentError, match=r"bodies: expected names of links, got 1"):
+        Masses({1: {"mass": 1.0}})  # type: ignore[dict-item]
     with pytest.raises(DescriptionError, match=r"masses: expected names of links in the URDF, .* got 'legs'"):
         urdf_text(masses=Masses({"legs": {"mass": 1.0}}))
