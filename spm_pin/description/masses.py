@@ -245,12 +245,13 @@ def check_inertials(urdf: str, source: str) -> None:
             _check_inertial(inertial, f"{source}, link {name}")
 
 
+@raised_as(DescriptionError)
 def _check_inertial(inertial: Element, place: str) -> None:
     try:
         mass, (centre, _), moments = read_inertial(inertial)
     except (AttributeError, ValueError, IndexError) as error:
         raise DescriptionError(place, "a <mass> and an <inertia> of numbers", str(error)) from error
-    real_number(mass, place, f"a mass from 0 to {_LARGEST:g} kg", least=0.0, most=_LARGEST, error=DescriptionError)
+    real_number(mass, place, f"a mass from 0 to {_LARGEST:g} kg", least=0.0, most=_LARGEST)
     if not np.all(np.abs([*centre, *moments.ravel()]) <= _LARGEST):
         expected = f"moments of inertia [kg m²] and a centre of mass [m] of at most {_LARGEST:g}"
         raise DescriptionError(place, expected, f"{moments.tolist()} and {centre}")
