@@ -21,22 +21,26 @@ from spm_pin.formulas.stages import inverse, pair_inverse
 from spm_pin.formulas.vectors import (
     Rows,
     Vector,
+    combinations,
     combined,
     cross,
     crosses,
     differences,
     directions_and_lengths,
-    dot,
+    dots,
     larger,
     largest,
     matrix_product,
     minus,
+    multiples,
     scaled,
+    shifted,
     times,
     transposed,
+    turned,
     weighted,
 )
-from spm_pin.formulas.wrenches import arms, determinant, mean, normals, pairs, structure_determinant
+from spm_pin.formulas.wrenches import arms, determinant, mean, pairs, structure_determinant
 
 NONE = (0.0, 0.0, 0.0)
 
@@ -66,14 +70,13 @@ def leg_vectors(b: Rows, pivots: Rows) -> tuple[Rows, Vector]:
 
 def plane_errors(b: Rows, legs: StageLegs) -> Vector:
     """Return the distances of the balls from the planes of their legs."""
-    x, y, z = differences(b, legs.pivots)
-    return dot(legs.axes[0], x), dot(legs.axes[1], y), dot(legs.axes[2], z)
+    return dots(legs.axes, differences(b, legs.pivots))
 
 
 def squared_sides(b: Rows) -> Vector:
     """Return the squared distances of the balls 12, 23, 31."""
-    x, y, z = minus(b[0], b[1]), minus(b[1], b[2]), minus(b[2], b[0])
-    return dot(x, x), dot(y, y), dot(z, z)
+    sides = differences(b, (b[1], b[2], b[0]))
+    return dots(sides, sides)
 
 
 def stage_errors(b: Rows, legs: StageLegs, lengths: Vector, squares: Vector) -> Errors:
@@ -96,31 +99,26 @@ def largest_error(errors: Errors, size: float) -> float:
 
 def ball_motions(b: Rows, f: Rows, a: Rows) -> BallMotions:
     """Return the motions of balls with forces f_i and a_i."""
-    w = normals(f, a)
-    x, y, z = 1.0 / dot(w[0], w[0]), 1.0 / dot(w[1], w[1]), 1.0 / dot(w[2], w[2])
-    n, m = crosses(a, w), crosses(w, f)
-    n, m = (scaled(x, n[0]), scaled(y, n[1]), scaled(z, n[2])), (scaled(x, m[0]), scaled(y, m[1]), scaled(z, m[2]))
+    w = crosses(f, a)
+    x, y, z = dots(w, w)
+    inverses = 1.0 / x, 1.0 / y, 1.0 / z
+    n, m = multiples(inverses, crosses(a, w)), multiples(inverses, crosses(w, f))
     return BallMotions(n, m, w, pair_inverse(pairs(b, w)), b)
 
 
 def velocities(motions: BallMotions, rates: Errors) -> Rows:
     """Return the velocities of the balls with these rates along f_i and a_i and of half the squared distances."""
-    q, p = rates.along_f, rates.along_a
-    first = combined(scaled(q[0], motions.n[0]), p[0], motions.m[0])
-    second = combined(scaled(q[1], motions.n[1]), p[1], motions.m[1])
-    third = combined(scaled(q[2], motions.n[2]), p[2], motions.m[2])
-    d12, d23, d31, d21, d32, d13 = pairs(motions.b, (first, second, third))
-    missing = rates.apart[0] - (d12 + d21), rates.apart[1] - (d23 + d32), rates.apart[2] - (d31 + d13)
-    free, w = weighted(missing, motions.columns), motions.w
-    return combined(first, free[0], w[0]), combined(second, free[1], w[1]), combined(third, free[2], w[2])
+    v = combinations(multiples(rates.along_f, motions.n), rates.along_a, motions.m)
+    d12, d23, d31, d21, d32, d13 = pairs(motions.b, v)
+    missing = minus(rates.apart, (d12 + d21, d23 + d32, d31 + d13))
+    return combinations(v, weighted(missing, motions.columns), motions.w)
 
 
 def upper_velocities(b: Rows, v: Rows, weights: Rows) -> Rows:
     """Return the velocities of the upper legs' balls from those of the b_i, see `leg_planes.upper_balls`."""
     p, q, dp, dq = minus(b[1], b[0]), minus(b[2], b[0]), minus(v[1], v[0]), minus(v[2], v[0])
     dn = combined(cross(dp, q), 1.0, cross(p, dq))
-    x, y, z = weighted(weights[0], (dp, dq, dn)), weighted(weights[1], (dp, dq, dn)), weighted(weights[2], (dp, dq, dn))
-    return combined(v[0], 1.0, x), combined(v[1], 1.0, y), combined(v[2], 1.0, z)
+    return combinations(v, (1.0, 1.0, 1.0), matrix_product(weights, (dp, dq, dn)))
 
 
 def structure_velocities(motions: BallMotions, rates: Errors, a_m: Rows, weights: Rows) -> Rows:
@@ -129,26 +127,11 @@ def structure_velocities(motions: BallMotions, rates: Errors, a_m: Rows, weights
     x = velocities(motions, Errors((1.0, 0.0, 0.0), NONE, NONE))
     y = velocities(motions, Errors((0.0, 1.0, 0.0), NONE, NONE))
     z = velocities(motions, Errors((0.0, 0.0, 1.0), NONE, NONE))
-    missing = minus(rates.along_f, _rates(upper_velocities(b, first, weights), a_m))
-    columns, _ = inverse(
-        transposed(
-            (
-                _rates(upper_velocities(b, x, weights), a_m),
-                _rates(upper_velocities(b, y, weights), a_m),
-                _rates(upper_velocities(b, z, weights), a_m),
-            )
-        )
-    )
+    missing = minus(rates.along_f, dots(upper_velocities(b, first, weights), a_m))
+    by_x, by_y = dots(upper_velocities(b, x, weights), a_m), dots(upper_velocities(b, y, weights), a_m)
+    columns, _ = inverse(transposed((by_x, by_y, dots(upper_velocities(b, z, weights), a_m))))
     q0, q1, q2 = weighted(missing, columns)
-    return (
-        combined(combined(combined(first[0], q0, x[0]), q1, y[0]), q2, z[0]),
-        combined(combined(combined(first[1], q0, x[1]), q1, y[1]), q2, z[1]),
-        combined(combined(combined(first[2], q0, x[2]), q1, y[2]), q2, z[2]),
-    )
-
-
-def _rates(v: Rows, a: Rows) -> Vector:
-    return dot(v[0], a[0]), dot(v[1], a[1]), dot(v[2], a[2])
+    return combinations(combinations(combinations(first, (q0, q0, q0), x), (q1, q1, q1), y), (q2, q2, q2), z)
 
 
 def stage_step(b: Rows, legs: StageLegs, lengths: Vector, squares: Vector) -> Rows:
@@ -177,22 +160,20 @@ def structure_side(b: Rows, c: Rows, lower: StageLegs, upper: StageLegs) -> floa
 def moved_balls(b: Rows, v: Rows, longest: float) -> Rows:
     """Return the balls after a step back along v, in which none moves farther than about `longest`."""
     factor = -1.0 / larger(1.0, larger(larger(largest(v[0]), largest(v[1])), largest(v[2])) / longest)
-    return combined(b[0], factor, v[0]), combined(b[1], factor, v[1]), combined(b[2], factor, v[2])
+    return combinations(b, (factor, factor, factor), v)
 
 
 def level_balls(lengths: Vector, radius: float, r: float, up: float) -> Rows:
     """Return the balls of the drawn stage with the mean of three lengths where it stands level."""
     length, offset = (lengths[0] + lengths[1] + lengths[2]) / 3.0, r - radius
     height = up * sqrt(larger(length * length - offset * offset, 0.03 * r * r))
-    x, y, z = drawn_triangle(r)
-    return (x[0], x[1], height), (y[0], y[1], height), (z[0], z[1], height)
+    return shifted(drawn_triangle(r), (0.0, 0.0, height))
 
 
 def placeholder_state(r: float) -> tuple[Rows, tuple[Rows, Vector]]:
     """Return balls and a pose that stand clear of both platforms, for computations on what does not exist."""
-    x, y, z = drawn_triangle(r)
-    balls = (x[0], x[1], 2.0 * r), (y[0], y[1], 2.0 * r), (z[0], z[1], 2.0 * r)
-    return balls, (((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 4.0 * r))
+    level = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    return shifted(drawn_triangle(r), (0.0, 0.0, 2.0 * r)), (level, (0.0, 0.0, 4.0 * r))
 
 
 def frame_of_triangle(axes: Rows, own_axes: Rows, b: Rows, own: Rows) -> tuple[Rows, Vector]:
@@ -212,5 +193,4 @@ def pose_of_frames(turn: Rows, place: Vector, turn_m: Rows, place_m: Vector) -> 
 
 def points_from_platform(points: Rows, rotation: Rows, position: Vector) -> Rows:
     """Return three points of {B} in {m}."""
-    back, (x, y, z) = transposed(rotation), points
-    return times(back, minus(x, position)), times(back, minus(y, position)), times(back, minus(z, position))
+    return turned(transposed(rotation), differences(points, (position, position, position)))

@@ -13,7 +13,21 @@ from typing import Any, NamedTuple
 
 from spm_pin.formulas.operations import COS_30, both, either, sqrt, where
 from spm_pin.formulas.stages import cartesian, in_home_aspect
-from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, larger, magnitude, minus, scaled, transposed
+from spm_pin.formulas.vectors import (
+    Rows,
+    Vector,
+    combined,
+    cross,
+    differences,
+    dot,
+    dots,
+    larger,
+    magnitude,
+    minus,
+    scaled,
+    transposed,
+    turned,
+)
 from spm_pin.formulas.wrenches import is_stage_at_home
 
 Complex = tuple[float, float]
@@ -55,13 +69,14 @@ class Family(NamedTuple):
     plus: float  # sign of the discriminant's root in the branch +
 
 
-class GroupWeights(NamedTuple):
-    """Weights F and G of u and v in the quaternions of a and b; (P - Q) / 2su and (P + Q) / 2sv."""
+class Group(NamedTuple):
+    """What the two families of a group share."""
 
-    f: Complex
+    form: Vector  # uu, uv, vv without h
+    f: Complex  # weights F and G of u and v in the quaternions of a and b
     g: Complex
-    scale_u: float
-    scale_v: float
+    scale_u: float  # (P - Q) / 2su
+    scale_v: float  # (P + Q) / 2sv
 
 
 def product(a: Complex, b: Complex) -> Complex:
@@ -103,19 +118,15 @@ def pose_frame(rotation: Rows, position: Vector, r: float) -> PoseFrame:
     return PoseFrame(vertical, x0, x3, cosine, sine, s, w, normal, normal_m, half_cosecant, h, noise)
 
 
-def group_weights(kappa: float, mu: float, sine: float) -> GroupWeights:
-    """Return the weights of u and v in a group of families; for κ >= 0."""
+def _group(kappa: float, mu: float, sine: float, even: Complex, odd: Complex) -> Group:
+    """Return a group of families, its form Re(even F²), Re(odd F G), Re(even G²); for κ >= 0."""
     # 1 - κ without cancellation, from |S'|² + |W|² = 1.
     over_plus = 1.0 / (1.0 + kappa)
     one_minus = (sine * sine + mu * mu) * over_plus
     scale_u, scale_v = sqrt(0.5 * over_plus), sqrt(0.5 / one_minus)
     f, g = ((1.0 + kappa) * scale_u, mu * scale_u), (one_minus * scale_v, -mu * scale_v)
-    return GroupWeights(f, g, scale_u, scale_v)
-
-
-def quadratic_form(even: Complex, odd: Complex, f: Complex, g: Complex) -> Vector:
-    """Return Re(even F²), Re(odd F G), Re(even G²)."""
-    return product(even, product(f, f))[0], product(odd, product(f, g))[0], product(even, product(g, g))[0]
+    form = product(even, product(f, f))[0], product(odd, product(f, g))[0], product(even, product(g, g))[0]
+    return Group(form, f, g, scale_u, scale_v)
 
 
 def families(frame: PoseFrame, r: float) -> tuple[Family, Family, Family, Family]:
@@ -127,38 +138,26 @@ def families(frame: PoseFrame, r: float) -> tuple[Family, Family, Family, Family
     # Per group the sign of the quaternion is the one with κ >= 0: κ does not change sign on any path along which a
     # family stays real, so labels do not either.
     lift = where(x0 < 0.0, -1.0, 1.0)
-    weights = group_weights(magnitude(x0), lift * x3, frame.sine)
-    form = quadratic_form(plus, minus_, weights.f, weights.g)
+    group = _group(magnitude(x0), lift * x3, frame.sine, plus, minus_)
     a, b = lift * frame.w[0], lift * frame.w[1]
-    tt = _family(1.0, form, frame, weights, (a, b), (a, -b), 1.0, 1.0)
-    ff = _family(-1.0, form, frame, weights, (b, -a), (b, a), -1.0, 1.0)
+    tt = _family(1.0, 1.0, frame, group, (a, b), (a, -b))
+    ff = _family(-1.0, 1.0, frame, group, (b, -a), (b, a))
     lift = where(x3 < 0.0, -1.0, 1.0)
-    weights = group_weights(magnitude(x3), -lift * x0, frame.sine)
-    form = quadratic_form(minus_, plus, weights.f, weights.g)
+    group = _group(magnitude(x3), -lift * x0, frame.sine, minus_, plus)
     a, b = lift * frame.w[0], lift * frame.w[1]
-    tf = _family(1.0, form, frame, weights, (-b, a), (-a, b), 1.0, -1.0)
-    return tt, tf, _family(-1.0, form, frame, weights, (a, b), (b, a), -1.0, -1.0), ff
+    tf = _family(1.0, -1.0, frame, group, (-b, a), (-a, b))
+    return tt, tf, _family(-1.0, -1.0, frame, group, (a, b), (b, a)), ff
 
 
 def _family(
-    sign: float,
-    form: Vector,
-    frame: PoseFrame,
-    weights: GroupWeights,
-    lower_axis: Complex,
-    upper_axis: Complex,
-    lower: float,
-    plus: float,
+    lower: float, plus: float, frame: PoseFrame, group: Group, lower_axis: Complex, upper_axis: Complex
 ) -> Family:
-    """Return a family of a group; the axes are those of w_a and conj(w_b).
-
-    `kinematics.exact_discriminants` has the same quadratic in P and Q, unnormalised, with whole coefficients.
-    """
-    f, g, scale_u, scale_v = weights
+    """Return a family of a group; the axes are those of w_a and conj(w_b)."""
+    (uu, uv, vv), f, g, scale_u, scale_v = group
     return Family(
-        sign * form[0] - frame.h,
-        sign * form[1],
-        sign * form[2] - frame.h,
+        lower * uu - frame.h,
+        lower * uv,
+        lower * vv - frame.h,
         product(lower_axis, (-f[0], -f[1])),
         product(lower_axis, g),
         product(upper_axis, f),
@@ -233,40 +232,27 @@ def platform_corners(rotation: Rows, position: Vector, platform_radius: float) -
     return combined(back, 1.0, side), combined(position, platform_radius, second), combined(back, -1.0, side)
 
 
-def _length(x: float, y: float, z: float) -> float:
-    return sqrt(x * x + y * y + z * z)
-
-
 def leg_lengths(
     radii: Vector, heights: Vector, corners: Rows, base_radius: float
 ) -> tuple[float, float, float, float, float, float]:
     """Return r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 from the middle joints and the corners c_i."""
-    (p1, p2, p3), (z1, z2, z3), (c1, c2, c3) = radii, heights, corners
-    return (
-        _length(p1 - base_radius, 0.0, z1),
-        _length(p2 - base_radius, 0.0, z2),
-        _length(p3 - base_radius, 0.0, z3),
-        _length(c1[0] - COS_30 * p1, c1[1] + 0.5 * p1, c1[2] - z1),
-        _length(c2[0], c2[1] - p2, c2[2] - z2),
-        _length(c3[0] + COS_30 * p3, c3[1] + 0.5 * p3, c3[2] - z3),
-    )
+    x1, x2, x3 = minus(radii, (base_radius, base_radius, base_radius))
+    z1, z2, z3 = heights
+    upper = differences(corners, cartesian(radii, heights))
+    c1, c2, c3 = dots(upper, upper)
+    return sqrt(x1 * x1 + z1 * z1), sqrt(x2 * x2 + z2 * z2), sqrt(x3 * x3 + z3 * z3), sqrt(c1), sqrt(c2), sqrt(c3)
 
 
 def seen_from_platform(b: Rows, rotation: Rows, position: Vector) -> tuple[Vector, Vector]:
     """Return the radii of the middle joints in the planes of their upper legs, and their distances below {m}."""
-    x, y, z = transposed(rotation)
-    first, second, third = minus(b[0], position), minus(b[1], position), minus(b[2], position)
-    left, right = COS_30 * dot(first, x) - 0.5 * dot(first, y), -COS_30 * dot(third, x) - 0.5 * dot(third, y)
-    return (left, dot(second, y), right), (-dot(first, z), -dot(second, z), -dot(third, z))
+    (x1, y1, z1), (_, y2, z2), (x3, y3, z3) = turned(
+        transposed(rotation), differences(b, (position, position, position))
+    )
+    return (COS_30 * x1 - 0.5 * y1, y2, -COS_30 * x3 - 0.5 * y3), (-z1, -z2, -z3)
 
 
 def stands_at_home(
-    radii: Vector,
-    heights: Vector,
-    rotation: Rows,
-    position: Vector,
-    base_radius: float,
-    platform_radius: float,
+    radii: Vector, heights: Vector, rotation: Rows, position: Vector, base_radius: float, platform_radius: float
 ) -> tuple[bool, float]:
     """Return whether a branch TT is physical, leg limits aside, and the sum of its radii in both stages.
 
@@ -274,9 +260,8 @@ def stands_at_home(
     """
     upper, below = seen_from_platform(cartesian(radii, heights), rotation, position)
     lower_sum, upper_sum = radii[0] + radii[1] + radii[2], upper[0] + upper[1] + upper[2]
-    upright = both(lower_sum > 0.0, upper_sum > 0.0)
-    upright = both(upright, heights[0] + heights[1] + heights[2] > 0.0)
-    upright = both(upright, below[0] + below[1] + below[2] > 0.0)
+    outer = both(heights[0] + heights[1] + heights[2] > 0.0, below[0] + below[1] + below[2] > 0.0)
+    upright = both(both(lower_sum > 0.0, upper_sum > 0.0), outer)
     aspects = both(in_home_aspect(radii, heights, base_radius), in_home_aspect(upper, below, platform_radius))
     return both(upright, aspects), lower_sum + upper_sum
 

@@ -14,14 +14,17 @@ from typing import NamedTuple
 from spm_pin.formulas.vectors import (
     Rows,
     Vector,
-    combined,
+    combinations,
     cross,
+    differences,
     dot,
     matrix_product,
     minus,
+    multiples,
     scaled,
-    times,
+    shifted,
     transposed,
+    turned,
 )
 
 Form = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -35,16 +38,9 @@ class StageLegs(NamedTuple):
     pivots: Rows
 
 
-def turned(rotation: Rows, rows: Rows) -> Rows:
-    """Return R v of three vectors v."""
-    return times(rotation, rows[0]), times(rotation, rows[1]), times(rotation, rows[2])
-
-
 def carried(legs: StageLegs, rotation: Rows, position: Vector) -> StageLegs:
     """Return the legs of a stage in {B}, given in {m}."""
-    pivots = turned(rotation, legs.pivots)
-    first, second = combined(pivots[0], 1.0, position), combined(pivots[1], 1.0, position)
-    return StageLegs(turned(rotation, legs.axes), (first, second, combined(pivots[2], 1.0, position)))
+    return StageLegs(turned(rotation, legs.axes), shifted(turned(rotation, legs.pivots), position))
 
 
 def upper_balls(b: Rows, weights: Rows) -> Rows:
@@ -54,12 +50,10 @@ def upper_balls(b: Rows, weights: Rows) -> Rows:
     those of the drawn machine, it is b_i exactly.
     """
     p, q = minus(b[1], b[0]), minus(b[2], b[0])
+    along_p, along_q, along_n = transposed(weights)
     n = cross(p, q)
-    return _beside(b[0], weights[0], p, q, n), _beside(b[1], weights[1], p, q, n), _beside(b[2], weights[2], p, q, n)
-
-
-def _beside(corner: Vector, weights: Vector, p: Vector, q: Vector, n: Vector) -> Vector:
-    return combined(combined(combined(corner, weights[0], p), weights[1], q), weights[2], n)
+    beside = combinations(combinations(b, along_p, (p, p, p)), along_q, (q, q, q))
+    return combinations(beside, along_n, (n, n, n))
 
 
 def upper_ball_weights(lower: Rows, upper: Rows) -> Rows:
@@ -68,8 +62,7 @@ def upper_ball_weights(lower: Rows, upper: Rows) -> Rows:
     normal = cross(first, second)
     scale = 1.0 / dot(normal, normal)
     dual = scaled(scale, cross(second, normal)), scaled(scale, cross(normal, first)), scaled(scale, normal)
-    x, y, z = minus(upper[0], lower[0]), minus(upper[1], lower[1]), minus(upper[2], lower[2])
-    return times(dual, x), times(dual, y), times(dual, z)
+    return turned(dual, differences(upper, lower))
 
 
 class StagePlanes(NamedTuple):
@@ -83,9 +76,7 @@ class StagePlanes(NamedTuple):
 def quadric(lower_weights: Vector, upper_weights: Vector, lower: StagePlanes, upper: StagePlanes) -> Form:
     """Return the form of the planes' equations with weights under which t drops out."""
     below, above = _moments(lower_weights, lower), _moments(upper_weights, upper)
-    m00, m01, m02 = combined(below[0], 1.0, above[0])
-    m10, m11, m12 = combined(below[1], 1.0, above[1])
-    m20, m21, m22 = combined(below[2], 1.0, above[2])
+    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = combinations(below, (1.0, 1.0, 1.0), above)
     c = dot(lower_weights, lower.heights) + dot(upper_weights, upper.heights)
     squares = m00 - m11 - m22 - c, m11 - m00 - m22 - c, m22 - m00 - m11 - c, m00 + m11 + m22 - c
     return *squares, m01 + m10, m02 + m20, m12 + m21, m21 - m12, m02 - m20, m10 - m01
@@ -93,6 +84,4 @@ def quadric(lower_weights: Vector, upper_weights: Vector, lower: StagePlanes, up
 
 def _moments(weights: Vector, planes: StagePlanes) -> Rows:
     """Return the sum of the products n_i p_iᵀ with these weights."""
-    n = planes.normals
-    weighted_normals = scaled(weights[0], n[0]), scaled(weights[1], n[1]), scaled(weights[2], n[2])
-    return matrix_product(transposed(weighted_normals), planes.balls)
+    return matrix_product(transposed(multiples(weights, planes.normals)), planes.balls)

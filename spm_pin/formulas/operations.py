@@ -41,13 +41,8 @@ def either(a: bool, b: bool) -> bool:
 def bind(formula: F, **operations: Any) -> F:
     """Return a copy of a formula, and of all formulas that it calls, with other operations.
 
-    Parameters
-    ----------
-    formula : callable
-        A function of `spm_pin.formulas`.
-    **operations
-        What stands for `sqrt`, `cos`, `sin`, `where`, `both`, `either`, and perhaps `COS_30`, in the copies. What is
-        not given stays that of floats.
+    `operations` stand for `sqrt`, `cos`, `sin`, `where`, `both`, `either`, and perhaps `COS_30`, in the copies. What is
+    not given stays that of floats.
     """
     copy: F = _copied(formula, operations, {})
     return copy

@@ -29,6 +29,8 @@ from spm_pin.formulas.vectors import (
 )
 
 State = tuple[float, float, float, float]
+Placement = tuple[float, float, float, float, float]
+"""x0, x1, x2, x3, ζ of the middle platform."""
 Pairs = tuple[float, float, float, float, float, float]
 """Quantities of the pairs of legs 12, 23, 31, 21, 32, 13."""
 
@@ -126,9 +128,8 @@ def moved(state: State, step: Vector) -> State:
     """Move a state by a step along the tangents and ζ, back onto the sphere, with x0 >= 0."""
     first, second = _tangents(state)
     x = combined(combined((state[0], state[1], state[2]), step[0], first), step[1], second)
-    length = sqrt(dot(x, x))
     # Both signs of a quaternion are one rotation.
-    x = scaled(where(x[0] < 0.0, -1.0, 1.0) / length, x)
+    x = scaled(where(x[0] < 0.0, -1.0, 1.0) / sqrt(dot(x, x)), x)
     return x[0], x[1], x[2], state[3] + step[2]
 
 
@@ -154,7 +155,7 @@ def quartic(
 ) -> tuple[float, float, float, float, float]:
     """Return the coefficients of tan^j γ, j = 0..4, of the azimuths of the tilt, divided by |λ|.
 
-    `size` is |λ|, x + iy is μ = e^{3i arg λ}, and gain = ω/κ; see `spm_pin.kinematics.kernels.quartic`.
+    `size` is |λ|, x + iy is μ = e^{3i arg λ}, and gain = ω/κ; see `spm_pin.kinematics.kernels.mode_kernels`.
     """
     c, weight = stage.level, 2.0 * stage.epsilon + 1.0
     g = weight * weight + 4.0 * c
@@ -235,8 +236,12 @@ def is_home_aspect(c: Pairs) -> bool:
     positive factor, and all six c_ij are positive at equal legs. Where D is positive, none, one, three or four of them
     are negative, never two: its sign alone does not tell the aspect, but together with this it does.
     """
-    negative = _sign_bit(c[0]) + _sign_bit(c[1]) + _sign_bit(c[2]) + _sign_bit(c[3]) + _sign_bit(c[4]) + _sign_bit(c[5])
-    return both(pair_determinant(c) > 0.0, negative <= 1.0)
+    return both(pair_determinant(c) > 0.0, negative_pairs(c) <= 1.0)
+
+
+def negative_pairs(c: Pairs) -> float:
+    """Return how many of the c_ij are negative."""
+    return _sign_bit(c[0]) + _sign_bit(c[1]) + _sign_bit(c[2]) + _sign_bit(c[3]) + _sign_bit(c[4]) + _sign_bit(c[5])
 
 
 def in_home_aspect(radii: Vector, heights: Vector, base_radius: float) -> bool:
@@ -248,20 +253,10 @@ def _sign_bit(x: float) -> float:
     return where(x < 0.0, 1.0, 0.0)
 
 
-class Composed(NamedTuple):
-    """The manipulator's configuration of two stages, in units of r."""
+def compose(lower: Placement, upper: Placement) -> tuple[Rows, Vector, Rows]:
+    """Return R, o and the b_i, in units of r, of two stages joined at their middle platform.
 
-    rotation: Rows
-    position: Vector
-    b: Rows
-
-
-def compose(
-    lower: tuple[float, float, float, float, float], upper: tuple[float, float, float, float, float]
-) -> Composed:
-    """Join two stages at their middle platform.
-
-    Each is x0, x1, x2, x3, ζ of the middle platform: of the lower stage in {B}, of the upper in {m}.
+    The platform of the lower stage is placed in {B}, that of the upper in {m}.
     """
     (a0, a1, a2, a3, zeta), (b0, b1, b2, b3, zeta_m) = lower, upper
     # The middle platform's rotation in {B} times the inverse of that in {m}.
@@ -272,7 +267,7 @@ def compose(
     turned = times(rotation, (-2.0 * b1 * b2, b2 * b2 - b1 * b1, zeta_m))
     position = minus((-2.0 * a1 * a2, a2 * a2 - a1 * a1, zeta), turned)
     radii, heights = corners(a0, a1, a2, a3, zeta)
-    return Composed(rotation, position, cartesian(radii, heights))
+    return rotation, position, cartesian(radii, heights)
 
 
 def cartesian(radii: Vector, heights: Vector) -> Rows:

@@ -34,6 +34,31 @@ def crosses(a: Rows, b: Rows) -> Rows:
     return cross(a[0], b[0]), cross(a[1], b[1]), cross(a[2], b[2])
 
 
+def dots(a: Rows, b: Rows) -> Vector:
+    """Return a_i·b_i."""
+    return dot(a[0], b[0]), dot(a[1], b[1]), dot(a[2], b[2])
+
+
+def multiples(x: Vector, a: Rows) -> Rows:
+    """Return x_i a_i."""
+    return scaled(x[0], a[0]), scaled(x[1], a[1]), scaled(x[2], a[2])
+
+
+def combinations(a: Rows, x: Vector, b: Rows) -> Rows:
+    """Return a_i + x_i b_i."""
+    return combined(a[0], x[0], b[0]), combined(a[1], x[1], b[1]), combined(a[2], x[2], b[2])
+
+
+def shifted(a: Rows, b: Vector) -> Rows:
+    """Return a_i + b."""
+    return combinations(a, (1.0, 1.0, 1.0), (b, b, b))
+
+
+def turned(rotation: Rows, a: Rows) -> Rows:
+    """Return R a_i."""
+    return times(rotation, a[0]), times(rotation, a[1]), times(rotation, a[2])
+
+
 def scaled(factor: float, a: Vector) -> Vector:
     """Return factor · a."""
     return factor * a[0], factor * a[1], factor * a[2]
@@ -56,9 +81,9 @@ def directions(a: Rows) -> Rows:
 
 def directions_and_lengths(a: Rows) -> tuple[Rows, Vector]:
     """Return three vectors over their lengths, and the lengths."""
-    x, y, z = a
-    lengths = sqrt(dot(x, x)), sqrt(dot(y, y)), sqrt(dot(z, z))
-    return (scaled(1.0 / lengths[0], x), scaled(1.0 / lengths[1], y), scaled(1.0 / lengths[2], z)), lengths
+    x, y, z = dots(a, a)
+    x, y, z = sqrt(x), sqrt(y), sqrt(z)
+    return multiples((1.0 / x, 1.0 / y, 1.0 / z), a), (x, y, z)
 
 
 def weighted(weights: Vector, rows: Rows) -> Vector:

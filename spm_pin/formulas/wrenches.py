@@ -23,16 +23,20 @@ from spm_pin.formulas.stages import Pairs, inverse, is_home_aspect, pair_determi
 from spm_pin.formulas.vectors import (
     Rows,
     Vector,
+    combinations,
     combined,
     cross,
     crosses,
+    differences,
     dot,
+    dots,
     magnitude,
     matrix_product,
     minus,
+    multiples,
     scaled,
-    times,
     transposed,
+    turned,
 )
 
 Twist = tuple[Vector, Vector]
@@ -49,11 +53,6 @@ class StageRates(NamedTuple):
     free_rates: Rows  # (λ_1, λ_2, λ_3) along the w_i, for each of the three unit rates
 
 
-def normals(f: Rows, a: Rows) -> Rows:
-    """Return w_i = f_i x a_i, along which neither force of leg i does work."""
-    return crosses(f, a)
-
-
 def pairs(b: Rows, w: Rows) -> Pairs:
     """Return c_ij = (b_i - b_j)·w_i."""
     e12, e23, e31 = minus(b[0], b[1]), minus(b[1], b[2]), minus(b[2], b[0])
@@ -62,20 +61,19 @@ def pairs(b: Rows, w: Rows) -> Pairs:
 
 def determinant(b: Rows, f: Rows, a: Rows) -> float:
     """Return the determinant of the six forces of a stage, rows (f, (b - o) x f) and then (a, (b - o) x a)."""
-    return -pair_determinant(pairs(b, normals(f, a)))
+    return -pair_determinant(pairs(b, crosses(f, a)))
 
 
 def is_stage_at_home(b: Rows, f: Rows, a: Rows) -> bool:
     """Return whether an upright stage of any machine is in the aspect of its home; f_i are along the legs, upwards."""
-    tangents = scaled(TANGENT_SIGNS[0], a[0]), scaled(TANGENT_SIGNS[1], a[1]), scaled(TANGENT_SIGNS[2], a[2])
-    return is_home_aspect(pairs(b, normals(tangents, f)))
+    return is_home_aspect(pairs(b, crosses(multiples(TANGENT_SIGNS, a), f)))
 
 
 def stage_rates(b: Rows, f: Rows, a: Rows) -> StageRates:
     """Return the velocities of the b_i for unit rates along the f_i that keep the platform rigid."""
-    w = normals(f, a)
-    x, y, z = crosses(a, w)
-    n = scaled(1.0 / dot(w[0], w[0]), x), scaled(1.0 / dot(w[1], w[1]), y), scaled(1.0 / dot(w[2], w[2]), z)
+    w = crosses(f, a)
+    x, y, z = dots(w, w)
+    n = multiples((1.0 / x, 1.0 / y, 1.0 / z), crosses(a, w))
     first, second, third = pair_inverse(pairs(b, w))
     d12, d23, d31, d21, d32, d13 = pairs(b, n)
     free_rates = (
@@ -101,19 +99,14 @@ def _twist(b: Rows, v: Rows, o: Vector) -> Twist:
     return combined(mean(v), 1.0, cross(omega, minus(o, mean(b)))), omega
 
 
-def _velocities(rates: StageRates, free: Vector, unit: Vector) -> Rows:
-    """Return the velocities of the b_i for a unit rate; `free` are its rates along the w_i, `unit` along the f_i."""
-    first = combined(scaled(free[0], rates.w[0]), unit[0], rates.n[0])
-    second = combined(scaled(free[1], rates.w[1]), unit[1], rates.n[1])
-    return first, second, combined(scaled(free[2], rates.w[2]), unit[2], rates.n[2])
-
-
 def stage_twists(b: Rows, f: Rows, a: Rows, o: Vector) -> Matrix:
     """Return the twists at o of unit rates along the f_i with none along the a_i: half the columns of G = J_f⁻¹."""
-    rates = stage_rates(b, f, a)
-    first = _twist(b, _velocities(rates, rates.free_rates[0], (1.0, 0.0, 0.0)), o)
-    second = _twist(b, _velocities(rates, rates.free_rates[1], (0.0, 1.0, 0.0)), o)
-    return first, second, _twist(b, _velocities(rates, rates.free_rates[2], (0.0, 0.0, 1.0)), o)
+    w, n, (first, second, third) = stage_rates(b, f, a)
+    return (
+        _twist(b, combinations(multiples(first, w), (1.0, 0.0, 0.0), n), o),
+        _twist(b, combinations(multiples(second, w), (0.0, 1.0, 0.0), n), o),
+        _twist(b, combinations(multiples(third, w), (0.0, 0.0, 1.0), n), o),
+    )
 
 
 def stage_forces(twists: Matrix, wrench: Twist) -> Vector:
@@ -126,14 +119,17 @@ def power(twist: Twist, wrench: Twist) -> float:
     return dot(twist[0], wrench[0]) + dot(twist[1], wrench[1])
 
 
-def force_row(f: Vector, b: Vector, o: Vector) -> Twist:
-    """Return the force f through b as a row (f, (b - o) x f)."""
-    return f, cross(minus(b, o), f)
-
-
 def force_rows(f: Rows, b: Rows, o: Vector) -> Matrix:
-    """Return the forces f_i through b_i as rows."""
-    return force_row(f[0], b[0], o), force_row(f[1], b[1], o), force_row(f[2], b[2], o)
+    """Return the forces f_i through b_i as rows (f, (b - o) x f)."""
+    return _joined(f, _moments(f, b, o))
+
+
+def _moments(f: Rows, b: Rows, o: Vector) -> Rows:
+    return crosses(differences(b, (o, o, o)), f)
+
+
+def _joined(f: Rows, m: Rows) -> Matrix:
+    return (f[0], m[0]), (f[1], m[1]), (f[2], m[2])
 
 
 def drawn_inverse_jacobian(b: Rows, lower: Rows, upper: Rows, a: Rows, a_m: Rows, o: Vector) -> tuple[Matrix, Matrix]:
@@ -142,18 +138,15 @@ def drawn_inverse_jacobian(b: Rows, lower: Rows, upper: Rows, a: Rows, a_m: Rows
     `lower` and `upper` are the directions δ_bi and δ_ci, `a` and `a_m` the axes R_i1 and R_i2, all in {B}.
     """
     rates = stage_rates(b, a_m, a)
-    # As seen from {B}, a motion of the platform carries the upper legs' planes, hence the b_i, along the R_i2.
-    carried, free = force_rows(a_m, b, o), transposed(rates.free_rates)
-    uppers = _times(_rates_along(upper, rates, free), carried)
-    return _times(_rates_along(lower, rates, free), carried), _difference(force_rows(upper, b, o), uppers)
+    free = transposed(rates.free_rates)
+    below, above = _rates_along(lower, rates, free), _rates_along(upper, rates, free)
+    return _without_structure(b, b, lower, upper, a_m, o, below, above)
 
 
 def _rates_along(directions: Rows, rates: StageRates, free: Rows) -> Rows:
     """Return the rates of the b_i along directions, for unit rates along the f_i; `free` has a row for each b_i."""
-    (w1, w2, w3), (n1, n2, n3), (d1, d2, d3) = rates.w, rates.n, directions
-    first = combined(scaled(dot(d1, w1), free[0]), dot(d1, n1), (1.0, 0.0, 0.0))
-    second = combined(scaled(dot(d2, w2), free[1]), dot(d2, n2), (0.0, 1.0, 0.0))
-    return first, second, combined(scaled(dot(d3, w3), free[2]), dot(d3, n3), (0.0, 0.0, 1.0))
+    along_w, (x, y, z) = multiples(dots(directions, rates.w), free), dots(directions, rates.n)
+    return combinations(along_w, (x, y, z), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 
 
 def inverse_jacobian(
@@ -164,52 +157,41 @@ def inverse_jacobian(
     The motions of the middle platform that the lower legs' structure leaves open are those of unit rates of the b_i
     along the R_i2; that of the upper legs takes its own three rates of them.
     """
-    twists, carried = stage_twists(b, a_m, a, o), force_rows(a_m, c, o)
-    columns, _ = inverse(_rates(carried, twists))
+    twists = stage_twists(b, a_m, a, o)
+    columns, _ = inverse(_rates(a_m, c, o, twists))
     shares = transposed(columns)
-    lowers = _times(matrix_product(_rates(force_rows(lower, b, o), twists), shares), carried)
-    own = force_rows(upper, c, o)
-    return lowers, _difference(own, _times(matrix_product(_rates(own, twists), shares), carried))
+    below, above = _rates(lower, b, o, twists), _rates(upper, c, o, twists)
+    below, above = matrix_product(below, shares), matrix_product(above, shares)
+    return _without_structure(b, c, lower, upper, a_m, o, below, above)
 
 
-def _times(weights: Rows, rows: Matrix) -> Matrix:
-    """Return the product of a matrix and three rows."""
-    (f1, m1), (f2, m2), (f3, m3) = rows
-    f, m = matrix_product(weights, (f1, f2, f3)), matrix_product(weights, (m1, m2, m3))
-    return (f[0], m[0]), (f[1], m[1]), (f[2], m[2])
+def _rates(f: Rows, b: Rows, o: Vector, twists: Matrix) -> Rows:
+    """Return the powers of forces f_i through b_i, a row for each, under three twists."""
+    (v1, w1), (v2, w2), (v3, w3) = twists
+    linear = matrix_product(f, transposed((v1, v2, v3)))
+    return combinations(linear, (1.0, 1.0, 1.0), matrix_product(_moments(f, b, o), transposed((w1, w2, w3))))
 
 
-def _difference(first: Matrix, second: Matrix) -> Matrix:
-    (f1, m1), (f2, m2), (f3, m3) = first
-    (g1, n1), (g2, n2), (g3, n3) = second
-    return (minus(f1, g1), minus(m1, n1)), (minus(f2, g2), minus(m2, n2)), (minus(f3, g3), minus(m3, n3))
+def _without_structure(
+    b: Rows, c: Rows, lower: Rows, upper: Rows, a_m: Rows, o: Vector, below: Rows, above: Rows
+) -> tuple[Matrix, Matrix]:
+    """Return the rows of J_f; `below` and `above` are the legs' rates, for unit rates of the platform along the R_i2.
+
+    As seen from {B}, a motion of the platform carries the upper legs' planes, hence their balls, along the R_i2.
+    """
+    m, m_upper = _moments(a_m, c, o), _moments(upper, c, o)
+    uppers = _joined(differences(upper, matrix_product(above, a_m)), differences(m_upper, matrix_product(above, m)))
+    return _joined(matrix_product(below, a_m), matrix_product(below, m)), uppers
 
 
-def _rates(rows: Matrix, twists: Matrix) -> Rows:
-    """Return the powers of forces, a row for each, under three twists."""
-    x, y, z = twists
-    first, second = (
-        (power(x, rows[0]), power(y, rows[0]), power(z, rows[0])),
-        (power(x, rows[1]), power(y, rows[1]), power(z, rows[1])),
-    )
-    return first, second, (power(x, rows[2]), power(y, rows[2]), power(z, rows[2]))
-
-
-def mixed_determinant(first: Matrix, second: Matrix) -> float:
-    """Return the determinant of six forces as rows (f, m), three and three, by the expansion of Laplace."""
-    f1, m1 = _columns(first)
-    f2, m2 = _columns(second)
+def structure_determinant(b: Rows, c: Rows, a: Rows, a_m: Rows) -> float:
+    """Return det K of any machine, by the expansion of Laplace for three rows (f, m) and three."""
+    f1, m1, f2, m2 = transposed(a), transposed(crosses(b, a)), transposed(a_m), transposed(crosses(c, a_m))
     f1_minors, m1_minors, f2_minors, m2_minors = _minors(f1), _minors(m1), _minors(f2), _minors(m2)
     both_forces = dot(f1[0], f1_minors[0]) * dot(m2[0], m2_minors[0])
     both_moments = dot(m1[0], m1_minors[0]) * dot(f2[0], f2_minors[0])
-    total = both_forces - both_moments
-    total = total - _sum_of_products(f1_minors, m1, f2, m2_minors)
+    total = both_forces - both_moments - _sum_of_products(f1_minors, m1, f2, m2_minors)
     return total + _sum_of_products(f1, m1_minors, f2_minors, m2)
-
-
-def _columns(rows: Matrix) -> tuple[Rows, Rows]:
-    (f1, m1), (f2, m2), (f3, m3) = rows
-    return transposed((f1, f2, f3)), transposed((m1, m2, m3))
 
 
 def _minors(rows: Rows) -> Rows:
@@ -218,28 +200,21 @@ def _minors(rows: Rows) -> Rows:
 
 def _sum_of_products(f1: Rows, m1: Rows, f2: Rows, m2: Rows) -> float:
     """Return the sum of (f1_i·m1_j)(f2_i·m2_j)."""
-    first, second = dot(times(m1, f1[0]), times(m2, f2[0])), dot(times(m1, f1[1]), times(m2, f2[1]))
-    return first + second + dot(times(m1, f1[2]), times(m2, f2[2]))
-
-
-def structure_determinant(b: Rows, c: Rows, a: Rows, a_m: Rows) -> float:
-    """Return det K of any machine."""
-    origin = 0.0, 0.0, 0.0
-    return mixed_determinant(force_rows(a, b, origin), force_rows(a_m, c, origin))
+    x, y, z = dots(turned(m1, f1), turned(m2, f2))
+    return x + y + z
 
 
 def arms(balls: Rows, p: Vector, side: float) -> Rows:
     """Return the lever arms of three balls about p in units of the middle platform's side."""
-    x, y, z = balls
     unit = 1.0 / side
-    return scaled(unit, minus(x, p)), scaled(unit, minus(y, p)), scaled(unit, minus(z, p))
+    return multiples((unit, unit, unit), differences(balls, (p, p, p)))
 
 
 def may_be_singular(b: Rows, f: Rows, a: Rows, side: float, singular: float) -> bool:
     """Return whether the forces of a stage may be dependent: see `_is_suspect`."""
     about = arms(b, mean(b), side)
     size = _squared_size(about, f) + _squared_size(about, a)
-    return _is_suspect(pair_determinant(pairs(about, normals(f, a))), size, singular)
+    return _is_suspect(pair_determinant(pairs(about, crosses(f, a))), size, singular)
 
 
 def may_structure_be_singular(b: Rows, c: Rows, a: Rows, a_m: Rows, side: float, singular: float) -> bool:
@@ -262,6 +237,6 @@ def _is_suspect(determinant: float, squared_size: float, singular: float) -> boo
 
 def _squared_size(about: Rows, forces: Rows) -> float:
     """Return the sum of the squares of three rows (f, arm x f)."""
-    x, y, z = crosses(about, forces)
-    own = dot(forces[0], forces[0]) + dot(forces[1], forces[1]) + dot(forces[2], forces[2])
-    return own + dot(x, x) + dot(y, y) + dot(z, z)
+    moments = crosses(about, forces)
+    (x, y, z), (u, v, w) = dots(forces, forces), dots(moments, moments)
+    return x + y + z + u + v + w

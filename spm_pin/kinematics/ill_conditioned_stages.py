@@ -87,7 +87,7 @@ def _real_roots(coefficients: list[Any]) -> list[Any]:
 
 
 def _states(stage: StageEquations, turn: Any, a: Any) -> list[list[float]]:
-    """Return the solutions of one azimuth, see `kernels.quartic`."""
+    """Return the solutions of one azimuth, see `kernels.mode_kernels`."""
     b = stage.real * turn.real - stage.imag * turn.imag
     cosine = (turn**3).real
     square, linear, constant = tilt_quadratic(stage, a, b, cosine)

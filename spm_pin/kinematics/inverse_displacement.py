@@ -142,23 +142,14 @@ def _method(geometry: Geometry) -> _Method:
 
         constants = radii(geometry)
         return _Method(all_branches, physical_branches, constants, BRANCH_RESULTS, _MIN_BATCH_PER_THREAD, True)
-    from spm_pin.kinematics.kernels.as_built_kernels import as_built_physical_branches
+    from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches, as_built_physical_branches
 
     unit = geometry.middle_radius
     machines = [(x.axes, x.pivots / unit, x.balls / unit) for x in (geometry.nominal.legs, geometry.legs)]
     no_roots = np.empty((0, 8, 3, 3), np.complex128)
     results: tuple[Any, ...] = *BRANCH_RESULTS[:4], no_roots, ((8,), np.uint8), ((), np.int8)
-    kernels = _as_built_branches, as_built_physical_branches
+    kernels = as_built_branches, as_built_physical_branches
     return _Method(*kernels, (np.stack(machines), unit), results, _MIN_BATCH_PER_THREAD_AS_BUILT, False)
-
-
-def _as_built_branches(*arguments: Any) -> None:
-    """Run the kernel of this name, and copy the poses, which may be the caller's memory."""
-    from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches
-
-    rotation, position, machines, unit, *copies, joints, lengths, roots, is_carried, status = arguments
-    copies[0][...], copies[1][...] = rotation, position
-    as_built_branches(rotation, position, machines, unit, joints, lengths, is_carried, status, roots)
 
 
 def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
@@ -223,16 +214,16 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
         `Status` of each pose.
     """
     shape, rotation, position = read_pose(geometry, pose)
-    method, poses = _method(geometry), (rotation, position)
+    method = _method(geometry)
+    results = list(method.results)
     if method.is_drawn:
-        from spm_pin.kinematics.kernels import branch_kernels
-
-        kernel, results = branch_kernels.branch_lengths, (((8, 6), np.float64), ((), np.int8), ((), np.uint8))
-        lengths, status, flagged = run_kernel(kernel, poses, method.constants, results, method.min_batch)
-        _find_degeneracy(geometry, shape, rotation, position, flagged, status)
-    else:
-        solved = run_kernel(method.all_branches, poses, method.constants, method.results, method.min_batch)
-        lengths, status = solved[3], solved[6]
+        # No memory for what is not asked for.
+        results = [np.empty((0, *inner), number) for inner, number in BRANCH_RESULTS]
+        results[3], results[6], results[7] = BRANCH_RESULTS[3], BRANCH_RESULTS[6], BRANCH_RESULTS[7]
+    solved = run_kernel(method.all_branches, (rotation, position), method.constants, results, method.min_batch)
+    lengths, status = solved[3], solved[6]
+    if method.is_drawn:
+        _find_degeneracy(geometry, shape, rotation, position, solved[7], status)
     return lengths.reshape(*shape, 8, 6), status.reshape(shape)
 
 

@@ -148,7 +148,7 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost. What the
     literature calls these singularities is in docs/theory/literature_checks.md.
     """
-    from spm_pin.kinematics.kernels.singularity_kernel import describe_singularities
+    from spm_pin.kinematics.kernels.singularity_kernels import describe_singularities
 
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
     geometry = check_configuration(configuration).geometry
@@ -203,7 +203,7 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
     ndarray, shape (..., min(m, n))
         From large to small, each accurate to rounding of the largest.
     """
-    from spm_pin.kinematics.kernels import singular_values as kernels
+    from spm_pin.kinematics.kernels import singularity_kernels as kernels
 
     expected = "matrices with at most six rows and columns"
     array = shaped_array(matrices, "matrices", (), expected)

@@ -18,7 +18,7 @@ import pytest
 from problems import random_branches
 
 import spm_pin as spm
-from spm_pin.kinematics.kernels.branch_kernels import branch_lengths
+from spm_pin.kinematics.kernels.branch_kernels import all_branches
 from spm_pin.kinematics.kernels.compilation import Kernel
 from spm_pin.kinematics.singularity_analysis import determinants
 
@@ -33,7 +33,7 @@ PACKED, CONTRACTED = {
 
 
 def test_several_problems_share_a_vector_register() -> None:
-    compiled: Any = branch_lengths._dispatcher(cache=False)
+    compiled: Any = all_branches._dispatcher(cache=False)
     assembly = "".join(compiled.inspect_asm().values())
     assert re.search(PACKED, assembly)
     assert not re.search(CONTRACTED, assembly)

@@ -160,10 +160,10 @@ def test_the_aspect_of_general_legs_is_that_of_a_drawn_stage() -> None:
     tangents = np.array([[-1.0], [1.0], [1.0], [1.0], [-1.0], [-1.0]])
     outcomes = set()
     for state in solutions.configurations[solutions.exists]:
-        vectors, axes = state.balls - state.leg_bases, tangents * state.leg_axes
-        stages_of = [(rows(state.balls[s]), rows(vectors[s]), rows(axes[s])) for s in (slice(0, 3), slice(3, 6))]
+        legs, axes = state.balls - state.leg_bases, tangents * state.leg_axes
+        stages_of = [(rows(state.balls[s]), rows(legs[s]), rows(axes[s])) for s in (slice(0, 3), slice(3, 6))]
         general = tuple(
-            stages.is_home_aspect(wrenches.pairs(b, wrenches.normals(leg, axis))) for b, leg, axis in stages_of
+            stages.is_home_aspect(wrenches.pairs(b, vectors.crosses(leg, axis))) for b, leg, axis in stages_of
         )
         b = rows(state.middle_joints)
         below = branches.seen_from_platform(b, rows(state.rotation), tuple(state.translation.tolist()))

@@ -32,7 +32,19 @@ from spm_pin.formulas.branches import (
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.leg_planes import StageLegs, StagePlanes, carried, quadric
 from spm_pin.formulas.stages import cartesian
-from spm_pin.formulas.vectors import Rows, Vector, combined, differences, dot, rotation_of, times
+from spm_pin.formulas.vectors import (
+    Rows,
+    Vector,
+    combined,
+    differences,
+    dot,
+    dots,
+    minus,
+    rotation_of,
+    shifted,
+    times,
+    turned,
+)
 from spm_pin.kinematics.kernels.branch_kernels import put_complex_branches
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.kinematics.kernels.quadric_newton import (
@@ -62,20 +74,15 @@ OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
 _SHORTEST_STEPS = 1.0, 0.02, 1e-7
 """Shortest steps of the errors, as parts of them: a branch that needs shorter ones meets another. The shorter ones are
 tried only while a real root is left for such a branch."""
-_SHARE = 8 * POINTS
-"""Where the row of the shares of the errors begins that roots were led to."""
-_LEVELS = 25
-"""Halvings of the way, no fewer than lead to the shortest step."""
-_SAME_ROOT = 1e-6
-"""Projective distance up to which a branch that was followed has arrived at a root."""
+_SHARE = 8 * POINTS  # where the row of the shares of the errors begins that roots were led to
+_LEVELS = 25  # halvings of the way, no fewer than lead to the shortest step
+_SAME_ROOT = 1e-6  # projective distance up to which a branch that was followed has arrived at a root
 _FLAT = 1e-13
-_LARGE = 5e-3
-"""Errors, of directions and in units of r, beyond which any root may be the physical one."""
+_LARGE = 5e-3  # errors, of directions and in units of r, beyond which any root may be the physical one
 _LEVEL = 0.25
 """Largest error of a leg's plane, in units of r, over the sine of the platform's tilt, at which roots of other families
 stay far from physical: towards a level pose the equations shrink with the tilt, and the errors do not."""
-_DISPUTED = -2
-"""Label of a root at which two branches seem to have arrived."""
+_DISPUTED = -2  # label of a root at which two branches seem to have arrived
 
 
 class PoseScratch(NamedTuple):
@@ -89,22 +96,18 @@ class PoseScratch(NamedTuple):
 
 
 @jit_inline
-def _allocate_planes() -> Planes:
-    return np.empty((6, 3)), np.empty(6), np.empty((6, 3)), np.empty((6, 9))
-
-
-@jit_inline
 def _allocate_pose_scratch() -> PoseScratch:
-    targets, forms = np.ones(_LEVELS), np.empty((_LEVELS, 3, 10))
-    return PoseScratch(_allocate_planes(), _allocate_planes(), targets, forms, np.empty(ROWS * POINTS))
+    planes = np.empty((6, 3)), np.empty(6), np.empty((6, 3)), np.empty((6, 9))
+    between = np.empty((6, 3)), np.empty(6), np.empty((6, 3)), np.empty((6, 9))
+    return PoseScratch(planes, between, np.ones(_LEVELS), np.empty((_LEVELS, 3, 10)), np.empty(ROWS * POINTS))
 
 
 @jit_inline
 def _between(machines: FloatArray, row: int, i: int, share: float) -> Vector:
     """Return a vector of leg i of a machine with a share of the errors; `machines` is (2, 3, 6, 3)."""
-    drawn, built = machines[0, row, i], machines[1, row, i]
-    x, y, z = share * (built[0] - drawn[0]), share * (built[1] - drawn[1]), share * (built[2] - drawn[2])
-    return drawn[0] + x, drawn[1] + y, drawn[2] + z
+    x, y = machines[0, row, i], machines[1, row, i]
+    drawn = x[0], x[1], x[2]
+    return combined(drawn, share, minus((y[0], y[1], y[2]), drawn))
 
 
 @jit
@@ -173,7 +176,7 @@ def _put_quadrics(planes: Planes, forms: FloatArray) -> bool:
 
 
 @jit
-def _image(x, planes):  # type: ignore[no-untyped-def]
+def _image(x, planes):
     """Return the centres in {B} of the three lower and of the three upper balls of a root, four numbers.
 
     The planes are as `_put_quadrics` left them.
@@ -191,16 +194,7 @@ def _image(x, planes):  # type: ignore[no-untyped-def]
     t1 = (s1 - factors[1, 2] * t2) / factors[1, 1]
     t0 = (s0 - factors[0, 1] * t1 - factors[0, 2] * t2) / factors[0, 0]
     t = t0, t1, t2
-    b, c = rows_at(balls, 0), rows_at(balls, 3)
-    return (
-        (_moved(rotation, b[0], t), _moved(rotation, b[1], t), _moved(rotation, b[2], t)),
-        (_moved(rotation, c[0], t), _moved(rotation, c[1], t), _moved(rotation, c[2], t)),
-    )
-
-
-@jit_inline
-def _moved(rotation, ball, t):  # type: ignore[no-untyped-def]
-    return combined(t, 1.0, times(rotation, ball))
+    return shifted(turned(rotation, rows_at(balls, 0)), t), shifted(turned(rotation, rows_at(balls, 3)), t)
 
 
 @jit_inline
@@ -214,21 +208,6 @@ def _put_start(roots: FloatArray, k: int, b: Rows) -> None:
     # The axes are the rows of the transposed rotation.
     x0, x1, x2, x3 = quaternion(triangle_axes(b))
     put_real_part(roots, k, (-x1, -x2, -x3, x0))
-
-
-@jit_inline
-def _real_vector(z: ComplexArray) -> Vector:
-    return z[0].real, z[1].real, z[2].real
-
-
-@jit
-def _is_real_branch(b: ComplexArray) -> bool:
-    """Return whether a root of the drawn machine (3, 3) is real."""
-    largest = 0.0
-    for i in range(3):
-        for j in range(3):
-            largest = max(largest, abs(b[i, j].imag))
-    return largest == 0.0
 
 
 @jit
@@ -278,7 +257,7 @@ def _leg_vectors(b: Rows, c: Rows, machine: FloatArray, rotation: Rows, position
 
 
 @jit_inline
-def _put_balls(balls, unit, out):  # type: ignore[no-untyped-def]
+def _put_balls(balls, unit, out):
     for i in range(3):
         for j in range(3):
             out[i, j] = balls[i][j] * unit
@@ -286,34 +265,35 @@ def _put_balls(balls, unit, out):  # type: ignore[no-untyped-def]
 
 @jit_inline
 def _put_lengths(lower: Rows, upper: Rows, unit: float, lengths: FloatArray) -> None:
+    below, above = dots(lower, lower), dots(upper, upper)
     for i in range(3):
-        lengths[i], lengths[3 + i] = math.sqrt(dot(lower[i], lower[i])), math.sqrt(dot(upper[i], upper[i]))
-    for i in range(6):
-        lengths[i] *= unit
+        lengths[i], lengths[3 + i] = math.sqrt(below[i]) * unit, math.sqrt(above[i]) * unit
 
 
 @kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(4)}, f8, f8[:,:,:,::1], f8[:,:,::1], u1[:,::1], "
-    "i1[::1], c16[:,:,:,::1])"
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(4)}, f8, f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], "
+    "f8[:,:,::1], c16[:,:,:,::1], u1[:,::1], i1[::1])"
 )
 def as_built_branches(
-    rotation: FloatArray,
-    position: FloatArray,
-    machines: FloatArray,
-    unit: float,
-    joints: FloatArray,
-    lengths: FloatArray,
-    is_carried: npt.NDArray[np.uint8],
-    status: npt.NDArray[np.int8],
-    complex_joints: ComplexArray,
-) -> None:
+    rotation,
+    position,
+    machines,
+    unit,
+    rotation_copy,
+    position_copy,
+    joints,
+    lengths,
+    complex_joints,
+    is_carried,
+    status,
+):
     """Solve N poses R (N, 3, 3), o (N, 3) [m] for all branches.
 
     `machines` (2, 3, 6, 3) are axes, pivots and balls of the drawn machine and of the one as built, in units of `unit`,
-    the middle platform's radius [m]. Written are b_i (N, 8, 3, 3) and leg lengths without offsets (N, 8, 6) [m], NaN
-    where a branch is not real; as `is_carried` (N, 8) 1 where the branch of the drawn machine was followed to the root
-    under its label, 0 where it ended on the way or where a real root has a label left over, 2 where neither machine
-    has the branch; `Status` (N,); and the b_i of all roots (N, 8, 3, 3) if the last array has a length.
+    the middle platform's radius [m]. Written are the poses; b_i (N, 8, 3, 3) and leg lengths without offsets (N, 8, 6)
+    [m], NaN where a branch is not real; the b_i of all roots (N, 8, 3, 3) if that array has a length; as `is_carried`
+    (N, 8) 1 where the branch of the drawn machine was followed to the root under its label, 0 where it ended on the way
+    or where a real root has a label left over, 2 where neither machine has the branch; and `Status` (N,).
     """
     scratch, elimination = _allocate_pose_scratch(), allocate_elimination()
     roots, followed = np.empty(8 * POINTS), np.empty(9 * POINTS)
@@ -321,6 +301,7 @@ def as_built_branches(
     label_of, root_of = np.empty(8, np.int64), np.empty(8, np.int64)
     for n in range(len(position)):
         turn, place = _read_pose(rotation, position, n, unit)
+        rotation_copy[n], position_copy[n] = rotation[n], position[n]
         joints[n], lengths[n], is_carried[n] = np.nan, np.nan, 2
         if len(complex_joints):
             complex_joints[n] = np.nan
@@ -335,7 +316,7 @@ def as_built_branches(
             label_of[k], root_of[k] = -1, -1
             left += 1 if is_real(roots, k) else 0
             # What the branches left of a degenerate pose would meet is a continuous family.
-            if is_regular and _is_real_branch(drawn[k]):
+            if is_regular and not drawn[k].imag.any():
                 is_carried[n, k] = 0
         for shortest in _SHORTEST_STEPS:
             # A branch that has not arrived can only arrive at a root that is real and no other's.
@@ -345,8 +326,7 @@ def as_built_branches(
                 followed[_SHARE + k] = 1.0
                 if is_carried[n, k] == 0:
                     followed[_SHARE + k] = 0.0
-                    b = drawn[k]
-                    _put_start(followed, k, (_real_vector(b[0]), _real_vector(b[1]), _real_vector(b[2])))
+                    _put_start(followed, k, rows_at(drawn[k].real, 0))
             _follow(turn, place, machines, shortest, followed, scratch)
             left -= _claim(roots, followed, is_carried[n], label_of, root_of)
         if left > 0 or len(complex_joints):
@@ -359,9 +339,7 @@ def as_built_branches(
         for label in range(8):
             k = root_of[label]
             if len(complex_joints):
-                for i in range(3):
-                    for j in range(3):
-                        complex_joints[n, label, i, j] = joints_of_roots[k, i, j] * unit
+                _put_balls(joints_of_roots[k], unit, complex_joints[n, label])
             if k >= 0 and is_real(roots, k):
                 status[n] = OK
                 is_carried[n, label] = is_carried[n, label] % 2
@@ -447,16 +425,8 @@ def _put_nearest(rotation: Rows, position: Vector, scratch: PoseScratch, nearest
     "f8[:,::1], f8[:,:,::1], f8[:,::1])"
 )
 def as_built_physical_branches(
-    rotation: FloatArray,
-    position: FloatArray,
-    machines: FloatArray,
-    unit: float,
-    limits: FloatArray,
-    rotation_copy: FloatArray,
-    position_copy: FloatArray,
-    joints: FloatArray,
-    lengths: FloatArray,
-) -> None:
+    rotation, position, machines, unit, limits, rotation_copy, position_copy, joints, lengths
+):
     """Solve N poses for the physical branch.
 
     Poses and machines as for `as_built_branches`, limits and results as for `physical_branches` of drawn machines; the

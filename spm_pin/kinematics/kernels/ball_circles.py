@@ -25,16 +25,17 @@ from spm_pin.formulas.stages import pair_inverse
 from spm_pin.formulas.vectors import (
     Rows,
     Vector,
+    combinations,
     combined,
     crosses,
     differences,
-    direction,
     directions,
-    dot,
+    dots,
     larger,
     largest,
     magnitude,
     minus,
+    multiples,
     scaled,
     weighted,
 )
@@ -48,10 +49,8 @@ _KANTOROVICH, _DRIFT = 0.125, 0.25
 with the change of the derivative on the way. At constant angles the errors are quadratic in the lengths, so all along
 the step they are at most 5/4 of those in the middle and at the end, and the norm is at most 4/3 of that at the end: the
 first product stays below (4/3)² 5/4 · 1/8 < 0.28; the theorem asks for 1/2."""
-_SHORTEST = 1e-9
-"""A step shorter than this part of the way stands before a singularity."""
-_MOST_STEPS = 250_000
-"""A bound of the time; more are taken for a singularity."""
+_SHORTEST = 1e-9  # a step shorter than this part of the way stands before a singularity
+_MOST_STEPS = 250_000  # a bound of the time; more are taken for a singularity
 _ITERATIONS = 12
 
 
@@ -82,34 +81,25 @@ def _along(start: Vector, end: Vector, share: float) -> Vector:
 
 
 @jit_inline
-def _all_along(start: Rows, end: Rows, share: float) -> Rows:
-    return _along(start[0], end[0], share), _along(start[1], end[1], share), _along(start[2], end[2], share)
-
-
-@jit_inline
 def _between(start: Circles, end: Circles, share: float) -> Circles:
     """Return the circles at this share of the way."""
-    axes, pivots = _all_along(start.axes, end.axes, share), _all_along(start.pivots, end.pivots, share)
+    shares = share, share, share
+    axes = combinations(start.axes, shares, differences(end.axes, start.axes))
+    pivots = combinations(start.pivots, shares, differences(end.pivots, start.pivots))
     radii, sides = _along(start.radii, end.radii, share), _along(start.sides, end.sides, share)
     return Circles(directions(axes), pivots, radii, sides)
 
 
 @jit_inline
-def _off_axis(axis: Vector, arm: Vector) -> Vector:
-    return direction(combined(arm, -dot(axis, arm), axis))
-
-
-@jit_inline
 def _directions(stage: Circles, balls: Rows) -> Rows:
     """Return the directions from the centres of the circles towards balls that are near them."""
-    (a, b, c), (x, y, z) = stage.axes, differences(balls, stage.pivots)
-    return _off_axis(a, x), _off_axis(b, y), _off_axis(c, z)
+    arms = differences(balls, stage.pivots)
+    return directions(combinations(arms, scaled(-1.0, dots(stage.axes, arms)), stage.axes))
 
 
 @jit_inline
 def _balls(stage: Circles, towards: Rows) -> Rows:
-    (a, b, c), r, (x, y, z) = stage.pivots, stage.radii, towards
-    return combined(a, r[0], x), combined(b, r[1], y), combined(c, r[2], z)
+    return combinations(stage.pivots, stage.radii, towards)
 
 
 @jit_inline
@@ -122,8 +112,7 @@ def _errors(stage: Circles, balls: Rows) -> Vector:
 @jit_inline
 def _inverse(stage: Circles, across: Rows, balls: Rows) -> Rows:
     """Return the columns of the inverse of the errors' derivative by the angles, whose entries are the c_ij."""
-    r = stage.radii
-    return pair_inverse(pairs(balls, (scaled(r[0], across[0]), scaled(r[1], across[1]), scaled(r[2], across[2]))))
+    return pair_inverse(pairs(balls, multiples(stage.radii, across)))
 
 
 @jit_inline
@@ -162,8 +151,7 @@ def _solution(stage: Circles, balls: Rows) -> tuple[Rows, bool]:
     for _ in range(_ITERATIONS):
         across, here = crosses(stage.axes, towards), _balls(stage, towards)
         step = weighted(_errors(stage, here), _inverse(stage, across, here))
-        (a, b, c), (x, y, z) = towards, across
-        towards = directions((combined(a, -step[0], x), combined(b, -step[1], y), combined(c, -step[2], z)))
+        towards = directions(combinations(towards, scaled(-1.0, step), across))
         size = largest(step)
         if has_converged(size, last):
             return _balls(stage, towards), True
@@ -202,17 +190,7 @@ def _placement(local: Rows, balls: Rows) -> tuple[Rows, Vector]:
     f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, "
     f"{readonly_array(3)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1])"
 )
-def follow_states(
-    rotation: FloatArray,
-    position: FloatArray,
-    joints: FloatArray,
-    lengths: FloatArray,
-    start: FloatArray,
-    end: FloatArray,
-    end_rotation: FloatArray,
-    end_position: FloatArray,
-    end_joints: FloatArray,
-) -> None:
+def follow_states(rotation, position, joints, lengths, start, end, end_rotation, end_position, end_joints):
     """Follow N states from one machine to another and to other leg lengths, all changing in proportion.
 
     States are R (N, 3, 3), o (N, 3) [m] and the b_i (N, 3, 3) [m], NaN where there is none at the start, and where the

@@ -27,7 +27,16 @@ from spm_pin.formulas.branches import (
 )
 from spm_pin.formulas.stages import cartesian
 from spm_pin.formulas.vectors import Rows, Vector, cross, dot
-from spm_pin.kinematics.kernels.compilation import TILE, ByteArray, jit, jit_inline, kernel, readonly_array, rows_at
+from spm_pin.kinematics.kernels.compilation import (
+    TILE,
+    jit,
+    jit_inline,
+    kernel,
+    matrix,
+    readonly_array,
+    rows_at,
+    vector,
+)
 from spm_pin.mechanism.arguments import FloatArray
 
 VERTICAL = 16
@@ -41,7 +50,7 @@ _POSES = f"{readonly_array(3)}, {readonly_array(2)}"
 
 
 @kernel(f"b1({_POSES}, f8, f8)")
-def are_valid(rotation: FloatArray, position: FloatArray, exact: float, farthest: float) -> bool:
+def are_valid(rotation, position, exact, farthest):
     """Check N poses: entries of RᵀR - I up to `exact`, det R > 0, |x| + |y| + |z| up to `farthest`."""
     good = True
     for n in range(len(position)):
@@ -66,12 +75,6 @@ def _load(rotation: FloatArray, position: FloatArray, start: int, width: int, ti
 
 
 @jit_inline
-def _pose(tile: FloatArray, k: int) -> tuple[Rows, Vector]:
-    first, second = (tile[0, k], tile[1, k], tile[2, k]), (tile[3, k], tile[4, k], tile[5, k])
-    return (first, second, (tile[6, k], tile[7, k], tile[8, k])), (tile[9, k], tile[10, k], tile[11, k])
-
-
-@jit_inline
 def _radicand(family: Family, frame: PoseFrame) -> float:
     """Return the discriminant of a family, NaN where it has no isolated branches."""
     regular = not (frame.is_vertical | is_continuous(family, frame.noise))
@@ -90,12 +93,9 @@ def _put_branch(
     sizes: Vector,
 ) -> None:
     """Write the b_i and the leg lengths of a branch of the pose in place k."""
-    r, base_radius, _ = sizes
-    position = tile[9, k], tile[10, k], tile[11, k]
-    sign = 1.0 if branch % 2 == 0 else -1.0
-    u, v, square = root(family, sign, np.sqrt(radicand))
-    radii, heights = middle_joints(u, v, r / square, family, frame, position)
-    b, lengths = cartesian(radii, heights), leg_lengths(radii, heights, corners, base_radius)
+    u, v, square = root(family, 1.0 if branch % 2 == 0 else -1.0, np.sqrt(radicand))
+    radii, heights = middle_joints(u, v, sizes[0] / square, family, frame, vector(tile, _POSITION, k))
+    b, lengths = cartesian(radii, heights), leg_lengths(radii, heights, corners, sizes[1])
     for i in range(3):
         for j in range(3):
             tile[_JOINTS + 9 * branch + 3 * i + j, k] = b[i][j]
@@ -104,15 +104,15 @@ def _put_branch(
 
 
 @jit_inline
-def _put_homes(tile: FloatArray, base_radius: float, platform_radius: float) -> None:
+def _put_homes(tile: FloatArray, sizes: Vector) -> None:
     """Write whether TT+ and TT- are physical, leg limits aside, and the sums of their radii."""
     for branch in range(2):
         row = _JOINTS + 9 * branch
         for k in range(TILE):
-            rotation, position = _pose(tile, k)
-            radii = -2.0 * tile[row + 1, k], tile[row + 4, k], -2.0 * tile[row + 7, k]
-            heights = tile[row + 2, k], tile[row + 5, k], tile[row + 8, k]
-            home, tilts = stands_at_home(radii, heights, rotation, position, base_radius, platform_radius)
+            rotation, position = matrix(tile, 0, k), vector(tile, _POSITION, k)
+            (_, y1, z1), (_, y2, z2), (_, y3, z3) = matrix(tile, row, k)
+            radii = -2.0 * y1, y2, -2.0 * y3
+            home, tilts = stands_at_home(radii, (z1, z2, z3), rotation, position, sizes[1], sizes[2])
             tile[_RANK + branch, k], tile[_TILTS + branch, k] = (1.0 if home else 0.0), tilts
 
 
@@ -129,72 +129,62 @@ def _put_family(
     _put_branch(tile, k, 2 * number + 1, radicand, family, frame, corners, sizes)
 
 
-@jit_inline
-def _solve(tile: FloatArray, r: float, base_radius: float, platform_radius: float) -> None:
-    """Write all branches of a tile of poses."""
-    sizes = r, base_radius, platform_radius
-    for k in range(TILE):
-        rotation, position = _pose(tile, k)
-        frame, corners = pose_frame(rotation, position, r), platform_corners(rotation, position, platform_radius)
-        tt, tf, ft, ff = families(frame, r)
-        tile[_REAL, k], tile[_FLAGS, k] = 0.0, (1.0 * VERTICAL if frame.is_vertical else 0.0)
-        _put_family(tile, k, 0, tt, frame, corners, sizes)
-        _put_family(tile, k, 1, tf, frame, corners, sizes)
-        _put_family(tile, k, 2, ft, frame, corners, sizes)
-        _put_family(tile, k, 3, ff, frame, corners, sizes)
-
-
-@jit_inline
-def _store_status(tile: FloatArray, start: int, width: int, status: npt.NDArray[np.int8], flagged: ByteArray) -> None:
-    for k in range(width):
-        status[start + k] = 0 if tile[_REAL, k] > 0.0 else 1
-        flagged[start + k] = np.uint8(tile[_FLAGS, k])
-
-
 @kernel(
     f"void({_POSES}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], u1[:,::1], i1[::1], "
     "u1[::1])"
 )
 def all_branches(
-    rotation: FloatArray,
-    position: FloatArray,
-    r: float,
-    base_radius: float,
-    platform_radius: float,
-    rotation_copy: FloatArray,
-    position_copy: FloatArray,
-    joints: FloatArray,
-    lengths: FloatArray,
-    discriminants: FloatArray,
-    preference: ByteArray,
-    status: npt.NDArray[np.int8],
-    flagged: ByteArray,
-) -> None:
+    rotation,
+    position,
+    r,
+    base_radius,
+    platform_radius,
+    rotation_copy,
+    position_copy,
+    joints,
+    lengths,
+    discriminants,
+    preference,
+    status,
+    flagged,
+):
     """Solve N poses R (N, 3, 3), o (N, 3) [m], with circumradii of the middle, base and terminal platforms [m].
 
     Written are the poses; b_i (N, 8, 3, 3) and leg lengths (N, 8, 6) [m]; discriminants over r² (N, 4); as `preference`
     (N, 3) whether TT+ is physical, whether TT- is, and whether TT- is tilted less; as `status` (N,) 0 or 1, the first
     two of `Status`, continuous families not counted; as `flagged` (N,) bit k for a continuous family k, and `VERTICAL`.
+    Without memory for the poses only lengths, status and flags are written.
     """
-    count, tile = len(position), np.ones((_ROWS, TILE))
-    rotations = rotation_copy.reshape(count, 9)
-    joint_rows, length_rows = joints.reshape(count, 72), lengths.reshape(count, 48)
+    count, tile, sizes = len(position), np.ones((_ROWS, TILE)), (r, base_radius, platform_radius)
+    rotations, joint_rows = rotation_copy.reshape(len(rotation_copy), 9), joints.reshape(len(joints), 72)
+    length_rows = lengths.reshape(count, 48)
     for start in range(0, count, TILE):
         width = min(TILE, count - start)
         _load(rotation, position, start, width, tile)
-        _solve(tile, r, base_radius, platform_radius)
-        _put_homes(tile, base_radius, platform_radius)
-        _store_status(tile, start, width, status, flagged)
+        for k in range(TILE):
+            turn, o = matrix(tile, 0, k), vector(tile, _POSITION, k)
+            frame, corners = pose_frame(turn, o, r), platform_corners(turn, o, platform_radius)
+            tt, tf, ft, ff = families(frame, r)
+            tile[_REAL, k], tile[_FLAGS, k] = 0.0, (1.0 * VERTICAL if frame.is_vertical else 0.0)
+            _put_family(tile, k, 0, tt, frame, corners, sizes)
+            _put_family(tile, k, 1, tf, frame, corners, sizes)
+            _put_family(tile, k, 2, ft, frame, corners, sizes)
+            _put_family(tile, k, 3, ff, frame, corners, sizes)
+        if len(rotations) > 0:
+            _put_homes(tile, sizes)
         # Pose by pose, by loops of constant length: in another order it takes twice the time.
         for k in range(width):
+            status[start + k], flagged[start + k] = (0 if tile[_REAL, k] > 0.0 else 1), np.uint8(tile[_FLAGS, k])
+            for i in range(48):
+                length_rows[start + k, i] = tile[_LENGTHS + i, k]
+            if len(rotations) == 0:
+                continue
             for i in range(9):
                 rotations[start + k, i] = tile[i, k]
             for i in range(3):
                 position_copy[start + k, i] = tile[_POSITION + i, k]
             for i in range(72):
                 joint_rows[start + k, i] = tile[_JOINTS + i, k]
-            for i in range(48):
-                length_rows[start + k, i] = tile[_LENGTHS + i, k]
             for i in range(4):
                 discriminants[start + k, i] = tile[_DISCRIMINANTS + i, k]
             preference[start + k, 0], preference[start + k, 1] = np.uint8(tile[_RANK, k]), np.uint8(tile[_RANK + 1, k])
@@ -203,17 +193,8 @@ def all_branches(
 
 @kernel(f"void({_POSES}, f8, f8, f8, {readonly_array(2)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1])")
 def physical_branches(
-    rotation: FloatArray,
-    position: FloatArray,
-    r: float,
-    base_radius: float,
-    platform_radius: float,
-    limits: FloatArray,
-    rotation_copy: FloatArray,
-    position_copy: FloatArray,
-    joints: FloatArray,
-    lengths: FloatArray,
-) -> None:
+    rotation, position, r, base_radius, platform_radius, limits, rotation_copy, position_copy, joints, lengths
+):
     """Solve N poses for the physical branch, which is TT+ or TT-.
 
     Arguments as for `all_branches`, and the least and largest leg lengths (2, 6) [m], which decide between two; then
@@ -224,13 +205,13 @@ def physical_branches(
         width = min(TILE, len(position) - start)
         _load(rotation, position, start, width, tile)
         for k in range(TILE):
-            matrix, o = _pose(tile, k)
-            frame, corners = pose_frame(matrix, o, r), platform_corners(matrix, o, platform_radius)
+            turn, o = matrix(tile, 0, k), vector(tile, _POSITION, k)
+            frame, corners = pose_frame(turn, o, r), platform_corners(turn, o, platform_radius)
             family = families(frame, r)[0]
             radicand = _radicand(family, frame)
             _put_branch(tile, k, 0, radicand, family, frame, corners, sizes)
             _put_branch(tile, k, 1, radicand, family, frame, corners, sizes)
-        _put_homes(tile, base_radius, platform_radius)
+        _put_homes(tile, sizes)
         for k in range(width):
             for branch in range(2):
                 inside = True
@@ -250,33 +231,9 @@ def physical_branches(
                 lengths[start + k, i] = factor * tile[_LENGTHS + 6 * side + i, k]
 
 
-@kernel(f"void({_POSES}, f8, f8, f8, f8[:,:,::1], i1[::1], u1[::1])")
-def branch_lengths(
-    rotation: FloatArray,
-    position: FloatArray,
-    r: float,
-    base_radius: float,
-    platform_radius: float,
-    lengths: FloatArray,
-    status: npt.NDArray[np.int8],
-    flagged: ByteArray,
-) -> None:
-    """Solve N poses for the leg lengths alone; arguments as for `all_branches`."""
-    count, tile = len(position), np.ones((_ROWS, TILE))
-    length_rows = lengths.reshape(count, 48)
-    for start in range(0, count, TILE):
-        width = min(TILE, count - start)
-        _load(rotation, position, start, width, tile)
-        _solve(tile, r, base_radius, platform_radius)
-        for k in range(width):
-            for i in range(48):
-                length_rows[start + k, i] = tile[_LENGTHS + i, k]
-        _store_status(tile, start, width, status, flagged)
-
-
 @jit
 def put_complex_branches(rotation: Rows, position: Vector, r: float, joints: npt.NDArray[np.complex128]) -> bool:
-    """Write the b_i of all roots (8, 3, 3), real or complex; return whether none of them is in a continuous family."""
+    """Write the b_i of all roots (8, 3, 3), real or complex; return whether no family is continuous."""
     frame = pose_frame(rotation, position, r)
     every, is_regular = families(frame, r), True
     for branch in range(8):
@@ -300,7 +257,7 @@ def put_complex_branches(rotation: Rows, position: Vector, r: float, joints: npt
 
 
 @kernel(f"void({_POSES}, f8, c16[:,:,:,::1])")
-def complex_branches(rotation: FloatArray, position: FloatArray, r: float, joints: npt.NDArray[np.complex128]) -> None:
+def complex_branches(rotation, position, r, joints):
     """Solve N poses for all roots (N, 8, 3, 3), real or complex; arguments as for `all_branches`."""
     for n in range(len(position)):
         o = position[n]
@@ -313,33 +270,20 @@ def _square(z: complex) -> float:
 
 
 @jit_inline
-def _is_mixed(family: int) -> bool:
-    """Return whether a family of TT, TF, FT, FF has different modes."""
-    return (family == 1) | (family == 2)
+def _dimension_upside_down(lower: float, mixed: bool, w: complex, o: complex, tolerance: float) -> int:
+    """Return the dimension of a family with the platform turned over, 0 where it is not continuous.
 
-
-@jit_inline
-def _is_continuous_upside_down(family: int, w: complex, o: complex, tolerance: float) -> tuple[bool, bool]:
-    """Return whether a family is continuous with the platform turned over, and whether it has two dimensions.
-
-    R maps 1 to W², `w` is W, and `o` is (x + iy) / r.
+    `lower` is e of the lower stage; R maps 1 to W², `w` is W, and `o` is (x + iy) / r.
     """
-    mixed, cubed, turned = _is_mixed(family), w * w * w, 1j * o * w.conjugate()
-    fixed = (1.0 if family < 2 else -1.0) * (cubed.imag if mixed else cubed.real)
-    extent = abs(cubed.real if mixed else cubed.imag)
+    cubed, turned = w * w * w, 1j * o * w.conjugate()
+    fixed, extent = lower * (cubed.imag if mixed else cubed.real), abs(cubed.real if mixed else cubed.imag)
     across, along = (turned.imag if mixed else turned.real), (turned.real if mixed else turned.imag)
     is_continuous = (abs(across - fixed) <= tolerance) & (abs(along) <= extent + tolerance)
-    return is_continuous, is_continuous & (extent <= tolerance)
+    return (2 if extent <= tolerance else 1) if is_continuous else 0
 
 
 @kernel(f"void({readonly_array(3)}, {readonly_array(2)}, f8, u1[:,::1], i1[::1])")
-def continuous_families(
-    rotation: FloatArray,
-    position: FloatArray,
-    r: float,
-    families: npt.NDArray[np.uint8],
-    dimension: npt.NDArray[np.int8],
-) -> None:
+def continuous_families(rotation, position, r, families, dimension):
     """Write which of TT, TF, FT, FF (N, 4) are continuous at poses with parallel Z axes, and their dimension (N,).
 
     All legs' planes are vertical then, so a solution can move along Z: there are none, or a continuous family.
@@ -362,13 +306,12 @@ def continuous_families(
         straight = level & (abs(sine) <= tolerance)
         dimension[n] = 0
         for family in range(4):
-            mixed, size = _is_mixed(family), 0
+            mixed, lower = (family == 1) | (family == 2), (1.0 if family < 2 else -1.0)
             if straight:
                 size = 3 if (aside <= tolerance) & (mixed == (cosine <= 0.0)) else 0
             elif level:
                 size = 1 if abs(aside - 2.0 * abs(sine)) <= tolerance else 0
             else:
-                is_line, is_plane = _is_continuous_upside_down(family, half, complex(x, y), tolerance)
-                size = (2 if is_plane else 1) if is_line else 0
+                size = _dimension_upside_down(lower, mixed, half, complex(x, y), tolerance)
             families[n, family] = 1 if size > 0 else 0
             dimension[n] = max(dimension[n], size)

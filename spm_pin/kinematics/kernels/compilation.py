@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Any
 
 import numba
 import numpy as np
@@ -20,22 +20,15 @@ from numba.core import event
 from numba.extending import register_jitable
 
 from spm_pin.formulas import operations
-from spm_pin.formulas.vectors import Rows
+from spm_pin.formulas.operations import F
+from spm_pin.formulas.vectors import Rows, Vector
 from spm_pin.mechanism.arguments import FloatArray
 
-P = ParamSpec("P")
-R = TypeVar("R")
-
 ByteArray = npt.NDArray[np.uint8]
-Int64Array = npt.NDArray[np.int64]
 TILE = 16
 """Problems computed side by side: two or more registers' worth on every processor, and small enough for its cache."""
 
-# Numba's own annotations are partial.
-_njit: Any = numba.njit
 _config: Any = numba.config
-_register: Any = register_jitable
-_event: Any = event
 _LOG = logging.getLogger("spm_pin")
 # Numba's cache looks at a kernel's own file alone, but a kernel is made of formulas from many files. So the name under
 # which a kernel is kept ends with a digest of all of them: when one changes, no kernel that was kept before is found.
@@ -43,18 +36,11 @@ _FORMULAS = Path(operations.__file__).parent
 _FOLDERS = Path(__file__).parent, _FORMULAS
 _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for folder in _FOLDERS for p in sorted(folder.glob("*.py"))))
 
-
-def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
-    """Let kernels call a function, which becomes part of their loops."""
-    # Passed on to `njit`. Left to LLVM, formulas stay calls in the loop, which then takes one problem at a time.
-    _register(error_model="numpy", forceinline=True)(function)
-    return function
-
-
-def jit(function: Callable[P, R]) -> Callable[P, R]:
-    """Let kernels call a function that is too long to be copied to every place it is called from."""
-    _register(error_model="numpy")(function)
-    return function
+jit: Callable[[F], F] = register_jitable(error_model="numpy")
+"""Let kernels call a function that is too long to be copied to every place it is called from."""
+# Passed on to `njit`. Left to LLVM, formulas stay calls in the loop, which then takes one problem at a time.
+jit_inline: Callable[[F], F] = register_jitable(error_model="numpy", forceinline=True)
+"""Let kernels call a function, which becomes part of their loops."""
 
 
 @jit_inline
@@ -64,13 +50,25 @@ def rows_at(array: FloatArray, first: int) -> Rows:
     return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
 
 
+@jit_inline
+def vector(tile: FloatArray, row: int, k: int) -> Vector:
+    """Return a vector of the problem in place k of a tile, from this row on."""
+    return tile[row, k], tile[row + 1, k], tile[row + 2, k]
+
+
+@jit_inline
+def matrix(tile: FloatArray, row: int, k: int) -> Rows:
+    """Return a matrix of the problem in place k of a tile, row by row from this row on."""
+    return vector(tile, row, k), vector(tile, row + 3, k), vector(tile, row + 6, k)
+
+
 for _module in pkgutil.iter_modules([str(_FORMULAS)], f"{operations.__package__}."):
     for _formula in vars(import_module(_module.name)).values():
         if inspect.isfunction(_formula) and _formula.__module__ == _module.name:
             jit_inline(_formula)
 
 
-def kernel(signature: str) -> Callable[[Callable[P, R]], Kernel[P, R]]:
+def kernel(signature: str) -> Callable[[Callable[..., Any]], Kernel]:
     """Mark a kernel, compiled for one Numba signature."""
     return lambda function: Kernel(function, signature)
 
@@ -80,43 +78,45 @@ def readonly_array(axes: int) -> str:
     return f"Array(f8, {axes}, 'A', True)"
 
 
-class Kernel(Generic[P, R]):
+class Kernel:
     """A function compiled at its first call, or loaded from Numba's cache if it has been compiled before.
 
     The cache is `NUMBA_CACHE_DIR` if set, else beside the source, else in the user's cache directory; without a place
     that can be written, every process compiles for itself.
     """
 
-    def __init__(self, function: Callable[P, R], signature: str) -> None:
+    def __init__(self, function: Callable[..., Any], signature: str) -> None:
         self.py_func = function
         self._signature = signature
         self._lock = threading.Lock()
-        self._compiled: Callable[P, R] | None = None
+        self._compiled: Callable[..., Any] | None = None
 
-    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+    def __call__(self, *args: Any) -> Any:
         """Run the compiled function, without the interpreter's lock."""
-        return (self._compiled or self.compile())(*args, **kwargs)
+        return (self._compiled or self.compile())(*args)
 
-    def compile(self) -> Callable[P, R]:
+    def compile(self) -> Callable[..., Any]:
         """Return the compiled function, loaded from the cache if it is there."""
         with self._lock:
             if self._compiled is None:
                 self._compiled = self.py_func if _config.DISABLE_JIT else self._compile()
             return self._compiled
 
-    def _compile(self) -> Callable[P, R]:
+    def _compile(self) -> Callable[..., Any]:
         function = self.py_func
         function.__qualname__ = f"{function.__name__}_{_SOURCES.hexdigest()[:16]}"
         try:
-            with _event.install_listener("numba:compile", _Announcement()):
+            with event.install_listener("numba:compile", _Announcement()):
                 return self._dispatcher(cache=True)
         except Exception as error:  # nowhere to keep it, or a damaged file, which may raise anything
             _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
             _announce("at every start")
             return self._dispatcher(cache=False)
 
-    def _dispatcher(self, cache: bool) -> Callable[P, R]:
-        compiled: Callable[P, R] = _njit(self._signature, error_model="numpy", nogil=True, cache=cache)(self.py_func)
+    def _dispatcher(self, cache: bool) -> Callable[..., Any]:
+        compiled: Callable[..., Any] = numba.njit(self._signature, error_model="numpy", nogil=True, cache=cache)(
+            self.py_func
+        )
         return compiled
 
 

@@ -25,7 +25,16 @@ from spm_pin.formulas.wrenches import (
     structure_determinant,
 )
 from spm_pin.formulas.wrenches import stage_forces as forces_of_stage
-from spm_pin.kinematics.kernels.compilation import TILE, ByteArray, jit, jit_inline, kernel, readonly_array, rows_at
+from spm_pin.kinematics.kernels.compilation import (
+    TILE,
+    ByteArray,
+    jit_inline,
+    kernel,
+    matrix,
+    readonly_array,
+    rows_at,
+    vector,
+)
 from spm_pin.mechanism.arguments import FloatArray
 
 STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
@@ -81,20 +90,10 @@ def load_states(
 
 
 @jit_inline
-def _vector(tile: FloatArray, first: int, k: int) -> Vector:
-    return tile[first, k], tile[first + 1, k], tile[first + 2, k]
-
-
-@jit_inline
-def _matrix(tile: FloatArray, first: int, k: int) -> Rows:
-    return _vector(tile, first, k), _vector(tile, first + 3, k), _vector(tile, first + 6, k)
-
-
-@jit_inline
 def state_forces(tile: FloatArray, k: int, machine: Machine) -> StateForces:
     """Return the forces of the state in place k of a tile."""
-    b, o = _matrix(tile, 0, k), _vector(tile, 18, k)
-    c, above = upper_balls(b, machine.weights), carried(machine.upper, _matrix(tile, 9, k), o)
+    b, o = matrix(tile, 0, k), vector(tile, 18, k)
+    c, above = upper_balls(b, machine.weights), carried(machine.upper, matrix(tile, 9, k), o)
     lower, upper = directions(differences(b, machine.lower.pivots)), directions(differences(above.pivots, c))
     total = lower[0][0] + lower[1][0] + lower[2][0] + upper[0][0] + upper[1][0] + upper[2][0]
     is_short = (b[0][0] == b[0][0]) & (total != total)
@@ -128,16 +127,7 @@ def _store(tile: FloatArray, start: int, width: int, results: FloatArray, suspec
 
 
 @kernel(f"void({STATES}, {MACHINE}, f8, f8, f8[:,:,::1], u1[::1])")
-def inverse_jacobians(
-    joints: FloatArray,
-    rotation: FloatArray,
-    position: FloatArray,
-    machine: FloatArray,
-    side: float,
-    singular: float,
-    matrices: FloatArray,
-    suspect: ByteArray,
-) -> None:
+def inverse_jacobians(joints, rotation, position, machine, side, singular, matrices, suspect):
     """Write J_f (S, 6, 6), and where K may be singular (S,)."""
     count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, count, TILE):
@@ -168,16 +158,7 @@ def _both_twists(s: StateForces, side: float, singular: float) -> tuple[Matrix, 
 
 
 @kernel(f"void({STATES}, {MACHINE}, f8, f8, f8[:,:,::1], u1[::1])")
-def platform_jacobians(
-    joints: FloatArray,
-    rotation: FloatArray,
-    position: FloatArray,
-    machine: FloatArray,
-    side: float,
-    singular: float,
-    matrices: FloatArray,
-    suspect: ByteArray,
-) -> None:
+def platform_jacobians(joints, rotation, position, machine, side, singular, matrices, suspect):
     """Write G (S, 6, 6), and where J_b or J_c may be singular (S,)."""
     count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, count, TILE):
@@ -192,17 +173,7 @@ def platform_jacobians(
 
 
 @kernel(f"void({STATES}, {readonly_array(3)}, {MACHINE}, f8, f8, f8[:,::1], u1[::1])")
-def stage_forces(
-    joints: FloatArray,
-    rotation: FloatArray,
-    position: FloatArray,
-    wrench: FloatArray,
-    machine: FloatArray,
-    side: float,
-    singular: float,
-    forces: FloatArray,
-    suspect: ByteArray,
-) -> None:
+def stage_forces(joints, rotation, position, wrench, machine, side, singular, forces, suspect):
     """Write the leg forces (S, 6) that hold wrenches (outer, inner, 6), and where J_b or J_c may be singular (S,)."""
     count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
     inner = joints.shape[1]
@@ -216,37 +187,30 @@ def stage_forces(
         for k in range(TILE):
             lower, upper, doubtful = _both_twists(state_forces(tile, k, legs), side, singular)
             tile[_FLAG, k] = 1.0 if doubtful else 0.0
-            load = _vector(tile, _LOAD, k), _vector(tile, _LOAD + 3, k)
+            load = vector(tile, _LOAD, k), vector(tile, _LOAD + 3, k)
             below, above = forces_of_stage(lower, load), forces_of_stage(upper, load)
             for i in range(3):
                 tile[_RESULTS + i, k], tile[_RESULTS + 3 + i, k] = below[i], above[i]
         _store(tile, start, width, forces, suspect)
 
 
-@jit
-def put_determinants(s: StateForces, is_paired: bool, tile: FloatArray, row: int, k: int) -> None:
-    """Write det J_b, det J_c, det K into three rows of a tile."""
-    tile[row, k] = determinant(s.b, s.lower, s.a)
-    tile[row + 1, k] = determinant(s.c, s.upper, s.a_m)
+@jit_inline
+def three_determinants(s: StateForces, is_paired: bool) -> Vector:
+    """Return det J_b, det J_c, det K."""
     paired, mixed = determinant(s.b, s.a, s.a_m), structure_determinant(s.b, s.c, s.a, s.a_m)
-    tile[row + 2, k] = paired if is_paired else mixed
+    return determinant(s.b, s.lower, s.a), determinant(s.c, s.upper, s.a_m), (paired if is_paired else mixed)
 
 
 @kernel(f"void({STATES}, {MACHINE}, f8[:,::1])")
-def all_determinants(
-    joints: FloatArray,
-    rotation: FloatArray,
-    position: FloatArray,
-    machine: FloatArray,
-    determinants: FloatArray,
-) -> None:
+def all_determinants(joints, rotation, position, machine, determinants):
     """Write det J_b, det J_c, det K (S, 3)."""
     tile, legs = np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, len(determinants), TILE):
         width = min(TILE, len(determinants) - start)
         load_states(joints, rotation, position, start, width, tile)
         for k in range(TILE):
-            put_determinants(state_forces(tile, k, legs), legs.is_paired, tile, _RESULTS, k)
+            three = three_determinants(state_forces(tile, k, legs), legs.is_paired)
+            tile[_RESULTS, k], tile[_RESULTS + 1, k], tile[_RESULTS + 2, k] = three
         for k in range(width):
             for i in range(3):
                 determinants[start + k, i] = tile[_RESULTS + i, k]

@@ -1,7 +1,10 @@
 """Forward displacement of a batch of leg lengths: all assembly modes, and the one in the aspect of the home.
 
-The equations of a stage are `spm_pin.formulas.stages`; here are Newton's method on them, the place of each
-solution, what tells two solutions apart, and two stages joined at their middle platform.
+The equations of a stage are `spm_pin.formulas.stages`. With ψ the azimuth of the tilt w, p = |w|²,
+A = Im(λ e^{iψ}) / κ = p sin 3ψ and B = Re(λ e^{iψ}), p is the root of a quadratic, `stages.tilt_quadratic`, and ψ of a
+polynomial in e^{2iψ}. With δ = ψ + arg λ and μ = e^{3i arg λ} that is a quartic in tan δ, `stages.quartic`. For small κ
+all its roots are crowded around zero; tan δ = ω tan γ with ω = |κ| / √(κ² + |λ|²) spreads them over all γ. Newton's
+method begins at the solutions of the quartic. See `docs/theory/forward_displacement.md`.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import numpy.typing as npt
 
 from spm_pin.formulas.stages import (
     EPS,
+    Placement,
     StageEquations,
     State,
     compose,
@@ -23,32 +27,36 @@ from spm_pin.formulas.stages import (
     inverse,
     jacobian,
     moved,
+    quartic,
     residual,
     residual_by_legs,
     stage_equations,
+    tilt_quadratic,
 )
 from spm_pin.formulas.vectors import Rows, Vector, dot, largest, scaled, times, transposed, weighted
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
-from spm_pin.kinematics.kernels.quartic import approximate_solutions
 from spm_pin.mechanism.arguments import FloatArray
+
+ComplexArray = npt.NDArray[np.complex128]
+Quartic = tuple[float, float, float, float, float]
 
 SAME = float(4.0 * np.sqrt(EPS))
 """Solutions closer than this, in units of r, are one: rounding resolves a double root no better."""
 PLACES = 4
 """The most solutions of one mode, mirror images apart."""
-Stage = tuple[float, float, float, float, float]
 STAGE = 4 * PLACES
 """Assembly modes of a stage: two modes, four places, two sheets."""
-_NEAR_FOLD = 1e3
-"""Ratio of a solution's error to that of the leg lengths above which a fold or a family is near."""
-_ROUNDING = 4.0 * EPS
-"""Residual of a solution relative to the largest term of its equations; half of it has been seen."""
+_NEAR_FOLD = 1e3  # ratio of a solution's error to that of the leg lengths above which a fold or a family is near
+_ROUNDING = 4.0 * EPS  # residual of a solution relative to the largest term of its equations; half of it has been seen
 _MOST_STEPS = 40
 _LONGEST_TURN = 0.3
-_SHORT = 0.25
-"""Leg length below which the equations, which are made of squares of all legs, lose digits."""
+_SHORT = 0.25  # leg length below which the equations, which are made of squares of all legs, lose digits
 _OF_FAMILY = 1e6
 """A solution beside a continuous family that errs more than this many times as much as the lengths belongs to it."""
+_EIGHTHS = np.exp(0.125j * np.pi * np.arange(8))
+_QUARTERS = np.exp(1j * (0.5 * np.pi * np.arange(4) + 0.4))
+_SYMMETRIC = np.exp(1j * np.pi / 3.0 * np.array([0.0, 1.0, 2.0, 0.0]))
+_MOST_ITERATIONS = 60
 # What is kept of a solution: x0, x1, x2, x3, ζ, three radii, three heights, and
 _BLUR, _RANK, _AZIMUTH = 11, 12, 13
 
@@ -56,10 +64,138 @@ _BLUR, _RANK, _AZIMUTH = 11, 12, 13
 class StageScratch(NamedTuple):
     """Arrays that stages are solved in, one after another."""
 
-    roots: npt.NDArray[np.complex128]  # of the quartic (4,)
+    roots: ComplexArray  # of the quartic (4,)
     starts: FloatArray  # where Newton's method begins (8, 4)
     ends: FloatArray  # where it ended, and the gain (16, 5)
     kept: FloatArray  # what is kept of that (16, 14)
+
+
+@jit
+def _tilts(stage: StageEquations, turn: complex, a: float, starts: FloatArray, count: int) -> int:
+    """Append the solutions of one azimuth: A = p sin 3ψ, and the rest is quadratic in the tilt p.
+
+    Both of its roots are tried: legs symmetric about a plane have two solutions of one azimuth, where sin 3ψ = 0.
+    """
+    epsilon, level, kappa = stage.epsilon, stage.level, 2.0 * stage.epsilon - 1.0
+    b = stage.real * turn.real - stage.imag * turn.imag
+    cubed = turn * turn * turn
+    square, linear, constant = tilt_quadratic(stage, a, b, cubed.real)
+    root = math.sqrt(max(linear * linear - 4.0 * square * constant, 0.0))
+    larger = -0.5 * (linear + (-root if linear < 0.0 else root))
+    for which in range(2):
+        p = larger / square if which == 0 else constant / larger
+        if not math.isfinite(p):
+            if which == 0:
+                continue
+            p = 0.0
+        mismatch = abs(a - p * cubed.imag)
+        fits = mismatch <= 0.05 * (abs(a) + abs(p * cubed.imag)) + 1e-6 or abs(cubed.imag) < 0.05
+        if not (fits and -0.01 < p < 1.01):
+            continue
+        p = min(max(p, 0.0), 1.0)
+        # b = (κ + 2p) p cos 3ψ + 2 ζ x0 |w|: its sign decides which of w and -w is the one with ζ >= 0.
+        upper = math.sqrt(p) if b >= (kappa + 2.0 * p) * p * cubed.real else -math.sqrt(p)
+        starts[count, 0], starts[count, 1] = math.sqrt(1.0 - p), upper * turn.real
+        starts[count, 2] = upper * turn.imag
+        starts[count, 3] = math.sqrt(max(level - 2.0 * epsilon * p - p * p, 0.0))
+        count += 1
+    return count
+
+
+@jit_inline
+def _turned_quartic(coefficients: Quartic) -> tuple[Quartic, complex]:
+    """Return the monic quartic of tan(γ - β), from its constant up, and e^{iβ}.
+
+    As a function of γ the quartic is a mean and two harmonics of 2γ. β is taken where it is large a quarter turn
+    away, so that no root is near infinity.
+    """
+    c0, c1, c2, c3, c4 = coefficients
+    mean = 0.375 * (c0 + c4) + 0.125 * c2
+    first = complex(0.5 * (c0 - c4), -0.25 * (c1 + c3))
+    second = complex(0.125 * (c0 - c2 + c4), -0.125 * (c1 - c3))
+    best, largest = 0, -1.0
+    for k in range(8):
+        turn = _EIGHTHS[k] * _EIGHTHS[k]
+        value = abs(mean - (first * turn).real + (second * (turn * turn)).real)
+        if value > largest:
+            best, largest = k, value
+    turn = _EIGHTHS[best]
+    twice = turn * turn
+    first, second = first * twice, second * (twice * twice)
+    leading = mean - first.real + second.real
+    leading = 1.0 if leading == 0.0 else leading
+    a3, a2 = 4.0 * second.imag - 2.0 * first.imag, 2.0 * mean - 6.0 * second.real
+    a1, a0 = -2.0 * first.imag - 4.0 * second.imag, mean + first.real + second.real
+    return (a0 / leading, a1 / leading, a2 / leading, a3 / leading, 1.0), turn
+
+
+@jit
+def _roots(coefficients: Quartic, roots: ComplexArray) -> None:
+    """Find the four roots of a monic quartic at once, by Aberth's method."""
+    a0, a1, a2, a3, _ = coefficients
+    centre = -0.25 * a3
+    # Taylor's coefficients at the roots' mean give their size.
+    b2 = a2 + centre * (3.0 * a3 + 6.0 * centre)
+    b1 = a1 + centre * (2.0 * a2 + centre * (3.0 * a3 + 4.0 * centre))
+    b0 = a0 + centre * (a1 + centre * (a2 + centre * (a3 + centre)))
+    radius = max(math.sqrt(abs(b2)), abs(b1) ** (1.0 / 3.0), math.sqrt(math.sqrt(abs(b0))))
+    for k in range(4):
+        roots[k] = centre + radius * _QUARTERS[k]
+    for _ in range(_MOST_ITERATIONS):
+        moved = 0.0
+        for k in range(4):
+            z = roots[k]
+            value = a0 + z * (a1 + z * (a2 + z * (a3 + z)))
+            slope = a1 + z * (2.0 * a2 + z * (3.0 * a3 + 4.0 * z))
+            crowd = complex(0.0, 0.0)
+            for j in range(4):
+                gap = z - roots[j]
+                if j != k and gap != 0.0:
+                    crowd += 1.0 / gap
+            divisor = slope - value * crowd
+            if divisor != 0.0:
+                step = value / divisor
+                roots[k] = z - step
+                moved = max(moved, abs(step.real) + abs(step.imag))
+        if moved <= 1e-13 * (abs(centre) + radius):
+            break
+
+
+@jit
+def _approximate_solutions(stage: StageEquations, is_continuous: bool, roots: ComplexArray, starts: FloatArray) -> int:
+    """Write x0, x1, x2, ζ of where Newton's method begins, at most eight states, and count them.
+
+    `is_continuous` says that the quartic vanishes; `roots` (4,) is overwritten.
+    """
+    real, imag, kappa = stage.real, stage.imag, 2.0 * stage.epsilon - 1.0
+    size = math.hypot(real, imag)
+    # Without λ there is no direction to count from, and any will do.
+    nu = complex(real / size, imag / size) if size > 0.0 else complex(0.6, 0.8)
+    mu = nu * nu * nu
+    span = math.hypot(kappa, size)
+    span = span if span > 0.0 else 1.0
+    omega, gain = abs(kappa) / span, (-1.0 if kappa < 0.0 else 1.0) / span
+    lead = complex(1.0, 0.0)
+    if not is_continuous:
+        turned, lead = _turned_quartic(quartic(stage, size, mu.real, mu.imag, omega, gain))
+        _roots(turned, roots)
+    count = 0
+    for k in range(4):
+        if is_continuous:
+            # What is isolated is level or tilted in the plane of a leg.
+            turn, a = _SYMMETRIC[k], 0.0
+        else:
+            tangent = roots[k]
+            if abs(tangent.imag) > 0.01 * (1.0 + tangent.real**2):
+                continue
+            secant = math.hypot(1.0, tangent.real)
+            gamma = complex(1.0 / secant, tangent.real / secant) * lead
+            delta = complex(gamma.real, omega * gamma.imag)
+            length = abs(delta)
+            a = size * gain * gamma.imag / length
+            turn = complex(delta.real / length, delta.imag / length) * nu.conjugate()
+        count = _tilts(stage, turn, a, starts, count)
+    return count
 
 
 @jit
@@ -186,7 +322,7 @@ def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, sc
     """
     roots, starts, ends, kept = scratch
     solutions = 0
-    for k in range(approximate_solutions(stage, is_continuous, roots, starts)):
+    for k in range(_approximate_solutions(stage, is_continuous, roots, starts)):
         solutions = _append(stage, (starts[k, 0], starts[k, 1], starts[k, 2], starts[k, 3]), ends, solutions)
     for k in range(solutions):
         if ends[k, 4] > _NEAR_FOLD:
@@ -254,20 +390,17 @@ def home_aspect_state(first: float, second: float, third: float, epsilon: float,
 
 @jit
 def _put_composed(
-    lower: Stage, upper: Stage, r: float, rotation: FloatArray, translation: FloatArray, joints: FloatArray
+    lower: Placement, upper: Placement, r: float, rotation: FloatArray, translation: FloatArray, joints: FloatArray
 ) -> None:
     """Write R (3, 3), o [m] and the b_i (3, 3) [m] of two stages joined at their middle platform, NaN if one is."""
     if math.isnan(lower[0]) or math.isnan(upper[0]):
-        for i in range(3):
-            translation[i] = np.nan
-            for j in range(3):
-                rotation[i, j], joints[i, j] = np.nan, np.nan
+        rotation[:], translation[:], joints[:] = np.nan, np.nan, np.nan
         return
-    composed = compose(lower, upper)
+    turn, place, b = compose(lower, upper)
     for i in range(3):
-        translation[i] = r * composed.position[i]
+        translation[i] = r * place[i]
         for j in range(3):
-            rotation[i, j], joints[i, j] = composed.rotation[i][j], r * composed.b[i][j]
+            rotation[i, j], joints[i, j] = turn[i][j], r * b[i][j]
 
 
 @jit
@@ -297,25 +430,13 @@ def _sheets(
 
 
 @jit_inline
-def _stage(stages: FloatArray, n: int) -> Stage:
+def _stage(stages: FloatArray, n: int) -> Placement:
     """Return quaternion and height of one of several stages (…, 5)."""
     return stages[n, 0], stages[n, 1], stages[n, 2], stages[n, 3], stages[n, 4]
 
 
-@kernel(
-    f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], i1[:,::1], i1[::1])",
-)
-def all_modes(
-    lengths: FloatArray,
-    r: float,
-    base_radius: float,
-    platform_radius: float,
-    rotation: FloatArray,
-    translation: FloatArray,
-    joints: FloatArray,
-    dimension: npt.NDArray[np.int8],
-    status: npt.NDArray[np.int8],
-) -> None:
+@kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], i1[:,::1], i1[::1])")
+def all_modes(lengths, r, base_radius, platform_radius, rotation, translation, joints, dimension, status):
     """Solve N sets of leg lengths (N, 6), with circumradii of the middle, base and terminal platforms [m].
 
     Written are R (N, 256, 3, 3), o (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode is not real; the
@@ -348,15 +469,7 @@ def all_modes(
 
 
 @kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
-def home_aspect_states(
-    lengths: FloatArray,
-    r: float,
-    base_radius: float,
-    platform_radius: float,
-    rotation: FloatArray,
-    translation: FloatArray,
-    joints: FloatArray,
-) -> None:
+def home_aspect_states(lengths, r, base_radius, platform_radius, rotation, translation, joints):
     """Write R, o and the b_i in the home's aspect; NaN proves that there is none. Arguments as for `all_modes`."""
     scratch = allocate_stage_scratch()
     for n in range(len(lengths)):
@@ -370,9 +483,7 @@ def home_aspect_states(
 
 
 @kernel(f"void({readonly_array(2)}, {readonly_array(2)}, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
-def compose_all(
-    lower: FloatArray, upper: FloatArray, r: float, rotation: FloatArray, translation: FloatArray, joints: FloatArray
-) -> None:
+def compose_all(lower, upper, r, rotation, translation, joints):
     """Compose N pairs of stages (N, 5), NaN where either is."""
     for n in range(len(lower)):
         _put_composed(_stage(lower, n), _stage(upper, n), r, rotation[n], translation[n], joints[n])

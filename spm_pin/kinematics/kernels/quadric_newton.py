@@ -73,10 +73,10 @@ def polish(forms: FloatArray, points: FloatArray, imaginary: bool, contracting: 
 @jit
 def _real_step(forms: FloatArray, points: FloatArray) -> None:
     """Move the pending points, all of which are real, by a step."""
-    p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
+    quadrics = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
     for k in range(POINTS):
         x = real_part(points, k)
-        y, size = _improved(symmetric_product(p, x), symmetric_product(q, x), symmetric_product(r, x), x)
+        y, size = _improved(products(quadrics, x), x)
         points[_SIZE + k] = size
         put_real_part(points, k, _chosen(points[STATE + k] == PENDING, y, x))
 
@@ -84,15 +84,11 @@ def _real_step(forms: FloatArray, points: FloatArray) -> None:
 @jit
 def _complex_step(forms: FloatArray, points: FloatArray) -> None:
     """Move the pending points by a step; real ones stay real."""
-    p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
+    quadrics = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
     for k in range(POINTS):
         x, y = real_part(points, k), imaginary_part(points, k)
-        a, b, c = (
-            _joined(symmetric_product(p, x), symmetric_product(p, y)),
-            _joined(symmetric_product(q, x), symmetric_product(q, y)),
-            _joined(symmetric_product(r, x), symmetric_product(r, y)),
-        )
-        z, size = _improved(a, b, c, _joined(x, y))
+        (a, b, c), (d, e, f) = products(quadrics, x), products(quadrics, y)
+        z, size = _improved((_joined(a, d), _joined(b, e), _joined(c, f)), _joined(x, y))
         moves = points[STATE + k] == PENDING
         points[_SIZE + k] = size
         put_real_part(points, k, _chosen(moves, (z[0].real, z[1].real, z[2].real, z[3].real), x))
@@ -100,51 +96,58 @@ def _complex_step(forms: FloatArray, points: FloatArray) -> None:
 
 
 @jit_inline
-def real_part(points, k):  # type: ignore[no-untyped-def]
+def real_part(points, k):
     """Return the real parts of point k."""
     return points[k], points[k + POINTS], points[k + 2 * POINTS], points[k + 3 * POINTS]
 
 
 @jit_inline
-def imaginary_part(points, k):  # type: ignore[no-untyped-def]
+def imaginary_part(points, k):
     """Return the imaginary parts of point k."""
     return real_part(points, k + 4 * POINTS)
 
 
 @jit_inline
-def put_real_part(points, k, x):  # type: ignore[no-untyped-def]
+def put_real_part(points, k, x):
     """Write the real parts of point k."""
     points[k], points[k + POINTS], points[k + 2 * POINTS], points[k + 3 * POINTS] = x
 
 
 @jit_inline
-def put_imaginary_part(points, k, x):  # type: ignore[no-untyped-def]
+def put_imaginary_part(points, k, x):
     """Write the imaginary parts of point k."""
     put_real_part(points, k + 4 * POINTS, x)
 
 
 @jit_inline
-def _chosen(first, x, y):  # type: ignore[no-untyped-def]
+def _chosen(first, x, y):
     """Return x or y, without a branch in the compiled code."""
     return x[0] if first else y[0], x[1] if first else y[1], x[2] if first else y[2], x[3] if first else y[3]
 
 
 @jit_inline
-def _improved(a, b, c, x):  # type: ignore[no-untyped-def]
-    """Return x after a step across it, for half the gradients a, b, c of the quadrics at x, and the step's size."""
-    d = solve_bordered(a, b, c, x, 0.5 * product(a, x), 0.5 * product(b, x), 0.5 * product(c, x))
-    x0, x1, x2, x3 = x[0] - d[0], x[1] - d[1], x[2] - d[2], x[3] - d[3]
-    scale = 1.0 / math.sqrt(squared(x0) + squared(x1) + squared(x2) + squared(x3))
+def _improved(slopes, x):
+    """Return x after a step across it, for half the gradients of the quadrics at x, and the step's size."""
+    a, b, c = slopes
+    d = solve_bordered(slopes, x, 0.5 * product(a, x), 0.5 * product(b, x), 0.5 * product(c, x))
     size = math.sqrt(squared(d[0]) + squared(d[1]) + squared(d[2]) + squared(d[3]))
-    return (x0 * scale, x1 * scale, x2 * scale, x3 * scale), size
+    return unit((x[0] - d[0], x[1] - d[1], x[2] - d[2], x[3] - d[3])), size
 
 
 @jit_inline
-def solve_bordered(a, b, c, x, u, v, w):  # type: ignore[no-untyped-def]
+def unit(x):
+    """Return a vector of four numbers over its length."""
+    scale = 1.0 / math.sqrt(squared(x[0]) + squared(x[1]) + squared(x[2]) + squared(x[3]))
+    return x[0] * scale, x[1] * scale, x[2] * scale, x[3] * scale
+
+
+@jit_inline
+def solve_bordered(rows, x, u, v, w):
     """Solve a · d = u, b · d = v, c · d = w for d across x, by minors; not finite where that is singular.
 
-    Vectors are tuples of four numbers, all real or all complex.
+    The rows a, b, c and x are tuples of four numbers, all real or all complex.
     """
+    a, b, c = rows
     bc, ca, ab = _minors(b, c), _minors(c, a), _minors(a, b)
     n = np.conj(x[0]), np.conj(x[1]), np.conj(x[2]), np.conj(x[3])
     e = _normal(bc, n)
@@ -159,28 +162,28 @@ def solve_bordered(a, b, c, x, u, v, w):  # type: ignore[no-untyped-def]
 
 
 @jit_inline
-def _minors(p, q):  # type: ignore[no-untyped-def]
+def _minors(p, q):
     """Return the minors 01, 02, 03, 12, 13, 23 of two rows."""
     p01, p02, p03 = p[0] * q[1] - p[1] * q[0], p[0] * q[2] - p[2] * q[0], p[0] * q[3] - p[3] * q[0]
     return p01, p02, p03, p[1] * q[2] - p[2] * q[1], p[1] * q[3] - p[3] * q[1], p[2] * q[3] - p[3] * q[2]
 
 
 @jit_inline
-def _normal(m, n):  # type: ignore[no-untyped-def]
+def _normal(m, n):
     """Return e such that e · y is the determinant of two rows, given by their minors m, the row n and the row y."""
     e0, e1 = m[4] * n[2] - m[3] * n[3] - m[5] * n[1], m[1] * n[3] - m[2] * n[2] + m[5] * n[0]
     return e0, e1, m[2] * n[1] - m[0] * n[3] - m[4] * n[0], m[0] * n[2] - m[1] * n[1] + m[3] * n[0]
 
 
 @jit_inline
-def symmetric(forms, k):  # type: ignore[no-untyped-def]
+def symmetric(forms, k):
     """Return the numbers of a quadric as scalars, so that loops need not ask whether memory is shared."""
     q = forms[k]
     return q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[9]
 
 
 @jit_inline
-def symmetric_product(q, x):  # type: ignore[no-untyped-def]
+def symmetric_product(q, x):
     """Return the product of a quadric as a matrix, given as a `Form`, and a vector."""
     xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = q
     y0, y1 = product((xx, xy, xz, xw), x), product((xy, yy, yz, yw), x)
@@ -188,37 +191,44 @@ def symmetric_product(q, x):  # type: ignore[no-untyped-def]
 
 
 @jit_inline
-def product(a, b):  # type: ignore[no-untyped-def]
+def products(quadrics, x):
+    """Return the products of three quadrics and a vector: half their gradients."""
+    p, q, r = quadrics
+    return symmetric_product(p, x), symmetric_product(q, x), symmetric_product(r, x)
+
+
+@jit_inline
+def product(a, b):
     """Return a · b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 
 
 @jit_inline
-def point(points: FloatArray, k: int):  # type: ignore[no-untyped-def]
+def point(points, k):
     """Return point k as four complex numbers."""
     return _joined(real_part(points, k), imaginary_part(points, k))
 
 
 @jit_inline
-def _joined(re, im):  # type: ignore[no-untyped-def]
+def _joined(re, im):
     """Return four complex numbers."""
     return complex(re[0], im[0]), complex(re[1], im[1]), complex(re[2], im[2]), complex(re[3], im[3])
 
 
 @jit_inline
-def squared(z):  # type: ignore[no-untyped-def]
+def squared(z):
     """Return |z|²."""
     return z.real * z.real + z.imag * z.imag
 
 
 @jit_inline
-def is_real(points, k):  # type: ignore[no-untyped-def]
+def is_real(points, k):
     """Return whether point k is a real vector."""
     return product(imaginary_part(points, k), imaginary_part(points, k)) == 0.0
 
 
 @jit_inline
-def is_same_point(x, y, tolerance):  # type: ignore[no-untyped-def]
+def is_same_point(x, y, tolerance):
     """Return whether the sine of the angle between the lines through two unit vectors is at most `tolerance` << 1."""
     p = x[0] * np.conj(y[0]) + x[1] * np.conj(y[1]) + x[2] * np.conj(y[2]) + x[3] * np.conj(y[3])
     if squared(p) < 0.999:

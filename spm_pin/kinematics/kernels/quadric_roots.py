@@ -30,12 +30,15 @@ from spm_pin.kinematics.kernels.quadric_newton import (
     point,
     polish,
     product,
+    products,
     put_imaginary_part,
     put_real_part,
     real_part,
     solve_bordered,
+    squared,
     symmetric,
     symmetric_product,
+    unit,
 )
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -43,12 +46,10 @@ Elimination = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Arrays to compute in: a matrix in turned coordinates (4, 4), the equations (3, 10), the polynomial (9,), and the
 points, with the polynomial's roots in two more rows."""
 
-_LONGEST = 60
-"""Iterations for the polynomial; 8 to 12 are usual."""
+_LONGEST = 60  # iterations for the polynomial; 8 to 12 are usual
 _RE, _IM = ROWS * POINTS, (ROWS + 1) * POINTS
 """Where the rows of the polynomial's roots begin, beside the points: loops over a single array are vectorised."""
-_VALUE, _VALUE_I, _MOVED = 0, POINTS, 2 * POINTS
-"""Rows of the points that hold other things before."""
+_VALUE, _VALUE_I, _MOVED = 0, POINTS, 2 * POINTS  # rows of the points that hold other things before
 
 _NORMALS = np.array([[3.0, 1.0, -2.0, 5.0], [1.0, 4.0, 2.0, -3.0], [-2.0, 3.0, 6.0, 1.0], [7.0, -2.0, 3.0, 4.0]])
 _COORDINATES = np.eye(4) - 2.0 * _NORMALS[:, :, None] * _NORMALS[:, None] / (_NORMALS**2).sum(axis=-1)[:, None, None]
@@ -57,8 +58,7 @@ _SEPARATE = 1e-8
 """Projective distance above which two roots differ: rounding moves both members of a pair by less than their distance
 as long as that is above the square root of the precision."""
 _ANGLES, _FIRST_ANGLES = 2.0 * np.pi / 9.0 * np.arange(POINTS), 2.0 * np.pi / POINTS * np.arange(POINTS) + 0.4
-_COSINES, _SINES = np.cos(_ANGLES), np.sin(_ANGLES)
-"""The ninth roots of unity, without the last."""
+_COSINES, _SINES = np.cos(_ANGLES), np.sin(_ANGLES)  # the ninth roots of unity, without the last
 _FIRST_COSINES, _FIRST_SINES = np.cos(_FIRST_ANGLES), np.sin(_FIRST_ANGLES)
 """Where the iteration for the polynomial begins, over the radius."""
 _TURNED = 2.0 * np.pi / 9.0 * (np.outer(np.arange(9), np.arange(5)) % 9)
@@ -72,7 +72,7 @@ def allocate_elimination() -> Elimination:
 
 
 @jit_inline
-def _at(s, z):  # type: ignore[no-untyped-def]
+def _at(s, z):
     """Return d z + e, f z + g and h z² + i z + j."""
     a, b = complex(s[0] * z.real + s[1], s[0] * z.imag), complex(s[2] * z.real + s[3], s[2] * z.imag)
     zz = z * z
@@ -80,7 +80,7 @@ def _at(s, z):  # type: ignore[no-untyped-def]
 
 
 @jit_inline
-def _identities(right_sides, z):  # type: ignore[no-untyped-def]
+def _identities(right_sides, z):
     """Return the 3 x 3 matrix at z, by rows, that takes (x, y, 1) to the three identities.
 
     `right_sides` have x², y², x y as (d z + e) x + (f z + g) y + h z² + i z + j.
@@ -101,7 +101,7 @@ def _identities(right_sides, z):  # type: ignore[no-untyped-def]
 
 
 @jit_inline
-def _size(a):  # type: ignore[no-untyped-def]
+def _size(a):
     first, second = abs(a[0].real) + abs(a[0].imag), abs(a[1].real) + abs(a[1].imag)
     return first + second + (abs(a[2].real) + abs(a[2].imag))
 
@@ -150,15 +150,17 @@ def _eliminate(forms: FloatArray, turn: FloatArray, turned: FloatArray, block: F
 
 
 @jit_inline
-def _right_side(block, i):  # type: ignore[no-untyped-def]
-    """Return the right side of a reduced row as scalars."""
-    return block[i, 3], block[i, 4], block[i, 5], block[i, 6], block[i, 7], block[i, 8], block[i, 9]
+def _right_sides(block):
+    """Return the right sides of the reduced rows as scalars."""
+    a, b, c = block[0], block[1], block[2]
+    first, second = (a[3], a[4], a[5], a[6], a[7], a[8], a[9]), (b[3], b[4], b[5], b[6], b[7], b[8], b[9])
+    return first, second, (c[3], c[4], c[5], c[6], c[7], c[8], c[9])
 
 
 @jit
 def _put_polynomial(block: FloatArray, points: FloatArray, polynomial: FloatArray) -> None:
     """Write the determinant's nine coefficients, from its values at the ninth roots of unity."""
-    right_sides = _right_side(block, 0), _right_side(block, 1), _right_side(block, 2)
+    right_sides = _right_sides(block)
     for k in range(POINTS):
         first, second, third = _identities(right_sides, complex(_COSINES[k], _SINES[k]))
         normal = cross(first, second)
@@ -173,11 +175,11 @@ def _put_polynomial(block: FloatArray, points: FloatArray, polynomial: FloatArra
 
 
 @jit_inline
-def _horner(numbers, x, y, coefficient):  # type: ignore[no-untyped-def]
-    """Return value and derivative of a polynomial at x + iy, from those without its last coefficient."""
-    value, value_i, slope, slope_i = numbers
-    slope, slope_i = slope * x - slope_i * y + value, slope * y + slope_i * x + value_i
-    return value * x - value_i * y + coefficient, value * y + value_i * x, slope, slope_i
+def _horner(numbers, z, coefficient):
+    """Return value and derivative of a polynomial at z, from those without its last coefficient."""
+    value, slope = numbers
+    across = value * z
+    return complex(across.real + coefficient, across.imag), slope * z + value
 
 
 @jit
@@ -194,25 +196,20 @@ def _put_roots(polynomial: FloatArray, points: FloatArray) -> bool:
     for k in range(POINTS):
         points[_RE + k], points[_IM + k] = radius * _FIRST_COSINES[k], radius * _FIRST_SINES[k]
     for _ in range(_LONGEST):
-        xs, ys = _eight(points, _RE), _eight(points, _IM)
+        roots = _eight(points)
         for k in range(POINTS):
-            x, y = points[_RE + k], points[_IM + k]
-            numbers = p8 * x + p7, p8 * y, p8, 0.0
-            numbers = _horner(_horner(_horner(numbers, x, y, p6), x, y, p5), x, y, p4)
-            numbers = _horner(_horner(_horner(_horner(numbers, x, y, p3), x, y, p2), x, y, p1), x, y, p0)
-            value, value_i, slope, slope_i = numbers
-            a, b, c, d = _term(xs, ys, 0, x, y), _term(xs, ys, 1, x, y), _term(xs, ys, 2, x, y), _term(xs, ys, 3, x, y)
-            e, f, g, h = _term(xs, ys, 4, x, y), _term(xs, ys, 5, x, y), _term(xs, ys, 6, x, y), _term(xs, ys, 7, x, y)
-            total = a[0] + b[0] + c[0] + d[0] + (e[0] + f[0] + g[0] + h[0])
-            total_i = a[1] + b[1] + c[1] + d[1] + (e[1] + f[1] + g[1] + h[1])
-            bottom = slope - (value * total - value_i * total_i)
-            bottom_i = slope_i - (value * total_i + value_i * total)
-            square = bottom * bottom + bottom_i * bottom_i
+            z = complex(points[_RE + k], points[_IM + k])
+            numbers = complex(p8 * z.real + p7, p8 * z.imag), complex(p8, 0.0)
+            numbers = _horner(_horner(_horner(numbers, z, p6), z, p5), z, p4)
+            value, slope = _horner(_horner(_horner(_horner(numbers, z, p3), z, p2), z, p1), z, p0)
+            a, b, c, d = _term(roots[0], z), _term(roots[1], z), _term(roots[2], z), _term(roots[3], z)
+            e, f, g, h = _term(roots[4], z), _term(roots[5], z), _term(roots[6], z), _term(roots[7], z)
+            bottom = slope - value * (a + b + c + d + (e + f + g + h))
+            square, across = squared(bottom), value * bottom.conjugate()
             scale = where(square > 0.0, 1.0 / square, 0.0)
-            change = (value * bottom + value_i * bottom_i) * scale
-            change_i = (value_i * bottom - value * bottom_i) * scale
-            points[_MOVED + k] = (change * change + change_i * change_i) / (1.0 + x * x + y * y)
-            points[_RE + k], points[_IM + k] = x - change, y - change_i
+            change = complex(across.real * scale, across.imag * scale)
+            points[_MOVED + k] = squared(change) / (1.0 + squared(z))
+            points[_RE + k], points[_IM + k] = z.real - change.real, z.imag - change.imag
         moved = 0.0
         for k in range(POINTS):
             moved = max(moved, points[_MOVED + k])
@@ -222,22 +219,23 @@ def _put_roots(polynomial: FloatArray, points: FloatArray) -> bool:
 
 
 @jit_inline
-def _eight(points: FloatArray, row: int):  # type: ignore[no-untyped-def]
-    """Return a row as scalars."""
-    low = points[row], points[row + 1], points[row + 2], points[row + 3]
-    return *low, points[row + 4], points[row + 5], points[row + 6], points[row + 7]
+def _eight(points):
+    """Return the polynomial's roots as scalars."""
+    re, im = points[_RE : _RE + POINTS], points[_IM : _IM + POINTS]
+    low = complex(re[0], im[0]), complex(re[1], im[1]), complex(re[2], im[2]), complex(re[3], im[3])
+    return *low, complex(re[4], im[4]), complex(re[5], im[5]), complex(re[6], im[6]), complex(re[7], im[7])
 
 
 @jit_inline
-def _term(xs, ys, j, x, y):  # type: ignore[no-untyped-def]
-    """Return the reciprocal of the distance from root j, zero of none."""
-    gap, gap_i = x - xs[j], y - ys[j]
-    scale = 1.0 / (gap * gap + gap_i * gap_i + 1e-300)
-    return gap * scale, -gap_i * scale
+def _term(root, z):
+    """Return the reciprocal of the distance from a root, zero of none."""
+    gap = z - root
+    scale = 1.0 / (squared(gap) + 1e-300)
+    return complex(gap.real * scale, -gap.imag * scale)
 
 
 @jit_inline
-def _chosen(is_a, a, is_b, b, c):  # type: ignore[no-untyped-def]
+def _chosen(is_a, a, is_b, b, c):
     """Return one of three complex numbers, without a branch in the compiled code."""
     re = where(is_a, a.real, where(is_b, b.real, c.real))
     return complex(re, where(is_a, a.imag, where(is_b, b.imag, c.imag)))
@@ -246,7 +244,7 @@ def _chosen(is_a, a, is_b, b, c):  # type: ignore[no-untyped-def]
 @jit
 def _put_vectors(block: FloatArray, turn: FloatArray, points: FloatArray) -> None:
     """Write the unit vectors that belong to the roots of the determinant."""
-    right_sides = _right_side(block, 0), _right_side(block, 1), _right_side(block, 2)
+    right_sides = _right_sides(block)
     t0, t1, t2, t3 = _column(turn, 0), _column(turn, 1), _column(turn, 2), _column(turn, 3)
     for k in range(POINTS):
         z = complex(points[_RE + k], points[_IM + k])
@@ -268,7 +266,7 @@ def _put_vectors(block: FloatArray, turn: FloatArray, points: FloatArray) -> Non
 
 
 @jit_inline
-def _column(matrix, i):  # type: ignore[no-untyped-def]
+def _column(matrix, i):
     return matrix[0, i], matrix[1, i], matrix[2, i], matrix[3, i]
 
 
@@ -290,28 +288,22 @@ def _put_starts(forms: FloatArray, attempt: int, work: Elimination) -> bool:
 def _put_partner(forms: FloatArray, roots: FloatArray, points: FloatArray, k: int) -> None:
     """Write the start for a root close to root k: along the direction in which the quadrics hardly change."""
     x = point(roots, k)
-    p, q, r = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
-    a, b, c = symmetric_product(p, x), symmetric_product(q, x), symmetric_product(r, x)
-    half = complex(0.5, 0.0)
+    quadrics = symmetric(forms, 0), symmetric(forms, 1), symmetric(forms, 2)
+    slopes, half = products(quadrics, x), complex(0.5, 0.0)
     y = half, half, half, half
     for _ in range(2):
-        y = _unit(solve_bordered(a, b, c, x, y[0], y[1], y[2]))
+        y = unit(solve_bordered(slopes, x, y[0], y[1], y[2]))
     above, below = 0.0 * half, 0.0
-    for halved, form in ((a, p), (b, q), (c, r)):
-        linear, square = 2.0 * product(halved, y), product(symmetric_product(form, y), y)
+    halves = products(quadrics, y)
+    for i in range(3):
+        linear, square = 2.0 * product(slopes[i], y), product(halves[i], y)
         above += np.conj(square) * linear
         below += abs(square) ** 2
     step = -above * (1.0 / below) if below > 0.0 else 0.0 * half
-    y = _unit((x[0] + step * y[0], x[1] + step * y[1], x[2] + step * y[2], x[3] + step * y[3]))
+    y = unit((x[0] + step * y[0], x[1] + step * y[1], x[2] + step * y[2], x[3] + step * y[3]))
     put_real_part(points, k, (y[0].real, y[1].real, y[2].real, y[3].real))
     put_imaginary_part(points, k, (y[0].imag, y[1].imag, y[2].imag, y[3].imag))
     points[STATE + k] = PENDING
-
-
-@jit_inline
-def _unit(y):  # type: ignore[no-untyped-def]
-    scale = 1.0 / math.sqrt(abs(y[0]) ** 2 + abs(y[1]) ** 2 + abs(y[2]) ** 2 + abs(y[3]) ** 2)
-    return y[0] * scale, y[1] * scale, y[2] * scale, y[3] * scale
 
 
 @jit

@@ -21,14 +21,28 @@ from spm_pin.formulas.stages import (
     EPS,
     HOME_ASPECT,
     inverse,
-    is_home_aspect,
+    negative_pairs,
     pair_determinant,
     pair_determinant_slope,
 )
-from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, largest, minus, scaled, times, weighted
+from spm_pin.formulas.vectors import (
+    Rows,
+    Vector,
+    combinations,
+    combined,
+    crosses,
+    differences,
+    dots,
+    largest,
+    multiples,
+    shifted,
+    transposed,
+    turned,
+    weighted,
+)
 from spm_pin.formulas.vectors import rotation_of as rotation_of_quaternion
 from spm_pin.formulas.wrenches import pairs
-from spm_pin.kinematics.kernels.compilation import Int64Array, jit, kernel
+from spm_pin.kinematics.kernels.compilation import jit, kernel
 from spm_pin.mechanism.arguments import FloatArray
 
 AXIS, PIVOT, BALL, OFFSET = 0, 3, 6, 9
@@ -40,10 +54,8 @@ SPIN, VELOCITY, RATES, SLOPE_NUMBERS = 0, 3, 6, 10
 determinant's; and their number."""
 NO_STATE, OTHER_ASPECT, BEYOND, INSIDE = 0, 1, 2, 3
 """Where a stage is: nowhere, in another aspect, slightly beyond a forward singularity, or in the wanted aspect."""
-_BEYOND = -0.05
-"""Determinant down to which a search may step beyond a forward singularity; it is about 1 at home."""
-_STEPS = 12
-"""Newton steps for x3 and the centre at most."""
+_BEYOND = -0.05  # determinant down to which a search may step beyond a forward singularity; it is about 1 at home
+_STEPS = 12  # Newton steps for x3 and the centre at most
 
 
 @jit
@@ -71,13 +83,6 @@ def put(numbers: Vector, array: FloatArray, first: int) -> None:
 
 
 @jit
-def _by_turn(axes: Rows, spin: Vector, arms: Rows) -> Vector:
-    """Return how fast the balls leave their planes while the platform turns."""
-    first, second = dot(axes[0], cross(spin, arms[0])), dot(axes[1], cross(spin, arms[1]))
-    return first, second, dot(axes[2], cross(spin, arms[2]))
-
-
-@jit
 def evaluate_stage(
     coordinates: FloatArray,
     legs: FloatArray,
@@ -101,20 +106,15 @@ def evaluate_stage(
             return NO_STATE
         w = math.sqrt(square)
         turn = rotation_of_quaternion(x, y, s, w)
-        arms = times(turn, corners[0]), times(turn, corners[1]), times(turn, corners[2])
+        arms = turned(turn, corners)
         # The rotation by x3, and from it how the planes are left.
         spin = 2.0 * (s * x / w + y), 2.0 * (s * y / w - x), 2.0 * (w + s * s / w)
-        turned = _by_turn(axes, spin, arms)
-        columns, _ = inverse(
-            (
-                (turned[0], axes[0][0], axes[0][1]),
-                (turned[1], axes[1][0], axes[1][1]),
-                (turned[2], axes[2][0], axes[2][1]),
-            )
-        )
-        balls = combined(centre, 1.0, arms[0]), combined(centre, 1.0, arms[1]), combined(centre, 1.0, arms[2])
-        along = minus(balls[0], pivots[0]), minus(balls[1], pivots[1]), minus(balls[2], pivots[2])
-        gaps = dot(axes[0], along[0]), dot(axes[1], along[1]), dot(axes[2], along[2])
+        first, second, _ = transposed(axes)
+        by_spin = dots(axes, crosses((spin, spin, spin), arms))
+        columns, _ = inverse(transposed((by_spin, first, second)))
+        balls = shifted(arms, centre)
+        along = differences(balls, pivots)
+        gaps = dots(axes, along)
         gap = largest(gaps)
         if gap <= tolerance or step == last:
             break
@@ -123,23 +123,19 @@ def evaluate_stage(
         centre = centre[0] - change[1], centre[1] - change[2], z
     if not gap <= 1e-9 * (radius + abs(z)):
         return NO_STATE
-    lengths = math.sqrt(dot(along[0], along[0])), math.sqrt(dot(along[1], along[1])), math.sqrt(dot(along[2], along[2]))
-    u = (
-        scaled(upward / lengths[0], along[0]),
-        scaled(upward / lengths[1], along[1]),
-        scaled(upward / lengths[2], along[2]),
-    )
-    normals = cross(axes[0], u[0]), cross(axes[1], u[1]), cross(axes[2], u[2])
+    squares = dots(along, along)
+    lengths = math.sqrt(squares[0]), math.sqrt(squares[1]), math.sqrt(squares[2])
+    over_lengths = upward / lengths[0], upward / lengths[1], upward / lengths[2]
+    u = multiples(over_lengths, along)
+    normals = crosses(axes, u)
     c = pairs(balls, normals)
     # At home all six c_ij are 3/2 r times the sine of the legs' slope.
     unit = 1.0 / (6.75 * radius * radius * radius)
     if aspect == 1.0 or aspect == -1.0:
         unit *= aspect
-    put(turn[0], values, ROTATION)
-    put(turn[1], values, ROTATION + 3)
-    put(turn[2], values, ROTATION + 6)
     put(centre, values, CENTRE)
     for i in range(3):
+        put(turn[i], values, ROTATION + 3 * i)
         values[READINGS + i] = lengths[i] + legs[i, OFFSET]
     values[DETERMINANT] = unit * pair_determinant(c)
 
@@ -150,21 +146,15 @@ def evaluate_stage(
             direct, height = (2.0 * (x * y / w - s), 2.0 * (w + y * y / w), 2.0 * (y * s / w + x)), 0.0
         else:
             direct, height = (0.0, 0.0, 0.0), radius
-        leaving = combined(_by_turn(axes, direct, arms), height, (axes[0][2], axes[1][2], axes[2][2]))
+        by_turn = dots(axes, crosses((direct, direct, direct), arms))
+        leaving = combined(by_turn, height, (axes[0][2], axes[1][2], axes[2][2]))
         change = weighted(leaving, columns)
         turning = combined(direct, -change[0], spin)
         velocity = -change[1], -change[2], height
-        moved = (
-            combined(velocity, 1.0, cross(turning, arms[0])),
-            combined(velocity, 1.0, cross(turning, arms[1])),
-            combined(velocity, 1.0, cross(turning, arms[2])),
-        )
-        rates = dot(u[0], moved[0]), dot(u[1], moved[1]), dot(u[2], moved[2])
-        tilted = (
-            cross(axes[0], scaled(upward / lengths[0], combined(moved[0], -rates[0], u[0]))),
-            cross(axes[1], scaled(upward / lengths[1], combined(moved[1], -rates[1], u[1]))),
-            cross(axes[2], scaled(upward / lengths[2], combined(moved[2], -rates[2], u[2]))),
-        )
+        moved = shifted(crosses((turning, turning, turning), arms), velocity)
+        rates = dots(u, moved)
+        across = combinations(moved, (-rates[0], -rates[1], -rates[2]), u)
+        tilted = crosses(axes, multiples(over_lengths, across))
         slope = pair_determinant_slope(c, pairs(moved, normals)) + pair_determinant_slope(c, pairs(balls, tilted))
         for i in range(3):
             slopes[SPIN + i, k], slopes[VELOCITY + i, k] = turning[i], velocity[i]
@@ -173,29 +163,16 @@ def evaluate_stage(
 
     if aspect == ANY_ASPECT:
         return INSIDE
-    if aspect == HOME_ASPECT:
-        negative = 0
-        for i in range(6):
-            negative += c[i] < 0.0
-        # In the home's aspect at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
-        if negative > 1 or not upward * z > 0.0 or (values[DETERMINANT] > 0.0 and not is_home_aspect(c)):
-            return OTHER_ASPECT
+    # In the home's aspect at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
+    if aspect == HOME_ASPECT and (negative_pairs(c) > 1.0 or not upward * z > 0.0):
+        return OTHER_ASPECT
     if values[DETERMINANT] > 0.0:
         return INSIDE
     return BEYOND if values[DETERMINANT] > _BEYOND else OTHER_ASPECT
 
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8, f8, f8, f8[:, ::1], f8[:, :, ::1], i8[::1])")
-def stage_states(
-    coordinates: FloatArray,
-    legs: FloatArray,
-    radius: float,
-    upward: float,
-    aspect: float,
-    values: FloatArray,
-    slopes: FloatArray,
-    places: Int64Array,
-) -> None:
+def stage_states(coordinates, legs, radius, upward, aspect, values, slopes, places):
     """Write the values (N, 16) of a stage, their derivatives (N, 10, 3), and where it is (N,), see `evaluate_stage`."""
     for n in range(len(coordinates)):
         places[n] = evaluate_stage(coordinates[n], legs, radius, upward, aspect, values[n], slopes[n])
@@ -204,16 +181,7 @@ def stage_states(
 
 
 @kernel("void(f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1], f8, i8[:, ::1], i8[:, ::1], f8[:, ::1])")
-def nearby_stages(
-    points: FloatArray,
-    rotations: FloatArray,
-    offsets: FloatArray,
-    table: FloatArray,
-    spacing: float,
-    stages: Int64Array,
-    cells: Int64Array,
-    distances: FloatArray,
-) -> None:
+def nearby_stages(points, rotations, offsets, table, spacing, stages, cells, distances):
     """Look points (N, 3) up in a table of distances, seen from lower stages (n, 3, 3) and (n, 3) [cells] in G groups.
 
     Writes the best stage of each group, the cell of the table where the point then is, and the distance, (N, G) each.

@@ -13,7 +13,8 @@ import numpy as np
 from spm_pin.formulas.stages import ANY_ASPECT
 from spm_pin.formulas.vectors import combined, cross, minus, scaled, times, weighted
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.kinematics.kernels.compilation import Int64Array, jit, kernel
+from spm_pin.kinematics.kernels.compilation import jit, kernel
+from spm_pin.kinematics.kernels.compilation import vector as column
 from spm_pin.kinematics.kernels.stage_states import (
     BEYOND,
     CENTRE,
@@ -34,31 +35,21 @@ from spm_pin.kinematics.kernels.stage_states import (
 from spm_pin.mechanism.arguments import FloatArray
 
 GAUSS_NEWTON, NEWTON = 0, 1
-_STEPS = (40, 120)
-"""Steps of a search at most, of both methods."""
-_GRADIENT = (1e-6, 1e-9)
-"""Gradient of half the squared residual norm, over that norm, at which a state is stationary."""
+_STEPS = (40, 120)  # steps of a search at most, of both methods
+_GRADIENT = (1e-6, 1e-9)  # gradient of half the squared residual norm, over that norm, at which a state is stationary
 _STALL_STEPS = 8
 _LEAST_DECREASE = (1e-3, 1e-6)
 """Relative decrease of the residual norm in `_STALL_STEPS` steps, below which a search ends."""
 _DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e-13, 1e3
 """Damping of the first step, relative to the matrix, its least value, and the one at which a search ends."""
-_DIFFERENCE = 1e-4
-"""Step in the coordinates for second derivatives."""
-_DOUBT = 1e-4
-"""Residual norm, over the size, up to which a search that has stalled leaves its point undecided."""
-_SAME_STATE = 1e-6
-"""Distance, over the size, by which the points may move when the readings are put within the limits."""
-_SETTLING = 10
-"""Steps by which readings are put within the limits, at most."""
-_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
-"""Error of readings, over the size."""
-_LEAST_DETERMINANT = 1e-12
-"""Least determinant of a state that is taken to be on this side of a forward singularity."""
-_SAME_END = 1e-3
-"""Distance in the coordinates of two ends of searches that are taken for one."""
-_PENALTY_WEIGHTS = (1.0, 3.0, 10.0)
-"""Penalty weights of the first minimisation, of the second and of the further ones."""
+_DIFFERENCE = 1e-4  # step in the coordinates for second derivatives
+_DOUBT = 1e-4  # residual norm, over the size, up to which a search that has stalled leaves its point undecided
+_SAME_STATE = 1e-6  # distance, over the size, by which the points may move when the readings are put within the limits
+_SETTLING = 10  # steps by which readings are put within the limits, at most
+_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)  # error of readings, over the size
+_LEAST_DETERMINANT = 1e-12  # least determinant of a state that is taken to be on this side of a forward singularity
+_SAME_END = 1e-3  # distance in the coordinates of two ends of searches that are taken for one
+_PENALTY_WEIGHTS = (1.0, 3.0, 10.0)  # penalty weights of the first minimisation, of the second and of the further ones
 _REMOTE_PENALTY = 1000.0
 """Growth of the squared penalty weight with the distance from the target, per machine's size of distance."""
 _STIFFNESS = (1.0, 10.0)
@@ -106,12 +97,9 @@ def _put_points(
         turned = times(lower, (between[0] * s0, between[1] * s1, between[2] * s2))
         put(scaled(scale, combined(turned, 1.0, vector(values[0], CENTRE))), points, 3 * n)
         for k in range(3):
-            spin = slopes[0, SPIN, k], slopes[0, SPIN + 1, k], slopes[0, SPIN + 2, k]
-            velocity = slopes[0, VELOCITY, k], slopes[0, VELOCITY + 1, k], slopes[0, VELOCITY + 2, k]
-            moved = combined(velocity, 1.0, cross(spin, turned))
-            spin = slopes[1, SPIN, k], slopes[1, SPIN + 1, k], slopes[1, SPIN + 2, k]
-            velocity = slopes[1, VELOCITY, k], slopes[1, VELOCITY + 1, k], slopes[1, VELOCITY + 2, k]
-            d0, d1, d2 = weighted(combined(velocity, 1.0, cross(spin, arm)), upper)
+            spin, spin_m = column(slopes[0], SPIN, k), column(slopes[1], SPIN, k)
+            moved = combined(column(slopes[0], VELOCITY, k), 1.0, cross(spin, turned))
+            d0, d1, d2 = weighted(combined(column(slopes[1], VELOCITY, k), 1.0, cross(spin_m, arm)), upper)
             seen = times(lower, (between[0] * d0, between[1] * d1, between[2] * d2))
             for i in range(3):
                 jacobian[3 * n + i, k], jacobian[3 * n + i, 3 + k] = scale * moved[i], -scale * seen[i]
@@ -138,8 +126,7 @@ def _put_limits(
         if not fixed:
             value = unit * values[stage, READINGS + i] + shifts[row]
             residual[row] = weight * (value - min(max(value, limits[0, row]), limits[1, row]))
-        for k in range(6):
-            jacobian[row, k] = 0.0
+        jacobian[row] = 0.0
         if residual[row] != 0.0:
             for k in range(3):
                 jacobian[row, 3 * stage + k] = weight * unit * slopes[stage, RATES + i, k]
@@ -184,28 +171,22 @@ def _solve_damped(matrix: FloatArray, right: FloatArray, damping: float, step: F
     if not (trace > 0.0 and trace < np.inf):
         return False
     for i in range(6):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            if i == j:
-                total += damping * trace
+        square, total = matrix[i, i] + damping * trace, right[i]
+        for j in range(i):
+            product = matrix[i, j]
             for k in range(j):
-                total -= factor[i, k] * factor[j, k]
-            if i == j:
-                if not total > 1e-14 * trace * damping:
-                    return False
-                factor[i, i] = math.sqrt(total)
-            else:
-                factor[i, j] = total / factor[j, j]
-    for i in range(6):
-        total = right[i]
-        for k in range(i):
-            total -= factor[i, k] * step[k]
+                product -= factor[i, k] * factor[j, k]
+            factor[i, j] = product / factor[j, j]
+            square -= factor[i, j] * factor[i, j]
+            total -= factor[i, j] * step[j]
+        if not square > 1e-14 * trace * damping:
+            return False
+        factor[i, i] = math.sqrt(square)
         step[i] = total / factor[i, i]
     for i in range(5, -1, -1):
-        total = step[i]
         for k in range(i + 1, 6):
-            total -= factor[k, i] * step[k]
-        step[i] = total / factor[i, i]
+            step[i] -= factor[k, i] * step[k]
+        step[i] /= factor[i, i]
     return True
 
 
@@ -361,15 +342,7 @@ _MACHINE = "Tuple((f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::
 
 
 @kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], f8[:, ::1], {_MACHINE}, f8[:, :, ::1], f8[:, ::1], i8[::1])")
-def search_points(
-    targets: FloatArray,
-    starts: FloatArray,
-    distances: FloatArray,
-    machine: Machine,
-    coordinates: FloatArray,
-    readings: FloatArray,
-    outcome: Int64Array,
-) -> None:
+def search_points(targets, starts, distances, machine, coordinates, readings, outcome):
     """Search, from `starts` (N, M, 2, 3) one after the other, for a state with o at the `targets` (N, 3).
 
     Starts are left out whose `distances` (N, M) from the target are not finite.
@@ -449,16 +422,7 @@ def _next_end(norms: FloatArray, ends: FloatArray, best: float) -> int:
 
 
 @kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], {_MACHINE}, i8, f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1])")
-def search_nearest(
-    targets: FloatArray,
-    starts: FloatArray,
-    machine: Machine,
-    most: int,
-    coordinates: FloatArray,
-    readings: FloatArray,
-    multipliers: FloatArray,
-    quality: FloatArray,
-) -> None:
+def search_nearest(targets, starts, machine, most, coordinates, readings, multipliers, quality):
     """Search for the states within the limits that put the points of the body nearest to the `targets` (N, 3K).
 
     From all `starts` (N, M, 2, 3) by the Gauss-Newton method, limits penalised; then, from the best on, by Newton's
