@@ -12,15 +12,14 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError, DescriptionError, raised_as
 from spm_pin.mechanism.arguments import (
     FloatArray,
     check_instance,
-    file_path,
     frozen,
+    read_yaml,
     real_array,
     real_number,
     symmetric_matrices,
@@ -122,19 +121,12 @@ class Masses:
     def from_yaml(cls, path: str | Path) -> Masses:
         """Read a YAML file with the keys `bodies` and `payload`, each of which may be left out."""
         with raised_as(DescriptionError):
-            file = file_path(path)
-        try:
-            content = yaml.safe_load(file.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise DescriptionError(str(file), "a readable YAML file", reason) from error
+            content = read_yaml(path)
         if not isinstance(content, dict) or set(content) - {"bodies", "payload"}:
-            raise DescriptionError(str(file), "a mapping with the keys bodies and payload", _keys(content))
+            raise DescriptionError(str(path), "a mapping with the keys bodies and payload", _keys(content))
         payload = content.get("payload")
-        try:
+        with raised_as(DescriptionError, str(path)):
             return cls(content.get("bodies") or {}, None if payload is None else _read_body(payload, "payload"))
-        except ArgumentError as error:
-            raise DescriptionError(f"{file}: {error.argument}", error.expected, error.received, error.cause) from error
 
 
 def _read_body(body: Any, name: str) -> RigidBody:

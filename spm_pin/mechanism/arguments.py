@@ -10,12 +10,14 @@ from __future__ import annotations
 import contextlib
 import operator
 import os
+import re
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from spm_pin.errors import ArgumentError
 
@@ -161,6 +163,49 @@ def writing(path: Path, argument: str = "path") -> Iterator[None]:
         yield
     except OSError as failed:
         raise ArgumentError(argument, "a file that can be written", path, str(failed.strerror)) from failed
+
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)
+_LARGEST_FILE = 1 << 20
+"""Characters of a file that are read; a larger one is refused."""
+
+
+class _Loader(yaml.BaseLoader):
+    """Reads mappings, lists, decimal numbers and texts: no tag has an effect, and no key may occur twice."""
+
+    def construct_scalar(self, node: yaml.ScalarNode) -> Any:
+        text = super().construct_scalar(node)
+        if node.style is None and text in ("", "~", "null"):
+            return None
+        is_number = node.style is None and _NUMBER.fullmatch(text)
+        return float(text.lower().replace(".inf", "inf")) if is_number else text
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        mapping = super().construct_mapping(node, deep)
+        if len(mapping) < len(node.value):
+            keys = [key.value for key, _ in node.value]
+            twice = next(key for key in keys if keys.count(key) > 1)
+            raise yaml.MarkedYAMLError(problem=f"the key {twice!r} twice", problem_mark=node.start_mark)
+        return mapping
+
+
+def read_yaml(path: str | Path) -> Any:
+    """Read a YAML file of numbers, which become floats, texts, lists and mappings."""
+    file = file_path(path)
+    try:
+        with file.open("rb") as opened:
+            text = opened.read(_LARGEST_FILE + 1)
+        if len(text) > _LARGEST_FILE:
+            raise ArgumentError(str(file), f"a YAML file of at most {_LARGEST_FILE} characters", "a longer one")
+        return yaml.load(text.decode("utf-8"), _Loader)  # which constructs no objects
+    except OSError as failed:
+        raise ArgumentError(str(file), "a readable YAML file", str(failed.strerror)) from failed
+    except UnicodeDecodeError as failed:
+        raise ArgumentError(str(file), "a YAML file, text in UTF-8", str(failed)) from failed
+    except ArgumentError:
+        raise
+    except Exception as failed:  # YAMLError; of malformed escapes, tags and nesting also other kinds
+        raise ArgumentError(str(file), "a YAML file", str(failed) or type(failed).__name__) from failed
 
 
 def generator(value: Any, argument: str = "rng") -> np.random.Generator:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import math
-import re
 import warnings
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -31,7 +30,9 @@ from spm_pin.mechanism.arguments import (
     dimension,
     file_path,
     generator,
+    read_yaml,
     real_number,
+    type_and_value,
     writing,
 )
 from spm_pin.mechanism.legs import AXES, LEGS, RADIAL, LegLimits, Legs, axis_directions, bounded_array, drawn_legs
@@ -50,13 +51,15 @@ _PROPORTION = 10.0
 """Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
 
 _DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
-_LEG_KEYS = ("axis", "pivot", "ball", "offset")
-_LARGEST_FILE = 1 << 20
-"""Characters of a file that are read; a larger one is refused."""
+_LEG_KEYS = {
+    "axis": "a unit vector along the revolute axis",
+    "pivot": "in metres",
+    "ball": "in metres",
+    "offset": "a number of metres",
+}
 _IMPLAUSIBLE = 20.0
 """A file with a larger dimension [m] is suspected to be in another unit."""
 _HEADING = "# A 3RPS-3SPR manipulator, lengths in metres: see Geometry of spm_pin.\n"
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)
 
 
 def config_directory() -> Path:
@@ -158,8 +161,8 @@ class Geometry:
     def from_yaml(cls, path: str | Path) -> Geometry:
         """Read a geometry from a YAML file, all lengths in metres; `docs/howto/geometry_files.md` describes it.
 
-        A `GeometryError` names the line and the key of what describes no manipulator. A warning is given for dimensions
-        above 20 m, which are often centimetres or millimetres.
+        A `GeometryError` names the key of what describes no manipulator. A warning is given for dimensions above 20 m,
+        which are often centimetres or millimetres.
         """
         return _read(path)
 
@@ -312,128 +315,73 @@ def unit_hint(geometry: Geometry, lengths: npt.ArrayLike) -> str:
 
 @raised_as(GeometryError)
 def _read(path: str | Path) -> Geometry:
-    root = _root(file_path(path))
     sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
-    nodes = root.mapping({"middle_side"}, sizes | {"leg_limits", "legs"})
-    limits, legs = nodes.pop("leg_limits", None), nodes.pop("legs", None)
-    lengths = {
-        key: dimension(node.number(f"a number of metres under the key {key}"), f"{key} in {node.place}")
-        for key, node in nodes.items()
-    }
+    data = _mapping(read_yaml(path), str(path), {"middle_side"}, sizes | {"leg_limits", "legs"})
+    lengths = {key: dimension(data[key], f"{key} in {path}") for key in data.keys() & {*sizes, "middle_side"}}
     radii = []
     for triangle in ("base", "platform"):
         keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
         if len(keys) != 1:
             expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
-            raise GeometryError(str(root.path), expected, " and ".join(keys) or "neither")
+            raise GeometryError(str(path), expected, " and ".join(keys) or "neither")
         radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
-    geometry = Geometry(radii[0], radii[1], lengths["middle_side"], None if limits is None else _limits(limits))
-    if legs is not None:
-        geometry = replace(geometry, legs=_legs(legs))
+    limits = _limits(data["leg_limits"], f"leg_limits in {path}") if "leg_limits" in data else None
+    geometry = Geometry(radii[0], radii[1], lengths["middle_side"], limits)
+    if "legs" in data:
+        geometry = replace(geometry, legs=_legs(data["legs"], f"legs in {path}"))
     longest = max(lengths, key=lambda key: lengths[key])
     if lengths[longest] > _IMPLAUSIBLE:
-        text = f"{root.path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres"
+        text = f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres"
         warnings.warn(f"{text}; are these in another unit?", stacklevel=4)
     return geometry
 
 
-@dataclass(frozen=True)
-class _Node:
-    """A node of a file; its methods raise `GeometryError` where it is not what it should be.
-
-    Files are read node by node: errors name the line, keys given twice are found, aliases are not expanded. Nothing is
-    constructed, so no tag in a file has an effect.
-    """
-
-    node: yaml.Node
-    path: Path
-
-    @property
-    def place(self) -> str:
-        """The file and the line, as ``machine.yaml:5``."""
-        return f"{self.path}:{self.node.start_mark.line + 1}"
-
-    @property
-    def text(self) -> str:
-        """What the node is, for messages."""
-        kind = type(self.node).__name__.removesuffix("Node").lower()
-        return repr(self.node.value) if isinstance(self.node, yaml.ScalarNode) else f"a {kind}"
-
-    def mapping(self, keys: Collection[str], optional: Collection[str] = ()) -> dict[str, _Node]:
-        """Return the values of a mapping that must have all of `keys` and may have `optional` ones, each once."""
-        expected = f"a mapping with the keys {', '.join(sorted(keys))}"
-        if optional:
-            expected += f", and perhaps {', '.join(sorted(optional))}"
-        if not isinstance(self.node, yaml.MappingNode):
-            raise GeometryError(self.place, expected, self.text)
-        values: dict[str, _Node] = {}
-        for entry, value in self.node.value:
-            key = _Node(entry, self.path)
-            if not isinstance(entry, yaml.ScalarNode) or (entry.value not in keys and entry.value not in optional):
-                meant = _DIMENSIONS.get(str(entry.value))
-                cause = f"{entry.value} is {meant}" if meant in keys or meant in optional else ""
-                raise GeometryError(key.place, expected, f"the key {key.text}", cause)
-            if entry.value in values:
-                raise GeometryError(key.place, expected, f"the key {entry.value!r} twice")
-            values[entry.value] = _Node(value, self.path)
-        missing = set(keys) - values.keys()
-        if missing:
-            raise GeometryError(self.place, expected, f"no key {', '.join(sorted(missing))}")
-        return values
-
-    def numbers(self, count: int, expected: str) -> list[float]:
-        """Return the members of a list of numbers."""
-        if not isinstance(self.node, yaml.SequenceNode):
-            raise GeometryError(self.place, f"a list of {expected}", self.text)
-        if len(self.node.value) != count:
-            raise GeometryError(self.place, expected, f"{len(self.node.value)} of them")
-        return [_Node(member, self.path).number(expected) for member in self.node.value]
-
-    def number(self, expected: str) -> float:
-        """Return a scalar that is written as a decimal number, or `.inf`, without quotes."""
-        node = self.node
-        if isinstance(node, yaml.ScalarNode) and node.style is None and _NUMBER.fullmatch(node.value):
-            return float(node.value.lower().replace(".inf", "inf"))
-        raise GeometryError(self.place, expected, self.text)
+def _mapping(data: Any, place: str, keys: Collection[str], optional: Collection[str] = ()) -> dict[str, Any]:
+    """Return a mapping of a file, which must have all of `keys` and may have `optional` ones."""
+    expected = f"a mapping with the keys {', '.join(sorted(keys))}"
+    if optional:
+        expected += f", and perhaps {', '.join(sorted(optional))}"
+    if not isinstance(data, dict):
+        raise GeometryError(place, expected, type_and_value(data))
+    for key in data:
+        if key not in keys and key not in optional:
+            meant = _DIMENSIONS.get(key)
+            raise GeometryError(place, expected, f"the key {key!r}", f"{key} is {meant}" if meant else "")
+    if missing := set(keys) - data.keys():
+        raise GeometryError(place, expected, f"no key {', '.join(sorted(missing))}")
+    return data
 
 
-def _root(path: Path) -> _Node:
-    """Return the root node of a file."""
-    try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(_LARGEST_FILE + 1)
-    except OSError as failed:
-        raise GeometryError(str(path), "a readable YAML file", str(failed.strerror)) from failed
-    except ValueError as failed:
-        raise GeometryError(str(path), "a YAML file, text in UTF-8", str(failed)) from failed
-    if len(text) > _LARGEST_FILE:
-        raise GeometryError(str(path), f"a YAML file of at most {_LARGEST_FILE} characters", "a longer one")
-    try:
-        root: yaml.Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
-    except Exception as failed:  # YAMLError; of malformed escapes, tags and nesting also other kinds
-        raise GeometryError(str(path), "a YAML file", str(failed) or type(failed).__name__) from failed
-    if root is None:
-        raise GeometryError(str(path), "a YAML mapping of dimensions", "an empty file")
-    return _Node(root, path)
+def _numbers(data: Any, place: str, count: int, meaning: str) -> list[float]:
+    """Return a list of numbers of a file."""
+    if not isinstance(data, list) or len(data) != count or not all(isinstance(x, float) for x in data):
+        received = f"{len(data)} members" if isinstance(data, list) else type_and_value(data)
+        raise GeometryError(place, f"a list of {count} numbers, {meaning}", received)
+    return data
 
 
-def _limits(node: _Node) -> LegLimits:
-    pairs = node.mapping(LEGS) if isinstance(node.node, yaml.MappingNode) else {"leg_limits": node}
-    bounds = {key: pair.numbers(2, f"a pair of lengths in metres under the key {key}") for key, pair in pairs.items()}
-    for key, (low, high) in bounds.items():
+def _limits(data: Any, place: str) -> LegLimits:
+    pairs = _mapping(data, place, LEGS) if isinstance(data, dict) else dict.fromkeys(LEGS, data)
+    bounds = []
+    for leg in LEGS:
+        where = f"{leg} of {place}" if isinstance(data, dict) else place
+        bounds.append(_numbers(pairs[leg], where, 2, "a minimum and a maximum in metres"))
         try:
-            LegLimits(low, high)
+            LegLimits(*bounds[-1])
         except GeometryError as wrong:
-            place = f"{key} in {pairs[key].place}"
-            raise GeometryError(place, wrong.expected, f"[{low:g}, {high:g}]", wrong.cause) from None
-    lows, highs = zip(*(bounds.get(leg) or bounds["leg_limits"] for leg in LEGS), strict=True)
-    return LegLimits(lows, highs)
+            raise GeometryError(where, wrong.expected, str(bounds[-1]), wrong.cause) from None
+    return LegLimits(*zip(*bounds, strict=True))
 
 
-def _legs(node: _Node) -> Legs:
-    legs = node.mapping(LEGS)
-    rows = [legs[leg].mapping(_LEG_KEYS) for leg in LEGS]
-    vectors = [[row[key].numbers(3, f"three numbers under the key {key}") for row in rows] for key in _LEG_KEYS[:3]]
-    offsets = [row["offset"].number("a number of metres under the key offset") for row in rows]
-    with raised_as(GeometryError, node.place):
-        return Legs(*map(np.array, (*vectors, offsets)))
+def _legs(data: Any, place: str) -> Legs:
+    legs = _mapping(data, place, LEGS)
+    arrays = []
+    for key, meaning in _LEG_KEYS.items():
+        rows = []
+        for leg in LEGS:
+            where = f"{key} of {leg} of {place}"
+            row = _mapping(legs[leg], f"{leg} of {place}", _LEG_KEYS)[key]
+            rows.append(real_number(row, where, meaning) if key == "offset" else _numbers(row, where, 3, meaning))
+        arrays.append(np.array(rows))
+    with raised_as(GeometryError, place):
+        return Legs(*arrays)
