@@ -132,7 +132,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **{f"{function}.near": lambda: STATE for function in ("forward_physical", "inverse_physical")},
     "nearest_reachable_pose.near": lambda: STATE,
     **dict.fromkeys(("leg_grid.lower", "leg_grid.upper"), lambda: (1.2, 1.3, 2)),
-    **dict.fromkeys(("geometry", "Geometry.is_same_machine.other"), lambda: PAPER),
+    "geometry": lambda: PAPER,
     **dict.fromkeys(("path", "PlatformPath.poses"), lambda: PATH),
     "branch": lambda: "TT+",
     "chain": lambda: chain(),

@@ -27,7 +27,6 @@ import numpy as np
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import upper_ball_weights
 
 ROWS = 3.0
 """√9: from the largest of nine equations to their norm."""
@@ -51,7 +50,7 @@ class Conditioning:
     @classmethod
     def from_configuration(cls, configuration: Configuration) -> Conditioning:
         """Return the conditioning of states (N,); NaN for a member that does not exist."""
-        sides, weights = configuration.geometry.legs.sides, upper_ball_weights(configuration.geometry.legs.balls)
+        sides, weights = configuration.geometry.legs.sides, configuration.geometry.legs.upper_ball_weights
         curvature = 1.5 * (1.0 / sides.min() + np.abs(weights[:, 2]).sum())
         exists = configuration.exists[:, None, None]
         closure_b, closure_x, lengths_b, lengths_x = (

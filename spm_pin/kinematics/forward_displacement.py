@@ -18,7 +18,7 @@ from spm_pin.kinematics.batches import LARGEST_RATIO, flat_batch, radii, run_ker
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, broadcastable, check_instance, first_offender, real_array
 from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, unit_hint
+from spm_pin.mechanism.geometry import Geometry, check_same_machine, unit_hint
 from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
@@ -203,8 +203,7 @@ def _read_lengths(geometry: Geometry, readings: npt.ArrayLike) -> FloatArray:
 def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) -> None:
     """Raise an ArgumentError if `near` is no closed state of this machine that goes with lengths (..., 6)."""
     check_configuration(near, "near", existing=True)
-    if not geometry.is_same_machine(near.geometry):
-        raise ArgumentError("near", f"a configuration of this geometry, {geometry!r}", repr(near.geometry))
+    check_same_machine(near.geometry, geometry, "near", "`geometry`")
     broadcastable("near", near.shape, "readings", lengths.shape[:-1])
     residual = float(near.closure_residual.max(initial=0.0))
     if residual > _OPEN * geometry.middle_side:

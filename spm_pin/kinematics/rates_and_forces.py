@@ -35,7 +35,6 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import upper_ball_weights
 
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.
@@ -194,7 +193,7 @@ def _broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, confi
 def leg_constants(geometry: Geometry) -> FloatArray:
     """Return axes and pivots of the six legs and `upper_ball_weights` (15, 3), as the kernels take a machine."""
     legs = geometry.legs
-    return np.concatenate([legs.axes, legs.pivots, upper_ball_weights(legs.balls)])
+    return np.concatenate([legs.axes, legs.pivots, legs.upper_ball_weights])
 
 
 def force_matrices(configuration: Configuration) -> FloatArray:

@@ -23,7 +23,7 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
 )
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import LEGS, triangle_frames, triangle_sides, upper_ball_weights
+from spm_pin.mechanism.legs import LEGS, triangle_frames, triangle_sides
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
 
 _COLUMNS = ("o in {B} [m]", "roll, pitch, yaw [°]", *(f"{leg} [m]" for leg in LEGS))
@@ -194,7 +194,7 @@ class Configuration:
         """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the drawn machine."""
         lower = self._middle_joints
         sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
-        moved = upper_ball_weights(self._geometry.legs.balls) @ np.stack([*sides, np.cross(*sides)], axis=-2)
+        moved = self._geometry.legs.upper_ball_weights @ np.stack([*sides, np.cross(*sides)], axis=-2)
         return frozen(np.concatenate([lower, lower + moved], axis=-2))
 
     @cached_property

@@ -47,6 +47,8 @@ _MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
 
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """Units of length, and how many of them are a metre."""
+_SAME = 1e-9
+"""Machines that differ by less, relative to the middle side, are the same."""
 _PROPORTION = 10.0
 """Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
 
@@ -200,11 +202,6 @@ class Geometry:
         """E, C and d [m]."""
         return self.base_radius, self.platform_radius, self.middle_side
 
-    def is_same_machine(self, other: Geometry) -> bool:
-        """Return True if the dimensions and legs are equal; the limits may differ."""
-        check_instance(other, Geometry, "other")
-        return self.dimensions == other.dimensions and self.legs == other.legs
-
     @property
     def middle_radius(self) -> float:
         """Radius r = d/√3 of the drawn middle platform, from its centre to a ball joint b_i [m]."""
@@ -285,6 +282,21 @@ class Geometry:
         curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
         along = (across * turn).sum(axis=-1, keepdims=True)
         return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
+
+
+def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
+    """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
+    for name in _DIMENSIONS.values():
+        received, wanted = getattr(geometry, name), getattr(expected, name)
+        if abs(received - wanted) > _SAME * expected.middle_side:
+            raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m")
+    for name in ("axes", "pivots", "balls", "offsets"):
+        apart = np.abs(getattr(geometry.legs, name) - getattr(expected.legs, name))
+        unit, scale = ("rad", 1.0) if name == "axes" else ("m", expected.middle_side)
+        if apart.max() > _SAME * scale:
+            leg = LEGS[int(apart.argmax()) * len(LEGS) // apart.size]
+            difference = f"a machine that differs by {apart.max():.1e} {unit} in {leg}"
+            raise GeometryError(argument, f"the {name} of {owner}", difference)
 
 
 def machine_size(geometry: Geometry) -> float:

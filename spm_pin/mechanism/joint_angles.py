@@ -28,7 +28,6 @@ from spm_pin.formulas.vectors import dot, minus, times, transposed
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import upper_ball_weights
 
 JOINTS = (
     *("leg_b1_hip", "leg_b1_slide", "ball_b1_x", "ball_b1_y", "ball_b1_z"),
@@ -80,7 +79,7 @@ def _constants(geometry: Geometry) -> _Constants:
         radius, up = ((geometry.base_radius, 1.0), (geometry.platform_radius, -1.0))[leg // 3]
         home = home_lengths(geometry)[leg // 3], geometry.middle_radius - radius, TANGENT_SIGNS[leg % 3], up
         legs.append(_ON_NUMBERS.leg_frame(axes[leg], pivots[leg], AXES[leg % 3], own_axes, home))
-    weights = upper_ball_weights(geometry.legs.balls)
+    weights = geometry.legs.upper_ball_weights
     return _Constants(tuple(legs), tuple(geometry.legs.sides.tolist()), _tuples(weights))
 
 

@@ -180,6 +180,11 @@ class Legs:
         # -0.0 and 0.0 are equal.
         return tuple((array + 0.0).tobytes() for array in self.arrays)
 
+    @functools.cached_property
+    def upper_ball_weights(self) -> FloatArray:
+        """Weights of `formulas.leg_planes.upper_balls`, as rows (3, 3)."""
+        return frozen(np.array(_upper_ball_weights(rows_of(self.balls[:3]), rows_of(self.balls[3:]))))
+
     def __eq__(self, other: object) -> bool:
         return self._key == other._key if isinstance(other, Legs) else NotImplemented
 
@@ -217,11 +222,6 @@ def triangle_frames(b: FloatArray) -> FloatArray:
 def triangle_sides(b: FloatArray) -> FloatArray:
     """Return the sides b_1 b_2, b_2 b_3 and b_3 b_1 (..., 3) of triangles (..., 3, 3)."""
     return np.asarray(np.sqrt(np.stack(_squared_sides(rows_of(b)), axis=-1)))
-
-
-def upper_ball_weights(balls: FloatArray) -> FloatArray:
-    """Return the weights of `leg_planes.upper_balls` for six balls (6, 3) in {n}, as rows (3, 3)."""
-    return np.array(_upper_ball_weights(rows_of(balls[:3]), rows_of(balls[3:])))
 
 
 def bounded_array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning: str) -> FloatArray:

@@ -35,8 +35,8 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.mechanism.configuration import check_configuration
+from spm_pin.mechanism.geometry import check_same_machine
 from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spaced_parameters, states_along
-from spm_pin.multibody.chain import check_same_machine
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
 from spm_pin.workspace.poses import JointLimits

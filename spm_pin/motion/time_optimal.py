@@ -20,12 +20,13 @@ from spm_pin.description.masses import Masses, RigidBody
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
+from spm_pin.mechanism.geometry import check_same_machine
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.paths import ROUNDING, LegPath, MotionLimits, MotionPath, PathDynamics, path_dynamics
 from spm_pin.motion.planning import MotionPlan
-from spm_pin.multibody.chain import ClosedChain, check_same_machine
+from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
 
 _LONGEST = 10**6

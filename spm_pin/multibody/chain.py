@@ -22,7 +22,7 @@ from spm_pin.description.source_files import (
     urdf_text,
 )
 from spm_pin.description.tree import ANGLES, SLIDES, srdf_text
-from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, GeometryError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.mechanism.arguments import (
@@ -34,9 +34,8 @@ from spm_pin.mechanism.arguments import (
     first_offender,
 )
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import Geometry, check_same_machine
 from spm_pin.mechanism.joint_angles import joint_angles
-from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.multibody.chain_state import ChainState, ConstrainedChain, NaturalFrequencies, PlatformDynamics, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
@@ -481,18 +480,3 @@ def _check_tree(model: Any, expected: Any, path: str, side: float) -> None:
         received = f"{links[int(off.argmax())]} {off.max():.1e} m off where all joints are turned"
         cause = f"Another joint axis, order or zero, which follows from the leg limits? {cause}"
         raise DescriptionError(path, "the tree of the description for this geometry", received, cause)
-
-
-def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
-    """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
-    for name in ("base_radius", "platform_radius", "middle_side"):
-        received, wanted = getattr(geometry, name), getattr(expected, name)
-        if abs(received - wanted) > AGREEMENT * expected.middle_side:
-            raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m")
-    for name in ("axes", "pivots", "balls", "offsets"):
-        apart = np.abs(getattr(geometry.legs, name) - getattr(expected.legs, name))
-        unit, scale = ("rad", 1.0) if name == "axes" else ("m", expected.middle_side)
-        if apart.max() > AGREEMENT * scale:
-            leg = LEGS[int(apart.argmax()) * len(LEGS) // apart.size]
-            difference = f"a machine that differs by {apart.max():.1e} {unit} in {leg}"
-            raise GeometryError(argument, f"the {name} of {owner}", difference)

@@ -24,7 +24,6 @@ import numpy as np
 
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import upper_ball_weights
 from spm_pin.nlp import loop_equations
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -39,7 +38,7 @@ class LoopEquations:
 
     def __init__(self, geometry: Geometry) -> None:
         self.geometry = geometry
-        weights = upper_ball_weights(geometry.legs.balls)
+        weights = geometry.legs.upper_ball_weights
         self.curvature = 1.5 * float(1.0 / geometry.legs.sides.min() + np.abs(weights[:, 2]).sum())
         """The bound q of the equations' quadratic part [1/m]."""
         self._function = loop_equations.closure(geometry)

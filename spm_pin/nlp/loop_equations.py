@@ -19,7 +19,6 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, type_and_value
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import upper_ball_weights
 
 _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 """Shapes of the derivatives that `leg_jacobian` returns."""
@@ -36,7 +35,7 @@ def legs(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> l
     b_1, b_2, b_3 = balls = _points(b)
     # In a machine as built the upper legs' balls are beside the lower ones, fixed to their triangle.
     frame = ca.horzcat(b_2 - b_1, b_3 - b_1, ca.cross(b_2 - b_1, b_3 - b_1))
-    weights = upper_ball_weights(geometry.legs.balls)
+    weights = geometry.legs.upper_ball_weights
     balls = balls + [ball + frame @ ca.SX(row) for ball, row in zip(balls, weights, strict=True)]
     return [(axis, ball - pivot) for axis, pivot, ball in zip(axes, pivots, balls, strict=True)]
 

@@ -38,6 +38,7 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import check_configuration
+from spm_pin.mechanism.geometry import check_same_machine
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
 
@@ -345,8 +346,7 @@ def nearest_reachable_pose(
 def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> None:
     if check_instance(near, Configuration, "near").shape or not near.exists:
         raise ArgumentError("near", "a single Configuration that exists", repr(near))
-    if not geometry.is_same_machine(near.geometry):
-        raise ArgumentError("near", "a configuration of the same geometry", repr(near.geometry))
+    check_same_machine(near.geometry, geometry, "near", "`geometry`")
     if not limits.margin(near.readings) >= -1e-9 * geometry.middle_side:
         raise ArgumentError("near", "a configuration within the leg limits", repr(near))
 

@@ -10,6 +10,7 @@ from problems import GEOMETRIES
 
 import spm_pin as spm
 from spm_pin.mechanism import PARAMETERS
+from spm_pin.mechanism.geometry import check_same_machine
 
 PAPER = spm.Geometry.paper()
 
@@ -151,8 +152,9 @@ def test_geometry_is_frozen_and_compared_by_value() -> None:
     pivots[0, 0] = 99.0
     assert twin == built
     assert built != PAPER
-    assert built.is_same_machine(replace(built, limits=None))
-    assert not built.is_same_machine(PAPER)
+    check_same_machine(replace(built, limits=None), built, "near", "the machine")
+    with pytest.raises(spm.GeometryError, match="near: expected the axes of the machine"):
+        check_same_machine(twin, PAPER, "near", "the machine")
     assert "off the drawing by up to 0.00" in repr(built)
 
 
