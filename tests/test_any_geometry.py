@@ -59,6 +59,7 @@ VALUES: dict[str, Callable[[spm.Geometry], Any]] = {
     "workspace.nearest_reachable_pose": lambda g: (
         spm.workspace.nearest_reachable_pose(g, spm.pose([0.9, 0.1, 2.2], xyx=[0.1, 0.2, 0.1])).configuration.readings
     ),
+    "nlp.search": lambda g: spm.nlp.search(g, state(PAPER).pose).solutions.nearest(state(PAPER)).readings,
     "workspace.leg_clearance": lambda g: spm.workspace.leg_clearance(state(g)),
     "certify": lambda g: list(spm.certify(g, spm.LegLimits(1.25, 1.35)).bounds),
 }
@@ -66,10 +67,6 @@ VALUES: dict[str, Callable[[spm.Geometry], Any]] = {
 REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
     "all assembly modes": lambda g: spm.forward_displacement(g, READINGS),
     "the paper's shell": lambda g: spm.workspace.workspace_shell(g),
-    "the search by CasADi": lambda g: spm.nlp.search(g, state(PAPER).pose),
-    "the equations of the search": spm.nlp.closure,
-    "the lengths of the search": spm.nlp.leg_lengths,
-    "the derivatives of the search": spm.nlp.leg_jacobian,
 }
 
 

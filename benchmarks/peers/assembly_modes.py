@@ -114,7 +114,7 @@ def newton_from_equal_legs(problem: tuple[Geometry, FloatArray]) -> Prepared:
 
 
 def pinocchio(problem: tuple[Geometry, FloatArray]) -> Prepared:
-    """Prepare `ClosedChain.project`: Newton on Pinocchio's closures from the home, the legs held."""
+    """Prepare `ClosedChain.forward_kinematics` from the home: Newton on Pinocchio's closures."""
     required("pinocchio", "pin")
     from spm_pin.multibody.chain import ClosedChain
 
@@ -123,7 +123,7 @@ def pinocchio(problem: tuple[Geometry, FloatArray]) -> Prepared:
     home = np.zeros(chain.model.nq)
 
     def solve(lengths: FloatArray) -> FloatArray:
-        return chain.project(chain.with_readings(home, lengths), hold_legs=True)
+        return np.asarray(chain.forward_kinematics(lengths, near=home))
 
     def read(found: list[FloatArray]) -> FloatArray:
         return np.array([chain.configuration(q).middle_joints for q in found])

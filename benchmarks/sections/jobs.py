@@ -245,7 +245,7 @@ def _control(section: Section, chain: Any, n: int, progress: Progress, facts: Fa
 
     def other(now: FloatArray, _: FloatArray) -> FloatArray:
         nonlocal q
-        q = chain.project(chain.with_readings(q, now), hold_legs=True)
+        q = chain.forward_kinematics(now, near=q)
         return plain.inverse(q, still, still)
 
     rows = []

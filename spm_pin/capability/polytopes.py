@@ -370,6 +370,7 @@ def joint_reactions(configuration: Configuration) -> JointReactions:
     SingularConfigurationError
         At a forward or a constraint singularity, where the legs do not hold the platform.
     """
+    check_configuration(configuration)
     rows = -stage_inverses(configuration).mT
     shape = rows.shape[:-3]
     along, axial = (rows[..., k, :].reshape(*shape, 6, 6) for k in (slice(3), slice(3, 6)))

@@ -88,7 +88,7 @@ def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
     done = run(*FEW, "--geometry", str(path))
     assert done.returncode == 2
     assert done.message.startswith("error: --limits: ")
-    assert "the geometry has none" in done.message
+    assert "The geometry has none" in done.message
     pairs = {leg: "[1.1, 1.5]" if leg.startswith("r_b") else "[1.2, 1.4]" for leg in spm.mechanism.LEGS}
     limits = ", ".join(f"{leg}: {pair}" for leg, pair in pairs.items())
     path.write_text(f"{text}leg_limits: {{{limits}}}\n", encoding="utf-8")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from spm_pin.display.viewer.model import (
 from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, Colour
 from spm_pin.display.writing import fixed
 from spm_pin.mechanism import LEGS
-
-if TYPE_CHECKING:
-    from spm_pin.display.viewer.page import Viewer
 
 _COORDINATES = {
     "X-Y-X": ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]"),
@@ -53,13 +50,13 @@ Report = Callable[[str, Any], Coroutine[Any, Any, None]]
 
 
 class Panel:
-    """The widgets of one client of a viewer, added to a `viser.GuiApi`.
+    """The widgets of one client of a `Viewer`, added to a `viser.GuiApi`.
 
     `report` takes the name and the value of every event. On the `narrow` page of a phone the instruments have a tab of
     their own.
     """
 
-    def __init__(self, gui: Any, viewer: Viewer, report: Report, *, narrow: bool) -> None:
+    def __init__(self, gui: Any, viewer: Any, report: Report, *, narrow: bool) -> None:
         self.gui, self.viewer, self._report = gui, viewer, report
         limits = viewer.start.geometry.limits
         self.theme(viewer.dark)
