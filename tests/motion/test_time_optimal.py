@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from engines import Mujoco
 from motion.example_paths import CHAIN, CURVE, GOAL, LEGS, LINE, PAPER, START, pose_line
-from multibody.engine_dynamics import Mujoco
 
 import spm_pin as spm
 from spm_pin.motion import LegPath, Payload
@@ -252,7 +252,7 @@ def test_paths_that_cannot_be_gone_along_are_named() -> None:
 def test_a_replay_in_mujoco_tracks_the_motion() -> None:
     """Efforts as feed-forward, held for a step of 0.2 ms, with a weak spring and damper on the legs."""
     motion = spm.time_optimal(CHAIN, CURVE, leg_forces=1500.0, leg_rates=0.5, grid=400, period=2e-4)
-    engine = Mujoco(CHAIN, step=2e-4, integrator="mjINT_IMPLICITFAST")
+    engine = Mujoco(step=2e-4, integrator="mjINT_IMPLICITFAST")
     errors, corrections, gaps = [], [], []
 
     def forces(time: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import problems
 import pytest
+from engines import Drake, Mujoco, accelerations
 from multibody.chains import NAMES, Array, chain, frame_jacobian, placed, plain_accelerations, six_branches
-from multibody.engine_dynamics import Drake, Mujoco, accelerations
 
 import spm_pin as spm
 from spm_pin.description import urdf_text
@@ -52,7 +52,7 @@ def test_two_other_engines_accelerate_alike(engine: Any, name: str, tmp_path: Pa
     robot, rng = chain(name), np.random.default_rng(204)
     file = tmp_path / "machine.urdf"
     file.write_text(urdf_text(robot.geometry), encoding="utf-8")
-    other = engine(robot, urdf=file)
+    other = engine(file)
     for q, v in states(name, 5, seed=205):
         f = 500.0 * rng.normal(size=6)
         ours, theirs = robot.forward_dynamics(q, v, f), accelerations(other, robot.leg_indices, q, v, f)
@@ -97,7 +97,7 @@ def test_mujoco_holds_the_mechanism_with_the_same_forces() -> None:
     robot = chain()
     for state in six_branches()[:1] + list(spm.forward_physical(robot.geometry, [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45]])):
         q, rest = robot.joint_values(state), np.zeros(18)
-        engine = Mujoco(robot, step=1e-4, locked=True)
+        engine = Mujoco(step=1e-4, locked=True)
         engine.hold(q[robot.leg_indices])
         settled = engine.run(q, rest, lambda t, q, v: np.zeros(6), 0.05, robot.leg_indices)
         assert np.abs(settled - q)[robot.leg_indices].max() <= 1e-9

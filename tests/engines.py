@@ -1,19 +1,26 @@
-"""One interface to the engines: each loads a file of the robot itself."""
+"""The robot in Pinocchio, MuJoCo, Drake and yourdfpy, each of which reads a file of it by itself."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.description.source_files import Closure, read_closures
+from spm_pin.description import SLIDES, URDF_PATH
+from spm_pin.description.robot import read_robot
+from spm_pin.description.source_files import read_closures
 
 Array = npt.NDArray[np.float64]
 Values = Mapping[str, float]
+Forces = Callable[[float, Array, Array], Array]
+
+SHIPPED = Path(URDF_PATH)
+JOINTS = [joint.name for joint in read_robot().moving]
+"""The moving joints in the order of a chain."""
 
 
 class Engine(Protocol):
@@ -33,8 +40,25 @@ class Engine(Protocol):
         """Joint-space inertia in the order of q."""
 
 
+class Moving(Engine, Protocol):
+    """An engine that has the terms of M a + h = Sᵀ f + Jᵀ λ and J a + d = 0, in the order of a chain's joints."""
+
+    def terms(self, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+        """Return M, h, J and d."""
+
+
+def accelerations(engine: Moving, legs: Array, q: Array, v: Array, f: Array) -> Array:
+    """Solve the engine's own equations with hard constraints."""
+    mass, bias, jacobian, drift = engine.terms(q, v)
+    n, m = len(q), len(drift)
+    matrix = np.block([[mass, jacobian.T], [jacobian, np.zeros((m, m))]])
+    force = -bias
+    force[legs] += f
+    return np.linalg.solve(matrix, np.concatenate([force, -drift]))[:n]
+
+
 class Pinocchio:
-    def __init__(self, path: Path, closures: Iterable[Closure] | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         import pinocchio as pin
 
         self.pin = pin
@@ -42,10 +66,10 @@ class Pinocchio:
             self.model, points, frames = pin.buildModelAndConstraintsFromMJCF(str(path))
             self.constraints = [*points, *frames]
         else:
-            # Pinocchio reads no closures from a URDF: those of the description, unless others are given.
+            # Pinocchio reads no closures from a URDF.
             self.model = pin.buildModelFromUrdf(str(path))
             self.constraints = []
-            for closure in read_closures() if closures is None else closures:
+            for closure in read_closures():
                 ends = (self.model.frames[self.model.getFrameId(f)] for f in (closure.frame_a, closure.frame_b))
                 placed = [part for end in ends for part in (end.parentJoint, end.placement)]
                 self.constraints.append(pin.PointAnchorConstraintModel(self.model, *placed))
@@ -58,9 +82,7 @@ class Pinocchio:
     def q(self, values: Values) -> Array:
         q = np.zeros(self.model.nq)
         for joint, value in values.items():
-            model = self.model.joints[self.model.getJointId(joint)]
-            # A continuous joint of a URDF is a point on the unit circle.
-            q[model.idx_q : model.idx_q + model.nq] = value if model.nq == 1 else (np.cos(value), np.sin(value))
+            q[self.model.joints[self.model.getJointId(joint)].idx_q] = value
         return q
 
     def frames(self, values: Values) -> dict[str, Array]:
@@ -83,12 +105,37 @@ class Pinocchio:
 
 
 class Mujoco:
-    def __init__(self, path: Path) -> None:
+    """A URDF gets the loops that it does not name, and on request locks of the slides, made for time steps of `step`.
+
+    Its collisions and joint limits are off: they are not what is compared.
+    """
+
+    def __init__(
+        self, path: Path = SHIPPED, *, step: float = 1e-3, integrator: str = "mjINT_EULER", locked: bool = False
+    ) -> None:
         import mujoco
 
         self.mujoco = mujoco
-        self.model = mujoco.MjModel.from_xml_path(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+        closures = read_closures()
+        if path.suffix == ".urdf":
+            connect, body = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
+            added = [(connect, body, closure.frame_a, closure.frame_b) for closure in closures]
+            added += [(mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT, name, "") for name in SLIDES if locked]
+            for kind, of, first, second in added:
+                equality = spec.add_equality(type=kind, objtype=of, name1=first, name2=second)
+                equality.data = np.zeros_like(equality.data)
+                # As stiff as MuJoCo lets it be: time constant of two steps, critically damped, largest impedance.
+                equality.solref = [2.0 * step, 1.0]
+                equality.solimp = [0.9999, 0.9999, 1e-3, 0.5, 2.0]
+            spec.option.timestep, spec.option.integrator = step, getattr(mujoco.mjtIntegrator, integrator)
+            spec.option.tolerance, spec.option.iterations = 0.0, 50
+            spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
+        self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
+        self.order = np.array([int(self.model.joint(name).qposadr[0]) for name in JOINTS])
+        assert [int(self.model.joint(name).dofadr[0]) for name in JOINTS] == list(self.order)
+        self.pairs = [[self.model.body(frame).id for frame in (c.frame_a, c.frame_b)] for c in closures]
 
     @property
     def joints(self) -> list[str]:
@@ -115,15 +162,44 @@ class Mujoco:
         equality = self.data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY
         return np.asarray(self.data.efc_pos[equality].reshape(-1, 3))
 
-    def mass_matrix(self, values: Values) -> Array:
-        self.set(values)
+    def _mass_matrix(self) -> Array:
         full = np.zeros((self.model.nv, self.model.nv))
         self.mujoco.mj_fullM(self.model, self.data, full)
         return full
 
+    def mass_matrix(self, values: Values) -> Array:
+        self.set(values)
+        return self._mass_matrix()
+
+    def terms(self, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+        model, data, k = self.model, self.data, self.order
+        data.qpos[k], data.qvel[k] = q, v
+        self.mujoco.mj_forward(model, data)
+        rows, rates = np.zeros((2, len(self.pairs), 2, 3, model.nv))
+        for pair, at, rate in zip(self.pairs, rows, rates, strict=True):
+            for end, body in enumerate(pair):
+                self.mujoco.mj_jac(model, data, at[end], None, data.xpos[body], body)
+                self.mujoco.mj_jacDot(model, data, rate[end], None, data.xpos[body], body)
+        jacobian, change = ((each[:, 1] - each[:, 0]).reshape(-1, model.nv) for each in (rows, rates))
+        return self._mass_matrix()[np.ix_(k, k)], data.qfrc_bias[k].copy(), jacobian[:, k], change @ data.qvel
+
+    def hold(self, slides: Array) -> None:
+        """Lock the slides, made with `locked`, at these values."""
+        self.model.eq_data[len(self.pairs) :, 0] = slides
+
+    def run(self, q: Array, v: Array, forces: Forces, until: float, legs: Array) -> Array:
+        """MuJoCo's own steps from q and v; returns the q they end at."""
+        data, k = self.data, self.order
+        self.mujoco.mj_resetData(self.model, data)
+        data.qpos[k], data.qvel[k] = q, v
+        for _ in range(round(until / self.model.opt.timestep)):
+            data.qfrc_applied[k[legs]] = forces(data.time, data.qpos[k], data.qvel[k])
+            self.mujoco.mj_step(self.model, data)
+        return np.array(data.qpos[k])
+
 
 class Drake:
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path = SHIPPED) -> None:
         from pydrake.multibody.inverse_kinematics import InverseKinematics
         from pydrake.multibody.parsing import Parser
         from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
@@ -140,15 +216,15 @@ class Drake:
         self.equations = self.kinematics.prog().GetAllConstraints()
         moving = [self.plant.get_joint(i) for i in self.plant.GetJointIndices()]
         self.moving = sorted((j for j in moving if j.num_positions()), key=lambda joint: joint.position_start())
+        self.order = np.array([self.joints.index(name) for name in JOINTS])
+        assert [joint.velocity_start() for joint in self.moving] == list(range(len(JOINTS)))
 
     @property
     def joints(self) -> list[str]:
         return [joint.name() for joint in self.moving]
 
     def set(self, values: Values) -> Array:
-        q = np.zeros(self.plant.num_positions())
-        for name, value in values.items():
-            q[self.plant.GetJointByName(name).position_start()] = value
+        q = np.array([values.get(name, 0.0) for name in self.joints])
         self.plant.SetPositions(self.context, q)
         return q
 
@@ -170,6 +246,24 @@ class Drake:
         self.set(values)
         return np.asarray(self.plant.CalcMassMatrixViaInverseDynamics(self.context))
 
+    def terms(self, q: Array, v: Array) -> tuple[Array, Array, Array, Array]:
+        from pydrake.multibody.tree import JacobianWrtVariable
+
+        plant, context, world, k = self.plant, self.context, self.plant.world_frame(), self.order
+        both = np.empty((2, len(q)))
+        both[:, k] = q, v
+        plant.SetPositionsAndVelocities(context, both.ravel())
+        bias = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
+        rows, drift = [], []
+        for c in read_closures():
+            frames = (plant.GetFrameByName(name) for name in (c.frame_a, c.frame_b))
+            calls = [(context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world) for frame in frames]
+            a, b = (plant.CalcJacobianTranslationalVelocity(*arguments) for arguments in calls)
+            rows.append(b - a)
+            a, b = (plant.CalcBiasTranslationalAcceleration(*arguments).ravel() for arguments in calls)
+            drift.append(b - a)
+        return plant.CalcMassMatrix(context)[np.ix_(k, k)], bias[k], np.concatenate(rows)[:, k], np.concatenate(drift)
+
 
 class Yourdfpy:
     def __init__(self, path: Path) -> None:
@@ -185,17 +279,6 @@ class Yourdfpy:
     def frames(self, values: Values) -> dict[str, Array]:
         self.robot.update_cfg(dict(values))
         return {link: self.robot.get_transform(link, "base") for link in self.robot.link_map}
-
-
-def worst_frame(found: Mapping[str, Array], expected: Mapping[str, Array]) -> tuple[float, str]:
-    """Largest difference of two sets of poses, and the link it is in."""
-    assert found.keys() == expected.keys()
-    return max((float(np.abs(found[link] - expected[link]).max()), link) for link in expected)
-
-
-def reordered(matrix: Array, have: list[str], want: Iterable[str]) -> Array:
-    order = [have.index(name) for name in want]
-    return np.asarray(matrix[np.ix_(order, order)])
 
 
 ENGINES: dict[str, Callable[[Path], Engine]] = {"pinocchio": Pinocchio, "mujoco": Mujoco, "drake": Drake}
