@@ -60,13 +60,6 @@ def frame_jacobian(owner: Any, q: Array, frame: str) -> Array:
     return np.array(jacobian)
 
 
-def closure_jacobian(owner: Any, q: Array) -> Array:
-    """J_tip - J_mb of every closure, (12, 18)."""
-    return np.concatenate(
-        [frame_jacobian(owner, q, c.frame_b)[:3] - frame_jacobian(owner, q, c.frame_a)[:3] for c in owner.closures]
-    )
-
-
 def plain_accelerations(model: Any, closures: Any, q: Array, v: Array, force: Array) -> Array:
     """The equations of motion and of the closures, solved as they stand, with Jacobians of Pinocchio's frames."""
     import pinocchio as pin

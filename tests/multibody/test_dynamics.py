@@ -74,20 +74,6 @@ def test_forward_after_inverse_returns_the_motion(name: str) -> None:
         assert np.abs(again - f).max() <= 1e-10 * np.abs(f).max() / (values.inverse * values.forward)
 
 
-@pytest.mark.parametrize("branch", range(6))
-def test_at_rest_the_weights_are_wrenches(branch: int) -> None:
-    """Virtual work with the closed form's rates: f·ṙ and the weights' power balance for any twist."""
-    robot = chain()
-    state = six_branches()[branch]
-    q, rest = robot.joint_values(state), np.zeros(18)
-    wrench = np.array([20.0, -300.0, 100.0, 5.0, 40.0, -60.0])
-    forces = robot.inverse_dynamics(q, rest, rest, wrench)
-    data = robot.model.createData()
-    heights = pinocchio.computeGeneralizedGravity(robot.model, data, q) @ robot.joint_velocities(q, np.eye(6)).T
-    expected = spm.leg_forces(state, wrench - heights)
-    assert np.abs(forces - expected).max() <= 1e-8 * np.abs(expected).max()
-
-
 def test_mujoco_holds_the_mechanism_with_the_same_forces() -> None:
     """Slides locked by constraints, MuJoCo settles; what its constraints then exert on the slides are the leg forces.
 
@@ -147,27 +133,6 @@ def test_finite_differences_of_the_platform_s_equations() -> None:
         assert np.abs(slope - at.coriolis - at.coriolis.T).max() <= 1e-3 * np.abs(slope).max()
         rise = (robot.energy(ahead, rest).potential - robot.energy(behind, rest).potential) / (2 * h)
         assert rise == pytest.approx(at.gravity @ twist, rel=1e-4, abs=1e-4 * np.abs(at.gravity * twist).max())
-
-
-def test_accelerations_are_derivatives() -> None:
-    """Along a platform path that bends: joint velocities differentiated, with the loops closed all the way."""
-    robot, rng = chain(), np.random.default_rng(212)
-    q, _ = states("paper", 1, seed=213)[0]
-    size = robot.singular_values(q).inverse * 0.1
-    twist, change = size * rng.normal(size=6), size * rng.normal(size=6)
-    h = 1e-3
-
-    def velocity(t: float) -> Array:
-        found = q
-        for k in range(4):  # the midpoint rule on q̇ = X(q) t
-            s, step = k * t / 4, t / 4
-            middle = robot.project(found + step / 2 * robot.joint_velocities(found, twist + s * change))
-            found = robot.project(found + step * robot.joint_velocities(middle, twist + (s + step / 2) * change))
-        return np.asarray(robot.joint_velocities(found, twist + t * change))
-
-    slope = (velocity(h) - velocity(-h)) / (2 * h)
-    a = robot.joint_accelerations(q, velocity(0.0), change)
-    assert np.abs(slope - a).max() <= 1e-5 * np.abs(a).max()
 
 
 def test_singularities() -> None:

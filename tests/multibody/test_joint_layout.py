@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import problems
 import pytest
-from description.kinematic_tree import named_states
 from multibody.chains import EPS, PAPER, chain, placed, random_q, six_branches
 
 import spm_pin as spm
-from spm_pin.description.source_files import SRDF, description_file
 from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.mechanism.joint_angles import JOINTS
@@ -44,16 +42,6 @@ def test_an_open_q_is_an_open_configuration() -> None:
     # Leg b2 ends beside the middle platform's corner, and q has the length of the leg.
     gap = np.linalg.norm(robot.closure_gap(q)[0])
     assert 0.0 < abs(state.leg_lengths[1] - robot.leg_lengths(q)[1]) <= gap
-
-
-def test_named_states() -> None:
-    """The SRDF has the same values under the same names."""
-    values = named_states(description_file(SRDF).read_text(encoding="utf-8"))["reference"]
-    robot = chain()
-    reference = next(c for c in six_branches() if abs(c.leg_lengths[0] - values["leg_b1_slide"] - 1.3) < 1e-9)
-    q = robot.joint_values(reference)
-    for name, value in values.items():
-        assert q[robot.joint_indices(name)[0]] == pytest.approx(value, abs=1e-12)
 
 
 def test_names_and_places() -> None:
