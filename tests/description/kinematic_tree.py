@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from spm_pin.description.source_files import Closure
+from spm_pin.description import SRDF_PATH, URDF_PATH, Closure
 
 Array = npt.NDArray[np.float64]
 
@@ -61,19 +62,14 @@ class KinematicTree:
 
     @staticmethod
     def _joint(element: ElementTree.Element) -> Joint:
-        def of(tag: str, attribute: str) -> str:
-            found = element.find(tag)
-            return str(found.get(attribute))
-
-        kind = str(element.get("type"))
-        limit = element.find("limit")
+        kind, limit = str(element.get("type")), element.find("limit")
         return Joint(
             str(element.get("name")),
             kind,
-            of("parent", "link"),
-            of("child", "link"),
+            str(element.find("parent").get("link")),
+            str(element.find("child").get("link")),
             origin(element),
-            np.zeros(3) if kind == "fixed" else vector(of("axis", "xyz")),
+            np.zeros(3) if kind == "fixed" else vector(element.find("axis").get("xyz")),
             {} if limit is None else {key: float(value) for key, value in limit.items()},
         )
 
@@ -122,3 +118,8 @@ def inertia(link: ElementTree.Element) -> tuple[float, Array, Array]:
     for i, j in itertools.combinations_with_replacement(range(3), 2):
         matrix[i, j] = matrix[j, i] = float(str(moments.get("i" + "xyz"[i] + "xyz"[j])))
     return float(str(mass.get("value"))), origin(inertial), matrix
+
+
+TREE = KinematicTree(Path(URDF_PATH).read_text(encoding="utf-8"))
+STATES = named_states(Path(SRDF_PATH).read_text(encoding="utf-8"))
+"""The shipped robot, and its named states."""

@@ -13,6 +13,7 @@ from description.kinematic_tree import KinematicTree
 import spm_pin as spm
 from spm_pin.description import SLIDES, joint_values, mjcf_text, read_closures
 from spm_pin.description.robot import read_robot
+from spm_pin.errors import DescriptionError
 
 PAPER = spm.Geometry.paper()
 MACHINES = {
@@ -55,7 +56,7 @@ def test_a_state_named_in_the_description_is_of_its_machine() -> None:
     assert list(keys) == ["home", "measured"]
     values = joint_values(state)
     assert keys["measured"] == " ".join(repr(values[joint.name]) for joint in read_robot(machine).moving)
-    with pytest.raises(spm.SpmError, match="states"):
+    with pytest.raises(DescriptionError, match="the robot's geometry in all states"):
         mjcf_text(PAPER, states={"measured": state})
 
 

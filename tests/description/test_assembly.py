@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from description.kinematic_tree import KinematicTree, named_states
+from description.kinematic_tree import STATES, TREE, KinematicTree
 from problems import GEOMETRIES, in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.description import JOINTS, urdf_text
-from spm_pin.description.source_files import SRDF, URDF, description_file, read_closures
+from spm_pin.description.source_files import read_closures
 from spm_pin.description.tree import SLIDES, joint_values
 from spm_pin.mechanism.joint_angles import home_lengths
 
@@ -150,18 +150,16 @@ def test_ball_joint_values_at_a_gimbal_singularity() -> None:
 
 
 def test_named_states_are_the_paper_s_solutions() -> None:
-    tree = KinematicTree(description_file(URDF).read_text(encoding="utf-8"))
-    states = named_states(description_file(SRDF).read_text(encoding="utf-8"))
-    assert list(states) == ["home", "reference", *(f"solution_{n}" for n in (1, 2, 3, 4, 6, 7))]
-    assert states["reference"] == states["solution_3"]
-    assert set(states["home"].values()) == {0.0}
+    assert list(STATES) == ["home", "reference", *(f"solution_{n}" for n in (1, 2, 3, 4, 6, 7))]
+    assert STATES["reference"] == STATES["solution_3"]
+    assert set(STATES["home"].values()) == {0.0}
     # Table 2, Y of b_2 [m].
     printed = {1: 0.32471, 2: 0.39947, 3: 0.46190, 4: 0.64583, 6: -0.31569, 7: -0.45511}
     pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])).as_matrix()
     for number, b2y in printed.items():
-        state = states[f"solution_{number}"]
-        assert state.keys() == tree.moving.keys()
-        frames = tree.frames(state)
-        assert tree.gap(state, CLOSURES) < 1e-12
+        state = STATES[f"solution_{number}"]
+        assert state.keys() == TREE.moving.keys()
+        frames = TREE.frames(state)
+        assert TREE.gap(state, CLOSURES) < 1e-12
         np.testing.assert_allclose(frames["terminal_platform"], pose, atol=1e-12)
         assert frames["middle_b2"][1, 3] == pytest.approx(b2y, abs=1e-5)

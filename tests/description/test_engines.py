@@ -11,15 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from description.kinematic_tree import Array, KinematicTree, named_states, origin, vector
+from description.kinematic_tree import STATES, TREE, Array, origin, vector
+from engines import Mujoco
 from problems import GEOMETRIES
 
 from spm_pin.description import urdf_text
-from spm_pin.description.source_files import MJCF, SRDF, URDF, description_directory, description_file
-
-TEXT = description_file(URDF).read_text(encoding="utf-8")
-TREE = KinematicTree(TEXT)
-STATES = named_states(description_file(SRDF).read_text(encoding="utf-8"))
+from spm_pin.description.source_files import MJCF, URDF, description_directory, description_file
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
@@ -84,12 +81,9 @@ def test_yourdfpy_shows_the_meshes() -> None:
 @pytest.mark.parametrize("name", [URDF, MJCF])
 def test_mujoco_shows_the_meshes(name: str) -> None:
     mujoco = pytest.importorskip("mujoco")
-    model = mujoco.MjModel.from_xml_path(str(description_file(name)))
-    data = mujoco.MjData(model)
-    for joint, value in STATES["reference"].items():
-        data.joint(joint).qpos[0] = value
-    mujoco.mj_kinematics(model, data)
-    boxes = []
+    robot = Mujoco(description_file(name))
+    robot.set(STATES["reference"])
+    model, data, boxes = robot.model, robot.data, []
     for i in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
         mesh = model.mesh(model.geom_dataid[i])
         start, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])

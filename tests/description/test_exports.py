@@ -13,18 +13,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from description.kinematic_tree import KinematicTree, inertia, named_states
+from description.kinematic_tree import STATES, TREE, KinematicTree, inertia
 from engines import ENGINES, JOINTS, Array, Drake, Engine, Mujoco, Pinocchio, Values, Yourdfpy
 from problems import GEOMETRIES
 
-import spm_pin as spm
-from spm_pin.description import MJCF_PATH, PACKAGE_PATH, SDF_PATH, SRDF_PATH, URDF_PATH, mjcf_text, sdf_text, urdf_text
+from spm_pin.description import MJCF_PATH, PACKAGE_PATH, SDF_PATH, URDF_PATH, mjcf_text, sdf_text, urdf_text
 from spm_pin.description.source_files import read_closures
 from spm_pin.description.tree import SLIDES
 
-TEXT = Path(URDF_PATH).read_text(encoding="utf-8")
-TREE = KinematicTree(TEXT)
-STATES = named_states(Path(SRDF_PATH).read_text(encoding="utf-8"))
 CLOSED = ["home", *(f"solution_{number}" for number in (1, 2, 3, 4, 6, 7))]
 CASES = [
     ("pinocchio", "urdf"),
@@ -287,7 +283,7 @@ def test_two_robots_in_mujoco(tmp_path: Path) -> None:
 
 def test_ros_constraints_are_behind_a_switch(files: dict[str, Path]) -> None:
     assert "<constraint" not in urdf_text()
-    assert "<constraint" not in TEXT
+    assert TREE.root.find("constraint") is None
     found = ElementTree.parse(files["written urdf"]).getroot().findall("constraint")
     assert [(c.get("name"), c.get("type")) for c in found] == [
         (f"{c.frame_a}_{c.frame_b}", "spherical_joint") for c in read_closures()
@@ -340,9 +336,3 @@ def test_sdf_elements_follow_the_format() -> None:
     assert [kind for kind in kinds.values() if kind == "ball"] == ["ball"] * 4
     for name, joint in TREE.joints.items():
         assert kinds[name] == joint.kind
-
-
-def test_states_and_geometry_must_agree() -> None:
-    state = spm.forward_physical(spm.Geometry(0.7, 0.35, 0.8), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
-    with pytest.raises(spm.errors.DescriptionError, match="the robot's geometry in all states"):
-        mjcf_text(states={"other": state})

@@ -1,71 +1,91 @@
-"""Use of the description with Pinocchio: named states, collisions, and mounting it on an arm."""
+"""The description with Pinocchio: named states, closures as a public loader reads them, collisions, two robots."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from description.kinematic_tree import named_states
+import yaml
+from description.kinematic_tree import STATES
 from problems import in_leg_space
 
 import spm_pin as spm
-from spm_pin.description import urdf_text
-from spm_pin.description.source_files import SRDF, URDF, description_file, read_closures
-from spm_pin.description.tree import joint_values
+from spm_pin.description import (
+    CLOSURES_PATH,
+    SLIDES,
+    SRDF_PATH,
+    URDF_PATH,
+    Closure,
+    joint_values,
+    read_closures,
+    urdf_text,
+)
 
 pin = pytest.importorskip("pinocchio")
 
 
 @pytest.fixture
 def model() -> Any:
-    return pin.buildModelFromUrdf(str(description_file(URDF)))
+    return pin.buildModelFromUrdf(URDF_PATH)
 
 
-def closure_gap(model: Any, q: Any, prefix: str = "") -> float:
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    gaps = []
-    for closure in read_closures(prefix=prefix):
-        ids = [model.getFrameId(frame) for frame in (closure.frame_a, closure.frame_b)]
-        assert all(i < model.nframes for i in ids)
-        gaps.append(np.linalg.norm(data.oMf[ids[0]].translation - data.oMf[ids[1]].translation))
-    assert len(gaps) == 4
-    return float(max(gaps))
+@pytest.mark.parametrize("prefix", ["", "p_"])
+def test_the_four_balls(prefix: str) -> None:
+    pairs = [("middle_b2", "leg_b2_tip"), ("middle_b3", "leg_b3_tip")]
+    pairs += [("middle_b2_upper", "leg_c2_tip"), ("middle_b3_upper", "leg_c3_tip")]
+    names = ("b2", "b3", "c2", "c3")
+    assert read_closures(prefix=prefix) == tuple(
+        Closure(f"{prefix}closure_{name}", prefix + a, prefix + b) for name, (a, b) in zip(names, pairs, strict=True)
+    )
 
 
 def test_reference_configurations(model: Any) -> None:
-    pin.loadReferenceConfigurations(model, str(description_file(SRDF)), False)
-    states = named_states(description_file(SRDF).read_text(encoding="utf-8"))
-    assert {entry.key() for entry in model.referenceConfigurations} == set(states)
-    for name, values in states.items():
-        q = model.referenceConfigurations[name]
-        for joint, value in values.items():
-            assert q[model.joints[model.getJointId(joint)].idx_q] == value
-        assert closure_gap(model, q) < 1e-12
-    assert (model.referenceConfigurations["home"] == pin.neutral(model)).all()
+    pin.loadReferenceConfigurations(model, SRDF_PATH, False)
+    assert {entry.key() for entry in model.referenceConfigurations} == set(STATES)
+    for name, values in STATES.items():
+        assert model.referenceConfigurations[name].tolist() == [values[joint] for joint in list(model.names)[1:]]
+
+
+def test_the_public_loader_gets_a_closed_robot(model: Any) -> None:
+    """What `completeRobotLoader` of example-parallel-robots makes of the keys, step by step."""
+    content = yaml.safe_load(Path(CLOSURES_PATH).read_text(encoding="utf-8"))
+    assert content.keys() == {"closed_loop", "type", "name_mot", "joint_name", "joint_type"}
+    assert content["joint_name"] == content["joint_type"] == []
+    assert content["name_mot"] == list(SLIDES)
+    assert content["type"] == ["3d"] * 4
+    constraints = []
+    for pair in content["closed_loop"]:
+        assert isinstance(pair, list)
+        a, b = (model.frames[model.getFrameId(name)] for name in pair)
+        ends = (a.parentJoint, a.placement, b.parentJoint, b.placement)
+        constraints.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *ends, pin.ReferenceFrame.LOCAL))
+    data = model.createData()
+    for state in STATES.values():
+        pin.forwardKinematics(model, data, np.array([state[name] for name in list(model.names)[1:]]))
+        for c in constraints:
+            ends = (data.oMi[c.joint1_id] * c.joint1_placement, data.oMi[c.joint2_id] * c.joint2_placement)
+            np.testing.assert_allclose(ends[0].translation, ends[1].translation, atol=1e-12)
 
 
 def test_no_collision_where_a_machine_can_be(model: Any) -> None:
     pytest.importorskip("coal")
-    shapes = pin.buildGeomFromUrdf(model, str(description_file(URDF)), pin.GeometryType.COLLISION)
+    shapes = pin.buildGeomFromUrdf(model, URDF_PATH, pin.GeometryType.COLLISION)
     shapes.addAllCollisionPairs()
     all_pairs = len(shapes.collisionPairs)
-    pin.removeCollisionPairs(model, shapes, str(description_file(SRDF)))
+    pin.removeCollisionPairs(model, shapes, SRDF_PATH)
     assert 0 < len(shapes.collisionPairs) < all_pairs
     data, results = model.createData(), shapes.createData()
 
     def collides(values: dict[str, float]) -> bool:
-        q = pin.neutral(model)
-        for joint, value in values.items():
-            q[model.joints[model.getJointId(joint)].idx_q] = value
+        q = np.array([values[name] for name in list(model.names)[1:]])
         return bool(pin.computeCollisions(model, data, shapes, results, q, True))
 
-    states = named_states(description_file(SRDF).read_text(encoding="utf-8"))
-    assert not collides(states["home"])
-    assert not collides(states["reference"])
+    assert not collides(STATES["home"])
+    assert not collides(STATES["reference"])
     # Both stages turned half round: the legs cross.
-    assert collides(states["solution_7"])
+    assert collides(STATES["solution_7"])
     for configuration in in_leg_space(spm.Geometry.paper(), 50, seed=5).configuration:
         assert not collides(joint_values(configuration))
 
@@ -76,5 +96,10 @@ def test_two_robots_need_prefixes() -> None:
         pin.appendModel(bare, bare, 0, pin.SE3.Identity())
     left, right = (pin.buildModelFromXML(urdf_text(prefix=prefix)) for prefix in ("left_", "right_"))
     both = pin.appendModel(left, right, 0, pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.0])))
-    for prefix in ("left_", "right_"):
-        assert closure_gap(both, pin.neutral(both), prefix) < 1e-12
+    data = both.createData()
+    pin.framesForwardKinematics(both, data, pin.neutral(both))
+    for closure in [*read_closures(prefix="left_"), *read_closures(prefix="right_")]:
+        assert both.existFrame(closure.frame_a)
+        assert both.existFrame(closure.frame_b)
+        a, b = (data.oMf[both.getFrameId(frame)].translation for frame in (closure.frame_a, closure.frame_b))
+        np.testing.assert_allclose(a, b, atol=1e-12)

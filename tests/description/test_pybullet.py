@@ -12,14 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from description.kinematic_tree import Array, KinematicTree, inertia, named_states
+from description.kinematic_tree import STATES, TREE, Array, inertia
 
-from spm_pin.description import SRDF_PATH, URDF_PATH, read_closures
+from spm_pin.description import URDF_PATH, read_closures
 
 pybullet = pytest.importorskip("pybullet")
 
-TREE = KinematicTree(Path(URDF_PATH).read_text(encoding="utf-8"))
-STATES = named_states(Path(SRDF_PATH).read_text(encoding="utf-8"))
 CLOSURES = read_closures()
 SINGLE = 1e-6
 
