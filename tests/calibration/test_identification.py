@@ -296,9 +296,6 @@ def test_few_candidates_are_chosen_from_as_by_trying_all() -> None:
 
     best = min(value(states[list(part)]) for part in combinations(range(9), 3))
     assert value(chosen) <= best + 0.2
-
-
-def test_plans_that_cannot_be_made_are_refused() -> None:
     with pytest.raises(spm.ArgumentError, match=r"count.*at least 8 for 48"):
         calibration.choose_poses(PAPER, 5)
     with pytest.raises(spm.ArgumentError, match=r"geometry.*leg limits"):

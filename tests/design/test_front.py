@@ -12,7 +12,7 @@ from cli.running import run
 from distributed import LocalCluster
 
 import spm_pin as spm
-from spm_pin.design import DesignProblem, evaluate_designs, pareto_front
+from spm_pin.design import DesignProblem, Front, evaluate_designs, pareto_front
 from spm_pin.display.figures import front_figure
 
 pytest.importorskip("pymoo")
@@ -37,11 +37,22 @@ def test_machines_have_the_values_of_the_free_variables() -> None:
     assert both.machine(np.array([1.1, 0.15])).limits == spm.LegLimits(1.1, 1.1 + 0.15)
 
 
-def test_a_front_is_what_no_evaluated_machine_beats(tmp_path: Path) -> None:
-    front = pareto_front(PROBLEM, tmp_path / "front.json", **SMALL)
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("search") / "front.json"
+
+
+@pytest.fixture(scope="module")
+def front(store: Path) -> Front:
+    return pareto_front(PROBLEM, store, **SMALL)
+
+
+def test_a_front_is_what_no_evaluated_machine_beats(front: Front) -> None:
     assert len(front.evaluated) == 32
-    every = np.stack([-front.evaluated.columns["payload_low"], front.evaluated.columns["footprint"]], axis=-1)
-    chosen = np.stack([-front.designs.columns["payload_low"], front.designs.columns["footprint"]], axis=-1)
+    every, chosen = (
+        np.stack([-found.columns["payload_low"], found.columns["footprint"]], axis=-1)
+        for found in (front.evaluated, front.designs)
+    )
     for row in chosen:
         assert not ((every <= row).all(axis=-1) & (every < row).any(axis=-1)).any()
     assert (np.diff(chosen[:, 0]) >= 0.0).all()
@@ -51,9 +62,7 @@ def test_a_front_is_what_no_evaluated_machine_beats(tmp_path: Path) -> None:
     np.testing.assert_array_equal(front.better, (-chosen[:, 0] >= reference[0]) & (chosen[:, 1] <= reference[1]))
 
 
-def test_an_interrupted_search_ends_as_one_that_was_not(tmp_path: Path) -> None:
-    whole = pareto_front(PROBLEM, tmp_path / "whole.json", **SMALL)
-
+def test_an_interrupted_search_ends_as_one_that_was_not(front: Front, store: Path, tmp_path: Path) -> None:
     def interrupt(step: str, done: int, total: int) -> None:
         if done == 2:
             raise KeyboardInterrupt
@@ -65,16 +74,20 @@ def test_an_interrupted_search_ends_as_one_that_was_not(tmp_path: Path) -> None:
     assert stored["versions"]["spm_pin"] == spm.__version__
     assert stored["seed"] == 5
     parts = pareto_front(PROBLEM, tmp_path / "parts.json", **SMALL)
-    assert (tmp_path / "parts.json").read_bytes() == (tmp_path / "whole.json").read_bytes()
-    for name, column in whole.designs.columns.items():
-        np.testing.assert_array_equal(column, parts.designs.columns[name])
+    assert (tmp_path / "parts.json").read_bytes() == store.read_bytes()
+    assert_same(parts, front)
 
 
-def test_a_finished_search_is_read_and_another_one_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "front.json"
-    front = pareto_front(PROBLEM, path, **SMALL)
+def assert_same(found: Front, expected: Front) -> None:
+    for name, column in expected.designs.columns.items():
+        np.testing.assert_array_equal(column, found.designs.columns[name])
+
+
+def test_a_finished_search_is_read_and_another_one_refused(
+    front: Front, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(spm.ArgumentError, match="seed is 5 in the store and 6 in this search"):
-        pareto_front(PROBLEM, path, **{**SMALL, "seed": 6})
+        pareto_front(PROBLEM, store, **{**SMALL, "seed": 6})
     evaluated: list[int] = []
 
     def count(machines: Any, *args: Any, **options: Any) -> Any:
@@ -82,24 +95,33 @@ def test_a_finished_search_is_read_and_another_one_refused(tmp_path: Path, monke
         return evaluate_designs(machines, *args, **options)
 
     monkeypatch.setattr("spm_pin.design.designs.evaluate_designs", count)
-    again = pareto_front(PROBLEM, path, **SMALL)
+    assert_same(pareto_front(PROBLEM, store, **SMALL), front)
     assert evaluated == [1]  # the reference
-    np.testing.assert_array_equal(again.designs.columns["volume"], front.designs.columns["volume"])
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = json.loads(store.read_text(encoding="utf-8"))
     first = content["generations"][0]
-    short = {"values": first["values"], "columns": {"payload_low": [1.0]}}
     # Not an aim, but a column of the result.
     fewer = {**first, "columns": {name: column for name, column in first["columns"].items() if name != "payload_mean"}}
-    for damage in (
-        {**content, "generations": [first, fewer]},
-        {},
-        {**content, "generations": 5},
-        {**content, "generations": [{}]},
-        {**content, "generations": [short]},
-    ):
-        path.write_text(json.dumps(damage), encoding="utf-8")
+    short = {"values": first["values"], "columns": {"payload_low": [1.0]}}
+    damages = [{}, *({**content, "generations": wrong} for wrong in ([first, fewer], 5, [{}], [short]))]
+    for damage in damages:
+        (tmp_path / "front.json").write_text(json.dumps(damage), encoding="utf-8")
         with pytest.raises(spm.ArgumentError, match=r"front\.json.*cannot be read"):
-            pareto_front(PROBLEM, path, **SMALL)
+            pareto_front(PROBLEM, tmp_path / "front.json", **SMALL)
+
+
+def test_processes_are_started_once_for_a_search_and_give_the_same(
+    front: Front, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[int] = []
+
+    def count(*args: Any, **options: Any) -> Any:
+        started.append(1)
+        return LocalCluster(*args, **options)
+
+    monkeypatch.setattr("distributed.LocalCluster", count)
+    for _ in range(2):
+        assert_same(pareto_front(PROBLEM, tmp_path / "shared.json", **SMALL, workers=2), front)
+        assert started == [1], "none for what is only read"
 
 
 def test_bounds_are_kept_and_machines_without_numbers_lose(tmp_path: Path) -> None:
@@ -112,36 +134,14 @@ def test_bounds_are_kept_and_machines_without_numbers_lose(tmp_path: Path) -> No
     front = pareto_front(wide, tmp_path / "front.json", **SMALL)
     assert (front.designs.columns["certified"] == 1.0).all()
     assert not (front.evaluated.columns["certified"] == 1.0).all()
-
-
-def test_one_aim_within_bounds_gives_the_best_machine(tmp_path: Path) -> None:
-    """E has a bound by the footprint, which the largest volume at a given payload does not."""
+    # One aim gives the best machine. E has a bound by the footprint, which the largest volume at a payload does not.
     problem = DesignProblem(GEOMETRY, PROBLEM.free, {"volume": "max"}, {"payload_low": 0.3}, {"footprint": 1.5})
-    front = pareto_front(problem, tmp_path / "front.json", **SMALL)
+    front = pareto_front(problem, tmp_path / "best.json", **SMALL)
     columns = front.evaluated.columns
     keep = (columns["payload_low"] >= 0.3) & (columns["footprint"] <= 1.5)
     assert 0 < keep.sum() < len(keep)
     assert front.designs.columns["volume"].tolist() == [columns["volume"][keep].max()]
     front_figure(front)
-
-
-def test_processes_are_started_once_for_a_search_and_give_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    started: list[int] = []
-
-    def count(*args: Any, **options: Any) -> Any:
-        started.append(1)
-        return LocalCluster(*args, **options)
-
-    monkeypatch.setattr("distributed.LocalCluster", count)
-    shared = pareto_front(PROBLEM, tmp_path / "shared.json", **SMALL, workers=2)
-    alone = pareto_front(PROBLEM, tmp_path / "alone.json", **SMALL)
-    assert started == [1]
-    for name, column in alone.designs.columns.items():
-        np.testing.assert_array_equal(column, shared.designs.columns[name])
-    pareto_front(PROBLEM, tmp_path / "shared.json", **SMALL, workers=2)
-    assert started == [1], "none for what is only read"
 
 
 @pytest.mark.parametrize(
