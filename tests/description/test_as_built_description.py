@@ -11,7 +11,7 @@ from cli.running import run
 from description.kinematic_tree import KinematicTree
 
 import spm_pin as spm
-from spm_pin.description import SLIDES, joint_values, mjcf_text, read_closures
+from spm_pin.description import SLIDES, joint_values, mjcf_text, read_closures, sdf_text, urdf_text
 from spm_pin.description.robot import read_robot
 from spm_pin.errors import DescriptionError
 
@@ -60,14 +60,6 @@ def test_a_state_named_in_the_description_is_of_its_machine() -> None:
         mjcf_text(PAPER, states={"measured": state})
 
 
-def test_slide_limits_are_those_of_the_readings() -> None:
-    machine = MACHINES["centimetres"]
-    slides = {name: read_robot(machine).joints[name].limits for name in SLIDES}
-    for k, name in enumerate(SLIDES):
-        assert slides[name]["lower"] + 1.3 + machine.legs.offsets[k] == pytest.approx(PAPER.limits.minimum[k])
-        assert slides[name]["upper"] + 1.3 + machine.legs.offsets[k] == pytest.approx(PAPER.limits.maximum[k])
-
-
 @pytest.mark.parametrize("name", MACHINES)
 def test_leg_forces_balance_in_mujoco(name: str) -> None:
     """Slide forces and forces of MuJoCo's constraints together hold the wrench, in all eighteen joints."""
@@ -99,24 +91,21 @@ def test_leg_forces_balance_in_mujoco(name: str) -> None:
         np.testing.assert_allclose(-unknown[6:].reshape(4, 3), chain.cut_forces(q, load), rtol=1e-7, atol=1e-7)
 
 
-def test_commands_write_the_machine_of_a_file(tmp_path: Path) -> None:
-    machine = MACHINES["a millimetre"]
+def test_files_of_a_machine(tmp_path: Path) -> None:
+    machine = MACHINES["centimetres"]
     file = tmp_path / "machine.yaml"
     machine.to_yaml(file)
-    values = joint_values(states(machine)[0])
-    for arguments in (["urdf"], ["export", "urdf"]):
-        out = tmp_path / f"{arguments[-1]}.urdf"
-        done = run(*arguments, "--geometry", str(file), "--out", str(out))
-        assert done.returncode == 0, done.stderr
-        tree = KinematicTree(out.read_text(encoding="utf-8"))
-        assert tree.gap(values, read_closures()) < 1e-13
-        np.testing.assert_allclose(
-            tree.frames(values)["terminal_platform"], states(machine)[0].pose.as_matrix(), atol=1e-13
-        )
-    for kind in ("mjcf", "sdf", "extended-urdf"):
+    for kind, text in (("urdf", urdf_text), ("mjcf", mjcf_text), ("sdf", sdf_text)):
         done = run("export", kind, "--geometry", str(file))
         assert done.returncode == 0, done.stderr
-        assert "middle_b2_upper" in done.stdout
-    refused = run("export", "mjcf", "--anchors", "bodies", "--geometry", str(file))
-    assert refused.returncode == 2
-    assert "sites for a machine whose loops are open at zero" in refused.stderr
+        assert done.stdout == text(machine)
+    tree, state = KinematicTree(urdf_text(machine)), states(machine)[0]
+    values = joint_values(state)
+    assert tree.gap(values, read_closures()) < 1e-13
+    np.testing.assert_allclose(tree.frames(values)["terminal_platform"], state.pose.as_matrix(), atol=1e-13)
+    # Limits of the slides are those of the readings.
+    for end, limits in (("lower", PAPER.limits.minimum), ("upper", PAPER.limits.maximum)):
+        slides = [tree.moving[name].limit[end] for name in SLIDES] + machine.legs.offsets + 1.3
+        np.testing.assert_allclose(slides, limits, rtol=1e-9)
+    with pytest.raises(DescriptionError, match="sites for a machine whose loops are open at zero"):
+        mjcf_text(machine, anchors="bodies")

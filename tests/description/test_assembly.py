@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 from description.kinematic_tree import STATES, TREE, KinematicTree
-from problems import GEOMETRIES, in_leg_space, random_branches
+from problems import GEOMETRIES, in_leg_space
 
 import spm_pin as spm
-from spm_pin.description import JOINTS, urdf_text
+from spm_pin.description import urdf_text
 from spm_pin.description.source_files import read_closures
 from spm_pin.description.tree import SLIDES, joint_values
 from spm_pin.mechanism.joint_angles import home_lengths
@@ -96,27 +96,6 @@ def test_home_lies_in_the_middle_of_the_shared_limits_if_it_can() -> None:
         geometry = LIMITED[name]
         for length, radius in zip(home_lengths(geometry), (1.2, 0.5), strict=True):
             assert length > abs(geometry.middle_radius - radius)
-
-
-@pytest.mark.parametrize("family", ["TT", "TF", "FT", "FF"])
-@pytest.mark.parametrize("name", GEOMETRIES)
-def test_joint_values_reproduce_any_branch(name: str, family: str, trees: dict[str, KinematicTree]) -> None:
-    tree, geometry = trees[name], GEOMETRIES[name]
-    for configuration in random_branches(geometry, family, 12, seed=3).configuration:
-        values = joint_values(configuration)
-        assert tuple(values) == JOINTS
-        for joint, value in values.items():
-            if joint not in SLIDES:
-                assert tree.moving[joint].limit["lower"] <= value <= tree.moving[joint].limit["upper"]
-        frames = tree.frames(values)
-        # A chain of nine joints, each with a few roundings of the lever above it.
-        size = float(np.abs(configuration.leg_lengths).sum())
-        assert tree.gap(values, CLOSURES) < 64 * EPS * size < 1e-12
-        np.testing.assert_allclose(
-            frames["terminal_platform"], configuration.pose.as_matrix(), atol=64 * EPS * max(1.0, size)
-        )
-        middle = [frames[f"middle_b{i}"][:3, 3] for i in (1, 2, 3)]
-        np.testing.assert_allclose(middle, configuration.middle_joints, atol=64 * EPS * size)
 
 
 def test_joint_values_of_what_a_machine_does_are_small(trees: dict[str, KinematicTree]) -> None:

@@ -5,6 +5,7 @@ The measure is the URDF, read with the standard library alone; the engines' own 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -336,3 +337,49 @@ def test_sdf_elements_follow_the_format() -> None:
     assert [kind for kind in kinds.values() if kind == "ball"] == ["ball"] * 4
     for name, joint in TREE.joints.items():
         assert kinds[name] == joint.kind
+
+
+@cache
+def model(collisions: str) -> Any:
+    return pytest.importorskip("mujoco").MjModel.from_xml_string(mjcf_text(collisions=collisions))
+
+
+def colliding(found: Any) -> Array:
+    return np.flatnonzero(found.geom_contype > 0)
+
+
+def test_without_collisions_no_shape_collides_and_the_masses_stay() -> None:
+    none, exact = model("none"), model("exact")
+    assert not len(colliding(none))
+    assert len(colliding(exact)) > 20
+    np.testing.assert_array_equal(none.body_mass, exact.body_mass)
+    assert mjcf_text(collisions="exact") == mjcf_text()
+
+
+def test_simple_shapes_are_no_cylinders_and_lie_inside_the_exact_ones() -> None:
+    exact, simple = model("exact"), model("simple")
+    shapes, kinds = colliding(exact), pytest.importorskip("mujoco").mjtGeom
+    assert (shapes == colliding(simple)).all()
+    assert not (simple.geom_type[shapes] == kinds.mjGEOM_CYLINDER).any()
+    cylinders = shapes[exact.geom_type[shapes] == kinds.mjGEOM_CYLINDER]
+    assert len(cylinders) > 10
+    for k in cylinders:
+        radius, half = exact.geom_size[k, :2]
+        x, y, z = simple.geom_size[k]
+        if simple.geom_type[k] == kinds.mjGEOM_CAPSULE:
+            assert x == radius
+            assert x + y == pytest.approx(half)
+        else:
+            assert simple.geom_type[k] == kinds.mjGEOM_BOX
+            assert np.hypot(x, y) == pytest.approx(radius)
+            assert z == pytest.approx(half)
+    np.testing.assert_array_equal(simple.geom_pos, exact.geom_pos)
+
+
+@pytest.mark.parametrize("collisions", ["simple", "none"])
+def test_mjx_takes_it(collisions: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of its optional back ends
+        mjx = pytest.importorskip("mujoco.mjx")
+        taken = mjx.put_model(model(collisions))
+    assert taken.neq == 4

@@ -81,6 +81,12 @@ def plain_accelerations(model: Any, closures: Any, q: Array, v: Array, force: Ar
     return np.linalg.solve(matrix, np.concatenate([force, -drift]))[: model.nv]
 
 
+def rounding(owner: Any, q: Array) -> float:
+    """Closure gap that rounding explains: some eps times the length of the loops."""
+    legs = np.abs(owner.leg_lengths(q)).sum(axis=-1).max()
+    return float(32 * EPS * (legs + sum(owner.geometry.nominal.dimensions)))
+
+
 def random_q(owner: Any, rng: np.random.Generator) -> Array:
     """Joint values that leave the closures wide open."""
     q = rng.uniform(-1.5, 1.5, 18)

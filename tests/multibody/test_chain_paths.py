@@ -1,19 +1,23 @@
-"""Completing the passive joints, reaching poses, and trajectories of all joints."""
+"""Closing the loops, completing the passive joints, reaching poses, and trajectories of all joints."""
 
 from __future__ import annotations
 
 import csv
 import io
+import itertools
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import problems
 import pytest
-from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, chain, six_branches
+from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, Array, chain, placed, random_q, rounding, six_branches
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError, SpmError
+from spm_pin.multibody.closure_solvers import close_loops
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 
 pytest.importorskip("pinocchio")
@@ -115,7 +119,7 @@ def test_eased_paths_rest_at_both_ends_and_others_meet_their_poses() -> None:
     assert PlatformPath(times, WAYPOINTS)(np.zeros((2, 0))).twist.shape == (2, 0, 6)
 
 
-def test_bad_paths() -> None:
+def test_invalid_paths_and_trajectories_are_refused() -> None:
     path = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS)
     for times, message in (([0.0, 0.0, 1.0], "increasing"), ([0.0], "at least 2")):
         with pytest.raises(ArgumentError, match=f"^times: .*{message}"):
@@ -124,6 +128,20 @@ def test_bad_paths() -> None:
         PlatformPath([0.0, 1.0], WAYPOINTS)
     with pytest.raises(ArgumentError, match=r"^times: expected times from 0 to 2 s, got 2\.1"):
         path([0.0, 2.1])
+    robot = chain()
+    q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
+    with pytest.raises(ArgumentError, match=r"^path: expected a PlatformPath or another function"):
+        robot.joint_trajectory(WAYPOINTS, [0.0, 1.0], q)
+    with pytest.raises(ArgumentError, match=r"^path: expected real numbers .* twist of the platform"):
+        robot.joint_trajectory(lambda t: PlatformMotion(POSE, np.zeros(3), np.zeros(6)), [0.0, 1.0], q)
+    for motion in (None, (POSE, np.zeros(6))):
+        with pytest.raises(ArgumentError, match=r"path: expected a function that returns .* at batch index \(0,\)"):
+            robot.joint_trajectory(lambda t, motion=motion: motion, [0.0, 1.0], q)
+    away = PlatformPath([0.0, 1.0], spm.pose([POSE.translation, [0.0, 0.0, 9.0]], xyx=[[0.1, 0.2, 0.3]] * 2))
+    with pytest.raises(ClosureError, match=r"At batch index \(\d+,\)"):
+        robot.joint_trajectory(away, np.linspace(0.0, 1.0, 5), q)
+    with pytest.raises(ArgumentError, match=r"^times: expected times from 0 to 2 s"):
+        robot.joint_trajectory(path, [0.0, 3.0], q)
 
 
 def test_all_joints_of_a_platform_path() -> None:
@@ -178,24 +196,6 @@ def test_a_trajectory_in_files(tmp_path: Path) -> None:
     ]
     for key, values in (("positions", found.positions), ("velocities", found.velocities), ("effort", found.efforts)):
         assert [point[key] for point in message["points"]] == values.tolist()
-
-
-def test_invalid_trajectories_are_refused() -> None:
-    robot = chain()
-    q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
-    path = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS)
-    with pytest.raises(ArgumentError, match=r"^path: expected a PlatformPath or another function"):
-        robot.joint_trajectory(WAYPOINTS, [0.0, 1.0], q)
-    with pytest.raises(ArgumentError, match=r"^path: expected real numbers .* twist of the platform"):
-        robot.joint_trajectory(lambda t: PlatformMotion(POSE, np.zeros(3), np.zeros(6)), [0.0, 1.0], q)
-    for motion in (None, (POSE, np.zeros(6))):
-        with pytest.raises(ArgumentError, match=r"path: expected a function that returns .* at batch index \(0,\)"):
-            robot.joint_trajectory(lambda t, motion=motion: motion, [0.0, 1.0], q)
-    away = PlatformPath([0.0, 1.0], spm.pose([POSE.translation, [0.0, 0.0, 9.0]], xyx=[[0.1, 0.2, 0.3]] * 2))
-    with pytest.raises(ClosureError, match=r"At batch index \(\d+,\)"):
-        robot.joint_trajectory(away, np.linspace(0.0, 1.0, 5), q)
-    with pytest.raises(ArgumentError, match=r"^times: expected times from 0 to 2 s"):
-        robot.joint_trajectory(path, [0.0, 3.0], q)
 
 
 NEAR = "Pass a closed q as near: the solution on the path from there need not be physical."
@@ -282,3 +282,67 @@ def test_poses_that_no_physical_branch_has_are_refused_or_nan() -> None:
     both = chain().inverse_kinematics(np.stack([POSE.as_matrix(), away.as_matrix()]))
     assert np.array_equal(both[0], chain().inverse_kinematics(POSE))
     assert np.isnan(both[1]).all()
+
+
+def residuals(robot: Any, q: Array) -> list[float]:
+    """Largest gap after 0, 1, 2... steps, until closed."""
+    found = []
+    for steps in range(30):
+        try:
+            closed = close_loops(robot.state(q).kinematics, q, most=steps)
+        except ClosureError as error:
+            found.append(error.residual)
+        else:
+            return [*found, float(np.linalg.norm(robot.closure_gap(closed), axis=1).max())]
+    raise AssertionError(found)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_perturbed_q_is_closed(name: str) -> None:
+    robot, rng = chain(name), np.random.default_rng(131)
+    units = np.ones(18)
+    units[robot.leg_indices] = robot.geometry.middle_side
+    for _, q in placed(name, 25, seed=132):
+        if robot.singular_values(q).constraint < 0.05:
+            continue
+        off = 0.01 * units * rng.uniform(-1, 1, 18)
+        off[robot.leg_indices] = np.maximum(off[robot.leg_indices], -0.5 * robot.leg_lengths(q))
+        found = robot.project(q + off)
+        assert np.abs(robot.closure_gap(found)).max() <= rounding(robot, q)
+        assert robot.configuration(found).closure_residual <= rounding(robot, q)
+        # It goes to a point near by: to first order none is nearer, and q is one.
+        assert np.linalg.norm((found - q - off) / units) <= 1.5 * np.linalg.norm(off / units)
+
+
+def test_convergence_is_quadratic() -> None:
+    robot, rng = chain(), np.random.default_rng(133)
+    for state in problems.in_leg_space(PAPER, 10, seed=134).configuration:
+        q = robot.joint_values(state) + 0.02 * rng.uniform(-1, 1, 18)
+        with pytest.raises(ClosureError) as caught:
+            close_loops(robot.state(q).kinematics, q, most=1)
+        assert caught.value.iterations == 1
+        logged = residuals(robot, q)
+        assert 3 <= len(logged) <= 7
+        assert logged[-1] <= rounding(robot, q)
+        for before, after in itertools.pairwise(logged):
+            # An error in q of gap/σ leaves a gap of its square; lengths are about a metre.
+            assert after <= 100 * before**2 + rounding(robot, q)
+
+
+def test_starts_that_do_not_converge() -> None:
+    """Whatever the start: a closed q or an error, and both kinds occur."""
+    robot, rng = chain(), np.random.default_rng(137)
+    residuals_left = []
+    for _ in range(40):
+        q = 2 * random_q(robot, rng)
+        if (robot.leg_lengths(np.zeros(18)) + q[robot.leg_indices] < 0).any():
+            continue
+        try:
+            found = robot.project(q)
+        except ClosureError as error:
+            residuals_left.append(error.residual)
+        else:
+            assert np.abs(robot.closure_gap(found)).max() <= 10 * rounding(robot, found)
+            assert (robot.leg_lengths(found) >= 0).all()
+    assert 0 < len(residuals_left) < 40
+    assert min(residuals_left) > 1e-6
