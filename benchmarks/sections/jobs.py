@@ -180,9 +180,9 @@ def _simulation(section: Section, chain: Any, pace: Pace, progress: Progress, fa
         return lambda: np.asarray(chain.simulate(q, v, forces, [0.0, 1.0], tolerance=tolerance).leg_lengths[-1])
 
     def mujoco(step: float, integrator: str) -> Callable[[], FloatArray]:
-        from multibody.engine_dynamics import Mujoco
+        from engines import Mujoco
 
-        engine = Mujoco(chain, step, integrator=integrator)
+        engine = Mujoco(step=step, integrator=integrator)
         return lambda: np.asarray(chain.leg_lengths(engine.run(q, v, forces, 1.0, legs)))
 
     peers: list[tuple[str, Callable[[float], Callable[[], FloatArray]], list[float]]] = [

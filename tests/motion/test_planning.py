@@ -64,12 +64,6 @@ def test_a_machine_as_built_is_planned_for_by_its_readings() -> None:
         spm.plan(machine, state, GOAL)
 
 
-def test_a_plan_beyond_a_certificate_is_not_certified() -> None:
-    limits = spm.LegLimits(1.1, 1.5)
-    narrow = spm.certify(PAPER, spm.LegLimits(1.1, 1.45))
-    assert not spm.plan(PAPER, START, GOAL, limits, certificate=narrow).certified
-
-
 def test_configurations_poses_and_lengths_are_places() -> None:
     start, goal = (spm.forward_physical(PAPER, lengths) for lengths in (START, GOAL))
     for first, last in ((start, goal), (start.pose, goal.pose), (START, goal)):
@@ -87,6 +81,8 @@ def test_states_and_certificates_of_the_machine_with_other_limits_are_of_the_sam
         found = spm.plan(PAPER, start, goal, limits, line=line, certificate=certificate)
         assert found.geometry == PAPER
         assert found.certified is found.exists
+    narrow = spm.certify(PAPER, spm.LegLimits(1.1, 1.45))
+    assert not spm.plan(PAPER, START, GOAL, limits, certificate=narrow).certified
     assert spm.plan(PAPER, start, GOAL).exists
     other = spm.forward_physical(spm.Geometry(0.5, 0.5, 0.6), [0.8] * 6)
     with pytest.raises(spm.ArgumentError, match="base_radius of `geometry`") as caught:

@@ -152,16 +152,13 @@ def test_a_path_may_begin_at_any_time() -> None:
     np.testing.assert_allclose(shifted.times[-1], spm.time_optimal(CHAIN, pose_line(), **limits).times[-1], rtol=1e-9)
 
 
-def test_a_plan_made_with_other_limits_is_of_the_same_machine() -> None:
+def test_a_plan_made_with_other_limits_is_of_the_same_machine_and_a_coarse_grid_keeps_its_limits() -> None:
     wider = spm.Geometry(*PAPER.dimensions, limits=spm.LegLimits(0.9, 1.8))
-    motion = spm.time_optimal(CHAIN, spm.plan(wider, START, GOAL), leg_accelerations=3.0, grid=200, period=0.01)
-    np.testing.assert_allclose(CHAIN.leg_lengths(motion.positions[-1]), GOAL, atol=1e-9)
-
-
-def test_a_coarse_grid_keeps_the_limits() -> None:
-    limits = {"leg_accelerations": 3.0, "leg_rates": 0.4}
-    for grid in (10, 60):
-        assert shares(spm.time_optimal(CHAIN, CURVE, grid=grid, **limits), limits).max() < 1.0 + 1e-6
+    planned, limits = spm.plan(wider, START, GOAL), {"leg_accelerations": 3.0, "leg_rates": 0.4}
+    for path, grid in ((CURVE, 10), (CURVE, 60), (planned, 200)):
+        motion = spm.time_optimal(CHAIN, path, grid=grid, **limits)
+        assert shares(motion, limits).max() < 1.0 + 1e-6
+        np.testing.assert_allclose(CHAIN.leg_lengths(motion.positions[-1]), GOAL, atol=1e-9)
 
 
 BACK = LegPath([[1.2] * 6, [1.3, *[1.2] * 5], [1.2] * 6])

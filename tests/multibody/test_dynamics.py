@@ -112,27 +112,23 @@ def test_the_platform_s_equations(name: str) -> None:
         assert np.abs(at.coriolis @ twist - at.bias).max() <= 1e-9 * np.abs(at.bias).max()
 
 
-def along(robot: Any, q: Array, twist: Array, t: float) -> Array:
-    """The closed q after a small time at a twist, to second order and better."""
-    half = robot.project(q + t / 2 * robot.joint_velocities(q, twist))
-    return np.asarray(robot.project(q + t * robot.joint_velocities(half, twist)))
-
-
 def test_finite_differences_of_the_platform_s_equations() -> None:
     """Λ̇ = C + Cᵀ, so that Λ̇ - 2 C is skew; and gravity is the slope of the potential energy."""
     robot, rng = chain(), np.random.default_rng(210)
+    d, h, rest = robot.geometry.middle_side, 1e-2, np.zeros(18)
     for q, _ in states("paper", 4, seed=211)[:6]:
-        d = robot.geometry.middle_side
         twist = 0.1 * rng.normal(size=6) * [d, d, d, 1, 1, 1] * robot.singular_values(q).inverse
-        at = robot.platform_dynamics(q, robot.joint_velocities(q, twist))
-        h = 1e-2
-        ahead, behind = along(robot, q, twist, h), along(robot, q, twist, -h)
-        rest = np.zeros(18)
-        slope = (robot.platform_dynamics(ahead, rest).mass - robot.platform_dynamics(behind, rest).mass) / (2 * h)
+        at, ends = robot.platform_dynamics(q, robot.joint_velocities(q, twist)), []
+        for t in (h, -h):  # to second order and better
+            half = robot.project(q + t / 2 * robot.joint_velocities(q, twist))
+            ends.append(robot.project(q + t * robot.joint_velocities(half, twist)))
+        ahead, behind = (robot.platform_dynamics(end, rest).mass for end in ends)
+        slope = (ahead - behind) / (2 * h)
         assert np.abs(slope).max() > 0.0
         assert np.abs(slope - at.coriolis - at.coriolis.T).max() <= 1e-3 * np.abs(slope).max()
-        rise = (robot.energy(ahead, rest).potential - robot.energy(behind, rest).potential) / (2 * h)
-        assert rise == pytest.approx(at.gravity @ twist, rel=1e-4, abs=1e-4 * np.abs(at.gravity * twist).max())
+        above, below = (robot.energy(end, rest).potential for end in ends)
+        allowed = 1e-4 * np.abs(at.gravity * twist).max()
+        assert (above - below) / (2 * h) == pytest.approx(at.gravity @ twist, rel=1e-4, abs=allowed)
 
 
 def test_singularities() -> None:
@@ -208,6 +204,11 @@ def test_frequencies_are_the_spectrum_of_the_linearised_motion() -> None:
     squares = np.sort(-np.linalg.eigvals(np.array(columns).T).real)
     found = chain().natural_frequencies(q, stiff)
     np.testing.assert_allclose(found.frequencies, np.sqrt(squares) / (2.0 * np.pi), rtol=1e-6)
+    for wrong in (np.arange(36.0).reshape(6, 6), -np.eye(6)):
+        with pytest.raises(ArgumentError, match="stiffness"):
+            chain().natural_frequencies(q, wrong)
+    with pytest.raises(ClosureError):
+        chain().natural_frequencies(q + 0.01, np.eye(6))
 
 
 def test_modes_are_orthogonal_with_respect_to_mass_and_stiffness() -> None:
@@ -216,18 +217,7 @@ def test_modes_are_orthogonal_with_respect_to_mass_and_stiffness() -> None:
     found = chain().natural_frequencies(q, stiff)
     assert found.frequencies.shape == (4, 6)
     assert (np.diff(found.frequencies, axis=-1) >= 0.0).all()
-    mass = chain().platform_dynamics(q, np.zeros_like(q)).mass
-    unit = found.modes @ mass @ found.modes.swapaxes(-1, -2)
-    np.testing.assert_allclose(unit, np.broadcast_to(np.eye(6), unit.shape), atol=1e-9)
-    squares = found.modes @ stiff @ found.modes.swapaxes(-1, -2)
-    expected = (2.0 * np.pi * found.frequencies) ** 2
-    np.testing.assert_allclose(np.diagonal(squares, axis1=-2, axis2=-1), expected, rtol=1e-9)
-
-
-def test_open_loops_and_matrices_that_are_no_stiffness_are_refused() -> None:
-    q = chain().joint_values(spm.forward_physical(chain().geometry, LENGTHS))
-    for wrong in (np.arange(36.0).reshape(6, 6), -np.eye(6)):
-        with pytest.raises(spm.ArgumentError, match="stiffness"):
-            chain().natural_frequencies(q, wrong)
-    with pytest.raises(spm.ClosureError):
-        chain().natural_frequencies(q + 0.01, np.eye(6))
+    mass, turned = chain().platform_dynamics(q, np.zeros_like(q)).mass, found.modes.swapaxes(-1, -2)
+    np.testing.assert_allclose(found.modes @ mass @ turned, np.tile(np.eye(6), (4, 1, 1)), atol=1e-9)
+    squares = np.diagonal(found.modes @ stiff @ turned, axis1=-2, axis2=-1)
+    np.testing.assert_allclose(squares, (2.0 * np.pi * found.frequencies) ** 2, rtol=1e-9)

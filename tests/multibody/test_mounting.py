@@ -101,12 +101,12 @@ def test_forces_and_motions_of_both_mounted_chains(name: str, way: str) -> None:
     assert (energy(h) - energy(-h)) / (2 * h) == pytest.approx(power, rel=1e-4, abs=1e-5)
 
 
-def test_batches_joining_and_wrapping() -> None:
+def test_batches_states_joining_and_wrapping() -> None:
     both = mounted("ur5", "carried")
     pairs = [state(both, "ur5", seed) for seed in (503, 504)]
     q, v = (np.array(part) for part in zip(*pairs, strict=True))
     assert np.array_equal(both.join(*both.split(q)), q)
-    forces = np.ones(12)
+    forces = np.random.default_rng(506).normal(size=12)
     together = both.forward_dynamics(q, v, forces)
     assert np.array_equal(together[1], both.forward_dynamics(q[1], v[1], forces))
     assert both.energy(q, v).kinetic.shape == (2,)
@@ -117,18 +117,12 @@ def test_batches_joining_and_wrapping() -> None:
     assert small().carrying(arm("ur5").model).robot_wrapper().visual_model is None
     assert "ur5, 24 degrees of freedom" in repr(both)
     assert sorted([*both.chain_indices, *both.other_indices]) == list(range(24))
-
-
-def test_states() -> None:
-    both, rng = mounted("ur5", "carried"), np.random.default_rng(506)
-    q, v = state(both, "ur5", seed=507)
-    forces = rng.normal(size=12)
-    a = both.forward_dynamics(q, v, forces)
-    here = both.state(q, v)
-    assert np.array_equal(here.forward_dynamics(forces), a)
-    assert np.array_equal(here.inverse_dynamics(a), both.inverse_dynamics(q, v, a))
-    assert here.energy() == both.energy(q, v)
-    assert np.array_equal(here.constraint_jacobian(), both.constraint_jacobian(q))
+    here = both.state(q[0], v[0])
+    a = here.forward_dynamics(forces)
+    assert np.array_equal(a, together[0])
+    assert np.array_equal(here.inverse_dynamics(a), both.inverse_dynamics(q[0], v[0], a))
+    assert here.energy() == both.energy(q[0], v[0])
+    assert np.array_equal(here.constraint_jacobian(), both.constraint_jacobian(q[0]))
     with pytest.raises(ArgumentError, match="legs of no negative length"):
         both.closure_gap(both.join(np.zeros(6), np.full(18, -1.0)))
 
