@@ -51,18 +51,12 @@ def test_home_is_assembled_and_symmetric(name: str, trees: dict[str, KinematicTr
     heights = [frames[platform][2, 3] for platform in ("base", "middle_platform", "terminal_platform")]
     assert heights[0] == 0.0 < heights[1] < heights[2]
     lower, upper = home_lengths(geometry)
-    for i, corner in enumerate(("a", "a", "a", "c", "c", "c")):
-        leg, home = "bc"[i // 3] + str(i % 3 + 1), (lower, upper)[i // 3]
-        hip = frames[f"{'base' if corner == 'a' else 'terminal'}_{corner}{i % 3 + 1}"]
-        tip = frames[f"leg_{leg}_tip"]
-        np.testing.assert_allclose(tip[:3, 3], frames[f"middle_b{i % 3 + 1}"][:3, 3], atol=1e-12)
-        assert np.linalg.norm(tip[:3, 3] - hip[:3, 3]) == pytest.approx(home, abs=1e-12)
-
-
-@pytest.mark.parametrize("name", ALL)
-def test_corners_and_axes_are_the_geometry_s(name: str, trees: dict[str, KinematicTree]) -> None:
-    tree, geometry = trees[name], ALL[name]
-    frames = tree.frames({})
+    for leg, corner, home in (("b", "base_a", lower), ("c", "terminal_c", upper)):
+        for i in (1, 2, 3):
+            hip, tip, middle = (frames[name][:3, 3] for name in (f"{corner}{i}", f"leg_{leg}{i}_tip", f"middle_b{i}"))
+            np.testing.assert_allclose(tip, middle, atol=1e-12)
+            assert np.linalg.norm(tip - hip) == pytest.approx(home, abs=1e-12)
+    # Corners and axes are the geometry's.
     for i in range(3):
         a, c = frames[f"base_a{i + 1}"], np.linalg.inv(frames["terminal_platform"]) @ frames[f"terminal_c{i + 1}"]
         np.testing.assert_allclose(a[:3, 3], geometry.base_joints[i], atol=1e-15)
@@ -78,15 +72,13 @@ def test_corners_and_axes_are_the_geometry_s(name: str, trees: dict[str, Kinemat
 def test_slides_are_lengths_minus_home(name: str, trees: dict[str, KinematicTree]) -> None:
     limits, slides = ALL[name].limits, [trees[name].moving[slide].limit for slide in SLIDES]
     homes = np.repeat(home_lengths(ALL[name]), 3)
-    shortest = homes + [limit["lower"] for limit in slides]
-    longest = homes + [limit["upper"] for limit in slides]
+    shortest, longest = (homes + [limit[end] for limit in slides] for end in ("lower", "upper"))
     assert (shortest > 0.0).all()
     assert (shortest < longest).all()
-    for i in range(6):
-        if limits is not None and limits.minimum[i] > 0.0:
-            assert shortest[i] == pytest.approx(limits.minimum[i], abs=4 * EPS)
-        if limits is not None and limits.maximum[i] < math.inf:
-            assert longest[i] == pytest.approx(limits.maximum[i], abs=4 * EPS)
+    if limits is not None:
+        least, most = np.array(limits.minimum), np.array(limits.maximum)
+        np.testing.assert_allclose(shortest[least > 0.0], least[least > 0.0], rtol=0, atol=4 * EPS)
+        np.testing.assert_allclose(longest[most < math.inf], most[most < math.inf], rtol=0, atol=4 * EPS)
 
 
 def test_home_lies_in_the_middle_of_the_shared_limits_if_it_can() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sysconfig
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -50,9 +50,10 @@ def mesh_boxes() -> Array:
     return np.array(boxes)
 
 
-def sorted_boxes(boxes: Any) -> Array:
-    rows = np.asarray(boxes).reshape(-1, 6)
-    return np.asarray(rows[np.lexsort(np.round(rows, 6).T)])
+def assert_meshes_at(clouds: Iterable[Array], atol: float) -> None:
+    rows = (np.array([[p.min(axis=0), p.max(axis=0)] for p in clouds]).reshape(-1, 6), mesh_boxes().reshape(-1, 6))
+    found, expected = (boxes[np.lexsort(np.round(boxes, 6).T)] for boxes in rows)
+    np.testing.assert_allclose(found, expected, atol=atol)
 
 
 def test_pinocchio_shows_the_meshes() -> None:
@@ -61,11 +62,9 @@ def test_pinocchio_shows_the_meshes() -> None:
     data, placed = model.createData(), shapes.createData()
     q = np.array([STATES["reference"][name] for name in list(model.names)[1:]])
     pin.updateGeometryPlacements(model, data, shapes, placed, q)
-    boxes = []
-    for shape, pose in zip(shapes.geometryObjects, placed.oMg, strict=True):
-        points = shape.geometry.vertices() @ pose.rotation.T + pose.translation
-        boxes.append([points.min(axis=0), points.max(axis=0)])
-    np.testing.assert_allclose(sorted_boxes(boxes), sorted_boxes(mesh_boxes()), atol=1e-6)
+    shown = zip(shapes.geometryObjects, placed.oMg, strict=True)
+    clouds = [shape.geometry.vertices() @ pose.rotation.T + pose.translation for shape, pose in shown]
+    assert_meshes_at(clouds, atol=1e-6)
 
 
 def test_yourdfpy_shows_the_meshes() -> None:
@@ -83,13 +82,13 @@ def test_mujoco_shows_the_meshes(name: str) -> None:
     mujoco = pytest.importorskip("mujoco")
     robot = Mujoco(description_file(name))
     robot.set(STATES["reference"])
-    model, data, boxes = robot.model, robot.data, []
+    model, data, clouds = robot.model, robot.data, []
     for i in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
         mesh = model.mesh(model.geom_dataid[i])
         start, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-        points = model.mesh_vert[start : start + count] @ data.geom_xmat[i].reshape(3, 3).T + data.geom_xpos[i]
-        boxes.append([points.min(axis=0), points.max(axis=0)])
-    np.testing.assert_allclose(sorted_boxes(boxes), sorted_boxes(mesh_boxes()), atol=1e-5)
+        vertices = model.mesh_vert[start : start + count]
+        clouds.append(vertices @ data.geom_xmat[i].reshape(3, 3).T + data.geom_xpos[i])
+    assert_meshes_at(clouds, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", [URDF, MJCF])

@@ -27,16 +27,12 @@ INERTIA = TURN @ np.diag([0.5, 0.7, 1.0]) @ TURN.T
 PAYLOAD = RigidBody(10.0, [0.1, -0.05, 0.2], np.diag([0.1, 0.2, 0.25]))
 
 
-def chain_of(masses: Masses | None) -> spm.ClosedChain:
-    return spm.ClosedChain.from_urdf(masses=masses)
-
-
 def weights(chain: spm.ClosedChain) -> np.ndarray:
     return np.asarray(chain.inverse_dynamics(chain.joint_values(STATE), np.zeros(18), np.zeros(18)))
 
 
 def test_a_payload_adds_its_weight_and_its_inertia() -> None:
-    assumed, loaded = chain_of(None), chain_of(Masses(payload=PAYLOAD))
+    assumed, loaded = (spm.ClosedChain.from_urdf(masses=masses) for masses in (None, Masses(payload=PAYLOAD)))
     force = np.array([0.0, 0.0, -9.81 * PAYLOAD.mass])
     arm = STATE.rotation @ np.asarray(PAYLOAD.centre)
     wrench = np.concatenate([force, np.cross(arm, force)])
@@ -83,7 +79,7 @@ def test_all_formats_weigh_the_same() -> None:
     grounded = sum(mass for name, (mass, *_) in bodies(urdf_text(masses=given)).items() if name.startswith("base"))
     assert model.body_mass.sum() == pytest.approx(pin.computeTotalMass(expected) + grounded, rel=1e-9)
     parts = spm.symbolic.bodies(masses=given)
-    chain = chain_of(given)
+    chain = spm.ClosedChain.from_urdf(masses=given)
     state = STATE.middle_joints, STATE.rotation, STATE.translation
     forces = spm.symbolic.gravity()(*state, parts, np.zeros(4), [0.0, 0.0, -9.81])
     np.testing.assert_allclose(forces.full().ravel(), weights(chain), rtol=1e-9)
@@ -104,7 +100,7 @@ def test_a_file_gives_the_same_masses(tmp_path: Path) -> None:
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(urdf_text(), encoding="utf-8")
     chain = spm.ClosedChain.from_urdf(urdf, masses=read)
-    np.testing.assert_allclose(weights(chain), weights(chain_of(made)), rtol=1e-12)
+    np.testing.assert_allclose(weights(chain), weights(spm.ClosedChain.from_urdf(masses=made)), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -18,18 +18,19 @@ from spm_pin.description import URDF_PATH, read_closures
 
 pybullet = pytest.importorskip("pybullet")
 
+from pybullet_utils.bullet_client import BulletClient  # noqa: E402
+
 CLOSURES = read_closures()
 SINGLE = 1e-6
 
 
 class Robot:
     def __init__(self) -> None:
-        self.client = pybullet.connect(pybullet.DIRECT)
-        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-        self.body = pybullet.loadURDF(URDF_PATH, useFixedBase=True, flags=flags, physicsClientId=self.client)
+        self.client = BulletClient(pybullet.DIRECT)
+        self.body = self.client.loadURDF(URDF_PATH, useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
         self.joints, self.links = {}, {}
-        for i in range(pybullet.getNumJoints(self.body, physicsClientId=self.client)):
-            info = pybullet.getJointInfo(self.body, i, physicsClientId=self.client)
+        for i in range(self.client.getNumJoints(self.body)):
+            info = self.client.getJointInfo(self.body, i)
             self.links[info[12].decode()] = i
             if info[2] != pybullet.JOINT_FIXED:
                 self.joints[info[1].decode()] = i
@@ -37,7 +38,7 @@ class Robot:
     def frames(self) -> dict[str, Array]:
         poses = {}
         for link, i in self.links.items():
-            state = pybullet.getLinkState(self.body, i, computeForwardKinematics=1, physicsClientId=self.client)
+            state = self.client.getLinkState(self.body, i, computeForwardKinematics=1)
             poses[link] = np.eye(4)
             poses[link][:3, :3] = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
             poses[link][:3, 3] = state[4]
@@ -45,7 +46,7 @@ class Robot:
 
     def set(self, values: Mapping[str, float]) -> None:
         for joint, value in values.items():
-            pybullet.resetJointState(self.body, self.joints[joint], value, physicsClientId=self.client)
+            self.client.resetJointState(self.body, self.joints[joint], value)
 
     def gap(self) -> float:
         frames = self.frames()
@@ -56,7 +57,7 @@ class Robot:
 def robot() -> Iterator[Robot]:
     robot = Robot()
     yield robot
-    pybullet.disconnect(robot.client)
+    robot.client.disconnect()
 
 
 def test_same_joints_frames_and_masses(robot: Robot) -> None:
@@ -69,7 +70,7 @@ def test_same_joints_frames_and_masses(robot: Robot) -> None:
         for link, pose in robot.frames().items():
             np.testing.assert_allclose(pose, expected[link], atol=SINGLE, err_msg=link)
     for link, i in robot.links.items():
-        dynamics = pybullet.getDynamicsInfo(robot.body, i, physicsClientId=robot.client)
+        dynamics = robot.client.getDynamicsInfo(robot.body, i)
         mass, _, moments = inertia(TREE.links[link])
         assert dynamics[0] == pytest.approx(mass, rel=SINGLE)
         np.testing.assert_allclose(dynamics[2], np.diag(moments), rtol=SINGLE)
@@ -77,24 +78,24 @@ def test_same_joints_frames_and_masses(robot: Robot) -> None:
 
 @pytest.mark.parametrize("closed", [True, False])
 def test_falling_the_loops_hold(robot: Robot, closed: bool) -> None:
-    here = {"physicsClientId": robot.client}
+    here = robot.client
     robot.set(STATES["reference"])
-    pybullet.setGravity(0.0, 0.0, -9.81, **here)
-    pybullet.setTimeStep(1e-3, **here)
+    here.setGravity(0.0, 0.0, -9.81)
+    here.setTimeStep(1e-3)
     for i in robot.joints.values():  # the motors that PyBullet puts everywhere
-        pybullet.setJointMotorControl2(robot.body, i, pybullet.VELOCITY_CONTROL, force=0.0, **here)
+        here.setJointMotorControl2(robot.body, i, pybullet.VELOCITY_CONTROL, force=0.0)
     for closure in CLOSURES if closed else ():
         a, b = (robot.links[frame] for frame in (closure.frame_a, closure.frame_b))
-        states = (pybullet.getLinkState(robot.body, link, computeForwardKinematics=1, **here) for link in (a, b))
+        states = (here.getLinkState(robot.body, link, computeForwardKinematics=1) for link in (a, b))
         # The frames' origins as the centres of mass see them.
         at_a, at_b = (pybullet.invertTransform(state[2], state[3])[0] for state in states)
         ends = (robot.body, a, robot.body, b, pybullet.JOINT_POINT2POINT, [0, 0, 0], at_a, at_b)
-        pybullet.changeConstraint(pybullet.createConstraint(*ends, **here), maxForce=1e7, **here)
+        here.changeConstraint(here.createConstraint(*ends), maxForce=1e7)
     gap = 0.0
     for _ in range(50):
-        pybullet.stepSimulation(**here)
+        here.stepSimulation()
         gap = max(gap, robot.gap())
-    now = {name: pybullet.getJointState(robot.body, i, **here)[0] for name, i in robot.joints.items()}
+    now = {name: here.getJointState(robot.body, i)[0] for name, i in robot.joints.items()}
     assert max(abs(value - STATES["reference"][name]) for name, value in now.items()) > 1e-2
     assert gap < 1e-5 if closed else gap > 1e-3
 
