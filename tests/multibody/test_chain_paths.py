@@ -198,10 +198,6 @@ def test_a_trajectory_in_files(tmp_path: Path) -> None:
         assert [point[key] for point in message["points"]] == values.tolist()
 
 
-NEAR = "Pass a closed q as near: the solution on the path from there need not be physical."
-"""The end of an error where there is no physical solution."""
-
-
 def test_a_path_that_ends_at_a_fold_is_not_completed_in_another_mode() -> None:
     begin = [0.684323687731267, 1.5724122184620153, 0.9033743064577988]
     begin += [0.7089082670062409, 0.7536839372978562, 0.6860272440464935]
@@ -240,16 +236,28 @@ def test_random_modes_arrive_where_fine_steps_lead(count: int, seed: int, parts:
     assert arrived >= 0.2 * count
 
 
-def test_lengths_that_the_physical_mode_cannot_have_are_refused_or_nan() -> None:
-    robot, far = chain(), [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]
-    begin = "readings: expected lengths that the physical assembly mode can have, got [1.2, 1.2, 1.2, 1.2, 1.2, 9] m"
-    reason = "With these leg lengths no configuration is reached from the home without a forward singularity."
-    with pytest.raises(ArgumentError) as caught:
-        robot.forward_kinematics(far)
-    assert str(caught.value) == f"{begin}. {reason} {NEAR}"
-    found = robot.forward_kinematics([[1.3] * 6, far])
-    assert np.array_equal(found[0], robot.forward_kinematics([1.3] * 6))
-    assert np.isnan(found[1]).all()
+def test_targets_that_no_physical_mode_has_are_refused_or_nan() -> None:
+    readings = np.array([[1.3] * 6, [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]])
+    near = "Pass a closed q as near: the solution on the path from there need not be physical."
+    lengths = (
+        "readings: expected lengths that the physical assembly mode can have, got [1.2, 1.2, 1.2, 1.2, 1.2, 9] m. "
+        f"With these leg lengths no configuration is reached from the home without a forward singularity. {near}"
+    )
+    home, away = spm.pose([0.0, 0.0, 2.3], xyx=[0.0, 0.0, 0.0]), spm.pose([0.1, 0.2, 9.0], xyx=[0.1, 0.2, 0.3])
+    turn = ", ".join(f"{angle:.9g}" for angle in away.rotation.as_rotvec())
+    turned = "pose: expected poses that a physical branch has, got o at {} m, turned by the rotation vector [{}] rad. "
+    level = turned.format("[0, 0, 2.3]", "0, 0, 0") + "A level platform over the axis of the base"
+    high = turned.format("[0.1, 0.2, 9]", turn) + f"Out of reach: no solution is real. {near}"
+    forward, inverse = chain().forward_kinematics, chain().inverse_kinematics
+    for call, target, text in ((forward, readings[1], lengths), (inverse, home, level), (inverse, away, high)):
+        with pytest.raises(ArgumentError) as caught:
+            call(target)
+        assert str(caught.value).startswith(text)
+        assert str(caught.value).endswith(near)
+    for call, targets in ((forward, readings), (inverse, np.stack([POSE.as_matrix(), away.as_matrix()]))):
+        found = call(targets)
+        assert np.array_equal(found[0], call(targets[0]))
+        assert np.isnan(found[1]).all()
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -266,22 +274,6 @@ def test_the_physical_branch_is_that_of_all_branches(name: str) -> None:
     near = robot.forward_kinematics(readings[7] + 1e-4 * geometry.middle_side * rng.normal(size=6))
     followed = robot.inverse_kinematics(poses[7], near)
     assert np.abs(np.exp(1j * followed) - np.exp(1j * together[7])).max() <= 1e-9
-
-
-def test_poses_that_no_physical_branch_has_are_refused_or_nan() -> None:
-    home, away = spm.pose([0.0, 0.0, 2.3], xyx=[0.0, 0.0, 0.0]), spm.pose([0.1, 0.2, 9.0], xyx=[0.1, 0.2, 0.3])
-    begin = "pose: expected poses that a physical branch has, got o at "
-    level = "[0, 0, 2.3] m, turned by the rotation vector [0, 0, 0] rad. A level platform over the axis of the base"
-    turn = ", ".join(f"{angle:.9g}" for angle in away.rotation.as_rotvec())
-    high = f"[0.1, 0.2, 9] m, turned by the rotation vector [{turn}] rad"
-    for pose, text in ((home, level), (away, f"{high}. Out of reach: no solution is real. {NEAR}")):
-        with pytest.raises(ArgumentError) as caught:
-            chain().inverse_kinematics(pose)
-        assert str(caught.value).startswith(begin + text)
-        assert str(caught.value).endswith(NEAR)
-    both = chain().inverse_kinematics(np.stack([POSE.as_matrix(), away.as_matrix()]))
-    assert np.array_equal(both[0], chain().inverse_kinematics(POSE))
-    assert np.isnan(both[1]).all()
 
 
 def residuals(robot: Any, q: Array) -> list[float]:

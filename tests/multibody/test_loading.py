@@ -59,7 +59,6 @@ def test_a_file_gives_the_chain_of_its_geometry(name: str, prefix: str, tmp_path
 
 def test_a_prefix_is_on_every_name() -> None:
     robot = ClosedChain.from_urdf(prefix="left_")
-    assert all(name.startswith("left_") for name in robot.joint_names)
     assert all(c.frame_a.startswith("left_") and c.frame_b.startswith("left_") for c in robot.closures)
     bare = chain()
     assert [f"left_{name}" for name in bare.joint_names] == list(robot.joint_names)
