@@ -271,7 +271,7 @@ def test_mjcf_of_any_geometry(name: str, tmp_path: Path) -> None:
         assert np.abs(robot.gaps({})).max() < 1e-12 * size, engine
 
 
-def test_two_robots_in_mujoco(tmp_path: Path) -> None:
+def test_two_robots_in_mujoco() -> None:
     mujoco = pytest.importorskip("mujoco")
     left, right = (mujoco.MjSpec.from_string(mjcf_text(prefix=prefix)) for prefix in ("left_", "right_"))
     for key in list(right.keys):

@@ -164,7 +164,7 @@ def test_bad_arguments() -> None:
 
 
 def test_a_call_passes_few_files() -> None:
-    """Forward dynamics is computed in at most four files of the package, that of the class among them."""
+    """Forward dynamics is computed in at most three files of the package, that of the class among them."""
     robot, (q, v), files = chain(), states("paper", 1, seed=214)[0], set()
 
     def note(frame: Any, event: str, _: Any) -> None:
