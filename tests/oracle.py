@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from flint import acb_poly, arb, arb_poly, ctx, fmpq
+from scipy.spatial.transform import RigidTransform
 
 Vector = list[Any]
 
@@ -23,6 +24,14 @@ def certified_count(
     """Count the real branches of one pose, or return None; see `certified_roots`."""
     roots = certified_roots(quaternion, position, d, nudge=nudge)
     return None if roots is None else len(roots)
+
+
+def certified_counts(poses: RigidTransform, d: float, *, nudge: str = "0") -> npt.NDArray[np.int64]:
+    """Count the real branches of poses (N,); one that cannot be decided tests nothing and is refused."""
+    quaternions, positions = np.atleast_2d(poses.rotation.as_quat(), poses.translation)
+    counts = [certified_count(q, o, d, nudge=nudge) for q, o in zip(quaternions, positions, strict=True)]
+    assert None not in counts
+    return np.array(counts, dtype=np.int64)
 
 
 def certified_roots(

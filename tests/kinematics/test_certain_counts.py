@@ -14,7 +14,6 @@ import spm_pin as spm
 from spm_pin.kinematics.inverse_displacement import ROUNDING_BOUND
 
 PAPER = spm.Geometry.paper()
-FAMILIES = ("TT", "TF", "FT", "FF")
 
 
 @pytest.fixture(autouse=True)
@@ -41,7 +40,7 @@ def folds(geometry: spm.Geometry, family: int, count: int, seed: int, beyond: fl
 
     The discriminant is a quadratic in the shift of o along the common normal of the Z axes.
     """
-    poses = random_branches(geometry, FAMILIES[family], count, seed).pose
+    poses = random_branches(geometry, spm.mechanism.FAMILIES[family], count, seed).pose
     rotation, position = poses.rotation.as_matrix(), poses.translation
     normal = np.stack([-rotation[:, 1, 2], rotation[:, 0, 2], np.zeros(count)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -158,24 +157,22 @@ def newton(solutions: spm.SolutionSet, n: int, branch: int, side: float) -> np.n
     return np.array(moved).reshape(3, 3)
 
 
-def test_exact_joints_are_within_the_radius() -> None:
-    for name, problem in (("leg space", in_leg_space(PAPER, 2, 1)), ("any", random_branches(PAPER, "TF", 2, 2))):
-        solutions = spm.inverse_displacement(PAPER, problem.pose, certify=True)
-        assert solutions.radius is not None, name
-        for n, branch in zip(*np.nonzero(solutions.exists), strict=True):
+def test_exact_joints_are_within_radii_that_tell_branches_apart() -> None:
+    nearly_meeting = folds(PAPER, 3, 20, 6, 1e-13)
+    for pose in (in_leg_space(PAPER, 2, 1).pose, random_branches(PAPER, "TF", 2, 2).pose, nearly_meeting):
+        solutions = spm.inverse_displacement(PAPER, pose, certify=True)
+        places = np.argwhere(solutions.exists)
+        if pose is nearly_meeting:
+            real = solutions.exists[:, 6]
+            assert real.sum() >= 5
+            pair = solutions.middle_joints[real, 6:8]
+            between = np.linalg.norm(pair[:, 0] - pair[:, 1], axis=-1).max(axis=-1)
+            assert (solutions.radius[real, 6:8].sum(axis=-1) < between).all()
+            places = [(n, 6) for n in np.flatnonzero(real)[:5]]
+        for n, branch in places:
             apart = np.linalg.norm(newton(solutions, n, branch, PAPER.middle_side), axis=-1).max()
-            assert apart <= solutions.radius[n, branch] < 1e-10
-
-
-def test_branches_that_nearly_meet_are_told_apart_by_their_radii() -> None:
-    solutions = spm.inverse_displacement(PAPER, folds(PAPER, 3, 20, 6, 1e-13), certify=True)
-    real = solutions.exists[:, 6]
-    between = np.linalg.norm(solutions.middle_joints[:, 6] - solutions.middle_joints[:, 7], axis=-1).max(axis=-1)[real]
-    assert real.any()
-    assert (solutions.radius[real, 6] + solutions.radius[real, 7] < between).all()
-    for n in np.flatnonzero(real)[:5]:
-        apart = np.linalg.norm(newton(solutions, n, 6, PAPER.middle_side), axis=-1).max()
-        assert apart <= solutions.radius[n, 6]
+            assert apart <= solutions.radius[n, branch]
+            assert pose is nearly_meeting or solutions.radius[n, branch] < 1e-10
 
 
 def test_continuous_families_and_parallel_axes_are_not_certain() -> None:

@@ -6,21 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from oracle import certified_count
+from oracle import certified_counts
 from problems import at_discriminant, conditioning, in_leg_space, random_branches
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
+from spm_pin.mechanism.branch_of_state import family
 from spm_pin.paper import resultant
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
 RADIAL, AXES = PAPER.radial_directions, PAPER.revolute_axes
-
-
-def certified(pose: RigidTransform, nudge: str = "0") -> int | None:
-    return certified_count(pose.rotation.as_quat(), pose.translation, PAPER.middle_side, nudge=nudge)
 
 
 @pytest.mark.parametrize("tilt", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8])
@@ -39,7 +36,7 @@ def test_nearly_level_platforms(tilt: float, twist: str) -> None:
     pose = spm.pose(position, rotation=level * Rotation.from_euler("z", turn[:, None]))
     solutions = spm.inverse_displacement(PAPER, pose)
     assert not (solutions.status == spm.Status.DEGENERATE).any()
-    np.testing.assert_array_equal(solutions.count, [certified(pose[i]) for i in range(count)])
+    np.testing.assert_array_equal(solutions.count, certified_counts(pose, PAPER.middle_side))
     assert 0.2 < (solutions.count > 0).mean() <= 1.0
     found = solutions.residual[solutions.exists]
     assert (found <= 64 * EPS * np.abs(solutions.middle_joints[solutions.exists]).max(axis=(-1, -2))).all()
@@ -66,7 +63,7 @@ def test_folds(index: int, distance: float) -> None:
         for sign in (1, -1):
             pose = at_discriminant(problem.pose[n], index, sign * distance, PAPER)
             solutions = spm.inverse_displacement(PAPER, pose)
-            assert solutions.count == certified(pose)
+            assert solutions.count == certified_counts(pose, PAPER.middle_side)
             assert solutions.exists[2 * index] == solutions.exists[2 * index + 1] == (sign > 0)
             if sign > 0:
                 gap = solutions.middle_joints[2 * index] - solutions.middle_joints[2 * index + 1]
@@ -98,7 +95,7 @@ def test_denominators_of_equation_10_at_zero(leg: int) -> None:
         assert (pose.as_matrix()[:, 2, 0] == 0.0).all()
         assert (resultant.inverse_displacement(PAPER, pose).status == spm.Status.UNSOLVED).all()
     solutions = spm.inverse_displacement(PAPER, pose)
-    np.testing.assert_array_equal(solutions.count, [certified(pose[i]) for i in range(200)])
+    np.testing.assert_array_equal(solutions.count, certified_counts(pose, PAPER.middle_side))
     assert np.nanmax(solutions.residual) < 1e-12
     assert (solutions.count > 0).sum() > 50
 
@@ -116,7 +113,7 @@ def test_pure_tilts_and_half_turns() -> None:
             solutions = spm.inverse_displacement(PAPER, pose)
             assert (solutions.discriminants[list(without)] < 0.0).all()
             # Four roots of the octic are at infinity; a nudge of 1e-20 brings them back as complex ones.
-            assert solutions.count == certified(pose, nudge="1e-20")
+            assert solutions.count == certified_counts(pose, PAPER.middle_side, nudge="1e-20")
 
 
 def test_poses_far_out_of_reach() -> None:
@@ -124,7 +121,7 @@ def test_poses_far_out_of_reach() -> None:
     far = rng.normal(size=(500, 3)) * [1e3, 1e3, 10.0]
     pose = spm.pose(far, rotation=Rotation.random(500, rng=rng))
     solutions = spm.inverse_displacement(PAPER, pose)
-    np.testing.assert_array_equal(solutions.count, [certified(pose[i]) for i in range(500)])
+    np.testing.assert_array_equal(solutions.count, certified_counts(pose, PAPER.middle_side))
     assert (solutions.status == spm.Status.UNREACHABLE).mean() > 0.98
     assert np.isnan(solutions.leg_lengths[~solutions.exists]).all()
 
@@ -219,20 +216,14 @@ def test_families_are_named_and_nothing_is_picked_from_them(name: str) -> None:
     # Least squares finds members by themselves: in those families with that freedom, elsewhere isolated.
     freedoms: dict[str, list[int]] = {}
     for joints, freedom in members(pose, 30, seed=0):
-        of = family_of(pose, joints)
+        state = spm.Configuration(PAPER, pose, joints)
+        of = spm.mechanism.FAMILIES[int(family(state))]
         freedoms.setdefault(of, []).append(freedom)
         if of not in families.split():
-            state = spm.Configuration(PAPER, pose, joints)
             np.testing.assert_allclose(solutions.nearest(state).middle_joints, joints, atol=1e-6)
     assert set(families.split()) & set(freedoms)
     for of, found in freedoms.items():
         assert np.median(found) == (dimension if of in families.split() else 0), (of, found)
-
-
-def family_of(pose: RigidTransform, joints: np.ndarray) -> str:
-    from spm_pin.mechanism.branch_of_state import family
-
-    return spm.mechanism.FAMILIES[int(family(spm.Configuration(PAPER, pose, joints)))]
 
 
 @pytest.mark.parametrize(
@@ -266,5 +257,5 @@ def test_near_a_family_the_isolated_solutions_are_found() -> None:
             pose = spm.pose([0, 0, 2.2] + 0.1 * RADIAL[i] + 1e-7 * rng.normal(size=3), rotation=rotation)
             solutions = spm.inverse_displacement(PAPER, pose)
             assert solutions.status in (spm.Status.OK, spm.Status.UNREACHABLE)
-            assert solutions.count == certified(pose)
+            assert solutions.count == certified_counts(pose, PAPER.middle_side)
             assert np.nanmax(np.append(solutions.residual, 0.0)) < 1e-13

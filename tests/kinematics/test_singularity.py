@@ -149,16 +149,22 @@ def singular_to_rounding() -> spm.Configuration:
     return spm.Configuration(PAPER, spm.pose(state.translation - [0, 0, shift[0]], rotation=state.rotation), flat)
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", [*GEOMETRIES, "as built"])
 @pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
-def test_determinants_are_those_of_the_matrices(name: str, modes: str) -> None:
-    state = random_branches(GEOMETRIES[name], modes, 200, seed=1).configuration
-    found = singularities(state)
-    expected = np.linalg.det(wrench_matrices(state))
+def test_determinants_are_those_of_the_matrices_and_of_the_jacobian(name: str, modes: str) -> None:
+    if name == "as built":
+        branches = spm.inverse_displacement(as_built(PAPER, 5e-3), in_leg_space(PAPER, 60, seed=1).pose)
+        state = branches[f"{modes}+"]
+        state = state[state.exists]
+    else:
+        state = random_branches(GEOMETRIES[name], modes, 200, seed=1).configuration
+    found, expected = singularities(state), np.linalg.det(wrench_matrices(state))
     np.testing.assert_allclose(found.scaled_determinants, expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(
-        found.determinants, found.scaled_determinants * state.geometry.middle_side**3, rtol=1e-15
-    )
+    np.testing.assert_allclose(found.determinants, expected * state.geometry.middle_side**3, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.determinants, spm.determinants(state), rtol=1e-15)
+    regular = state[found.sigma.min(axis=-1) > 5e-3]
+    lower, upper, structure = np.moveaxis(spm.determinants(regular), -1, 0)
+    np.testing.assert_allclose(np.linalg.det(spm.inverse_jacobian(regular)), lower * upper / structure, rtol=1e-9)
 
 
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
