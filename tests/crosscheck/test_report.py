@@ -1,11 +1,16 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 import pytest
-from crosscheck.broken_methods import Forgetful, Inaccurate, flipped_sign
+from cli.running import run
+from problems import GEOMETRIES
+from scipy.spatial.transform import RigidTransform
 
 import spm_pin as spm
 from spm_pin.crosscheck import (
@@ -20,6 +25,8 @@ from spm_pin.crosscheck import (
     compare_in_batches,
     compare_methods,
 )
+from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations
+from spm_pin.nlp import branch_search, loop_equations
 from spm_pin.paper.jacobian import Table5Mistakes
 
 GEOMETRY = spm.Geometry.paper()
@@ -66,6 +73,50 @@ def test_command_of_a_report_solves_its_pose(report: Report) -> None:
     np.testing.assert_array_equal(numbers, [*report.translation[worst.pose], *report.xyx[worst.pose]])
     again = spm.inverse_displacement(GEOMETRY, spm.pose(numbers[:3], xyx=np.deg2rad(numbers[3:])))
     assert again[worst.branch].exists
+    assert f"{again.count} of 8 branches real" in run(*words[1:]).stdout
+    assert report.command(worst.pose, "my robot.yaml").endswith(" --geometry 'my robot.yaml'")
+
+
+@contextmanager
+def flipped_sign() -> Iterator[None]:
+    """Change one sign in one of CasADi's loop equations: b_2 + c_2 where it says b_2 - c_2."""
+    true = loop_equations.equations
+
+    def flipped(geometry: spm.Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
+        rows = ca.vertsplit(true(geometry, b, rotation, translation))
+        axis, vector = loop_equations.legs(geometry, b, rotation, translation)[4]
+        rows[4] = ca.dot(axis, 2.0 * b[3:6] - vector)
+        return ca.vertcat(*rows)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop_equations, "equations", flipped)
+        branch_search.loop_equations_of.cache_clear()
+        yield
+    branch_search.loop_equations_of.cache_clear()
+
+
+@dataclass
+class Forgetful(ClosedForm):
+    """Loses one branch of every third pose."""
+
+    name: str = "forgetful"
+
+    def inverse(self, pose: RigidTransform) -> spm.SolutionSet:
+        solutions = spm.inverse_displacement(self.geometry, pose)
+        keep = solutions.exists.copy()
+        for n in range(0, len(keep), 3):
+            keep[n, np.flatnonzero(keep[n])[:1]] = False
+        return solutions.where(keep)
+
+
+@dataclass
+class Inaccurate(ClosedForm):
+    """Right to eight digits where sixteen are stated."""
+
+    name: str = "inaccurate"
+
+    def inverse_jacobian(self, configuration: spm.Configuration) -> np.ndarray:
+        return spm.inverse_jacobian(configuration) * (1.0 + 1e-8)
 
 
 def test_a_flipped_sign_in_one_loop_equation_is_found() -> None:
@@ -171,3 +222,30 @@ def test_a_slow_method_gets_its_share_spread_over_all_poses() -> None:
     partial, whole = compare_in_batches(GEOMETRY, poses=20, methods=["closed-form", sparse])
     assert (partial.scores[1].solved, whole.scores[1].solved) == (3, 5)
     assert whole.scores[1].missed == 0
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_poses_in_leg_space_have_a_branch_there(name: str) -> None:
+    geometry = GEOMETRIES[name]
+    poses = in_leg_space(geometry, 60, np.random.default_rng(0))
+    assert poses.shape == (60,)
+    branches = spm.inverse_displacement(geometry, poses)
+    assert branches.exists.any(axis=-1).all()
+    if geometry.limits is not None:
+        inside = branches.within()
+        assert inside.count.min() >= 1
+        # Drawn uniformly: the legs of those branches fill their range.
+        legs = inside.leg_lengths[inside.exists]
+        width = np.array(geometry.limits.maximum) - geometry.limits.minimum
+        assert (np.ptp(legs, axis=0) > 0.8 * width).all()
+
+
+def test_rotations_are_uniform_and_some_poses_out_of_reach() -> None:
+    geometry = GEOMETRIES["paper"]
+    poses = on_all_rotations(geometry, 4000, np.random.default_rng(1))
+    # Of a uniform rotation matrix every entry has mean zero and variance 1/3.
+    matrices = poses.rotation.as_matrix()
+    assert np.abs(matrices.mean(axis=0)).max() < 5.0 * np.sqrt(1 / 3 / 4000)
+    assert np.abs((matrices**2).mean(axis=0) - 1 / 3).max() < 0.05
+    share = spm.inverse_displacement(geometry, poses).exists.any(axis=-1).mean()
+    assert 0.3 < share < 0.95

@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+import os
+import signal
+import threading
+
 import numpy as np
 import pytest
 from problems import GEOMETRIES, at_discriminant, in_leg_space, random_branches
@@ -14,6 +18,7 @@ from spm_pin.nlp.branch_search import random_starts
 
 GEOMETRY = spm.Geometry.paper()
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
+FAR = spm.pose([3.0, 3.0, 2.0], xyx=[0.1, 0.5, 0.3])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -87,7 +92,7 @@ def test_results_depend_on_pose_and_seed_not_on_the_batch() -> None:
 @pytest.mark.parametrize(
     "pose",
     [
-        spm.pose([3.0, 3.0, 2.0], xyx=[0.1, 0.5, 0.3]),
+        FAR,
         spm.pose([0.0, 0.1, 2.2], xyx=[0.0, 0.4, 0.0]),
         spm.pose([0.1, 0.1, 2.2], rotation=np.eye(3)),
         spm.pose([0.1, 0.1, 2.2], rotation=np.diag([1.0, -1.0, -1.0])),
@@ -171,6 +176,51 @@ def test_starts_have_the_right_sides_and_violate_the_planes_least() -> None:
             assert planes(b + shift) > planes(b)
 
 
-def test_options_of_ipopt_without_ipopt_are_refused() -> None:
+# --- IPOPT -----------------------------------------------------------------------------------------------------------
+
+
+def test_ipopt_finds_the_paper_s_branches_none_out_of_reach_and_prints_nothing(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    found = nlp.search(GEOMETRY, EXAMPLE, solver="ipopt", starts=80, seed=1)
+    closed = spm.inverse_displacement(GEOMETRY, EXAMPLE)
+    np.testing.assert_array_equal(found.solutions.exists, closed.exists)
+    assert np.nanmax(np.abs(found.solutions.middle_joints - closed.middle_joints)) < 1e-9
+    assert np.nanmax(found.solutions.residual) < 1e-14
+    assert found.hits.sum() > 60
+    unreachable = nlp.search(GEOMETRY, FAR, solver="ipopt", starts=20)
+    assert unreachable.solutions.status is Status.UNREACHABLE
+    assert unreachable.infeasibility > 0.0
+    captured = capfd.readouterr()
+    assert captured.out == captured.err == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"ipopt.max_iters": 3}, "No such IPOPT option: max_iters"),
+        ({"foo": 1}, "options: expected options of casadi.nlpsol"),
+        ({"ipopt.tol": "small"}, "options: expected"),
+        ({"ipopt.linear_solver": "ma27"}, "Invalid_Option"),
+    ],
+)
+def test_bad_options_raise_an_argument_error(options: dict[str, object], words: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=words):
+        nlp.search(GEOMETRY, EXAMPLE, solver="ipopt", starts=2, options=options)
     with pytest.raises(spm.ArgumentError, match="Did you mean solver='ipopt'"):
         nlp.search(GEOMETRY, EXAMPLE, options={"ipopt.max_iter": 3})
+
+
+def test_ctrl_c_during_a_solve_ends_the_search() -> None:
+    """CasADi swallows the signal and reports a failed solve."""
+    poses = in_leg_space(GEOMETRY, 500, 8).pose
+    nlp.search(GEOMETRY, poses[:1], solver="ipopt", starts=4)  # the solver is made before the clock runs
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    timer = threading.Timer(0.6, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            nlp.search(GEOMETRY, poses, solver="ipopt", starts=4)
+    finally:
+        timer.cancel()
+        signal.signal(signal.SIGINT, before)
