@@ -102,7 +102,6 @@ def test_ellipsoids_are_sections_of_the_image_of_the_ball_in_the_box_of_the_legs
     shares = ((forces - 0.5 * (LOWER + UPPER)) / (0.5 * (UPPER - LOWER))) ** 2
     np.testing.assert_allclose(shares.sum(axis=-1), 1.0, rtol=1e-9)
     assert held.contains(wrenches).all()
-    # Of symmetric limits without a load, it touches facets of the section only if those of the box: volume says so.
     assert (np.diff(axes) <= 0.0).all()
 
 
@@ -141,17 +140,6 @@ def test_accelerations_are_those_of_the_dynamics() -> None:
     rest = chain.state(q)
     forces = rest.inverse_dynamics(rest.joint_accelerations(most))
     assert np.minimum(np.abs(forces - 5.0 * LOWER), np.abs(forces - 5.0 * UPPER)).min() < 1e-6
-
-
-def test_the_weights_of_all_bodies_move_the_polytope() -> None:
-    chain = spm.ClosedChain.from_urdf()
-    q = chain.joint_values(STATE)
-    load = -chain.platform_dynamics(q, np.zeros(18)).gravity
-    held = wrench_polytope(STATE, LIMITS, load=load)
-    down = held.extent([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
-    forces = chain.inverse_dynamics(q, np.zeros(18), np.zeros(18), [0.0, 0.0, -down, 0.0, 0.0, 0.0])
-    assert np.minimum(np.abs(forces - LOWER), np.abs(forces - UPPER)).min() < 1e-6
-    assert held.extent([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]) > down
 
 
 def test_singular_sets_have_no_end() -> None:

@@ -7,12 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
+from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.workspace import nearest_reachable_pose, pose_distance
 
 PAPER = spm.Geometry.paper()
 BUILT = PAPER.perturbed(3, length=5e-3, angle=5e-3)
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
 START = spm.forward_physical(PAPER, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
+TARGET = spm.pose([1.5, 0.4, 2.2], xyx=np.deg2rad([20.0, 30.0, -15.0]))
 
 
 def moved(pose, shift, turn):
@@ -69,8 +71,7 @@ def test_without_limits_the_branch_is_real_and_nothing_found_at_random_is_nearer
 
 
 def test_for_a_fixed_orientation_the_edge_is_where_the_discriminant_vanishes():
-    target = spm.pose([1.5, 0.4, 2.2], xyx=np.deg2rad([20.0, 30.0, -15.0]))
-    found = nearest_reachable_pose(FREE, target).configuration
+    found = nearest_reachable_pose(FREE, TARGET).configuration
     index = spm.inverse_displacement(FREE, found.pose).discriminants[0]
     assert 0.0 <= index < 1e-6
     assert spm.singularities(found).sigma[2] < 1e-3
@@ -114,3 +115,32 @@ def test_distance_is_that_of_the_platform_joints():
 def test_wrong_arguments_are_named(arguments, named):
     with pytest.raises(spm.ArgumentError, match=named):
         nearest_reachable_pose(**{"geometry": PAPER, "pose": START.pose, **arguments})
+
+
+@pytest.mark.parametrize("geometry", [PAPER, BUILT], ids=["as drawn", "as built"])
+@pytest.mark.parametrize("limits", [(1.1, 1.5), (0.6, 2.0)])
+def test_a_drag_stays_within_the_limits_and_comes_never_farther(
+    geometry: spm.Geometry, limits: tuple[float, float]
+) -> None:
+    rng, box = np.random.default_rng(6), spm.LegLimits(*limits)
+    here = spm.forward_physical(geometry, [1.3] * 6)
+    place, turn = here.translation.copy(), here.pose.rotation
+    for _ in range(60):
+        place = place + rng.normal(0.0, 0.04, 3)
+        turn = Rotation.from_rotvec(rng.normal(0.0, 0.03, 3)) * turn
+        target = spm.pose(place, rotation=turn)
+        before = pose_distance(geometry, here.pose, target)
+        nearest = nearest_reachable_pose(geometry, target, box, near=here)
+        here = nearest.configuration
+        assert nearest.distance <= before + 1e-8
+        assert nearest.distance == pytest.approx(pose_distance(geometry, here.pose, target), abs=1e-12)
+        assert box.margin(here.readings) >= -1e-12
+        assert here.closure_residual < 1e-13
+        assert physical(here)
+
+
+def test_without_limits_the_nearest_pose_has_the_branch() -> None:
+    limits = spm.LegLimits(0.0, np.inf)
+    drawn, built = (nearest_reachable_pose(machine, TARGET, limits, branch="TT+") for machine in (PAPER, BUILT))
+    assert built.configuration.closure_residual < 1e-13
+    assert built.distance == pytest.approx(drawn.distance, abs=0.03)

@@ -18,6 +18,7 @@ from spm_pin.workspace.states import pose_multiplicity, states_within
 
 PAPER = GEOMETRIES["paper"]
 LIMITS = spm.LegLimits(1.1, 1.5)
+BUILT = PAPER.perturbed(1, length=0.02, angle=0.02)
 TIGHT = spm.LegLimits([1.15, 1.1, 1.1, 1.2, 1.1, 1.1], [1.5, 1.4, 1.5, 1.5, 1.3, 1.5])
 
 
@@ -166,10 +167,19 @@ def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
     assert hits[0] / np.sum(hits) == pytest.approx(expected[0], abs=4.0 * error)
 
 
+@pytest.mark.parametrize("space", ["legs", "poses"])
+def test_random_states_of_a_machine_as_built(space: str) -> None:
+    states = sample_reachable(BUILT, 300, space=space, rng=1)  # type: ignore[arg-type]
+    assert states.geometry == BUILT
+    assert states.closure_residual.max() < 1e-13
+    assert spm.LegLimits(1.1 - 1e-12, 1.5 + 1e-12).contains(states.readings).all()
+    assert physical(states).all()
+    again = spm.forward_physical(BUILT, states.readings)
+    np.testing.assert_allclose(again.translation, states.translation, atol=1e-9)
+    assert reachable(BUILT, states.pose).reachable.mean() > 0.99
+
+
 # --- Limits of passive joints, and the distance between legs ---------------------------------------------------------
-
-
-BUILT = PAPER.perturbed(1, length=0.02, angle=0.02)
 
 
 @pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])

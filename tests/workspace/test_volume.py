@@ -8,7 +8,7 @@ from problems import GEOMETRIES
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.workspace import orientation_workspace, reachable
+from spm_pin.workspace import orientation_workspace, reachable, reachable_boundary
 from spm_pin.workspace.paper_shell import workspace_shell
 from spm_pin.workspace.positions import (
     ROTATIONS,
@@ -215,24 +215,6 @@ def test_the_largest_tilt_in_each_sector() -> None:
         answer.largest_tilt(0)
 
 
-def test_orientations_turn_with_the_position_by_a_third_of_a_turn() -> None:
-    means, errors = [], []
-    for k in range(3):
-        turn = Rotation.from_euler("z", 2.0 * np.pi / 3.0 * k)
-        answer = orientation_workspace(PAPER, turn.apply([0.3, 0.1, 2.45]), samples=6000, rng=5 + k)
-        # The volume, and where the platform's normal leans, with standard errors.
-        normals = (answer.states.rotation[:, :, 2] @ turn.as_matrix())[:, :2]
-        share = answer.weights / answer.weights.sum()
-        mean = share @ normals
-        error = np.sqrt((share**2) @ (normals - mean) ** 2)
-        means.append([answer.volume.value, *mean])
-        errors.append([(answer.volume.high - answer.volume.low) / 3.92, *error])
-    spread = np.linalg.norm(errors, axis=0)
-    assert (np.ptp(means, axis=0) < 3.0 * spread).all()
-    assert spread[0] < 0.06 * means[0][0]
-    assert (spread[1:] < 0.02).all()
-
-
 def test_on_the_axis_the_platform_is_level_whatever_the_lower_stage() -> None:
     answer = orientation_workspace(PAPER, [0.0, 0.0, 2.5], samples=500, rng=5)
     assert len(answer.weights) > 100
@@ -245,3 +227,21 @@ def test_poses_out_of_reach_have_no_branches() -> None:
     assert answer.volume.value == answer.volume.low == 0.0
     assert answer.states.shape == answer.tilt.shape == (0,)
     assert np.isnan(answer.largest_tilt(4)[1]).all()
+
+
+def test_volumes_and_boundaries_of_small_errors_are_nearly_those_of_the_drawing() -> None:
+    small = PAPER.perturbed(7, length=1e-4, angle=1e-4)
+    volumes = [reachable_volume(machine, samples=3000, rng=8) for machine in (PAPER, small)]
+    assert volumes[1].value == pytest.approx(volumes[0].value, rel=0.02)
+    limits = spm.LegLimits(1.1, 1.5)
+    poses = [pose_volume(machine, limits, samples=4000, rng=9) for machine in (PAPER, small)]
+    assert poses[1].value == pytest.approx(poses[0].value, rel=0.05)
+    turns = [orientation_workspace(machine, [0.3, 0.1, 2.45], samples=3000, rng=9).volume for machine in (PAPER, small)]
+    assert turns[1].value == pytest.approx(turns[0].value, rel=0.1)
+    built = PAPER.perturbed(3, length=5e-3, angle=5e-3)
+    boundary = reachable_boundary(built, spacing=0.4)
+    states = spm.forward_physical(built, boundary.readings)
+    assert np.abs(states.translation - boundary.vertices).max() < 1e-5
+    assert ((boundary.readings == 1.1) | (boundary.readings == 1.5)).any(axis=-1).all()
+    points = boundary.sample(20, rng=1)
+    assert points.violation.max() < 1e-6
