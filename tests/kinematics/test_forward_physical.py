@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, as_built, distance
+from problems import GEOMETRIES, as_built, distance, in_leg_space, random_branches
 from scipy.integrate import solve_ivp
 from stages import solve_stage
 
@@ -237,8 +237,48 @@ def test_where_modes_vanish_their_seeds_end_and_no_two_end_in_one_mode() -> None
     assert len(set(np.nanargmin(apart, axis=-1).tolist())) == len(alive)
 
 
+@pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_states_of_a_machine_as_built_are_found_whose_readings_they_are(name: str, size: float) -> None:
+    geometry = GEOMETRIES[name]
+    built, side = as_built(geometry, size), geometry.middle_side
+    problem = random_branches(geometry, "TT", 2000, seed=2)
+    if geometry.limits is not None:
+        problem = in_leg_space(geometry, 300, seed=2)
+    state = spm.inverse_physical(built, problem.pose)
+    state = state[state.exists]
+    found = forward_physical(built, state.readings)
+    # Within the errors of a forward singularity of the nominal machine a state may not be found.
+    assert found.exists.mean() >= 0.95
+    state, found = state[found.exists], found[found.exists]
+    assert distance(found, state).max() <= 1e-10 * side
+    np.testing.assert_allclose(found.rotation, state.rotation, atol=1e-10)
+    np.testing.assert_allclose(found.leg_lengths, state.leg_lengths, rtol=1e-12)
+    assert found.closure_residual.max() <= 1e-13 * side
+
+
+def test_a_state_of_a_machine_as_built_is_followed_to_other_readings() -> None:
+    built = as_built(PAPER, 1e-3)
+    state = spm.inverse_physical(built, in_leg_space(PAPER, 40, seed=1).pose)
+    state = state[state.exists]
+    state = state[spm.singularities(state).sigma[:, 2] > 5e-3]
+    found = spm.forward_physical(built, state.readings[1:], near=state[:-1])
+    assert found.exists.mean() > 0.95
+    error = np.abs(found.translation - state.translation[1:]).max(axis=-1)
+    assert np.nanmax(error) < 1e-12
+    # A mode that no machine gets into by itself stays that mode.
+    turned = spm.inverse_displacement(built, in_leg_space(PAPER, 20, seed=9).pose)["FF+"]
+    turned = turned[turned.exists]
+    near = spm.forward_physical(built, turned.readings + 1e-4, near=turned)
+    moved = np.abs(near.translation - turned.translation).max(axis=-1)
+    assert (np.isnan(moved) | (moved < 0.05)).all()
+    assert near.exists.mean() > 0.7
+    alone = spm.forward_physical(built, state.readings[5], near=state[4])
+    np.testing.assert_array_equal(alone.middle_joints, found.middle_joints[4])
+
+
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
-def test_invalid_seeds_are_refused(machine: spm.Geometry) -> None:
+def test_invalid_seeds_and_readings_are_refused(machine: spm.Geometry) -> None:
     state = forward_physical(machine, LEGS)
     torn = spm.Configuration(machine, state.pose, state.middle_joints + np.diag([0.0, 0.0, 0.01]))
     absent = forward_physical(machine, LEGS * 100)
@@ -253,3 +293,6 @@ def test_invalid_seeds_are_refused(machine: spm.Geometry) -> None:
     ):
         with pytest.raises(spm.ArgumentError, match=words):
             forward_physical(machine, np.array([LEGS] * 2), near=seed)  # type: ignore[arg-type]
+    if machine is not PAPER:
+        with pytest.raises(spm.ArgumentError, match=r"readings.*exceed their offset.*r_b1"):
+            forward_physical(machine, np.full(6, -1.0))

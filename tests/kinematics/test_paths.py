@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import at_discriminant, in_leg_space, random_branches
+from problems import as_built, at_discriminant, in_leg_space, random_branches
 from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
@@ -265,3 +265,24 @@ def test_a_followed_path_is_shown_by_its_events() -> None:
     assert repr(beyond).startswith(f"<FollowedPath: ends at {beyond.parameters[-1]:.4g}, ")
     assert f"leg limit at {beyond.events[0].parameter:.4g}" in repr(beyond)
     assert len(repr(beyond)) < 250
+
+
+def test_a_path_of_a_machine_as_built_is_followed() -> None:
+    built = as_built(PAPER, 1e-3)
+    ends = np.array([[1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.3, 1.25, 1.2, 1.2, 1.4, 1.6]])
+    by_legs = spm.follow(built, ends, samples=20)
+    assert by_legs.complete
+    assert [event.kind for event in by_legs.events if "LIMIT" in event.kind.name] == [EventKind.LIMIT]
+    lines = ends[0] + by_legs.parameters[:, None] * (ends[1] - ends[0])
+    np.testing.assert_allclose(by_legs.configurations.readings, lines, atol=1e-12)
+    # The same states along their poses, where the branches are known with their labels.
+    poses = by_legs.configurations.pose
+    by_poses = spm.follow(built, poses, start=by_legs.configurations[0], samples=20)
+    assert by_poses.complete
+    np.testing.assert_allclose(by_poses.configurations[-1].readings, ends[1], atol=1e-9)
+    # A state of another mode is followed too.
+    turned = spm.inverse_displacement(built, POSE)["FF+"]
+    other = spm.follow(built, np.stack([turned.readings, turned.readings + 0.01]), start=turned, samples=5)
+    np.testing.assert_allclose(other.configurations[0].middle_joints, turned.middle_joints, atol=1e-12)
+    with pytest.raises(spm.GeometryError, match="a machine as drawn"):
+        spm.forward_displacement(built, ends)
