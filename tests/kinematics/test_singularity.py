@@ -136,17 +136,6 @@ def test_gained_twist_leaves_the_leg_lengths() -> None:
     changes = [change(step) for step in (1e-2, 1e-3, 1e-4)]
     assert 50 < changes[0] / changes[1] < 200
     assert 50 < changes[1] / changes[2] < 200
-    with pytest.raises(spm.SingularConfigurationError, match="forward"):
-        spm.leg_forces(singular_to_rounding(), np.eye(6)[2])
-
-
-def singular_to_rounding() -> spm.Configuration:
-    """The three lower legs in one plane with the platform, all on Z: exactly forward singular."""
-    state = in_leg_space(PAPER, 1, seed=0, legs=np.full((1, 6), 1.3)).configuration[0]
-    flat = np.array(state.middle_joints)
-    shift = flat[:, 2].copy()
-    flat[:, 2] = 0.0
-    return spm.Configuration(PAPER, spm.pose(state.translation - [0, 0, shift[0]], rotation=state.rotation), flat)
 
 
 @pytest.mark.parametrize("name", [*GEOMETRIES, "as built"])

@@ -147,6 +147,7 @@ def test_singular_states(name):
     expected = [
         (inverse, inverse_jacobian, "inverse"),
         (forward, platform_jacobian, "forward"),
+        (forward, functools.partial(leg_forces, wrench=np.eye(6)[2]), "forward"),
         (constraint, inverse_jacobian, "constraint"),
         (constraint, platform_jacobian, "constraint"),
         (constraint, functools.partial(spm.kinematics.compliance, legs=1e7), "constraint"),
