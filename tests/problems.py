@@ -21,8 +21,10 @@ import spm_pin as spm
 
 Array = npt.NDArray[np.float64]
 
+PAPER = spm.Geometry.paper()
+EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 GEOMETRIES = {
-    "paper": spm.Geometry.paper(),
+    "paper": PAPER,
     "equal triangles": spm.Geometry(0.7, 0.7, 0.7 * 3**0.5),
     "wide base": spm.Geometry(1.5, 0.25, 0.5),
     "millimetres": spm.Geometry(0.06, 0.04, 0.05),
@@ -236,10 +238,9 @@ def singular_state(
     high: float,
 ) -> spm.Configuration:
     """Return the state of the paper's machine at which one of det J_b, det J_c, det K, counted by `which`, vanishes."""
-    geometry = spm.Geometry.paper()
 
     def at(value: float) -> spm.Configuration:
         parameters = ([value if x is None else x for x in pair] for pair in (azimuths, half_sines, heights))
-        return without_torsion(geometry, *zip(*parameters, strict=True))
+        return without_torsion(PAPER, *zip(*parameters, strict=True))
 
     return at(float(brentq(lambda x: spm.determinants(at(x))[which], low, high, xtol=1e-15, rtol=1e-15)))

@@ -4,14 +4,13 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from problems import in_leg_space
+from problems import PAPER, in_leg_space
 
 import spm_pin as spm
 from spm_pin.crosscheck import METHODS, compare_methods, make_methods
 from spm_pin.crosscheck import methods as methods_module
 
-GEOMETRY = spm.Geometry.paper()
-SAMPLE = in_leg_space(GEOMETRY, 3, 1)
+SAMPLE = in_leg_space(PAPER, 3, 1)
 OFFERS = {
     "closed-form": {"inverse", "inverse_jacobian", "leg_forces"},
     "paper": {"inverse", "inverse_jacobian", "leg_forces"},
@@ -23,7 +22,7 @@ OFFERS = {
 
 @pytest.mark.parametrize("name", METHODS)
 def test_each_method_answers_what_it_can_in_the_same_shapes(name: str) -> None:
-    method = METHODS[name](GEOMETRY)
+    method = METHODS[name](PAPER)
     states = SAMPLE.configuration
     wrench = np.tile([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], (3, 1))
     # One pose, for IPOPT takes seconds.
@@ -44,8 +43,8 @@ def test_each_method_answers_what_it_can_in_the_same_shapes(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["closed-form", "paper", "nlp"])
 def test_closure_residuals_stay_within_the_stated_rounding(name: str) -> None:
-    method = METHODS[name](GEOMETRY)
-    solutions = method.inverse(in_leg_space(GEOMETRY, 40, 4).pose)
+    method = METHODS[name](PAPER)
+    solutions = method.inverse(in_leg_space(PAPER, 40, 4).pose)
     states = solutions.configurations[solutions.exists]
     assert len(states) > 150
     assert (states.closure_residual <= method.rounding(states)).all()
@@ -53,7 +52,7 @@ def test_closure_residuals_stay_within_the_stated_rounding(name: str) -> None:
 
 @pytest.mark.parametrize("size", [1e-4, 3e-3])
 def test_machines_as_built_are_compared_by_all_methods_but_the_paper(size: float) -> None:
-    built = GEOMETRY.perturbed(2, length=size, angle=size)
+    built = PAPER.perturbed(2, length=size, angle=size)
     report = compare_methods(built, poses=10)
     assert report.agrees, report.verdict
     assert [score.name for score in report.scores] == ["closed form", "pinocchio", "nlp", "ipopt"]
@@ -65,15 +64,15 @@ def test_machines_as_built_are_compared_by_all_methods_but_the_paper(size: float
 
 def test_a_singular_member_is_nan_and_the_others_are_solved() -> None:
     level = spm.pose([0.0, 0.0, 2.2], rotation=np.eye(3))
-    flat = GEOMETRY.middle_radius * GEOMETRY.radial_directions + [0.0, 0.0, 1.1]
+    flat = PAPER.middle_radius * PAPER.radial_directions + [0.0, 0.0, 1.1]
     states = SAMPLE.configuration
     both = spm.Configuration(
-        GEOMETRY,
+        PAPER,
         np.concatenate([level.as_matrix()[None], states.pose.as_matrix()]),
         np.concatenate([flat[None], states.middle_joints]),
     )
     for name in ("closed-form", "paper", "pinocchio"):
-        found = METHODS[name](GEOMETRY).inverse_jacobian(both)
+        found = METHODS[name](PAPER).inverse_jacobian(both)
         assert np.isnan(found[0]).all()
         np.testing.assert_allclose(found[1:], spm.inverse_jacobian(states), rtol=0, atol=1e-9)
 
@@ -85,6 +84,6 @@ def test_a_method_that_cannot_be_imported_is_left_out_unless_named(monkeypatch: 
         return import_module(name)
 
     monkeypatch.setattr(methods_module, "import_module", missing)
-    assert "pinocchio" not in [m.name for m in make_methods(None, GEOMETRY)]
+    assert "pinocchio" not in [m.name for m in make_methods(None, PAPER)]
     with pytest.raises(ImportError):
-        make_methods(["pinocchio"], GEOMETRY)
+        make_methods(["pinocchio"], PAPER)

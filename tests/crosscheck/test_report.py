@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from cli.running import run
-from problems import GEOMETRIES
+from problems import GEOMETRIES, PAPER
 from scipy.spatial.transform import RigidTransform
 
 import spm_pin as spm
@@ -29,12 +29,10 @@ from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations
 from spm_pin.nlp import branch_search, loop_equations
 from spm_pin.paper.jacobian import Table5Mistakes
 
-GEOMETRY = spm.Geometry.paper()
-
 
 @pytest.fixture(scope="module")
 def report() -> Report:
-    return compare_methods(GEOMETRY, poses=20, seed=2)
+    return compare_methods(PAPER, poses=20, seed=2)
 
 
 def test_all_methods_agree(report: Report) -> None:
@@ -59,10 +57,10 @@ def test_every_pair_that_can_be_compared_is(report: Report) -> None:
 
 def test_a_seed_makes_the_same_report(report: Report) -> None:
     names = ["closed-form", "paper"]
-    first, again = (compare_methods(GEOMETRY, poses=10, seed=5, methods=names) for _ in range(2))
+    first, again = (compare_methods(PAPER, poses=10, seed=5, methods=names) for _ in range(2))
     assert first.differences == again.differences
     assert first.scores == again.scores
-    other = compare_methods(GEOMETRY, poses=10, seed=6, methods=names)
+    other = compare_methods(PAPER, poses=10, seed=6, methods=names)
     assert (other.translation != first.translation).any()
 
 
@@ -71,7 +69,7 @@ def test_command_of_a_report_solves_its_pose(report: Report) -> None:
     words = shlex.split(report.command(worst.pose))
     numbers = np.array([float(word) for word in words if word[-1].isdigit()])
     np.testing.assert_array_equal(numbers, [*report.translation[worst.pose], *report.xyx[worst.pose]])
-    again = spm.inverse_displacement(GEOMETRY, spm.pose(numbers[:3], xyx=np.deg2rad(numbers[3:])))
+    again = spm.inverse_displacement(PAPER, spm.pose(numbers[:3], xyx=np.deg2rad(numbers[3:])))
     assert again[worst.branch].exists
     assert f"{again.count} of 8 branches real" in run(*words[1:]).stdout
     assert report.command(worst.pose, "my robot.yaml").endswith(" --geometry 'my robot.yaml'")
@@ -121,8 +119,8 @@ class Inaccurate(ClosedForm):
 
 def test_a_flipped_sign_in_one_loop_equation_is_found() -> None:
     with flipped_sign():
-        methods: list[Method] = [ClosedForm(GEOMETRY), Paper(GEOMETRY), Pinocchio(GEOMETRY), Nlp(GEOMETRY)]
-        found = compare_methods(GEOMETRY, poses=8, methods=methods)
+        methods: list[Method] = [ClosedForm(PAPER), Paper(PAPER), Pinocchio(PAPER), Nlp(PAPER)]
+        found = compare_methods(PAPER, poses=8, methods=methods)
     assert not found.agrees
     assert found.outliers == ("nlp",)
     assert found.verdict == "nlp is wrong: the others agree."
@@ -131,19 +129,19 @@ def test_a_flipped_sign_in_one_loop_equation_is_found() -> None:
     assert score.misses_too_often
     assert not any(score.invented or score.misses_too_often for score in found.scores if score.name != "nlp")
     # And with the sign mended nothing is left of it.
-    assert compare_methods(GEOMETRY, poses=4, methods=["closed-form", "nlp"]).agrees
+    assert compare_methods(PAPER, poses=4, methods=["closed-form", "nlp"]).agrees
 
 
 def test_the_printed_lever_arm_is_found() -> None:
-    wrong = Paper(GEOMETRY, mistakes=Table5Mistakes(printed_lever_arm=True))
-    found = compare_methods(GEOMETRY, poses=10, methods=["closed-form", "pinocchio", "nlp", wrong])
+    wrong = Paper(PAPER, mistakes=Table5Mistakes(printed_lever_arm=True))
+    found = compare_methods(PAPER, poses=10, methods=["closed-form", "pinocchio", "nlp", wrong])
     assert found.outliers == ("paper",)
     for pair in found.differences:
         wrong_pair = "paper" in (pair.first, pair.second) and pair.quantity in (Quantity.JACOBIAN, Quantity.FORCES)
         assert (pair.disagreements > 0) == wrong_pair, pair
 
 
-@pytest.mark.parametrize("geometry", [GEOMETRY, GEOMETRY.perturbed(1, length=1e-3, angle=1e-3)])
+@pytest.mark.parametrize("geometry", [PAPER, PAPER.perturbed(1, length=1e-3, angle=1e-3)])
 def test_lost_branches_are_found(geometry: spm.Geometry) -> None:
     # Of the machine as built `nlp`, which comes first, knows no labels: the others are put into its order.
     found = compare_methods(geometry, poses=12, methods=["nlp", "closed-form", Forgetful(geometry)])
@@ -158,21 +156,21 @@ def test_lost_branches_are_found(geometry: spm.Geometry) -> None:
 
 
 def test_misses_within_the_stated_rate_are_no_fault() -> None:
-    careful = Forgetful(GEOMETRY, name="modest", miss_rate=0.4)
-    found = compare_methods(GEOMETRY, poses=12, methods=["closed-form", careful])
+    careful = Forgetful(PAPER, name="modest", miss_rate=0.4)
+    found = compare_methods(PAPER, poses=12, methods=["closed-form", careful])
     assert found.agrees
     (score,) = (score for score in found.scores if score.name == "modest")
     assert score.missed >= 3
 
 
 def test_an_answer_with_half_the_digits_is_an_outlier() -> None:
-    found = compare_methods(GEOMETRY, poses=20, methods=["closed-form", "nlp", "paper", Inaccurate(GEOMETRY)])
+    found = compare_methods(PAPER, poses=20, methods=["closed-form", "nlp", "paper", Inaccurate(PAPER)])
     assert found.outliers == ("inaccurate",)
 
 
 def test_two_methods_that_contradict_each_other_are_both_outliers() -> None:
-    wrong = Paper(GEOMETRY, mistakes=Table5Mistakes(printed_lever_arm=True))
-    found = compare_methods(GEOMETRY, poses=5, methods=["closed-form", wrong])
+    wrong = Paper(PAPER, mistakes=Table5Mistakes(printed_lever_arm=True))
+    found = compare_methods(PAPER, poses=5, methods=["closed-form", wrong])
     assert set(found.outliers) == {"closed form", "paper"}
     assert "a third method can decide" in found.verdict
 
@@ -187,12 +185,12 @@ def test_two_methods_that_contradict_each_other_are_both_outliers() -> None:
 )
 def test_bad_methods_are_refused(methods: list[str], words: str) -> None:
     with pytest.raises(spm.ArgumentError, match=words):
-        compare_methods(GEOMETRY, poses=2, methods=methods)
+        compare_methods(PAPER, poses=2, methods=methods)
 
 
 def test_progress_names_the_method_and_counts_poses() -> None:
     steps: list[tuple[str, int, int]] = []
-    compare_methods(GEOMETRY, poses=13, methods=["closed-form", "paper"], progress=lambda *step: steps.append(step))
+    compare_methods(PAPER, poses=13, methods=["closed-form", "paper"], progress=lambda *step: steps.append(step))
     assert steps[0] == ("closed form: branches", 0, 13)
     assert ("paper: branches", 10, 13) in steps
     assert ("closed form: Jacobians and forces", 10, 13) in steps
@@ -218,8 +216,8 @@ def test_each_batch_reports_all_poses_so_far() -> None:
 
 
 def test_a_slow_method_gets_its_share_spread_over_all_poses() -> None:
-    sparse = ClosedForm(GEOMETRY, name="sparse", share=0.25)
-    partial, whole = compare_in_batches(GEOMETRY, poses=20, methods=["closed-form", sparse])
+    sparse = ClosedForm(PAPER, name="sparse", share=0.25)
+    partial, whole = compare_in_batches(PAPER, poses=20, methods=["closed-form", sparse])
     assert (partial.scores[1].solved, whole.scores[1].solved) == (3, 5)
     assert whole.scores[1].missed == 0
 
@@ -241,7 +239,7 @@ def test_poses_in_leg_space_have_a_branch_there(name: str) -> None:
 
 
 def test_rotations_are_uniform_and_some_poses_out_of_reach() -> None:
-    geometry = GEOMETRIES["paper"]
+    geometry = PAPER
     poses = on_all_rotations(geometry, 4000, np.random.default_rng(1))
     # Of a uniform rotation matrix every entry has mean zero and variance 1/3.
     matrices = poses.rotation.as_matrix()

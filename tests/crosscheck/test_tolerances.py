@@ -2,19 +2,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, at_discriminant, random_branches
+from problems import PAPER, at_discriminant, random_branches
 
 import spm_pin as spm
 from spm_pin import nlp
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 
-GEOMETRY = GEOMETRIES["paper"]
-
 
 def states(count: int = 40) -> spm.Configuration:
-    parts = [random_branches(GEOMETRY, family, count, 11).configuration for family in spm.mechanism.FAMILIES]
+    parts = [random_branches(PAPER, family, count, 11).configuration for family in spm.mechanism.FAMILIES]
     return spm.Configuration(
-        GEOMETRY,
+        PAPER,
         np.concatenate([part.pose.as_matrix() for part in parts]),
         np.concatenate([part.middle_joints for part in parts]),
     )
@@ -22,7 +20,7 @@ def states(count: int = 40) -> spm.Configuration:
 
 def test_sigma_agrees_with_the_jacobian_of_casadi() -> None:
     sample = states(5)
-    closure = nlp.closure(GEOMETRY)
+    closure = nlp.closure(PAPER)
     expected = [
         np.linalg.svd(np.asarray(closure(s.middle_joints.ravel(), s.rotation, s.translation)[1]), compute_uv=False)[-1]
         for s in sample
@@ -31,9 +29,9 @@ def test_sigma_agrees_with_the_jacobian_of_casadi() -> None:
 
 
 def test_norm_of_the_inverse_agrees_with_the_inverse_jacobian() -> None:
-    built = GEOMETRY.perturbed(1, length=1e-2, angle=1e-2)
+    built = PAPER.perturbed(1, length=1e-2, angle=1e-2)
     for sample in (states(5), spm.forward_physical(built, np.random.default_rng(0).uniform(1.15, 1.45, (20, 6)))):
-        rates = spm.inverse_jacobian(sample) / np.repeat([1.0, GEOMETRY.middle_side], 3)
+        rates = spm.inverse_jacobian(sample) / np.repeat([1.0, PAPER.middle_side], 3)
         expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
         rtol = 1e-6 if sample.geometry.is_nominal else 1e-9
         np.testing.assert_allclose(Conditioning.from_configuration(sample).inverse, expected, rtol=rtol)
@@ -47,7 +45,7 @@ def test_position_bound_holds_for_perturbed_closures(size: float) -> None:
     rounding = np.full(len(sample), size)
     sharp = conditioning.resolves(rounding)
     assert sharp.mean() > 0.5
-    closure = nlp.closure(GEOMETRY)
+    closure = nlp.closure(PAPER)
     rng = np.random.default_rng(0)
     ratios = []
     for k in np.flatnonzero(sharp):
@@ -68,15 +66,15 @@ def test_rate_bound_holds_for_perturbed_entries() -> None:
     conditioning = Conditioning.from_configuration(sample)
     size = 1e-10
     rng = np.random.default_rng(1)
-    derivatives = nlp.leg_jacobian(GEOMETRY)
-    scale = np.repeat([1.0, GEOMETRY.middle_side], 3)
+    derivatives = nlp.leg_jacobian(PAPER)
+    scale = np.repeat([1.0, PAPER.middle_side], 3)
     ratios = []
     for k, state in enumerate(sample):
         if conditioning.sigma[k] < 1e-4:
             continue
         parts = [np.asarray(p) for p in derivatives(state.middle_joints.ravel(), state.rotation, state.translation)]
         parts[1], parts[3] = parts[1] / scale, parts[3] / scale
-        length = min(float(state.leg_lengths.min()), GEOMETRY.middle_side)
+        length = min(float(state.leg_lengths.min()), PAPER.middle_side)
         noisy = [part + size / length * rng.uniform(-1.0, 1.0, part.shape) for part in parts]
         rates = [p[3] - p[2] @ np.linalg.solve(p[0], p[1]) for p in (parts, noisy)]
         ratios.append(np.linalg.norm(rates[0] - rates[1]) / float(conditioning.rates(np.array(size))[k]))
@@ -86,10 +84,10 @@ def test_rate_bound_holds_for_perturbed_entries() -> None:
 
 
 def test_two_branches_near_a_fold_are_not_resolved() -> None:
-    pose = at_discriminant(random_branches(GEOMETRY, "TT", 1, 2).pose[0], 0, 1e-13, GEOMETRY)
-    pair = spm.inverse_displacement(GEOMETRY, pose)
+    pose = at_discriminant(random_branches(PAPER, "TT", 1, 2).pose[0], 0, 1e-13, PAPER)
+    pair = spm.inverse_displacement(PAPER, pose)
     plus, minus = pair["TT+"], pair["TT-"]
-    both = spm.Configuration(GEOMETRY, pose.as_matrix(), np.stack([plus.middle_joints, minus.middle_joints]))
+    both = spm.Configuration(PAPER, pose.as_matrix(), np.stack([plus.middle_joints, minus.middle_joints]))
     conditioning = Conditioning.from_configuration(both)
     rounding = np.full(2, 1e-13)
     assert not conditioning.resolves(rounding).any()
@@ -99,7 +97,7 @@ def test_two_branches_near_a_fold_are_not_resolved() -> None:
 
 def test_conditioning_is_nan_where_no_branch_exists() -> None:
     sample = states(1)
-    absent = spm.Configuration(GEOMETRY, sample.pose, np.full((4, 3, 3), np.nan))
+    absent = spm.Configuration(PAPER, sample.pose, np.full((4, 3, 3), np.nan))
     conditioning = Conditioning.from_configuration(absent)
     assert np.isnan(conditioning.sigma).all()
     assert not conditioning.resolves(np.zeros(4)).any()

@@ -8,14 +8,12 @@ from itertools import product
 import numpy as np
 import pytest
 from as_built_oracle import certified_real_branches, distance_to_root
-from problems import GEOMETRIES, as_built, at_discriminant, in_leg_space, random_branches
+from problems import EXAMPLE, GEOMETRIES, PAPER, as_built, at_discriminant, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics import complex_middle_joints
 
-PAPER = spm.Geometry.paper()
-EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 DIRECTION = np.random.default_rng(1).standard_normal(54)
 SIZES = (1e-9, 1e-5, 1e-3, 1e-2, 5e-2)
 

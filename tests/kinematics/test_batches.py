@@ -12,14 +12,13 @@ from concurrent.futures import ThreadPoolExecutor
 import dask
 import numpy as np
 import pytest
-from problems import as_built, in_leg_space, random_branches
+from problems import PAPER, as_built, in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.kinematics import complex_middle_joints, platform_jacobian, principal_stiffness
 from spm_pin.kinematics.batches import parallel_for, set_threads, threads
 from spm_pin.kinematics.inverse_displacement import branch_lengths
 
-PAPER = spm.Geometry.paper()
 SHAPES = [(), (1,), (0,), (3, 1, 2)]
 EPS = np.finfo(float).eps
 

@@ -7,13 +7,11 @@ import mpmath
 import numpy as np
 import pytest
 from oracle import discriminants, quaternion_of, rotation_rows
-from problems import GEOMETRIES, in_leg_space, random_branches
+from problems import GEOMETRIES, PAPER, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics.inverse_displacement import ROUNDING_BOUND
-
-PAPER = spm.Geometry.paper()
 
 
 @pytest.fixture(autouse=True)

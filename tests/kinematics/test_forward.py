@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, Problem, distance, random_branches
+from problems import GEOMETRIES, PAPER, Problem, distance, random_branches
 from stage_oracle import certified_modes
 
 import spm_pin as spm
 from spm_pin.kinematics.forward_displacement import ASSEMBLY_MODES, forward_displacement, forward_physical
 
 EPS = np.finfo(float).eps
-PAPER = spm.Geometry.paper()
 LEGS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
 
 
@@ -113,7 +112,7 @@ def test_a_known_configuration_is_found_from_its_lengths(name: str, modes: str) 
 
 
 def test_a_short_leg_keeps_its_digits() -> None:
-    problem = random_branches(GEOMETRIES["paper"], "TF", 1_000, seed=100)
+    problem = random_branches(PAPER, "TF", 1_000, seed=100)
     assert problem.configuration.leg_lengths.min() < 0.005
     assert_found(problem)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, as_built, distance, in_leg_space, random_branches
+from problems import GEOMETRIES, PAPER, as_built, distance, in_leg_space, random_branches
 from scipy.integrate import solve_ivp
 from stages import solve_stage
 
@@ -13,7 +13,6 @@ from spm_pin.formulas import stages, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 
-PAPER = spm.Geometry.paper()
 RADIAL = PAPER.radial_directions
 UP = np.array([0.0, 0.0, 1.0])
 LEGS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
@@ -138,7 +137,6 @@ def test_the_physical_configuration_is_the_one_continued_from_home() -> None:
 
 @pytest.mark.parametrize("name", [*GEOMETRIES, "small platforms"])
 def test_far_from_home_the_physical_configuration_is_continued_or_absent(name: str) -> None:
-    """Lengths up to where stages do not close: wherever the path arrives it arrives at the physical mode."""
     geometry = {**GEOMETRIES, "small platforms": spm.Geometry(0.05, 0.1, 0.8)}[name]
     rng = np.random.default_rng(6)
     size = geometry.middle_radius + np.repeat([geometry.base_radius, geometry.platform_radius], 3)

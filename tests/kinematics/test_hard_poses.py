@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from oracle import certified_counts
-from problems import at_discriminant, conditioning, in_leg_space, random_branches
+from problems import PAPER, at_discriminant, conditioning, in_leg_space, random_branches
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -16,7 +16,6 @@ from spm_pin.mechanism.branch_of_state import family
 from spm_pin.paper import resultant
 
 EPS = np.finfo(float).eps
-PAPER = spm.Geometry.paper()
 RADIAL, AXES = PAPER.radial_directions, PAPER.revolute_axes
 
 
@@ -56,7 +55,6 @@ def test_nearly_level_platforms_keep_the_digits_that_are_there(tilt: float) -> N
 @pytest.mark.parametrize("index", range(4))
 @pytest.mark.parametrize("distance", [1e-6, 1e-9, 1e-12])
 def test_folds(index: int, distance: float) -> None:
-    """Two branches about to meet are two, and none once they have met."""
     problem = random_branches(PAPER, spm.mechanism.FAMILIES[index], 40, seed=3)
     separations = []
     for n in range(40):

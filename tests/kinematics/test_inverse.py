@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 from oracle import certified_counts
-from problems import GEOMETRIES, Problem, conditioning, in_leg_space, random_branches
+from problems import GEOMETRIES, PAPER, Problem, conditioning, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
@@ -17,7 +17,6 @@ from spm_pin.mechanism import branch_of_state
 from spm_pin.mechanism.branch_of_state import branch_sign, family
 
 EPS = np.finfo(float).eps
-PAPER = spm.Geometry.paper()
 
 
 def assert_closed(solutions: spm.SolutionSet) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import as_built, at_discriminant, in_leg_space, random_branches
+from problems import EXAMPLE, PAPER, as_built, at_discriminant, in_leg_space, random_branches
 from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
@@ -21,9 +21,7 @@ from spm_pin.kinematics.path_following import (
     physical_mode_share,
 )
 
-PAPER = spm.Geometry.paper()
 FREE = replace(PAPER, limits=None)
-POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 RESOLUTION = 1e-9
 
 
@@ -119,14 +117,15 @@ def test_a_limit_is_crossed_where_the_leg_is_as_long_as_it_may_be() -> None:
 
 
 def test_two_crossings_within_one_step_are_found() -> None:
-    """A path that leaves a limit and comes back between two samples."""
-    length = float(spm.inverse_displacement(PAPER, POSE)["TT+"].leg_lengths[0])
+    length = float(spm.inverse_displacement(PAPER, EXAMPLE)["TT+"].leg_lengths[0])
     limits = spm.LegLimits(0.5, [length + 1e-7, 9, 9, 9, 9, 9])
     geometry = replace(PAPER, limits=limits)
 
     def path(s: float) -> RigidTransform:
         # r_b1 grows with the height; at most 2e-7 m beyond the limit, for about a twentieth of a step.
-        return spm.pose(POSE.translation + np.array([0, 0, 4e-7 - 2.0 * (s - 0.512) ** 2]), rotation=POSE.rotation)
+        return spm.pose(
+            EXAMPLE.translation + np.array([0, 0, 4e-7 - 2.0 * (s - 0.512) ** 2]), rotation=EXAMPLE.rotation
+        )
 
     found = follow(geometry, path, "TT+", samples=50)
     crossings = of_kind(found, EventKind.LIMIT)
@@ -219,11 +218,15 @@ def test_a_callable_and_its_samples_are_the_same_path() -> None:
 @pytest.mark.parametrize(
     ("path", "start", "words"),
     [
-        (stacked(POSE, POSE), "FT+", "start: expected the label of a solution that is real"),
-        (stacked(POSE), None, "path: expected a callable, or at least two poses"),
+        (stacked(EXAMPLE, EXAMPLE), "FT+", "start: expected the label of a solution that is real"),
+        (stacked(EXAMPLE), None, "path: expected a callable, or at least two poses"),
         (np.zeros((4, 5)), None, "path: expected real numbers of shape .* readings of the legs in metres, or poses"),
         (np.zeros(6), None, "path: expected a callable, or at least two poses"),
-        (stacked(spm.pose([9, 9, 9], rotation=POSE.rotation), POSE), None, "start: expected a solution that exists"),
+        (
+            stacked(spm.pose([9, 9, 9], rotation=EXAMPLE.rotation), EXAMPLE),
+            None,
+            "start: expected a solution that exists",
+        ),
     ],
 )
 def test_invalid_paths_are_refused(path: object, start: str | None, words: str) -> None:
@@ -250,7 +253,7 @@ def test_the_share_of_a_line_in_the_home_mode_is_that_of_the_followed_path() -> 
 
 
 def test_another_mode_is_followed_along_a_line_to_its_end() -> None:
-    start = spm.inverse_displacement(FREE, POSE)["FF+"]
+    start = spm.inverse_displacement(FREE, EXAMPLE)["FF+"]
     end = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31])
     last, share = last_on_line(start, end)
     assert 0.0 < share < 1.0
@@ -281,7 +284,7 @@ def test_a_path_of_a_machine_as_built_is_followed() -> None:
     assert by_poses.complete
     np.testing.assert_allclose(by_poses.configurations[-1].readings, ends[1], atol=1e-9)
     # A state of another mode is followed too.
-    turned = spm.inverse_displacement(built, POSE)["FF+"]
+    turned = spm.inverse_displacement(built, EXAMPLE)["FF+"]
     other = spm.follow(built, np.stack([turned.readings, turned.readings + 0.01]), start=turned, samples=5)
     np.testing.assert_allclose(other.configurations[0].middle_joints, turned.middle_joints, atol=1e-12)
     with pytest.raises(spm.GeometryError, match="a machine as drawn"):

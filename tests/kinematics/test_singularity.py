@@ -8,6 +8,7 @@ import pytest
 from finite_differences import extrapolated
 from problems import (
     GEOMETRIES,
+    PAPER,
     PAPER_TILTS,
     as_built,
     exact_wrench_matrices,
@@ -28,7 +29,6 @@ from spm_pin.kinematics.singularity_analysis import (
 )
 
 EPS = np.finfo(float).eps
-PAPER = spm.Geometry.paper()
 LOWER, UPPER, STRUCTURE = range(3)
 
 

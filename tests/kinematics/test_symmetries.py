@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from problems import GEOMETRIES, random_branches
+from problems import GEOMETRIES, PAPER, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics.forward_displacement import ASSEMBLY_MODES, forward_displacement, forward_physical
-
-PAPER = spm.Geometry.paper()
 
 
 def in_pairs(joints: np.ndarray) -> np.ndarray:

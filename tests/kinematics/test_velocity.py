@@ -199,7 +199,6 @@ def test_singular_members_of_a_batch_are_marked_and_the_others_computed():
 
 @pytest.mark.parametrize("path", PATHS)
 def test_singular_means_singular_to_rounding(path):
-    """Away from a singularity by more and more, a state is refused exactly as long as the singular values say."""
     make, value = crossing(path, PAPER)
     matrix, function = (2, inverse_jacobian) if path == "inverse" else (0, platform_jacobian)
     decisions = []

@@ -7,7 +7,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from problems import GEOMETRIES, random_branches
+from problems import PAPER, random_branches
 
 import spm_pin as spm
 from spm_pin import nlp
@@ -18,7 +18,7 @@ def arguments(state: spm.Configuration) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def test_residuals_are_distances_from_planes_and_errors_of_sides_and_lengths_those_of_the_state() -> None:
-    geometry = GEOMETRIES["paper"]
+    geometry = PAPER
     state = random_branches(geometry, "TT", 1, 0).configuration[0]
     closure = nlp.closure(geometry)
     b, rotation, translation = arguments(state)
@@ -39,7 +39,7 @@ def test_residuals_are_distances_from_planes_and_errors_of_sides_and_lengths_tho
 
 
 def test_equations_and_their_jacobian_in_a_machine_as_built() -> None:
-    built = GEOMETRIES["paper"].perturbed(2, length=3e-3, angle=3e-3)
+    built = PAPER.perturbed(2, length=3e-3, angle=3e-3)
     state = spm.forward_physical(built, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
     closure = nlp.closure(built)
     b, rotation, translation = arguments(state)
@@ -61,7 +61,7 @@ def test_equations_and_their_jacobian_in_a_machine_as_built() -> None:
 
 def test_functions_can_be_saved_loaded_and_compiled_from_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    geometry = GEOMETRIES["paper"]
+    geometry = PAPER
     state = random_branches(geometry, "TT", 1, 5).configuration[0]
     closure = nlp.closure(geometry)
     expected = np.asarray(closure(*arguments(state))[1])

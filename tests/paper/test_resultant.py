@@ -5,13 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracle import certified_counts
-from problems import GEOMETRIES, Problem, in_leg_space, random_branches
+from problems import EXAMPLE, GEOMETRIES, PAPER, Problem, in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.paper import resultant
-
-PAPER = spm.Geometry.paper()
-EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
 
 def assert_agreement(problem: Problem, losses: float) -> None:

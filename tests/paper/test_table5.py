@@ -64,7 +64,6 @@ def test_printed_values_come_from_three_mistakes(solution_3):
 @pytest.mark.parametrize("row", [0, 1], ids=["rates", "forces"])
 @pytest.mark.parametrize("made", list(itertools.product([False, True], repeat=3)))
 def test_which_mistakes_a_row_needs(solution_3, row, made):
-    """A number comes out when all the mistakes it needs are made, and never without one of them."""
     mistakes = Table5Mistakes(*made)
     names = {name for name, active in zip(SWITCHES, made, strict=True) if active}
     hits = agrees(table_5(solution_3, mistakes)[row], published.TABLE_5[row])
@@ -80,7 +79,6 @@ def test_printed_load_is_the_default():
 
 
 def test_switches_touch_what_they_name(solution_3):
-    """One block of J_λ, one entry of J_α, and nothing else."""
     arm, entry = Table5Mistakes(printed_lever_arm=True), Table5Mistakes(missing_entry=True)
     changed = J_lambda(solution_3, arm) != J_lambda(solution_3)
     assert changed[:3, 3:6].all()

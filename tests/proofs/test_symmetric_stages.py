@@ -91,7 +91,6 @@ def test_random_machines_have_the_verdict_of_their_certificates() -> None:
 
 
 def test_boxes_that_touch_are_found_at_any_sizes() -> None:
-    """Against every pair of boxes compared."""
     rng = np.random.default_rng(0)
     for _ in range(20):
         boxes = np.tile(stage_proof.first_boxes(1), 2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES
+from problems import PAPER
 from scipy.optimize import minimize
 
 import spm_pin as spm
@@ -13,7 +13,6 @@ from spm_pin.workspace.positions import reachable_position
 from spm_pin.workspace.search import search_states
 from spm_pin.workspace.states import states_within
 
-PAPER = GEOMETRIES["paper"]
 NARROW = spm.LegLimits(1.2, 1.4)
 LEGS_APART = spm.LegLimits([1.2, 1.25, 1.2, 1.2, 1.2, 1.3], [1.4, 1.4, 1.35, 1.4, 1.4, 1.4])
 

@@ -154,7 +154,6 @@ def test_inside_is_where_rays_say_and_distance_is_that_to_the_nearest_point_of_t
     [(20_000, 24, 0.0, 0.004), pytest.param(1_000_000, 80, 0.0014, 0.0019, marks=pytest.mark.slow)],
 )
 def test_some_reachable_points_lie_outside_the_shell(count: int, resolution: int, least: float, most: float) -> None:
-    """Table 6 is not the whole boundary."""
     legs = np.random.default_rng(6).uniform(1.1, 1.5, (count, 6))
     positions = spm.forward_physical(PAPER, legs).translation
     beyond = int(np.count_nonzero(~workspace_shell(PAPER, resolution=resolution).contains(positions)))
@@ -229,7 +228,6 @@ def test_the_table_is_symmetric_in_the_legs(order: tuple[int, ...]) -> None:
 
 
 def test_only_the_misprints_named_are_misprints() -> None:
-    """All other cells name their own column's stage, and the erroneous ones stand in the table as printed."""
     found = {}
     for name, *cells in published.TABLE_6:
         for leg, cell in zip(spm.mechanism.LEGS, cells, strict=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES
+from problems import PAPER
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +15,6 @@ from spm_pin.workspace.paper_shell import sample_positions_near_limits
 from spm_pin.workspace.search import nearest_points, start_table
 from spm_pin.workspace.states import states_within
 
-PAPER = GEOMETRIES["paper"]
 BUILT = PAPER.perturbed(3, length=5e-3, angle=5e-3)
 
 

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, in_leg_space, random_branches
+from problems import PAPER, in_leg_space, random_branches
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
@@ -16,7 +16,6 @@ from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.workspace import JointLimits, leg_clearance, reachable, sample_reachable
 from spm_pin.workspace.states import pose_multiplicity, states_within
 
-PAPER = GEOMETRIES["paper"]
 LIMITS = spm.LegLimits(1.1, 1.5)
 BUILT = PAPER.perturbed(1, length=0.02, angle=0.02)
 TIGHT = spm.LegLimits([1.15, 1.1, 1.1, 1.2, 1.1, 1.1], [1.5, 1.4, 1.5, 1.5, 1.3, 1.5])

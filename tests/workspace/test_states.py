@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES
+from problems import GEOMETRIES, PAPER
 
 import spm_pin as spm
 from spm_pin.mechanism.branch_of_state import FAMILIES, family, physical
 from spm_pin.workspace.states import StateSet, free_states, states_within
 
-PAPER = GEOMETRIES["paper"]
 BUILT = PAPER.perturbed(1, length=5e-3, angle=5e-3)
 
 

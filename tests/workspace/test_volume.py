@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES
+from problems import PAPER
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -21,7 +21,6 @@ from spm_pin.workspace.positions import (
 from spm_pin.workspace.search import search_states
 from spm_pin.workspace.states import states_within
 
-PAPER = GEOMETRIES["paper"]
 NARROW = spm.LegLimits(1.2, 1.4)
 
 
@@ -77,7 +76,6 @@ def test_the_reachable_volume_is_more_than_a_tenth_larger_than_the_shell() -> No
 
 
 def test_volumes_with_a_condition_are_shares_of_the_whole() -> None:
-    """The level of o splits the reachable positions; found by a predicate, and by counting uniform points."""
 
     def is_low(states: spm.Configuration) -> np.ndarray:
         return np.asarray(states.translation[:, 2] < 2.3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES
+from problems import GEOMETRIES, PAPER
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +15,6 @@ from spm_pin.workspace.positions import reachable_position, reachable_volume
 from spm_pin.workspace.search import search_states, start_table
 from spm_pin.workspace.states import states_within
 
-PAPER = GEOMETRIES["paper"]
 SMALL = spm.Geometry(0.4, 0.4, 0.4)
 BOXES = [
     (1.0, 1.5),
@@ -140,7 +139,6 @@ BOUNDARIES = [(PAPER, limits, 0.4) for limits in BOXES] + [(*machine, 0.2) for m
 def test_a_boundary_is_found_where_legs_can_pass_forward_singularities(
     geometry: spm.Geometry, limits: tuple[float, float], spacing: float
 ) -> None:
-    """The mesh is closed, legs within the limits put o at its vertices, and beyond them nothing is reachable."""
     box = spm.LegLimits(*limits)
     boundary = spm.workspace.reachable_boundary(geometry, box, spacing=spacing)
     edges = np.concatenate([boundary.faces[:, [0, 1]], boundary.faces[:, [1, 2]], boundary.faces[:, [2, 0]]])
