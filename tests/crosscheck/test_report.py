@@ -239,11 +239,10 @@ def test_poses_in_leg_space_have_a_branch_there(name: str) -> None:
 
 
 def test_rotations_are_uniform_and_some_poses_out_of_reach() -> None:
-    geometry = PAPER
-    poses = on_all_rotations(geometry, 4000, np.random.default_rng(1))
+    poses = on_all_rotations(PAPER, 4000, np.random.default_rng(1))
     # Of a uniform rotation matrix every entry has mean zero and variance 1/3.
     matrices = poses.rotation.as_matrix()
     assert np.abs(matrices.mean(axis=0)).max() < 5.0 * np.sqrt(1 / 3 / 4000)
     assert np.abs((matrices**2).mean(axis=0) - 1 / 3).max() < 0.05
-    share = spm.inverse_displacement(geometry, poses).exists.any(axis=-1).mean()
+    share = spm.inverse_displacement(PAPER, poses).exists.any(axis=-1).mean()
     assert 0.3 < share < 0.95

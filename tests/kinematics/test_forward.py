@@ -178,8 +178,12 @@ R = PAPER.middle_radius
 REGULAR = [1.2, 1.3, 1.4]
 
 
-def lower_count(solutions: spm.SolutionSet) -> int:
-    return int(solutions.exists.reshape(16, 16).any(axis=-1).sum())
+def assert_lower_modes(geometry: spm.Geometry, legs: np.ndarray, accuracy: float) -> None:
+    solutions = spm.forward_displacement(geometry, [*legs, *REGULAR])
+    found = solutions.exists.reshape(16, 16).any(axis=-1).sum()
+    assert found == certified_modes(legs, geometry.base_radius, geometry.middle_side)
+    assert np.nanmax(np.abs(solutions.leg_lengths[..., :3] - legs)) < accuracy
+    assert np.nanmax(solutions.residual) < 1e-14
 
 
 @pytest.mark.parametrize("ratio", [0.4, 0.75, 0.99, 0.5])
@@ -190,10 +194,7 @@ def test_all_modes_beside_a_continuous_family_are_found(ratio: float, away: floa
     for _ in range(2):
         family = np.full(3, 1.2) if ratio == 0.5 else R * np.array([3 * ratio, *np.sqrt([3 - 3 * ratio**2] * 2)])
         legs = np.roll(family * (1.0 + away * rng.normal(size=3)), rng.integers(3))
-        solutions = spm.forward_displacement(geometry, [*legs, *REGULAR])
-        assert lower_count(solutions) == certified_modes(legs, geometry.base_radius, PAPER.middle_side)
-        assert np.nanmax(np.abs(solutions.leg_lengths[..., :3] - legs)) < 1e-14
-        assert np.nanmax(solutions.residual) < 1e-14
+        assert_lower_modes(geometry, legs, 1e-14)
 
 
 def test_the_papers_upper_stage_beside_its_family() -> None:
@@ -210,7 +211,4 @@ def test_very_short_legs_are_kept(size: float) -> None:
     geometry = spm.Geometry(R, PAPER.platform_radius, PAPER.middle_side)
     rng = np.random.default_rng(6)
     for _ in range(2):
-        legs = size * rng.uniform(1.0, 1.3, 3)
-        solutions = spm.forward_displacement(geometry, [*legs, *REGULAR])
-        assert lower_count(solutions) == certified_modes(legs, geometry.base_radius, PAPER.middle_side)
-        assert np.nanmax(np.abs(solutions.leg_lengths[..., :3] - legs)) < 1e-15
+        assert_lower_modes(geometry, size * rng.uniform(1.0, 1.3, 3), 1e-15)

@@ -37,7 +37,7 @@ def test_agreement_in_leg_space_and_over_all_rotations(count: int, seed: int) ->
             assert_agreement(random_branches(geometry, family, max(500, count // 16), seed + 1), losses=0.1)
 
 
-def test_the_roots_are_those_of_the_determinant() -> None:
+def test_the_roots_are_those_of_the_determinant_which_is_an_octic() -> None:
     lines = resultant.Resultant.from_pose(PAPER, EXAMPLE)
     roots = lines.roots()
     real = np.sort(roots[0, np.abs(roots[0].imag) < 1e-9].real)
@@ -47,10 +47,6 @@ def test_the_roots_are_those_of_the_determinant() -> None:
     values = lines.determinant(across)[0]
     changes = across[np.flatnonzero(np.diff(np.sign(values)))]
     np.testing.assert_allclose(changes, real, atol=1e-4)
-
-
-def test_the_octic_is_of_degree_eight() -> None:
-    lines = resultant.Resultant.from_pose(PAPER, EXAMPLE)
     nodes = np.cos((np.arange(15) + 0.5) * np.pi / 15)
     series = np.polynomial.chebyshev.chebfit(nodes, lines.determinant(nodes)[0], 14)
     assert np.abs(series[9:]).max() < 1e-12 * np.abs(series).max()
