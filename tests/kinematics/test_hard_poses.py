@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
+from spm_pin import nlp
 from spm_pin.mechanism.branch_of_state import family
 from spm_pin.paper import resultant
 
@@ -130,28 +131,16 @@ def test_poses_far_out_of_reach() -> None:
 def members(pose: RigidTransform, count: int, seed: int) -> Iterator[tuple[np.ndarray, int]]:
     """Yield configurations found by least squares from random starts, each with its number of freedoms.
 
-    The nine closure equations in the nine coordinates of b, in units of d, with nothing of the closed form. The
-    freedoms are the singular values of their Jacobian that vanish to the accuracy a double root leaves.
+    The nine loop equations of CasADi in the nine coordinates of b, with nothing of the closed form. The freedoms are
+    the singular values of their Jacobian that vanish to the accuracy a double root leaves.
     """
-    rotation, position = pose.rotation.as_matrix(), pose.translation
-    upper = AXES @ rotation.T
-    side = PAPER.middle_side
+    rotation, position, closure = pose.rotation.as_matrix(), pose.translation, nlp.closure(PAPER)
 
     def equations(x: np.ndarray) -> np.ndarray:
-        b = x.reshape(3, 3)
-        sides = ((b - np.roll(b, -1, axis=0)) ** 2).sum(axis=-1) / side - side
-        return np.concatenate([(b * AXES).sum(axis=-1), ((b - position) * upper).sum(axis=-1), sides])
+        return np.asarray(closure(x, rotation, position)[0]).ravel()
 
     def jacobian(x: np.ndarray) -> np.ndarray:
-        b = x.reshape(3, 3)
-        rows = np.zeros((9, 9))
-        for i in range(3):
-            rows[i, 3 * i : 3 * i + 3] = AXES[i]
-            rows[3 + i, 3 * i : 3 * i + 3] = upper[i]
-            j = (i + 1) % 3
-            rows[6 + i, 3 * i : 3 * i + 3] = 2 * (b[i] - b[j]) / side
-            rows[6 + i, 3 * j : 3 * j + 3] = -2 * (b[i] - b[j]) / side
-        return rows
+        return np.asarray(closure(x, rotation, position)[1])
 
     rng = np.random.default_rng(seed)
     for _ in range(count):

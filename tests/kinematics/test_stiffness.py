@@ -99,7 +99,6 @@ def test_stiffness_is_the_inverse_with_and_without_a_structure() -> None:
     for structure in (None, 2e8):
         product = spm.stiffness(states, LEGS, structure) @ compliance(states, LEGS, structure)
         np.testing.assert_allclose(product, np.broadcast_to(np.eye(6), product.shape), atol=1e-7)
-    np.testing.assert_allclose(compliance(states[3], LEGS), compliance(states, LEGS)[3], rtol=1e-12)
 
 
 def test_the_level_home_is_rigid_in_some_directions() -> None:
@@ -126,7 +125,6 @@ def test_principal_stiffness_is_force_over_displacement_in_its_directions() -> N
     [
         (np.arange(36.0).reshape(6, 6), "symmetric"),
         (np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1e-6]), "semidefinite"),
-        (np.eye(5), "shape"),
     ],
 )
 def test_what_is_no_compliance_is_refused(wrong: np.ndarray, text: str) -> None:

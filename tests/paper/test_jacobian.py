@@ -41,14 +41,9 @@ def condition_bound(configuration: spm.Configuration) -> tuple[np.ndarray, np.nd
     moved to o, which magnifies by the distance.
     """
     d = configuration.geometry.middle_side
-    b = configuration.middle_joints
-    centre = b.mean(axis=-2)
-    arms = (b - centre[..., None, :]) / d
-    axes = np.stack([np.broadcast_to(configuration.geometry.revolute_axes, b.shape), configuration.platform_axes], -3)
-    K = np.concatenate([axes, np.cross(arms[..., None, :, :], axes)], axis=-1).reshape(*b.shape[:-2], 6, 6)
-    sigma_k = np.linalg.svd(K, compute_uv=False)
-    size = d + np.linalg.norm(configuration.translation - centre, axis=-1)
-    scales = np.ones((*b.shape[:-2], 1, 6))
+    sigma_k = np.linalg.svd(problems.wrench_matrices(configuration)[..., 2, :, :], compute_uv=False)
+    size = d + np.linalg.norm(configuration.translation - configuration.middle_joints.mean(axis=-2), axis=-1)
+    scales = np.ones((*configuration.shape, 1, 6))
     scales[..., 0, 3:] /= size[..., None]
     nine = jacobian.J(configuration)[..., :6] * scales
     nine[..., 6:, :] *= d
