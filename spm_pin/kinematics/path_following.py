@@ -42,6 +42,8 @@ PathSolver = Callable[[float, Configuration | None], SolutionSet]
 
 _LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
+_EXCHANGED = 1e-4
+"""The same where the label changes: more is another solution, where the one followed has ended in a fold."""
 _CLEARLY = 0.25
 """A solution is clearly the nearest to the predicted one if its error is at most this share of the next one's."""
 _SHORTEST_STEP = 1e-11
@@ -257,7 +259,6 @@ class Tracker:
 
     def __init__(self, solve: PathSolver, solutions: SolutionSet, place: int, *, has_legs: bool) -> None:
         self.solve = solve
-        self.longest_move = _LONGEST_MOVE * solutions.geometry.middle_side
         self.has_legs = has_legs
         self.parameters = [0.0]
         self.states: list[Configuration] = [solutions.configurations[place]]
@@ -313,7 +314,9 @@ class Tracker:
         order = error.argsort()
         nearest, others = int(order[0]), error[order[1:]].min(initial=np.inf)
         move = float(np.linalg.norm(points[nearest] - here, axis=-1).max())
-        if not np.isfinite(error[nearest]) or move > self.longest_move:
+        is_same = solutions.labels[nearest] == self.labels[-1]
+        longest = (_LONGEST_MOVE if is_same else _EXCHANGED) * solutions.geometry.middle_side
+        if not np.isfinite(error[nearest]) or move > longest:
             return None, False
         rounding = 1e-12 * float(np.abs(here).max())
         return nearest, bool(error[nearest] <= _CLEARLY * others + rounding and others > 4 * rounding)
