@@ -35,7 +35,6 @@ def test_inverse_says_which_branch_is_physical_and_which_leg_is_too_long() -> No
     (line,) = [line for line in out.splitlines() if "TT+" in line]
     assert line.split() == ["TT+", "119.982", "119.996", "139.856", "125.012", "120.004", "150.127*", "physical"]
     assert "6 of 8 branches real" in out
-    assert "…" not in out
 
 
 def test_statics_of_every_branch_and_of_one() -> None:
@@ -66,7 +65,6 @@ def test_singularities_of_each_branch() -> None:
     )
     table = run("singularities", *EXAMPLE, "--branch", "TT+").stdout
     assert "TT-" not in table
-    assert "…" not in table
 
 
 LEGS = ["--legs", "120", "120", "140", "125", "120", "150", "--unit", "cm"]
@@ -87,14 +85,10 @@ def test_the_papers_lengths_give_its_pose() -> None:
         [float(x) for x in numbers], [68.8872, 49.6307, 225.3025, -11.0818, 32.9691, -12.8831], atol=1.01e-4
     )
     assert "144 of 256 assembly modes real" in out
-
-
-def test_all_modes_fit_into_80_columns() -> None:
-    out = forward(*LEGS, "--all")
-    rows = [line for line in out.splitlines() if line.strip().startswith(("T", "F")) and "/" in line]
-    assert len(rows) == 144
-    assert sum("physical" in row for row in rows) == 1
-    assert "…" not in out
+    rows = [
+        line for line in forward(*LEGS, "--all").splitlines() if line.strip().startswith(("T", "F")) and "/" in line
+    ]
+    assert (len(rows), sum("physical" in row for row in rows)) == (144, 1)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("m", 0.01), ("cm", 1.0), ("mm", 10.0)])
@@ -116,17 +110,10 @@ def test_forward_as_json_in_every_unit(unit: str, factor: float) -> None:
         np.testing.assert_allclose(spm.pose([0, 0, 1], **written).rotation.as_matrix(), first["rotation"], atol=1e-14)
     only = json.loads(forward("--legs", *legs, "--unit", unit, "--json"))
     (alone,) = only["modes"]
-    assert [alone[key] for key in ("label", "physical")] == [first[key] for key in ("label", "physical")]
+    assert (alone["label"], alone["physical"]) == (first["label"], True)
     # By another way to the same configuration: as many digits as a pose has.
     for key in ("translation", "rotation", "middle_joints"):
         np.testing.assert_allclose(alone[key], first[key], rtol=0, atol=1e-13 * factor)
-
-
-def test_unreachable_lengths_hint_at_the_unit() -> None:
-    out = forward(*LEGS[:-2], code=3)
-    assert "0 of 256" in out
-    assert "--legs was read in m: 150 m, on a machine of 2.64 m. In cm it would be in proportion: --unit cm." in out
-    assert "--unit" not in forward("--legs", "1.2", "0.1", "1.2", "1.2", "1.2", "1.2", code=3)
 
 
 def test_a_continuous_family_is_named(tmp_path: Path) -> None:
