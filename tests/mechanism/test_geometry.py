@@ -15,29 +15,20 @@ from spm_pin.mechanism.geometry import check_same_machine
 PAPER = spm.Geometry.paper()
 
 
-def test_the_papers_dimensions() -> None:
+def test_dimensions_joints_and_axes_are_those_of_the_paper() -> None:
     assert PAPER.dimensions == pytest.approx((1.2 / 3**0.5, 0.6 / 3**0.5, 0.8), rel=1e-15)
     assert PAPER.limits == spm.LegLimits(1.10, 1.50)
-
-
-def test_joints_are_those_of_equation_1() -> None:
-    geometry = spm.Geometry(2.0, 1.0, 0.5)
-    q = 3**0.5
-    np.testing.assert_allclose(geometry.base_joints, [[q, -1, 0], [0, 2, 0], [-q, -1, 0]], atol=1e-15)
-    np.testing.assert_allclose(geometry.platform_joints, [[q / 2, -0.5, 0], [0, 1, 0], [-q / 2, -0.5, 0]], atol=1e-15)
-
-
-def test_each_revolute_axis_is_parallel_to_the_opposite_side() -> None:
-    a = PAPER.base_joints
-    for i in range(3):
-        opposite = a[(i + 1) % 3] - a[(i + 2) % 3]
-        assert np.linalg.norm(np.cross(opposite, PAPER.revolute_axes[i])) < 1e-15
-
-
-def test_arrays_handed_out_cannot_change_the_geometry() -> None:
-    PAPER.base_joints[:] = PAPER.revolute_axes[:] = 0.0
-    assert np.abs(PAPER.base_joints).max() > 0.5
-    assert np.abs(PAPER.revolute_axes).max() == 1.0
+    geometry, q = spm.Geometry(2.0, 1.0, 0.5), 3**0.5
+    a = geometry.base_joints
+    np.testing.assert_allclose(a, [[q, -1, 0], [0, 2, 0], [-q, -1, 0]], atol=1e-15)
+    np.testing.assert_allclose(geometry.platform_joints, a / 2, atol=1e-15)
+    # Each revolute axis is parallel to the opposite side.
+    opposite = np.roll(a, -1, axis=0) - np.roll(a, -2, axis=0)
+    np.testing.assert_allclose(np.cross(opposite, geometry.revolute_axes), 0.0, atol=1e-15)
+    # What is handed out is a copy.
+    geometry.base_joints[:] = geometry.revolute_axes[:] = 0.0
+    assert np.abs(geometry.base_joints).max() == 2.0
+    assert np.abs(geometry.revolute_axes).max() == 1.0
 
 
 @pytest.mark.parametrize("name", ["base_radius", "platform_radius", "middle_side"])
@@ -188,8 +179,5 @@ def test_what_is_no_machine_is_an_error_that_names_the_argument(name: str, value
     built = machine()
     with pytest.raises(spm.GeometryError, match=message):
         replace(built.legs, **{name: value})
-
-
-def test_parameters_in_degrees_are_refused() -> None:
     with pytest.raises(spm.ArgumentError, match=r"parameters.*degrees"):
-        machine().from_parameters(np.full(54, 3.0))
+        built.from_parameters(np.full(54, 3.0))

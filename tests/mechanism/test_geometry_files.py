@@ -22,42 +22,35 @@ leg_limits: [1.10, 1.50]
 """
 
 
-def test_yaml_with_radii_and_without_limits(tmp_path: Path) -> None:
-    path = written(tmp_path / "robot.yaml", "base_radius: 0.5\nplatform_side: 0.3\nmiddle_side: 0.4\n")
-    assert spm.Geometry.from_yaml(path) == spm.Geometry(0.5, 0.3 / 3**0.5, 0.4)
+SIDES = "base_side: 1\nplatform_side: 1\nmiddle_side: 1\n"
+LEG_BY_LEG = "".join(f"  {leg}: [{1 + k / 10}, {2 + k / 10}]\n" for k, leg in enumerate(spm.mechanism.LEGS))
+Q = 3**0.5
 
 
-def test_yaml_with_the_byte_order_mark_of_editors_on_windows(tmp_path: Path) -> None:
-    assert spm.Geometry.from_yaml(written(tmp_path / "robot.yaml", "\ufeff" + GOOD)) == spm.Geometry.paper()
-
-
-def test_yaml_with_limits_leg_by_leg(tmp_path: Path) -> None:
-    legs = "".join(f"  {leg}: [{1 + k / 10}, {2 + k / 10}]\n" for k, leg in enumerate(spm.mechanism.LEGS))
-    path = written(tmp_path / "robot.yaml", "base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits:\n" + legs)
-    limits = spm.Geometry.from_yaml(path).limits
-    assert limits == spm.LegLimits([1.0, 1.1, 1.2, 1.3, 1.4, 1.5], [2.0, 2.1, 2.2, 2.3, 2.4, 2.5])
-
-
-def test_yaml_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(spm.GeometryError, match="No such file"):
-        spm.Geometry.from_yaml(tmp_path / "missing.yaml")
+@pytest.mark.parametrize(
+    ("text", "geometry"),
+    [
+        ("base_radius: 0.5\nplatform_side: 0.3\nmiddle_side: 0.4\n", spm.Geometry(0.5, 0.3 / Q, 0.4)),
+        ("\ufeff" + GOOD, spm.Geometry.paper()),  # the byte order mark of editors on Windows
+        (
+            f"{SIDES}leg_limits:\n{LEG_BY_LEG}",
+            spm.Geometry(1 / Q, 1 / Q, 1, spm.LegLimits([1, 1.1, 1.2, 1.3, 1.4, 1.5], [2, 2.1, 2.2, 2.3, 2.4, 2.5])),
+        ),
+        (f"{SIDES}leg_limits: [0, .inf]\n", spm.Geometry(1 / Q, 1 / Q, 1, spm.LegLimits(0.0, float("inf")))),
+        *(
+            (f"base_radius: 1\nmiddle_side: 1\nplatform_radius: {number}\n", spm.Geometry(1, float(number), 1))
+            for number in ("1e-3", "1.0e+1", "+.5", "3.", "7")
+        ),
+    ],
+)
+def test_a_file_gives_its_geometry(tmp_path: Path, text: str, geometry: spm.Geometry) -> None:
+    assert spm.Geometry.from_yaml(written(tmp_path / "robot.yaml", text)) == geometry
 
 
 def test_a_file_in_centimetres_gives_a_warning(tmp_path: Path) -> None:
     path = written(tmp_path / "robot.yaml", "base_side: 120\nmiddle_side: 80\nplatform_side: 60\n")
     with pytest.warns(UserWarning, match=r"robot\.yaml: base_side is 120 m\. .* another unit\?"):
         assert spm.Geometry.from_yaml(path).middle_side == 80.0
-
-
-@pytest.mark.parametrize("number", ["1e-3", "1.0e+1", "+.5", "3.", "7"])
-def test_numbers_are_read_as_python_writes_them(tmp_path: Path, number: str) -> None:
-    path = written(tmp_path / "robot.yaml", f"base_radius: 1\nmiddle_side: 1\nplatform_radius: {number}\n")
-    assert spm.Geometry.from_yaml(path).platform_radius == float(number)
-
-
-def test_a_maximum_may_be_infinite(tmp_path: Path) -> None:
-    path = written(tmp_path / "robot.yaml", GOOD.replace("[1.10, 1.50]", "[0, .inf]"))
-    assert spm.Geometry.from_yaml(path).limits == spm.LegLimits(0.0, float("inf"))
 
 
 BOMB = "".join(
@@ -71,10 +64,10 @@ BOMB = "".join(
         ("base_side: 1\nmiddle_side: 1", "platform_side and platform_radius"),
         ("base_side: 1\nbase_radius: 1\nplatform_side: 1\nmiddle_side: 1", "base_side and base_radius"),
         ("base_side: 1\nplatform_side: 1", "middle_side"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\ncolour: red", "colour"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: 1", "a list"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: {lower: [1, 2], upper: [1, 2]}", "r_b1"),
-        ("base_side: 1\nplatform_side: 1\nmiddle_side: 1\nleg_limits: [a, b]", "a list of 2 numbers"),
+        (SIDES + "colour: red", "colour"),
+        (SIDES + "leg_limits: 1", "a list"),
+        (f"{SIDES}leg_limits: {{lower: [1, 2], upper: [1, 2]}}", "r_b1"),
+        (SIDES + "leg_limits: [a, b]", "a list of 2 numbers"),
         ("", "mapping"),
         (GOOD.replace("1.20", "0"), r"^base_side in .*robot\.yaml: expected a positive length"),
         (GOOD.replace("0.80", "8e12"), r"^middle_side in .*robot\.yaml: .* Given in another unit\?"),
@@ -111,8 +104,10 @@ def test_a_malformed_file_gives_a_short_geometry_error(tmp_path: Path, text: str
     assert len(str(caught.value)) < 1500
 
 
-def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+def test_no_file_and_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
+    with pytest.raises(spm.GeometryError, match="No such file"):
+        spm.Geometry.from_yaml(path)
     path.write_bytes(b"base_side: \xff\xfe")
     with pytest.raises(spm.GeometryError, match="text in UTF-8"):
         spm.Geometry.from_yaml(path)

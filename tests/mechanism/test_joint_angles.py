@@ -1,4 +1,4 @@
-"""Joint values of configurations: the rotations they stand for, symmetry, batches, middle angles of 90°."""
+"""Joint values of configurations: the rotations they stand for, batches, middle angles of 90°."""
 
 from __future__ import annotations
 
@@ -117,21 +117,3 @@ def test_a_middle_angle_of_ninety_degrees_leaves_the_rotation_right(batch: bool)
     turned = Rotation.from_euler("x", values[0]) * Rotation.from_euler("XYZ", values[1:])
     assert frame @ turned.as_matrix() @ frame.T == pytest.approx(platform, abs=1e-12)
     assert abs(values[2]) == pytest.approx(np.pi / 2, abs=1e-7)
-
-
-def test_a_machine_turned_by_a_third_has_the_angles_of_its_legs_in_turn() -> None:
-    """The frames of legs 2 and 3 are those of leg 1, turned, and half round about z: hip, x and y change their sign."""
-    legs = np.random.default_rng(2).uniform(1.1, 1.5, (20, 2, 3))
-    flat = joint_angles(spm.forward_physical(PAPER, legs.reshape(20, 6)))
-    other = joint_angles(spm.forward_physical(PAPER, np.roll(legs, 1, axis=-1).reshape(20, 6)))
-    sign = np.array([1.0, -1.0, -1.0])
-    for name, flips in (("hip", True), ("ball_x", True), ("ball_y", True), ("ball_z", False)):
-        values = getattr(flat, name).reshape(20, 2, 3) * (sign if flips else 1.0)
-        turned = getattr(other, name).reshape(20, 2, 3) * (sign if flips else 1.0)
-        assert turned == pytest.approx(np.roll(values, 1, axis=-1), abs=1e-12)
-
-
-def test_home_has_all_angles_zero() -> None:
-    angles = joint_angles(spm.forward_physical(PAPER, [1.3] * 6))
-    for name in ("hip", "ball_x", "ball_y", "ball_z"):
-        assert getattr(angles, name) == pytest.approx(0.0, abs=1e-12)

@@ -98,6 +98,8 @@ def test_within_keeps_what_respects_the_limits(batch: spm.SolutionSet) -> None:
     assert kept.exists.any(axis=-1).all()
     assert np.isnan(kept.leg_lengths[~expected]).all()
     np.testing.assert_array_equal(kept.status, batch.status)
+    # The rounded pose takes r_c3 of the paper's machine beyond 1.50 m.
+    assert not spm.inverse_displacement(PAPER, POSE).within().physical().exists
     tight = batch.within(spm.LegLimits(1.2, 1.4))
     assert tight.exists.sum() < kept.exists.sum()
     unlimited = spm.inverse_displacement(replace(PAPER, limits=None), POSE)
@@ -114,13 +116,6 @@ def test_nearest_finds_every_branch_again(batch: spm.SolutionSet) -> None:
         np.testing.assert_array_equal(batch[have].nearest(state).middle_joints, state.middle_joints)
 
 
-def test_nearest_refuses_a_state_that_does_not_exist(branches: spm.SolutionSet) -> None:
-    with pytest.raises(spm.ArgumentError, match="near: expected states that exist"):
-        branches.nearest(branches["FT+"])
-    with pytest.raises(spm.ArgumentError, match="near"):
-        branches.nearest(np.zeros((2, 2)))
-
-
 def test_no_solution_has_no_physical_one() -> None:
     nothing = spm.inverse_displacement(PAPER, spm.pose([9, 9, 9], rotation=POSE.rotation))
     assert nothing.status is spm.Status.UNREACHABLE
@@ -130,13 +125,6 @@ def test_no_solution_has_no_physical_one() -> None:
     assert not nothing.nearest(np.zeros((3, 3))).exists
     assert not nothing.ambiguous
     assert list(nothing) == []
-
-
-def test_the_physical_branch_is_the_papers_third_solution(branches: spm.SolutionSet) -> None:
-    chosen = branches.physical()
-    np.testing.assert_allclose(100 * chosen.leg_lengths[:3], [119.9824, 119.9962, 139.8558], atol=5e-5)
-    # The rounded pose takes r_c3 beyond our 1.50 m: physical in its mode, and excluded by the limits.
-    assert not branches.within().physical().exists
 
 
 def test_the_physical_branch_is_the_one_the_pose_was_made_from() -> None:
@@ -269,28 +257,28 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "argument"),
+    ("call", "says"),
     [
-        (lambda s: s.nearest(np.zeros((2, 3, 3))), "near"),
-        (lambda s: spm.SolutionSet(s, ["a"], 0), "configurations"),
-        (lambda s: spm.SolutionSet(s.configurations, ["a"], 0), "configurations"),
-        (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((0, 3, 3))), "middle_joints"),
-        (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((1, 3, 3))), "middle_joints"),
+        (lambda s: s.nearest(np.zeros((2, 3, 3))), "near: expected"),
+        (lambda s: s.nearest(s["FT+"]), "near: expected states that exist"),
+        (lambda s: spm.SolutionSet(s, ["a"], 0), "configurations.*: expected"),
+        (lambda s: spm.SolutionSet(s.configurations, ["a"], 0), "configurations.*: expected"),
+        (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((0, 3, 3))), "middle_joints.*: expected"),
+        (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((1, 3, 3))), "middle_joints.*: expected"),
     ],
 )
-def test_wrong_arguments_are_named(branches: spm.SolutionSet, call: Callable, argument: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=f"^{argument}.*: expected"):
+def test_wrong_arguments_are_named(branches: spm.SolutionSet, call: Callable, says: str) -> None:
+    with pytest.raises(spm.ArgumentError, match=f"^{says}"):
         call(branches)
 
 
-@pytest.mark.parametrize("low", [1.1, 0.8])
-def test_physical_agrees_with_forward_displacement(low: float) -> None:
+def test_physical_agrees_with_forward_displacement() -> None:
     """The mode picked among all assembly modes is the one found directly, and exists where that does."""
-    legs = np.random.default_rng(5).uniform(low, 1.5 if low > 1.0 else 2.0, (150, 6))
+    legs = np.random.default_rng(5).uniform(0.8, 2.0, (300, 6))
     direct = spm.forward_physical(PAPER, legs)
     modes = spm.forward_displacement(PAPER, legs)
     mode_is_physical = modes.where(spm.mechanism.branch_of_state.physical(modes.configurations))
     np.testing.assert_array_equal(mode_is_physical.exists.sum(axis=-1), direct.exists)
     chosen = mode_is_physical.where(mode_is_physical.exists)[direct.exists].one()
     np.testing.assert_allclose(chosen.middle_joints, direct.middle_joints[direct.exists], atol=1e-9)
-    assert direct.exists.all() == (low > 1.0)
+    assert 0.2 < direct.exists.mean() < 0.8
