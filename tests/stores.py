@@ -30,3 +30,8 @@ def contents(path: Path) -> dict[str, bytes]:
 def records(path: Path) -> list[Path]:
     """Return the records of completed chunks, sorted."""
     return sorted((path / "sweep" / "crc32c").glob("c.*"))
+
+
+def times(path: Path) -> dict[str, int]:
+    """Return when the record of each completed chunk was written."""
+    return {record.name: record.stat().st_mtime_ns for record in records(path)}

@@ -131,6 +131,59 @@ def test_jacobians_forces_and_residuals_are_those_of_the_package(name: str) -> N
     assert np.abs(residual).max() > 1e-3 * size
 
 
+def rates_along(function: ca.Function, inputs: tuple[np.ndarray, ...], rates: tuple[np.ndarray, ...]) -> list:
+    """Return the rates of all outputs, by CasADi's forward mode."""
+    return called(function.forward(1), *inputs, *called(function, *inputs), *rates)
+
+
+def twisted(state: spm.Configuration, seed: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Return random twists, and the rates of rotation and position that they make."""
+    twist = np.random.default_rng(seed).normal(size=(len(state), 6))
+    return twist, (np.cross(twist[:, 3:, None], state.rotation, axis=1), twist[:, :3])
+
+
+def check_rates(found: np.ndarray, expected: np.ndarray) -> None:
+    """Compare states one by one, relative to the largest number of each."""
+    error, size = (np.abs(x).reshape(len(x), -1).max(axis=-1) for x in (found - expected, expected))
+    assert (error <= 1e-10 * size).all()
+
+
+def check_joint_rates(geometry: spm.Geometry, state: spm.Configuration, joints: np.ndarray, pose: tuple) -> None:
+    """Check that the loops stay closed."""
+    (opening,) = rates_along(spm.symbolic.closure_residual(geometry), as_columns(state), (joints, *pose))
+    size = np.abs(joints).reshape(len(joints), -1).max(axis=-1)
+    assert (np.abs(opening).max(axis=-1) <= 1e-12 * (1.0 + size)).all()
+
+
+@pytest.mark.parametrize("name", ["paper", "wide base"])
+def test_first_derivatives_at_a_thousand_states_are_velocities_of_the_closed_chain(name: str) -> None:
+    geometry = GEOMETRIES[name]
+    state = held_states(geometry, 12_000, 31)
+    state = state[np.abs(spm.determinants(state)[..., 2]) > 0.005]
+    state = state[np.flatnonzero(np.linalg.cond(spm.inverse_jacobian(state)) < 1000.0)[:1010]]
+    forward = spm.symbolic.forward_physical(geometry)
+    # Beside a fold fourteen steps may be too few.
+    there = called(forward, state.leg_lengths)[4][:, 0] == 1.0
+    assert there.sum() > 1000
+    state = state[there]
+    twist, pose = twisted(state, 32)
+    rotation, position, joints, *_ = rates_along(forward, (state.leg_lengths,), (spm.leg_rates(state, twist),))
+    check_rates(rotation, pose[0])
+    check_rates(position, pose[1])
+    check_joint_rates(geometry, state, joints, pose)
+    count = 0
+    for index, label in enumerate(spm.mechanism.BRANCHES):
+        branch = spm.inverse_displacement(geometry, random_branches(geometry, label[:2], 600, 40 + index).pose)[label]
+        branch = branch[branch.exists]
+        branch = branch[np.abs(spm.determinants(branch)[..., 2]) > 0.02]
+        twist, pose = twisted(branch, 36 + index)
+        lengths, joints, *_ = rates_along(spm.symbolic.inverse_branch(label, geometry), as_columns(branch)[1:], pose)
+        check_rates(lengths, spm.leg_rates(branch, twist))
+        check_joint_rates(geometry, branch, joints, pose)
+        count += len(branch)
+    assert count > 1000
+
+
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_forward_displacement_is_that_of_the_package(name: str) -> None:
     geometry = GEOMETRIES[name]
