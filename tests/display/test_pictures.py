@@ -9,6 +9,7 @@ import problems
 import pytest
 import trimesh
 from description.kinematic_tree import KinematicTree, origin, vector
+from display.pixels import inner_pixels, looking, nearest, off_shade
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -32,52 +33,20 @@ COLOURS = {solid.name: solid.colour for solid in robot_solids(STATE)}
 PLATES = (("base", "base"), ("middle_platform", "middle"), ("terminal_platform", "terminal"))
 
 
-def looking(view):
-    """The view's axes to the right, up and towards the viewer, as rows, from elementary rotations."""
-    azimuth, elevation = view
-    turn = np.array([[np.cos(azimuth), np.sin(azimuth), 0], [-np.sin(azimuth), np.cos(azimuth), 0], [0, 0, 1]])
-    nod = np.array([[np.cos(elevation), 0, np.sin(elevation)], [0, 1, 0], [-np.sin(elevation), 0, np.cos(elevation)]])
-    return (nod @ turn)[[1, 2, 0]]
-
-
-def nearest_solids(solids, view, points):
-    """Which solid a viewer sees at each point (n, 2), -1 for none, by trimesh's rays."""
-    right, up, near = looking(view)
-    whole = trimesh.util.concatenate([trimesh.Trimesh(solid.vertices, solid.faces) for solid in solids])
-    owner = np.append(np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids]), -1)
-    origins = points[:, :1] * right + points[:, 1:] * up + 10.0 * near
-    return owner[whole.ray.intersects_first(origins, np.tile(-near, (len(points), 1)))]
-
-
-def off_shade(pixel, colour):
-    """Return the distance of a pixel from a colour in some light, in which the channels keep their proportion."""
-    factor = np.dot(pixel, colour) / np.dot(colour, colour)
-    return np.abs(pixel - factor * np.asarray(colour)).max()
-
-
 @pytest.mark.parametrize(
     ("label", "view"), [("TT+", VIEW), ("FF+", (-2.1, 0.1)), ("FF+", (1.0, -0.6)), ("TT+", (0.0, np.pi / 2))]
 )
 def test_every_pixel_shows_the_nearest_solid(label, view):
     state = SOLUTIONS[label]
-    picture = draw(state, view=view, labels=False, dpi=90).images[0]
-    image, (left, right, _, top) = np.asarray(picture.get_array()), picture.get_extent()
-    rows, columns = image.shape[:2]
-    rng = np.random.default_rng(8)
-    row, column = rng.integers(2, rows - 2, 600), rng.integers(2, columns - 2, 600)
-    step = (right - left) / columns
-    points = np.stack([left + (column + 0.5) * step, top - (row + 0.5) * step], axis=-1)
     solids = robot_solids(state, frames=False)
-    around = [
-        nearest_solids(solids, view, points + 0.8 * step * np.array(d)) for d in ((-1, -1), (-1, 1), (1, -1), (1, 1))
-    ]
-    seen = nearest_solids(solids, view, points)
-    inner = np.all([seen == other for other in around], axis=0)
-    assert len({solids[i].name for i in seen[inner & (seen >= 0)]}) > 15
-    for r, c, i in zip(row[inner], column[inner], seen[inner], strict=True):
-        assert image[r, c, 3] == (i >= 0)
+    parts = [(solid.vertices, solid.faces) for solid in solids]
+    picture = draw(state, view=view, labels=False, dpi=90).images[0]
+    colours, seen = inner_pixels(picture, 600, 0.8, lambda points: nearest(parts, view, points))
+    assert len({solids[i].name for i in seen[seen >= 0]}) > 15
+    for colour, i in zip(colours, seen, strict=True):
+        assert colour[3] == (i >= 0)
         if i >= 0:
-            assert off_shade(image[r, c, :3], solids[i].colour) < 2e-3, (solids[i].name, r, c)
+            assert off_shade(colour[:3], solids[i].colour) < 2e-3, solids[i].name
 
 
 def pixel(ax, point):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from display.pixels import inner_pixels, nearest, off_shade
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.display.rendering import camera_axes
 from spm_pin.display.shell_plots import (
     FAMILY_COLOURS,
     VIEWS,
@@ -31,38 +31,20 @@ NAMES = [patch.name for patch in SHELL.patches]
 LEVEL = Plane.level(2.1)
 
 
-OWNERS = np.repeat(np.arange(24), [len(patch.faces) for patch in SHELL.patches])
-
-
 def first_hits(view: tuple[float, float], points: np.ndarray) -> np.ndarray:
-    """Which patch a viewer sees at points (n, 2) of the picture, -1 for none: rays by trimesh."""
-    right, up, near = camera_axes(view)
-    origins = points[:, :1] * right + points[:, 1:] * up + 10.0 * near
-    faces = SHELL.mesh.ray.intersects_first(origins, np.tile(-near, (len(points), 1)))
-    return np.where(faces >= 0, OWNERS[faces], -1)
+    return nearest([(SHELL.vertices, SHELL.faces[patch.faces]) for patch in SHELL.patches], view, points)
 
 
 @pytest.mark.parametrize("name", ["isometric", "bottom"])
 def test_every_pixel_shows_the_nearest_patch_in_its_familys_colour(name: str) -> None:
     view = VIEWS[name]
     picture = draw_shell(SHELL, view=view, labels=False, dpi=60).images[0]
-    image, (left, right, _, top) = np.asarray(picture.get_array()), picture.get_extent()
-    rows, columns = image.shape[:2]
-    rng = np.random.default_rng(0)
-    row, column = rng.integers(2, rows - 2, 800), rng.integers(2, columns - 2, 800)
-    step = (right - left) / columns
-    points = np.stack([left + (column + 0.5) * step, top - (row + 0.5) * step], axis=-1)
-    seen = first_hits(view, points)
-    corners = [first_hits(view, points + 1.2 * step * np.array(d)) for d in ((-1, -1), (-1, 1), (1, -1), (1, 1))]
-    inner = np.all([seen == other for other in corners], axis=0)
-    assert len(set(seen[inner])) > 6
-    for r, c, k in zip(row[inner], column[inner], seen[inner], strict=True):
-        assert image[r, c, 3] == (k >= 0)
+    colours, seen = inner_pixels(picture, 800, 1.2, lambda points: first_hits(view, points))
+    assert len(set(seen)) > 6
+    for colour, k in zip(colours, seen, strict=True):
+        assert colour[3] == (k >= 0)
         if k >= 0:
-            colour = np.array(FAMILY_COLOURS[SHELL.patches[k].family])
-            pixel = image[r, c, :3]
-            # Light changes the brightness alone.
-            assert np.abs(pixel - (pixel @ colour) / (colour @ colour) * colour).max() < 5e-3
+            assert off_shade(colour[:3], FAMILY_COLOURS[SHELL.patches[k].family]) < 5e-3
 
 
 def test_names_stand_on_their_patches_and_all_are_there_from_above_and_below() -> None:
