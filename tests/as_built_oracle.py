@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from flint import acb, acb_mat, arb, arb_mat, ctx
-from oracle import cross
+from oracle import cross, dot
 
 import spm_pin as spm
 
@@ -61,15 +61,15 @@ def _planes(
         pivot = [arb(float(c)) for c in geometry.legs.pivots[i]]
         if i >= 3:
             rows = [[arb(float(c)) for c in row] for row in rotation]
-            normal = [sum((a * b for a, b in zip(row, normal, strict=True)), arb(0)) for row in rows]
-            turned = [sum((a * b for a, b in zip(row, pivot, strict=True)), arb(0)) for row in rows]
-            pivot = [a + arb(float(o)) for a, o in zip(turned, position, strict=True)]
-        found.append((normal, sum((a * b for a, b in zip(normal, pivot, strict=True)), arb(0))))
+            normal = [dot(row, normal) for row in rows]
+            pivot = [dot(row, pivot) + arb(float(o)) for row, o in zip(rows, position, strict=True)]
+        found.append((normal, dot(normal, pivot)))
     return found
 
 
 def _squared(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> Any:
-    return sum(((arb(float(x)) - arb(float(y))) ** 2 for x, y in zip(a, b, strict=True)), arb(0))
+    gap = [arb(float(x)) - arb(float(y)) for x, y in zip(a, b, strict=True)]
+    return dot(gap, gap)
 
 
 def _weights(geometry: spm.Geometry) -> Matrix:
@@ -90,7 +90,7 @@ def _equations(x: list[Any], planes: list[Any], weights: Matrix, sides: list[Any
     values, rows = [], []
     for i in range(3):
         normal, height = planes[i]
-        values.append(sum((normal[c] * b[i][c] for c in range(3)), zero) - height)
+        values.append(dot(normal, b[i]) - height)
         rows.append([normal[c] if k == i else zero for k in range(3) for c in range(3)])
     first = [b[1][c] - b[0][c] for c in range(3)]
     second = [b[2][c] - b[0][c] for c in range(3)]
@@ -99,15 +99,15 @@ def _equations(x: list[Any], planes: list[Any], weights: Matrix, sides: list[Any
         normal, height = planes[3 + i]
         u, v, w = weights[i]
         ball = [b[0][c] + u * first[c] + v * second[c] + w * across[c] for c in range(3)]
-        values.append(sum((normal[c] * ball[c] for c in range(3)), zero) - height)
+        values.append(dot(normal, ball) - height)
         # n · (δ1 x e2 + e1 x δ2) = δ1 · (e2 x n) + δ2 · (n x e1)
         by_first = [u * normal[c] + w * y for c, y in enumerate(cross(second, normal))]
         by_second = [v * normal[c] + w * y for c, y in enumerate(cross(normal, first))]
-        rows.append([*[normal[c] - by_first[c] - by_second[c] for c in range(3)], *by_first, *by_second])
+        rows.append([*(normal[c] - by_first[c] - by_second[c] for c in range(3)), *by_first, *by_second])
     for i in range(3):
         j = (i + 1) % 3
         gap = [b[i][c] - b[j][c] for c in range(3)]
-        values.append(sum((g * g for g in gap), zero) - sides[i])
+        values.append(dot(gap, gap) - sides[i])
         row = [zero] * 9
         for c in range(3):
             row[3 * i + c], row[3 * j + c] = 2 * gap[c], -2 * gap[c]

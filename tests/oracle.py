@@ -82,26 +82,26 @@ def octic(
     axes = [[half, half_sqrt3, arb(0)], [arb(1), arb(0), arb(0)], [-half, half_sqrt3, arb(0)]]
     points, directions = [], []
     for lower in axes:
-        upper = [_dot(row, lower) for row in rotation]
+        upper = [dot(row, lower) for row in rotation]
         along = cross(lower, upper)
-        squared = _dot(along, along)
+        squared = dot(along, along)
         # The point on both planes nearest to O; the upper plane passes through o.
-        points.append([_dot(upper, o) * c / squared for c in cross(along, lower)])
+        points.append([dot(upper, o) * c / squared for c in cross(along, lower)])
         directions.append([c / squared.sqrt() for c in along])
     e1, e2, e3 = directions
     side = arb(float(d)) ** 2
 
     def apart(i: int, j: int) -> tuple[Vector, Any]:
         difference = [a - b for a, b in zip(points[i], points[j], strict=True)]
-        return difference, _dot(difference, difference) - side
+        return difference, dot(difference, difference) - side
 
     (q12, k12), (q23, k23), (q13, k13) = apart(0, 1), apart(1, 2), apart(0, 2)
     t = arb_poly([0, 1])
     # x² + a x + b in l_1 from side 12; in l_3 from sides 23 and 13, the latter's a and b polynomials in l_1.
-    a1, b1 = -2 * _dot(e1, e2) * t + 2 * _dot(e1, q12), t * t - 2 * _dot(e2, q12) * t + k12
-    a3, b3 = -2 * _dot(e2, e3) * t - 2 * _dot(e3, q23), t * t + 2 * _dot(e2, q23) * t + k23
-    c3 = [arb_poly([-2 * _dot(e3, q13)]), arb_poly([-2 * _dot(e1, e3)])]
-    d3 = [arb_poly([k13]), arb_poly([2 * _dot(e1, q13)]), arb_poly([1])]
+    a1, b1 = -2 * dot(e1, e2) * t + 2 * dot(e1, q12), t * t - 2 * dot(e2, q12) * t + k12
+    a3, b3 = -2 * dot(e2, e3) * t - 2 * dot(e3, q23), t * t + 2 * dot(e2, q23) * t + k23
+    c3 = [arb_poly([-2 * dot(e3, q13)]), arb_poly([-2 * dot(e1, e3)])]
+    d3 = [arb_poly([k13]), arb_poly([2 * dot(e1, q13)]), arb_poly([1])]
     m = [c3[0] - a3, c3[1]]
     n = [d3[0] - b3, d3[1], d3[2]]
     # Resultant of two monic quadratics whose difference is m x + n: m² b - m n a + n².
@@ -175,7 +175,7 @@ def rotation_rows(quaternion: Vector) -> list[Vector]:
     return [[entry / n for entry in row] for row in rows]
 
 
-def _dot(a: Vector, b: Vector) -> Any:
+def dot(a: Vector, b: Vector) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 

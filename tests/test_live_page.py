@@ -336,6 +336,8 @@ def handle(page) -> np.ndarray:
 def test_a_phone_shows_it_in_one_column(browser, file: Path) -> None:
     with opened(browser, file, viewport={"width": 390, "height": 844}) as page:
         until(lambda: page.locator("#live data").count() == 6, "leg lengths", page=page)
+        assert page.locator("#live").is_visible()
+        assert page.locator("img").is_hidden()
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         canvas, panel = (page.locator(name).bounding_box() for name in ("#live canvas", ".live-panel"))
         assert panel["y"] >= canvas["y"] + canvas["height"]
@@ -356,11 +358,6 @@ def test_the_picture_stands_in_its_place(browser, file: Path, options: dict[str,
         assert page.locator("#live").is_hidden()
         page.goto((ROOT / "docs/live.html").as_uri())
         until(page.get_by_text("needs a browser with").is_visible, "what the page in one file needs", page=page)
-
-
-def test_the_picture_is_hidden_where_the_machine_is_shown(page) -> None:
-    assert page.locator("#live").is_visible()
-    assert page.locator("img").is_hidden()
 
 
 def test_all_of_it_is_below_200_kilobytes_and_names_no_other_place(file: Path) -> None:

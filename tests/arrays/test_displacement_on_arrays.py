@@ -41,28 +41,19 @@ def test_all_branches_are_those_of_the_kernels(count: int) -> None:
 
 @pytest.mark.parametrize("name", MACHINES)
 @pytest.mark.parametrize("count", COUNTS)
-def test_the_physical_branch_is_that_of_the_kernels(name: str, count: int) -> None:
-    machine, poses = MACHINES[name], random_poses(count)
-    expected, found = spm.inverse_physical(machine, poses), arrays.inverse_physical(machine, *parts(poses))
-    both = expected.exists & found.exists
-    assert (found.exists == expected.exists).mean() >= 1.0 - 1e-4
-    assert both.mean() > 0.01
-    error = np.abs(found.middle_joints - expected.middle_joints)[both].max(axis=(-1, -2))
-    assert (error <= 1e-13 * conditioning(expected[both])).all()
-    assert (np.abs(found.readings - expected.readings)[both].max(axis=-1) <= 1e-13 * conditioning(expected[both])).all()
-
-
-@pytest.mark.parametrize("name", MACHINES)
-@pytest.mark.parametrize("count", COUNTS)
-def test_the_state_of_readings_is_that_of_the_kernels(name: str, count: int) -> None:
-    machine, readings = MACHINES[name], random_readings(count)
-    expected, found = spm.forward_physical(machine, readings), arrays.forward_physical(machine, readings)
-    both = expected.exists & found.exists
-    assert (found.exists == expected.exists).mean() >= 1.0 - 1e-4
-    assert 0.5 < both.mean() < 0.9
-    for field in ("rotation", "translation", "middle_joints"):
-        error = np.abs(getattr(found, field) - getattr(expected, field))[both].reshape(both.sum(), -1).max(axis=-1)
-        assert (error <= 1e-13 * conditioning(expected[both])).all()
+def test_the_physical_states_of_poses_and_of_readings_are_those_of_the_kernels(name: str, count: int) -> None:
+    machine, poses, readings = MACHINES[name], random_poses(count), random_readings(count)
+    for expected, found, low, high in (
+        (spm.inverse_physical(machine, poses), arrays.inverse_physical(machine, *parts(poses)), 0.01, 1.0),
+        (spm.forward_physical(machine, readings), arrays.forward_physical(machine, readings), 0.5, 0.9),
+    ):
+        both = expected.exists & found.exists
+        assert (found.exists == expected.exists).mean() >= 1.0 - 1e-4
+        assert low < both.mean() < high
+        bound = 1e-13 * conditioning(expected[both])
+        for field in ("rotation", "translation", "middle_joints", "readings"):
+            error = np.abs(getattr(found, field) - getattr(expected, field))[both].reshape(both.sum(), -1).max(axis=-1)
+            assert (error <= bound).all(), field
 
 
 @pytest.mark.parametrize("name", MACHINES)
