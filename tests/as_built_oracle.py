@@ -51,18 +51,16 @@ def certified_real_branches(
     return real
 
 
-def _planes(
-    geometry: spm.Geometry, rotation: npt.NDArray[np.float64], position: npt.NDArray[np.float64]
-) -> list[tuple[list[Any], Any]]:
+def _planes(geometry: spm.Geometry, rotation: Any, position: Any) -> list[tuple[list[Any], Any]]:
     """Return normal and height of the six planes, the given floats taken as exact."""
     found = []
     for i in range(6):
         normal = [arb(float(c)) for c in geometry.legs.axes[i]]
         pivot = [arb(float(c)) for c in geometry.legs.pivots[i]]
         if i >= 3:
-            rows = [[arb(float(c)) for c in row] for row in rotation]
+            rows = [[arb(c) for c in row] for row in rotation]
             normal = [dot(row, normal) for row in rows]
-            pivot = [dot(row, pivot) + arb(float(o)) for row, o in zip(rows, position, strict=True)]
+            pivot = [dot(row, pivot) + arb(o) for row, o in zip(rows, position, strict=True)]
         found.append((normal, dot(normal, pivot)))
     return found
 
@@ -148,18 +146,12 @@ def _proved(
     return None
 
 
-def distance_to_root(
-    geometry: spm.Geometry,
-    rotation: npt.NDArray[np.float64],
-    position: npt.NDArray[np.float64],
-    joints: npt.NDArray[np.float64],
-) -> float:
-    """Return the largest distance [m] of a joint from that of the root that Newton's method with 160 bits leads to."""
+def root_near(geometry: spm.Geometry, rotation: Any, position: Any, joints: npt.NDArray[np.float64]) -> list[arb]:
+    """Return the nine coordinates that Newton's method with 160 bits leads to, for a pose of floats or of balls."""
     ctx.prec = 160
     planes, weights = _planes(geometry, rotation, position), _weights(geometry)
     sides = [_squared(geometry.legs.balls[i], geometry.legs.balls[(i + 1) % 3]) for i in range(3)]
-    start = [acb(float(x)) for x in joints.reshape(9)]
-    x, size = start, 1.0
+    x, size = [acb(float(c)) for c in joints.reshape(9)], 1.0
     for _ in range(8):
         values, rows = _equations(x, planes, weights, sides)
         inverse = acb_mat(9, 9, [entry for row in rows for entry in row]).inv()
@@ -167,5 +159,16 @@ def distance_to_root(
         size = max(float(abs(step[i, 0]).mid()) for i in range(9))
         x = [acb((x[i] - step[i, 0]).real.mid()) for i in range(9)]
     assert size < 1e-30, "Newton's method has not converged"
-    gaps = [float((a - b).real.mid()) for a, b in zip(x, start, strict=True)]
+    return [z.real for z in x]
+
+
+def distance_to_root(
+    geometry: spm.Geometry,
+    rotation: npt.NDArray[np.float64],
+    position: npt.NDArray[np.float64],
+    joints: npt.NDArray[np.float64],
+) -> float:
+    """Return the largest distance [m] of a joint from that of the root that it leads to."""
+    root = root_near(geometry, rotation, position, joints)
+    gaps = [float((a - float(b)).mid()) for a, b in zip(root, joints.reshape(9), strict=True)]
     return float(np.linalg.norm(np.reshape(gaps, (3, 3)), axis=-1).max())
