@@ -108,11 +108,6 @@ def test_a_geometry_shows_its_dimensions_and_how_far_it_is_from_the_drawing() ->
     }
 
 
-def test_a_plan_shows_its_legs_or_why_there_is_none() -> None:
-    plan = spm.plan(GEOMETRY, LEGS, [1.21, 1.2, 1.4, 1.25, 1.2, 1.5])
-    assert len(list(pictures(plan)[0].iter("{http://www.w3.org/2000/svg}polyline"))) == 6
-
-
 def test_a_stick_figure_has_joints_where_the_camera_sees_them() -> None:
     state = spm.forward_physical(GEOMETRY, LEGS)
     svg = ElementTree.fromstring(stick_figure(state.leg_bases, state.balls, "a < b"))
@@ -132,12 +127,22 @@ def test_curves_end_at_their_values() -> None:
     assert len(re.findall("<polyline", svg)) == 2
 
 
-def test_a_followed_path_shows_its_events() -> None:
+def test_paths_plans_motions_and_drawings_show_themselves() -> None:
     path = spm.follow(GEOMETRY, [LEGS, [1.45, 1.15, 1.30, 1.20, 1.52, 1.35]], samples=20)
     assert [line[1] for line in rows(path)[1:]] == [str(event.kind) for event in path.events]
     assert path.events
-    assert path.plot()._repr_png_().startswith(PNG)
     assert len(path_figure(path).axes) == 2
+    plan = spm.plan(GEOMETRY, LEGS, [1.21, 1.2, 1.4, 1.25, 1.2, 1.5])
+    assert len(list(pictures(plan)[0].iter("{http://www.w3.org/2000/svg}polyline"))) == 6
+    chain, start = spm.ClosedChain.from_urdf(), path.configurations[0]
+    poses = spm.pose(start.translation + np.array([[0, 0, 0], [0, 0, 0.02]]), rotation=np.stack([start.rotation] * 2))
+    times = np.linspace(0.0, 1.0, 5)
+    motion = chain.joint_trajectory(spm.PlatformPath([0.0, 1.0], poses, ease=True), times, chain.joint_values(start))
+    assert len(pictures(motion)) == 2
+    assert len(motion.plot().axes) == 4
+    ax = draw(start, dpi=40.0)
+    for picture in (path.plot(), ax, ax.figure):
+        assert picture._repr_png_().startswith(PNG)
 
 
 def test_the_first_column_names_what_the_numbers_are_of() -> None:
@@ -154,22 +159,6 @@ def test_the_first_column_names_what_the_numbers_are_of() -> None:
     assert "Proved" in "".join(shown(certificate).itertext())
     assert certificate.plot().axes
     assert machine.plot().axes
-
-
-def test_a_trajectory_shows_its_legs() -> None:
-    chain = spm.ClosedChain.from_urdf()
-    start = spm.forward_physical(GEOMETRY, LEGS)
-    poses = spm.pose(start.translation + np.array([[0, 0, 0], [0, 0, 0.02]]), rotation=np.stack([start.rotation] * 2))
-    path = spm.PlatformPath([0.0, 1.0], poses, ease=True)
-    motion = chain.joint_trajectory(path, np.linspace(0.0, 1.0, 5), chain.joint_values(start))
-    assert len(pictures(motion)) == 2
-    assert len(motion.plot().axes) == 4
-
-
-def test_a_drawing_shows_its_picture() -> None:
-    ax = draw(spm.forward_physical(GEOMETRY, LEGS), dpi=40.0)
-    assert ax._repr_png_().startswith(PNG)
-    assert ax.figure._repr_png_().startswith(PNG)
 
 
 def test_tables_need_no_drawing_library() -> None:

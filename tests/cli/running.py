@@ -11,6 +11,12 @@ from unittest.mock import patch
 
 from spm_pin.cli import main
 
+COMMAND = [sys.executable, "-c", "from spm_pin.cli import main; main()"]
+"""The command line as a process of its own."""
+POSE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88"]
+LEGS = ["--legs", "120", "120", "140", "125", "120", "150"]
+"""The paper's example in centimetres."""
+
 
 @dataclass
 class Done:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibration.measured import PAPER, measure, position_errors
+from cli import running
 from cli.running import run
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 
-POSE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88", "--unit", "cm"]
-LEGS = ["--legs", "1.2", "1.2", "1.4", "1.25", "1.2", "1.5"]
+POSE, LEGS = [*running.POSE, "--unit", "cm"], [*running.LEGS, "--unit", "cm"]
 MACHINE = PAPER.perturbed(3)
 
 
@@ -49,8 +49,8 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
         assert other.returncode == code, other.stderr
         assert words in other.stdout
     pose = json.loads(run("forward", *LEGS, "--geometry", out, "--json").stdout)["modes"][0]["translation"]
-    expected = spm.forward_physical(spm.Geometry.from_yaml(out), [float(x) for x in LEGS[1:]])
-    np.testing.assert_allclose(pose, expected.translation, atol=1e-12)
+    expected = spm.forward_physical(spm.Geometry.from_yaml(out), [float(x) / 100.0 for x in running.LEGS[1:]])
+    np.testing.assert_allclose(pose, 100.0 * expected.translation, atol=1e-10)
     again = run("calibrate", str(measured), "--geometry", str(out), "--identify", "offset", "--json")
     content = json.loads(again.stdout)
     assert content["identified"] == 6

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli.running import run
+from cli.running import COMMAND, LEGS, run
+from cli.running import POSE as EXAMPLE
 from scipy.spatial.transform import RigidTransform, Rotation
 from typer import rich_utils
 from typer.main import get_command
@@ -28,9 +29,7 @@ from spm_pin.crosscheck import METHODS, ClosedForm
 from spm_pin.display.writing import fixed, to_json
 from spm_pin.errors import EXTRAS, MissingExtraError
 
-EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88"]
 LOAD = ["--force", "0", "0", "-500", "--velocity", "1", "0", "0"]
-LEGS = ["--legs", "120", "120", "140", "125", "120", "150"]
 COMMANDS = [command.callback.__name__ for command in app.registered_commands if command.callback]
 ROOT = Path(__file__).parents[2]
 
@@ -373,23 +372,6 @@ def test_a_defect_ends_without_a_traceback_unless_it_is_asked_for(monkeypatch: p
         run("inverse", *EXAMPLE)
 
 
-@pytest.mark.parametrize("module", ["spm_pin.cli.application", "scipy.spatial"])
-def test_ctrl_c_while_modules_are_imported_ends_without_a_traceback(module: str) -> None:
-    program = f"""
-import sys
-class Interrupted:
-    def find_spec(self, name, path=None, target=None):
-        if name == {module!r}:
-            raise KeyboardInterrupt
-sys.meta_path.insert(0, Interrupted())
-from spm_pin.cli import main
-main()
-"""
-    command = [sys.executable, "-c", program, "inverse", *EXAMPLE]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
-
-
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [
@@ -436,12 +418,10 @@ def test_the_version_and_all_exit_codes_are_documented() -> None:
 
 # Outputs of any kind
 
-MAIN = "from spm_pin.cli import main; main()"
-
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_an_encoding_without_a_sign_gets_one_that_it_has(encoding: str) -> None:
-    command = [sys.executable, "-c", MAIN, "singularities", *EXAMPLE, "--unit", "cm"]
+    command = [*COMMAND, "singularities", *EXAMPLE, "--unit", "cm"]
     environment = os.environ | {"PYTHONIOENCODING": encoding}
     done = subprocess.run(command, capture_output=True, env=environment, check=False)
     assert (done.returncode, b"defect" in done.stderr) == (0, False)
@@ -456,7 +436,7 @@ def test_an_encoding_without_a_sign_gets_one_that_it_has(encoding: str) -> None:
 def test_a_full_device_is_an_error_of_its_own(arguments: list[str]) -> None:
     for errors in ("/dev/null", "/dev/full") if arguments == ["urdf"] else ("/dev/null",):
         with Path("/dev/full").open("w") as full, Path(errors).open("w") as other:
-            command = [sys.executable, "-c", MAIN, *arguments]
+            command = [*COMMAND, *arguments]
             stderr = subprocess.PIPE if errors == "/dev/null" else other
             done = subprocess.run(command, stdout=full, stderr=stderr, text=True, check=False)
         assert done.returncode == 74
@@ -468,7 +448,7 @@ def test_a_full_device_is_an_error_of_its_own(arguments: list[str]) -> None:
 
 @pytest.mark.parametrize("form", [["--json"], []])
 def test_a_reader_that_has_seen_enough_is_told_nothing(form: list[str]) -> None:
-    command = [sys.executable, "-c", MAIN, "reproduce", "--cells", *form]
+    command = [*COMMAND, "reproduce", "--cells", *form]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -511,9 +491,9 @@ def test_files_are_written_even_if_the_reader_of_stdout_has_gone(
 def test_the_signal_of_ctrl_c_at_any_moment_ends_a_command_with_130(arguments: str, share: float) -> None:
     # In shares of a short command: while modules are imported, at work, and near the end.
     begin = time.monotonic()
-    subprocess.run([sys.executable, "-c", MAIN, "inverse", *EXAMPLE], capture_output=True, check=False)
+    subprocess.run([*COMMAND, "inverse", *EXAMPLE], capture_output=True, check=False)
     after = share * (time.monotonic() - begin)
-    with subprocess.Popen([sys.executable, "-c", MAIN, *arguments.split()], stdout=-1, stderr=-1, text=True) as process:
+    with subprocess.Popen([*COMMAND, *arguments.split()], stdout=-1, stderr=-1, text=True) as process:
         time.sleep(after)
         if process.poll() is not None:
             return
@@ -524,6 +504,16 @@ def test_the_signal_of_ctrl_c_at_any_moment_ends_a_command_with_130(arguments: s
     assert "Traceback" not in errors
 
 
+INTERRUPTED_IMPORT = """
+import sys
+class Interrupted:
+    def find_spec(self, name, path=None, target=None):
+        if name == {!r}:
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupted())
+from spm_pin.cli import main
+main()
+"""
 IN_A_CALLBACK = """
 import ctypes, signal, time
 from spm_pin.cli import application, main
@@ -531,10 +521,13 @@ call = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
 application.run = lambda interrupted: (call(), time.sleep(60), print("went on"))
 main()
 """
+IMPORTS = [INTERRUPTED_IMPORT.format(module) for module in ("spm_pin.cli.application", "scipy.spatial")]
 
 
-def test_ctrl_c_while_a_library_calls_python_back_is_not_lost() -> None:
-    done = subprocess.run([sys.executable, "-c", IN_A_CALLBACK], capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("program", [*IMPORTS, IN_A_CALLBACK], ids=["own import", "import", "callback"])
+def test_ctrl_c_during_an_import_or_while_a_library_calls_python_back_is_not_lost(program: str) -> None:
+    command = [sys.executable, "-c", program, "inverse", *EXAMPLE]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 

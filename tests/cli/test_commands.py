@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli import running
 from cli.running import run
 
 import spm_pin as spm
 from spm_pin.paper import published
 
-EXAMPLE = ["--translation", "68.89", "49.63", "225.3", "--xyx", "-11.08", "32.97", "-12.88", "--unit", "cm"]
+EXAMPLE, LEGS = [*running.POSE, "--unit", "cm"], [*running.LEGS, "--unit", "cm"]
 
 
 def test_inverse_in_every_unit_and_as_json() -> None:
@@ -67,9 +68,6 @@ def test_singularities_of_each_branch() -> None:
     assert "TT-" not in table
 
 
-LEGS = ["--legs", "120", "120", "140", "125", "120", "150", "--unit", "cm"]
-
-
 def forward(*arguments: str, code: int = 0) -> str:
     done = run("forward", *arguments)
     assert done.returncode == code, done.stderr
@@ -91,29 +89,24 @@ def test_the_papers_lengths_give_its_pose() -> None:
     assert (len(rows), sum("physical" in row for row in rows)) == (144, 1)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("m", 0.01), ("cm", 1.0), ("mm", 10.0)])
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("cm", 100.0), ("mm", 1000.0)])
 def test_forward_as_json_in_every_unit(unit: str, factor: float) -> None:
-    legs = [str(float(x) * factor) for x in LEGS[1:7]]
-    content = json.loads(forward("--legs", *legs, "--unit", unit, "--all", "--json"))
+    readings = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
+    command = ["--legs", *map(str, factor * readings), "--unit", unit, "--json"]
+    content = json.loads(forward(*command, "--all"))
     assert (content["unit"], content["status"], content["count"]) == (unit, "ok", 144)
     assert len(content["modes"]) == 144
-    first = content["modes"][0]
-    assert first["physical"]
-    np.testing.assert_allclose(np.array(first["translation"]) / factor, [68.88715, 49.63068, 225.30253], atol=1e-5)
-    state = spm.Configuration(
-        spm.Geometry.paper(),
-        spm.pose(np.array(first["translation"]) / factor / 100, rotation=first["rotation"]),
-        np.array(first["middle_joints"]) / factor / 100,
-    )
-    np.testing.assert_allclose(100 * state.leg_lengths, [float(x) for x in LEGS[1:7]], rtol=1e-12)
-    for written in ({"rpy": np.deg2rad(first["rpy"])}, {"quat": first["quat"]}):
-        np.testing.assert_allclose(spm.pose([0, 0, 1], **written).rotation.as_matrix(), first["rotation"], atol=1e-14)
-    only = json.loads(forward("--legs", *legs, "--unit", unit, "--json"))
-    (alone,) = only["modes"]
-    assert (alone["label"], alone["physical"]) == (first["label"], True)
     # By another way to the same configuration: as many digits as a pose has.
-    for key in ("translation", "rotation", "middle_joints"):
-        np.testing.assert_allclose(alone[key], first[key], rtol=0, atol=1e-13 * factor)
+    (alone,) = json.loads(forward(*command))["modes"]
+    assert [mode["label"] for mode in content["modes"] if mode["physical"]] == [alone["label"]]
+    expected = spm.forward_displacement(spm.Geometry.paper(), readings)
+    for mode in (*content["modes"], alone):
+        state = expected[mode["label"]]
+        for key in ("translation", "middle_joints"):
+            np.testing.assert_allclose(mode[key], factor * getattr(state, key), rtol=0, atol=1e-13 * factor)
+        for written in ({"rotation": mode["rotation"]}, {"rpy": np.deg2rad(mode["rpy"])}, {"quat": mode["quat"]}):
+            matrix = spm.pose([0, 0, 1], **written).rotation.as_matrix()
+            np.testing.assert_allclose(matrix, state.rotation, rtol=0, atol=1e-13)
 
 
 def test_a_continuous_family_is_named(tmp_path: Path) -> None:

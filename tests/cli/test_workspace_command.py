@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 import xarray
-from cli.running import run
+from cli.running import COMMAND, run
 from PIL import Image
 from stores import contents, records
 
@@ -88,7 +87,7 @@ def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
     done = run(*FEW, "--geometry", str(path))
     assert done.returncode == 2
     assert done.message.startswith("error: --limits: ")
-    assert "The geometry has none" in done.message
+    assert "The geometry has none of its own" in done.message
     pairs = {leg: "[1.1, 1.5]" if leg.startswith("r_b") else "[1.2, 1.4]" for leg in spm.mechanism.LEGS}
     limits = ", ".join(f"{leg}: {pair}" for leg, pair in pairs.items())
     path.write_text(f"{text}leg_limits: {{{limits}}}\n", encoding="utf-8")
@@ -195,9 +194,8 @@ def test_resume_and_status(tmp_path: Path) -> None:
 
 def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     store = tmp_path / "map.zarr"
-    code = "from spm_pin.cli import main; main()"
     legs = ["--legs", "1.1:1.5:6", "--chunk", "200", "--workers", "1", "--metric", "conditioning"]
-    command = [sys.executable, "-c", code, "sweep", *legs, "--out", str(store)]
+    command = [*COMMAND, "sweep", *legs, "--out", str(store)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         deadline = time.monotonic() + 120
         while len(records(store)) < 2 and process.poll() is None and time.monotonic() < deadline:

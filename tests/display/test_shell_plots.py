@@ -121,6 +121,8 @@ def test_arguments_that_are_no_shell_or_axes_are_refused() -> None:
         sections_figure(SHELL.mesh, np.empty((0, 3)), np.empty(0, np.int8))  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="two-dimensional"):
         draw_shell(SHELL, ax=Figure().add_subplot(projection="3d"))
+    with pytest.raises(ArgumentError, match=r"a plane through the shell, got Z = 210 m\. Metres"):
+        drawn(Plane.level(210.0))
 
 
 def drawn(plane: Plane, reached: np.ndarray | None = None, aspect: np.ndarray | None = None, **options: float) -> Axes:
@@ -201,8 +203,3 @@ def test_the_figure_has_a_panel_per_plane_and_names_what_is_there() -> None:
     assert words[0] == "shell, $S_{t}$"
     assert words[4:] == ["reached, det K < 0", "reached, det K > 0", "reached, either sign"]
     assert to_rgb(FAMILY_COLOURS["Sl"]) == legend.get_lines()[3].get_color()
-
-
-def test_planes_that_meet_nothing() -> None:
-    with pytest.raises(ArgumentError, match=r"a plane through the shell, got Z = 210 m\. Metres"):
-        drawn(Plane.level(210.0))

@@ -67,6 +67,16 @@ def compile_c(compiler: str, *arguments: object) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def run_cmake(*steps: list[object]) -> None:
+    """Configure, build or install, each with the options given; skips where there is no CMake."""
+    tool = shutil.which("cmake")
+    if tool is None:
+        pytest.skip("no cmake")
+    for step in steps:
+        done = subprocess.run([tool, *map(str, step)], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+
 def geometry_numbers(geometry: spm.Geometry) -> np.ndarray:
     """Return the numbers of an `spm_geometry`."""
     return np.concatenate(list(machine_fields(geometry).values()))
