@@ -107,6 +107,7 @@ def check_what_is_shown(page) -> spm.SolutionSet:
         np.testing.assert_allclose(lengths_shown(page), expected.leg_lengths[k], rtol=0.0, atol=1e-12)
         texts = [float(text) for text in page.locator("#live data").all_inner_texts()]
         np.testing.assert_allclose(texts, expected.leg_lengths[k], rtol=0.0, atol=0.51e-4)
+        check_solids(page, expected[int(k)])
     assert page.locator("#live table").is_visible() == bool(expected.exists.any())
     return expected
 
@@ -229,15 +230,8 @@ def test_colours_of_a_slider_tell_where_a_real_machine_can_be(page) -> None:
     assert set(colours) == {0, 1, 2}
 
 
-def test_solids_are_where_the_description_has_them(page) -> None:
-    page.get_by_role("button", name="eight branches").click()
-    expected = solved_in_python(page)
-    for k in np.flatnonzero(expected.exists):
-        choose(page, BRANCHES[k])
-        check_solids(page, expected[int(k)])
-
-
 def check_solids(page, state) -> None:
+    """Compare the places of the solids with those of the description."""
     found = page.evaluate("document.getElementById('live').machine.placements()")
     for matrix, part, placement in zip(found, visual_parts(GEOMETRY), part_placements(state), strict=False):
         points = live_page.mesh(part.mesh)[0]

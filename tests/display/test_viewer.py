@@ -390,10 +390,11 @@ def test_files_that_are_no_paths(tmp_path, name, text, says):
     assert len(str(error.value).replace(str(path), "path.csv")) < 3 * 80
 
 
-def test_a_path_in_millimetres_is_refused(tmp_path):
-    recording = read_recording(written(tmp_path / "path.csv", csv(R, 1e3 * LEGS)))
+def test_a_path_in_millimetres_is_refused_under_the_name_typed(tmp_path):
+    file = written(tmp_path / "path.csv", csv(R, 1e3 * LEGS))
     with pytest.raises(spm.ArgumentError, match=r"lengths in metres, got values up to 1450.* is it 1450 mm\?"):
-        recording.follow(PAPER)
+        read_recording(file).follow(PAPER)
+    assert "--path: expected lengths in metres, got values up to 1450" in run("view", "--path", file).message
 
 
 def test_the_motion_of_a_chain_is_read_back(tmp_path):
