@@ -124,7 +124,7 @@ def singularity_distance(geometry: Geometry | Array, state: State | Configuratio
     """Compute the smallest singular values of J_b, J_c and K, shape (..., 3).
 
     Dimensionless, and zero at a forward singularity of the lower or of the upper stage, or at an inverse one; see
-    `spm_pin.Singularities.sigma`. Arguments are as for `leg_forces`.
+    `spm_pin.kinematics.Singularities.sigma`. Arguments are as for `leg_forces`.
     """
     legs = _Legs(geometry, state)
     run, side = legs.library.run, legs.machine.r * 3.0**0.5

@@ -165,7 +165,7 @@ def writing(path: Path, argument: str = "path") -> Iterator[None]:
         raise ArgumentError(argument, "a file that can be written", path, str(failed.strerror)) from failed
 
 
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)
+_NUMBER = re.compile(r"[-+]?((0|[1-9]\d*)(\.\d*)?|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)
 _LARGEST_FILE = 1 << 20
 """Characters of a file that are read; a larger one is refused."""
 
@@ -181,12 +181,13 @@ class _Loader(yaml.BaseLoader):
         return float(text.lower().replace(".inf", "inf")) if is_number else text
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        mapping = super().construct_mapping(node, deep)
-        if len(mapping) < len(node.value):
-            keys = [key.value for key, _ in node.value]
-            twice = next(key for key in keys if keys.count(key) > 1)
-            raise yaml.MarkedYAMLError(problem=f"the key {twice!r} twice", problem_mark=node.start_mark)
-        return mapping
+        keys: set[Any] = set()
+        for entry, _ in node.value:
+            key = self.construct_object(entry, deep=True)
+            if isinstance(entry, yaml.ScalarNode) and key in keys:
+                raise yaml.MarkedYAMLError(problem=f"the key {key!r} twice", problem_mark=entry.start_mark)
+            keys |= {key} if isinstance(entry, yaml.ScalarNode) else set()
+        return super().construct_mapping(node, deep)
 
 
 def read_yaml(path: str | Path) -> Any:

@@ -286,17 +286,18 @@ class Geometry:
 
 def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
     """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
+    cause = "Computed for another machine?"
     for name in _DIMENSIONS.values():
         received, wanted = getattr(geometry, name), getattr(expected, name)
         if abs(received - wanted) > _SAME * expected.middle_side:
-            raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m")
+            raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m", cause)
     for name in ("axes", "pivots", "balls", "offsets"):
         apart = np.abs(getattr(geometry.legs, name) - getattr(expected.legs, name))
         unit, scale = ("rad", 1.0) if name == "axes" else ("m", expected.middle_side)
         if apart.max() > _SAME * scale:
             leg = LEGS[int(apart.argmax()) * len(LEGS) // apart.size]
             difference = f"a machine that differs by {apart.max():.1e} {unit} in {leg}"
-            raise GeometryError(argument, f"the {name} of {owner}", difference)
+            raise GeometryError(argument, f"the {name} of {owner}", difference, cause)
 
 
 def machine_size(geometry: Geometry) -> float:
@@ -329,7 +330,7 @@ def unit_hint(geometry: Geometry, lengths: npt.ArrayLike) -> str:
 def _read(path: str | Path) -> Geometry:
     sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
     data = _mapping(read_yaml(path), str(path), {"middle_side"}, sizes | {"leg_limits", "legs"})
-    lengths = {key: dimension(data[key], f"{key} in {path}") for key in data.keys() & {*sizes, "middle_side"}}
+    lengths = {key: dimension(data[key], f"{key} in {path}") for key in data if key not in ("leg_limits", "legs")}
     radii = []
     for triangle in ("base", "platform"):
         keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
@@ -354,7 +355,7 @@ def _mapping(data: Any, place: str, keys: Collection[str], optional: Collection[
     if optional:
         expected += f", and perhaps {', '.join(sorted(optional))}"
     if not isinstance(data, dict):
-        raise GeometryError(place, expected, type_and_value(data))
+        raise GeometryError(place, expected, "an empty file" if data is None else type_and_value(data))
     for key in data:
         if key not in keys and key not in optional:
             meant = _DIMENSIONS.get(key)

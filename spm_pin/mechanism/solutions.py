@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, cast, overload
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +30,6 @@ from spm_pin.mechanism.geometry import Geometry, unit_hint
 from spm_pin.mechanism.legs import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
-Value = TypeVar("Value")
 _PARALLEL = 1e-12
 """Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
 
@@ -65,11 +64,6 @@ class Degeneracy:
     def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
         inner = (*batch, slice(None))
         return Degeneracy(self.dimension[batch], self.families[inner], self.legs[inner])
-
-
-def _of_each(read: Callable[[Configuration], Value], meaning: str) -> Value:
-    """Return a property of a `SolutionSet` that reads all its configurations; its type is that of what it gives."""
-    return cast(Value, property(lambda solutions: read(solutions.configurations), doc=meaning))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -173,16 +167,45 @@ class SolutionSet:
         """Batch shape, without the axis of solutions."""
         return self.configurations.shape[:-1]
 
-    geometry = _of_each(lambda states: states.geometry, "The manipulator.")
-    exists = _of_each(lambda states: states.exists, "True for the solutions that are real, shape (..., n).")
-    rotation = _of_each(lambda states: states.rotation, "Rotations from {m} to {B}, shape (..., n, 3, 3).")
-    translation = _of_each(lambda states: states.translation, "Positions of o in {B} [m], shape (..., n, 3).")
-    middle_joints = _of_each(lambda states: states.middle_joints, "b_1, b_2, b_3 as rows in {B} [m], (..., n, 3, 3).")
-    leg_lengths = _of_each(
-        lambda states: states.leg_lengths, "r_b1 to r_c3 [m], shape (..., n, 6); NaN where not real."
-    )
-    readings = _of_each(lambda states: states.readings, "Readings of the legs' encoders [m], shape (..., n, 6).")
-    residual = _of_each(lambda states: states.closure_residual, "Closure residual of each solution [m], (..., n).")
+    @property
+    def geometry(self) -> Geometry:
+        """The manipulator."""
+        return self.configurations.geometry
+
+    @property
+    def exists(self) -> BoolArray:
+        """True for the solutions that are real, shape (..., n)."""
+        return self.configurations.exists
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Rotations from {m} to {B}, shape (..., n, 3, 3)."""
+        return self.configurations.rotation
+
+    @property
+    def translation(self) -> FloatArray:
+        """Positions of o in {B} [m], shape (..., n, 3)."""
+        return self.configurations.translation
+
+    @property
+    def middle_joints(self) -> FloatArray:
+        """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real."""
+        return self.configurations.middle_joints
+
+    @property
+    def leg_lengths(self) -> FloatArray:
+        """r_b1 to r_c3 [m], shape (..., n, 6); NaN where not real."""
+        return self.configurations.leg_lengths
+
+    @property
+    def readings(self) -> FloatArray:
+        """Readings of the legs' encoders [m], shape (..., n, 6)."""
+        return self.configurations.readings
+
+    @property
+    def residual(self) -> FloatArray:
+        """Closure residual of each solution [m], shape (..., n)."""
+        return self.configurations.closure_residual
 
     @property
     def count(self) -> IntArray:

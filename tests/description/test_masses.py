@@ -120,7 +120,7 @@ def test_a_file_gives_the_same_masses(tmp_path: Path) -> None:
             r"terminal_platform\].centre in .*: expected real numbers",
         ),
         ("payload: {mass: 1, inertia: [[1, 0, 0], [0, 1, 0], [0, 0, 9]]}", "payload.inertia in .*: expected principal"),
-        ("payload: {mass: 010:30}", "payload.mass in .* str '010:30'"),
+        ("payload: {mass: 010}", "payload.mass in .* str '010'"),
         ("payload: {mass: 1, mass: 2}", "the key 'mass' twice"),
         ("payload: {mass: [", "expected a YAML file"),
     ],

@@ -286,7 +286,7 @@ def test_invalid_seeds_and_readings_are_refused(machine: spm.Geometry) -> None:
         (state.middle_joints, "a Configuration"),
         (torn, "that closes"),
         (absent, "that exist"),
-        (other, "of this geometry"),
+        (other, "of `geometry`"),
         (batch, "broadcast"),
     ):
         with pytest.raises(spm.ArgumentError, match=words):
