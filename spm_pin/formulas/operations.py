@@ -12,11 +12,14 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 COS_30 = float(np.sqrt(0.75))
 """The cosine of 30°. Where floats are not exact enough, a runner binds another number to this name."""
+RIGHT_ANGLE = float(np.pi / 2.0)
+"""The angle π/2, likewise."""
 
 sqrt: Callable[[float], float] = np.sqrt
 """The square root, not a number of a negative one."""
 cos: Callable[[float], float] = np.cos
 sin: Callable[[float], float] = np.sin
+arctan2: Callable[[float, float], float] = np.arctan2
 
 
 ARRAYS: dict[str, Any] = {"sqrt": np.sqrt, "where": np.where, "both": np.logical_and, "either": np.logical_or}
@@ -41,7 +44,8 @@ def either(a: bool, b: bool) -> bool:
 def bind(formula: F, **operations: Any) -> F:
     """Return a copy of a formula, and of all formulas that it calls, with other operations.
 
-    `operations` stand for `sqrt`, `cos`, `sin`, `where`, `both`, `either`, and perhaps `COS_30`, in the copies. What is
+    `operations` stand for `sqrt`, `cos`, `sin`, `arctan2`, `where`, `both`, `either`, and perhaps `COS_30` and
+    `RIGHT_ANGLE`, in the copies. What is
     not given stays that of floats.
     """
     copy: F = _copied(formula, operations, {})

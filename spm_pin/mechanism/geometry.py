@@ -11,7 +11,7 @@ import functools
 import math
 import warnings
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -35,11 +35,13 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     writing,
 )
+from spm_pin.mechanism.leg_kinds import KINDS, RPS, LegKind
 from spm_pin.mechanism.legs import AXES, LEGS, RADIAL, LegLimits, Legs, axis_directions, bounded_array, drawn_legs
+from spm_pin.mechanism.stage import Stage
 
 _COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in _COMPONENTS)
-"""Names of the 54 parameters of the legs, nine for each, in the order of `Geometry.parameters`."""
+"""Names of the 54 parameters of RPS legs, nine for each, in the order of `Geometry.parameters`."""
 
 _turned_axis = on_arrays(turned_axis)
 _MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
@@ -47,6 +49,8 @@ _MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
 
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """Units of length, and how many of them are a metre."""
+_LARGEST_ANGLE = 4.0 * math.pi
+"""Largest limit of an angle [rad]: a crank's, with its encoder's offset."""
 _SAME = 1e-9
 """Machines that differ by less, relative to the middle side, are the same."""
 _PROPORTION = 10.0
@@ -57,8 +61,9 @@ _LEG_KEYS = {
     "axis": "a unit vector along the revolute axis",
     "pivot": "in metres",
     "ball": "in metres",
-    "offset": "a number of metres",
+    "offset": "a number of metres, of RRS legs of radians",
 }
+_KIND_KEYS = "lower_legs", "upper_legs"
 _IMPLAUSIBLE = 20.0
 """A file with a larger dimension [m] is suspected to be in another unit."""
 _HEADING = "# A 3RPS-3SPR manipulator, lengths in metres: see Geometry of spm_pin.\n"
@@ -104,10 +109,12 @@ class Geometry:
             object.__setattr__(self, name, dimension(getattr(self, name), name))
         if self.limits is not None:
             check_instance(self.limits, LegLimits, "limits", "LegLimits(minimum, maximum), or None")
-        drawn = drawn_legs(*self.dimensions)
         legs: Legs | None = self.legs
         if legs is not None:
             check_instance(legs, Legs, "legs", "Legs(axes, pivots, balls, offsets), or None")
+        drawn = drawn_legs(*self.dimensions, *([] if legs is None else [legs.kinds]))
+        if self.limits is not None:
+            _check_limits(self.limits, drawn)
         # Drawn legs follow the dimensions when these are replaced.
         if legs is None or legs.is_drawn or legs == drawn:
             object.__setattr__(self, "legs", drawn)
@@ -118,6 +125,8 @@ class Geometry:
             f"Geometry(base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}, "
             f"middle_side={self.middle_side:.6g}{limits}"
         )
+        if not self.legs.are_rps:
+            text += f", legs={self.legs.kinds[0]!r} below, {self.legs.kinds[1]!r} above"
         if self.is_nominal:
             return f"{text})"
         angles, *lengths = self._deviations()
@@ -149,7 +158,26 @@ class Geometry:
         return angles, pivots.max(axis=-1), balls.max(axis=-1), offsets
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Geometry, (*self.dimensions, self.limits, None if self.is_nominal else self.legs)
+        return Geometry, (*self.dimensions, self.limits, self.legs)
+
+    @classmethod
+    @raised_as(GeometryError)
+    def of_stages(cls, lower: Stage, upper: Stage) -> Geometry:
+        """Return the machine as drawn of two stages, of legs of either kind, whose platforms are one triangle of balls.
+
+        The upper stage stands on the same balls with its base for the terminal platform.
+        """
+        check_instance(lower, Stage, "lower")
+        check_instance(upper, Stage, "upper")
+        if not math.isclose(lower.platform_radius, upper.platform_radius, rel_tol=_SAME):
+            expected = (
+                f"the platform_radius of the lower stage, {lower.platform_radius:g} m: both stand on one triangle"
+            )
+            raise GeometryError("upper", expected, f"{upper.platform_radius:g} m")
+        dimensions = lower.base_radius, upper.base_radius, math.sqrt(3.0) * lower.platform_radius
+        ends = [x.limits or (-math.inf, math.inf) for x in (lower, upper)]
+        limits = LegLimits.stages(*ends) if lower.limits or upper.limits else None
+        return cls(*dimensions, limits, drawn_legs(*dimensions, (lower.legs, upper.legs)))
 
     @classmethod
     def paper(cls) -> Geometry:
@@ -182,6 +210,8 @@ class Geometry:
         if self.limits is not None:
             pairs = [list(pair) for pair in zip(self.limits.minimum, self.limits.maximum, strict=True)]
             data["leg_limits"] = pairs[0] if pairs.count(pairs[0]) == 6 else dict(zip(LEGS, pairs, strict=True))
+        if not self.legs.are_rps:
+            data |= {key: kind.as_data() for key, kind in zip(_KIND_KEYS, self.legs.kinds, strict=True)}
         if not self.is_nominal:
             rows = zip(*(array.tolist() for array in self.legs.arrays), strict=True)
             data["legs"] = {leg: dict(zip(_LEG_KEYS, row, strict=True)) for leg, row in zip(LEGS, rows, strict=True)}
@@ -195,7 +225,8 @@ class Geometry:
     @functools.cached_property
     def nominal(self) -> Geometry:
         """The machine as drawn, with the same dimensions and limits."""
-        return self if self.is_nominal else Geometry(*self.dimensions, self.limits)
+        drawn = drawn_legs(*self.dimensions, self.legs.kinds)
+        return self if self.is_nominal else Geometry(*self.dimensions, self.limits, drawn)
 
     @property
     def dimensions(self) -> tuple[float, float, float]:
@@ -229,10 +260,11 @@ class Geometry:
 
     @property
     def parameters(self) -> FloatArray:
-        """The 54 parameters of the legs, named in `PARAMETERS`: per leg direction (2), pivot, ball (3 each), offset.
+        """The parameters of the legs, named in `parameter_names`: per leg direction (2), pivot, ball (3 each), offset.
 
-        The direction is the turn of the axis from the drawn one about the two directions perpendicular to it [rad]:
-        the tangent coordinates of the shortest arc. All else is in metres.
+        After these 54 follow the numbers that are fixed in PRS and RRS legs, leg by leg. The direction is the turn of
+        the axis from the drawn one about the two directions perpendicular to it [rad]: the tangent coordinates of the
+        shortest arc. Units are in `parameter_units`.
         """
         drawn, first, second = axis_directions()
         axes = self.legs.axes
@@ -241,19 +273,39 @@ class Geometry:
         angle = np.arctan2(sine, (axes * drawn).sum(axis=-1))
         turn = across * np.divide(angle, sine, out=np.ones(6), where=sine > 0.0)[:, None]
         _, pivots, balls, offsets = self.legs.arrays
-        return np.concatenate([turn, pivots, balls, offsets[:, None]], axis=-1).reshape(54)
+        numbers = [kind.numbers[:, : len(kind.identified)].ravel() for kind in self.legs.kinds]
+        rows = np.concatenate([turn, pivots, balls, offsets[:, None]], axis=-1)
+        return np.concatenate([rows.ravel(), *numbers])
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the `parameters`: `PARAMETERS`, and for PRS and RRS legs such as `r_b1.rod`."""
+        stages = zip(self.legs.kinds, (LEGS[:3], LEGS[3:]), strict=True)
+        return *PARAMETERS, *(f"{leg}.{name}" for kind, legs in stages for leg in legs for name in kind.identified)
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Units of the `parameters`, "m" or "rad"."""
+        offsets = dict(zip((f"{leg}.offset" for leg in LEGS), self.legs.units, strict=True))
+        return tuple(offsets.get(name, "rad" if ".direction" in name else "m") for name in self.parameter_names)
 
     @raised_as(GeometryError)
     def from_parameters(self, parameters: npt.ArrayLike) -> Geometry:
-        """Return the machine of the same dimensions and limits whose legs have these 54 `parameters`."""
-        values = bounded_array(parameters, "parameters", (54,), "radians and metres, see PARAMETERS").reshape(6, 9)
+        """Return the machine of the same dimensions and limits whose legs have these `parameters`."""
+        count, meaning = len(self.parameter_names), "radians and metres, see Geometry.parameter_names"
+        read = bounded_array(parameters, "parameters", (count,), meaning)
+        values, kinds, first = read[:54].reshape(6, 9), [], 54
+        for kind in self.legs.kinds:
+            last = first + 3 * len(kind.identified)
+            kinds.append(kind.with_numbers(read[first:last].reshape(3, -1)))
+            first = last
         angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
         if (angle > np.pi / 2.0).any():
             leg = int(angle.argmax())
             expected = "directions of the axes within a quarter turn of the drawn ones, in radians"
             raise GeometryError("parameters", expected, f"{angle[leg]:g} rad at {LEGS[leg]}", "Given in degrees?")
         axes = np.stack(_turned_axis(tuple(np.tile(AXES, (2, 1)).T), values[:, 0], values[:, 1]), axis=-1)
-        legs = Legs(axes, values[:, 2:5], values[:, 5:8], values[:, 8])
+        legs = Legs(axes, values[:, 2:5], values[:, 5:8], values[:, 8], (kinds[0], kinds[1]))
         return Geometry(*self.dimensions, self.limits, legs)
 
     def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Geometry:
@@ -267,8 +319,8 @@ class Geometry:
         spread = real_number(length, "length", expected, least=0.0, most=_MOST_LENGTH)
         expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
         turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
-        scale = np.tile(np.repeat([turn, spread], [2, 7]), 6)
-        return self.from_parameters(self.parameters + scale * random.standard_normal(54))
+        scale = np.array([turn if unit == "rad" else spread for unit in self.parameter_units])
+        return self.from_parameters(self.parameters + scale * random.standard_normal(len(scale)))
 
     @property
     def axis_derivatives(self) -> FloatArray:
@@ -282,6 +334,17 @@ class Geometry:
         curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
         along = (across * turn).sum(axis=-1, keepdims=True)
         return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
+
+
+def _check_limits(limits: LegLimits, legs: Legs) -> None:
+    """Raise a GeometryError for limits that no readings of such legs have."""
+    for leg, name in enumerate(LEGS):
+        kind, low, high = legs.kinds[leg // 3], limits.minimum[leg], limits.maximum[leg]
+        received = f"[{low:g}, {high:g}] for {name}"
+        if isinstance(kind, RPS) and low < 0.0:
+            raise GeometryError("limits", "limits of lengths, 0 <= minimum < maximum, in metres", received)
+        if kind.unit == "rad" and max(abs(x) for x in (low, high, 0.0) if math.isfinite(x)) > _LARGEST_ANGLE:
+            raise GeometryError("limits", f"angles in radians, within ±{_LARGEST_ANGLE:.3g}", received, "In degrees?")
 
 
 def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
@@ -329,8 +392,9 @@ def unit_hint(geometry: Geometry, lengths: npt.ArrayLike) -> str:
 @raised_as(GeometryError)
 def _read(path: str | Path) -> Geometry:
     sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
-    data = _mapping(read_yaml(path), str(path), {"middle_side"}, sizes | {"leg_limits", "legs"})
-    lengths = {key: dimension(data[key], f"{key} in {path}") for key in data if key not in ("leg_limits", "legs")}
+    data = _mapping(read_yaml(path), str(path), {"middle_side"}, sizes | {"leg_limits", "legs", *_KIND_KEYS})
+    own = {"leg_limits", "legs", *_KIND_KEYS}
+    lengths = {key: dimension(data[key], f"{key} in {path}") for key in data.keys() - own}
     radii = []
     for triangle in ("base", "platform"):
         keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
@@ -339,9 +403,13 @@ def _read(path: str | Path) -> Geometry:
             raise GeometryError(str(path), expected, " and ".join(keys) or "neither")
         radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
     limits = _limits(data["leg_limits"], f"leg_limits in {path}") if "leg_limits" in data else None
-    geometry = Geometry(radii[0], radii[1], lengths["middle_side"], limits)
+    kinds = [_kind(data[key], f"{key} in {path}") if key in data else RPS() for key in _KIND_KEYS]
+    dimensions = radii[0], radii[1], lengths["middle_side"]
     if "legs" in data:
-        geometry = replace(geometry, legs=_legs(data["legs"], f"legs in {path}"))
+        legs = _legs(data["legs"], f"legs in {path}", (kinds[0], kinds[1]))
+    else:
+        legs = drawn_legs(*dimensions, (kinds[0], kinds[1]))
+    geometry = Geometry(*dimensions, limits, legs)
     longest = max(lengths, key=lambda key: lengths[key])
     if lengths[longest] > _IMPLAUSIBLE:
         text = f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres"
@@ -386,7 +454,20 @@ def _limits(data: Any, place: str) -> LegLimits:
     return LegLimits(*zip(*bounds, strict=True))
 
 
-def _legs(data: Any, place: str) -> Legs:
+def _kind(data: Any, place: str) -> LegKind:
+    """Return the kind of a stage's legs, with their fixed numbers."""
+    names = ", ".join(KINDS)
+    if not isinstance(data, dict) or data.get("kind") not in KINDS:
+        received = repr(data.get("kind")) if isinstance(data, dict) else type_and_value(data)
+        raise GeometryError(place, f"a mapping with the key kind, one of {names}, and the kind's numbers", received)
+    kind = KINDS[data["kind"]]
+    keys = {field.name for field in fields(kind)}
+    numbers = _mapping(data, place, {"kind"} | {x.name for x in fields(kind) if x.default is MISSING}, keys)
+    with raised_as(GeometryError, place):
+        return kind(**{key: value for key, value in numbers.items() if key != "kind"})
+
+
+def _legs(data: Any, place: str, kinds: tuple[LegKind, LegKind]) -> Legs:
     legs = _mapping(data, place, LEGS)
     arrays = []
     for key, meaning in _LEG_KEYS.items():
@@ -397,4 +478,5 @@ def _legs(data: Any, place: str) -> Legs:
             rows.append(real_number(row, where, meaning) if key == "offset" else _numbers(row, where, 3, meaning))
         arrays.append(np.array(rows))
     with raised_as(GeometryError, place):
-        return Legs(*arrays)
+        axes, pivots, balls, offsets = arrays
+        return Legs(axes, pivots, balls, offsets, kinds)

@@ -1,4 +1,4 @@
-"""The six legs of a machine: their names, the limits of their lengths, their axes, pivots, balls and offsets."""
+"""The six legs of a machine: their names, kinds and limits, their axes, pivots, balls and offsets."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, GeometryError, raised_as
-from spm_pin.formulas import ball_motions, leg_constants, leg_planes
+from spm_pin.formulas import ball_motions, leg_constants, leg_planes, planar_legs
 from spm_pin.formulas.joint_values import triangle_axes
-from spm_pin.formulas.operations import on_arrays, rows_of
+from spm_pin.formulas.operations import bind, on_arrays, rows_of
 from spm_pin.mechanism.arguments import (
     LARGEST,
     SMALLEST,
@@ -26,17 +26,19 @@ from spm_pin.mechanism.arguments import (
     real_array,
     type_and_value,
 )
+from spm_pin.mechanism.leg_kinds import RPS, LegKind
 
 LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
 """Names and order of the legs: the lower stage's three, then the upper stage's."""
 
-ORDERED = "0 <= minimum < maximum for every leg, in metres"
+ORDERED = "minimum < maximum for every leg"
 
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
 
 _triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(ball_motions.squared_sides)
 _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
+_plane_axes = bind(planar_legs.plane_axes, sqrt=math.sqrt)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
 _FLAT = 1e-6
@@ -45,12 +47,12 @@ _FLAT = 1e-6
 
 @dataclass(frozen=True, init=False, repr=False)
 class LegLimits:
-    """Shortest and longest length of each leg.
+    """Smallest and largest reading of each leg.
 
     Parameters
     ----------
     minimum, maximum : float or sequence of six floats
-        Lengths in metres, in the order of `LEGS`. `maximum` may be infinite.
+        In the order of `LEGS`: in metres, of RRS legs in radians. They may be infinite.
     """
 
     minimum: tuple[float, ...]
@@ -60,8 +62,8 @@ class LegLimits:
         object.__setattr__(self, "minimum", _six(minimum, "minimum"))
         object.__setattr__(self, "maximum", _six(maximum, "maximum"))
         for leg, low, high in zip(LEGS, self.minimum, self.maximum, strict=True):
-            if not 0.0 <= low < high:
-                cause = "Minimum and maximum exchanged?" if low > high >= 0.0 else ""
+            if not low < high:
+                cause = "Minimum and maximum exchanged?" if low > high else ""
                 raise GeometryError("limits", ORDERED, f"[{low:g}, {high:g}] for {leg}", cause)
 
     @classmethod
@@ -115,10 +117,11 @@ def _six(value: float | Sequence[float], argument: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Legs:
-    """Axes, pivots, balls and encoder offsets of the six legs, in the order of `LEGS`; read-only.
+    """Kinds, axes, pivots, balls and encoder offsets of the six legs, in the order of `LEGS`; read-only.
 
-    Leg i turns about a revolute axis, along which nothing moves: its line starts at the pivot, is perpendicular to the
-    axis, and ends at the centre of a ball of the middle platform. Its reading is |ball - pivot| + offset.
+    Leg i moves in the plane through its pivot that is normal to its axis, the direction of its revolute joints, and
+    holds the centre of a ball of the middle platform there. Its reading is that of its kind, plus the offset: of an RPS
+    leg |ball - pivot| + offset.
 
     Parameters
     ----------
@@ -129,7 +132,9 @@ class Legs:
     balls : array_like, shape (6, 3)
         Centres of the balls [m] in {n}. Those of a lower and of an upper leg need not coincide.
     offsets : array_like, shape (6,)
-        What each reading exceeds the length of its leg by [m].
+        What each reading exceeds that of its leg's own dimensions by [m], or [rad] of RRS legs.
+    kinds : pair of LegKind
+        What the lower and the upper legs are, with the numbers fixed in them: `RPS`, `PRS` or `RRS`.
 
     A `GeometryError` is raised for a number beyond 1e9 m, an axis that is no unit vector, and balls of the lower or of
     the upper legs that are on one line.
@@ -139,6 +144,7 @@ class Legs:
     pivots: FloatArray
     balls: FloatArray
     offsets: FloatArray
+    kinds: tuple[LegKind, LegKind] = (RPS(), RPS())
     is_drawn: bool = field(default=False, init=False)
     """True for legs that a `Geometry` has drawn from its dimensions."""
 
@@ -152,6 +158,15 @@ class Legs:
             expected = "unit vectors along the revolute axes"
             raise ArgumentError("axes", expected, f"length {sizes[leg]:g} of {LEGS[leg]}", "Divide it by its length")
         # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
+        if not (isinstance(self.kinds, tuple) and [isinstance(x, LegKind) for x in self.kinds] == [True, True]):
+            raise ArgumentError("kinds", "a pair of kinds of legs, such as (RPS(), RPS())", type_and_value(self.kinds))
+        backward = (axes * np.tile(AXES, (2, 1))).sum(axis=-1) <= 0.0
+        if backward.any() and not self.are_rps:
+            leg, expected = (
+                int(backward.argmax()),
+                "axes along the drawn ones, from which x and z of a leg's plane follow",
+            )
+            raise ArgumentError("axes", expected, f"the opposite direction of {LEGS[leg]}", "Change its sign")
         exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
         pivots = bounded_array(self.pivots, "pivots", (6, 3), "points of the revolute axes in metres")
         balls = bounded_array(self.balls, "balls", (6, 3), "ball centres in {n} in metres")
@@ -170,15 +185,69 @@ class Legs:
         """Axes, pivots, balls and offsets."""
         return self.axes, self.pivots, self.balls, self.offsets
 
+    @property
+    def are_rps(self) -> bool:
+        """Whether all legs are RPS: their circles have the pivots for centres, and readings are lengths."""
+        return all(isinstance(kind, RPS) for kind in self.kinds)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the readings, "m" or "rad", in the order of `LEGS`."""
+        return tuple(kind.unit for kind in self.kinds for _ in range(3))
+
+    @functools.cached_property
+    def planes(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors x, radially outwards, and z, towards the middle platform, of the legs' planes, (6, 3) each.
+
+        As the axes they are in {B} of lower and in {m} of upper legs.
+        """
+        outward, forward = zip(
+            *(
+                _plane_axes(tuple(axis), leg_constants.TANGENT_SIGNS[leg % 3], 1.0 - 2.0 * (leg // 3))
+                for leg, axis in enumerate(self.axes.tolist())
+            ),
+            strict=True,
+        )
+        return frozen(np.array(outward)), frozen(np.array(forward))
+
+    def readings(self, places: FloatArray) -> FloatArray:
+        """Return what the encoders show (..., 6) of balls at x and z (..., 6, 2) [m]; NaN out of a leg's reach."""
+        return self._of_stages("readings", places) + self.offsets
+
+    def slopes(self, places: FloatArray, readings: FloatArray) -> FloatArray:
+        """Return κ (..., 6), the speed of each ball away from its circle's centre per unit rate of the reading."""
+        return self._of_stages("slopes", places, readings - self.offsets)
+
+    def circles(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the centres (..., 6, 3), in {B} or {m}, and radii (..., 6) [m] of the circles that readings leave."""
+        if self.are_rps:
+            radii = readings - self.offsets
+            return np.broadcast_to(self.pivots, (*radii.shape, 3)), radii
+        (lower, below), (upper, above) = self._by_stage("circles", readings - self.offsets)
+        x, z = np.moveaxis(np.concatenate([lower, upper], axis=-2)[..., None], -2, 0)
+        outward, forward = self.planes
+        return self.pivots + x * outward + z * forward, np.concatenate([below, above], axis=-1)
+
+    def _by_stage(self, name: str, *arguments: FloatArray) -> list[Any]:
+        """Return what a method of both kinds makes of arrays whose axis of length six counts the legs."""
+        stages = slice(0, 3), slice(3, 6)
+        return [
+            getattr(kind, name)(*(x[..., legs, :] if x.shape[-1] == 2 else x[..., legs] for x in arguments))
+            for kind, legs in zip(self.kinds, stages, strict=True)
+        ]
+
+    def _of_stages(self, name: str, *arguments: FloatArray) -> FloatArray:
+        return np.concatenate(self._by_stage(name, *arguments), axis=-1)
+
     @functools.cached_property
     def sides(self) -> FloatArray:
         """Distances 12, 23, 31 of the lower legs' balls [m], shape (3,)."""
         return frozen(triangle_sides(self.balls[:3]))
 
     @functools.cached_property
-    def _key(self) -> tuple[bytes, ...]:
+    def _key(self) -> tuple[object, ...]:
         # -0.0 and 0.0 are equal.
-        return tuple((array + 0.0).tobytes() for array in self.arrays)
+        return *((array + 0.0).tobytes() for array in self.arrays), *self.kinds
 
     @functools.cached_property
     def upper_ball_weights(self) -> FloatArray:
@@ -192,15 +261,18 @@ class Legs:
         return hash(self._key)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Legs, self.arrays
+        return Legs, (*self.arrays, self.kinds)
 
 
 @functools.lru_cache(maxsize=64)
-def drawn_legs(base_radius: float, platform_radius: float, middle_side: float) -> Legs:
-    """Return the legs of the drawing with the dimensions E, C and d [m]."""
+def drawn_legs(
+    base_radius: float, platform_radius: float, middle_side: float, kinds: tuple[LegKind, LegKind] = (RPS(), RPS())
+) -> Legs:
+    """Return the legs of the drawing with the dimensions E, C and d [m], of these kinds, equal in a stage."""
     corners = middle_side / math.sqrt(3.0) * RADIAL
     pivots = np.concatenate([base_radius * RADIAL, platform_radius * RADIAL])
-    legs = Legs(np.tile(AXES, (2, 1)), pivots, np.concatenate([corners, corners]), np.zeros(6))
+    nominal = kinds[0].nominal, kinds[1].nominal
+    legs = Legs(np.tile(AXES, (2, 1)), pivots, np.concatenate([corners, corners]), np.zeros(6), nominal)
     object.__setattr__(legs, "is_drawn", True)
     return legs
 

@@ -1,0 +1,115 @@
+"""Planar legs: what the actuator of a leg shows of its ball, and the circle on which a reading leaves the ball.
+
+A planar leg has two joints that move in one plane, and a ball; one joint is actuated. `x` and `z` are the ball's place
+in that plane from the leg's pivot, radially outwards and towards the middle platform. With the actuator locked the ball
+is on a circle, see `Circle`. The slope κ is the speed of the ball away from the circle's centre per unit rate of the
+reading; where it is zero the leg itself is singular: `docs/theory/planar_legs.md`.
+
+Each kind has the same three formulas, of the numbers that are fixed in a leg: of RPS none; of PRS the rod's length, the
+direction of the slide, an angle from x towards z, and the working mode; of RRS the lengths of crank and rod, and the
+working mode. The working mode is the sign, +1 or -1, of the root in the reading.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from spm_pin.formulas.leg_constants import UP
+from spm_pin.formulas.operations import RIGHT_ANGLE, arctan2, cos, sin, sqrt
+from spm_pin.formulas.vectors import Vector, combined, cross, direction, dot, minus, scaled
+
+Numbers = tuple[float, ...]
+
+
+class Circle(NamedTuple):
+    """A circle in the plane of a leg."""
+
+    x: float  # of its centre
+    z: float
+    radius: float
+
+
+class LegPlane(NamedTuple):
+    """The plane of a leg: its pivot, and the unit vectors radially outwards and towards the middle platform."""
+
+    pivot: Vector
+    outward: Vector
+    forward: Vector
+
+
+def plane_axes(axis: Vector, tangent_sign: float, up: float) -> tuple[Vector, Vector]:
+    """Return the unit vectors radially outwards and towards the middle platform in the plane normal to a leg's axis.
+
+    `tangent_sign` is the leg's of `leg_constants.TANGENT_SIGNS`, `up` +1 of a lower leg and -1 of an upper.
+    """
+    outward = direction(scaled(-tangent_sign, cross(UP, axis)))
+    return outward, scaled(up * tangent_sign, cross(outward, axis))
+
+
+def place_in_plane(point: Vector, plane: LegPlane) -> tuple[float, float]:
+    """Return x and z of a point."""
+    arm = minus(point, plane.pivot)
+    return dot(plane.outward, arm), dot(plane.forward, arm)
+
+
+def point_of_plane(x: float, z: float, plane: LegPlane) -> Vector:
+    """Return the point at x and z."""
+    return combined(combined(plane.pivot, x, plane.outward), z, plane.forward)
+
+
+def rps_reading(x: float, z: float, numbers: Numbers) -> float:
+    """Return the length of an RPS leg."""
+    return sqrt(x * x + z * z)
+
+
+def rps_circle(reading: float, numbers: Numbers) -> Circle:
+    """Return the circle of an RPS leg of this length."""
+    return Circle(0.0, 0.0, reading)
+
+
+def rps_slope(x: float, z: float, reading: float, numbers: Numbers) -> float:
+    """Return κ of an RPS leg."""
+    return 1.0
+
+
+def prs_reading(x: float, z: float, numbers: Numbers) -> float:
+    """Return the place of a PRS leg's carriage along its slide, not a number where the rod is too short."""
+    rod, direction, sign = numbers
+    cosine, sine = cos(direction), sin(direction)
+    along, across = cosine * x + sine * z, cosine * z - sine * x
+    return along + sign * sqrt((rod - across) * (rod + across))
+
+
+def prs_circle(reading: float, numbers: Numbers) -> Circle:
+    """Return the circle of a PRS leg's ball about its carriage."""
+    rod, direction, _ = numbers
+    return Circle(reading * cos(direction), reading * sin(direction), rod)
+
+
+def prs_slope(x: float, z: float, reading: float, numbers: Numbers) -> float:
+    """Return κ of a PRS leg: the cosine of the angle between slide and rod."""
+    rod, direction, _ = numbers
+    return (cos(direction) * x + sin(direction) * z - reading) / rod
+
+
+def rrs_reading(x: float, z: float, numbers: Numbers) -> float:
+    """Return the angle of an RRS leg's crank from x towards z, from -π/2 to 3π/2; not a number out of its reach."""
+    crank, rod, sign = numbers
+    square = x * x + z * z
+    # The knee along the line from pivot to ball, and beside it, times that line's length.
+    longest, shortest = crank + rod, crank - rod
+    along = (square + longest * shortest) / (2.0 * crank)
+    beside = sign * sqrt((longest * longest - square) * (square - shortest * shortest)) / (2.0 * crank)
+    return RIGHT_ANGLE + arctan2(z * beside - x * along, z * along + x * beside)
+
+
+def rrs_circle(reading: float, numbers: Numbers) -> Circle:
+    """Return the circle of an RRS leg's ball about its knee."""
+    crank, rod, _ = numbers
+    return Circle(crank * cos(reading), crank * sin(reading), rod)
+
+
+def rrs_slope(x: float, z: float, reading: float, numbers: Numbers) -> float:
+    """Return κ of an RRS leg [m/rad]: the lever arm of the rod about the crank's axis."""
+    crank, rod, _ = numbers
+    return crank * (z * cos(reading) - x * sin(reading)) / rod
