@@ -96,17 +96,19 @@ def run_on_states(
     load: FloatArray | None = None,
     min_batch: int = 1 << 16,
 ) -> tuple[Any, ...]:
-    """Run a kernel that takes b, R, o, and a load if there is one, on the states of a configuration.
+    """Run a kernel that takes b, R, o, circle centres, and a load if there is one, on the states of a configuration.
 
     The leading axes of the load (..., 6) broadcast with those of the states; the results have those of both.
     """
     state = configuration
     shape = state.shape if load is None else np.broadcast_shapes(state.shape, load.shape[:-1])
-    arrays = [state.middle_joints, state.rotation, state.translation, *([] if load is None else [load])]
+    # Of RPS legs nothing is computed and nothing copied.
+    centres = state.geometry.legs.pivots if state.geometry.legs.are_rps else state.own_circle_centres
+    arrays = [state.middle_joints, state.rotation, state.translation, centres, *([] if load is None else [load])]
     # Two batch axes, so that what all branches of a pose share need not be copied.
     inner = shape[-1] if len(shape) > 1 else 1
     inputs = []
-    for array, trailing in zip(arrays, ((3, 3), (3, 3), (3,), (6,)), strict=False):
+    for array, trailing in zip(arrays, ((3, 3), (3, 3), (3,), (6, 3), (6,)), strict=False):
         whole = np.broadcast_to(array, (*shape, *trailing))
         inputs.append(whole.reshape(math.prod(shape) // max(inner, 1), inner, *trailing))
     written = run_kernel(kernel, inputs, constants, results, max(min_batch // max(inner, 1), 1), packed=inner)

@@ -191,9 +191,8 @@ def _broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, confi
 
 
 def leg_constants(geometry: Geometry) -> FloatArray:
-    """Return axes and pivots of the six legs and `upper_ball_weights` (15, 3), as the kernels take a machine."""
-    legs = geometry.legs
-    return np.concatenate([legs.axes, legs.pivots, legs.upper_ball_weights])
+    """Return the axes of the six legs and `upper_ball_weights` (9, 3), as the kernels take a machine."""
+    return np.concatenate([geometry.legs.axes, geometry.legs.upper_ball_weights])
 
 
 def force_matrices(configuration: Configuration) -> FloatArray:

@@ -131,7 +131,8 @@ class Configuration:
             return f"<Configuration: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
         if not self.exists:
             return f"<Configuration: does not exist{self.missing_reason and ': '}{self.missing_reason}>"
-        return f"<Configuration: leg lengths ({', '.join(f'{length:.4f}' for length in self.leg_lengths)}) m>"
+        readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self._geometry.legs.units, strict=True))
+        return f"<Configuration: readings {', '.join(readings)}>"
 
     def _repr_html_(self) -> str:
         if not self.shape:
@@ -223,20 +224,68 @@ class Configuration:
 
     @cached_property
     def leg_vectors(self) -> FloatArray:
-        """a_i to b_i of the lower legs, then b_i to c_i of the upper legs, as rows in {B} [m], (..., 6, 3)."""
-        lower = self.balls[..., :3, :] - self._geometry.legs.pivots[:3]
-        upper = self.platform_joints - self.balls[..., 3:, :]
-        return frozen(np.concatenate([lower, upper], axis=-2))
+        """Circle centres to lower balls, then upper balls to circle centres, as rows in {B} [m], shape (..., 6, 3).
+
+        Along them the legs push: an RPS leg has its pivot for the centre, other legs have rods.
+        """
+        centres, balls = self.circle_centres, self.balls
+        return frozen(np.concatenate([(balls - centres)[..., :3, :], (centres - balls)[..., 3:, :]], axis=-2))
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """Balls in the planes of their legs, from the pivots: x radially outwards, z towards {n} [m], (..., 6, 2)."""
+        arms = self.balls - self.leg_bases
+        return frozen(np.stack([(arms * axes).sum(axis=-1) for axes in self._leg_planes], axis=-1))
+
+    @property
+    def _leg_planes(self) -> tuple[FloatArray, FloatArray]:
+        """The axes x and z of the legs' planes as rows in {B}, (..., 6, 3) each."""
+        back = np.swapaxes(self._rotation, -1, -2)
+        lower = np.broadcast_to(np.eye(3), back.shape)
+        outward, forward = (
+            np.concatenate([axes[:3] @ lower, axes[3:] @ back], axis=-2) for axes in self._geometry.legs.planes
+        )
+        return outward, forward
+
+    @property
+    def own_circle_centres(self) -> FloatArray:
+        """`circle_centres` as rows in {B} of the lower legs, and in {m} of the upper legs [m], shape (..., 6, 3)."""
+        centres, _ = self._geometry.legs.circles(self.readings)
+        return centres
+
+    @cached_property
+    def circle_centres(self) -> FloatArray:
+        """Centres of the circles that the locked actuators leave to the balls, as rows in {B} [m], shape (..., 6, 3).
+
+        The `leg_bases` of RPS legs, the joints of carriage and rod of PRS legs, and the knees of RRS legs.
+        """
+        if self._geometry.legs.are_rps:
+            return self.leg_bases
+        centres = self.own_circle_centres
+        upper = centres[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
+        return frozen(np.concatenate([centres[..., :3, :], upper], axis=-2))
+
+    @cached_property
+    def slopes(self) -> FloatArray:
+        """κ of the legs, shape (..., 6): the speed along each of `leg_vectors` per unit rate of the reading.
+
+        Dimensionless, or [m/rad] of RRS legs; 1 of RPS legs. Where it is zero the leg itself is singular.
+        """
+        return frozen(self._geometry.legs.slopes(self.places, self.readings))
 
     @cached_property
     def leg_lengths(self) -> FloatArray:
         """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., 6): distances of balls and pivots. Eq. (20)."""
-        return frozen(np.sqrt((self.leg_vectors**2).sum(axis=-1)))
+        return frozen(np.sqrt(((self.balls - self.leg_bases) ** 2).sum(axis=-1)))
 
     @cached_property
     def readings(self) -> FloatArray:
-        """Readings of the legs' encoders [m], shape (..., 6): `leg_lengths` plus the offsets of the machine."""
-        return frozen(self.leg_lengths + self._geometry.legs.offsets)
+        """Readings of the legs' encoders, shape (..., 6): [m], of RRS legs [rad]; NaN for a ball out of a leg's reach.
+
+        Of RPS legs they are `leg_lengths` plus the offsets of the machine.
+        """
+        legs = self._geometry.legs
+        return frozen(self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places))
 
     @cached_property
     def middle_pose(self) -> RigidTransform:

@@ -1,9 +1,9 @@
 """J_f, its inverse, leg forces and determinants of a batch of states, from forces through the balls of six legs.
 
 States are arrays of two batch axes, (outer, inner), of any strides: what all branches of a pose share need not be
-copied. Results are packed. A machine is an array (15, 3): the axes and the pivots of the six legs, then the
-`upper_ball_weights`. Where these are zero the balls coincide in pairs, and K and J_f have a shorter form that keeps
-more digits near an inverse singularity.
+copied, nor are the centres of RPS legs' circles, the pivots. Results are packed. A machine is an array (9, 3): the axes
+of the six legs, then the `upper_ball_weights`. Where these are zero the balls coincide in pairs, and K and J_f have a
+shorter form that keeps more digits near an inverse singularity.
 """
 
 from __future__ import annotations
@@ -37,18 +37,19 @@ from spm_pin.kinematics.kernels.compilation import (
 )
 from spm_pin.mechanism.arguments import FloatArray
 
-STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}"
+STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}, {readonly_array(4)}"
 MACHINE = "f8[:,::1]"
-# Rows of a tile: b_1 to b_3, R, o; then the load of a state, and its results, the last of which is a flag.
-INPUTS = 21
-_LOAD, _RESULTS, _FLAG, _ROWS = 21, 27, 63, 64
+# Rows of a tile: b_1 to b_3, R, o, and the centres of the balls' circles; then the load of a state, and its results,
+# the last of which is a flag.
+INPUTS = 39
+_LOAD, _RESULTS, _FLAG, _ROWS = 39, 45, 81, 82
 
 
 class Machine(NamedTuple):
     """The legs of a machine as numbers."""
 
-    lower: StageLegs
-    upper: StageLegs
+    lower_axes: Rows
+    upper_axes: Rows
     weights: Rows
     is_paired: bool  # the balls coincide in pairs
 
@@ -58,8 +59,8 @@ class StateForces(NamedTuple):
 
     b: Rows
     c: Rows  # balls of the upper legs
-    lower: Rows  # directions from pivot to ball
-    upper: Rows  # directions from ball to pivot
+    lower: Rows  # directions from the circle's centre to the ball
+    upper: Rows  # directions from the ball to the circle's centre
     a: Rows
     a_m: Rows  # axes of the upper legs
     o: Vector
@@ -68,17 +69,23 @@ class StateForces(NamedTuple):
 
 @jit_inline
 def read_machine(machine: FloatArray) -> Machine:
-    """Return the legs of an array (15, 3) as numbers, so that a loop over a tile reads no second array."""
-    lower, weights = StageLegs(rows_at(machine, 0), rows_at(machine, 6)), rows_at(machine, 12)
+    """Return the legs of an array (9, 3) as numbers, so that a loop over a tile reads no second array."""
+    weights = rows_at(machine, 6)
     is_paired = max(largest(weights[0]), largest(weights[1]), largest(weights[2])) == 0.0
-    return Machine(lower, StageLegs(rows_at(machine, 3), rows_at(machine, 9)), weights, is_paired)
+    return Machine(rows_at(machine, 0), rows_at(machine, 3), weights, is_paired)
 
 
 @jit_inline
 def load_states(
-    joints: FloatArray, rotation: FloatArray, position: FloatArray, first: int, width: int, tile: FloatArray
+    joints: FloatArray,
+    rotation: FloatArray,
+    position: FloatArray,
+    centres: FloatArray,
+    first: int,
+    width: int,
+    tile: FloatArray,
 ) -> None:
-    """Fill rows b, R, o of a tile with states of arrays (outer, inner, ...), counted through both axes."""
+    """Fill the first rows of a tile with states of arrays (outer, inner, ...), counted through both axes."""
     inner = joints.shape[1]
     for k in range(width):
         m, n = divmod(first + k, inner)
@@ -87,17 +94,25 @@ def load_states(
                 tile[3 * i + j, k] = joints[m, n, i, j]
                 tile[9 + 3 * i + j, k] = rotation[m, n, i, j]
             tile[18 + i, k] = position[m, n, i]
+    # Those of RPS legs are the same in all states, and stay in the tile.
+    if first == 0 or centres.strides[0] != 0 or centres.strides[1] != 0:
+        for k in range(width):
+            m, n = divmod(first + k, inner)
+            for leg in range(6):
+                for j in range(3):
+                    tile[21 + 3 * leg + j, k] = centres[m, n, leg, j]
 
 
 @jit_inline
 def state_forces(tile: FloatArray, k: int, machine: Machine) -> StateForces:
     """Return the forces of the state in place k of a tile."""
     b, o = matrix(tile, 0, k), vector(tile, 18, k)
-    c, above = upper_balls(b, machine.weights), carried(machine.upper, matrix(tile, 9, k), o)
-    lower, upper = directions(differences(b, machine.lower.pivots)), directions(differences(above.pivots, c))
+    c = upper_balls(b, machine.weights)
+    above = carried(StageLegs(machine.upper_axes, matrix(tile, 30, k)), matrix(tile, 9, k), o)
+    lower, upper = directions(differences(b, matrix(tile, 21, k))), directions(differences(above.pivots, c))
     total = lower[0][0] + lower[1][0] + lower[2][0] + upper[0][0] + upper[1][0] + upper[2][0]
     is_short = (b[0][0] == b[0][0]) & (total != total)
-    return StateForces(b, c, lower, upper, machine.lower.axes, above.axes, o, is_short)
+    return StateForces(b, c, lower, upper, machine.lower_axes, above.axes, o, is_short)
 
 
 @jit_inline
@@ -127,12 +142,12 @@ def _store(tile: FloatArray, start: int, width: int, results: FloatArray, suspec
 
 
 @kernel(f"void({STATES}, {MACHINE}, f8, f8, f8[:,:,::1], u1[::1])")
-def inverse_jacobians(joints, rotation, position, machine, side, singular, matrices, suspect):
+def inverse_jacobians(joints, rotation, position, centres, machine, side, singular, matrices, suspect):
     """Write J_f (S, 6, 6), and where K may be singular (S,)."""
     count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, count, TILE):
         width = min(TILE, count - start)
-        load_states(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, centres, start, width, tile)
         # Two loops, each of which goes over several states at a time.
         if legs.is_paired:
             for k in range(TILE):
@@ -158,12 +173,12 @@ def _both_twists(s: StateForces, side: float, singular: float) -> tuple[Matrix, 
 
 
 @kernel(f"void({STATES}, {MACHINE}, f8, f8, f8[:,:,::1], u1[::1])")
-def platform_jacobians(joints, rotation, position, machine, side, singular, matrices, suspect):
+def platform_jacobians(joints, rotation, position, centres, machine, side, singular, matrices, suspect):
     """Write G (S, 6, 6), and where J_b or J_c may be singular (S,)."""
     count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, count, TILE):
         width = min(TILE, count - start)
-        load_states(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, centres, start, width, tile)
         for k in range(TILE):
             lower, upper, doubtful = _both_twists(state_forces(tile, k, legs), side, singular)
             tile[_FLAG, k] = 1.0 if doubtful else 0.0
@@ -173,13 +188,13 @@ def platform_jacobians(joints, rotation, position, machine, side, singular, matr
 
 
 @kernel(f"void({STATES}, {readonly_array(3)}, {MACHINE}, f8, f8, f8[:,::1], u1[::1])")
-def stage_forces(joints, rotation, position, wrench, machine, side, singular, forces, suspect):
+def stage_forces(joints, rotation, position, centres, wrench, machine, side, singular, forces, suspect):
     """Write the leg forces (S, 6) that hold wrenches (outer, inner, 6), and where J_b or J_c may be singular (S,)."""
     count, tile, legs = len(suspect), np.ones((_ROWS, TILE)), read_machine(machine)
     inner = joints.shape[1]
     for start in range(0, count, TILE):
         width = min(TILE, count - start)
-        load_states(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, centres, start, width, tile)
         for k in range(width):
             m, n = divmod(start + k, inner)
             for i in range(6):
@@ -202,12 +217,12 @@ def three_determinants(s: StateForces, is_paired: bool) -> Vector:
 
 
 @kernel(f"void({STATES}, {MACHINE}, f8[:,::1])")
-def all_determinants(joints, rotation, position, machine, determinants):
+def all_determinants(joints, rotation, position, centres, machine, determinants):
     """Write det J_b, det J_c, det K (S, 3)."""
     tile, legs = np.ones((_ROWS, TILE)), read_machine(machine)
     for start in range(0, len(determinants), TILE):
         width = min(TILE, len(determinants) - start)
-        load_states(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, centres, start, width, tile)
         for k in range(TILE):
             three = three_determinants(state_forces(tile, k, legs), legs.is_paired)
             tile[_RESULTS, k], tile[_RESULTS + 1, k], tile[_RESULTS + 2, k] = three

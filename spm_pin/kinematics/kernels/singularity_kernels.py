@@ -297,6 +297,7 @@ def describe_singularities(
     joints,
     rotation,
     position,
+    centres,
     machine,
     side,
     tolerance,
@@ -310,6 +311,8 @@ def describe_singularities(
     wrench,
 ):
     """Describe J_b, J_c and K of S states: b_i (outer, inner, 3, 3), R (outer, inner, 3, 3), o (outer, inner, 3) [m].
+
+    `centres` (outer, inner, 6, 3) are those of the balls' circles [m], in {B} of lower legs and in {m} of upper ones.
 
     Written are, for each of the three matrices, the determinants [m³], the largest and the smallest singular values and
     the number of those that are larger than `tolerance` times the largest, (S, 3); as `flags` (S, 2) whether the
@@ -325,7 +328,7 @@ def describe_singularities(
     right, left = np.empty((WIDTH, lanes)), np.empty((WIDTH, lanes))
     for start in range(0, len(determinants), LANES):
         width = min(LANES, len(determinants) - start)
-        load_states(joints, rotation, position, start, width, tile)
+        load_states(joints, rotation, position, centres, start, width, tile)
         for k in range(lanes):
             _set_up(tile, k, legs, side, blocks, out)
         for which in range(3):
