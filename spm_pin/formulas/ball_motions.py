@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from spm_pin.formulas.circles import squared_sides
 from spm_pin.formulas.leg_constants import drawn_triangle
 from spm_pin.formulas.leg_planes import StageLegs, upper_balls
 from spm_pin.formulas.operations import sqrt
@@ -71,12 +72,6 @@ def leg_vectors(b: Rows, pivots: Rows) -> tuple[Rows, Vector]:
 def plane_errors(b: Rows, legs: StageLegs) -> Vector:
     """Return the distances of the balls from the planes of their legs."""
     return dots(legs.axes, differences(b, legs.pivots))
-
-
-def squared_sides(b: Rows) -> Vector:
-    """Return the squared distances of the balls 12, 23, 31."""
-    sides = differences(b, (b[1], b[2], b[0]))
-    return dots(sides, sides)
 
 
 def stage_errors(b: Rows, legs: StageLegs, lengths: Vector, squares: Vector) -> Errors:

@@ -145,13 +145,12 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
     if near is not None:
         _check_near(geometry, checked, near)
         shape = np.broadcast_shapes(checked.shape[:-1], near.shape)
-        start = [(near.rotation, 2), (near.translation, 1), (near.middle_joints, 2), (checked, 1)]
-        *flat, ends = [flat_batch(x, shape, inner) for x, inner in start]
-        followed = _follow(geometry, tuple(flat), geometry, ends)
+        arrays = (near.rotation, 2), (near.translation, 1), (near.middle_joints, 2), (near.leg_lengths, 1), (checked, 1)
+        *start, ends = [flat_batch(x, shape, inner) for x, inner in arrays]
+        followed = _follow(geometry, tuple(start), ends)
         return Configuration.from_arrays(geometry, *with_batch_shape(followed, shape))
     shape, lengths = checked.shape[:-1], checked.reshape(-1, 6)
-    solve = _solve_drawn if geometry.is_nominal else _solve_as_built
-    state = Configuration.from_arrays(geometry, *with_batch_shape(solve(geometry, lengths), shape))
+    state = Configuration.from_arrays(geometry, *with_batch_shape(_physical(geometry, lengths), shape))
     if not shape and not state.exists:
         reason = "with these leg lengths no configuration is reached from the home without a forward singularity"
         state.missing_reason = f"{reason}. {unit_hint(geometry, checked)}".rstrip(". ")
@@ -210,40 +209,47 @@ def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) ->
         raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
 
 
-def _follow(start: Geometry, state: tuple[FloatArray, ...], end: Geometry, lengths: FloatArray) -> tuple[Any, ...]:
-    """Follow states R, o, b_i (N, ...) to another machine and its lengths (N, 6); NaN where they meet a singularity."""
+def _circles(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return centres (N, 6, 3) [m] and radii (N, 6) [m] of the circles on which legs of lengths (N, 6) hold balls."""
+    return np.broadcast_to(geometry.legs.pivots, (*lengths.shape, 3)), lengths
+
+
+def _follow(geometry: Geometry, near: tuple[FloatArray, ...], lengths: FloatArray) -> tuple[FloatArray, ...]:
+    """Follow states R, o, b_i and lengths (N, ...) to other leg lengths (N, 6); NaN where they meet a singularity."""
     from spm_pin.kinematics.kernels.ball_circles import follow_states
 
-    machines = [np.stack([x.axes, x.pivots, x.balls]) for x in (start.legs, end.legs)]
-    return run_kernel(follow_states, (*state, lengths), machines, _STATE, _MIN_BATCH_PER_THREAD_FOLLOWED)
+    *state, start = near
+    inputs = *state, *_circles(geometry, start), *_circles(geometry, lengths)
+    constants = geometry.legs.axes, geometry.legs.balls
+    return run_kernel(follow_states, inputs, constants, _STATE, _MIN_BATCH_PER_THREAD_FOLLOWED)
 
 
-def _solve_as_built(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
-    """Return R, o and the b_i (N, ...) of the physical state of a machine as built with leg lengths (N, 6)."""
-    drawn = geometry.nominal
-    # The drawn machine's state is followed with the same leg lengths; where that gives none, the level one's.
-    state = _follow(drawn, _solve_drawn(drawn, lengths), geometry, lengths)
-    missing = np.flatnonzero(~physical(Configuration.from_arrays(geometry, *state)))
-    if len(missing):
-        others = _follow_from_home(geometry, lengths[missing])
-        wrong = ~physical(Configuration.from_arrays(geometry, *others))
-        for array, values in zip(state, others, strict=True):
-            values[wrong] = np.nan
-            array[missing] = values
-    return state
+def _physical(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
+    """Return R, o and the b_i (N, ...) of the physical states with leg lengths (N, 6), NaN where there is none."""
+    from spm_pin.kinematics.kernels.ball_circles import ELSEWHERE, HOME, physical_states
+
+    inputs, constants = _circles(geometry, lengths), (geometry.legs.axes, geometry.legs.balls)
+    *state, aspect = run_kernel(
+        physical_states, inputs, constants, (*_STATE, ((), np.int8)), _MIN_BATCH_PER_THREAD_PHYSICAL
+    )
+    absent = np.flatnonzero(aspect != HOME if geometry.is_nominal else aspect == ELSEWHERE)
+    if len(absent):
+        other = _solve_drawn if geometry.is_nominal else _followed_from_home
+        for array, values in zip(state, other(geometry, lengths[absent]), strict=True):
+            array[absent] = values
+    return tuple(state)
 
 
-def _follow_from_home(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
-    """Follow the level state with equal legs of the drawn machine to this machine, and then to legs (N, 6)."""
-    drawn, r, n = geometry.nominal, geometry.middle_radius, len(lengths)
-    offsets = np.array([geometry.base_radius, geometry.platform_radius]) - r
+def _followed_from_home(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the physical states to which those with equal legs are followed."""
+    offsets = np.array([geometry.base_radius, geometry.platform_radius]) - geometry.middle_radius
     # Legs at least so long that the level stage is well away from flat.
-    equal = np.maximum(lengths.reshape(-1, 2, 3).mean(axis=-1), np.hypot(1.0, 0.5) * np.abs(offsets))
-    height = np.sqrt(np.maximum(equal**2 - offsets**2, 0.0))
-    translation, joints = np.zeros((n, 3)), np.tile(r * geometry.radial_directions, (n, 1, 1))
-    translation[:, 2], joints[..., 2] = height.sum(axis=-1), height[:, :1]
-    level = np.broadcast_to(np.eye(3), (n, 3, 3)), translation, joints
-    return _follow(geometry, _follow(drawn, level, geometry, np.repeat(equal, 3, axis=-1)), geometry, lengths)
+    equal = np.maximum(lengths.reshape(-1, 2, 3).mean(axis=-1), np.hypot(1.0, 0.5) * np.abs(offsets)).repeat(3, axis=-1)
+    found = _follow(geometry, (*_physical(geometry, equal), equal), lengths)
+    wrong = ~physical(Configuration.from_arrays(geometry, *found))
+    for array in found:
+        array[wrong] = np.nan
+    return found
 
 
 def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:

@@ -1,221 +1,156 @@
-"""Following a state of any machine while its leg lengths and its dimensions change, each stage by itself.
+"""Newton's method on stages of any machine: the physical state of leg lengths, and a state followed to other lengths.
 
-A leg of known length holds its ball on a circle about its revolute axis. Three angles are unknown, and the three
-distances between the balls are the equations. A step is taken if the theorem of Newton and Kantorovich holds at its
-start for all lengths along it: there is one solution near, and Newton's method finds it.
+Each stage is three circles and a triangle by itself, `spm_pin.formulas.circles`. The physical state is sought from the
+level stage. From a state, a step is taken if the theorem of Newton and Kantorovich holds at its start for all lengths
+along it: there is one solution near, and Newton's method finds it.
 """
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 
-from spm_pin.formulas.ball_motions import (
-    frame_of_triangle,
-    leg_vectors,
-    points_from_platform,
-    pose_of_frames,
+from spm_pin.formulas.ball_motions import frame_of_triangle, points_from_platform, pose_of_frames
+from spm_pin.formulas.circles import (
+    MOST_STEPS,
+    Circles,
+    balls_at,
+    circles_between,
+    directions_to,
+    has_converged,
+    is_home_state,
+    is_safe_step,
+    largest_change,
+    level_balls,
+    limited,
+    newton_step,
     squared_sides,
+    turned_back,
 )
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.leg_planes import upper_ball_weights, upper_balls
-from spm_pin.formulas.stages import pair_inverse
-from spm_pin.formulas.vectors import (
-    Rows,
-    Vector,
-    combinations,
-    combined,
-    crosses,
-    differences,
-    directions,
-    dots,
-    larger,
-    largest,
-    magnitude,
-    minus,
-    multiples,
-    scaled,
-    weighted,
-)
-from spm_pin.formulas.wrenches import pairs
+from spm_pin.formulas.vectors import Rows, Vector, largest
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
-from spm_pin.kinematics.kernels.quadric_newton import has_converged
 from spm_pin.mechanism.arguments import FloatArray
 
-_KANTOROVICH, _DRIFT = 0.125, 0.25
-"""Largest products of the inverse's norm at the end of a step with the Lipschitz constant times Newton's first step and
-with the change of the derivative on the way. At constant angles the errors are quadratic in the lengths, so all along
-the step they are at most 5/4 of those in the middle and at the end, and the norm is at most 4/3 of that at the end: the
-first product stays below (4/3)² 5/4 · 1/8 < 0.28; the theorem asks for 1/2."""
 _SHORTEST = 1e-9  # a step shorter than this part of the way stands before a singularity
-_MOST_STEPS = 250_000  # a bound of the time; more are taken for a singularity
-_ITERATIONS = 12
-
-
-class Circles(NamedTuple):
-    """A stage as circles on which its balls are, and their distances 12, 23, 31."""
-
-    axes: Rows
-    pivots: Rows
-    radii: Vector
-    sides: Vector
+_MOST_SAFE_STEPS = 250_000  # a bound of the time; more are taken for a singularity
+ABSENT, HOME, ELSEWHERE = 0, 1, 2
+"""Where Newton's method from the level stages ended: nowhere, in the home's aspect, or in another one."""
 
 
 @jit_inline
-def _sides(b: Rows) -> Vector:
-    d12, d23, d31 = squared_sides(b)
-    return math.sqrt(d12), math.sqrt(d23), math.sqrt(d31)
-
-
-@jit_inline
-def _circles(machine: FloatArray, first: int, radii: Vector) -> Circles:
-    """Return the circles of three legs, from the leg `first`, of a machine (3, 6, 3): axes, pivots, balls."""
-    return Circles(rows_at(machine[0], first), rows_at(machine[1], first), radii, _sides(rows_at(machine[2], first)))
-
-
-@jit_inline
-def _along(start: Vector, end: Vector, share: float) -> Vector:
-    return combined(start, share, minus(end, start))
-
-
-@jit_inline
-def _between(start: Circles, end: Circles, share: float) -> Circles:
-    """Return the circles at this share of the way."""
-    shares = share, share, share
-    axes = combinations(start.axes, shares, differences(end.axes, start.axes))
-    pivots = combinations(start.pivots, shares, differences(end.pivots, start.pivots))
-    radii, sides = _along(start.radii, end.radii, share), _along(start.sides, end.sides, share)
-    return Circles(directions(axes), pivots, radii, sides)
-
-
-@jit_inline
-def _directions(stage: Circles, balls: Rows) -> Rows:
-    """Return the directions from the centres of the circles towards balls that are near them."""
-    arms = differences(balls, stage.pivots)
-    return directions(combinations(arms, scaled(-1.0, dots(stage.axes, arms)), stage.axes))
-
-
-@jit_inline
-def _balls(stage: Circles, towards: Rows) -> Rows:
-    return combinations(stage.pivots, stage.radii, towards)
-
-
-@jit_inline
-def _errors(stage: Circles, balls: Rows) -> Vector:
-    """Return half the errors of the squared distances."""
-    d12, d23, d31 = stage.sides
-    return scaled(0.5, minus(squared_sides(balls), (d12 * d12, d23 * d23, d31 * d31)))
-
-
-@jit_inline
-def _inverse(stage: Circles, across: Rows, balls: Rows) -> Rows:
-    """Return the columns of the inverse of the errors' derivative by the angles, whose entries are the c_ij."""
-    return pair_inverse(pairs(balls, multiples(stage.radii, across)))
-
-
-@jit_inline
-def _bounds(stage: Circles, change: float) -> tuple[float, float]:
-    """Return bounds of the change of the derivative's rows, per radian and as all radii change by at most `change`."""
-    gaps, (a, b, c), d = _sides(stage.pivots), stage.radii, stage.sides
-    first, second = gaps[0] * (a + b) + 4.0 * a * b, gaps[1] * (b + c) + 4.0 * b * c
-    lipschitz = larger(larger(first, second), gaps[2] * (c + a) + 4.0 * c * a)
-    longest = larger(larger(a + b + d[0], b + c + d[1]), c + a + d[2])
-    return lipschitz, 2.0 * change * (longest + 2.0 * change)
+def circles_at(axes: FloatArray, centres: FloatArray, radii: FloatArray, squares: Vector, first: int) -> Circles:
+    """Return the circles of three legs, from the leg `first`, of arrays (6, 3), (6, 3) and (6,)."""
+    lengths = radii[first], radii[first + 1], radii[first + 2]
+    return Circles(rows_at(axes, first), rows_at(centres, first), lengths, squares)
 
 
 @jit
-def _is_near(middle: Circles, end: Circles, balls: Rows, change: float) -> bool:
-    """Return whether a solution at the start of a step is next to those all along it, as radii change by `change`."""
-    towards = _directions(end, balls)
-    moved = _balls(end, towards)
-    first, second, third = _inverse(end, crosses(end.axes, towards), moved)
-    at_end = weighted(_errors(end, moved), (first, second, third))
-    at_middle = weighted(_errors(middle, _balls(middle, towards)), (first, second, third))
-    sums = (
-        magnitude(first[0]) + magnitude(second[0]) + magnitude(third[0]),
-        magnitude(first[1]) + magnitude(second[1]) + magnitude(third[1]),
-        magnitude(first[2]) + magnitude(second[2]) + magnitude(third[2]),
-    )
-    norm, (lipschitz, drift) = largest(sums), _bounds(end, change)
-    # Not a number where there is no inverse.
-    is_regular = norm * drift <= _DRIFT
-    return is_regular and norm * lipschitz * larger(largest(at_middle), largest(at_end)) <= _KANTOROVICH
-
-
-@jit
-def _solution(stage: Circles, balls: Rows) -> tuple[Rows, bool]:
-    """Return the solution near these balls, and whether Newton's method arrived."""
-    towards, last = _directions(stage, balls), np.nan
-    for _ in range(_ITERATIONS):
-        across, here = crosses(stage.axes, towards), _balls(stage, towards)
-        step = weighted(_errors(stage, here), _inverse(stage, across, here))
-        towards = directions(combinations(towards, scaled(-1.0, step), across))
-        size = largest(step)
+def solution(stage: Circles, start: Rows) -> tuple[Rows, Rows, bool]:
+    """Return directions and balls where Newton's method leads from near these balls, and whether it has converged."""
+    e, last = directions_to(stage, start), np.nan
+    for _ in range(MOST_STEPS):
+        step = newton_step(stage, e)
+        e, size = turned_back(stage, e, limited(step)), largest(step)
         if has_converged(size, last):
-            return _balls(stage, towards), True
+            return e, balls_at(stage, e), True
+        if not size < np.inf:
+            break
         last = size
-    return _balls(stage, towards), last < 1e-9
+    return e, balls_at(stage, e), last < 1e-9
 
 
 @jit
-def _followed(start: Circles, end: Circles, first: Rows) -> tuple[Rows, bool]:
-    """Return where balls at the start are led, and whether that is the end."""
-    balls, share, length = first, 0.0, 1.0
-    change = largest(minus(end.radii, start.radii))
-    for _ in range(_MOST_STEPS):
+def home_state(stage: Circles, corners: Rows, up: float) -> tuple[Rows, int]:
+    """Return the balls of a stage to which Newton's method leads from the level one, and in which aspect they are."""
+    e, b, converged = solution(stage, level_balls(stage, corners, up))
+    if not converged:
+        return b, ABSENT
+    return b, HOME if is_home_state(stage, e, b, up) else ELSEWHERE
+
+
+@jit
+def followed(start: Circles, end: Circles, first: Rows, shortest: float) -> tuple[Rows, bool]:
+    """Return where balls at the start are led in steps of at least a part of the way, and whether that is the end."""
+    balls, share, length, change = first, 0.0, 1.0, largest_change(start, end)
+    for _ in range(_MOST_SAFE_STEPS):
         target = min(share + length, 1.0)
-        stage, middle = _between(start, end, target), _between(start, end, 0.5 * (share + target))
-        if _is_near(middle, stage, balls, change * (target - share)):
-            moved, arrived = _solution(stage, balls)
+        stage, middle = circles_between(start, end, target), circles_between(start, end, 0.5 * (share + target))
+        if is_safe_step(middle, stage, balls, change * (target - share)):
+            _, moved, arrived = solution(stage, balls)
             if arrived:
                 balls, share, length = moved, target, 2.0 * length
                 if share == 1.0:
                     return balls, True
                 continue
         length *= 0.5
-        if length < _SHORTEST:
+        if length < shortest:
             break
     return balls, False
 
 
-@jit_inline
-def _placement(local: Rows, balls: Rows) -> tuple[Rows, Vector]:
-    """Return the rotation and the position that take balls from their own frame to where they are."""
-    return frame_of_triangle(triangle_axes(balls), triangle_axes(local), balls, local)
+@jit
+def put_state(lower: Rows, upper: Rows, own: Rows, own_upper: Rows, rotation, position, joints) -> None:
+    """Write R (3, 3), o (3,) and the b_i (3, 3) of two stages whose triangles are `own` in the platform's frame."""
+    middle, place = frame_of_triangle(triangle_axes(lower), triangle_axes(own), lower, own)
+    middle_m, place_m = frame_of_triangle(triangle_axes(upper), triangle_axes(own_upper), upper, own_upper)
+    r, o = pose_of_frames(middle, place, middle_m, place_m)
+    for i in range(3):
+        position[i] = o[i]
+        for j in range(3):
+            rotation[i, j], joints[i, j] = r[i][j], lower[i][j]
 
 
 @kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, "
-    f"{readonly_array(3)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1])"
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, "
+    "f8[:,:,::1], f8[:,::1], f8[:,:,::1], i1[::1])"
 )
-def follow_states(rotation, position, joints, lengths, start, end, end_rotation, end_position, end_joints):
-    """Follow N states from one machine to another and to other leg lengths, all changing in proportion.
+def physical_states(centres, radii, axes, balls, rotation, position, joints, aspect):
+    """Find the physical states of N stages by Newton's method from the level ones.
+
+    The circles of the legs have `centres` (N, 6, 3) [m], `radii` (N, 6) [m] and `axes` (6, 3), each in {B} or {m};
+    `balls` (6, 3) [m] are in the middle platform's frame. Written are R (N, 3, 3), o (N, 3) [m] and the b_i (N, 3, 3)
+    [m], NaN where no state was found, and as `aspect` (N,) `ELSEWHERE` where it may have been passed over.
+    """
+    own, own_upper = rows_at(balls, 0), rows_at(balls, 3)
+    squares, squares_upper = squared_sides(own), squared_sides(own_upper)
+    for n in range(len(radii)):
+        rotation[n], position[n], joints[n] = np.nan, np.nan, np.nan
+        b, aspect[n] = home_state(circles_at(axes, centres[n], radii[n], squares, 0), own, 1.0)
+        if aspect[n] == ABSENT:
+            continue
+        c, upper = home_state(circles_at(axes, centres[n], radii[n], squares_upper, 3), own_upper, -1.0)
+        if upper != HOME:
+            aspect[n] = upper
+        if aspect[n] == HOME:
+            put_state(b, c, own, own_upper, rotation[n], position[n], joints[n])
+
+
+@kernel(
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, {readonly_array(3)}, {readonly_array(2)}, "
+    f"{readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, "
+    "f8[:,:,::1], f8[:,::1], f8[:,:,::1])"
+)
+def follow_states(
+    rotation, position, joints, start, start_radii, end, end_radii, axes, balls, end_rotation, end_position, end_joints
+):
+    """Follow N states to other circles of their legs, whose centres and radii change in proportion.
 
     States are R (N, 3, 3), o (N, 3) [m] and the b_i (N, 3, 3) [m], NaN where there is none at the start, and where the
-    path meets a singularity before the end. `lengths` (N, 6) are the distances from pivots to balls at the end [m],
-    `start` and `end` (3, 6, 3) axes, pivots and balls of the machines [m].
+    path meets a singularity before the end. The circles have the centres `start` and `end` (N, 6, 3) [m] and radii
+    (N, 6) [m]; `axes` and `balls` are as for `physical_states`.
     """
-    weights = upper_ball_weights(rows_at(start[2], 0), rows_at(start[2], 3))
-    for n in range(len(lengths)):
+    own, own_upper = rows_at(balls, 0), rows_at(balls, 3)
+    squares, squares_upper, weights = squared_sides(own), squared_sides(own_upper), upper_ball_weights(own, own_upper)
+    for n in range(len(end_radii)):
         end_rotation[n], end_position[n], end_joints[n] = np.nan, np.nan, np.nan
         r, o, b = rows_at(rotation[n], 0), (position[n, 0], position[n, 1], position[n, 2]), rows_at(joints[n], 0)
         c = points_from_platform(upper_balls(b, weights), r, o)
-        _, radii = leg_vectors(b, rows_at(start[1], 0))
-        lower = _circles(start, 0, radii)
-        b, arrived = _followed(lower, _circles(end, 0, (lengths[n, 0], lengths[n, 1], lengths[n, 2])), b)
+        first = circles_at(axes, start[n], start_radii[n], squares, 0)
+        b, arrived = followed(first, circles_at(axes, end[n], end_radii[n], squares, 0), b, _SHORTEST)
         if not arrived:
             continue
-        _, radii = leg_vectors(c, rows_at(start[1], 3))
-        upper = _circles(start, 3, radii)
-        c, arrived = _followed(upper, _circles(end, 3, (lengths[n, 3], lengths[n, 4], lengths[n, 5])), c)
-        if not arrived:
-            continue
-        middle, place = _placement(rows_at(end[2], 0), b)
-        middle_m, place_m = _placement(rows_at(end[2], 3), c)
-        r, o = pose_of_frames(middle, place, middle_m, place_m)
-        for i in range(3):
-            end_position[n, i] = o[i]
-            for j in range(3):
-                end_rotation[n, i, j], end_joints[n, i, j] = r[i][j], b[i][j]
+        first = circles_at(axes, start[n], start_radii[n], squares_upper, 3)
+        c, arrived = followed(first, circles_at(axes, end[n], end_radii[n], squares_upper, 3), c, _SHORTEST)
+        if arrived:
+            put_state(b, c, own, own_upper, end_rotation[n], end_position[n], end_joints[n])

@@ -1,0 +1,176 @@
+"""Three circles and a triangle, one stage of any machine: `docs/theory/forward_displacement.md`.
+
+A leg whose actuator is locked holds its ball on a circle about its revolute axis, and the three balls of a stage are
+the corners of a triangle. Circles and balls are seen from the plate that carries the legs: {B} of the lower stage, {m}
+of the upper one.
+
+Unknown are the directions e_i from the centres of the circles to the balls b_i = c_i + ρ_i e_i. A turn of e_i about the
+axis a_i moves b_i along t_i = ρ_i a_i x e_i, so that the errors of half the squared distances of the balls have the
+derivatives c_ij = (b_i - b_j)·t_i, and Newton's step is `wrenches.pairs` and `stages.pair_inverse`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from spm_pin.formulas.leg_constants import mean_radius
+from spm_pin.formulas.operations import both, either, sqrt
+from spm_pin.formulas.stages import pair_inverse
+from spm_pin.formulas.vectors import (
+    Rows,
+    Vector,
+    combinations,
+    combined,
+    crosses,
+    differences,
+    directions,
+    dots,
+    larger,
+    largest,
+    magnitude,
+    minus,
+    multiples,
+    scaled,
+    shifted,
+    weighted,
+)
+from spm_pin.formulas.wrenches import is_stage_at_home, mean, pairs
+
+LONGEST_TURN = 0.3
+"""Largest turn of a leg in one of Newton's steps [rad]."""
+MOST_STEPS = 20
+"""Newton's steps from the level stage. No state has been seen that took more than 14."""
+_KANTOROVICH, _DRIFT = 0.125, 0.25
+"""Largest products of the inverse's norm at the end of a step with the Lipschitz constant times Newton's first step and
+with the change of the derivative on the way. At constant angles the errors are quadratic in radii and centres, so all
+along the step they are at most 5/4 of those in the middle and at the end, and the norm is at most 4/3 of that at the
+end: the first product stays below (4/3)² 5/4 · 1/8 < 0.28; the theorem asks for 1/2."""
+
+
+class Circles(NamedTuple):
+    """Circles on which the balls of a stage are, and the squares of their distances 12, 23, 31."""
+
+    axes: Rows
+    centres: Rows
+    radii: Vector
+    squares: Vector
+
+
+def squared_sides(b: Rows) -> Vector:
+    """Return the squared distances of the balls 12, 23, 31."""
+    sides = differences(b, (b[1], b[2], b[0]))
+    return dots(sides, sides)
+
+
+def circles_between(start: Circles, end: Circles, share: float) -> Circles:
+    """Return the circles at a share of the straight way from one stage to another."""
+    shares = share, share, share
+    axes = combinations(start.axes, shares, differences(end.axes, start.axes))
+    centres = combinations(start.centres, shares, differences(end.centres, start.centres))
+    radii = combined(start.radii, share, minus(end.radii, start.radii))
+    return Circles(directions(axes), centres, radii, combined(start.squares, share, minus(end.squares, start.squares)))
+
+
+def level_balls(stage: Circles, corners: Rows, up: float) -> Rows:
+    """Return the corners of a triangle where the stage of three mean circles stands level, above or below, as up is ±1.
+
+    Beside a stage that is flat the triangle is put higher, clear of the singularity.
+    """
+    r = mean_radius(corners)
+    aside = r - mean_radius(stage.centres)
+    length = (stage.radii[0] + stage.radii[1] + stage.radii[2]) / 3.0
+    height = up * sqrt(larger(length * length - aside * aside, 0.03 * r * r))
+    return shifted(corners, (0.0, 0.0, height + mean(stage.centres)[2] - mean(corners)[2]))
+
+
+def directions_to(stage: Circles, b: Rows) -> Rows:
+    """Return the directions from the centres of the circles towards balls that are near them."""
+    arms = differences(b, stage.centres)
+    return directions(combinations(arms, scaled(-1.0, dots(stage.axes, arms)), stage.axes))
+
+
+def balls_at(stage: Circles, e: Rows) -> Rows:
+    """Return the balls in these directions."""
+    return combinations(stage.centres, stage.radii, e)
+
+
+def errors(stage: Circles, b: Rows) -> Vector:
+    """Return the errors of half the squared distances of the balls."""
+    return scaled(0.5, minus(squared_sides(b), stage.squares))
+
+
+def inverse_derivative(stage: Circles, e: Rows, b: Rows) -> Rows:
+    """Return the columns of the inverse of the errors' derivative by the turns of the legs."""
+    return pair_inverse(pairs(b, multiples(stage.radii, crosses(stage.axes, e))))
+
+
+def newton_step(stage: Circles, e: Rows) -> Vector:
+    """Return the turns of Newton's step, to be taken off."""
+    b = balls_at(stage, e)
+    return weighted(errors(stage, b), inverse_derivative(stage, e, b))
+
+
+def turned_back(stage: Circles, e: Rows, step: Vector) -> Rows:
+    """Return the directions after a step."""
+    return directions(combinations(e, scaled(-1.0, step), crosses(stage.axes, e)))
+
+
+def limited(step: Vector) -> Vector:
+    """Return a step in which no leg turns farther than `LONGEST_TURN`."""
+    return scaled(1.0 / larger(1.0, largest(step) / LONGEST_TURN), step)
+
+
+def has_converged(size: float, last: float) -> bool:
+    """Return whether Newton's method is at rounding after a step of this size; `last` is the one before, NaN if none.
+
+    Rounding is reached, or will be by what is left after this step.
+    """
+    at_rounding = either(size < 1e-15, both(size < 1e-10, size > 0.5 * last))
+    return either(at_rounding, size * size * size < 1e-17 * last * last)
+
+
+def is_safe_step(middle: Circles, end: Circles, b: Rows, change: float) -> bool:
+    """Return whether a solution b at the start of a step is next to those all along it.
+
+    By the theorem of Newton and Kantorovich, as centres and radii change by at most `change`.
+    """
+    e = directions_to(end, b)
+    at_end = balls_at(end, e)
+    first, second, third = inverse_derivative(end, e, at_end)
+    step = weighted(errors(end, at_end), (first, second, third))
+    at_middle = balls_at(middle, directions_to(middle, b))
+    half_way = weighted(errors(middle, at_middle), (first, second, third))
+    sums = (
+        magnitude(first[0]) + magnitude(second[0]) + magnitude(third[0]),
+        magnitude(first[1]) + magnitude(second[1]) + magnitude(third[1]),
+        magnitude(first[2]) + magnitude(second[2]) + magnitude(third[2]),
+    )
+    norm, (lipschitz, drift) = largest(sums), _bounds(end, change)
+    # Not a number where there is no inverse.
+    is_regular = norm * drift <= _DRIFT
+    return both(is_regular, norm * lipschitz * larger(largest(step), largest(half_way)) <= _KANTOROVICH)
+
+
+def _bounds(stage: Circles, change: float) -> tuple[float, float]:
+    """Return bounds of the change of the derivative's rows, per radian and as centres and radii change."""
+    gaps, sides, (a, b, c) = _roots(squared_sides(stage.centres)), _roots(stage.squares), stage.radii
+    first, second = gaps[0] * (a + b) + 4.0 * a * b, gaps[1] * (b + c) + 4.0 * b * c
+    lipschitz = larger(larger(first, second), gaps[2] * (c + a) + 4.0 * c * a)
+    longest = larger(larger(a + b + sides[0], b + c + sides[1]), c + a + sides[2])
+    return lipschitz, 2.0 * change * (longest + 2.0 * change)
+
+
+def _roots(a: Vector) -> Vector:
+    return sqrt(a[0]), sqrt(a[1]), sqrt(a[2])
+
+
+def largest_change(start: Circles, end: Circles) -> float:
+    """Return by how much at most a ball moves that keeps its direction from one stage to another."""
+    centres = differences(end.centres, start.centres)
+    return largest(minus(end.radii, start.radii)) + largest(_roots(dots(centres, centres)))
+
+
+def is_home_state(stage: Circles, e: Rows, b: Rows, up: float) -> bool:
+    """Return whether a stage is in the aspect of its home, upright and without torsion; up is as for `level_balls`."""
+    stands = both(mean_radius(b) > 0.0, up * mean(b)[2] > 0.0)
+    return both(stands, is_stage_at_home(b, (scaled(up, e[0]), scaled(up, e[1]), scaled(up, e[2])), stage.axes))
