@@ -20,6 +20,7 @@ from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine, unit_hint
 from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
@@ -32,6 +33,10 @@ _NEAR = 1e-5
 """Distance from a family, of squared lengths and relative to their size, within which counts may be wrong."""
 _SHORT = 1e-3
 """Length in units of r below which a leg is short."""
+_CHORD = 0.1
+"""Turn of a crank [rad] over which the arc of its end is replaced by the chord."""
+_MOST_TURNS = 8.0 * np.pi
+"""Largest angle of a crank [rad]."""
 _OPEN = 1e-6
 """Closure residual of a state, relative to d, from which on it is no configuration."""
 _START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
@@ -80,7 +85,7 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     """
     from spm_pin.kinematics.kernels.mode_kernels import all_modes
 
-    checked = _read_lengths(geometry, readings)
+    checked = _read_readings(geometry, readings)
     if not geometry.is_nominal:
         cause = "The physical mode alone is found (forward_physical), or all of its drawing (geometry.nominal)"
         raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
@@ -141,11 +146,11 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
     >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
     array([-11.0818,  32.9691, -12.8831])
     """
-    checked = _read_lengths(geometry, readings)
+    checked = _read_readings(geometry, readings)
     if near is not None:
         _check_near(geometry, checked, near)
         shape = np.broadcast_shapes(checked.shape[:-1], near.shape)
-        arrays = (near.rotation, 2), (near.translation, 1), (near.middle_joints, 2), (near.leg_lengths, 1), (checked, 1)
+        arrays = (near.rotation, 2), (near.translation, 1), (near.middle_joints, 2), (near.readings, 1), (checked, 1)
         *start, ends = [flat_batch(x, shape, inner) for x, inner in arrays]
         followed = _follow(geometry, tuple(start), ends)
         return Configuration.from_arrays(geometry, *with_batch_shape(followed, shape))
@@ -177,26 +182,35 @@ def modes_near(geometry: Geometry, readings: FloatArray, near: Configuration | N
     return SolutionSet(states, ("followed",), Status.OK if state.exists else Status.UNREACHABLE)
 
 
-def _read_lengths(geometry: Geometry, readings: npt.ArrayLike) -> FloatArray:
-    """Return leg lengths (..., 6) [m] from readings that this machine can be resolved beside."""
+def _read_readings(geometry: Geometry, readings: npt.ArrayLike) -> FloatArray:
+    """Read readings (..., 6) that this machine can be resolved beside."""
     check_instance(geometry, Geometry, "geometry")
-    meaning = f"{', '.join(LEGS)} in metres"
-    read, offsets = real_array(readings, "readings", (6,), meaning), geometry.legs.offsets
-    lengths = np.asarray(read - offsets) if offsets.any() else read
-    if (lengths <= 0.0).any():
-        index = first_offender(lengths <= 0.0)
+    legs, size = geometry.legs, sum(geometry.dimensions)
+    meaning = "in metres" if "rad" not in legs.units else "in metres, of RRS legs in radians"
+    read = real_array(readings, "readings", (6,), f"{', '.join(LEGS)} {meaning}")
+    own = np.asarray(read - legs.offsets) if legs.offsets.any() else read
+    are_lengths = np.repeat([isinstance(kind, RPS) for kind in legs.kinds], 3)
+    short = are_lengths & (own <= 0.0)
+    if short.any():
+        index = first_offender(short)
         where = f" for {LEGS[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
-        if offsets[index[-1]]:
-            expected = f"readings that exceed their offset, {offsets[index[-1]]:g} m{where}"
+        if legs.offsets[index[-1]]:
+            expected = f"readings that exceed their offset, {legs.offsets[index[-1]]:g} m{where}"
             raise ArgumentError("readings", expected, f"{read[index]:g}")
         cause = "Strokes of the actuators instead of distances between joint centres?"
-        raise ArgumentError("readings", f"positive lengths {meaning}", f"{lengths[index]:g}{where}", cause)
-    size = sum(geometry.dimensions)
-    if (lengths > LARGEST_RATIO * size).any():
-        index = first_offender(lengths > LARGEST_RATIO * size)
-        expected = f"lengths in metres up to {LARGEST_RATIO:.0e} times the machine's own {size:.3g} m"
-        raise ArgumentError("readings", expected, f"{lengths[index]:g}", "Lengths in another unit?")
-    return lengths
+        raise ArgumentError(
+            "readings", f"positive lengths {', '.join(LEGS)} {meaning}", f"{own[index]:g}{where}", cause
+        )
+    farthest = np.where([unit == "m" for unit in legs.units], LARGEST_RATIO * size, _MOST_TURNS)
+    if (np.abs(own) > farthest).any():
+        index = first_offender(np.abs(own) > farthest)
+        if legs.units[index[-1]] == "rad":
+            expected, cause = f"angles in radians within ±{_MOST_TURNS:.3g} for {LEGS[index[-1]]}", "In degrees?"
+        else:
+            expected = f"lengths in metres up to {LARGEST_RATIO:.0e} times the machine's own {size:.3g} m"
+            cause = "Lengths in another unit?"
+        raise ArgumentError("readings", expected, f"{own[index]:g}", cause)
+    return read
 
 
 def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) -> None:
@@ -209,47 +223,51 @@ def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) ->
         raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
 
 
-def _circles(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return centres (N, 6, 3) [m] and radii (N, 6) [m] of the circles on which legs of lengths (N, 6) hold balls."""
-    return np.broadcast_to(geometry.legs.pivots, (*lengths.shape, 3)), lengths
-
-
-def _follow(geometry: Geometry, near: tuple[FloatArray, ...], lengths: FloatArray) -> tuple[FloatArray, ...]:
-    """Follow states R, o, b_i and lengths (N, ...) to other leg lengths (N, 6); NaN where they meet a singularity."""
+def _follow(geometry: Geometry, near: tuple[FloatArray, ...], end: FloatArray) -> tuple[FloatArray, ...]:
+    """Follow states R, o, b_i and readings (N, ...) to other readings (N, 6); NaN where they meet a singularity."""
     from spm_pin.kinematics.kernels.ball_circles import follow_states
 
-    *state, start = near
-    inputs = *state, *_circles(geometry, start), *_circles(geometry, lengths)
-    constants = geometry.legs.axes, geometry.legs.balls
-    return run_kernel(follow_states, inputs, constants, _STATE, _MIN_BATCH_PER_THREAD_FOLLOWED)
+    legs, (*state, start) = geometry.legs, near
+    # Centres that turn are led along chords of their arcs.
+    turns = np.abs(end - start)[:, [unit == "rad" for unit in legs.units]]
+    parts = 1 + int(np.nan_to_num(turns).max(initial=0.0) / _CHORD)
+    for part in range(parts):
+        here, there = start + part / parts * (end - start), start + (part + 1) / parts * (end - start)
+        inputs = *state, *legs.circles(here), *legs.circles(end if part + 1 == parts else there)
+        state = list(run_kernel(follow_states, inputs, (legs.axes, legs.balls), _STATE, _MIN_BATCH_PER_THREAD_FOLLOWED))
+    return tuple(state)
 
 
-def _physical(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
-    """Return R, o and the b_i (N, ...) of the physical states with leg lengths (N, 6), NaN where there is none."""
+def _physical(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
+    """Return R, o and the b_i (N, ...) of the physical states with readings (N, 6), NaN where there is none."""
     from spm_pin.kinematics.kernels.ball_circles import ELSEWHERE, HOME, physical_states
 
-    inputs, constants = _circles(geometry, lengths), (geometry.legs.axes, geometry.legs.balls)
+    inputs, constants = geometry.legs.circles(readings), (geometry.legs.axes, geometry.legs.balls)
     *state, aspect = run_kernel(
         physical_states, inputs, constants, (*_STATE, ((), np.int8)), _MIN_BATCH_PER_THREAD_PHYSICAL
     )
-    absent = np.flatnonzero(aspect != HOME if geometry.is_nominal else aspect == ELSEWHERE)
+    has_quartics = geometry.is_nominal and geometry.legs.are_rps
+    absent = np.flatnonzero(aspect != HOME if has_quartics else aspect == ELSEWHERE)
     if len(absent):
-        other = _solve_drawn if geometry.is_nominal else _followed_from_home
-        for array, values in zip(state, other(geometry, lengths[absent]), strict=True):
+        other = _solve_drawn if has_quartics else _followed_from_home
+        for array, values in zip(state, other(geometry, readings[absent]), strict=True):
             array[absent] = values
     return tuple(state)
 
 
-def _followed_from_home(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the physical states to which those with equal legs are followed."""
-    offsets = np.array([geometry.base_radius, geometry.platform_radius]) - geometry.middle_radius
-    # Legs at least so long that the level stage is well away from flat.
-    equal = np.maximum(lengths.reshape(-1, 2, 3).mean(axis=-1), np.hypot(1.0, 0.5) * np.abs(offsets)).repeat(3, axis=-1)
-    found = _follow(geometry, (*_physical(geometry, equal), equal), lengths)
-    wrong = ~physical(Configuration.from_arrays(geometry, *found))
-    for array in found:
+def _followed_from_home(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the physical states to which those with equal readings in a stage are followed."""
+    equal = readings.reshape(-1, 2, 3).mean(axis=-1)
+    if geometry.legs.are_rps:
+        offsets = np.array([geometry.base_radius, geometry.platform_radius]) - geometry.middle_radius
+        # Legs at least so long that the level stage is well away from flat.
+        equal = np.maximum(equal, np.hypot(1.0, 0.5) * np.abs(offsets))
+    equal = equal.repeat(3, axis=-1)
+    states = _follow(geometry, (*_physical(geometry, equal), equal), readings)
+    wrong = ~physical(Configuration.from_arrays(geometry, *states))
+    for array in states:
         array[wrong] = np.nan
-    return found
+    return states
 
 
 def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
