@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, GeometryError, raised_as
-from spm_pin.formulas import ball_motions, leg_constants, leg_planes
+from spm_pin.formulas import circles, leg_constants, leg_planes
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.mechanism.arguments import (
@@ -35,7 +35,7 @@ ORDERED = "0 <= minimum < maximum for every leg, in metres"
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
 
-_triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(ball_motions.squared_sides)
+_triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(circles.squared_sides)
 _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
