@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.formulas import ball_motions, leg_constants, leg_planes
+from spm_pin.formulas import circles, leg_constants, leg_planes
 from spm_pin.formulas.leg_constants import AXES
 from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind, mapped, vector_of
@@ -170,7 +170,7 @@ def _completed(library: Library, radii: Any, r: Any, legs: Any, *further: Any) -
     """Return the machine of axes, pivots, balls and offsets of six legs."""
     axes, pivots, balls, offsets = legs
     stages, halves = (StageLegs(axes[:3], pivots[:3]), StageLegs(axes[3:], pivots[3:])), (balls[:3], balls[3:])
-    lower, upper = (library.run(ball_motions.squared_sides, b) for b in halves)
+    lower, upper = (library.run(circles.squared_sides, b) for b in halves)
     weights = library.run(leg_planes.upper_ball_weights, *halves)
     return Machine(radii, r, stages, halves, (lower, upper), weights, offsets, *further)
 

@@ -102,7 +102,7 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
 
 
 def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
-    """Return the rates of the leg lengths for a twist of the platform.
+    """Return the rates of the legs' readings for a twist of the platform.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., 6)
-        Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s]; at singularities as `inverse_jacobian`.
+        Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s], of RRS legs [rad/s]; at singularities as `inverse_jacobian`.
     """
     value = _broadcast_argument(twist, "twist", "(v, ω) at o in {B} in m/s and rad/s", configuration)
     return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
@@ -134,8 +134,8 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     Returns
     -------
     ndarray, shape (..., 6)
-        Forces of the legs r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [N]; positive pushes, to extend the leg. Weights and
-        friction are left out. NaN for a member of a batch that does not exist or is singular as below.
+        What the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 exert [N], of RRS legs [N m]; positive increases the
+        reading: an RPS leg pushes. Weights and friction are left out. NaN for a member of a batch that does not exist or is singular as below.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     if suspect.any():
         # A state is as singular under any wrench.
         forces[np.broadcast_to(_without_hold(configuration), forces.shape[:-1])] = np.nan
-    return forces
+    return forces if configuration.geometry.legs.are_rps else forces * configuration.slopes
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
@@ -164,7 +164,21 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
         singular = suspect.astype(bool)
         singular[singular] = _are_singular(configuration, np.argwhere(suspect), kind)
         matrices[singular] = np.nan
+    if not configuration.geometry.legs.are_rps:
+        slopes = _slopes(configuration, kind)
+        matrices = matrices / slopes[..., None] if kind == "inverse" else matrices * slopes[..., None, :]
     return matrices
+
+
+def _slopes(configuration: Configuration, kind: str) -> FloatArray:
+    """Return κ of the legs (..., 6), NaN, or an error for a single state, where one is singular in rates."""
+    slopes = configuration.slopes
+    if kind != "inverse":
+        return slopes
+    singular = np.abs(slopes) <= SINGULAR * configuration.geometry.legs.largest_slopes
+    if singular.any() and not configuration.shape:
+        raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
+    return np.where(singular, np.nan, slopes)
 
 
 def _without_hold(configuration: Configuration) -> BoolArray:
@@ -267,7 +281,7 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     configuration : Configuration
         States of shape (...).
     legs : array_like, shape (..., 6) or ()
-        Stiffness of each actuator with its leg, along the leg [N/m], one number for all.
+        Stiffness of each actuator with its leg, by the reading: [N/m], of RRS legs [N m/rad]; one number for all.
     structure : array_like, shape (..., 6) or (), optional
         Stiffness of each leg and its joints along the axis of its revolute joint, at the ball joint [N/m]; rigid by
         default.
@@ -288,6 +302,8 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     along = _compliances(legs, "legs", configuration)
     across = np.zeros(6) if structure is None else _compliances(structure, "structure", configuration)
     inverses = stage_inverses(configuration)
+    if not configuration.geometry.legs.are_rps:
+        along = along * configuration.slopes**2
     halves = (x.reshape(*x.shape[:-1], 2, 3) for x in (along, across))
     shares = np.concatenate(np.broadcast_arrays(*halves), axis=-1)
     total = ((inverses * shares[..., None, :]) @ inverses.swapaxes(-1, -2)).sum(axis=-3)

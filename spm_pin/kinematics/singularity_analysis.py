@@ -8,6 +8,8 @@ in units of d, so that they are dimensionless and of order one:
 - K, the structure's forces of both stages. Where it is singular the middle platform can move while the terminal
   platform stands still, and a direction of motion of the latter is lost: an **inverse** singularity (type 1, serial).
 - Where the structure's three forces of one stage are dependent already, both happen: a **constraint** singularity.
+- Where the slope κ of a PRS or RRS leg is zero, rod across the slide or in line with the crank, the leg itself is
+  singular: its actuator moves nothing to first order, and holds any force along the rod.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ class SingularityKind(enum.IntFlag):
     INVERSE = 1
     FORWARD = 2
     CONSTRAINT = 4
+    LEG = 8
 
     def __str__(self) -> str:
         return " and ".join(str(kind.name).lower() for kind in SingularityKind if kind & self) or "regular"
@@ -173,6 +176,9 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
         | np.where(dependent, SingularityKind.CONSTRAINT, 0)
     )
     kind = np.where(short, SingularityKind.FORWARD, kind)
+    if not geometry.legs.are_rps:
+        slopes = np.abs(configuration.slopes) / geometry.legs.largest_slopes
+        kind = kind | np.where((slopes <= max(tolerance, SINGULAR)).any(axis=-1), SingularityKind.LEG, 0)
     held = (rank[..., :2] == 6).all(axis=-1)
     with np.errstate(divide="ignore"):
         condition = largest / smallest

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, GeometryError, raised_as
-from spm_pin.formulas import ball_motions, leg_constants, leg_planes, planar_legs
+from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.operations import bind, on_arrays, rows_of
 from spm_pin.mechanism.arguments import (
@@ -36,7 +36,7 @@ ORDERED = "minimum < maximum for every leg"
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
 
-_triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(ball_motions.squared_sides)
+_triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(circles.squared_sides)
 _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _plane_axes = bind(planar_legs.plane_axes, sqrt=math.sqrt)
 _UNIT = 1e-6
@@ -217,6 +217,11 @@ class Legs:
     def slopes(self, places: FloatArray, readings: FloatArray) -> FloatArray:
         """Return κ (..., 6), the speed of each ball away from its circle's centre per unit rate of the reading."""
         return self._of_stages("slopes", places, readings - self.offsets)
+
+    @property
+    def largest_slopes(self) -> FloatArray:
+        """The largest κ of each leg, (6,): 1, of RRS legs the crank's length [m]."""
+        return np.concatenate([np.broadcast_to(getattr(kind, "crank", 1.0), 3) for kind in self.kinds])
 
     def circles(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the centres (..., 6, 3), in {B} or {m}, and radii (..., 6) [m] of the circles that readings leave."""

@@ -23,7 +23,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.description.masses import Masses
 from spm_pin.description.tree import joint_values
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import ball_motions
+from spm_pin.formulas import circles
 from spm_pin.kinematics import (
     forward_physical,
     inverse_displacement,
@@ -290,7 +290,7 @@ def _formulas() -> list[ca.Function]:
 
     areas = []
     for b in (machine.balls[:3], machine.balls[3:]):
-        sides = in_casadi(ball_motions.squared_sides)([parts(x) for x in b])
+        sides = in_casadi(circles.squared_sides)([parts(x) for x in b])
         areas.append(ca.norm_2(ca.cross(b[1] - b[0], b[2] - b[0])) / ca.mmax(ca.vertcat(*sides)))
     made_functions.append(made("triangle_areas", [], ca.vertcat(*areas)))
     size, pairs = machine.base + machine.platform + machine.side, []

@@ -19,7 +19,7 @@ import numpy as np
 from spm_pin.description.masses import Masses
 from spm_pin.description.robot import read_robot
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import ball_motions, leg_constants, leg_planes, vectors, wrenches
+from spm_pin.formulas import ball_motions, circles, leg_constants, leg_planes, vectors, wrenches
 from spm_pin.formulas import branches as formulas
 from spm_pin.formulas import joint_values as values
 from spm_pin.mechanism import BRANCHES, Geometry
@@ -341,7 +341,7 @@ def _pose() -> tuple[Any, Any]:
 
 def _side_errors(machine: Machine, stage: int, balls: Sequence[Any]) -> list[Any]:
     """Return (|b_i - b_j|² - s²)/2s [m] of the sides s of three balls."""
-    squares = in_casadi(ball_motions.squared_sides)([parts(b) for b in balls])
+    squares = in_casadi(circles.squared_sides)([parts(b) for b in balls])
     return [(square - s * s) / (2.0 * s) for square, s in zip(squares, machine.sides(stage), strict=True)]
 
 

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import ball_motions, branches, leg_constants, leg_planes, stages, vectors, wrenches
+from spm_pin.formulas import ball_motions, branches, circles, leg_constants, leg_planes, stages, vectors, wrenches
 from spm_pin.formulas.operations import bind
 from spm_pin.mechanism import FAMILIES, Geometry
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
@@ -155,7 +155,7 @@ class Machine:
 
     def sides(self, stage: int) -> list[Any]:
         """Return the distances of the balls 12, 23, 31 of the lower stage, 0, or of the upper, 1."""
-        return [sqrt(x) for x in in_casadi(ball_motions.squared_sides)(stages_of(self.balls)[stage])]
+        return [sqrt(x) for x in in_casadi(circles.squared_sides)(stages_of(self.balls)[stage])]
 
     def ball_weights(self) -> Any:
         """Return the weights of `spm_pin.formulas.leg_planes.upper_balls`."""

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin import arrays
-from spm_pin.formulas import ball_motions, joint_values, leg_constants, vectors
+from spm_pin.formulas import ball_motions, circles, joint_values, leg_constants, vectors
 from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind
 
@@ -85,7 +85,7 @@ def exact_place(numbers: list[Any], start: spm.Configuration) -> list[Any]:
         own = tuple(tuple(leg[5:8]) for leg in legs[k : k + 3])
         stage = StageLegs(tuple(axes[k : k + 3]), tuple(tuple(leg[2:5]) for leg in legs[k : k + 3]))
         for _ in range(4):
-            squares = run(ball_motions.squared_sides, own)
+            squares = run(circles.squared_sides, own)
             step = run(ball_motions.stage_step, b, stage, tuple(lengths[k : k + 3]), squares)
             b = tuple(tuple(x - y for x, y in zip(p, v, strict=True)) for p, v in zip(b, step, strict=True))
         triangles = run(joint_values.triangle_axes, b), run(joint_values.triangle_axes, own)

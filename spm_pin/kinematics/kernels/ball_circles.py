@@ -90,7 +90,15 @@ def followed(start: Circles, end: Circles, first: Rows, shortest: float) -> tupl
 
 
 @jit
-def put_state(lower: Rows, upper: Rows, own: Rows, own_upper: Rows, rotation, position, joints) -> None:
+def put_state(
+    lower: Rows,
+    upper: Rows,
+    own: Rows,
+    own_upper: Rows,
+    rotation: FloatArray,
+    position: FloatArray,
+    joints: FloatArray,
+) -> None:
     """Write R (3, 3), o (3,) and the b_i (3, 3) of two stages whose triangles are `own` in the platform's frame."""
     middle, place = frame_of_triangle(triangle_axes(lower), triangle_axes(own), lower, own)
     middle_m, place_m = frame_of_triangle(triangle_axes(upper), triangle_axes(own_upper), upper, own_upper)
