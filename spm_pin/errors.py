@@ -135,9 +135,10 @@ class SingularConfigurationError(SpmError):
     ----------
     kind : str
         "inverse": the platform's twist does not determine the leg rates. "forward": the legs do not hold the
-        platform. "constraint": a stage's revolute joints alone let its platform go, which is both.
+        platform. "constraint": a stage's revolute joints alone let its platform go, which is both. "leg": a PRS or
+        RRS leg's actuator does not move its ball.
     sigma_min : float
-        Smallest singular value of the matrix concerned, scaled to be dimensionless.
+        Smallest singular value of the matrix concerned, scaled to be dimensionless; of a leg its slope κ.
     index : tuple of int
         Batch index of the first such member; empty for a single configuration.
     """
@@ -148,6 +149,7 @@ class SingularConfigurationError(SpmError):
             "inverse": "the twist of the platform does not determine the leg rates",
             "forward": "the legs do not hold the platform",
             "constraint": "the revolute joints of a stage do not constrain its platform",
+            "leg": "the actuator of a leg does not move its ball",
         }
         where = f" at batch index {index}" if index else ""
         super().__init__(f"{kind} singularity{where}: {meaning[kind]} (smallest singular value {sigma_min:.1e})")

@@ -235,7 +235,7 @@ def _follow(geometry: Geometry, near: tuple[FloatArray, ...], end: FloatArray) -
         here, there = start + part / parts * (end - start), start + (part + 1) / parts * (end - start)
         inputs = *state, *legs.circles(here), *legs.circles(end if part + 1 == parts else there)
         state = list(run_kernel(follow_states, inputs, (legs.axes, legs.balls), _STATE, _MIN_BATCH_PER_THREAD_FOLLOWED))
-    return tuple(state)
+    return _in_working_mode(geometry, tuple(state), end)
 
 
 def _physical(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
@@ -252,7 +252,17 @@ def _physical(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...
         other = _solve_drawn if has_quartics else _followed_from_home
         for array, values in zip(state, other(geometry, readings[absent]), strict=True):
             array[absent] = values
-    return tuple(state)
+    return _in_working_mode(geometry, tuple(state), readings)
+
+
+def _in_working_mode(geometry: Geometry, state: tuple[FloatArray, ...], readings: FloatArray) -> tuple[FloatArray, ...]:
+    """Return states R, o, b_i (N, ...) with readings (N, 6), NaN where a leg is in another working mode."""
+    if not geometry.legs.are_rps:
+        slopes = geometry.legs.slopes(Configuration.from_arrays(geometry, *state).places, readings)
+        wrong = ~(slopes * geometry.legs.slope_signs > 0.0).all(axis=-1)
+        for array in state:
+            array[wrong] = np.nan
+    return state
 
 
 def _followed_from_home(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from spm_pin.mechanism.arguments import FloatArray, as_bool
 from spm_pin.mechanism.branch_of_state import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.pose import PoseLike
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
@@ -103,11 +105,27 @@ def inverse_displacement(
         *with_batch_shape((joints, lengths), shape),
     )
     branches = SolutionSet(states, BRANCHES, status.reshape(shape), memory=solved, **details)
+    if not geometry.legs.are_rps:
+        branches = _within_reach(branches)
     if not certified:
         return branches
     from spm_pin.kinematics.certified_branches import certify_branches
 
     return certify_branches(branches)
+
+
+def _within_reach(branches: SolutionSet) -> SolutionSet:
+    """Return the branches whose balls all legs reach."""
+    reached = np.isfinite(branches.readings)
+    left = branches.where(reached.all(axis=-1))
+    lost = np.asarray(branches.exists.any(axis=-1) & ~left.exists.any(axis=-1))
+    if not branches.shape and lost:
+        rows = zip(BRANCHES, branches.exists, ~reached, strict=True)
+        beyond = (f"{label} {', '.join(np.array(LEGS)[legs])}" for label, exists, legs in rows if exists and legs.any())
+        left.configurations.missing_reason = f"balls are out of reach of their legs: {'; '.join(beyond)}"
+    # Which branches are physical depends on rods, and the kernels look at the lines from the pivots.
+    status = np.where(lost, Status.UNREACHABLE, branches.status)
+    return replace(left, status=status, physical_hint=None)
 
 
 def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> tuple[npt.NDArray[Any], ...]:
@@ -181,7 +199,7 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     >>> spm.inverse_physical(geometry, pose).leg_lengths.round(3)
     array([1.2 , 1.2 , 1.4 , 1.25, 1.2 , 1.5 ])
     """
-    if near is not None:
+    if near is not None or not geometry.legs.are_rps:
         return inverse_displacement(geometry, pose).physical(near)
     shape, rotation, position = read_pose(geometry, pose)
     limits, offsets = geometry.limits, geometry.legs.offsets

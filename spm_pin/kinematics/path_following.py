@@ -52,6 +52,8 @@ _MOST_UNCLEAR = 100
 """Number of successive shortest steps after which two solutions are taken to coincide."""
 _ROUNDING = 1e-12
 """Share of d by which rounding may move the length of a leg."""
+_AT_END = 1e-4
+"""Share of its largest value below which κ of a leg shows that a path ends at the edge of the leg's reach."""
 _MOST_EVENTS = 4
 """Events that the text of a path shows."""
 
@@ -325,9 +327,14 @@ class Tracker:
         reason = "which coincides with another solution"
         if self._unclear < _MOST_UNCLEAR:
             # Given leg lengths end at a forward singularity of a stage, given poses at an inverse one.
-            lower, upper, _ = np.abs(determinants(self.states[-1]))
+            state = self.states[-1]
+            lower, upper, _ = np.abs(determinants(state)) / state.geometry.middle_side**3
             stage = "lower" if lower < upper else "upper"
             reason = f"at a singularity: {f'forward, {stage} stage' if self.has_legs else 'inverse'}"
+            legs = state.geometry.legs
+            slopes = np.abs(state.slopes) / legs.largest_slopes
+            if not legs.are_rps and slopes.min() < (min(lower, upper) if self.has_legs else _AT_END):
+                reason = f"at a singularity: of {LEGS[int(slopes.argmin())]}, whose actuator no longer moves its ball"
         self.events.append(Event(EventKind.END, parameter, f"{self.labels[-1]}, {reason}"))
 
     def state(self, parameter: float) -> Configuration:
@@ -386,7 +393,8 @@ def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Ev
     bound, values = ("minimum", geometry.limits.minimum) if which < 9 else ("maximum", geometry.limits.maximum)
     leg = (which - 3) % 6
     verb = "comes back within" if after > 0.0 else "goes beyond"
-    return Event(EventKind.LIMIT, parameter, f"{LEGS[leg]} {verb} its {bound}, {values[leg]:g} m")
+    unit = geometry.legs.units[leg]
+    return Event(EventKind.LIMIT, parameter, f"{LEGS[leg]} {verb} its {bound}, {values[leg]:g} {unit}")
 
 
 def _dip(

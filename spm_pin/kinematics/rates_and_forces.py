@@ -135,7 +135,8 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     -------
     ndarray, shape (..., 6)
         What the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 exert [N], of RRS legs [N m]; positive increases the
-        reading: an RPS leg pushes. Weights and friction are left out. NaN for a member of a batch that does not exist or is singular as below.
+        reading: an RPS leg pushes. Weights and friction are left out. NaN for a member of a batch that does not exist
+        or is singular as below.
 
     Raises
     ------

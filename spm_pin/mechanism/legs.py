@@ -218,6 +218,11 @@ class Legs:
         """Return κ (..., 6), the speed of each ball away from its circle's centre per unit rate of the reading."""
         return self._of_stages("slopes", places, readings - self.offsets)
 
+    @functools.cached_property
+    def slope_signs(self) -> FloatArray:
+        """Signs of κ in the working modes of the legs, (6,)."""
+        return frozen(np.concatenate([-np.broadcast_to(getattr(kind, "sign", -1.0), 3) for kind in self.kinds]))
+
     @property
     def largest_slopes(self) -> FloatArray:
         """The largest κ of each leg, (6,): 1, of RRS legs the crank's length [m]."""
