@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import LARGEST_RATIO, flat_batch, radii, run_kernel, with_batch_shape
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, broadcastable, check_instance, first_offender, real_array
-from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine, unit_hint
 from spm_pin.mechanism.joint_angles import home_lengths
@@ -81,10 +80,9 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     from spm_pin.kinematics.kernels.mode_kernels import all_modes
 
     checked = _read_lengths(geometry, readings)
-    if not geometry.is_nominal:
-        cause = "The physical mode alone is found (forward_physical), or all of its drawing (geometry.nominal)"
-        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
+    if not geometry.is_nominal:
+        return _modes_as_built(geometry, checked)
     results = (*((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((4,), np.int8), ((), np.int8))
     solved = run_kernel(all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD)
     _solve_ill_conditioned(geometry, lengths, solved)
@@ -99,6 +97,23 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
         np.where(largest > 0, Status.DEGENERATE, status),
         degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
     )
+
+
+def _modes_as_built(geometry: Geometry, checked: FloatArray) -> SolutionSet:
+    """Return the modes of a machine as built with leg lengths (..., 6)."""
+    from spm_pin.kinematics.kernels.circle_modes import all_modes_as_built
+
+    shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
+    drawn = geometry.nominal.legs
+    results = *((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((n,), np.bool_), ((), np.int8)
+    constants = geometry.legs.axes, geometry.legs.balls, np.stack([drawn.axes, drawn.pivots, drawn.balls])
+    constants = *constants, *radii(geometry)
+    solved = run_kernel(all_modes_as_built, _circles(geometry, lengths), constants, results, _MIN_BATCH_PER_THREAD)
+    *state, merged, status = with_batch_shape(solved, shape)
+    modes = Configuration.from_arrays(geometry, *state)
+    if not shape and status == Status.UNREACHABLE:
+        modes.missing_reason = unit_hint(geometry, checked)
+    return SolutionSet(modes, ASSEMBLY_MODES, status, merged=merged)
 
 
 def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
@@ -234,22 +249,18 @@ def _physical(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]
     )
     absent = np.flatnonzero(aspect != HOME if geometry.is_nominal else aspect == ELSEWHERE)
     if len(absent):
-        other = _solve_drawn if geometry.is_nominal else _followed_from_home
-        for array, values in zip(state, other(geometry, lengths[absent]), strict=True):
+        others = (_solve_drawn if geometry.is_nominal else _search)(geometry, lengths[absent])
+        for array, values in zip(state, others, strict=True):
             array[absent] = values
     return tuple(state)
 
 
-def _followed_from_home(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the physical states to which those with equal legs are followed."""
-    offsets = np.array([geometry.base_radius, geometry.platform_radius]) - geometry.middle_radius
-    # Legs at least so long that the level stage is well away from flat.
-    equal = np.maximum(lengths.reshape(-1, 2, 3).mean(axis=-1), np.hypot(1.0, 0.5) * np.abs(offsets)).repeat(3, axis=-1)
-    found = _follow(geometry, (*_physical(geometry, equal), equal), lengths)
-    wrong = ~physical(Configuration.from_arrays(geometry, *found))
-    for array in found:
-        array[wrong] = np.nan
-    return found
+def _search(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
+    """Return R, o and the b_i (N, ...) of the physical states of a machine as built, sought among all modes."""
+    from spm_pin.kinematics.kernels.circle_modes import searched_states
+
+    constants = geometry.legs.axes, geometry.legs.balls
+    return run_kernel(searched_states, _circles(geometry, lengths), constants, _STATE, _MIN_BATCH_PER_THREAD)
 
 
 def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
