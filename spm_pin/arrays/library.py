@@ -18,6 +18,7 @@ from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind, mapped, vector_of
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import check_shapes, type_and_value
+from spm_pin.mechanism.geometry import check_rps
 
 try:
     import array_api_compat as compat
@@ -177,6 +178,7 @@ def _completed(library: Library, radii: Any, r: Any, legs: Any, *further: Any) -
 
 @functools.lru_cache(maxsize=32)
 def _machine_of(geometry: Geometry) -> Machine:
+    check_rps(geometry, "arrays")
     *vectors, offsets = (x.tolist() for x in geometry.legs.arrays)
     legs, limits = (*(tuple(map(tuple, x)) for x in vectors), tuple(offsets)), geometry.limits
     bounds = _UNLIMITED if limits is None else (tuple(limits.minimum), tuple(limits.maximum))

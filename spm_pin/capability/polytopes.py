@@ -41,6 +41,7 @@ from spm_pin.mechanism.arguments import (
     symmetric_matrices,
 )
 from spm_pin.mechanism.configuration import check_configuration
+from spm_pin.mechanism.geometry import check_rps
 
 _PARTS = {"linear": slice(3), "angular": slice(3, 6)}
 _CORNERS = (np.arange(64)[:, None] >> np.arange(6)) & 1 == 1
@@ -371,6 +372,7 @@ def joint_reactions(configuration: Configuration) -> JointReactions:
         At a forward or a constraint singularity, where the legs do not hold the platform.
     """
     check_configuration(configuration)
+    check_rps(configuration.geometry, "reactions of joints")
     rows = -stage_inverses(configuration).mT
     shape = rows.shape[:-3]
     along, axial = (rows[..., k, :].reshape(*shape, 6, 6) for k in (slice(3), slice(3, 6)))

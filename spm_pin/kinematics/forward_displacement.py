@@ -111,9 +111,9 @@ def _modes_of_circles(geometry: Geometry, checked: FloatArray) -> SolutionSet:
     shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     drawn, legs = geometry.nominal.legs, geometry.legs
     results = *((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((n,), np.bool_), ((), np.int8)
-    constants = legs.axes, legs.balls, np.stack([drawn.axes, drawn.pivots, drawn.balls]), *radii(geometry)
-    inputs, constants = legs.circles(readings), (*constants, legs.are_rps)
-    solved = run_kernel(all_modes_as_built, inputs, constants, results, _MIN_BATCH_PER_THREAD)
+    before = np.stack([drawn.axes, drawn.pivots, drawn.balls])
+    constants = legs.axes, legs.balls, before, *radii(geometry), legs.are_rps
+    solved = run_kernel(all_modes_as_built, legs.circles(readings), constants, results, _MIN_BATCH_PER_THREAD)
     if not legs.are_rps:
         _in_working_mode(geometry, solved[:3], np.broadcast_to(readings[:, None], (len(readings), n, 6)))
         solved[4][(solved[4] == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE

@@ -363,6 +363,14 @@ def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, ow
             raise GeometryError(argument, f"the {name} of {owner}", difference, cause)
 
 
+def check_rps(geometry: Geometry, what: str) -> None:
+    """Raise a `GeometryError` unless all legs are RPS, which `what` is known for alone."""
+    if not geometry.legs.are_rps:
+        lower, upper = (kind.name for kind in geometry.legs.kinds)
+        cause = "Known for PRS and RRS legs are displacements, rates, forces, stiffness, singularities and paths"
+        raise GeometryError("geometry", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)
+
+
 def machine_size(geometry: Geometry) -> float:
     """Return E + C + 2 d [m], about the height of a machine."""
     return geometry.base_radius + geometry.platform_radius + 2.0 * geometry.middle_side

@@ -41,6 +41,8 @@ _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _plane_axes = bind(planar_legs.plane_axes, sqrt=math.sqrt)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
+_STEP = 1e-100
+"""Imaginary step of a derivative."""
 _FLAT = 1e-6
 """Smallest height of the triangle of three balls, in units of its longest side."""
 
@@ -218,6 +220,11 @@ class Legs:
         """Return κ (..., 6), the speed of each ball away from its circle's centre per unit rate of the reading."""
         return self._of_stages("slopes", places, readings - self.offsets)
 
+    def centre_rates(self, readings: FloatArray) -> FloatArray:
+        """Return the derivatives of the circles' centres by readings (..., 6) in the legs' planes, (..., 6, 2)."""
+        stages = self._by_stage("circles", readings - self.offsets + 1j * _STEP)
+        return np.concatenate([centres.imag / _STEP for centres, _ in stages], axis=-2)
+
     @functools.cached_property
     def slope_signs(self) -> FloatArray:
         """Signs of κ in the working modes of the legs, (6,)."""
@@ -238,7 +245,7 @@ class Legs:
         outward, forward = self.planes
         return self.pivots + x * outward + z * forward, np.concatenate([below, above], axis=-1)
 
-    def _by_stage(self, name: str, *arguments: FloatArray) -> list[Any]:
+    def _by_stage(self, name: str, *arguments: Any) -> list[Any]:
         """Return what a method of both kinds makes of arrays whose axis of length six counts the legs."""
         stages = slice(0, 3), slice(3, 6)
         return [

@@ -21,7 +21,7 @@ from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, leg_values, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import Geometry, check_rps
 from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.stage_proof import (
     DEEPEST,
@@ -206,6 +206,7 @@ def certify(
         It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
     nominal = check_instance(geometry, Geometry, "geometry").nominal
+    check_rps(geometry, "certificates")
     limits = nominal.limits if limits is None else check_instance(limits, LegLimits, "limits")
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
@@ -267,6 +268,7 @@ def largest_certified_limits(
         It holds; its `limits` are the answer.
     """
     check_instance(geometry, Geometry, "geometry")
+    check_rps(geometry, "certificates")
     real_number(tolerance, "tolerance", "a relative width between 1e-6 and 1", least=1e-6, below=1.0)
     if centre is None:
         if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():

@@ -29,7 +29,7 @@ from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import Geometry, check_rps
 from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
 from spm_pin.proofs.stage_proof import Int64Array, StageProof, StageRegion, columns
@@ -108,6 +108,7 @@ def certify_inverse(
         With a witness for limits in which det K changes its sign, as between 1.1 and 1.5 m of the paper's machine.
     """
     check_instance(geometry, Geometry, "geometry")
+    check_rps(geometry, "certificates of poses")
     if not geometry.is_nominal:
         cause = "Its drawing is one: geometry.nominal, or the file without its legs"
         raise GeometryError("geometry", "a drawn machine", "a machine as built", cause)

@@ -37,7 +37,7 @@ from spm_pin.mechanism import BRANCHES, FAMILIES, Configuration, Geometry, LegLi
 from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
 from spm_pin.mechanism.joint_angles import JOINTS
 from spm_pin.symbolic import functions
-from spm_pin.symbolic.machine import FIELDS, Drawn, Machine, State, all_of, in_casadi, parts
+from spm_pin.symbolic.machine import FIELDS, Drawn, Machine, State, all_of, in_casadi, parts, rows
 
 STATUSES = {
     "OK": (0, "the result is whole and finite"),
@@ -271,8 +271,8 @@ def _formulas() -> list[ca.Function]:
     seen = ca.vertcat(*state.own_balls()[1])
     made_functions.append(made("own_places", [joints, *pose], state.in_planes(), seen, gap))
     made_functions.append(made("describe", [joints, *pose], state.readings, *state.is_physical()))
-    rows = [state.force_rows(x) for x in (state.directions, state.axes)]
-    made_functions.append(made("force_rows", [joints, *pose], *rows))
+    forces = [state.force_rows(x) for x in (state.directions, state.axes)]
+    made_functions.append(made("force_rows", [joints, *pose], *forces))
 
     starts = ca.vertcat(*functions.drawn_starts(machine, drawn)[:2])
     made_functions.append(made("drawn_branches", pose, starts, drawn.is_continuous("TT")))
@@ -330,9 +330,9 @@ def _stage_formulas() -> list[ca.Function]:
     return [ca.Function(name, inputs, [_column(x) for x in outputs]) for name, inputs, *outputs in table]
 
 
-def _rows(numbers: Any) -> list[Any]:
+def _rows(numbers: Any) -> Any:
     """Return three vectors as formulas take them, of nine numbers."""
-    return [parts(numbers[k : k + 3]) for k in (0, 3, 6)]
+    return rows([numbers[k : k + 3] for k in (0, 3, 6)])
 
 
 def _column(numbers: Any) -> Any:
@@ -413,8 +413,8 @@ def _known_answers(geometry: Geometry) -> dict[str, str]:
     answers = []
     for f in STATE_FUNCTIONS:
         answers += [f"static const double {f.name}_{x}[{len(n)}] = {{{_row(n)}}};" for x, n in f.arguments.items()]
-        rows = padded(f.count, f.answer, *f.arguments.values())
-        answers.append(f"static const double {f.name}_answers[CASES][{f.count}] = {{\n{rows}\n}};")
+        known = padded(f.count, f.answer, *f.arguments.values())
+        answers.append(f"static const double {f.name}_answers[CASES][{f.count}] = {{\n{known}\n}};")
     return {
         "CASES": str(len(pose)),
         "HEIGHT": repr(rise),

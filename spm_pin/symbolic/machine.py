@@ -17,6 +17,7 @@ from spm_pin.formulas import ball_motions, branches, circles, leg_constants, leg
 from spm_pin.formulas.operations import bind
 from spm_pin.mechanism import FAMILIES, Geometry
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.mechanism.legs import AXES, RADIAL
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 
@@ -48,6 +49,11 @@ def parts(vector: Any) -> tuple[Any, Any, Any]:
 def columns(rows: Sequence[Any]) -> list[Any]:
     """Return the vectors of a formula as columns (3,)."""
     return [ca.vertcat(*row) for row in rows]
+
+
+def rows(vectors: Sequence[Any]) -> Any:
+    """Return three vectors as formulas take them."""
+    return tuple(map(parts, vectors))
 
 
 def stages_of(vectors: Sequence[Any]) -> tuple[list[Any], list[Any]]:
@@ -103,6 +109,7 @@ class Machine:
         if not isinstance(geometry, Geometry | None):
             raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))
         machine = Geometry.paper() if geometry is None else geometry
+        check_rps(machine, "functions of CasADi and C")
         if machine.limits is not None:
             self.minimum, self.maximum = ca.SX(machine.limits.minimum), ca.SX(machine.limits.maximum)
         self._draw(*machine.nominal.dimensions)
@@ -173,7 +180,8 @@ class Machine:
         legs = slice(3 * stage, 3 * stage + 3)
         radii = (readings - self.offsets)[legs]
         squares = in_casadi(circles.squared_sides)(stages_of(self.balls)[stage])
-        return circles.Circles(*(list(map(parts, x[legs])) for x in (self.axes, self.pivots)), parts(radii), squares)
+        axes, centres = rows(self.axes[legs]), rows(self.pivots[legs])
+        return circles.Circles(axes, centres, parts(radii), squares)
 
     def angles(self, stage: int, e: Sequence[Any]) -> Any:
         """Return the angles (3,) of directions in the planes of a stage's legs, from their axes y towards z."""

@@ -431,9 +431,9 @@ def all_modes_as_built(
     """Find all assembly modes of N problems, under the labels of the drawn machine's.
 
     The circles are as for `ball_circles.physical_states`; `drawn` (3, 6, 3) are axes, pivots and balls [m] of the drawn
-    machine, with the circumradii of its middle, base and terminal platforms [m]; only of RPS legs it `has_drawn_modes`. Written are R (N, 256, 3, 3), o
-    (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode is not real; which labels are `merged` (N, 256);
-    and as `status` (N,) 0, 1 or 3 of `Status`.
+    machine, with the circumradii of its middle, base and terminal platforms [m]; only of RPS legs it
+    `has_drawn_modes`. Written are R (N, 256, 3, 3), o (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode
+    is not real; which labels are `merged` (N, 256); and as `status` (N,) 0, 1 or 3 of `Status`.
     """
     found, scratch, modes = allocate_elimination(), allocate_stage_scratch(), np.empty((MODES, 5))
     roots, labelled, merged_halves = np.empty((MODES, 3, 3)), np.empty((2, MODES, 3, 3)), np.empty((2, MODES), np.bool_)
