@@ -50,7 +50,9 @@ PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 _SAME = 1e-9
 """Machines that differ by less, relative to the middle side, are the same."""
 _PROPORTION = 10.0
-"""Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
+"""Lengths this many times the machine's size are read as a wrong unit."""
+_LARGEST_MACHINE = 100.0
+"""A machine more times as large as its legs are long is read as one in a wrong unit."""
 
 _DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
 _LEG_KEYS = {
@@ -111,6 +113,19 @@ class Geometry:
         # Drawn legs follow the dimensions when these are replaced.
         if legs is None or legs.is_drawn or legs == drawn:
             object.__setattr__(self, "legs", drawn)
+        if self.limits is not None:
+            self._check_proportion(self.limits)
+
+    def _check_proportion(self, limits: LegLimits) -> None:
+        """Raise `GeometryError` if limits and dimensions are in different units."""
+        ends, size = np.array([limits.minimum, limits.maximum]) - self.legs.offsets, machine_size(self)
+        longest = float(ends.max(initial=0.0, where=np.isfinite(ends)))
+        cause = unit_hint(self, longest)
+        if 0.0 < longest < size / _LARGEST_MACHINE:
+            cause = f"Lengths are in metres: is the middle side {self.middle_side:g} mm or cm?"
+        if cause:
+            expected = f"limits in proportion to a machine about {size:.3g} m high, or infinity for none"
+            raise GeometryError("limits", expected, f"lengths of up to {longest:g} m", cause)
 
     def __repr__(self) -> str:
         limits = "" if self.limits is None else f", limits={self.limits!r}"
@@ -339,9 +354,11 @@ def _read(path: str | Path) -> Geometry:
             raise GeometryError(str(path), expected, " and ".join(keys) or "neither")
         radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
     limits = _limits(data["leg_limits"], f"leg_limits in {path}") if "leg_limits" in data else None
-    geometry = Geometry(radii[0], radii[1], lengths["middle_side"], limits)
+    geometry = Geometry(radii[0], radii[1], lengths["middle_side"])
     if "legs" in data:
         geometry = replace(geometry, legs=_legs(data["legs"], f"legs in {path}"))
+    with raised_as(GeometryError, str(path)):
+        geometry = replace(geometry, limits=limits)
     longest = max(lengths, key=lambda key: lengths[key])
     if lengths[longest] > _IMPLAUSIBLE:
         text = f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres"
