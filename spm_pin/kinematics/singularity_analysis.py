@@ -144,7 +144,7 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     ------
     SingularConfigurationError
         Where a leg of a single state has no length, hence no direction. In a batch such a member is NaN, of rank 0 and
-        of the kind FORWARD.
+        of the kind FORWARD. A state that does not exist, single or in a batch, is NaN, of rank 0 and REGULAR.
 
     Notes
     -----

@@ -255,7 +255,7 @@ def _finished(
     if certificate is not None and isinstance(path, LegPath):
         # Lengths within a certificate have one configuration, the physical one.
         lengths = path(np.linspace(0.0, 1.0, len(states))).lengths
-        certified = certificate.holds and bool(certificate.admits(lengths).all())
+        certified = certificate.holds and bool(certificate.limits.contains(lengths).all())
     elif certificate is not None:
         certified = bool(certificate.covers(states).all())
     least = float(_least_determinant(states).min())

@@ -424,9 +424,11 @@ def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
 def _preference(machine: Machine, state: State) -> tuple[Any, Any]:
     """Return 0 where a state is not physical, 1 where it is, 2 where within leg limits too; and how straight it is."""
     is_physical, tilts = state.is_physical()
-    limits = zip(*map(ca.vertsplit, (state.readings, machine.minimum, machine.maximum)), strict=True)
-    inside = all_of([ca.logic_and(q >= low, q <= high) for q, low, high in limits])
-    return is_physical * (1.0 + inside), tilts
+    inside = []
+    for reading, *limits in zip(*map(ca.vertsplit, (state.readings, machine.minimum, machine.maximum)), strict=True):
+        low, high = in_casadi(leg_constants.admitted_readings)(*limits)
+        inside.append(ca.logic_and(reading >= low, reading <= high))
+    return is_physical * (1.0 + all_of(inside)), tilts
 
 
 def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Function:

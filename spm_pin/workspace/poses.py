@@ -348,7 +348,7 @@ def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> N
     if check_instance(near, Configuration, "near").shape or not near.exists:
         raise ArgumentError("near", "a single Configuration that exists", repr(near))
     check_same_machine(near.geometry, geometry, "near", "`geometry`")
-    if not limits.margin(near.readings) >= -1e-9 * geometry.middle_side:
+    if not limits.contains(near.readings):
         raise ArgumentError("near", "a configuration within the leg limits", repr(near))
 
 

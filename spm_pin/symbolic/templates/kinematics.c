@@ -35,6 +35,7 @@ static double casadi_fmin(double x, double y)
 #define ROUNDED 1e-6            /* largest error of R^T R, and of a state to begin from in units of d */
 #define FARTHEST 1e5            /* largest length in units of E + C + d */
 #define SINGULAR_RATIO @SINGULAR@
+#define LIMIT_ROUNDING @LIMIT_ROUNDING@ /* how far a reading may be beyond a limit, over its larger finite limit */
 #define LEGS(g) (g)->dimensions, (g)->axes, (g)->pivots, (g)->balls, (g)->offsets, (g)->minimum, (g)->maximum
 
 const @PREFIX@geometry @PREFIX@machine = {
@@ -486,7 +487,9 @@ static int complete(const @PREFIX@geometry *g, @PREFIX@state *s, double *tilts)
     int i, rank = 2;
     describe(in, out);
     for (i = 0; i < 6; ++i) {
-        rank = s->readings[i] >= g->minimum[i] && s->readings[i] <= g->maximum[i] ? rank : 1;
+        const double low = g->minimum[i], high = g->maximum[i];
+        const double rounding = LIMIT_ROUNDING * (high < INFINITY ? casadi_fmax(high, -low) : low);
+        rank = s->readings[i] >= low - rounding && s->readings[i] <= high + rounding ? rank : 1;
     }
     return is_physical > 0.0 ? rank : 0;
 }
