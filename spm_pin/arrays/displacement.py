@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 from spm_pin.arrays.library import Array, Library, Machine, library_of, quietly, read_machine, state_arrays
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import ball_motions, branches, joint_values, leg_constants, leg_planes, vectors
+from spm_pin.formulas import ball_motions, branches, circles, joint_values, leg_constants, leg_planes, vectors, wrenches
 from spm_pin.formulas.ball_motions import BallMotions
+from spm_pin.formulas.circles import Circles
 from spm_pin.formulas.leg_constants import AXES, UP, drawn_triangle
 from spm_pin.formulas.operations import bind, mapped, rows_of, vector_of
 from spm_pin.mechanism import Geometry
@@ -155,32 +156,34 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     zero = library.zeros(*lengths, machine.r, *([] if near is None else [near.translation[..., 0]]))
     halves = tuple(lengths[:3]), tuple(lengths[3:])
     # Both stages are solved together, each seen from its own platform.
-    both = library.together(list(zip(machine.legs, halves, machine.squares, strict=True)), zero)
-    legs, lengths, _ = fixed = library.constant(both)
-    r = library.constant(machine.r)
+    stages = [
+        Circles(*legs, half, squares) for legs, half, squares in zip(machine.legs, halves, machine.squares, strict=True)
+    ]
     if near is None:
-        stages = zip(halves, machine.radii, (1.0, -1.0), strict=True)
-        starts = [run(ball_motions.level_balls, half, radius, machine.r, up) for half, radius, up in stages]
+        starts = [run(circles.level_balls, *x) for x in zip(stages, machine.balls, (1.0, -1.0), strict=True)]
     else:
         b, pose = rows_of(near.middle_joints), (rows_of(near.rotation), vector_of(near.translation))
         starts = [b, run(ball_motions.points_from_platform, machine.upper_balls(library, b), *pose)]
-    start = library.constant(library.together(starts, zero))
+    both = library.together(stages, zero)
+    stage, r = library.constant(both), library.constant(machine.r)
+    start = run(circles.directions_to, stage, library.constant(library.together(starts, zero)))
 
-    def step(b: Any) -> Any:
-        return run(ball_motions.moved_balls, b, run(ball_motions.stage_step, b, *fixed), _LONGEST_STEP * r)
+    def step(e: Any) -> Any:
+        return run(circles.turned_back, stage, e, run(circles.limited, run(circles.newton_step, stage, e)))
 
-    b = library.repeated(step, start, _NEWTON_STEPS)
-    error = run(ball_motions.largest_error, run(ball_motions.stage_errors, b, *fixed), r)
+    e = library.repeated(step, start, _NEWTON_STEPS)
+    b, lengths = run(circles.balls_at, stage, e), stage.radii
+    error = run(vectors.largest, run(circles.errors, stage, b)) / r
     exists = error <= _CLOSED * library.eps * (r + run(vectors.largest, lengths))
     exists = exists & (run(vectors.least, lengths) > 0.0)
     if near is not None:
-        sides = [run(ball_motions.stage_side, x, legs) for x in (b, start)]
+        before = run(circles.balls_at, stage, start)
+        sides = [run(wrenches.determinant, *x, stage.axes) for x in ((b, e), (before, start))]
         exists = exists & (sides[0] * sides[1] > 0.0)
-    f, _ = run(ball_motions.leg_vectors, b, legs.pivots)
-    motions = run(ball_motions.ball_motions, b, f, legs.axes)
+    motions = run(ball_motions.ball_motions, b, e, stage.axes)
 
     def correction(b: Any, motions: BallMotions) -> Any:
-        return run(ball_motions.velocities, motions, run(ball_motions.stage_errors, b, *both))
+        return run(ball_motions.velocities, motions, run(ball_motions.stage_errors, b, both))
 
     b = _with_derivatives(library, b, exists, motions, correction)
     # The middle platform seen from {B} and from {m}.

@@ -14,10 +14,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from spm_pin.formulas.circles import squared_sides
+from spm_pin.formulas.circles import Circles, squared_sides
 from spm_pin.formulas.leg_constants import drawn_triangle
 from spm_pin.formulas.leg_planes import StageLegs, upper_balls
-from spm_pin.formulas.operations import sqrt
 from spm_pin.formulas.stages import inverse, pair_inverse
 from spm_pin.formulas.vectors import (
     Rows,
@@ -41,7 +40,7 @@ from spm_pin.formulas.vectors import (
     turned,
     weighted,
 )
-from spm_pin.formulas.wrenches import arms, determinant, mean, pairs, structure_determinant
+from spm_pin.formulas.wrenches import arms, mean, pairs, structure_determinant
 
 NONE = (0.0, 0.0, 0.0)
 
@@ -74,11 +73,11 @@ def plane_errors(b: Rows, legs: StageLegs) -> Vector:
     return dots(legs.axes, differences(b, legs.pivots))
 
 
-def stage_errors(b: Rows, legs: StageLegs, lengths: Vector, squares: Vector) -> Errors:
-    """Return the errors of a stage whose legs have these lengths; `squares` are the squared sides of its triangle."""
-    _, distances = leg_vectors(b, legs.pivots)
-    apart = scaled(0.5, minus(squared_sides(b), squares))
-    return Errors(minus(distances, lengths), plane_errors(b, legs), apart)
+def stage_errors(b: Rows, stage: Circles) -> Errors:
+    """Return the errors of a stage whose balls are to be on circles."""
+    _, distances = leg_vectors(b, stage.centres)
+    planes = dots(stage.axes, differences(b, stage.centres))
+    return Errors(minus(distances, stage.radii), planes, scaled(0.5, minus(squared_sides(b), stage.squares)))
 
 
 def structure_errors(b: Rows, c: Rows, lower: StageLegs, upper: StageLegs, squares: Vector) -> Errors:
@@ -129,21 +128,10 @@ def structure_velocities(motions: BallMotions, rates: Errors, a_m: Rows, weights
     return combinations(combinations(combinations(first, (q0, q0, q0), x), (q1, q1, q1), y), (q2, q2, q2), z)
 
 
-def stage_step(b: Rows, legs: StageLegs, lengths: Vector, squares: Vector) -> Rows:
-    """Return Newton's step, taken off the balls, for leg lengths, see `stage_errors`."""
-    f, _ = leg_vectors(b, legs.pivots)
-    return velocities(ball_motions(b, f, legs.axes), stage_errors(b, legs, lengths, squares))
-
-
 def structure_step(b: Rows, lower: StageLegs, upper: StageLegs, weights: Rows, squares: Vector) -> Rows:
     """Return Newton's step, taken off the balls, for a pose, see `structure_errors`."""
     errors = structure_errors(b, upper_balls(b, weights), lower, upper, squares)
     return structure_velocities(ball_motions(b, upper.axes, lower.axes), errors, upper.axes, weights)
-
-
-def stage_side(b: Rows, legs: StageLegs) -> float:
-    """Return a number with the sign of the determinant of a stage's six forces."""
-    return determinant(b, leg_vectors(b, legs.pivots)[0], legs.axes)
 
 
 def structure_side(b: Rows, c: Rows, lower: StageLegs, upper: StageLegs) -> float:
@@ -156,13 +144,6 @@ def moved_balls(b: Rows, v: Rows, longest: float) -> Rows:
     """Return the balls after a step back along v, in which none moves farther than about `longest`."""
     factor = -1.0 / larger(1.0, larger(larger(largest(v[0]), largest(v[1])), largest(v[2])) / longest)
     return combinations(b, (factor, factor, factor), v)
-
-
-def level_balls(lengths: Vector, radius: float, r: float, up: float) -> Rows:
-    """Return the balls of the drawn stage with the mean of three lengths where it stands level."""
-    length, offset = (lengths[0] + lengths[1] + lengths[2]) / 3.0, r - radius
-    height = up * sqrt(larger(length * length - offset * offset, 0.03 * r * r))
-    return shifted(drawn_triangle(r), (0.0, 0.0, height))
 
 
 def placeholder_state(r: float) -> tuple[Rows, tuple[Rows, Vector]]:

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.batches import LARGEST_RATIO, flat_batch, radii, run_kernel, with_batch_shape
+from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, broadcastable, check_instance, first_offender, real_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, check_same_machine, unit_hint
+from spm_pin.mechanism.geometry import LARGEST_RATIO, Geometry, check_same_machine, unit_hint
 from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import LEGS

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin import arrays
 from spm_pin.formulas import ball_motions, circles, joint_values, leg_constants, vectors
-from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind
 
 pytestmark = pytest.mark.usefixtures("double_precision")
@@ -83,11 +82,13 @@ def exact_place(numbers: list[Any], start: spm.Configuration) -> list[Any]:
     for k, b in zip((0, 3), starts, strict=True):
         b = tuple(tuple(mpmath.mpf(x) for x in row) for row in b.tolist())
         own = tuple(tuple(leg[5:8]) for leg in legs[k : k + 3])
-        stage = StageLegs(tuple(axes[k : k + 3]), tuple(tuple(leg[2:5]) for leg in legs[k : k + 3]))
-        for _ in range(4):
-            squares = run(circles.squared_sides, own)
-            step = run(ball_motions.stage_step, b, stage, tuple(lengths[k : k + 3]), squares)
-            b = tuple(tuple(x - y for x, y in zip(p, v, strict=True)) for p, v in zip(b, step, strict=True))
+        pivots = tuple(tuple(leg[2:5]) for leg in legs[k : k + 3])
+        squares = run(circles.squared_sides, own)
+        stage = circles.Circles(tuple(axes[k : k + 3]), pivots, tuple(lengths[k : k + 3]), squares)
+        e = run(circles.directions_to, stage, b)
+        for _ in range(5):
+            e = run(circles.turned_back, stage, e, run(circles.newton_step, stage, e))
+        b = run(circles.balls_at, stage, e)
         triangles = run(joint_values.triangle_axes, b), run(joint_values.triangle_axes, own)
         places.append((b, run(ball_motions.frame_of_triangle, *triangles, b, own)))
     (b, (first, p)), (_, (second, p_m)) = places
