@@ -23,6 +23,7 @@ from spm_pin.formulas.circles import (
     circles_between,
     directions_to,
     eliminant,
+    form_sizes,
     has_converged,
     in_first_angle,
     in_other_angle,
@@ -30,14 +31,14 @@ from spm_pin.formulas.circles import (
     newton_step,
     pair_forms,
     squared_sides,
+    turn_equations,
     turn_origins,
-    turn_step,
     turned_back,
 )
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.leg_constants import mean_radius
-from spm_pin.formulas.stages import cartesian, corners
-from spm_pin.formulas.vectors import Rows, combinations, differences, largest, multiples, scaled
+from spm_pin.formulas.stages import cartesian, corners, pair_adjugate, pair_determinant
+from spm_pin.formulas.vectors import Rows, Vector, combinations, differences, largest, multiples, scaled, weighted
 from spm_pin.formulas.wrenches import mean
 from spm_pin.kinematics.kernels.ball_circles import (
     ELSEWHERE,
@@ -65,6 +66,11 @@ _STARTS = np.where(np.arange(MODES) % 2, 0.8, 1.25) * np.exp(2j * np.pi * (np.ar
 _MOST_ITERATIONS, _MOST_STEPS = 40, 30
 _SEPARATE = 1e-7
 """Solutions closer than this, relative to e^{iθ}, are one: rounding resolves a double one no better."""
+_REGULAR = 3e7
+"""Largest change of the angles per relative change of the equations. With rounding the theorem of Newton and
+Kantorovich holds up to a few times as much; beyond, beside a fold or a family, a solution does not count."""
+_LONGEST_LEG = 50.0
+"""Radius of a circle over the longest side of the triangle beyond which modes are not known to be all."""
 _NEARLY_REAL = 1e-5  # relative imaginary part from which Newton's method is first tried with real angles
 _FITS = 1e-3  # relative error of the third side up to which a pair of angles is tried
 _SHORTEST = 0.02  # a mode that needs shorter steps of the errors meets another
@@ -155,7 +161,7 @@ def _size(z: complex) -> float:
 @jit_inline
 def _of_exponential(z: complex) -> tuple[complex, complex]:
     """Return cosine and sine of the angle whose e^{iθ} is z."""
-    back = 1.0 / z
+    back = _reciprocal(z)
     return 0.5 * (z + back), complex(0.0, -0.5) * (z - back)
 
 
@@ -167,25 +173,41 @@ def _fitting_angles(coefficients: Angles) -> tuple[complex, complex, complex, co
     root = cmath.sqrt(n * n - 4.0 * lead * last)
     below, above = n - root, n + root
     larger = -0.5 * (above if _size(above) >= _size(below) else below)
-    first, second = _of_exponential(larger / lead), _of_exponential(last / larger)
+    first, second = _of_exponential(larger * _reciprocal(lead)), _of_exponential(last * _reciprocal(larger))
     return first[0], first[1], second[0], second[1]
 
 
 @jit
-def _polished(forms: Forms, c: Angles, s: Angles) -> tuple[Angles, Angles, bool]:
-    """Return cosines and sines where Newton's method leads, real from real ones, and whether it has converged."""
+def _polished(forms: Forms, sizes: Vector, c: Angles, s: Angles) -> tuple[Angles, Angles, bool]:
+    """Return cosines and sines where Newton's method leads, real from real ones, and whether it is a regular solution.
+
+    `sizes` are those of the equations' terms, `circles.form_sizes`.
+    """
     last = np.nan
     for _ in range(_MOST_STEPS):
-        x, y, z = turn_step(forms, c, s)
-        size = max(_size(x), _size(y), _size(z))
-        if not size < 1.0:
+        values, slopes = turn_equations(forms, c, s)
+        adjugate, scale = pair_adjugate(slopes), _reciprocal(pair_determinant(slopes))
+        x, y, z = weighted(values, adjugate)
+        x, y, z = scale * x, scale * y, scale * z
+        longest = max(_size(x), _size(y), _size(z))
+        if not longest < 1.0:
             return c, s, False
         (c0, s0), (c1, s1), (c2, s2) = _turned(c[0], s[0], x), _turned(c[1], s[1], y), _turned(c[2], s[2], z)
         c, s = (c0, c1, c2), (s0, s1, s2)
-        if has_converged(size, last):
-            return c, s, True
-        last = size
-    return c, s, last < 1e-9
+        if has_converged(longest, last):
+            gain, x, y, z = 0.0, _size(c0) + _size(s0), _size(c1) + _size(s1), _size(c2) + _size(s2)
+            for i in range(3):
+                a, b, d = multiples((sizes[0] * x * y, sizes[1] * y * z, sizes[2] * z * x), adjugate)[i]
+                gain = max(gain, _size(a), _size(b), _size(d))
+            return c, s, gain * _size(scale) < _REGULAR
+        last = longest
+    return c, s, False
+
+
+@jit_inline
+def _reciprocal(z: complex) -> complex:
+    """Return 1/z, not a number for zero: Numba's own division would raise."""
+    return np.conj(z) * (1.0 / (z.real * z.real + z.imag * z.imag))
 
 
 @jit_inline
@@ -193,7 +215,7 @@ def _turned(c: complex, s: complex, step: complex) -> tuple[complex, complex]:
     """Return cosine and sine of an angle less a step, by the rational map that is a turn to third order."""
     t = 0.5 * step
     square = t * t
-    scale = 1.0 / (1.0 + square)
+    scale = _reciprocal(1.0 + square)
     cosine, sine = (1.0 - square) * scale, 2.0 * t * scale
     return c * cosine + s * sine, s * cosine - c * sine
 
@@ -241,13 +263,15 @@ def _is_real(c: Angles, s: Angles, tolerance: float) -> bool:
 
 
 @jit
-def _add_solution(forms: Forms, c: Angles, s: Angles, offset: int, found: Elimination, count: int) -> int:
+def _add_solution(
+    forms: Forms, sizes: Vector, c: Angles, s: Angles, offset: int, found: Elimination, count: int
+) -> int:
     """Append the solution near these angles, and its conjugate, as far as they are new; return their number."""
     if _is_real(c, s, _NEARLY_REAL):
-        real_c, real_s, converged = _polished(forms, _real(c), _real(s))
+        real_c, real_s, converged = _polished(forms, sizes, _real(c), _real(s))
         if converged:
             return _add(_complex(real_c), _complex(real_s), offset, found, count)
-    c, s, converged = _polished(forms, c, s)
+    c, s, converged = _polished(forms, sizes, c, s)
     if not converged:
         return count
     if _is_real(c, s, _SEPARATE):
@@ -260,7 +284,7 @@ def _add_solution(forms: Forms, c: Angles, s: Angles, offset: int, found: Elimin
 @jit
 def _collect(forms: Forms, offset: int, is_retry: bool, found: Elimination, count: int) -> int:
     """Append the solutions that belong to the roots of one elimination; all pairs of angles are tried in a retry."""
-    f12, f23, f31 = forms
+    (f12, f23, f31), sizes = forms, form_sizes(forms)
     for k in range(MODES):
         z = complex(found.work[_RE, k], found.work[_IM, k])
         # The other root of a conjugate pair is the inverse of this one's conjugate.
@@ -277,7 +301,7 @@ def _collect(forms: Forms, offset: int, is_retry: bool, found: Elimination, coun
         for choice in range(4):
             if choice == best or (is_retry and _misfit(f23, p, q, choice) < _FITS):
                 i, j = 2 * (choice % 2), 2 * (choice // 2)
-                count = _add_solution(forms, (c, p[i], q[j]), (s, p[i + 1], q[j + 1]), offset, found, count)
+                count = _add_solution(forms, sizes, (c, p[i], q[j]), (s, p[i + 1], q[j + 1]), offset, found, count)
     return count
 
 
@@ -303,7 +327,9 @@ def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[i
         count = _collect(rolled, attempt, attempt > 0, found, count)
         if count == MODES:
             break
-    real, complete = 0, count == MODES
+    # Long legs leave too few digits for what is of the triangle's size.
+    r1, r2, r3 = stage.radii
+    real, complete = 0, count == MODES and max(r1, r2, r3) ** 2 <= _LONGEST_LEG**2 * largest(stage.squares)
     for k in range(count):
         x, y = found.cosines[k], found.sines[k]
         c, s = (x[0], x[1], x[2]), (y[0], y[1], y[2])
@@ -316,7 +342,8 @@ def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[i
                 for j in range(3):
                     balls[real, i, j] = b[i][j]
             real += 1
-    return real, complete
+    # Complex ones are pairs.
+    return real, complete and real % 2 == 0
 
 
 @jit
@@ -373,11 +400,15 @@ def _put_labelled(
         b, arrived = _carried(drawn, stage, start)
         if not arrived:
             continue
+        nearest, least = -1, _SAME * r
         for k in range(count):
             gaps = differences(rows_at(roots[k], 0), b)
-            if max(largest(gaps[0]), largest(gaps[1]), largest(gaps[2])) <= _SAME * r:
-                # Two that arrive at one have met.
-                owner[k] = label if owner[k] == -1 else -2
+            gap = max(largest(gaps[0]), largest(gaps[1]), largest(gaps[2]))
+            if gap < least:
+                nearest, least = k, gap
+        if nearest >= 0:
+            # Two that arrive at one have met.
+            owner[nearest] = label if owner[nearest] == -1 else -2
     for k in range(count):
         if owner[k] >= 0:
             merged[owner[k]] = False
