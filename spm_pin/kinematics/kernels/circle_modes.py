@@ -38,7 +38,7 @@ from spm_pin.formulas.circles import (
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.leg_constants import mean_radius
 from spm_pin.formulas.stages import cartesian, corners, pair_adjugate, pair_determinant
-from spm_pin.formulas.vectors import Rows, Vector, combinations, differences, largest, multiples, scaled, weighted
+from spm_pin.formulas.vectors import Rows, combinations, differences, largest, multiples, scaled, weighted
 from spm_pin.formulas.wrenches import mean
 from spm_pin.kinematics.kernels.ball_circles import (
     ELSEWHERE,
@@ -54,7 +54,6 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
 Forms = tuple[PairForm, PairForm, PairForm]
-Angles = tuple[complex, complex, complex]
 
 MODES = 16
 _DEGREE = 8
@@ -153,20 +152,20 @@ def _put_roots(polynomial: ComplexArray, work: FloatArray) -> None:
 
 
 @jit_inline
-def _size(z: complex) -> float:
+def _size(z):
     """Return the sum of the magnitudes of both parts, which takes a tenth of the time of |z|."""
     return abs(z.real) + abs(z.imag)
 
 
 @jit_inline
-def _of_exponential(z: complex) -> tuple[complex, complex]:
+def _of_exponential(z):
     """Return cosine and sine of the angle whose e^{iθ} is z."""
     back = _reciprocal(z)
     return 0.5 * (z + back), complex(0.0, -0.5) * (z - back)
 
 
 @jit_inline
-def _fitting_angles(coefficients: Angles) -> tuple[complex, complex, complex, complex]:
+def _fitting_angles(coefficients):
     """Return cosine and sine of both angles at which n + a cos θ + b sin θ vanishes."""
     n, a, b = coefficients
     lead, last = 0.5 * complex(a.real + b.imag, a.imag - b.real), 0.5 * complex(a.real - b.imag, a.imag + b.real)
@@ -178,7 +177,7 @@ def _fitting_angles(coefficients: Angles) -> tuple[complex, complex, complex, co
 
 
 @jit
-def _polished(forms: Forms, sizes: Vector, c: Angles, s: Angles) -> tuple[Angles, Angles, bool]:
+def _polished(forms, sizes, c, s):
     """Return cosines and sines where Newton's method leads, real from real ones, and whether it is a regular solution.
 
     `sizes` are those of the equations' terms, `circles.form_sizes`.
@@ -205,13 +204,13 @@ def _polished(forms: Forms, sizes: Vector, c: Angles, s: Angles) -> tuple[Angles
 
 
 @jit_inline
-def _reciprocal(z: complex) -> complex:
+def _reciprocal(z):
     """Return 1/z, not a number for zero: Numba's own division would raise."""
     return np.conj(z) * (1.0 / (z.real * z.real + z.imag * z.imag))
 
 
 @jit_inline
-def _turned(c: complex, s: complex, step: complex) -> tuple[complex, complex]:
+def _turned(c, s, step):
     """Return cosine and sine of an angle less a step, by the rational map that is a turn to third order."""
     t = 0.5 * step
     square = t * t
@@ -221,12 +220,12 @@ def _turned(c: complex, s: complex, step: complex) -> tuple[complex, complex]:
 
 
 @jit_inline
-def _is_near(a: complex, b: complex, c: complex, d: complex) -> bool:
+def _is_near(a, b, c, d):
     return _size(a - c) + _size(b - d) <= _SEPARATE * (_size(c) + _size(d))
 
 
 @jit
-def _add(c: Angles, s: Angles, offset: int, found: Elimination, count: int) -> int:
+def _add(c, s, offset, found, count):
     """Append a solution, whose first angle is that of the leg `offset`, if it is new; return their number."""
     for j in range(count):
         same = True
@@ -244,17 +243,17 @@ def _add(c: Angles, s: Angles, offset: int, found: Elimination, count: int) -> i
 
 
 @jit_inline
-def _real(x: Angles) -> tuple[float, float, float]:
+def _real(x):
     return x[0].real, x[1].real, x[2].real
 
 
 @jit_inline
-def _complex(x: tuple[float, float, float]) -> Angles:
+def _complex(x):
     return complex(x[0], 0.0), complex(x[1], 0.0), complex(x[2], 0.0)
 
 
 @jit
-def _is_real(c: Angles, s: Angles, tolerance: float) -> bool:
+def _is_real(c, s, tolerance):
     """Return whether angles are their own conjugates."""
     is_real = True
     for i in range(3):
@@ -263,9 +262,7 @@ def _is_real(c: Angles, s: Angles, tolerance: float) -> bool:
 
 
 @jit
-def _add_solution(
-    forms: Forms, sizes: Vector, c: Angles, s: Angles, offset: int, found: Elimination, count: int
-) -> int:
+def _add_solution(forms, sizes, c, s, offset, found, count):
     """Append the solution near these angles, and its conjugate, as far as they are new; return their number."""
     if _is_real(c, s, _NEARLY_REAL):
         real_c, real_s, converged = _polished(forms, sizes, _real(c), _real(s))
@@ -282,7 +279,7 @@ def _add_solution(
 
 
 @jit
-def _collect(forms: Forms, offset: int, is_retry: bool, found: Elimination, count: int) -> int:
+def _collect(forms, offset, is_retry, found, count):
     """Append the solutions that belong to the roots of one elimination; all pairs of angles are tried in a retry."""
     (f12, f23, f31), sizes = forms, form_sizes(forms)
     for k in range(MODES):
@@ -306,7 +303,7 @@ def _collect(forms: Forms, offset: int, is_retry: bool, found: Elimination, coun
 
 
 @jit_inline
-def _misfit(form: PairForm, p, q, choice: int) -> float:
+def _misfit(form, p, q, choice):
     """Return the relative error of a side between one of two angles of its first leg and one of two of its second."""
     i, j = 2 * (choice % 2), 2 * (choice // 2)
     n, a, b = in_other_angle(form, p[i], p[i + 1])
