@@ -9,6 +9,7 @@ import numpy as np
 from spm_pin.formulas.stages import stage_equations
 from spm_pin.kinematics.kernels.compilation import kernel, readonly_array
 from spm_pin.kinematics.kernels.mode_kernels import (
+    EXACT,
     PLACES,
     SAME,
     allocate_stage_scratch,
@@ -68,7 +69,7 @@ def _solve(lengths: FloatArray, epsilon: float, solutions: FloatArray, continuou
         for m in range(2):
             turned = m == 1
             stage = stage_equations(first, second, third, -epsilon if turned else epsilon)
-            continuous[n, m] = has_continuous_family(first, second, third, epsilon, turned)
+            continuous[n, m] = has_continuous_family(first, second, third, epsilon, turned, EXACT)
             for k in range(min(solve_mode(stage, turned, continuous[n, m], scratch), PLACES)):
                 for i in range(11):
                     solutions[n, m, k, i] = scratch.kept[k, i]

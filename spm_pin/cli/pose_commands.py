@@ -113,12 +113,8 @@ def forward(
     lengths = np.array(legs) / unit.per_metre
     dimensions = options.read_geometry(geometry)
     physical = forward_physical(dimensions, lengths)
-    # Of a machine as built all modes are not sought: --all is refused.
-    if every or dimensions.is_nominal:
-        modes = forward_displacement(dimensions, lengths)
-    else:
-        modes = options.alone(physical, "physical")
-    home = modes.labels[0] if physical.exists else ""
+    modes = forward_displacement(dimensions, lengths)
+    home = modes.labels[int(modes.is_physical.argmax())] if physical.exists else ""
     shown = {home: physical} if home else {}
     if every:
         shown = {modes.labels[k]: modes.configurations[k] for k in np.flatnonzero(modes.exists)}

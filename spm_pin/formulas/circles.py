@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from spm_pin.formulas.leg_constants import RADIAL, mean_radius
 from spm_pin.formulas.operations import both, either, sqrt
-from spm_pin.formulas.stages import pair_inverse
+from spm_pin.formulas.stages import Pairs, pair_inverse
 from spm_pin.formulas.vectors import (
     Rows,
     Vector,
@@ -222,6 +222,17 @@ def _pair_form(gap: Vector, squares: float, p: Vector, q: Vector, p2: Vector, q2
     )
 
 
+def form_sizes(forms: tuple[PairForm, PairForm, PairForm]) -> Vector:
+    """Return bounds of the terms of the errors and of their second derivatives."""
+    return _sum(forms[0]), _sum(forms[1]), _sum(forms[2])
+
+
+def _sum(form: PairForm) -> float:
+    linear = magnitude(form.cosine) + magnitude(form.sine) + magnitude(form.other_cosine) + magnitude(form.other_sine)
+    products = magnitude(form.cosines) + magnitude(form.cosine_sine) + magnitude(form.sine_cosine)
+    return magnitude(form.constant) + linear + products + magnitude(form.sines)
+
+
 def in_other_angle(form: PairForm, c: float, s: float) -> Vector:
     """Return the coefficients of 1, cosine and sine of the second angle where the first has cosine c and sine s."""
     return (
@@ -262,8 +273,8 @@ def eliminant(forms: tuple[PairForm, PairForm, PairForm], c: float, s: float) ->
     return (even * even - odd * odd * w2) / (scale * scale)
 
 
-def turn_step(forms: tuple[PairForm, PairForm, PairForm], c: Vector, s: Vector) -> Vector:
-    """Return what `newton_step` does from cosines and sines of the angles, which may be complex."""
+def turn_equations(forms: tuple[PairForm, PairForm, PairForm], c: Vector, s: Vector) -> tuple[Vector, Pairs]:
+    """Return the errors, and the c_ij, from cosines and sines of the angles, which may be complex."""
     f12, f23, f31 = forms
     (n12, a12, b12), (_, a21, b21) = in_other_angle(f12, c[0], s[0]), in_first_angle(f12, 1.0, c[1], s[1])
     (n23, a23, b23), (_, a32, b32) = in_other_angle(f23, c[1], s[1]), in_first_angle(f23, 1.0, c[2], s[2])
@@ -277,4 +288,4 @@ def turn_step(forms: tuple[PairForm, PairForm, PairForm], c: Vector, s: Vector) 
         b23 * c[2] - a23 * s[2],
         b31 * c[0] - a31 * s[0],
     )
-    return weighted(values, pair_inverse(slopes))
+    return values, slopes

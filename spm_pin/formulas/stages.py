@@ -223,10 +223,15 @@ def pair_determinant_slope(c: Pairs, slopes: Pairs) -> float:
 
 def pair_inverse(c: Pairs) -> Rows:
     """Return the columns of the inverse of the matrix with the rows (c12, c21, 0), (0, c23, c32), (c13, 0, c31)."""
+    scale, (first, second, third) = 1.0 / pair_determinant(c), pair_adjugate(c)
+    return scaled(scale, first), scaled(scale, second), scaled(scale, third)
+
+
+def pair_adjugate(c: Pairs) -> Rows:
+    """Return D times the columns of `pair_inverse`."""
     c12, c23, c31, c21, c32, c13 = c
-    s = 1.0 / pair_determinant(c)
     first, second = (c23 * c31, c32 * c13, -(c23 * c13)), (-(c21 * c31), c12 * c31, c21 * c13)
-    return scaled(s, first), scaled(s, second), scaled(s, (c21 * c32, -(c12 * c32), c12 * c23))
+    return first, second, (c21 * c32, -(c12 * c32), c12 * c23)
 
 
 def is_home_aspect(c: Pairs) -> bool:

@@ -1,21 +1,19 @@
 """Forward displacement: every assembly mode of six leg lengths, the physical one, and the one near a state.
 
 The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, and every
-solution of one goes with every solution of the other. From a state, one mode is followed while the leg lengths change,
-in steps so short that Newton's method provably does not leave it; a machine as built is followed in the same way from
-the drawn machine, while the dimensions change. See `docs/theory/forward_displacement.md`.
+solution of one goes with every solution of the other. The physical state is where Newton's method leads from the level
+stages. From a state, one mode is followed while the leg lengths change, in steps so short that Newton's method provably
+does not leave it. See `docs/theory/forward_displacement.md`.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, broadcastable, check_instance, first_offender, real_array
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, check_instance, first_offender, real_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import LARGEST_RATIO, Geometry, check_same_machine, unit_hint
 from spm_pin.mechanism.joint_angles import home_lengths
@@ -28,10 +26,6 @@ STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in ra
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
 
-_NEAR = 1e-5
-"""Distance from a family, of squared lengths and relative to their size, within which counts may be wrong."""
-_SHORT = 1e-3
-"""Length in units of r below which a leg is short."""
 _CHORD = 0.1
 """Turn of a crank [rad] over which the arc of its end is replaced by the chord."""
 _MOST_TURNS = 8.0 * np.pi
@@ -46,12 +40,12 @@ _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_FOLLOWED, _MIN_BATCH_PER_THREAD_PHY
 
 
 def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> SolutionSet:
-    """Find all configurations of a drawn machine that its six leg lengths allow.
+    """Find all configurations that six leg lengths allow.
 
     Parameters
     ----------
     geometry : Geometry
-        The manipulator, a drawn machine. Its leg limits are not applied.
+        The manipulator. Its leg limits are not applied.
     readings : array_like, shape (..., 6)
         r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], in a drawn machine from revolute joint to ball joint centre.
 
@@ -60,13 +54,14 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     SolutionSet
         The assembly modes of `ASSEMBLY_MODES` along the last axis, so `.rotation` is (..., 256, 3, 3), `.translation`
         (..., 256, 3) and `.middle_joints` (..., 256, 3, 3), NaN where a mode is not real. `.status` (...) is
-        `Status.OK`; `UNREACHABLE` where a stage cannot be closed; or `DEGENERATE` where a stage moves with its legs
-        locked: the continuous family is left out, and `.degeneracy` says in which families of modes it is.
+        `Status.OK`; `UNREACHABLE` where a stage cannot be closed; `DEGENERATE` where a stage of a drawn machine moves
+        with its legs locked: the continuous family is left out, and `.degeneracy` says in which families of modes it
+        is; or `UNSOLVED`, and nothing exists, where not all modes could be told apart: beside such a family, with legs
+        shorter than a thousandth of the middle platform, and in a machine as built beside a forward singularity or
+        with legs of fifty times its sides.
 
-    Raises
-    ------
-    GeometryError
-        If the machine is one as built: its assembly modes are not known, see `forward_physical`.
+        Of a machine as built labels are carried from the drawn machine with the same leg lengths while the errors
+        grow. `.merged` (..., 256) marks those whose mode has met another one, and those that were left over.
 
     Notes
     -----
@@ -90,7 +85,6 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
         return _modes_of_circles(geometry, checked)
     results = (*((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((4,), np.int8), ((), np.int8))
     solved = run_kernel(all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD)
-    _solve_ill_conditioned(geometry, lengths, solved)
     *state, families, status = with_batch_shape(solved, shape)
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(geometry, *state)
@@ -153,9 +147,10 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
 
     Notes
     -----
-    The home's aspect holds one configuration at most. It is T1+/T1+ unless E or C is less than a twentieth of d. The
-    state `near` may be far, for each step of the path is so short that Newton's method provably stays on it. A machine
-    as built is followed from the drawn machine, or from `near`; see `docs/theory/as_built.md`.
+    The home's aspect holds one configuration at most. It is T1+/T1+ unless E or C is less than a twentieth of d.
+    Newton's method finds it from the level stages, or it is looked for among all modes where that leads to another one.
+    Where that leads nowhere there is none: so it was in a million sets of leg lengths, but it is not proved. The state
+    `near` may be far, for each step of the path is so short that Newton's method provably stays on it.
 
     Examples
     --------
@@ -188,16 +183,6 @@ def starting_configuration(geometry: Geometry) -> Configuration:
         if state.exists:
             return state
     raise ArgumentError("geometry", "a manipulator that stands near its home", geometry, "Give a pose instead")
-
-
-def modes_near(geometry: Geometry, readings: FloatArray, near: Configuration | None) -> SolutionSet:
-    """Return all assembly modes of readings (6,); of a machine as built the one followed from `near`, or physical."""
-    if geometry.is_nominal:
-        return forward_displacement(geometry, readings)
-    state = forward_physical(geometry, readings, near)
-    arrays = state.rotation, state.translation, state.middle_joints
-    states = Configuration.from_arrays(geometry, *(array[None] for array in arrays))
-    return SolutionSet(states, ("followed",), Status.OK if state.exists else Status.UNREACHABLE)
 
 
 def _read_readings(geometry: Geometry, readings: npt.ArrayLike) -> FloatArray:
@@ -258,18 +243,19 @@ def _follow(geometry: Geometry, near: tuple[FloatArray, ...], end: FloatArray) -
 
 def _physical(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
     """Return R, o and the b_i (N, ...) of the physical states with readings (N, 6), NaN where there is none."""
-    from spm_pin.kinematics.kernels.ball_circles import ELSEWHERE, HOME, physical_states
+    from spm_pin.kinematics.kernels.ball_circles import ELSEWHERE, physical_states
+    from spm_pin.kinematics.kernels.circle_modes import searched_states
 
     inputs, constants = geometry.legs.circles(readings), (geometry.legs.axes, geometry.legs.balls)
     *state, aspect = run_kernel(
         physical_states, inputs, constants, (*_STATE, ((), np.int8)), _MIN_BATCH_PER_THREAD_PHYSICAL
     )
-    has_quartics = geometry.is_nominal and geometry.legs.are_rps
-    absent = np.flatnonzero(aspect != HOME if has_quartics else aspect == ELSEWHERE)
-    if len(absent):
-        others = (_solve_drawn if has_quartics else _search)(geometry, readings[absent])
+    elsewhere = np.flatnonzero(aspect == ELSEWHERE)
+    if len(elsewhere):
+        inputs = geometry.legs.circles(readings[elsewhere])
+        others = run_kernel(searched_states, inputs, constants, _STATE, _MIN_BATCH_PER_THREAD)
         for array, values in zip(state, others, strict=True):
-            array[absent] = values
+            array[elsewhere] = values
     return _in_working_mode(geometry, tuple(state), readings)
 
 
@@ -281,54 +267,3 @@ def _in_working_mode(geometry: Geometry, state: tuple[FloatArray, ...], readings
         for array in state:
             array[wrong] = np.nan
     return state
-
-
-def _search(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
-    """Return R, o and the b_i (N, ...) of the physical states of a machine as built, sought among all modes."""
-    from spm_pin.kinematics.kernels.circle_modes import searched_states
-
-    constants = geometry.legs.axes, geometry.legs.balls
-    return run_kernel(searched_states, geometry.legs.circles(readings), constants, _STATE, _MIN_BATCH_PER_THREAD)
-
-
-def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:
-    """Return R, o and the b_i (N, ...) of the physical state of a drawn machine with leg lengths (N, 6)."""
-    from spm_pin.kinematics.kernels.mode_kernels import home_aspect_states
-
-    return run_kernel(home_aspect_states, (lengths,), radii(geometry), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
-
-
-def _solve_ill_conditioned(geometry: Geometry, lengths: FloatArray, solved: tuple[Any, ...]) -> None:
-    """Solve problems again, with more digits, of which a stage is near a continuous family or has a very short leg."""
-    rotation, translation, joints, dimension, status = solved
-    r, *base_radii = radii(geometry)
-    halves = lengths[:, :3], lengths[:, 3:]
-    doubtful = np.zeros(len(lengths), dtype=np.bool_)
-    for half, radius in zip(halves, base_radii, strict=True):
-        doubtful |= _is_ill_conditioned(half / r, radius / r)
-    problems = np.flatnonzero(doubtful & (dimension.max(axis=-1) == 0))
-    if not len(problems):
-        return
-    from spm_pin.kinematics.ill_conditioned_stages import solve_stage_with_more_digits
-    from spm_pin.kinematics.kernels.mode_kernels import compose_all
-
-    for n in problems:
-        lower, upper = (
-            solve_stage_with_more_digits(half[n], radius, geometry.middle_side, sign)
-            for half, radius, sign in zip(halves, base_radii, (1.0, -1.0), strict=True)
-        )
-        pairs = np.repeat(lower, len(STAGE_MODES), axis=0), np.tile(upper, (len(STAGE_MODES), 1))
-        compose_all(*pairs, r, rotation[n], translation[n], joints[n])
-        status[n] = Status.UNREACHABLE if np.isnan(joints[n]).all() else Status.OK
-
-
-def _is_ill_conditioned(lengths: FloatArray, epsilon: float) -> BoolArray:
-    """Return whether double precision may miscount the modes of stages (N, 3); lengths and ε in units of r."""
-    squares = lengths**2
-    scale = squares.mean(axis=-1) + (1.0 + epsilon) ** 2
-    odd, even = 9.0 * epsilon**2, 3.0 - 3.0 * epsilon**2
-    away = [np.abs(squares - np.roll([odd, even, even], k)).max(axis=-1) for k in range(3)]
-    near = (np.minimum.reduce(away) <= _NEAR * scale) & (epsilon < 1.0 + _NEAR)
-    equal = np.ptp(squares, axis=-1) <= _NEAR * scale
-    near_half = equal & (abs(2.0 * epsilon - 1.0) <= _NEAR)
-    return np.asarray(near | near_half | (lengths.min(axis=-1) < _SHORT))

@@ -17,7 +17,7 @@ import scipy
 from scipy.spatial.transform import RigidTransform, Slerp
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.forward_displacement import forward_physical, modes_near
+from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism import notebook
@@ -37,7 +37,7 @@ from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.pose import as_rigid_transform, pose
 from spm_pin.mechanism.solutions import SolutionSet
 
-PathSolver = Callable[[float, Configuration | None], SolutionSet]
+PathSolver = Callable[[float], SolutionSet]
 """The solutions at a parameter of the path, those that go on from a state if one is given."""
 
 _LONGEST_MOVE = 0.1
@@ -148,8 +148,7 @@ def follow(
         Poses of {m} in {B}, or readings of the legs [m]. A callable takes the parameter, 0 to 1. Between poses the
         rotation is interpolated at constant angular velocity and the position, like readings, on a line.
     start : Configuration or str, optional
-        The solution at parameter 0: the one nearest to a configuration, or a label. By default the physical one. Of a
-        machine as built along readings, whose assembly modes are not known: the one followed from a configuration.
+        The solution at parameter 0: the one nearest to a configuration, or a label. By default the physical one.
     samples : int
         The path is solved in at least so many steps. Two crossings within one step of the same limit or of the
         same kind of singularity are found if the function in between has its extremum beyond zero.
@@ -168,7 +167,7 @@ def follow(
     if start is not None and not isinstance(start, str):
         check_configuration(start, "start", single=True, existing=True)
     solve, knots, has_legs = _solver(geometry, path)
-    solutions = solve(0.0, start if isinstance(start, Configuration) else None)
+    solutions = solve(0.0)
     tracker = Tracker(solve, solutions, _start(solutions, start), has_legs=has_legs)
     stops = np.unique(np.concatenate([np.linspace(0.0, 1.0, samples + 1), knots]))
     for stop in stops[1:]:
@@ -229,8 +228,8 @@ def _solver(geometry: Geometry, path: Any) -> tuple[PathSolver, FloatArray, bool
             place = scipy.interpolate.make_interp_spline(knots, poses.translation, k=1)
             point = lambda s: pose(place(s), rotation=turn(s))  # noqa: E731
     if has_legs:
-        return lambda s, near: modes_near(geometry, point(s), near), knots, True
-    return lambda s, near: inverse_displacement(geometry, point(s)), knots, False
+        return lambda s: forward_displacement(geometry, point(s)), knots, True
+    return lambda s: inverse_displacement(geometry, point(s)), knots, False
 
 
 def _matrices(value: Any) -> Any:
@@ -279,7 +278,7 @@ class Tracker:
             ahead = min(stop, here + self._step)
             # What a step of rounding would leave before the stop is not worth one.
             ahead = stop if stop - ahead < 0.1 * _SHORTEST_STEP else ahead
-            solutions = self.solve(ahead, self.states[-1])
+            solutions = self.solve(ahead)
             place, clear = self._nearest(solutions, ahead)
             shortest = ahead - here <= _SHORTEST_STEP
             # Two solutions that nearly meet look like two that cross, except for their labels: labels are exchanged
@@ -341,7 +340,7 @@ class Tracker:
         low, high = self.parameters[k - 1], self.parameters[k]
         share = (parameter - low) / (high - low)
         between = (1.0 - share) * compared_points(self.states[k - 1]) + share * compared_points(self.states[k])
-        solutions = self.solve(parameter, self.states[k - 1])
+        solutions = self.solve(parameter)
         error = np.linalg.norm(compared_points(solutions.configurations) - between, axis=-1).max(axis=-1)
         state: Configuration = solutions.configurations[int(np.where(solutions.exists, error, np.inf).argmin())]
         return state

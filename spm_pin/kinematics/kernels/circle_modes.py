@@ -23,6 +23,7 @@ from spm_pin.formulas.circles import (
     circles_between,
     directions_to,
     eliminant,
+    form_sizes,
     has_converged,
     in_first_angle,
     in_other_angle,
@@ -30,14 +31,14 @@ from spm_pin.formulas.circles import (
     newton_step,
     pair_forms,
     squared_sides,
+    turn_equations,
     turn_origins,
-    turn_step,
     turned_back,
 )
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.leg_constants import mean_radius
-from spm_pin.formulas.stages import cartesian, corners
-from spm_pin.formulas.vectors import Rows, combinations, differences, largest, multiples, scaled
+from spm_pin.formulas.stages import cartesian, corners, pair_adjugate, pair_determinant
+from spm_pin.formulas.vectors import Rows, combinations, differences, largest, multiples, scaled, weighted
 from spm_pin.formulas.wrenches import mean
 from spm_pin.kinematics.kernels.ball_circles import (
     ELSEWHERE,
@@ -53,7 +54,6 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
 Forms = tuple[PairForm, PairForm, PairForm]
-Angles = tuple[complex, complex, complex]
 
 MODES = 16
 _DEGREE = 8
@@ -65,6 +65,11 @@ _STARTS = np.where(np.arange(MODES) % 2, 0.8, 1.25) * np.exp(2j * np.pi * (np.ar
 _MOST_ITERATIONS, _MOST_STEPS = 40, 30
 _SEPARATE = 1e-7
 """Solutions closer than this, relative to e^{iθ}, are one: rounding resolves a double one no better."""
+_REGULAR = 3e7
+"""Largest change of the angles per relative change of the equations. With rounding the theorem of Newton and
+Kantorovich holds up to a few times as much; beyond, beside a fold or a family, a solution does not count."""
+_LONGEST_LEG = 50.0
+"""Radius of a circle over the longest side of the triangle beyond which modes are not known to be all."""
 _NEARLY_REAL = 1e-5  # relative imaginary part from which Newton's method is first tried with real angles
 _FITS = 1e-3  # relative error of the third side up to which a pair of angles is tried
 _SHORTEST = 0.02  # a mode that needs shorter steps of the errors meets another
@@ -147,64 +152,80 @@ def _put_roots(polynomial: ComplexArray, work: FloatArray) -> None:
 
 
 @jit_inline
-def _size(z: complex) -> float:
+def _size(z):
     """Return the sum of the magnitudes of both parts, which takes a tenth of the time of |z|."""
     return abs(z.real) + abs(z.imag)
 
 
 @jit_inline
-def _of_exponential(z: complex) -> tuple[complex, complex]:
+def _of_exponential(z):
     """Return cosine and sine of the angle whose e^{iθ} is z."""
-    back = 1.0 / z
+    back = _reciprocal(z)
     return 0.5 * (z + back), complex(0.0, -0.5) * (z - back)
 
 
 @jit_inline
-def _fitting_angles(coefficients: Angles) -> tuple[complex, complex, complex, complex]:
+def _fitting_angles(coefficients):
     """Return cosine and sine of both angles at which n + a cos θ + b sin θ vanishes."""
     n, a, b = coefficients
     lead, last = 0.5 * complex(a.real + b.imag, a.imag - b.real), 0.5 * complex(a.real - b.imag, a.imag + b.real)
     root = cmath.sqrt(n * n - 4.0 * lead * last)
     below, above = n - root, n + root
     larger = -0.5 * (above if _size(above) >= _size(below) else below)
-    first, second = _of_exponential(larger / lead), _of_exponential(last / larger)
+    first, second = _of_exponential(larger * _reciprocal(lead)), _of_exponential(last * _reciprocal(larger))
     return first[0], first[1], second[0], second[1]
 
 
 @jit
-def _polished(forms: Forms, c: Angles, s: Angles) -> tuple[Angles, Angles, bool]:
-    """Return cosines and sines where Newton's method leads, real from real ones, and whether it has converged."""
+def _polished(forms, sizes, c, s):
+    """Return cosines and sines where Newton's method leads, real from real ones, and whether it is a regular solution.
+
+    `sizes` are those of the equations' terms, `circles.form_sizes`.
+    """
     last = np.nan
     for _ in range(_MOST_STEPS):
-        x, y, z = turn_step(forms, c, s)
-        size = max(_size(x), _size(y), _size(z))
-        if not size < 1.0:
+        values, slopes = turn_equations(forms, c, s)
+        adjugate, scale = pair_adjugate(slopes), _reciprocal(pair_determinant(slopes))
+        x, y, z = weighted(values, adjugate)
+        x, y, z = scale * x, scale * y, scale * z
+        longest = max(_size(x), _size(y), _size(z))
+        if not longest < 1.0:
             return c, s, False
         (c0, s0), (c1, s1), (c2, s2) = _turned(c[0], s[0], x), _turned(c[1], s[1], y), _turned(c[2], s[2], z)
         c, s = (c0, c1, c2), (s0, s1, s2)
-        if has_converged(size, last):
-            return c, s, True
-        last = size
-    return c, s, last < 1e-9
+        if has_converged(longest, last):
+            gain, x, y, z = 0.0, _size(c0) + _size(s0), _size(c1) + _size(s1), _size(c2) + _size(s2)
+            for i in range(3):
+                a, b, d = multiples((sizes[0] * x * y, sizes[1] * y * z, sizes[2] * z * x), adjugate)[i]
+                gain = max(gain, _size(a), _size(b), _size(d))
+            return c, s, gain * _size(scale) < _REGULAR
+        last = longest
+    return c, s, False
 
 
 @jit_inline
-def _turned(c: complex, s: complex, step: complex) -> tuple[complex, complex]:
+def _reciprocal(z):
+    """Return 1/z, not a number for zero: Numba's own division would raise."""
+    return np.conj(z) * (1.0 / (z.real * z.real + z.imag * z.imag))
+
+
+@jit_inline
+def _turned(c, s, step):
     """Return cosine and sine of an angle less a step, by the rational map that is a turn to third order."""
     t = 0.5 * step
     square = t * t
-    scale = 1.0 / (1.0 + square)
+    scale = _reciprocal(1.0 + square)
     cosine, sine = (1.0 - square) * scale, 2.0 * t * scale
     return c * cosine + s * sine, s * cosine - c * sine
 
 
 @jit_inline
-def _is_near(a: complex, b: complex, c: complex, d: complex) -> bool:
+def _is_near(a, b, c, d):
     return _size(a - c) + _size(b - d) <= _SEPARATE * (_size(c) + _size(d))
 
 
 @jit
-def _add(c: Angles, s: Angles, offset: int, found: Elimination, count: int) -> int:
+def _add(c, s, offset, found, count):
     """Append a solution, whose first angle is that of the leg `offset`, if it is new; return their number."""
     for j in range(count):
         same = True
@@ -222,17 +243,17 @@ def _add(c: Angles, s: Angles, offset: int, found: Elimination, count: int) -> i
 
 
 @jit_inline
-def _real(x: Angles) -> tuple[float, float, float]:
+def _real(x):
     return x[0].real, x[1].real, x[2].real
 
 
 @jit_inline
-def _complex(x: tuple[float, float, float]) -> Angles:
+def _complex(x):
     return complex(x[0], 0.0), complex(x[1], 0.0), complex(x[2], 0.0)
 
 
 @jit
-def _is_real(c: Angles, s: Angles, tolerance: float) -> bool:
+def _is_real(c, s, tolerance):
     """Return whether angles are their own conjugates."""
     is_real = True
     for i in range(3):
@@ -241,13 +262,13 @@ def _is_real(c: Angles, s: Angles, tolerance: float) -> bool:
 
 
 @jit
-def _add_solution(forms: Forms, c: Angles, s: Angles, offset: int, found: Elimination, count: int) -> int:
+def _add_solution(forms, sizes, c, s, offset, found, count):
     """Append the solution near these angles, and its conjugate, as far as they are new; return their number."""
     if _is_real(c, s, _NEARLY_REAL):
-        real_c, real_s, converged = _polished(forms, _real(c), _real(s))
+        real_c, real_s, converged = _polished(forms, sizes, _real(c), _real(s))
         if converged:
             return _add(_complex(real_c), _complex(real_s), offset, found, count)
-    c, s, converged = _polished(forms, c, s)
+    c, s, converged = _polished(forms, sizes, c, s)
     if not converged:
         return count
     if _is_real(c, s, _SEPARATE):
@@ -258,9 +279,9 @@ def _add_solution(forms: Forms, c: Angles, s: Angles, offset: int, found: Elimin
 
 
 @jit
-def _collect(forms: Forms, offset: int, is_retry: bool, found: Elimination, count: int) -> int:
+def _collect(forms, offset, is_retry, found, count):
     """Append the solutions that belong to the roots of one elimination; all pairs of angles are tried in a retry."""
-    f12, f23, f31 = forms
+    (f12, f23, f31), sizes = forms, form_sizes(forms)
     for k in range(MODES):
         z = complex(found.work[_RE, k], found.work[_IM, k])
         # The other root of a conjugate pair is the inverse of this one's conjugate.
@@ -277,12 +298,12 @@ def _collect(forms: Forms, offset: int, is_retry: bool, found: Elimination, coun
         for choice in range(4):
             if choice == best or (is_retry and _misfit(f23, p, q, choice) < _FITS):
                 i, j = 2 * (choice % 2), 2 * (choice // 2)
-                count = _add_solution(forms, (c, p[i], q[j]), (s, p[i + 1], q[j + 1]), offset, found, count)
+                count = _add_solution(forms, sizes, (c, p[i], q[j]), (s, p[i + 1], q[j + 1]), offset, found, count)
     return count
 
 
 @jit_inline
-def _misfit(form: PairForm, p, q, choice: int) -> float:
+def _misfit(form, p, q, choice):
     """Return the relative error of a side between one of two angles of its first leg and one of two of its second."""
     i, j = 2 * (choice % 2), 2 * (choice // 2)
     n, a, b = in_other_angle(form, p[i], p[i + 1])
@@ -303,7 +324,9 @@ def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[i
         count = _collect(rolled, attempt, attempt > 0, found, count)
         if count == MODES:
             break
-    real, complete = 0, count == MODES
+    # Long legs leave too few digits for what is of the triangle's size.
+    r1, r2, r3 = stage.radii
+    real, complete = 0, count == MODES and max(r1, r2, r3) ** 2 <= _LONGEST_LEG**2 * largest(stage.squares)
     for k in range(count):
         x, y = found.cosines[k], found.sines[k]
         c, s = (x[0], x[1], x[2]), (y[0], y[1], y[2])
@@ -316,7 +339,8 @@ def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[i
                 for j in range(3):
                     balls[real, i, j] = b[i][j]
             real += 1
-    return real, complete
+    # Complex ones are pairs.
+    return real, complete and real % 2 == 0
 
 
 @jit
@@ -373,11 +397,15 @@ def _put_labelled(
         b, arrived = _carried(drawn, stage, start)
         if not arrived:
             continue
+        nearest, least = -1, _SAME * r
         for k in range(count):
             gaps = differences(rows_at(roots[k], 0), b)
-            if max(largest(gaps[0]), largest(gaps[1]), largest(gaps[2])) <= _SAME * r:
-                # Two that arrive at one have met.
-                owner[k] = label if owner[k] == -1 else -2
+            gap = max(largest(gaps[0]), largest(gaps[1]), largest(gaps[2]))
+            if gap < least:
+                nearest, least = k, gap
+        if nearest >= 0:
+            # Two that arrive at one have met.
+            owner[nearest] = label if owner[nearest] == -1 else -2
     for k in range(count):
         if owner[k] >= 0:
             merged[owner[k]] = False

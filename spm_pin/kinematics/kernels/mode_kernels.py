@@ -1,4 +1,4 @@
-"""Forward displacement of a batch of leg lengths: all assembly modes, and the one in the aspect of the home.
+"""All assembly modes of a drawn machine for a batch of leg lengths.
 
 The equations of a stage are `spm_pin.formulas.stages`. With ψ the azimuth of the tilt w, p = |w|²,
 A = Im(λ e^{iψ}) / κ = p sin 3ψ and B = Re(λ e^{iψ}), p is the root of a quadratic, `stages.tilt_quadratic`, and ψ of a
@@ -23,7 +23,6 @@ from spm_pin.formulas.stages import (
     compose,
     corners,
     damped,
-    in_home_aspect,
     inverse,
     jacobian,
     moved,
@@ -53,6 +52,9 @@ _LONGEST_TURN = 0.3
 _SHORT = 0.25  # leg length below which the equations, which are made of squares of all legs, lose digits
 _OF_FAMILY = 1e6
 """A solution beside a continuous family that errs more than this many times as much as the lengths belongs to it."""
+EXACT, _NEAR = 64.0 * EPS, 1e-5
+"""Relative distance from a family, of squared lengths, within which lengths are those of the family, or near it."""
+_SHORTEST = 1e-3  # length in units of r below which a leg is too short to count modes
 _EIGHTHS = np.exp(0.125j * np.pi * np.arange(8))
 _QUARTERS = np.exp(1j * (0.5 * np.pi * np.arange(4) + 0.4))
 _SYMMETRIC = np.exp(1j * np.pi / 3.0 * np.array([0.0, 1.0, 2.0, 0.0]))
@@ -264,24 +266,26 @@ def allocate_stage_scratch() -> StageScratch:
 
 
 @jit_inline
-def has_continuous_family(first: float, second: float, third: float, epsilon: float, half_turned: bool) -> bool:
-    """Return whether solutions form a continuous family: these are the only lengths at which the quartic vanishes.
+def has_continuous_family(
+    first: float, second: float, third: float, epsilon: float, half_turned: bool, relative: float
+) -> bool:
+    """Return whether squared lengths are next to those with a continuous family, where alone the quartic vanishes.
 
     - E < r, one leg 3 E long and the others √3 √(r² - E²): both modes.
     - E = r/2 and equal legs longer than r/2: mode T.
     """
     a, b, c = first * first, second * second, third * third
-    tolerance = 64.0 * EPS * ((a + b + c) / 3.0 + (1.0 + epsilon) ** 2)
+    tolerance = relative * ((a + b + c) / 3.0 + (1.0 + epsilon) ** 2)
     odd, even = 9.0 * epsilon * epsilon, 3.0 - 3.0 * epsilon * epsilon
     distance = min(
         max(abs(a - odd), abs(b - even), abs(c - even)),
         max(abs(a - even), abs(b - odd), abs(c - even)),
         max(abs(a - even), abs(b - even), abs(c - odd)),
     )
-    if distance <= tolerance and epsilon < 1.0:
+    if distance <= tolerance and epsilon < 1.0 + relative:
         return True
     equal = max(abs(b - a), abs(c - a)) <= tolerance
-    return not half_turned and equal and a > 0.25 + tolerance and abs(2.0 * epsilon - 1.0) <= 64.0 * EPS
+    return not half_turned and equal and a > 0.25 + tolerance and abs(2.0 * epsilon - 1.0) <= relative
 
 
 @jit_inline
@@ -366,29 +370,6 @@ def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, sc
 
 
 @jit
-def home_aspect_state(first: float, second: float, third: float, epsilon: float, scratch: StageScratch) -> State:
-    """Return the solution of mode T in the home's aspect, NaN if there is none.
-
-    There is one at most, so whatever way leads into that aspect leads to it: Newton's method from the level position,
-    and where that does not, a search through all solutions.
-    """
-    stage = stage_equations(first, second, third, epsilon)
-    is_continuous = has_continuous_family(first, second, third, epsilon, False)
-    if stage.level > 0.0 and not is_continuous:
-        state, gain, arrived = _polished(stage, (1.0, 0.0, 0.0, math.sqrt(stage.level)))
-        if arrived and gain <= _NEAR_FOLD:
-            radii, heights = corners(state[0], state[1], state[2], 0.0, state[3])
-            if in_home_aspect(radii, heights, epsilon):
-                return state
-    kept = scratch.kept
-    for k in range(solve_mode(stage, False, is_continuous, scratch)):
-        radii, heights = (kept[k, 5], kept[k, 6], kept[k, 7]), (kept[k, 8], kept[k, 9], kept[k, 10])
-        if in_home_aspect(radii, heights, epsilon):
-            return kept[k, 0], kept[k, 1], kept[k, 2], kept[k, 4]
-    return np.nan, np.nan, np.nan, np.nan
-
-
-@jit
 def _put_composed(
     lower: Placement, upper: Placement, r: float, rotation: FloatArray, translation: FloatArray, joints: FloatArray
 ) -> None:
@@ -415,8 +396,8 @@ def stage_modes(
     kept = scratch.kept
     for k in range(STAGE):
         modes[k, 0] = np.nan
-    straight = has_continuous_family(first, second, third, epsilon, False)
-    half_turned = has_continuous_family(first, second, third, epsilon, True)
+    straight = has_continuous_family(first, second, third, epsilon, False, EXACT)
+    half_turned = has_continuous_family(first, second, third, epsilon, True, EXACT)
     for m in range(2):
         stage = stage_equations(first, second, third, epsilon if m == 0 else -epsilon)
         for k in range(solve_mode(stage, m == 1, straight if m == 0 else half_turned, scratch)):
@@ -427,6 +408,22 @@ def stage_modes(
                 row[0], row[1], row[2] = kept[k, 0], sign * kept[k, 1], sign * kept[k, 2]
                 row[3], row[4] = kept[k, 3], sign * kept[k, 4]
     return straight, half_turned
+
+
+@jit
+def _is_countable(first: float, second: float, third: float, epsilon: float) -> bool:
+    """Return whether double precision is enough to count modes: away from families, and without a very short leg."""
+    return min(first, second, third) >= _SHORTEST and not has_continuous_family(
+        first, second, third, epsilon, False, _NEAR
+    )
+
+
+@jit
+def _has_modes(families: tuple[bool, bool], modes: FloatArray) -> bool:
+    for k in range(STAGE):
+        if not math.isnan(modes[k, 0]):
+            return True
+    return families[0] or families[1]
 
 
 @jit_inline
@@ -440,8 +437,8 @@ def all_modes(lengths, r, base_radius, platform_radius, rotation, translation, j
     """Solve N sets of leg lengths (N, 6), with circumradii of the middle, base and terminal platforms [m].
 
     Written are R (N, 256, 3, 3), o (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode is not real; the
-    dimensions of the continuous families in TT, TF, FT, FF (N, 4); and as `status` (N,) 0 or 1, the first two of
-    `Status`, continuous families not counted.
+    dimensions of the continuous families in TT, TF, FT, FF (N, 4); and as `status` (N,) 0, 1 or 3 of `Status`,
+    continuous families not counted.
     """
     scratch = allocate_stage_scratch()
     below, above = np.empty((STAGE, 5)), np.empty((STAGE, 5))
@@ -449,7 +446,16 @@ def all_modes(lengths, r, base_radius, platform_radius, rotation, translation, j
         q = lengths[n]
         lower = stage_modes(q[0] / r, q[1] / r, q[2] / r, base_radius / r, 1.0, scratch, below)
         upper = stage_modes(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, -1.0, scratch, above)
+        counted = lower[0] or lower[1] or _is_countable(q[0] / r, q[1] / r, q[2] / r, base_radius / r)
+        counted_upper = upper[0] or upper[1] or _is_countable(q[3] / r, q[4] / r, q[5] / r, platform_radius / r)
         status[n] = 1
+        dimension[n] = 0
+        if not (counted and counted_upper):
+            # A stage that cannot be closed is enough to know that there is none.
+            nowhere = (counted and not _has_modes(lower, below)) or (counted_upper and not _has_modes(upper, above))
+            status[n] = 1 if nowhere else 3
+            rotation[n], translation[n], joints[n] = np.nan, np.nan, np.nan
+            continue
         for i in range(STAGE):
             for j in range(STAGE):
                 mode = i * STAGE + j
@@ -466,24 +472,3 @@ def all_modes(lengths, r, base_radius, platform_radius, rotation, translation, j
                     upper[j] or not math.isnan(above[8 * j, 0])
                 )
                 dimension[n, 2 * i + j] = free if both_exist else 0
-
-
-@kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
-def home_aspect_states(lengths, r, base_radius, platform_radius, rotation, translation, joints):
-    """Write R, o and the b_i in the home's aspect; NaN proves that there is none. Arguments as for `all_modes`."""
-    scratch = allocate_stage_scratch()
-    for n in range(len(lengths)):
-        q = lengths[n]
-        lower = home_aspect_state(q[0] / r, q[1] / r, q[2] / r, base_radius / r, scratch)
-        upper = home_aspect_state(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, scratch)
-        # The upper stage hangs below its pivots.
-        below = lower[0], lower[1], lower[2], 0.0, lower[3]
-        above = upper[0], -upper[1], -upper[2], 0.0, -upper[3]
-        _put_composed(below, above, r, rotation[n], translation[n], joints[n])
-
-
-@kernel(f"void({readonly_array(2)}, {readonly_array(2)}, f8, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
-def compose_all(lower, upper, r, rotation, translation, joints):
-    """Compose N pairs of stages (N, 5), NaN where either is."""
-    for n in range(len(lower)):
-        _put_composed(_stage(lower, n), _stage(upper, n), r, rotation[n], translation[n], joints[n])
