@@ -14,8 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.kinematics.batches import LARGEST_RATIO, flat_batch, radii, run_kernel, with_batch_shape
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, broadcastable, check_instance, first_offender, real_array
+from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
+from spm_pin.mechanism.arguments import (
+    LARGEST_RATIO,
+    BoolArray,
+    FloatArray,
+    broadcastable,
+    check_instance,
+    first_offender,
+    real_array,
+)
 from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine, unit_hint
@@ -172,10 +180,14 @@ def modes_near(geometry: Geometry, readings: FloatArray, near: Configuration | N
     """Return all assembly modes of readings (6,); of a machine as built the one followed from `near`, or physical."""
     if geometry.is_nominal:
         return forward_displacement(geometry, readings)
-    state = forward_physical(geometry, readings, near)
-    arrays = state.rotation, state.translation, state.middle_joints
-    states = Configuration.from_arrays(geometry, *(array[None] for array in arrays))
-    return SolutionSet(states, ("followed",), Status.OK if state.exists else Status.UNREACHABLE)
+    return set_of_one(forward_physical(geometry, readings, near), "followed")
+
+
+def set_of_one(state: Configuration, label: str) -> SolutionSet:
+    """Return the set of one solution, which may not exist."""
+    arrays = (array[None] for array in (state.rotation, state.translation, state.middle_joints))
+    states = Configuration.from_arrays(state.geometry, *arrays)
+    return SolutionSet(states, (label,), Status.OK if state.exists else Status.UNREACHABLE)
 
 
 def _read_lengths(geometry: Geometry, readings: npt.ArrayLike) -> FloatArray:

@@ -131,7 +131,9 @@ class Configuration:
             return f"<Configuration: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
         if not self.exists:
             return f"<Configuration: does not exist{self.missing_reason and ': '}{self.missing_reason}>"
-        return f"<Configuration: leg lengths ({', '.join(f'{length:.4f}' for length in self.leg_lengths)}) m>"
+        beyond = ", ".join(LEGS[leg] for leg in np.flatnonzero(self.limit_excess))
+        lengths = ", ".join(f"{length:.4f}" for length in self.leg_lengths)
+        return f"<Configuration: leg lengths ({lengths}) m{beyond and f', beyond the limits: {beyond}'}>"
 
     def _repr_html_(self) -> str:
         if not self.shape:
@@ -237,6 +239,12 @@ class Configuration:
     def readings(self) -> FloatArray:
         """Readings of the legs' encoders [m], shape (..., 6): `leg_lengths` plus the offsets of the machine."""
         return frozen(self.leg_lengths + self._geometry.legs.offsets)
+
+    @cached_property
+    def limit_excess(self) -> FloatArray:
+        """By how much readings are above their limits, or below them (negative), shape (..., 6) [m]; 0 within."""
+        limits, readings = self._geometry.limits, self.readings
+        return frozen(np.zeros(readings.shape) if limits is None else limits.excess(readings))
 
     @cached_property
     def middle_pose(self) -> RigidTransform:
