@@ -102,15 +102,6 @@ class LegLimits:
         beyond = np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0)
         return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
 
-    def check_path(self, readings: FloatArray, argument: str, places: FloatArray, unit: str) -> None:
-        """Raise `UnreachableError` at the first of `places` (n,) where readings (n, 6) are beyond the limits."""
-        excess = self.excess(readings)
-        if excess.any():
-            k = int(excess.any(axis=-1).argmax())
-            leg = int(np.abs(excess[k]).argmax())
-            received = f"{LEGS[leg]} of {readings[k, leg]:.6g} m at {places[k]:.4g} {unit}".rstrip()
-            raise UnreachableError(argument, f"leg lengths within the machine's {self}", received)
-
     def margin(self, readings: npt.ArrayLike) -> FloatArray:
         """Return the distance [m] of the worst leg of (..., 6) [m] to its limits; negative outside, NaN for NaN."""
         lengths, (low, high) = _read(readings), self.admitted
@@ -120,6 +111,18 @@ class LegLimits:
 
 def _read(readings: npt.ArrayLike) -> FloatArray:
     return real_array(readings, "readings", (6,), "what the encoders show, in metres", allow_nan=True)
+
+
+def check_path_readings(
+    limits: LegLimits | None, readings: FloatArray, argument: str, places: FloatArray, unit: str
+) -> None:
+    """Raise `UnreachableError` at the first of `places` (n,) where readings (n, 6) are beyond the limits, if any."""
+    excess = np.zeros(readings.shape) if limits is None else limits.excess(readings)
+    if excess.any():
+        k = int(excess.any(axis=-1).argmax())
+        leg = int(np.abs(excess[k]).argmax())
+        received = f"{LEGS[leg]} of {readings[k, leg]:.6g} m at {places[k]:.4g} {unit}"
+        raise UnreachableError(argument, f"leg lengths within the machine's {limits}", received)
 
 
 def _least(of_legs: FloatArray) -> FloatArray:
