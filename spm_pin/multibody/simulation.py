@@ -146,7 +146,8 @@ def run_simulation(
     values: list[Any] = [*map(np.array, zip(*integrator.rows, strict=True)), *end]
     geometry, limits = constrained.geometry, constrained.geometry.limits
     readings = values[4] + geometry.legs.offsets
-    return Simulation(*values, np.zeros(readings.shape) if limits is None else limits.excess(readings))
+    values.append(np.zeros(readings.shape) if limits is None else limits.excess(readings))
+    return Simulation(*values)
 
 
 def _as_function(force: Any, argument: str) -> _Forces:
