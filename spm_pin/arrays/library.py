@@ -17,8 +17,8 @@ from spm_pin.formulas.leg_constants import AXES
 from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind, mapped, vector_of
 from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.arguments import LARGEST, SMALLEST, check_shapes, type_and_value
-from spm_pin.mechanism.geometry import LARGEST_RATIO, check_rps
+from spm_pin.mechanism.arguments import LARGEST, LARGEST_RATIO, SMALLEST, check_shapes, type_and_value
+from spm_pin.mechanism.geometry import check_rps
 
 try:
     import array_api_compat as compat

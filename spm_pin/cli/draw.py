@@ -9,6 +9,7 @@ import webbrowser
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 from typer import Option
 
@@ -72,7 +73,7 @@ def draw(
     outputs.note(f"wrote {out}")
     beyond = []
     for title, state in states.items():
-        beyond_limits = ", ".join(LEGS[leg] for leg in options.beyond_limits(state))
+        beyond_limits = ", ".join(LEGS[leg] for leg in np.flatnonzero(state.limit_excess))
         if beyond_limits:
             beyond.append(f"{title}: {beyond_limits}" if title else beyond_limits)
     if beyond:

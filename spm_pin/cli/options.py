@@ -18,10 +18,9 @@ from spm_pin.cli.outputs import note
 from spm_pin.description.masses import Masses
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError, PoseError
-from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
+from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Status, pose
-from spm_pin.mechanism.arguments import IntArray
 from spm_pin.mechanism.branch_of_state import branch_sign, family
 from spm_pin.mechanism.geometry import PER_METRE, likely_unit, machine_size
 
@@ -260,7 +259,7 @@ def exit_code(solutions: SolutionSet, physical: Configuration) -> int:
 
     3 if it is unreachable, 4 if degenerate, 5 if there is no physical solution within the limits, and else 0.
     """
-    held = bool(physical.exists) and not beyond_limits(physical).size
+    held = bool(physical.exists) and not physical.limit_excess.any()
     codes = {Status.OK: 0 if held else 5, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}
     return codes.get(Status(int(solutions.status)), 1)
 
@@ -285,14 +284,7 @@ def solve_request(
         raise ArgumentError("--legs", "leg lengths or a pose", "neither" if legs is None else "both")
     state = forward_physical(geometry, np.array(legs) / unit.per_metre)
     label = FAMILIES[int(family(state))] + "+-"[int(branch_sign(state) < 0.0)]
-    return alone(state, label), [] if state.exists else legs_remarks(geometry, legs, unit)
-
-
-def alone(state: Configuration, label: str) -> SolutionSet:
-    """Return the set of one solution, which may not exist."""
-    arrays = (array[None] for array in (state.rotation, state.translation, state.middle_joints))
-    status = Status.OK if state.exists else Status.UNREACHABLE
-    return SolutionSet(Configuration.from_arrays(state.geometry, *arrays), (label,), status)
+    return set_of_one(state, label), [] if state.exists else legs_remarks(geometry, legs, unit)
 
 
 def legs_remarks(geometry: Geometry, legs: SixLegs, unit: LengthUnit) -> list[str]:
@@ -316,7 +308,10 @@ def requested_solutions(
             received = f"status {solutions.status}"
             raise ArgumentError("--translation", "a pose with a real branch", received, " ".join(remarks))
         physical = solutions.physical()
-        return solutions, physical if physical.exists else solutions.configurations[int(solutions.exists.argmax())]
+        if physical.exists:
+            return solutions, physical
+        note("no branch of this pose is physical", "yellow")
+        return solutions, solutions.configurations[int(solutions.exists.argmax())]
     if legs is None:
         state = starting_configuration(geometry)
     else:
@@ -327,27 +322,19 @@ def requested_solutions(
     return inverse_displacement(geometry, state.pose), state
 
 
-def beyond_limits(state: Configuration) -> IntArray:
-    """Return the numbers of the legs whose readings are beyond their limits, 0 to 5."""
-    limits = state.geometry.limits
-    if limits is None:
-        return np.empty(0, int)
-    return np.flatnonzero(limits.excess(state.readings))
-
-
 def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, Configuration]:
     """Return branches of a pose under the titles of their pictures."""
     titled, physical = {}, solutions.is_physical
     for k in map(solutions.labels.index, labels):
         state = solutions.configurations[k]
-        remarks = [", physical"] * bool(physical[k]) + [", beyond limits"] * bool(beyond_limits(state).size)
-        titled["".join([solutions.labels[k], *remarks])] = state
+        marks = ", physical" * bool(physical[k]) + ", beyond limits" * bool(state.limit_excess.any())
+        titled[solutions.labels[k] + marks] = state
     return titled
 
 
 def state_content(state: Configuration, *, physical: bool) -> dict[str, Any]:
     """Return what `--json` says of every state: whether it is physical, and which legs are beyond their limits."""
-    beyond = beyond_limits(state)
+    beyond = np.flatnonzero(state.limit_excess)
     return {"physical": physical, "within_limits": not beyond.size, "beyond_limits": beyond}
 
 
@@ -361,7 +348,7 @@ def state_remarks(contents: Sequence[dict[str, Any]], physical: Configuration, w
     remarks, beyond = [], [content["beyond_limits"] for content in contents if not content["within_limits"]]
     if beyond:
         legs = ", ".join(LEGS[leg] for leg in beyond[0]) if len(contents) == 1 else "a leg"
-        too = len(contents) > 1 and bool(physical.exists and beyond_limits(physical).size)
+        too = len(contents) > 1 and bool(physical.exists and physical.limit_excess.any())
         remarks.append(f"* {legs} beyond the limits" + f", of the physical {what} too" * too)
     if contents and not physical.exists:
         remarks.append(f"No {what} is physical: none is reached from the home without a forward singularity.")

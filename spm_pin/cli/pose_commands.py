@@ -49,7 +49,7 @@ def inverse(
     The exit code is 5 if no physical branch is within the leg limits.
     """
     solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
-    branches = [_branch(solutions, k, unit) for k in np.flatnonzero(solutions.exists).tolist()]
+    branches = _records(solutions, None, lambda state: _lengths(state, unit))
     physical = solutions.physical()
     code = options.exit_code(solutions, physical)
     if json:
@@ -74,16 +74,21 @@ def inverse(
     raise typer.Exit(code)
 
 
-def _branch(solutions: SolutionSet, k: int, unit: LengthUnit) -> Record:
-    state = solutions.configurations[k]
-    return {
-        "label": solutions.labels[k],
-        "leg_lengths": state.leg_lengths * unit.per_metre,
-        "readings": state.readings * unit.per_metre,
-        "middle_joints": state.middle_joints * unit.per_metre,
-        **options.state_content(state, physical=bool(solutions.is_physical[k])),
-        "residual": solutions.residual[k] * unit.per_metre,
-    }
+def _records(
+    solutions: SolutionSet, labels: list[str] | None, compute: Callable[[Configuration], Record]
+) -> list[Record]:
+    """Return the marks of each branch of `--branch`, or of all real ones, and what is computed of its state."""
+    records, physical = [], solutions.is_physical
+    for label in options.selected_labels(solutions, labels):
+        state, is_physical = solutions[label], bool(physical[solutions.labels.index(label)])
+        records.append({"label": label, **options.state_content(state, physical=is_physical), **compute(state)})
+    return records
+
+
+def _lengths(state: Configuration, unit: LengthUnit) -> Record:
+    names = "leg_lengths", "readings", "middle_joints"
+    lengths: Record = {name: getattr(state, name) * unit.per_metre for name in names}
+    return lengths | {"residual": state.closure_residual * unit.per_metre}
 
 
 @outputs.name_options(leg_lengths="--legs", readings="--legs")
@@ -175,45 +180,31 @@ def singularities(
     The exit code is 5 if no physical branch is within the leg limits.
     """
     solutions, remarks = options.solve_request(options.read_geometry(geometry), pose, legs, unit)
-    branches = _chosen_branches(solutions, branch, _singularity)
+    branches = _records(solutions, branch, _singularity)
     if json:
-        outputs.write_json({"status": str(solutions.status), "branches": branches})
+        by_label = {record["label"]: record for record in branches}
+        outputs.write_json({"status": str(solutions.status), "branches": by_label})
     else:
         numbers = {
-            f"{symbol} {key}": lambda row, name=name, key=key: outputs.significant(row[1][name][key], 1.0, 4)
+            f"{symbol} {key}": lambda row, name=name, key=key: outputs.significant(row[name][key], 1.0, 4)
             for symbol, name in (("det", "scaled_determinants"), ("σ", "distance"))
             for key in _MATRICES
         }
-        columns: dict[str, Any] = {"branch": itemgetter(0), **numbers, "": _singular_mark}
+        columns: dict[str, Any] = {"branch": itemgetter("label"), **numbers, "": _mark_and_kind}
         title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"
-        outputs.print_table(title, columns, branches.items(), left=[""])
+        outputs.print_table(title, columns, branches, left=[""])
     _end(solutions, branches, remarks, json)
 
 
-def _mark(row: tuple[str, Record]) -> str:
-    return options.state_mark(row[1])
+def _mark_and_kind(record: Record) -> str:
+    kind = record["kind"] if record["kind"] != "regular" else ""
+    return ", ".join(filter(None, [kind, options.state_mark(record)]))
 
 
-def _singular_mark(row: tuple[str, Record]) -> str:
-    kind = row[1]["kind"]
-    return _mark(row) if kind == "regular" else ", ".join(filter(None, [kind, _mark(row)]))
-
-
-def _chosen_branches(
-    solutions: SolutionSet, labels: list[str] | None, compute: Callable[[Configuration], Record]
-) -> dict[str, Record]:
-    """Return the records of the branches of `--branch`, or of all real ones, with their marks."""
-    physical = dict(zip(solutions.labels, solutions.is_physical.tolist(), strict=True))
-    return {
-        label: options.state_content(solutions[label], physical=physical[label]) | compute(solutions[label])
-        for label in options.selected_labels(solutions, labels)
-    }
-
-
-def _end(solutions: SolutionSet, branches: dict[str, Record], remarks: list[str], json: bool) -> NoReturn:
+def _end(solutions: SolutionSet, branches: list[Record], remarks: list[str], json: bool) -> NoReturn:
     physical = solutions.physical()
     if not json:
-        outputs.print_lines(options.state_remarks(list(branches.values()), physical, "branch"))
+        outputs.print_lines(options.state_remarks(branches, physical, "branch"))
     options.end_command(solutions, remarks, physical)
 
 
@@ -257,9 +248,10 @@ def statics(
     if not (json or wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
     solutions, remarks = options.solve_request(options.read_geometry(geometry), pose, legs, unit)
-    branches = _chosen_branches(solutions, branch, lambda state: _leg_loads(state, wrench, twist, unit))
+    branches = _records(solutions, branch, lambda state: _leg_loads(state, wrench, twist, unit))
     if json:
-        outputs.write_json({"unit": unit, "status": str(solutions.status), "branches": branches})
+        by_label = {record["label"]: record for record in branches}
+        outputs.write_json({"unit": unit, "status": str(solutions.status), "branches": by_label})
     else:
         if wrench.any():
             _print_loads("Leg forces in N: positive extends the leg", branches, "forces")
@@ -278,13 +270,13 @@ def _leg_loads(state: Configuration, wrench: np.ndarray, twist: np.ndarray, unit
     return record
 
 
-def _print_loads(title: str, branches: dict[str, Record], name: str) -> None:
-    def branch(row: tuple[str, Record]) -> str:
-        label, record = row
+def _print_loads(title: str, branches: list[Record], name: str) -> None:
+    def branch(record: Record) -> str:
+        label = str(record["label"])
         return label if record[name] is not None else f"{label}: {record['singular'][0]} singularity"
 
     def value(leg: int, values: np.ndarray | None) -> str:
         return "" if values is None else outputs.significant(values[leg], np.abs(values).max())
 
-    legs = {text: lambda row, leg=leg: value(leg, row[1][name]) for leg, text in enumerate(LEGS)}
-    outputs.print_table(title, {"branch": branch, **legs, "": _mark}, branches.items(), left=[""])
+    legs = {text: lambda row, leg=leg: value(leg, row[name]) for leg, text in enumerate(LEGS)}
+    outputs.print_table(title, {"branch": branch, **legs, "": options.state_mark}, branches, left=[""])

@@ -49,9 +49,14 @@ def home_length(radius: float, r: float, low: float, high: float) -> float:
 
 def admitted_readings(low: float, high: float) -> tuple[float, float]:
     """Return the ends of the readings that count as within the limits of a leg."""
-    highest, lowest = where(high < INFINITY, magnitude(high), 0.0), where(low > -INFINITY, magnitude(low), 0.0)
-    rounding = LIMIT_ROUNDING * larger(highest, lowest)
+    rounding = limit_rounding(low, high)
     return low - rounding, high + rounding
+
+
+def limit_rounding(low: float, high: float) -> float:
+    """Return by how much a reading may be beyond the limits of a leg and count as within them."""
+    highest, lowest = where(high < INFINITY, magnitude(high), 0.0), where(low > -INFINITY, magnitude(low), 0.0)
+    return LIMIT_ROUNDING * larger(highest, lowest)
 
 
 def leg_axes(axis: Vector) -> Rows:

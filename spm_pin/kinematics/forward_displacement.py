@@ -13,9 +13,16 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, check_instance, first_offender, real_array
+from spm_pin.mechanism.arguments import (
+    LARGEST_RATIO,
+    FloatArray,
+    broadcastable,
+    check_instance,
+    first_offender,
+    real_array,
+)
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import LARGEST_RATIO, Geometry, check_same_machine, unit_hint
+from spm_pin.mechanism.geometry import Geometry, check_same_machine, unit_hint
 from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import LEGS
@@ -183,6 +190,13 @@ def starting_configuration(geometry: Geometry) -> Configuration:
         if state.exists:
             return state
     raise ArgumentError("geometry", "a manipulator that stands near its home", geometry, "Give a pose instead")
+
+
+def set_of_one(state: Configuration, label: str) -> SolutionSet:
+    """Return the set of one solution, which may not exist."""
+    arrays = (array[None] for array in (state.rotation, state.translation, state.middle_joints))
+    states = Configuration.from_arrays(state.geometry, *arrays)
+    return SolutionSet(states, (label,), Status.OK if state.exists else Status.UNREACHABLE)
 
 
 def _read_readings(geometry: Geometry, readings: npt.ArrayLike) -> FloatArray:

@@ -353,7 +353,7 @@ def find_events(
     values, events = _monitored(geometry, states), []
     rounding = np.zeros(values.shape[-1])
     if geometry.limits is not None:
-        rounding[3:] = np.tile(geometry.limits.minimum - geometry.limits.admitted[0], 2)
+        rounding[3:] = np.tile(geometry.limits.rounding, 2)
     values[np.abs(values) <= rounding] = 0.0
     for which in range(values.shape[-1]):
         column = values[:, which]
@@ -381,7 +381,10 @@ def _monitored(geometry: Geometry, states: Configuration) -> FloatArray:
     if geometry.limits is None:
         return scaled
     lengths = states.readings
-    return np.concatenate([scaled, lengths - geometry.limits.minimum, geometry.limits.maximum - lengths], axis=-1)
+    minimum, maximum = np.array(geometry.limits.minimum), np.array(geometry.limits.maximum)
+    # Where there is no limit, a number that is never zero.
+    below = np.where(np.isfinite(minimum), lengths - minimum, 1.0)
+    return np.concatenate([scaled, below, np.where(np.isfinite(maximum), maximum - lengths, 1.0)], axis=-1)
 
 
 def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Event:

@@ -91,6 +91,8 @@ def real_number(
 
 SMALLEST, LARGEST = 1e-9, 1e9
 """Dimensions accepted [m]. Every result was found to scale to rounding from 1e-52 to 1e60 m."""
+LARGEST_RATIO = 1e5
+"""Leg lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
 
 
 def dimension(value: Any, argument: str) -> float:

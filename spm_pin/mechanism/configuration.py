@@ -132,7 +132,8 @@ class Configuration:
         if not self.exists:
             return f"<Configuration: does not exist{self.missing_reason and ': '}{self.missing_reason}>"
         readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self._geometry.legs.units, strict=True))
-        return f"<Configuration: readings {', '.join(readings)}>"
+        beyond = ", ".join(LEGS[leg] for leg in np.flatnonzero(self.limit_excess))
+        return f"<Configuration: readings {', '.join(readings)}{beyond and f', beyond the limits: {beyond}'}>"
 
     def _repr_html_(self) -> str:
         if not self.shape:
@@ -293,6 +294,12 @@ class Configuration:
         """
         legs = self._geometry.legs
         return frozen(self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places))
+
+    @cached_property
+    def limit_excess(self) -> FloatArray:
+        """By how much readings are above their limits, or below them (negative), shape (..., 6) [m]; 0 within."""
+        limits, readings = self._geometry.limits, self.readings
+        return frozen(np.zeros(readings.shape) if limits is None else limits.excess(readings))
 
     @cached_property
     def middle_pose(self) -> RigidTransform:

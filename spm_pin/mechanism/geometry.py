@@ -55,8 +55,6 @@ _SAME = 1e-9
 """Machines that differ by less, relative to the middle side, are the same."""
 _PROPORTION = 10.0
 """Lengths this many times the machine's size are read as a wrong unit."""
-LARGEST_RATIO = 1e5
-"""Leg lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
 _LARGEST_MACHINE = 100.0
 """A machine more times as large as its legs are long is read as one in a wrong unit."""
 

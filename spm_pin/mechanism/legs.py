@@ -38,6 +38,7 @@ RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
 
 _triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(circles.squared_sides)
 _admitted_readings = on_arrays(leg_constants.admitted_readings)
+_limit_rounding = on_arrays(leg_constants.limit_rounding)
 _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _plane_axes = bind(planar_legs.plane_axes, sqrt=math.sqrt)
 _UNIT = 1e-6
@@ -92,8 +93,13 @@ class LegLimits:
 
     @functools.cached_property
     def admitted(self) -> FloatArray:
-        """Ends (2, 6) of the readings that count as within the limits [m]: these and what rounding adds."""
+        """Ends (2, 6) of the readings that count as within the limits: these and what rounding adds."""
         return frozen(np.array(_admitted_readings(np.array(self.minimum), np.array(self.maximum))))
+
+    @property
+    def rounding(self) -> FloatArray:
+        """By how much readings (6,) may be beyond the limits and count as within them."""
+        return np.asarray(_limit_rounding(np.array(self.minimum), np.array(self.maximum)))
 
     def contains(self, readings: npt.ArrayLike) -> BoolArray:
         """Return which sets of readings (..., 6) [m] respect all limits, to rounding; NaN does not."""
@@ -106,15 +112,6 @@ class LegLimits:
         beyond = np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0)
         return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
 
-    def check_path(self, readings: FloatArray, argument: str, places: FloatArray, unit: str) -> None:
-        """Raise `UnreachableError` at the first of `places` (n,) where readings (n, 6) are beyond the limits."""
-        excess = self.excess(readings)
-        if excess.any():
-            k = int(excess.any(axis=-1).argmax())
-            leg = int(np.abs(excess[k]).argmax())
-            received = f"{LEGS[leg]} of {readings[k, leg]:.6g} m at {places[k]:.4g} {unit}".rstrip()
-            raise UnreachableError(argument, f"leg lengths within the machine's {self}", received)
-
     def margin(self, readings: npt.ArrayLike) -> FloatArray:
         """Return the distance [m] of the worst leg of (..., 6) [m] to its limits; negative outside, NaN for NaN."""
         lengths, (low, high) = _read(readings), self.admitted
@@ -124,6 +121,18 @@ class LegLimits:
 
 def _read(readings: npt.ArrayLike) -> FloatArray:
     return real_array(readings, "readings", (6,), "what the encoders show, in metres", allow_nan=True)
+
+
+def check_path_readings(
+    limits: LegLimits | None, readings: FloatArray, argument: str, places: FloatArray, unit: str
+) -> None:
+    """Raise `UnreachableError` at the first of `places` (n,) where readings (n, 6) are beyond the limits, if any."""
+    excess = np.zeros(readings.shape) if limits is None else limits.excess(readings)
+    if excess.any():
+        k = int(excess.any(axis=-1).argmax())
+        leg = int(np.abs(excess[k]).argmax())
+        received = f"{LEGS[leg]} of {readings[k, leg]:.6g} m at {places[k]:.4g} {unit}"
+        raise UnreachableError(argument, f"leg lengths within the machine's {limits}", received)
 
 
 def _least(of_legs: FloatArray) -> FloatArray:

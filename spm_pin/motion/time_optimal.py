@@ -21,6 +21,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
 from spm_pin.mechanism.geometry import check_same_machine
+from spm_pin.mechanism.legs import check_path_readings
 from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.paths import LegPath, MotionLimits, MotionPath, PathDynamics, path_dynamics
@@ -169,9 +170,9 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
 
     A path of leg lengths may cross inverse singularities: the legs lead through.
     """
-    limits = chain.geometry.limits
-    if limits is not None and not planned:
-        limits.check_path(along.states.readings, "path", along.parameters, "of its parameter")
+    if not planned:
+        limits, readings = chain.geometry.limits, along.states.readings
+        check_path_readings(limits, readings, "path", along.parameters, "of its parameter")
     values = determinants(along.states)[:, : 2 if isinstance(path, LegPath) else 3]
     crossed = (values[1:] * values[:-1] < 0.0).any(axis=-1)
     if crossed.any():

@@ -36,6 +36,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine
 from spm_pin.mechanism.joint_angles import joint_angles
+from spm_pin.mechanism.legs import check_path_readings
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.multibody.chain_state import ChainState, ConstrainedChain, NaturalFrequencies, PlatformDynamics, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
@@ -393,8 +394,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
                 raise at_index(error, (k,)) from error
             rows.append((q, v, a, efforts, self.readings(q), pose.as_matrix()))
         positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
-        if self.geometry.limits is not None:
-            self.geometry.limits.check_path(readings, "path", t, "s")
+        check_path_readings(self.geometry.limits, readings, "path", t, "s")
         pose = RigidTransform.from_matrix(poses)
         return JointTrajectory(self.joint_names, t, positions, v, a, efforts, readings, pose)
 
@@ -412,8 +412,9 @@ class ClosedChain(ConstrainedChain[ChainState]):
         """Integrate the motion under leg forces, gravity and a wrench, up to the last time or what ends it before.
 
         By SciPy's DOP853 with projection onto the closures after each step. Leg limits, inverse and forward
-        singularities are passed through. A leg of no length and a constraint singularity end the run: forces in the
-        balls have no bound there. They are looked for at the ends of steps.
+        singularities are passed through; `limit_excess` of the result tells where limits are. A leg of no length and a
+        constraint singularity end the run: forces in the balls have no bound there. They are looked for at the ends of
+        steps.
 
         Parameters
         ----------

@@ -83,6 +83,8 @@ class Simulation:
     """Why it ended there."""
     detail: str
     """Which leg, or why no step was possible; empty if there is nothing to say."""
+    limit_excess: FloatArray
+    """By how much readings are above their limits, or below them (negative) [m], shape (n, 6); 0 within."""
 
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
@@ -142,6 +144,9 @@ def run_simulation(
             integrator.record(stop.time, state, applied)
     end = (SimulationEnd.COMPLETE, "") if stop is None else stop[:2]
     values: list[Any] = [*map(np.array, zip(*integrator.rows, strict=True)), *end]
+    geometry, limits = constrained.geometry, constrained.geometry.limits
+    readings = values[4] + geometry.legs.offsets
+    values.append(np.zeros(readings.shape) if limits is None else limits.excess(readings))
     return Simulation(*values)
 
 

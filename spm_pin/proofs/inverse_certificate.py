@@ -16,11 +16,11 @@ lengths within the limits goes, what keeps the sign of det K is proved. Derivati
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from spm_pin.errors import ArgumentError, GeometryError
@@ -39,8 +39,8 @@ Cells = tuple[Interval, Interval]
 
 _SAMPLES = 2_000
 """States among which a singular one, and the least |det K|, are looked for."""
-_PAIRS, _POINTS = 100, 50
-"""Pairs of samples between which a singular one is looked for, and points of the straight way between two."""
+_PAIRS = 100
+"""Pairs of samples between which a singular one is looked for."""
 _DEEPEST = 20
 """Largest level of division."""
 _GRID = 5
@@ -151,17 +151,15 @@ def _zero_between(geometry: Geometry, low: FloatArray, high: FloatArray) -> Conf
 
     Not every straight way from one to another has states all along: pairs are tried, the nearest first.
     """
+
+    def value(share: float, start: FloatArray, step: FloatArray) -> float:
+        return float(_scaled_determinant(geometry, start + share * step))
+
     for k in scipy.spatial.distance.cdist(low, high).argsort(axis=None)[:_PAIRS]:
-        start, end = low[k // len(high)], high[k % len(high)]
-
-        def along(share: npt.ArrayLike, start: FloatArray = start, end: FloatArray = end) -> FloatArray:
-            return start + np.multiply.outer(share, end - start)
-
-        if not np.isnan(_scaled_determinant(geometry, along(np.linspace(0.0, 1.0, _POINTS)))).any():
-            share = scipy.optimize.brentq(
-                lambda s: float(_scaled_determinant(geometry, along(s))), 0.0, 1.0, xtol=1e-15
-            )
-            return forward_physical(geometry, along(share))
+        start, step = low[k // len(high)], high[k % len(high)] - low[k // len(high)]
+        with contextlib.suppress(ValueError):  # of a value that is NaN
+            share = scipy.optimize.brentq(value, 0.0, 1.0, args=(start, step), xtol=1e-15)
+            return forward_physical(geometry, start + share * step)
     return None
 
 

@@ -64,7 +64,8 @@ def test_draw_names_the_legs_beyond_their_limits(tmp_path: Path) -> None:
     assert legs
     done = run("draw", *pose, "--out", str(picture), "--width", "200")
     assert done.returncode == 0
-    assert done.message == f"wrote {picture} legs beyond their limits: {', '.join(legs)}"
+    beyond = f"legs beyond their limits: {', '.join(legs)}"
+    assert done.message == f"no branch of this pose is physical wrote {picture} {beyond}"
 
 
 def test_draw_one_branch_or_all(tmp_path: Path) -> None:

@@ -256,3 +256,11 @@ def test_bad_arguments(case: str) -> None:
     given: dict[str, Any] = {"q0": q, "v0": np.zeros(18), "forces": None, "times": [0.0, 0.1]}
     with pytest.raises((ArgumentError, ClosureError), match=message):
         chain().simulate(**{**given, **changed(q)})
+
+
+def test_a_run_says_where_its_legs_are_beyond_their_limits() -> None:
+    robot = chain()
+    q = robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 0.2, 3))
+    np.testing.assert_array_equal(run.limit_excess, robot.geometry.limits.excess(robot.readings(run.q)))
+    assert (run.limit_excess[-1] < 0.0).tolist() == [True, True, False, False, False, False]

@@ -41,7 +41,6 @@ NEAR = 0.02
 _UNLIMITED = LegLimits(0.0, np.inf)
 _REACHED = 1e-6  # of d: distance at which a pose counts as reached
 _SAME_BRANCH = 1e-4  # of d: closer joints are one solution
-_ROUNDING = 1e-9  # of d: a reading that far beyond a limit is at it
 _SAMPLES, _NEIGHBOURS = 4000, 400  # states drawn once, and how many of them span a slider of the pose
 _STEPS = 48  # along a leg, to see how far the assembly mode lasts
 
@@ -67,7 +66,7 @@ class State:
     @cached_property
     def limit_excess(self) -> FloatArray:
         """By how much each reading (6,) is above its largest (positive) or below its least (negative) [m]."""
-        return _limit_excess(self.shown)
+        return self.shown.limit_excess
 
     @cached_property
     def is_physical(self) -> bool:
@@ -148,7 +147,7 @@ class ViewerModel:
         solutions = inverse_displacement(geometry, target)
         wanted = solutions[label]
         limited = self.hold_limits and geometry.limits is not None and not self.state.limit_excess.any()
-        if wanted.exists and not (limited and _limit_excess(wanted).any()):
+        if wanted.exists and not (limited and wanted.limit_excess.any()):
             return self._show(target, wanted, solutions)
         if limited:
             nearest = nearest_reachable_pose(geometry, target, near=before)
@@ -211,12 +210,6 @@ class ViewerModel:
         origin = None if jump else (before.label, before.singularities.scaled_determinants)
         self.state = State(target, shown, label, solutions, distance, before.wrench, tuple(remarks), origin)
         return self.state
-
-
-def _limit_excess(state: Configuration) -> FloatArray:
-    limits = state.geometry.limits
-    excess = np.zeros(6) if limits is None else limits.excess(state.readings)
-    return np.where(np.abs(excess) < _ROUNDING * state.geometry.middle_side, 0.0, excess)
 
 
 def _real_branches(solutions: SolutionSet) -> tuple[str, ...]:
