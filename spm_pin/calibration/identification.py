@@ -102,10 +102,6 @@ class Calibration:
         """Return the position errors before and after [m], (N,) each."""
         return [np.linalg.norm(errors[:, :3], axis=-1) for errors in (self.before, self.residuals)]
 
-    def plot(self) -> Any:
-        """Return a matplotlib figure of the position errors before and after, and of the uncertainties."""
-        return notebook.plot("calibration_figure", self)
-
     @property
     def geometry(self) -> Geometry:
         """The machine; raises `MeasurementError` if the measurements do not fit it, with the reason."""

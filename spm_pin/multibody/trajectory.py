@@ -141,10 +141,6 @@ class JointTrajectory:
         pictures += notebook.curves(self.times, self.efforts[:, self.slides], "forces of the legs [N] over time [s]")
         return notebook.table(repr(self), (), (), pictures)
 
-    def plot(self) -> Any:
-        """Return a matplotlib figure of the legs' slides, rates, accelerations and forces over time."""
-        return notebook.plot("motion_figure", self)
-
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of a ROS message `trajectory_msgs/JointTrajectory`, as plain Python.
 
