@@ -277,7 +277,7 @@ def test_the_exported_command_and_the_exported_json_hold_the_state():
     np.testing.assert_array_equal(np.array(content["pose"]), START.pose.as_matrix())
     pose = spm.pose(content["translation"], xyx=content["xyx"])
     np.testing.assert_allclose(pose.as_matrix(), START.pose.as_matrix(), atol=1e-14)
-    assert np.abs(chain.closure_gap(np.array([content["q"][name] for name in chain.joint_names]))).max() < 1e-12
+    assert np.abs(chain.state(np.array([content["q"][name] for name in chain.joint_names])).closure_gap()).max() < 1e-12
     assert content["branch"] == "TT+"
     assert content["leg_forces"]["r_b1"] == pytest.approx(spm.leg_forces(START, [0, 0, -500, 0, 0, 0])[0])
     words = shlex.split(content["command"])
