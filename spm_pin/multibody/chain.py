@@ -54,11 +54,11 @@ from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, Platfo
 class ClosedChain:
     """The spanning tree of the description in Pinocchio, and the closures that make it the mechanism; read-only.
 
-    Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. The chain finds joint values q [rad, m] that
-    close the loops, in the order of `joint_names`; rates, forces and dynamics at q are methods of its `state`.
+    Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. The chain finds joint values q [rad, m]
+    that close the loops, in the order of `joint_names`; rates, forces and dynamics at q are methods of its `state`.
     Arguments are of one state or of a batch (..., 18), and leading axes of several broadcast. Pinocchio answers one
-    state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and `inverse_kinematics` without
-    `near`, are vectorised closed forms. nq = nv = 18; the n = 6 actuators are legs.
+    state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
+    `inverse_kinematics` without `near`, are vectorised closed forms. nq = nv = 18; the n = 6 actuators are legs.
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
     of the batch says why. Joint values of a machine as built are zero at the home of its drawing, where its loops are
