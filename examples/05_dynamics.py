@@ -13,11 +13,13 @@ import spm_pin as spm
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 chain = spm.ClosedChain.from_urdf()
-poses = spm.pose(
-    [[0.6889, 0.4963, 2.253], [0.70, 0.48, 2.28], [0.68, 0.50, 2.28]],
-    xyx=np.deg2rad([[-11.08, 32.97, -12.88], [-12.0, 33.5, -12.0], [-11.0, 33.0, -13.0]]),
-)
-q0 = chain.joint_values(spm.inverse_displacement(chain.geometry, poses[0]).physical())
+lengths = [
+    [1.20, 1.20, 1.40, 1.25, 1.20, 1.45],
+    [1.25, 1.23, 1.40, 1.25, 1.22, 1.45],
+    [1.22, 1.20, 1.42, 1.24, 1.18, 1.42],
+]
+poses = spm.forward_physical(chain.geometry, lengths).pose
+q0 = chain.inverse_kinematics(poses[0])
 
 # Inverse dynamics: all joints of the path, and what the actuators give.
 times = np.linspace(0.0, 2.0, 201)

@@ -23,11 +23,13 @@ q = chain.forward_kinematics([1.21, 1.20, 1.39, 1.25, 1.20, 1.46], near=q)
 v = chain.state(q).joint_rates([0.01, 0.0, -0.01, 0.0, 0.0, 0.01])
 
 # A path of the platform through poses, at 250 Hz.
-poses = spm.pose(
-    [[0.6889, 0.4963, 2.253], [0.70, 0.48, 2.28], [0.68, 0.50, 2.28]],
-    xyx=np.deg2rad([[-11.08, 32.97, -12.88], [-12.0, 33.5, -12.0], [-11.0, 33.0, -13.0]]),
-)
-start = chain.joint_values(spm.inverse_displacement(chain.geometry, poses[0]).physical())
+lengths = [
+    [1.20, 1.20, 1.40, 1.25, 1.20, 1.45],
+    [1.25, 1.23, 1.40, 1.25, 1.22, 1.45],
+    [1.22, 1.20, 1.42, 1.24, 1.18, 1.42],
+]
+poses = spm.forward_physical(chain.geometry, lengths).pose
+start = chain.inverse_kinematics(poses[0])
 path = spm.PlatformPath([0.0, 1.0, 2.0], poses, ease=True)
 trajectory = chain.joint_trajectory(path, np.linspace(0.0, 2.0, 501), near=start)
 trajectory.to_csv(folder / "joints.csv")

@@ -244,3 +244,13 @@ def singular_state(
         return without_torsion(PAPER, *zip(*parameters, strict=True))
 
     return at(float(brentq(lambda x: spm.determinants(at(x))[which], low, high, xtol=1e-15, rtol=1e-15)))
+
+
+def at_end_stops(geometry: spm.Geometry, count: int) -> spm.Configuration:
+    """Return physical states with two legs each at ends of their limits, some of `count` random readings."""
+    rng, limits = np.random.default_rng(0), geometry.limits
+    ends = np.array([limits.minimum, limits.maximum])
+    readings = rng.uniform(*ends, (count, 6))
+    stops = np.where(rng.random((count, 6)) < 0.5, *ends)
+    states = spm.forward_physical(geometry, np.where(rng.random((count, 6)).argsort(axis=-1) < 2, stops, readings))
+    return states[states.exists]

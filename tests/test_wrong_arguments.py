@@ -122,7 +122,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("acceleration", "forces", "leg_rates", "twist", "wrench"), lambda: np.zeros(6)),
     "ChainState.joint_accelerations_of_legs.leg_accelerations": lambda: np.zeros(6),
     **dict.fromkeys(("v", "a", "MountedChain.join_velocities.chain"), lambda: np.zeros(18)),
-    **dict.fromkeys(("stiffness", "principal_stiffness.compliance"), lambda: np.eye(6)),
+    "stiffness": lambda: np.eye(6),
     **dict.fromkeys(("lower", "upper"), lambda: (1.1, 1.5)),
     **dict.fromkeys(("first", "second", "pose", "value", "Configuration.pose"), lambda: STATE.pose),
     **dict.fromkeys(("points", "position", "translation", "reachable_position.points"), lambda: STATE.translation),

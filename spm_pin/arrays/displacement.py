@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from spm_pin.arrays.library import Array, Library, Machine, library_of, quietly, read_machine, state_arrays
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import ball_motions, branches, joint_values, leg_planes, vectors
+from spm_pin.formulas import ball_motions, branches, joint_values, leg_constants, leg_planes, vectors
 from spm_pin.formulas.ball_motions import BallMotions
 from spm_pin.formulas.leg_constants import AXES, UP, drawn_triangle
 from spm_pin.formulas.operations import bind, mapped, rows_of, vector_of
@@ -32,6 +32,7 @@ _APART = (0.0, 1e-3, 1e-1)
 a machine as built has branches elsewhere, or where the drawing has none."""
 _ORDERS = 2
 """Orders of derivatives."""
+_LEVEL = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), UP
 _REGULAR = bind(drawn_triangle, sqrt=math.sqrt)(1.0)
 _REGULAR_MOTIONS = bind(ball_motions.ball_motions, sqrt=math.sqrt)(_REGULAR, (UP, UP, UP), AXES)
 """Any balls and their motions: they take the place of those that do not exist, so that all numbers are finite."""
@@ -149,7 +150,7 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     """
     library = library_of(geometry=geometry, readings=readings, **state_arrays(near, "near"))
     machine, run = read_machine(library, geometry), library.run
-    shown = [readings[..., i] for i in range(6)]
+    shown, valid = library.checked(tuple(readings[..., i] for i in range(6)), machine.farthest, (machine.r,) * 6)
     lengths = [x - offset for x, offset in zip(shown, machine.offsets, strict=True)]
     zero = library.zeros(*lengths, machine.r, *([] if near is None else [near.translation[..., 0]]))
     halves = tuple(lengths[:3]), tuple(lengths[3:])
@@ -188,7 +189,7 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     turns, places = run(ball_motions.frame_of_triangle, axes, own_axes, b, own)
     first, second = (mapped(lambda x, i=i: x[i, ...], (turns, places)) for i in range(2))
     pose = run(ball_motions.pose_of_frames, *first, *second)
-    exists, joints = exists[0, ...] & exists[1, ...], mapped(lambda x: x[0, ...], b)
+    exists, joints = exists[0, ...] & exists[1, ...] & valid & machine.valid, mapped(lambda x: x[0, ...], b)
     if near is None:
         exists = exists & _physical(library, *library.constant((machine, pose, joints)))[0]
     else:
@@ -202,7 +203,10 @@ class _Inverse:
     def __init__(self, geometry: Any, rotation: Array, translation: Array, near: State | None = None) -> None:
         given = state_arrays(near, "near")
         self.library = library_of(geometry=geometry, rotation=rotation, translation=translation, **given)
-        self.pose, self.machine = (rows_of(rotation), vector_of(translation)), read_machine(self.library, geometry)
+        self.machine = read_machine(self.library, geometry)
+        turn, is_turn = self.library.checked(rows_of(rotation), 2.0, _LEVEL)
+        place, is_near = self.library.checked(vector_of(translation), 2.0 * self.machine.farthest, UP)
+        self.pose, self.valid = (turn, place), is_turn & is_near & self.machine.valid
         beside = [] if near is None else [near.middle_joints[..., 0, 0]]
         self.zero = self.library.zeros(self.pose[0][0][0], self.pose[1][0], self.machine.r, *beside)
         self.legs = self.machine.legs[0], self.library.run(leg_planes.carried, self.machine.legs[1], *self.pose)
@@ -221,7 +225,8 @@ class _Inverse:
         sign = library.together([1.0, -1.0] * len(families), self.zero)
         b = run(branches.branch_balls, form, sign, frame, self._pose[1], r, least * r * r)
         is_real = run(branches.discriminant, form) >= 0.0
-        return b, is_real & ~run(branches.is_continuous, form, frame.noise) & ~frame.is_vertical
+        is_real = is_real & ~run(branches.is_continuous, form, frame.noise) & ~frame.is_vertical
+        return b, is_real & self.valid
 
     def closed(self, start: Any) -> tuple[Any, Any]:
         """Return where Newton's method leads from balls, and whether that is a solution."""
@@ -235,7 +240,7 @@ class _Inverse:
         c = machine.upper_balls(library, b)
         errors = run(ball_motions.structure_errors, b, c, lower, upper, machine.squares[0])
         scale = machine.r + run(vectors.larger, run(vectors.largest, self._pose[1]), machine.r)
-        return b, run(ball_motions.largest_error, errors, machine.r) <= _CLOSED * library.eps * scale
+        return b, (run(ball_motions.largest_error, errors, machine.r) <= _CLOSED * library.eps * scale) & self.valid
 
     def side(self, b: Any) -> Any:
         """Return det K."""
@@ -245,8 +250,10 @@ class _Inverse:
         """Return of balls (k, ...) those that are physical, within the limits and straightest, in this order."""
         library, machine = self.library, self._machine
         physical, tilts = _physical(library, machine, self._pose, b)
-        limited = zip(_readings(library, machine, self._legs, b), *machine.limits, strict=True)
-        inside = [(low <= q) & (q <= high) for q, low, high in limited]
+        inside = []
+        for reading, *limits in zip(_readings(library, machine, self._legs, b), *machine.limits, strict=True):
+            low, high = library.run(leg_constants.admitted_readings, *limits)
+            inside.append((low <= reading) & (reading <= high))
         inside = functools.reduce(operator.and_, inside)
         rank = library.where(physical & closed, library.where(inside, 2.0, 1.0) + tilts * 0.0, 0.0)
         best = mapped(lambda x: x[0, ...], (b, rank, tilts))

@@ -17,7 +17,8 @@ from spm_pin.formulas.leg_constants import AXES
 from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind, mapped, vector_of
 from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.arguments import check_shapes, type_and_value
+from spm_pin.mechanism.arguments import LARGEST, SMALLEST, check_shapes, type_and_value
+from spm_pin.mechanism.geometry import LARGEST_RATIO, check_rps
 
 try:
     import array_api_compat as compat
@@ -94,6 +95,13 @@ class Library:
         stop = importlib.import_module("jax.lax").stop_gradient if self.is_jax else operator.methodcaller("detach")
         return mapped(lambda x: stop(x) if hasattr(x, "dtype") else x, tree)
 
+    def checked(self, numbers: Any, most: Any, instead: Any) -> tuple[Any, Any]:
+        """Return nested tuples of arrays, and where none of them is NaN or larger than `most`; `instead` elsewhere."""
+        sizes: list[Any] = []
+        mapped(lambda x: sizes.append(self.xp.abs(x) <= most), numbers)
+        valid = functools.reduce(operator.and_, sizes)
+        return mapped(lambda x, y: self.where(valid, x, y), numbers, instead), valid
+
     def stacked(self, entries: Sequence[Any], zero: Array) -> Array:
         """Return nested sequences of numbers or arrays as one array whose last axes count them."""
         parts = [self.stacked(x, zero) if isinstance(x, tuple | list) else x + zero for x in entries]
@@ -117,7 +125,7 @@ def library_of(**arguments: Array | Geometry) -> Library:
         raise ArgumentError(", ".join(arrays), "arrays of one library", received, cause)
     namespace = next(iter(spaces.values()))
     for name, x in arrays.items():
-        if not namespace.isdtype(x.dtype, "real floating") or namespace.finfo(x.dtype).bits < 32:
+        if not namespace.isdtype(x.dtype, "real floating") or namespace.finfo(x.dtype).bits not in (32, 64):
             raise ArgumentError(name, "an array of floating-point numbers of 32 or 64 bits", f"dtype {x.dtype}")
     check_shapes({name: tuple(x.shape) for name, x in arrays.items()}, _TRAILING)
     return _library(namespace, namespace.result_type(*arrays.values()))
@@ -135,6 +143,12 @@ class Machine(NamedTuple):
     offsets: tuple[Any, ...]
     limits: tuple[tuple[float, ...], tuple[float, ...]]
     is_drawn: bool
+    valid: Any  # where its numbers are those of a machine, see `Geometry`
+
+    @property
+    def farthest(self) -> Any:
+        """The largest length that is solved beside the machine's own [m]."""
+        return LARGEST_RATIO * (self.radii[0] + self.radii[1] + 3.0**0.5 * self.r)
 
     def upper_balls(self, library: Library, b: Any) -> Any:
         """Return the upper legs' balls from the lower ones'."""
@@ -147,23 +161,26 @@ def read_machine(library: Library, geometry: Any) -> Machine:
         return _machine_of(geometry)
     size = geometry.shape[-1] if geometry.ndim else 0
     if size == 3:
-        base, platform, side = vector_of(geometry)
+        dimensions = mapped(lambda x: library.where(x >= SMALLEST, x, math.nan), vector_of(geometry))
+        (base, platform, side), valid = library.checked(dimensions, LARGEST, (1.0, 1.0, 1.0))
         r = side / 3.0**0.5
         corners = library.run(leg_constants.drawn_triangle, r)
         pivots = [x for radius in (base, platform) for x in library.run(leg_constants.drawn_triangle, radius)]
         legs = (*AXES, *AXES), tuple(pivots), (*corners, *corners), (0.0,) * 6
-        return _completed(library, (base, platform), r, legs, _UNLIMITED, True)
+        return _completed(library, (base, platform), r, legs, _UNLIMITED, True, valid)
     if size != 54:
         expected = "a Geometry, dimensions (..., 3) E, C, d, or the parameters (..., 54) of the legs"
         raise ArgumentError("geometry", expected, f"shape {tuple(geometry.shape)}")
-    rows: Any = [tuple(geometry[..., 9 * i + k] for k in range(9)) for i in range(6)]
+    numbers = tuple(tuple(geometry[..., 9 * i + k] for k in range(9)) for i in range(6))
+    drawn = tuple(map(tuple, Geometry(1.0, 1.0, 1.0).parameters.reshape(6, 9).tolist()))
+    rows, valid = library.checked(numbers, LARGEST, drawn)
     axes = [library.run(leg_constants.turned_axis, AXES[i % 3], *rows[i][:2]) for i in range(6)]
     points, balls = tuple(row[2:5] for row in rows), tuple(row[5:8] for row in rows)
     # The drawing beside it has the means of its radii.
     halves = points[:3], points[3:], balls[:3], balls[3:]
     base, platform, *middle = (library.run(leg_constants.mean_radius, x) for x in halves)
-    numbers = tuple(axes), points, balls, tuple(row[8] for row in rows)
-    return _completed(library, (base, platform), 0.5 * sum(middle), numbers, _UNLIMITED, False)
+    legs = tuple(axes), points, balls, tuple(row[8] for row in rows)
+    return _completed(library, (base, platform), 0.5 * sum(middle), legs, _UNLIMITED, False, valid)
 
 
 def _completed(library: Library, radii: Any, r: Any, legs: Any, *further: Any) -> Machine:
@@ -177,11 +194,12 @@ def _completed(library: Library, radii: Any, r: Any, legs: Any, *further: Any) -
 
 @functools.lru_cache(maxsize=32)
 def _machine_of(geometry: Geometry) -> Machine:
+    check_rps(geometry, "arrays")
     *vectors, offsets = (x.tolist() for x in geometry.legs.arrays)
     legs, limits = (*(tuple(map(tuple, x)) for x in vectors), tuple(offsets)), geometry.limits
     bounds = _UNLIMITED if limits is None else (tuple(limits.minimum), tuple(limits.maximum))
     library, radii = library_of(numbers=np.zeros(1)), (geometry.base_radius, geometry.platform_radius)
-    return _completed(library, radii, geometry.middle_radius, legs, bounds, geometry.is_nominal)
+    return _completed(library, radii, geometry.middle_radius, legs, bounds, geometry.is_nominal, True)
 
 
 def state_arrays(state: Any, name: str) -> dict[str, Any]:

@@ -22,9 +22,9 @@ class _Legs:
         self.machine = read_machine(self.library, geometry)
         pose = rows_of(state.rotation), vector_of(state.translation)
         placeholder = self.library.run(ball_motions.placeholder_state, self.machine.r)
-        self.exists = state.exists
+        self.exists = state.exists & self.machine.valid
         # Selected before anything is computed, or derivatives were NaN where nothing exists.
-        self.b, self.pose = self.library.select(state.exists, (rows_of(state.middle_joints), pose), placeholder)
+        self.b, self.pose = self.library.select(self.exists, (rows_of(state.middle_joints), pose), placeholder)
         self.zero = self.library.zeros(self.pose[1][0], self.pose[0][0][0], self.b[0][0], self.machine.r)
         self.lower = self.machine.legs[0]
         self.upper = self.library.run(leg_planes.carried, self.machine.legs[1], *self.pose)

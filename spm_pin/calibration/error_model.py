@@ -22,6 +22,7 @@ from spm_pin.kinematics.rates_and_forces import stage_inverses
 from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance
 from spm_pin.mechanism.configuration import check_configuration
+from spm_pin.mechanism.geometry import check_rps
 
 
 def error_jacobian(configuration: Configuration) -> FloatArray:
@@ -50,6 +51,7 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     """
     check_configuration(configuration)
     state, geometry = configuration, configuration.geometry
+    check_rps(geometry, "errors of the legs")
     outward = np.where(np.arange(6) < 3, 1.0, -1.0)[:, None]
     # The arms from pivots to balls, and unit vectors along the legs, those of the upper ones from ball to pivot.
     arms, axes = outward * state.leg_vectors, state.leg_axes

@@ -23,6 +23,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry, notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool, check_instance, choice, generator, whole_number
 from spm_pin.mechanism.configuration import check_configuration
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.mechanism.legs import RADIAL
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
@@ -168,6 +169,7 @@ def identify(
         rotations transposed, or if the measurements are too few or too much alike to determine the parameters.
     """
     start = check_instance(geometry, Geometry, "geometry")
+    check_rps(start, "calibration")
     wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
     choice(loss, "loss", _LOSSES)
     data = Measurements.check(start, poses, readings)

@@ -23,6 +23,7 @@ from spm_pin.mechanism.arguments import (
     real_number,
     whole_number,
 )
+from spm_pin.mechanism.geometry import check_rps
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,6 +121,7 @@ def tolerance(
     ['ball 33%', 'pivot 33%', 'offset 31%', 'direction 4%']
     """
     machine, random = check_instance(geometry, Geometry, "geometry"), generator(rng)
+    check_rps(machine, "tolerances")
     deviations = _deviations(tolerances)
     samples = whole_number(samples, "samples", least=0, most=10**6)
     places = given_or_drawn(machine, states, "states", random)

@@ -41,11 +41,14 @@ from spm_pin.mechanism.arguments import (
     symmetric_matrices,
 )
 from spm_pin.mechanism.configuration import check_configuration
+from spm_pin.mechanism.geometry import check_rps
 
 _PARTS = {"linear": slice(3), "angular": slice(3, 6)}
 _CORNERS = (np.arange(64)[:, None] >> np.arange(6)) & 1 == 1
 _MOST = 1e100
 _ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
+_FLATTEST = 1e-7
+"""Radius of the largest ball in a section, in its own coordinates, that linear programming tells from none."""
 _DIRECTIONS = 8
 """Directions of half a turn in which the force of a ball is looked at: its size is then known to 2 %."""
 
@@ -219,25 +222,31 @@ class Polytope:
         if self.lower.ndim > 1 or not np.isfinite(self.rows).all():
             received = "one that does not exist" if self.lower.ndim == 1 else f"shape {self.lower.shape[:-1]}"
             raise ArgumentError("polytope", "that of a single state", received, "Make it of one of the states")
-        matrix, b = self.half_spaces
-        norms = np.linalg.norm(matrix[:, columns], axis=-1)
-        limits = norms > 0.0
-        normals, ends = matrix[limits, columns] / norms[limits, None], b[limits] / norms[limits]
-        endless = np.linalg.matrix_rank(normals, tol=1e-9) < 3
+        half, rows = 0.5 * (self.upper - self.lower), self.rows[:, columns]
+        limited = rows.any(axis=-1) & (half > 0.0)
+        is_empty = bool(((half <= 0.0) | ~limited & ((self.lower > 0.0) | (self.upper < 0.0))).any())
+        rows, half, middle = rows[limited], half[limited], 0.5 * (self.upper + self.lower)[limited]
+        is_endless = np.linalg.matrix_rank(rows / np.linalg.norm(rows, axis=-1, keepdims=True), tol=1e-9) < 3
+        # In coordinates in which the section is about as wide as high, whatever the sizes of the limits.
+        normals, scales, directions = np.linalg.svd(rows / half[:, None], full_matrices=False)
+        sizes = np.linalg.norm(normals, axis=-1)
+        matrix = np.concatenate([normals, -normals]) / np.tile(sizes, 2)[:, None]
+        ends = np.concatenate([1.0 + middle / half, 1.0 - middle / half]) / np.tile(sizes, 2)
         # The centre of the largest ball anywhere inside.
-        unknowns = np.column_stack([normals, np.ones(len(ends))])
+        unknowns = np.column_stack([matrix, np.ones(len(ends))])
         inner = linprog([0.0, 0.0, 0.0, -1.0], A_ub=unknowns, b_ub=ends, bounds=[(None, None)] * 3 + [(0.0, None)])
-        if endless or inner.status != 0 or inner.x is None or inner.x[3] <= 0.0:
-            received = "one without end" if endless else "an empty one"
+        centre = None if inner.status != 0 else inner.x
+        if is_endless or is_empty or centre is None or centre[3] <= _FLATTEST:
+            received = "one without end" if is_endless else "one that is empty, or flat to rounding"
             raise ArgumentError("polytope", f"a section ({part}) of some volume", received)
-        points = HalfspaceIntersection(np.column_stack([normals, -ends]), inner.x[:3]).intersections
+        points = HalfspaceIntersection(np.column_stack([matrix, -ends]), centre[:3]).intersections
         hull = ConvexHull(points)
         # SciPy leaves the sense of a triangle open.
         corners = points[hull.simplices]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        inward = (normal * hull.equations[:, :3]).sum(axis=-1) < 0.0
+        inward = (normal * hull.equations[:, :3]).sum(axis=-1) * np.linalg.det(directions) < 0.0
         faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
-        return Section(points, faces.astype(np.intp))
+        return Section((points / scales) @ directions, faces.astype(np.intp))
 
     def _values(self, points: npt.ArrayLike, argument: str) -> FloatArray:
         array = real_array(points, argument, (6,), "linear part, then angular part, at o in {B}")
@@ -371,6 +380,7 @@ def joint_reactions(configuration: Configuration) -> JointReactions:
         At a forward or a constraint singularity, where the legs do not hold the platform.
     """
     check_configuration(configuration)
+    check_rps(configuration.geometry, "reactions of joints")
     rows = -stage_inverses(configuration).mT
     shape = rows.shape[:-3]
     along, axial = (rows[..., k, :].reshape(*shape, 6, 6) for k in (slice(3), slice(3, 6)))

@@ -20,9 +20,10 @@ EXIT_CODES = (
     "limits hold a singularity, measurements fit no machine or are in another unit. 2 the command cannot be carried "
     "out as typed: an option, a file, a missing extra. 3 unreachable: no real solution, no path, in move an end beyond "
     "the limits, in design no machine within the bounds. 4 degenerate: a continuous family of solutions; isolated "
-    "solutions beside it are shown. 5 beyond the limits: inverse has solutions, each with a leg beyond its limits. 70 "
-    "a defect of spm-pin. 74 input or output failed: a full device, a pipe that its reader closed. 130 Ctrl-C, which "
-    "ends every command, also view; crosscheck reports the poses done, and sweep and design go on when started again."
+    "solutions beside it are shown. 5 beyond the limits: solutions are shown, none of which is physical and within the "
+    "leg limits. 70 a defect of spm-pin. 74 input or output failed: a full device, a pipe that its reader closed. 130 "
+    "Ctrl-C, which ends every command, also view; crosscheck reports the poses done, and sweep and design go on when "
+    "started again."
 )
 
 

@@ -20,8 +20,9 @@ from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError, PoseError
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.mechanism import FAMILIES, Configuration, Geometry, SolutionSet, Status, pose
+from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Status, pose
 from spm_pin.mechanism.arguments import IntArray
+from spm_pin.mechanism.branch_of_state import branch_sign, family
 from spm_pin.mechanism.geometry import PER_METRE, likely_unit, machine_size
 
 
@@ -225,12 +226,14 @@ def status_content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
     return {"unit": unit, "status": str(solutions.status), "degeneracy": family}
 
 
-def status_line(solutions: SolutionSet, what: str) -> str:
+def status_line(solutions: SolutionSet, what: str, unit: LengthUnit) -> str:
     """Return a sentence on the status of solutions, called `what`: how many are real, how well they close."""
     line = f"status: {solutions.status}"
     if len(solutions.labels) > 1:
         line += f", {solutions.count} of {len(solutions.labels)} {what} real"
-    return line + (f", closure residual up to {np.nanmax(solutions.residual):.0e} m" if solutions.count else "")
+    if not solutions.count:
+        return line
+    return f"{line}, closure residual up to {np.nanmax(solutions.residual) * unit.per_metre:.0e} {unit}"
 
 
 def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, required: bool = False) -> list[str]:
@@ -252,9 +255,14 @@ def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, require
     return chosen
 
 
-def exit_code(solutions: SolutionSet) -> int:
-    """Return the exit code of a command that solved a displacement: 0, 3 if unreachable, 4 if degenerate."""
-    return {Status.OK: 0, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}.get(Status(int(solutions.status)), 1)
+def exit_code(solutions: SolutionSet, physical: Configuration) -> int:
+    """Return the exit code of a command that solved a displacement, whose `physical` solution may not exist.
+
+    3 if it is unreachable, 4 if degenerate, 5 if there is no physical solution within the limits, and else 0.
+    """
+    held = bool(physical.exists) and not beyond_limits(physical).size
+    codes = {Status.OK: 0 if held else 5, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}
+    return codes.get(Status(int(solutions.status)), 1)
 
 
 def solve_pose(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> tuple[SolutionSet, list[str]]:
@@ -265,6 +273,31 @@ def solve_pose(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> tu
     if solutions.status is Status.UNREACHABLE and not remarks:
         remarks.append("No configuration holds this pose, whatever the leg lengths.")
     return solutions, remarks
+
+
+def solve_request(
+    geometry: Geometry, pose: RigidTransform | None, legs: SixLegs | None, unit: LengthUnit
+) -> tuple[SolutionSet, list[str]]:
+    """Return the branches of the pose typed, or the one that `--legs` determine, and remarks where there are none."""
+    if pose is not None and legs is None:
+        return solve_pose(geometry, pose, unit)
+    if legs is None or pose is not None:
+        raise ArgumentError("--legs", "leg lengths or a pose", "neither" if legs is None else "both")
+    state = forward_physical(geometry, np.array(legs) / unit.per_metre)
+    label = FAMILIES[int(family(state))] + "+-"[int(branch_sign(state) < 0.0)]
+    return alone(state, label), [] if state.exists else legs_remarks(geometry, legs, unit)
+
+
+def alone(state: Configuration, label: str) -> SolutionSet:
+    """Return the set of one solution, which may not exist."""
+    arrays = (array[None] for array in (state.rotation, state.translation, state.middle_joints))
+    status = Status.OK if state.exists else Status.UNREACHABLE
+    return SolutionSet(Configuration.from_arrays(state.geometry, *arrays), (label,), status)
+
+
+def legs_remarks(geometry: Geometry, legs: SixLegs, unit: LengthUnit) -> list[str]:
+    """Return a sentence on why leg lengths have no physical state."""
+    return [unit_hint("--legs", max(legs), unit, geometry) or "A stage cannot be closed with these leg lengths."]
 
 
 def requested_solutions(
@@ -295,23 +328,49 @@ def requested_solutions(
 
 
 def beyond_limits(state: Configuration) -> IntArray:
-    """Return the numbers of the legs whose readings are beyond their limits by more than rounding, 0 to 5."""
+    """Return the numbers of the legs whose readings are beyond their limits, 0 to 5."""
     limits = state.geometry.limits
     if limits is None:
         return np.empty(0, int)
-    return np.flatnonzero(np.abs(limits.excess(state.readings)) > 1e-12 * state.geometry.middle_side)
+    return np.flatnonzero(limits.excess(state.readings))
 
 
 def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, Configuration]:
     """Return branches of a pose under the titles of their pictures."""
-    physical = solutions.is_physical
-    places = [solutions.labels.index(label) for label in labels]
-    return {solutions.labels[k] + ", physical" * bool(physical[k]): solutions.configurations[k] for k in places}
+    titled, physical = {}, solutions.is_physical
+    for k in map(solutions.labels.index, labels):
+        state = solutions.configurations[k]
+        remarks = [", physical"] * bool(physical[k]) + [", beyond limits"] * bool(beyond_limits(state).size)
+        titled["".join([solutions.labels[k], *remarks])] = state
+    return titled
 
 
-def end_command(solutions: SolutionSet, remarks: list[str]) -> NoReturn:
+def state_content(state: Configuration, *, physical: bool) -> dict[str, Any]:
+    """Return what `--json` says of every state: whether it is physical, and which legs are beyond their limits."""
+    beyond = beyond_limits(state)
+    return {"physical": physical, "within_limits": not beyond.size, "beyond_limits": beyond}
+
+
+def state_mark(content: dict[str, Any]) -> str:
+    """Return the mark of a `state_content` in a table: a star stands for a leg beyond its limits."""
+    return "physical" * bool(content["physical"]) + "*" * (not content["within_limits"])
+
+
+def state_remarks(contents: Sequence[dict[str, Any]], physical: Configuration, what: str) -> list[str]:
+    """Return sentences on the marks of the states shown, and on there being no `physical` one."""
+    remarks, beyond = [], [content["beyond_limits"] for content in contents if not content["within_limits"]]
+    if beyond:
+        legs = ", ".join(LEGS[leg] for leg in beyond[0]) if len(contents) == 1 else "a leg"
+        too = len(contents) > 1 and bool(physical.exists and beyond_limits(physical).size)
+        remarks.append(f"* {legs} beyond the limits" + f", of the physical {what} too" * too)
+    if contents and not physical.exists:
+        remarks.append(f"No {what} is physical: none is reached from the home without a forward singularity.")
+    return remarks
+
+
+def end_command(solutions: SolutionSet, remarks: list[str], physical: Configuration) -> NoReturn:
     """End a command with the exit code of its pose; where no branch is real, with the remarks on stderr."""
     if not solutions.count:
         for remark in (f"status: {solutions.status}, no real branch", *remarks):
             note(remark)
-    raise typer.Exit(exit_code(solutions))
+    raise typer.Exit(exit_code(solutions, physical))

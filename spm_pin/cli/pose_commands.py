@@ -5,8 +5,9 @@ Each builds one record per state, which is the JSON, and prints a table of colum
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from operator import itemgetter
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
 import typer
@@ -25,6 +26,12 @@ from spm_pin.mechanism import LEGS, Configuration, SolutionSet, Status
 Record = dict[str, Any]
 _MATRICES = ("J_b", "J_c", "K")
 _ZERO = (0.0, 0.0, 0.0)
+_ORIENTATIONS = {
+    "xyx": ("X-Y-X in degrees", ("alpha", "beta", "lambda"), 3),
+    "rpy": ("roll, pitch, yaw in degrees", ("roll", "pitch", "yaw"), 3),
+    "quat": ("unit quaternion", ("qx", "qy", "qz", "qw"), 6),
+}
+"""Orientations that `forward` prints: what they are, their columns, and decimals."""
 
 
 @outputs.name_options()
@@ -39,13 +46,12 @@ def inverse(
 
     Example, the paper's: spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm
 
-    The exit code is 5 if every branch has a leg beyond its limits.
+    The exit code is 5 if no physical branch is within the leg limits.
     """
     solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
     branches = [_branch(solutions, k, unit) for k in np.flatnonzero(solutions.exists).tolist()]
-    code = options.exit_code(solutions)
-    if code == 0 and not any(record["within_limits"] for record in branches):
-        code = 5
+    physical = solutions.physical()
+    code = options.exit_code(solutions, physical)
     if json:
         content = options.status_content(solutions, unit)
         outputs.write_json(content | {"discriminants": solutions.discriminants, "branches": branches})
@@ -56,35 +62,26 @@ def inverse(
         f"{name} ": lambda record, leg=leg: unit.text(record["readings"][leg]) + " *"[leg in record["beyond_limits"]]
         for leg, name in enumerate(LEGS)
     }
-    columns: dict[str, Any] = {"branch": itemgetter("label"), **legs, "": _physical}
+    columns: dict[str, Any] = {"branch": itemgetter("label"), **legs, "": lambda row: "physical" * row["physical"]}
     outputs.print_table(
         f"Real branches: leg lengths in {unit}, as the encoders show them", columns, branches, left=[""]
     )
-    lines = [options.status_line(solutions, "branches")]
-    if not all(record["within_limits"] for record in branches):
-        lines.append("* beyond the limits of this leg" + ", as in every branch" * (code == 5))
-    lines += remarks
+    lines = [options.status_line(solutions, "branches", unit), *remarks]
+    lines += options.state_remarks(branches, physical, "branch")
     if solutions.ambiguous:
         lines.append("Two branches are physical, on either side of an inverse singularity; the straighter is likelier.")
     outputs.print_lines(lines)
     raise typer.Exit(code)
 
 
-def _physical(record: Record) -> str:
-    return "physical" if record["physical"] else ""
-
-
 def _branch(solutions: SolutionSet, k: int, unit: LengthUnit) -> Record:
     state = solutions.configurations[k]
-    beyond = options.beyond_limits(state)
     return {
         "label": solutions.labels[k],
         "leg_lengths": state.leg_lengths * unit.per_metre,
         "readings": state.readings * unit.per_metre,
         "middle_joints": state.middle_joints * unit.per_metre,
-        "within_limits": not beyond.size,
-        "beyond_limits": beyond,
-        "physical": bool(solutions.is_physical[k]),
+        **options.state_content(state, physical=bool(solutions.is_physical[k])),
         "residual": solutions.residual[k] * unit.per_metre,
     }
 
@@ -95,6 +92,11 @@ def forward(
         SixLegs, leg_option("--legs", "Leg lengths r_b1 to r_b3, r_c1 to r_c3 as encoders show them, in --unit.")
     ],
     every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
+    xyx: Annotated[
+        bool, typer.Option("--xyx", help="Print the paper's X-Y-X angles in degrees, as by default.")
+    ] = False,
+    rpy: Annotated[bool, typer.Option("--rpy", help="Print roll, pitch and yaw in degrees, as in URDF.")] = False,
+    quat: Annotated[bool, typer.Option("--quat", help="Print the unit quaternion, scalar last.")] = False,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
@@ -102,7 +104,12 @@ def forward(
     """Find the pose of the platform from the leg lengths.
 
     Example, the paper's: spm-pin forward --legs 120 120 140 125 120 150 --unit cm
+
+    The exit code is 5 if a leg is beyond its limits.
     """
+    chosen = [name for name, wanted in (("xyx", xyx), ("rpy", rpy), ("quat", quat)) if wanted] or ["xyx"]
+    if len(chosen) > 1:
+        raise ArgumentError(" and ".join(f"--{name}" for name in chosen), "one orientation", f"{len(chosen)} of them")
     lengths = np.array(legs) / unit.per_metre
     dimensions = options.read_geometry(geometry)
     physical = forward_physical(dimensions, lengths)
@@ -110,9 +117,7 @@ def forward(
     if every or dimensions.is_nominal:
         modes = forward_displacement(dimensions, lengths)
     else:
-        alone = physical.rotation[None], physical.translation[None], physical.middle_joints[None]
-        status = Status.OK if physical.exists else Status.UNREACHABLE
-        modes = SolutionSet(Configuration.from_arrays(dimensions, *alone), ("physical",), status)
+        modes = options.alone(physical, "physical")
     home = modes.labels[0] if physical.exists else ""
     shown = {home: physical} if home else {}
     if every:
@@ -126,50 +131,55 @@ def forward(
             "quat": state.pose.rotation.as_quat(),
             "rotation": state.rotation,
             "middle_joints": state.middle_joints * unit.per_metre,
-            "physical": label == home,
+            **options.state_content(state, physical=label == home),
             "residual": state.closure_residual * unit.per_metre,
         }
         for label, state in shown.items()
     ]
+    code = options.exit_code(modes, physical)
     if json:
         outputs.write_json(options.status_content(modes, unit) | {"count": modes.count, "modes": states})
-        raise typer.Exit(options.exit_code(modes))
+        raise typer.Exit(code)
     # One digit more where there is room for it in 80 columns.
     finer = int(len(states) == 1)
     columns: dict[str, Any] = {"mode": itemgetter("label")}
     columns |= {name: lambda mode, k=k: unit.text(mode["translation"][k], finer) for k, name in enumerate("XYZ")}
-    angles = enumerate(("alpha", "beta", "lambda"))
-    columns |= {name: lambda mode, k=k: fixed(mode["xyx"][k], 3 + finer) for k, name in angles}
+    (name,) = chosen
+    orientation, headings, decimals = _ORIENTATIONS[name]
+    columns |= {heading: lambda mode, k=k: fixed(mode[name][k], decimals + finer) for k, heading in enumerate(headings)}
     title = "Assembly modes" if every else "The physical configuration"
-    outputs.print_table(f"{title}: o in {unit}, X-Y-X in degrees", columns | {"": _physical}, states, left=[""])
-    remarks = [options.status_line(modes, "assembly modes")]
+    columns[""] = options.state_mark
+    outputs.print_table(f"{title}: o in {unit}, {orientation}", columns, states, left=[""])
+    remarks = [options.status_line(modes, "assembly modes", unit)]
     if modes.status is Status.DEGENERATE:
         remarks += ["With these legs locked the platform can still move.", *options.pose_remarks(modes)]
     if modes.status is Status.UNREACHABLE:
-        hint = options.unit_hint("--legs", max(legs), unit, dimensions)
-        remarks.append(hint or "A stage cannot be closed with these leg lengths.")
-    elif not physical.exists:
-        remarks.append("No mode is reached from the symmetric home without a forward singularity.")
+        remarks += options.legs_remarks(dimensions, legs, unit)
+    else:
+        remarks += options.state_remarks(states, physical, "mode")
     outputs.print_lines(remarks)
-    raise typer.Exit(options.exit_code(modes))
+    raise typer.Exit(code)
 
 
-@outputs.name_options()
-@options.takes_pose()
+@outputs.name_options(readings="--legs")
+@options.takes_pose(required=False)
 def singularities(
-    pose: RigidTransform,
+    pose: RigidTransform | None = None,
+    legs: options.AnyLegs = None,
     branch: options.Branches = None,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Compute how near each branch of a pose is to a singularity.
+    """Compute how near each branch of a pose, or the state of leg lengths, is to a singularity.
 
     Determinants are divided by d³, the distance is the smallest singular value; both are dimensionless and zero at a
-    singularity: forward for J_b and J_c, the lower and the upper stage, inverse for K.
+    singularity, which is named: forward for J_b and J_c, the lower and the upper stage, inverse for K.
+
+    The exit code is 5 if no physical branch is within the leg limits.
     """
-    solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
-    branches = {label: _singularity(solutions[label]) for label in options.selected_labels(solutions, branch)}
+    solutions, remarks = options.solve_request(options.read_geometry(geometry), pose, legs, unit)
+    branches = _chosen_branches(solutions, branch, _singularity)
     if json:
         outputs.write_json({"status": str(solutions.status), "branches": branches})
     else:
@@ -178,10 +188,37 @@ def singularities(
             for symbol, name in (("det", "scaled_determinants"), ("σ", "distance"))
             for key in _MATRICES
         }
-        columns: dict[str, Any] = {"branch": itemgetter(0), **numbers, "kind": lambda row: row[1]["kind"]}
+        columns: dict[str, Any] = {"branch": itemgetter(0), **numbers, "": _singular_mark}
         title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"
-        outputs.print_table(title, columns, branches.items(), left=["kind"])
-    options.end_command(solutions, remarks)
+        outputs.print_table(title, columns, branches.items(), left=[""])
+    _end(solutions, branches, remarks, json)
+
+
+def _mark(row: tuple[str, Record]) -> str:
+    return options.state_mark(row[1])
+
+
+def _singular_mark(row: tuple[str, Record]) -> str:
+    kind = row[1]["kind"]
+    return _mark(row) if kind == "regular" else ", ".join(filter(None, [kind, _mark(row)]))
+
+
+def _chosen_branches(
+    solutions: SolutionSet, labels: list[str] | None, compute: Callable[[Configuration], Record]
+) -> dict[str, Record]:
+    """Return the records of the branches of `--branch`, or of all real ones, with their marks."""
+    physical = dict(zip(solutions.labels, solutions.is_physical.tolist(), strict=True))
+    return {
+        label: options.state_content(solutions[label], physical=physical[label]) | compute(solutions[label])
+        for label in options.selected_labels(solutions, labels)
+    }
+
+
+def _end(solutions: SolutionSet, branches: dict[str, Record], remarks: list[str], json: bool) -> NoReturn:
+    physical = solutions.physical()
+    if not json:
+        outputs.print_lines(options.state_remarks(list(branches.values()), physical, "branch"))
+    options.end_command(solutions, remarks, physical)
 
 
 def _singularity(state: Configuration) -> Record:
@@ -199,10 +236,11 @@ def _vector(help_text: str) -> Any:
     return typer.Option(metavar="X Y Z", help=help_text)
 
 
-@outputs.name_options(wrench="--force, --moment", twist="--velocity, --angular-velocity")
-@options.takes_pose()
+@outputs.name_options(readings="--legs", wrench="--force, --moment", twist="--velocity, --angular-velocity")
+@options.takes_pose(required=False)
 def statics(
-    pose: RigidTransform,
+    pose: RigidTransform | None = None,
+    legs: options.AnyLegs = None,
     force: Annotated[Triple, _vector("Force onto m at o, in {B}, in newtons.")] = _ZERO,
     moment: Annotated[Triple, _vector("Moment onto m, in {B}, in newton metres.")] = _ZERO,
     velocity: Annotated[Triple, _vector("Velocity of o in {B}, in --unit per second.")] = _ZERO,
@@ -215,14 +253,15 @@ def statics(
     """Find the leg forces that hold a wrench on the platform, and the leg rates of its twist.
 
     A positive force pushes, to extend its leg. At an inverse singularity the forces are still there; the rates are not.
+
+    The exit code is 5 if no physical branch is within the leg limits.
     """
     wrench = np.array([*force, *moment])
     twist = np.concatenate([np.array(velocity) / unit.per_metre, np.deg2rad(angular_velocity)])
     if not (json or wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
-    solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
-    labels = options.selected_labels(solutions, branch)
-    branches = {label: _leg_loads(solutions[label], wrench, twist, unit) for label in labels}
+    solutions, remarks = options.solve_request(options.read_geometry(geometry), pose, legs, unit)
+    branches = _chosen_branches(solutions, branch, lambda state: _leg_loads(state, wrench, twist, unit))
     if json:
         outputs.write_json({"unit": unit, "status": str(solutions.status), "branches": branches})
     else:
@@ -230,7 +269,7 @@ def statics(
             _print_loads("Leg forces in N: positive extends the leg", branches, "forces")
         if twist.any():
             _print_loads(f"Leg rates in {unit}/s", branches, "rates")
-    options.end_command(solutions, remarks)
+    _end(solutions, branches, remarks, json)
 
 
 def _leg_loads(state: Configuration, wrench: np.ndarray, twist: np.ndarray, unit: LengthUnit) -> Record:
@@ -252,4 +291,4 @@ def _print_loads(title: str, branches: dict[str, Record], name: str) -> None:
         return "" if values is None else outputs.significant(values[leg], np.abs(values).max())
 
     legs = {text: lambda row, leg=leg: value(leg, row[1][name]) for leg, text in enumerate(LEGS)}
-    outputs.print_table(title, {"branch": branch, **legs}, branches.items())
+    outputs.print_table(title, {"branch": branch, **legs, "": _mark}, branches.items(), left=[""])

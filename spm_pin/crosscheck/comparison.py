@@ -25,8 +25,9 @@ from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations, prin
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, check_instance, whole_number
 from spm_pin.mechanism.configuration import compared_points
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.mechanism.pose import inverse_command
 
 LEG_SPACE = 0.8
@@ -208,6 +209,7 @@ def compare_in_batches(
     """
     poses = whole_number(poses, "poses", "a whole number, at least 1", least=1)
     seed = whole_number(seed, "seed", "a whole number, at least 0", most=1 << 128)
+    check_rps(check_instance(geometry, Geometry, "geometry"), "cross-checks")
     rng = np.random.default_rng(seed)
     inner = max(1, round(LEG_SPACE * poses))
     drawn = [in_leg_space(geometry, inner, rng), on_all_rotations(geometry, poses - inner, rng)]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from spm_pin.formulas.leg_constants import mean_radius
+from spm_pin.formulas.leg_constants import RADIAL, mean_radius
 from spm_pin.formulas.operations import both, either, sqrt
 from spm_pin.formulas.stages import pair_inverse
 from spm_pin.formulas.vectors import (
@@ -24,6 +24,7 @@ from spm_pin.formulas.vectors import (
     crosses,
     differences,
     directions,
+    dot,
     dots,
     larger,
     largest,
@@ -174,3 +175,106 @@ def is_home_state(stage: Circles, e: Rows, b: Rows, up: float) -> bool:
     """Return whether a stage is in the aspect of its home, upright and without torsion; up is as for `level_balls`."""
     stands = both(mean_radius(b) > 0.0, up * mean(b)[2] > 0.0)
     return both(stands, is_stage_at_home(b, (scaled(up, e[0]), scaled(up, e[1]), scaled(up, e[2])), stage.axes))
+
+
+class PairForm(NamedTuple):
+    """Half the squared distance of two balls less that of the triangle: linear in cosine and sine of either angle."""
+
+    constant: float
+    cosine: float  # of the first angle
+    sine: float
+    other_cosine: float
+    other_sine: float
+    cosines: float
+    cosine_sine: float
+    sine_cosine: float
+    sines: float
+
+
+def turn_origins(stage: Circles) -> tuple[Rows, Rows]:
+    """Return for each leg the direction of angle zero, the outermost on the circle, and that of a right angle."""
+    first = directions(crosses(stage.axes, crosses(RADIAL, stage.axes)))
+    return first, crosses(stage.axes, first)
+
+
+def pair_forms(stage: Circles, first: Rows, second: Rows) -> tuple[PairForm, PairForm, PairForm]:
+    """Return the equations of the sides 12, 23, 31 in the angles from the directions of `turn_origins`."""
+    (c1, c2, c3), (s1, s2, s3), (r1, r2, r3) = stage.centres, stage.squares, stage.radii
+    p, q = multiples(stage.radii, first), multiples(stage.radii, second)
+    return (
+        _pair_form(minus(c1, c2), r1 * r1 + r2 * r2 - s1, p[0], q[0], p[1], q[1]),
+        _pair_form(minus(c2, c3), r2 * r2 + r3 * r3 - s2, p[1], q[1], p[2], q[2]),
+        _pair_form(minus(c3, c1), r3 * r3 + r1 * r1 - s3, p[2], q[2], p[0], q[0]),
+    )
+
+
+def _pair_form(gap: Vector, squares: float, p: Vector, q: Vector, p2: Vector, q2: Vector) -> PairForm:
+    return PairForm(
+        0.5 * (dot(gap, gap) + squares),
+        dot(gap, p),
+        dot(gap, q),
+        -dot(gap, p2),
+        -dot(gap, q2),
+        -dot(p, p2),
+        -dot(p, q2),
+        -dot(q, p2),
+        -dot(q, q2),
+    )
+
+
+def in_other_angle(form: PairForm, c: float, s: float) -> Vector:
+    """Return the coefficients of 1, cosine and sine of the second angle where the first has cosine c and sine s."""
+    return (
+        form.constant + form.cosine * c + form.sine * s,
+        form.other_cosine + form.cosines * c + form.sine_cosine * s,
+        form.other_sine + form.cosine_sine * c + form.sines * s,
+    )
+
+
+def in_first_angle(form: PairForm, one: float, c: float, s: float) -> Vector:
+    """Return the coefficients of 1, cosine and sine of the first angle where the second has a multiple of (1, c, s)."""
+    return (
+        form.constant * one + form.other_cosine * c + form.other_sine * s,
+        form.cosine * one + form.cosines * c + form.cosine_sine * s,
+        form.sine * one + form.sine_cosine * c + form.sines * s,
+    )
+
+
+def eliminant(forms: tuple[PairForm, PairForm, PairForm], c: float, s: float) -> float:
+    """Return the product of the third equation over the four pairs of angles that fit one of the first.
+
+    It is free of denominators: a trigonometric polynomial of degree eight in the first angle, with cosine c and sine s.
+    """
+    f12, f23, f31 = forms
+    n2, a2, b2 = in_other_angle(f12, c, s)
+    n3, a3, b3 = in_first_angle(f31, 1.0, c, s)
+    m2, m3 = a2 * a2 + b2 * b2, a3 * a3 + b3 * b3
+    # The other angles have (cosine, sine) = (-n a ∓ b w, -n b ± a w) / m with w² = m - n².
+    w2, w3 = m2 - n2 * n2, m3 - n3 * n3
+    x, y = -n3 * a3, -n3 * b3
+    n, a, b = in_first_angle(f23, m3, x, y)
+    constant, along = n * m2 - n2 * (a * a2 + b * b2), b * a2 - a * b2
+    n, a, b = in_first_angle(f23, 0.0, -b3, a3)
+    other, both_along = n * m2 - n2 * (a * a2 + b * b2), b * a2 - a * b2
+    even = constant * constant + along * along * w2 - (other * other + both_along * both_along * w2) * w3
+    odd = 2.0 * (constant * along - other * both_along * w3)
+    scale = m2 * m3
+    return (even * even - odd * odd * w2) / (scale * scale)
+
+
+def turn_step(forms: tuple[PairForm, PairForm, PairForm], c: Vector, s: Vector) -> Vector:
+    """Return what `newton_step` does from cosines and sines of the angles, which may be complex."""
+    f12, f23, f31 = forms
+    (n12, a12, b12), (_, a21, b21) = in_other_angle(f12, c[0], s[0]), in_first_angle(f12, 1.0, c[1], s[1])
+    (n23, a23, b23), (_, a32, b32) = in_other_angle(f23, c[1], s[1]), in_first_angle(f23, 1.0, c[2], s[2])
+    (n31, a31, b31), (_, a13, b13) = in_other_angle(f31, c[2], s[2]), in_first_angle(f31, 1.0, c[0], s[0])
+    values = n12 + a12 * c[1] + b12 * s[1], n23 + a23 * c[2] + b23 * s[2], n31 + a31 * c[0] + b31 * s[0]
+    slopes = (
+        b21 * c[0] - a21 * s[0],
+        b32 * c[1] - a32 * s[1],
+        b13 * c[2] - a13 * s[2],
+        b12 * c[1] - a12 * s[1],
+        b23 * c[2] - a23 * s[2],
+        b31 * c[0] - a31 * s[0],
+    )
+    return weighted(values, pair_inverse(slopes))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from spm_pin.formulas.joint_values import LegFrame
 from spm_pin.formulas.operations import COS_30, both, cos, sin, sqrt, where
-from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, magnitude, scaled, times
+from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, larger, magnitude, scaled, times
 
 UP = (0.0, 0.0, 1.0)
 RADIAL = ((COS_30, -0.5, 0.0), (0.0, 1.0, 0.0), (-COS_30, -0.5, 0.0))
@@ -14,6 +14,9 @@ AXES = ((0.5, COS_30, 0.0), (1.0, 0.0, 0.0), (-0.5, COS_30, 0.0))
 TANGENT_SIGNS = (1.0, -1.0, -1.0)
 """Signs that make the axes tangents of their platform, counterclockwise about z: a turn about them leads outwards."""
 INFINITY = float("inf")
+LIMIT_ROUNDING = 1e-8
+"""By how much a reading may be beyond a limit and count as within it, over the larger finite limit of its leg: the
+readings computed for a state at an end stop differ from the stop by rounding, near a singularity by that much."""
 
 
 def drawn_triangle(radius: float) -> Rows:
@@ -42,6 +45,13 @@ def home_length(radius: float, r: float, low: float, high: float) -> float:
     middle, reach = 0.5 * (low + high), magnitude(r - radius)
     stands = both(both(low < high, reach < middle), middle < INFINITY)
     return where(stands, middle, low + sqrt(reach * reach + (r + radius) * (r + radius)))
+
+
+def admitted_readings(low: float, high: float) -> tuple[float, float]:
+    """Return the ends of the readings that count as within the limits of a leg."""
+    highest, lowest = where(high < INFINITY, magnitude(high), 0.0), where(low > -INFINITY, magnitude(low), 0.0)
+    rounding = LIMIT_ROUNDING * larger(highest, lowest)
+    return low - rounding, high + rounding
 
 
 def leg_axes(axis: Vector) -> Rows:

@@ -26,13 +26,11 @@ import numpy.typing as npt
 from spm_pin.errors import PoseError
 from spm_pin.mechanism.arguments import FloatArray, check_instance, first_offender, whole_number
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import LARGEST_RATIO, Geometry
 from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 
 _MIN_CHECKED = 1 << 17
 """Poses whose check is worth a thread."""
-LARGEST_RATIO = 1e5
-"""Leg lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
 _CACHE_LINE, _LONG = 64, 1 << 14
 """Bytes of a cache line, and of a result that begins at one: a store across two lines takes twice as long."""
 Result = tuple[tuple[int, ...], npt.DTypeLike]

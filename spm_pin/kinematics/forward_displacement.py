@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import LARGEST_RATIO, flat_batch, radii, run_kernel, with_batch_shape
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, broadcastable, check_instance, first_offender, real_array
-from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine, unit_hint
 from spm_pin.mechanism.joint_angles import home_lengths
@@ -86,10 +85,9 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     from spm_pin.kinematics.kernels.mode_kernels import all_modes
 
     checked = _read_readings(geometry, readings)
-    if not geometry.is_nominal:
-        cause = "The physical mode alone is found (forward_physical), or all of its drawing (geometry.nominal)"
-        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
+    if not (geometry.is_nominal and geometry.legs.are_rps):
+        return _modes_of_circles(geometry, checked)
     results = (*((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((4,), np.int8), ((), np.int8))
     solved = run_kernel(all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD)
     _solve_ill_conditioned(geometry, lengths, solved)
@@ -104,6 +102,26 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
         np.where(largest > 0, Status.DEGENERATE, status),
         degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
     )
+
+
+def _modes_of_circles(geometry: Geometry, checked: FloatArray) -> SolutionSet:
+    """Return the modes of a machine as built, or of legs that are not RPS, with readings (..., 6)."""
+    from spm_pin.kinematics.kernels.circle_modes import all_modes_as_built
+
+    shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
+    drawn, legs = geometry.nominal.legs, geometry.legs
+    results = *((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((n,), np.bool_), ((), np.int8)
+    before = np.stack([drawn.axes, drawn.pivots, drawn.balls])
+    constants = legs.axes, legs.balls, before, *radii(geometry), legs.are_rps
+    solved = run_kernel(all_modes_as_built, legs.circles(readings), constants, results, _MIN_BATCH_PER_THREAD)
+    if not legs.are_rps:
+        _in_working_mode(geometry, solved[:3], np.broadcast_to(readings[:, None], (len(readings), n, 6)))
+        solved[4][(solved[4] == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE
+    *state, merged, status = with_batch_shape(solved, shape)
+    modes = Configuration.from_arrays(geometry, *state)
+    if not shape and status == Status.UNREACHABLE:
+        modes.missing_reason = unit_hint(geometry, checked)
+    return SolutionSet(modes, ASSEMBLY_MODES, status, merged=merged)
 
 
 def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
@@ -249,8 +267,8 @@ def _physical(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...
     has_quartics = geometry.is_nominal and geometry.legs.are_rps
     absent = np.flatnonzero(aspect != HOME if has_quartics else aspect == ELSEWHERE)
     if len(absent):
-        other = _solve_drawn if has_quartics else _followed_from_home
-        for array, values in zip(state, other(geometry, readings[absent]), strict=True):
+        others = (_solve_drawn if has_quartics else _search)(geometry, readings[absent])
+        for array, values in zip(state, others, strict=True):
             array[absent] = values
     return _in_working_mode(geometry, tuple(state), readings)
 
@@ -265,19 +283,12 @@ def _in_working_mode(geometry: Geometry, state: tuple[FloatArray, ...], readings
     return state
 
 
-def _followed_from_home(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the physical states to which those with equal readings in a stage are followed."""
-    equal = readings.reshape(-1, 2, 3).mean(axis=-1)
-    if geometry.legs.are_rps:
-        offsets = np.array([geometry.base_radius, geometry.platform_radius]) - geometry.middle_radius
-        # Legs at least so long that the level stage is well away from flat.
-        equal = np.maximum(equal, np.hypot(1.0, 0.5) * np.abs(offsets))
-    equal = equal.repeat(3, axis=-1)
-    states = _follow(geometry, (*_physical(geometry, equal), equal), readings)
-    wrong = ~physical(Configuration.from_arrays(geometry, *states))
-    for array in states:
-        array[wrong] = np.nan
-    return states
+def _search(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
+    """Return R, o and the b_i (N, ...) of the physical states of a machine as built, sought among all modes."""
+    from spm_pin.kinematics.kernels.circle_modes import searched_states
+
+    constants = geometry.legs.axes, geometry.legs.balls
+    return run_kernel(searched_states, geometry.legs.circles(readings), constants, _STATE, _MIN_BATCH_PER_THREAD)
 
 
 def _solve_drawn(geometry: Geometry, lengths: FloatArray) -> tuple[FloatArray, ...]:

@@ -203,7 +203,7 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
         return inverse_displacement(geometry, pose).physical(near)
     shape, rotation, position = read_pose(geometry, pose)
     limits, offsets = geometry.limits, geometry.legs.offsets
-    bounds = np.array([[-np.inf] * 6, [np.inf] * 6] if limits is None else [limits.minimum, limits.maximum]) - offsets
+    bounds = np.array([[-np.inf] * 6, [np.inf] * 6] if limits is None else limits.admitted) - offsets
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64)
     method = _method(geometry)
     constants = *method.constants, bounds

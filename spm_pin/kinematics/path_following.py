@@ -50,8 +50,6 @@ _SHORTEST_STEP = 1e-11
 """Shortest step in the path's parameter; solutions that it does not separate are taken to meet."""
 _MOST_UNCLEAR = 100
 """Number of successive shortest steps after which two solutions are taken to coincide."""
-_ROUNDING = 1e-12
-"""Share of d by which rounding may move the length of a leg."""
 _AT_END = 1e-4
 """Share of its largest value below which κ of a leg shows that a path ends at the edge of the leg's reach."""
 _MOST_EVENTS = 4
@@ -349,10 +347,11 @@ def find_events(
     geometry: Geometry, parameters: list[float], states: Configuration, state_at: Callable[[float], Configuration]
 ) -> list[Event]:
     """Find the singularities and leg limits that a solution, `states` (n,) at the n parameters, meets."""
-    values = _monitored(geometry, states)
-    # A leg that is as long as its limit, to rounding, is within it.
-    values[:, 3:][np.abs(values[:, 3:]) <= _ROUNDING * geometry.middle_side] = 0.0
-    events = []
+    values, events = _monitored(geometry, states), []
+    rounding = np.zeros(values.shape[-1])
+    if geometry.limits is not None:
+        rounding[3:] = np.tile(geometry.limits.minimum - geometry.limits.admitted[0], 2)
+    values[np.abs(values) <= rounding] = 0.0
     for which in range(values.shape[-1]):
         column = values[:, which]
 
@@ -364,7 +363,9 @@ def find_events(
             before, after = column[k : k + 2]
             if which >= 3 and min(before, after) < 0.0 == max(before, after):
                 events.append(_event(geometry, which, high if before < 0.0 else low, after - before))
-            brackets = [(low, high)] if column[k] * column[k + 1] < 0.0 else _dip(value, parameters, column, k)
+            brackets = [(low, high)]
+            if before * after >= 0.0:
+                brackets = _dip(value, parameters, column, k, -float(rounding[which]))
             for left, right in brackets:
                 root = float(scipy.optimize.brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))
                 events.append(_event(geometry, which, root, value(right)))
@@ -394,9 +395,9 @@ def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Ev
 
 
 def _dip(
-    value: Callable[[float], float], parameters: list[float], column: FloatArray, k: int
+    value: Callable[[float], float], parameters: list[float], column: FloatArray, k: int, deep: float
 ) -> list[tuple[float, float]]:
-    """Return two brackets where a function of one sign at both ends crosses zero twice in between."""
+    """Return two brackets where a function of one sign at both ends crosses zero twice in between, down to `deep`."""
     if not 0 < k < len(parameters) - 2 or column[k] == 0.0 or column[k + 1] == 0.0:
         return []
     sign = float(np.sign(column[k]))
@@ -409,4 +410,4 @@ def _dip(
     lowest = scipy.optimize.minimize_scalar(
         lambda s: sign * value(s), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
     )
-    return [(low, float(lowest.x)), (float(lowest.x), high)] if lowest.fun < 0.0 else []
+    return [(low, float(lowest.x)), (float(lowest.x), high)] if lowest.fun < deep else []

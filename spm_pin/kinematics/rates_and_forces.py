@@ -10,8 +10,9 @@ With rigid structures that is C = G diag(1/k) Gᵀ, G = J_f⁻¹. Weights and ot
 itself adds by turning the legs is of the size load / (leg length · k) relative to C⁻¹.
 
 For rates and forces no 6 x 6 is decomposed, see `spm_pin.formulas.wrenches`; singular values decide about the few
-states that may be singular. One that is raises if it is a single state; in a batch its result is NaN, and the `kind` of
-`singularities` says why. Derivation: `docs/theory/rates_forces_singularities.md`.
+states that may be singular. A single state that is, or that does not exist, raises: `SingularConfigurationError` or
+`ArgumentError`. In a batch its result is NaN, and the `kind` of `singularities` says which are singular. Derivation:
+`docs/theory/rates_forces_singularities.md`.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.batches import run_on_states
 from spm_pin.mechanism.arguments import (
     BoolArray,
@@ -31,7 +32,6 @@ from spm_pin.mechanism.arguments import (
     broadcastable,
     leg_values,
     real_array,
-    symmetric_matrices,
 )
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -191,6 +191,7 @@ def _run(
     kernel: Callable[..., object], configuration: Configuration, shape: tuple[int, ...], load: FloatArray | None = None
 ) -> tuple[FloatArray, IntArray]:
     """Return the result of a kernel, of this shape per state, and which states may be singular."""
+    check_configuration(configuration, existing=not configuration.shape)
     constants = leg_constants(configuration.geometry), configuration.geometry.middle_side, SINGULAR
     results = (shape, np.float64), ((), np.uint8)
     values, suspect = run_on_states(kernel, configuration, constants, results, load=load)
@@ -348,29 +349,23 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
 
 
-def principal_stiffness(compliance: npt.ArrayLike) -> PrincipalStiffness:
+def principal_stiffness(
+    configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None
+) -> PrincipalStiffness:
     """Return the stiffness against pure forces at o and against pure moments, in their principal directions.
 
     Parameters
     ----------
-    compliance : array_like, shape (..., 6, 6)
-        Displacement per wrench, as of the function `compliance`, positive semidefinite. NaN gives NaN.
+    configuration, legs, structure
+        As for `compliance`.
 
     Returns
     -------
     PrincipalStiffness
-        Infinite where a direction is rigid.
+        Infinite where a direction is rigid; singularities as in `compliance`.
     """
-    matrices = symmetric_matrices(compliance, "compliance", 6, "in m/N, rad/(N m)", allow_nan=True)
-    # Scaled to a diagonal of ones, eigenvalues are free of their units.
-    diagonal = np.diagonal(matrices, axis1=-2, axis2=-1)
-    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    matrices = compliance(configuration, legs, structure)
     absent = np.asarray(np.isnan(matrices).any(axis=(-1, -2)))
-    smallest = np.linalg.eigvalsh(np.nan_to_num(matrices * scale[..., None, :] * scale[..., :, None], nan=1.0))[..., 0]
-    wrong = (smallest < -1e-9) & ~absent
-    if wrong.any():
-        received = f"an eigenvalue of {smallest[wrong].flat[0]:.1e} of its diagonal"
-        raise ArgumentError("compliance", "positive semidefinite matrices", received)
     principal: list[FloatArray] = []
     for block in (matrices[..., :3, :3], matrices[..., 3:, 3:]):
         values, vectors = np.linalg.eigh(np.where(absent[..., None, None], np.eye(3), block))

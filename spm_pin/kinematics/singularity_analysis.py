@@ -144,7 +144,7 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     ------
     SingularConfigurationError
         Where a leg of a single state has no length, hence no direction. In a batch such a member is NaN, of rank 0 and
-        of the kind FORWARD.
+        of the kind FORWARD. A state that does not exist, single or in a batch, is NaN, of rank 0 and REGULAR.
 
     Notes
     -----
@@ -244,7 +244,7 @@ def determinants(configuration: Configuration) -> FloatArray:
 
 
 def determinant_gradients(configuration: Configuration) -> FloatArray:
-    """Return the derivatives of det J_b, det J_c and det K with respect to the six leg lengths.
+    """Return the derivatives of det J_b, det J_c and det K with respect to the six readings.
 
     Parameters
     ----------
@@ -275,10 +275,12 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
         return points[..., None, :, :] + 1j * _STEP * rates
 
     none, upper_legs = slice(0), slice(3, 6)
-    axes, bases = configuration.leg_axes, configuration.leg_bases
+    axes, bases = configuration.leg_axes, configuration.circle_centres
     lower, upper = (moved(configuration.balls[..., k, :], upper_legs) for k in (slice(3), slice(3, 6)))
-    below = lower - bases[..., None, :3, :]
-    above = moved(bases[..., 3:, :], none) - upper
+    # A centre moves with the plate that carries its leg, and in the leg's plane with its own reading.
+    drift = 1j * _STEP * np.eye(6)[:, :, None] * configuration.centre_rates[..., None, :, :]
+    below = lower - bases[..., None, :3, :] - drift[..., :3, :]
+    above = moved(bases[..., 3:, :], none) + drift[..., 3:, :] - upper
     fixed = np.broadcast_to(axes[..., None, :3, :], lower.shape)
     turned = axes[..., None, 3:, :] + 1j * _STEP * np.cross(angular[..., None, :], axes[..., None, 3:, :])
     rows: list[Any] = [rows_of(x) for x in (lower, upper, below, above, fixed, turned)]

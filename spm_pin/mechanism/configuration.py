@@ -265,6 +265,13 @@ class Configuration:
         upper = centres[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
         return frozen(np.concatenate([centres[..., :3, :], upper], axis=-2))
 
+    @property
+    def centre_rates(self) -> FloatArray:
+        """Derivatives of `circle_centres` by their own readings, seen from the legs' plates, in {B}, (..., 6, 3)."""
+        outward, forward = self._leg_planes
+        rates = self._geometry.legs.centre_rates(self.readings)
+        return np.asarray(rates[..., :1] * outward + rates[..., 1:] * forward)
+
     @cached_property
     def slopes(self) -> FloatArray:
         """κ of the legs, shape (..., 6): the speed along each of `leg_vectors` per unit rate of the reading.

@@ -11,7 +11,7 @@ import functools
 import math
 import warnings
 from collections.abc import Collection
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,11 @@ _LARGEST_ANGLE = 4.0 * math.pi
 _SAME = 1e-9
 """Machines that differ by less, relative to the middle side, are the same."""
 _PROPORTION = 10.0
-"""Lengths this many times the machine's size, or less than its inverse, are read as a wrong unit."""
+"""Lengths this many times the machine's size are read as a wrong unit."""
+LARGEST_RATIO = 1e5
+"""Leg lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
+_LARGEST_MACHINE = 100.0
+"""A machine more times as large as its legs are long is read as one in a wrong unit."""
 
 _DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
 _LEG_KEYS = {
@@ -118,6 +122,22 @@ class Geometry:
         # Drawn legs follow the dimensions when these are replaced.
         if legs is None or legs.is_drawn or legs == drawn:
             object.__setattr__(self, "legs", drawn)
+        if self.limits is not None:
+            self._check_proportion(self.limits)
+
+    def _check_proportion(self, limits: LegLimits) -> None:
+        """Raise `GeometryError` if limits and dimensions are in different units."""
+        lengths = np.array(self.legs.units) == "m"
+        ends, size = (np.array([limits.minimum, limits.maximum]) - self.legs.offsets)[:, lengths], machine_size(self)
+        if not self.legs.are_rps:
+            ends = np.abs(ends)
+        longest = float(ends.max(initial=0.0, where=np.isfinite(ends)))
+        cause = unit_hint(self, longest)
+        if 0.0 < longest < size / _LARGEST_MACHINE:
+            cause = f"Lengths are in metres: is the middle side {self.middle_side:g} mm or cm?"
+        if cause:
+            expected = f"limits in proportion to a machine about {size:.3g} m high, or infinity for none"
+            raise GeometryError("limits", expected, f"lengths of up to {longest:g} m", cause)
 
     def __repr__(self) -> str:
         limits = "" if self.limits is None else f", limits={self.limits!r}"
@@ -363,6 +383,14 @@ def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, ow
             raise GeometryError(argument, f"the {name} of {owner}", difference, cause)
 
 
+def check_rps(geometry: Geometry, what: str) -> None:
+    """Raise a `GeometryError` unless all legs are RPS, which `what` is known for alone."""
+    if not geometry.legs.are_rps:
+        lower, upper = (kind.name for kind in geometry.legs.kinds)
+        cause = "Known for PRS and RRS legs are displacements, rates, forces, stiffness, singularities and paths"
+        raise GeometryError("geometry", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)
+
+
 def machine_size(geometry: Geometry) -> float:
     """Return E + C + 2 d [m], about the height of a machine."""
     return geometry.base_radius + geometry.platform_radius + 2.0 * geometry.middle_side
@@ -404,12 +432,11 @@ def _read(path: str | Path) -> Geometry:
         radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
     limits = _limits(data["leg_limits"], f"leg_limits in {path}") if "leg_limits" in data else None
     kinds = [_kind(data[key], f"{key} in {path}") if key in data else RPS() for key in _KIND_KEYS]
-    dimensions = radii[0], radii[1], lengths["middle_side"]
-    if "legs" in data:
-        legs = _legs(data["legs"], f"legs in {path}", (kinds[0], kinds[1]))
-    else:
-        legs = drawn_legs(*dimensions, (kinds[0], kinds[1]))
-    geometry = Geometry(*dimensions, limits, legs)
+    dimensions, pair = (radii[0], radii[1], lengths["middle_side"]), (kinds[0], kinds[1])
+    legs = _legs(data["legs"], f"legs in {path}", pair) if "legs" in data else drawn_legs(*dimensions, pair)
+    geometry = Geometry(*dimensions, legs=legs)
+    with raised_as(GeometryError, str(path)):
+        geometry = replace(geometry, limits=limits)
     longest = max(lengths, key=lambda key: lengths[key])
     if lengths[longest] > _IMPLAUSIBLE:
         text = f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres"

@@ -27,7 +27,7 @@ from spm_pin.formulas.operations import ARRAYS, bind
 from spm_pin.formulas.vectors import dot, minus, times, transposed
 from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import Geometry, check_rps
 
 JOINTS = (
     *("leg_b1_hip", "leg_b1_slide", "ball_b1_x", "ball_b1_y", "ball_b1_z"),
@@ -73,6 +73,7 @@ class _Constants(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def _constants(geometry: Geometry) -> _Constants:
+    check_rps(geometry, "joint values")
     axes, pivots, balls = map(_tuples, geometry.legs.arrays[:3])
     own_axes, legs = _ON_NUMBERS.triangle_axes(balls[:3]), []
     for leg in range(6):

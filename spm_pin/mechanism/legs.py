@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, GeometryError, raised_as
+from spm_pin.errors import ArgumentError, GeometryError, UnreachableError, raised_as
 from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.operations import bind, on_arrays, rows_of
@@ -37,10 +37,13 @@ ORDERED = "minimum < maximum for every leg"
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
 
 _triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(circles.squared_sides)
+_admitted_readings = on_arrays(leg_constants.admitted_readings)
 _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _plane_axes = bind(planar_legs.plane_axes, sqrt=math.sqrt)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
+_STEP = 1e-100
+"""Imaginary step of a derivative."""
 _FLAT = 1e-6
 """Smallest height of the triangle of three balls, in units of its longest side."""
 
@@ -53,6 +56,11 @@ class LegLimits:
     ----------
     minimum, maximum : float or sequence of six floats
         In the order of `LEGS`: in metres, of RRS legs in radians. They may be infinite.
+
+    Notes
+    -----
+    A reading beyond a limit by rounding is within it, everywhere in this package and in what it exports: by at most
+    1e-8 of the larger of the leg's finite limits.
     """
 
     minimum: tuple[float, ...]
@@ -82,25 +90,45 @@ class LegLimits:
         bounds = (f"[{', '.join(f'{end:.6g}' for end in ends)}]" for ends in (self.minimum, self.maximum))
         return f"LegLimits({', '.join(bounds)})"
 
+    @functools.cached_property
+    def admitted(self) -> FloatArray:
+        """Ends (2, 6) of the readings that count as within the limits [m]: these and what rounding adds."""
+        return frozen(np.array(_admitted_readings(np.array(self.minimum), np.array(self.maximum))))
+
     def contains(self, readings: npt.ArrayLike) -> BoolArray:
-        """Return which sets of readings (..., 6) [m] respect all limits; NaN does not."""
-        return np.asarray(self.margin(readings) >= 0.0)
+        """Return which sets of readings (..., 6) [m] respect all limits, to rounding; NaN does not."""
+        lengths, (low, high) = _read(readings), self.admitted
+        return np.asarray(_least(np.minimum(lengths - low, high - lengths)) >= 0.0)
 
     def excess(self, readings: npt.ArrayLike) -> FloatArray:
         """Return by how much each leg of (..., 6) [m] is too long, or too short (negative); 0 within its limits."""
-        lengths = _read(readings)
-        return np.asarray(np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0))
+        lengths, (low, high) = _read(readings), self.admitted
+        beyond = np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0)
+        return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
+
+    def check_path(self, readings: FloatArray, argument: str, places: FloatArray, unit: str) -> None:
+        """Raise `UnreachableError` at the first of `places` (n,) where readings (n, 6) are beyond the limits."""
+        excess = self.excess(readings)
+        if excess.any():
+            k = int(excess.any(axis=-1).argmax())
+            leg = int(np.abs(excess[k]).argmax())
+            received = f"{LEGS[leg]} of {readings[k, leg]:.6g} m at {places[k]:.4g} {unit}".rstrip()
+            raise UnreachableError(argument, f"leg lengths within the machine's {self}", received)
 
     def margin(self, readings: npt.ArrayLike) -> FloatArray:
-        """Return the margin [m] of the worst leg of (..., 6) [m] to its limits; negative outside, NaN for NaN."""
-        lengths = _read(readings)
-        inside = np.minimum(lengths - np.array(self.minimum), np.array(self.maximum) - lengths)
-        # Leg by leg: NumPy takes several times as long to reduce a short last axis.
-        return np.asarray(functools.reduce(np.minimum, np.moveaxis(inside, -1, 0)))
+        """Return the distance [m] of the worst leg of (..., 6) [m] to its limits; negative outside, NaN for NaN."""
+        lengths, (low, high) = _read(readings), self.admitted
+        room = np.minimum(lengths - self.minimum, self.maximum - lengths)
+        return _least(np.where((lengths >= low) & (lengths <= high), np.maximum(room, 0.0), room))
 
 
 def _read(readings: npt.ArrayLike) -> FloatArray:
     return real_array(readings, "readings", (6,), "what the encoders show, in metres", allow_nan=True)
+
+
+def _least(of_legs: FloatArray) -> FloatArray:
+    # Leg by leg: NumPy takes several times as long to reduce a short last axis.
+    return np.asarray(functools.reduce(np.minimum, np.moveaxis(of_legs, -1, 0)))
 
 
 def _six(value: float | Sequence[float], argument: str) -> tuple[float, ...]:
@@ -218,6 +246,11 @@ class Legs:
         """Return κ (..., 6), the speed of each ball away from its circle's centre per unit rate of the reading."""
         return self._of_stages("slopes", places, readings - self.offsets)
 
+    def centre_rates(self, readings: FloatArray) -> FloatArray:
+        """Return the derivatives of the circles' centres by readings (..., 6) in the legs' planes, (..., 6, 2)."""
+        stages = self._by_stage("circles", readings - self.offsets + 1j * _STEP)
+        return np.concatenate([centres.imag / _STEP for centres, _ in stages], axis=-2)
+
     @functools.cached_property
     def slope_signs(self) -> FloatArray:
         """Signs of κ in the working modes of the legs, (6,)."""
@@ -238,7 +271,7 @@ class Legs:
         outward, forward = self.planes
         return self.pivots + x * outward + z * forward, np.concatenate([below, above], axis=-1)
 
-    def _by_stage(self, name: str, *arguments: FloatArray) -> list[Any]:
+    def _by_stage(self, name: str, *arguments: Any) -> list[Any]:
         """Return what a method of both kinds makes of arrays whose axis of length six counts the legs."""
         stages = slice(0, 3), slice(3, 6)
         return [

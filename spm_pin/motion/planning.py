@@ -35,7 +35,7 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.geometry import check_same_machine
+from spm_pin.mechanism.geometry import check_rps, check_same_machine
 from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spaced_parameters, states_along
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
@@ -144,6 +144,7 @@ def plan(
     <MotionPlan: straight in leg lengths, least determinant 1.15 d³>
     """
     check_instance(geometry, Geometry, "geometry")
+    check_rps(geometry, "planning")
     allowed = geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
     joints = JointLimits() if joint_limits is None else check_instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
@@ -254,7 +255,7 @@ def _finished(
     if certificate is not None and isinstance(path, LegPath):
         # Lengths within a certificate have one configuration, the physical one.
         lengths = path(np.linspace(0.0, 1.0, len(states))).lengths
-        certified = certificate.holds and bool(certificate.admits(lengths).all())
+        certified = certificate.holds and bool(certificate.limits.contains(lengths).all())
     elif certificate is not None:
         certified = bool(certificate.covers(states).all())
     least = float(_least_determinant(states).min())

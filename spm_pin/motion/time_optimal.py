@@ -21,10 +21,9 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
 from spm_pin.mechanism.geometry import check_same_machine
-from spm_pin.mechanism.legs import LEGS
 from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
-from spm_pin.motion.paths import ROUNDING, LegPath, MotionLimits, MotionPath, PathDynamics, path_dynamics
+from spm_pin.motion.paths import LegPath, MotionLimits, MotionPath, PathDynamics, path_dynamics
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
@@ -170,14 +169,9 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
 
     A path of leg lengths may cross inverse singularities: the legs lead through.
     """
-    limits, lengths = chain.geometry.limits, along.states.readings
+    limits = chain.geometry.limits
     if limits is not None and not planned:
-        excess = np.abs(limits.excess(lengths))
-        if (excess > ROUNDING).any():
-            point = int((excess > ROUNDING).any(axis=-1).argmax())
-            leg = int(excess[point].argmax())
-            received = f"{LEGS[leg]} of {lengths[point, leg]:.6g} m at parameter {along.parameters[point]:.4g}"
-            raise ArgumentError("path", f"leg lengths within the chain's {limits}", received)
+        limits.check_path(along.states.readings, "path", along.parameters, "of its parameter")
     values = determinants(along.states)[:, : 2 if isinstance(path, LegPath) else 3]
     crossed = (values[1:] * values[:-1] < 0.0).any(axis=-1)
     if crossed.any():

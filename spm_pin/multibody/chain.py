@@ -302,7 +302,8 @@ class ClosedChain:
 
         `path`, a `PlatformPath` or another callable, takes a time [s] and returns pose, twist and acceleration of the
         terminal platform; `times` (n,) [s] increase at any rate; `near` (18,) is a closed q in the branch wanted, near
-        the path's start. Raises as `inverse_kinematics`, with the index of the time.
+        the path's start. Raises as `inverse_kinematics`, with the index of the time, and `UnreachableError` where a leg
+        is beyond the limits of the geometry.
         """
         q, t = self._constrained.read_q(near, "near", single=True), increasing_times(times)
         if not callable(path):
@@ -323,6 +324,8 @@ class ClosedChain:
                 raise at_index(error, (k,)) from error
             rows.append((q, v, a, efforts, self.readings(q), pose.as_matrix()))
         positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
+        if self.geometry.limits is not None:
+            self.geometry.limits.check_path(readings, "path", t, "s")
         pose = RigidTransform.from_matrix(poses)
         return JointTrajectory(self.joint_names, t, positions, v, a, efforts, readings, pose)
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, type_and_value
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import Geometry, check_rps
 
 _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 """Shapes of the derivatives that `leg_jacobian` returns."""
@@ -58,6 +58,7 @@ def equations(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX)
 
 def lengths_of_legs(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
     """Return the leg lengths r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m] as an expression (6,). Eq. (20)."""
+    check_rps(geometry, "leg lengths")
     return ca.vertcat(*(ca.norm_2(vector) for _, vector in legs(geometry, b, rotation, translation)))
 
 

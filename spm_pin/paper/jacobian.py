@@ -27,6 +27,7 @@ import numpy.typing as npt
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, broadcastable, real_array
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.paper import published
 
 KILO = 1e3
@@ -183,6 +184,7 @@ def _are_regular(scaled: FloatArray, kind: str, configuration: Configuration) ->
 
 def _legs(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the vectors r_b and r_c [m] and their unit vectors δ_b and δ_c, each (..., 3, 3), a row per leg."""
+    check_rps(configuration.geometry, "the paper's equations")
     lengths = configuration.leg_lengths
     short = (lengths == 0.0).any(axis=-1)
     if short.any() and not configuration.shape:

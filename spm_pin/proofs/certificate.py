@@ -20,7 +20,7 @@ from spm_pin.kinematics.path_following import physical_mode_share
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, leg_values, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import Geometry, check_rps
 from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.stage_proof import (
     DEEPEST,
@@ -41,9 +41,6 @@ from spm_pin.proofs.stage_proof import (
 
 _LONGEST = 1e3
 """Largest leg lengths that are worth a proof, in units of the machine's size."""
-_MARGIN = 1e-12
-"""By how much lengths may be outside the limits of a certificate, by rounding, in units of the machine's size and the
-longest leg: what is proved is proved for limits wider by this."""
 _ROUNDING = 1e-15
 """Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""
 _LINES = 1_000
@@ -100,20 +97,15 @@ class Certificate:
         most = _widened(self.geometry, self.errors)
         return errors[0] <= most[0] and errors[1] <= most[1]
 
-    def admits(self, readings: npt.ArrayLike) -> BoolArray:
-        """Return which readings (..., 6) [m] are within the limits, or outside by rounding only, shape (...)."""
-        return np.asarray(self.limits.margin(readings) >= -_margin(self.geometry, self.limits))
-
     def covers(self, configuration: Configuration) -> BoolArray:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...).
 
-        They respect the limits, as `admits` says, and both stages lie in boxes of the proof. Nothing is covered if it
-        does not hold.
+        They respect the limits, and both stages lie in boxes of the proof. Nothing is covered if it does not hold.
         """
         check_configuration(configuration)
         if not self.concerns(configuration.geometry):
             raise ArgumentError("configuration", "a state of the certificate's geometry", "one of another")
-        inside = self.admits(configuration.readings)
+        inside = self.limits.contains(configuration.readings)
         if not self.holds:
             return np.zeros_like(inside)
         states = region_coordinates(configuration)
@@ -201,6 +193,7 @@ def certify(
         It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
     nominal = check_instance(geometry, Geometry, "geometry").nominal
+    check_rps(geometry, "certificates")
     limits = nominal.limits if limits is None else check_instance(limits, LegLimits, "limits")
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
@@ -262,6 +255,7 @@ def largest_certified_limits(
         It holds; its `limits` are the answer.
     """
     check_instance(geometry, Geometry, "geometry")
+    check_rps(geometry, "certificates")
     real_number(tolerance, "tolerance", "a relative width between 1e-6 and 1", least=1e-6, below=1.0)
     if centre is None:
         if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
@@ -294,14 +288,9 @@ def largest_certified_limits(
 def stage_regions(geometry: Geometry, limits: LegLimits, errors: tuple[float, float] = (0.0, 0.0)) -> list[StageRegion]:
     """Return the regions of both stages to be searched, lower first, for all machines within errors [m, rad]."""
     radii = geometry.base_radius, geometry.platform_radius
-    low, high = np.array(limits.minimum).reshape(2, 3), np.array(limits.maximum).reshape(2, 3)
+    low, high = limits.admitted.reshape(2, 2, 3)
     length, angle = _widened(geometry, errors)
-    margin = _margin(geometry, limits)
-    return [StageRegion(radii[k], geometry.middle_side, low[k], high[k], length, angle, margin) for k in range(2)]
-
-
-def _margin(geometry: Geometry, limits: LegLimits) -> float:
-    return _MARGIN * (sum(geometry.dimensions) + max(limits.maximum))
+    return [StageRegion(radii[k], geometry.middle_side, low[k], high[k], length, angle) for k in range(2)]
 
 
 def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, float]:
@@ -350,7 +339,6 @@ def _stages_free(stages: Sequence[StageRegion], most: int) -> BoolArray:
         np.array([stage.side for stage in stages]),
         np.stack([stage.minimum for stage in stages], axis=-1),
         np.stack([stage.maximum for stage in stages], axis=-1),
-        margin=np.array([stage.margin for stage in stages]),
     )
     scale, length = edges(every), 0.5 * (every.minimum[0] + every.maximum[0])
     square = length**2 - (every.side / np.sqrt(3.0) - every.leg_base_radius) ** 2
@@ -379,8 +367,8 @@ def _stages_free(stages: Sequence[StageRegion], most: int) -> BoolArray:
 
 def _each(every: StageRegion, stage: Int64Array) -> StageRegion:
     """Return the regions of boxes, of the stages (N,)."""
-    radius, side, margin = (np.asarray(numbers)[stage] for numbers in (every.leg_base_radius, every.side, every.margin))
-    return StageRegion(radius, side, every.minimum[:, stage], every.maximum[:, stage], margin=margin)
+    radius, side = (np.asarray(numbers)[stage] for numbers in (every.leg_base_radius, every.side))
+    return StageRegion(radius, side, every.minimum[:, stage], every.maximum[:, stage])
 
 
 def _in_sixth(boxes: Boxes) -> BoolArray:

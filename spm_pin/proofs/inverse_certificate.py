@@ -18,9 +18,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from spm_pin.errors import ArgumentError, GeometryError
@@ -29,7 +29,7 @@ from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.geometry import Geometry, check_rps
 from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
 from spm_pin.proofs.stage_proof import Int64Array, StageProof, StageRegion, columns
@@ -39,6 +39,8 @@ Cells = tuple[Interval, Interval]
 
 _SAMPLES = 2_000
 """States among which a singular one, and the least |det K|, are looked for."""
+_PAIRS, _POINTS = 100, 50
+"""Pairs of samples between which a singular one is looked for, and points of the straight way between two."""
 _DEEPEST = 20
 """Largest level of division."""
 _GRID = 5
@@ -108,6 +110,7 @@ def certify_inverse(
         With a witness for limits in which det K changes its sign, as between 1.1 and 1.5 m of the paper's machine.
     """
     check_instance(geometry, Geometry, "geometry")
+    check_rps(geometry, "certificates of poses")
     if not geometry.is_nominal:
         cause = "Its drawing is one: geometry.nominal, or the file without its legs"
         raise GeometryError("geometry", "a drawn machine", "a machine as built", cause)
@@ -128,20 +131,38 @@ def certify_inverse(
     legs[0] = 0.5 * (low + high)
     legs = legs[forward_physical(geometry, legs).exists]
 
-    def value(lengths: FloatArray) -> Any:
-        return determinants(forward_physical(geometry, lengths))[..., 2] / geometry.middle_side**3
-
-    values, witness = value(legs), None
-    if values.min() <= 0.0 <= values.max():
-        start, end = legs[values.argmin()], legs[values.argmax()]
-        share = scipy.optimize.brentq(lambda s: float(value(start + s * (end - start))), 0.0, 1.0, xtol=1e-15)
-        witness = forward_physical(geometry, start + share * (end - start))
+    values = _scaled_determinant(geometry, legs)
+    witness = _zero_between(geometry, legs[values <= 0.0], legs[values > 0.0])
     name = f"Leg lengths from {low.min():g} m to {high.max():g} m"
     least = float(np.abs(values).min())
     if witness is not None:
         return InverseCertificate(geometry, name, 0.0, 0.0, np.empty((0, 4, 2)), witness, 0)
     bound, undecided, seen = _divide(stages, 0.5 * least, boxes)
     return InverseCertificate(geometry, name, bound, least, undecided, None, seen)
+
+
+def _scaled_determinant(geometry: Geometry, legs: FloatArray) -> FloatArray:
+    """Return det K / d³ of the physical states of leg lengths (..., 6); NaN where there is none."""
+    return np.asarray(determinants(forward_physical(geometry, legs))[..., 2] / geometry.middle_side**3)
+
+
+def _zero_between(geometry: Geometry, low: FloatArray, high: FloatArray) -> Configuration | None:
+    """Return an inverse singular state between leg lengths (n, 6) and (m, 6), with det K of opposite signs.
+
+    Not every straight way from one to another has states all along: pairs are tried, the nearest first.
+    """
+    for k in scipy.spatial.distance.cdist(low, high).argsort(axis=None)[:_PAIRS]:
+        start, end = low[k // len(high)], high[k % len(high)]
+
+        def along(share: npt.ArrayLike, start: FloatArray = start, end: FloatArray = end) -> FloatArray:
+            return start + np.multiply.outer(share, end - start)
+
+        if not np.isnan(_scaled_determinant(geometry, along(np.linspace(0.0, 1.0, _POINTS)))).any():
+            share = scipy.optimize.brentq(
+                lambda s: float(_scaled_determinant(geometry, along(s))), 0.0, 1.0, xtol=1e-15
+            )
+            return forward_physical(geometry, along(share))
+    return None
 
 
 class _StageCells:

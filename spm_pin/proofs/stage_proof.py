@@ -103,13 +103,11 @@ class StageRegion:
     """Largest error of each coordinate of a pivot and of a ball, and of a reading [m]."""
     angle_error: float = 0.0
     """Largest turn of a revolute axis about either direction perpendicular to it [rad]."""
-    margin: float | FloatArray = 0.0
-    """By how much a length may be outside its limits, by rounding [m]."""
 
     @cached_property
     def lengths(self) -> list[Interval]:
         """Distances from pivot to ball of legs whose readings are within the limits [m]."""
-        all_legs = Interval(self.minimum - self.margin, self.maximum + self.margin)
+        all_legs = Interval(self.minimum, self.maximum)
         if self.length_error:
             all_legs = all_legs + self.error_bounds.length
         ends = zip(np.maximum(all_legs.low, 0.0), all_legs.high, strict=True)
@@ -118,7 +116,7 @@ class StageRegion:
     @cached_property
     def longest(self) -> FloatArray:
         """Bound of the distance from pivot to ball [m]."""
-        return np.asarray((self.maximum.max(axis=0) + self.margin + self.length_error) * _UP)
+        return np.asarray((self.maximum.max(axis=0) + self.length_error) * _UP)
 
     @property
     def height(self) -> FloatArray:
@@ -375,7 +373,7 @@ def _singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None
     """Find the state (x, y, Z) with D = 0 in the boxes (N, 3, 2) whose leg lengths are farthest within the limits."""
     if not len(boxes):
         return None
-    region = replace(region, length_error=0.0, angle_error=0.0, margin=0.0)
+    region = replace(region, length_error=0.0, angle_error=0.0)
     chosen = boxes[np.linspace(0, len(boxes) - 1, min(len(boxes), _STARTS)).astype(np.intp)]
     states = chosen.mean(axis=-1)
     states = states[(states[:, :2] ** 2).sum(axis=1) < 1.0]
@@ -427,7 +425,7 @@ def _determinant(region: StageRegion, states: FloatArray) -> tuple[FloatArray, F
 def has_one_state(region: StageRegion, boxes: FloatArray) -> bool:
     """Return whether just one state in boxes (N, 3, 2) is proved to have the lengths in the middle of the limits."""
     lengths = 0.5 * (region.minimum + region.maximum)
-    region = replace(region, minimum=lengths, maximum=lengths, length_error=0.0, angle_error=0.0, margin=0.0)
+    region = replace(region, minimum=lengths, maximum=lengths, length_error=0.0, angle_error=0.0)
     for _ in range(_ROUNDS):
         squares, _ = region.evaluate(*columns(boxes))
         missed = [square.misses(length.square()) for square, length in zip(squares, region.lengths, strict=True)]

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, Geometry, LegLimits, Legs
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, whole_number
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.sweeps.metrics import STATUS, Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points, Space
 
@@ -276,6 +277,7 @@ class SweepPlan:
     def make(cls, geometry: Geometry, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> SweepPlan:
         """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
         check_instance(geometry, Geometry, "geometry")
+        check_rps(geometry, "sweeps")
         check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
         # By name, so that their order makes no other sweep.
         ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))

@@ -25,7 +25,7 @@ from spm_pin.formulas import joint_values as values
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import FloatArray, as_bool, choice
 from spm_pin.mechanism.joint_angles import JOINTS
-from spm_pin.symbolic.machine import Drawn, Machine, State, all_of, in_casadi, parts, stages_of
+from spm_pin.symbolic.machine import Drawn, Machine, State, all_of, columns, in_casadi, parts, stages_of
 
 Dimensions = Geometry | Literal["symbolic"] | None
 
@@ -126,20 +126,28 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
         others are where 14 steps of Newton's method and `casadi.rootfinder` ended.
     """
     machine, lengths = Machine(geometry, parameters), ca.SX.sym("lengths", 6)
-    distances, unknowns = lengths - machine.offsets, ca.SX.sym("unknowns", 12)
-    coordinates, legs = ca.vertsplit(unknowns, 6), ca.vertsplit(distances, 3)
-    error = ca.vertcat(*(stage_equations(machine, k, coordinates[k], legs[k]) for k in (0, 1)))
-    inputs, start = [lengths], ca.vertcat(*(level_stage(machine, k, legs[k]) for k in (0, 1)))
+    unknowns, stages = ca.SX.sym("unknowns", 6), [machine.circles(k, lengths) for k in (0, 1)]
+    inputs, starts = [lengths], [level_balls(machine, k, stage) for k, stage in enumerate(stages)]
     if as_bool(near, "near"):
         inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
-        start = ca.vertcat(*State(machine, *inputs[1:]).in_planes())
-    rotation, position, joints = placed(machine, *coordinates)
+        starts = [list(map(parts, balls)) for balls in State(machine, *inputs[1:]).own_balls()]
+    balls, errors, steps, angles = [], [], [], []
+    for k, (stage, start) in enumerate(zip(stages, starts, strict=True)):
+        e = machine.directions(k, unknowns[3 * k : 3 * k + 3])
+        balls.append(in_casadi(circles.balls_at)(stage, e))
+        errors += in_casadi(circles.errors)(stage, balls[k])
+        steps += in_casadi(circles.limited)(in_casadi(circles.newton_step)(stage, e))
+        angles.append(machine.angles(k, in_casadi(circles.directions_to)(stage, start)))
+    rotation, position, joints = placed(machine, *balls)
+    # Half the squares of the distances, over d.
+    error = ca.vertcat(*errors) / machine.side
     residual, state = ca.mmax(ca.fabs(error)) / machine.side, State(machine, joints, rotation, position)
     exists = [machine.valid, state.is_physical()[0], residual < 1e-12]
-    exists += [ca.logic_and(x > 0.0, x < np.inf) for x in ca.vertsplit(distances)]
+    exists += [ca.logic_and(x > 0.0, x < np.inf) for x in ca.vertsplit(lengths - machine.offsets)]
     outputs = {"rotation": rotation, "position": position, "joints": joints}
     outputs |= {"residual": residual, "exists": all_of(exists)}
-    return _implicit("forward_physical", machine, inputs, (unknowns, error, outputs), [start])
+    problem = unknowns, error, outputs, unknowns - ca.vertcat(*steps)
+    return _implicit("forward_physical", machine, inputs, problem, [ca.vertcat(*angles)])
 
 
 def inverse_jacobian(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
@@ -345,18 +353,6 @@ def _side_errors(machine: Machine, stage: int, balls: Sequence[Any]) -> list[Any
     return [(square - s * s) / (2.0 * s) for square, s in zip(squares, machine.sides(stage), strict=True)]
 
 
-def stage_equations(machine: Machine, stage: int, coordinates: Any, lengths: Any) -> Any:
-    """Return the errors (6,) [m] of the lengths (3,) and of the three sides of the lower stage, 0, or the upper, 1.
-
-    `coordinates` (6,) [m] are those of the balls in the planes of their legs.
-    """
-    planes = machine.planes[3 * stage : 3 * stage + 3]
-    places = [coordinates[2 * i : 2 * i + 2] for i in range(3)]
-    legs = [(ca.sumsqr(x) - lengths[i] ** 2) / (2.0 * machine.side) for i, x in enumerate(places)]
-    balls = [plane.point(x) for plane, x in zip(planes, places, strict=True)]
-    return ca.vertcat(*legs, *_side_errors(machine, stage, balls))
-
-
 def closure_equations(machine: Machine, coordinates: Any, rotation: Any, position: Any) -> Any:
     """Return the errors (6,) [m] of the lower balls' sides, and of the upper balls' distances from their planes."""
     balls = [machine.planes[i].point(coordinates[2 * i : 2 * i + 2]) for i in range(3)]
@@ -394,25 +390,18 @@ def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) ->
     return forms, ca.vertcat(*coordinates)
 
 
-def level_stage(machine: Machine, stage: int, lengths: Any) -> Any:
-    """Return where the drawn stage with the mean of three lengths stands level, in the planes of the legs (6,)."""
-    radius, up = ((machine.base, 1.0), (machine.platform, -1.0))[stage]
-    balls = in_casadi(ball_motions.level_balls)(parts(lengths), radius, machine.r, up)
-    planes = machine.planes[3 * stage : 3 * stage + 3]
-    return ca.vertcat(*(x.coordinates(ca.vertcat(*ball)) for x, ball in zip(planes, balls, strict=True)))
+def level_balls(machine: Machine, stage: int, of_readings: circles.Circles) -> Any:
+    """Return the balls of the lower stage, 0, or of the upper, 1, where it stands level beside these circles."""
+    return in_casadi(circles.level_balls)(of_readings, stages_of(machine.balls)[stage], (1.0, -1.0)[stage])
 
 
-def placed(machine: Machine, lower: Any, upper: Any) -> tuple[Any, Any, Any]:
-    """Return R, o and the b_i (3, 3) of two stages, the balls' coordinates in the planes of their legs (6,) each."""
-    frames, origins, joints = [], [], []
-    for stage, coordinates in enumerate((lower, upper)):
-        legs = slice(3 * stage, 3 * stage + 3)
-        joints.append([plane.point(coordinates[2 * i : 2 * i + 2]) for i, plane in enumerate(machine.planes[legs])])
-        turn, origin = _frame_of(joints[stage], machine.balls[legs])
-        frames.append(turn)
-        origins.append(origin)
-    rotation = frames[0] @ frames[1].T
-    return rotation, origins[0] - rotation @ origins[1], ca.horzcat(*joints[0]).T
+def placed(machine: Machine, lower: Sequence[Any], upper: Sequence[Any]) -> tuple[Any, Any, Any]:
+    """Return R, o and the b_i (3, 3) of two stages, their balls as formulas take them, in {B} and in {m}."""
+    (turn, origin), (turn_m, origin_m) = (
+        _frame_of(columns(b), own) for b, own in ((lower, machine.balls[:3]), (upper, machine.balls[3:]))
+    )
+    rotation = turn @ turn_m.T
+    return rotation, origin - rotation @ origin_m, ca.horzcat(*columns(lower)).T
 
 
 def _frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
@@ -435,9 +424,11 @@ def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
 def _preference(machine: Machine, state: State) -> tuple[Any, Any]:
     """Return 0 where a state is not physical, 1 where it is, 2 where within leg limits too; and how straight it is."""
     is_physical, tilts = state.is_physical()
-    limits = zip(*map(ca.vertsplit, (state.readings, machine.minimum, machine.maximum)), strict=True)
-    inside = all_of([ca.logic_and(q >= low, q <= high) for q, low, high in limits])
-    return is_physical * (1.0 + inside), tilts
+    inside = []
+    for reading, *limits in zip(*map(ca.vertsplit, (state.readings, machine.minimum, machine.maximum)), strict=True):
+        low, high = in_casadi(leg_constants.admitted_readings)(*limits)
+        inside.append(ca.logic_and(reading >= low, reading <= high))
+    return is_physical * (1.0 + all_of(inside)), tilts
 
 
 def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Function:
@@ -451,7 +442,9 @@ def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Func
     closed = ca.mmax(ca.fabs(error)) <= 1e-13 * size
     outputs = {"lengths": state.readings, "joints": joints, "discriminant": drawn.discriminant("TT")}
     outputs["exists"] = all_of([rank > 0.0, closed, machine.takes(rotation, position)])
-    problem = unknowns, error, outputs
+    step = -ca.solve(ca.jacobian(error, unknowns), error)
+    step = step / ca.fmax(1.0, ca.norm_inf(step) / (_LONGEST_STEP * machine.side))
+    problem = unknowns, error, outputs, unknowns + step
     return _implicit("inverse_physical", machine, [rotation, position], problem, starts, (rank * closed, tilts))
 
 
@@ -459,22 +452,21 @@ def _implicit(
     name: str,
     machine: Machine,
     inputs: list[Any],
-    problem: tuple[Any, Any, dict[str, Any]],
+    problem: tuple[Any, Any, dict[str, Any], Any],
     starts: list[Any],
     preference: tuple[Any, Any] | None = None,
 ) -> ca.Function:
     """Make a function of the solution of equations.
 
-    Newton's method goes `_NEWTON_STEPS` steps from each start; the end of the largest rank is taken, of several the
-    straightest. `casadi.rootfinder`, through which CasADi differentiates implicitly, goes on from there.
+    `problem` has the unknowns, the equations, the results, and the unknowns after a step of Newton's method, which goes
+    `_NEWTON_STEPS` steps from each start; the end of the largest rank is taken, of several the straightest.
+    `casadi.rootfinder`, through which CasADi differentiates implicitly, goes on from there.
     """
-    unknowns, error, outputs = problem
+    unknowns, error, outputs, stepped = problem
     known = [*inputs, *machine.inputs]
     names = [x[0].name().rsplit("_", 1)[0] for x in known]
     symbols = [ca.MX.sym(name, *x.shape) for name, x in zip(names, known, strict=True)]
-    step = -ca.solve(ca.jacobian(error, unknowns), error)
-    step = step / ca.fmax(1.0, ca.norm_inf(step) / (_LONGEST_STEP * machine.side))
-    newton = ca.Function("newton", [unknowns, *known], [unknowns + step])
+    newton = ca.Function("newton", [unknowns, *known], [stepped])
     ends = ca.Function("starts", known, starts).call(symbols)
     for _ in range(_NEWTON_STEPS):
         ends = [newton(end, *symbols) for end in ends]

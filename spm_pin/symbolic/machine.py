@@ -1,7 +1,7 @@
 """A machine in CasADi: its drawing and its six legs as numbers or symbols, and the equations that hold it together.
 
-A ball lies in the plane of its leg, normal to the leg's revolute axis. Its two coordinates there, see `LegPlane`, are
-the unknowns: all equations are quadratic in them.
+A ball lies in the plane of its leg, normal to the leg's revolute axis: on a circle where the reading is known, else
+with two coordinates, see `LegPlane`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from spm_pin.formulas import ball_motions, branches, circles, leg_constants, leg
 from spm_pin.formulas.operations import bind
 from spm_pin.mechanism import FAMILIES, Geometry
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.mechanism.legs import AXES, RADIAL
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 
@@ -48,6 +49,11 @@ def parts(vector: Any) -> tuple[Any, Any, Any]:
 def columns(rows: Sequence[Any]) -> list[Any]:
     """Return the vectors of a formula as columns (3,)."""
     return [ca.vertcat(*row) for row in rows]
+
+
+def rows(vectors: Sequence[Any]) -> Any:
+    """Return three vectors as formulas take them."""
+    return tuple(map(parts, vectors))
 
 
 def stages_of(vectors: Sequence[Any]) -> tuple[list[Any], list[Any]]:
@@ -103,6 +109,7 @@ class Machine:
         if not isinstance(geometry, Geometry | None):
             raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))
         machine = Geometry.paper() if geometry is None else geometry
+        check_rps(machine, "functions of CasADi and C")
         if machine.limits is not None:
             self.minimum, self.maximum = ca.SX(machine.limits.minimum), ca.SX(machine.limits.maximum)
         self._draw(*machine.nominal.dimensions)
@@ -168,6 +175,24 @@ class Machine:
         upper = in_casadi(leg_planes.upper_balls)([parts(x) for x in b], self.ball_weights())
         return [*b, *columns(upper)]
 
+    def circles(self, stage: int, readings: Any) -> circles.Circles:
+        """Return the circles of the balls of the lower stage, 0, or of the upper, 1, for the readings (6,)."""
+        legs = slice(3 * stage, 3 * stage + 3)
+        radii = (readings - self.offsets)[legs]
+        squares = in_casadi(circles.squared_sides)(stages_of(self.balls)[stage])
+        axes, centres = rows(self.axes[legs]), rows(self.pivots[legs])
+        return circles.Circles(axes, centres, parts(radii), squares)
+
+    def angles(self, stage: int, e: Sequence[Any]) -> Any:
+        """Return the angles (3,) of directions in the planes of a stage's legs, from their axes y towards z."""
+        planes = zip(self.planes[3 * stage : 3 * stage + 3], columns(e), strict=True)
+        return ca.vertcat(*(ca.atan2(ca.dot(plane.z, x), ca.dot(plane.y, x)) for plane, x in planes))
+
+    def directions(self, stage: int, angles: Any) -> list[Any]:
+        """Return the directions at these angles (3,)."""
+        planes = self.planes[3 * stage : 3 * stage + 3]
+        return [parts(ca.cos(angles[i]) * plane.y + ca.sin(angles[i]) * plane.z) for i, plane in enumerate(planes)]
+
     def home_length(self, stage: int) -> Any:
         """Return the leg length at home of a stage [m]."""
         legs, radius = slice(3 * stage, 3 * stage + 3), (self.base, self.platform)[stage]
@@ -201,11 +226,14 @@ class State:
         self.lengths = ca.vertcat(*lower_lengths, *upper_lengths)
         self.readings = self.lengths + machine.offsets
 
-    def in_planes(self) -> tuple[Any, Any]:
-        """Return the coordinates (6,) of the lower balls in their legs' planes, and of the upper ones."""
-        seen = [*self.balls[:3], *(self.rotation.T @ (b - self.position) for b in self.balls[3:])]
-        coordinates = [plane.coordinates(p) for plane, p in zip(self.machine.planes, seen, strict=True)]
-        return ca.vertcat(*coordinates[:3]), ca.vertcat(*coordinates[3:])
+    def own_balls(self) -> tuple[list[Any], list[Any]]:
+        """Return the lower balls in {B} and the upper ones in {m}."""
+        return self.balls[:3], [self.rotation.T @ (b - self.position) for b in self.balls[3:]]
+
+    def in_planes(self) -> Any:
+        """Return the coordinates (6,) of the lower balls in their legs' planes."""
+        places = zip(self.machine.planes[:3], self.balls[:3], strict=True)
+        return ca.vertcat(*(plane.coordinates(b) for plane, b in places))
 
     def force_rows(self, directions: Sequence[Any]) -> Any:
         """Return forces of size one through the six balls as rows (f, (b - p) x f / d), p the mean of the b_i."""

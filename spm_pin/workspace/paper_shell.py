@@ -20,6 +20,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits, notebook
 from spm_pin.mechanism.arguments import FloatArray, IntArray, first_offender, frozen, type_and_value, whole_number
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.paper import published
 from spm_pin.workspace.boundary import ClosedMesh
 from spm_pin.workspace.states import finite_limits
@@ -213,6 +214,7 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     (24, 2, 1.653)
     """
     limits = finite_limits(geometry, limits)
+    check_rps(geometry, "the paper's 24 surfaces")
     if not geometry.is_nominal:
         cause = "The paper's 24 surfaces are those of the drawing: geometry.nominal, or the file without its legs"
         raise GeometryError("geometry", "a machine as drawn", "one as built", cause)

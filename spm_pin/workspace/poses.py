@@ -38,7 +38,7 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.geometry import check_same_machine
+from spm_pin.mechanism.geometry import check_rps, check_same_machine
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
 
@@ -118,6 +118,7 @@ def leg_clearance(configuration: Configuration) -> FloatArray:
     that meet at a corner of the middle platform are left out. NaN where a state does not exist.
     """
     check_configuration(configuration)
+    check_rps(configuration.geometry, "distances of legs")
     starts = np.concatenate([configuration.leg_bases[..., :3, :], configuration.balls[..., 3:, :]], axis=-2)
     along = configuration.leg_vectors
     i, j = _PAIRS.T
@@ -347,7 +348,7 @@ def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> N
     if check_instance(near, Configuration, "near").shape or not near.exists:
         raise ArgumentError("near", "a single Configuration that exists", repr(near))
     check_same_machine(near.geometry, geometry, "near", "`geometry`")
-    if not limits.margin(near.readings) >= -1e-9 * geometry.middle_side:
+    if not limits.contains(near.readings):
         raise ArgumentError("near", "a configuration within the leg limits", repr(near))
 
 

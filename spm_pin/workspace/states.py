@@ -31,6 +31,7 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.mechanism.branch_of_state import FAMILIES, family, physical, stage_coordinates
+from spm_pin.mechanism.geometry import check_rps
 
 CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""
@@ -103,6 +104,7 @@ class StateSet:
     @cached_property
     def legs(self) -> FloatArray:
         """Axis, pivot, ball and offset of the legs of both stages, (2, 3, 10); axes are tangents of the platforms."""
+        check_rps(self.geometry, "searches of the workspace")
         legs = self.geometry.legs
         axes = np.tile(TANGENT_SIGNS, 2)[:, None] * legs.axes
         balls = legs.balls * np.repeat(self._turns, 3, axis=0)

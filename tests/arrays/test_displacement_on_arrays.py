@@ -9,6 +9,7 @@ import array_api_strict as strict
 import numpy as np
 import pytest
 from arrays.array_problems import BUILT, PAPER, random_poses, random_readings
+from problems import at_end_stops
 
 import spm_pin as spm
 from spm_pin import arrays
@@ -57,6 +58,16 @@ def test_the_physical_states_of_poses_and_of_readings_are_those_of_the_kernels(n
 
 
 @pytest.mark.parametrize("name", MACHINES)
+def test_states_at_end_stops_keep_their_branch(name: str) -> None:
+    states = at_end_stops(MACHINES[name], 4_000)
+    found = arrays.inverse_physical(MACHINES[name], *parts(states.pose))
+    assert found.exists.mean() > 0.998
+    expected = spm.inverse_physical(MACHINES[name], states.pose).readings
+    apart = np.abs(found.readings - expected)[found.exists].max(axis=-1) > 1e-9
+    assert apart.mean() <= (0.0 if MACHINES[name].is_nominal else 1e-3)
+
+
+@pytest.mark.parametrize("name", MACHINES)
 def test_a_state_beside_another_is_on_its_branch(name: str) -> None:
     machine = MACHINES[name]
     states = arrays.forward_physical(machine, random_readings(500))
@@ -86,6 +97,22 @@ def test_dimensions_and_parameters_are_machines_of_their_own() -> None:
     assert together.rotation.shape == (3, 200, 3, 3)
     alone = arrays.forward_physical(machines[1], readings)
     np.testing.assert_allclose(together.translation[1][alone.exists], alone.translation[alone.exists], atol=1e-10)
+
+
+def test_numbers_that_are_none_or_too_large_have_no_state_and_finite_results() -> None:
+    readings, (rotation, translation) = random_readings(1)[0], parts(random_poses(1)[0])
+    forward, inverse = arrays.forward_physical, arrays.inverse_physical
+    states = [forward(PAPER, np.full(6, size)) for size in (np.nan, np.inf, 1e15)]
+    states += [inverse(PAPER, rotation, np.full(3, size)) for size in (np.nan, 1e15)]
+    states += [inverse(BUILT, rotation * np.nan, translation), inverse(PAPER, rotation * 1e200, translation)]
+    for size in (1e200, 1e-200, np.nan):
+        states += [forward(np.full(3, size), readings), inverse(np.full(3, size), rotation, translation)]
+    states += [forward(np.full(54, np.nan), readings), inverse(np.full(54, 1e200), rotation, translation)]
+    for state in states:
+        assert not state.exists
+        assert all(np.isfinite(x).all() for x in state)
+    for function in (arrays.joint_values, arrays.singularity_distance):
+        assert all(np.isfinite(function(PAPER, state)).all() for state in states)
 
 
 def test_one_problem_is_a_batch_without_axes() -> None:
@@ -143,6 +170,7 @@ TORN = STATE._replace(middle_joints=np.ones((2, 3)))
         (arrays.inverse_displacement, (BUILT.parameters, *STATE[:2]), "as 54 parameters always count"),
         (arrays.forward_physical, (PAPER, np.ones(6, dtype=int)), "floating-point"),
         (arrays.forward_physical, (PAPER, np.ones(6, dtype=np.float16)), "dtype float16"),
+        (arrays.forward_physical, (PAPER, np.ones(6, dtype=np.longdouble)), "dtype float128"),
         (arrays.forward_physical, (np.ones(7), np.ones(6)), "(..., 54)"),
         (arrays.forward_physical, (PAPER, STATE.readings, TORN), "near.middle_joints: expected shape (..., 3, 3)"),
         (

@@ -230,3 +230,21 @@ def test_nothing_left_is_zero_without_a_sign() -> None:
     held = wrench_polytope(STATE, np.stack([np.full(6, -900.0), np.zeros(6)]))
     assert not np.signbit(held.ball())
     assert not np.signbit(held.extent(-np.linalg.solve(held.rows, -np.ones(6)))).any()
+
+
+def test_sections_have_the_shape_of_their_limits_whatever_the_size() -> None:
+    expected = wrench_polytope(STATE, 1.0).section()
+    for size in (1e-90, 1e-30, 1e40, 1e90):
+        vertices = wrench_polytope(STATE, size).section().vertices
+        np.testing.assert_allclose(
+            sorted(vertices.tolist()), size * np.array(sorted(expected.vertices.tolist())), rtol=1e-6, atol=1e-9 * size
+        )
+    # One leg that hardly holds anything leaves a flat section of the others.
+    for weakest in (1e-3, 1e-10):
+        flat = wrench_polytope(STATE, [weakest, *[1000.0] * 5])
+        vertices = flat.section().vertices
+        values = vertices @ flat.rows[0, :3]
+        np.testing.assert_allclose(np.abs(values), weakest, rtol=1e-2)
+    empty = wrench_polytope(STATE, 1.0, load=[0.0, 0.0, -1e4, 0.0, 0.0, 1e4])
+    with pytest.raises(spm.ArgumentError, match="empty, or flat"):
+        empty.section()

@@ -41,8 +41,8 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
     for code, words, *command in (
         (5, "TT+", "inverse", *POSE),
         (5, '"degeneracy": null', "inverse", *POSE, "--json"),
-        (0, "TT+", "singularities", *POSE),
-        (0, "TT+", "statics", *POSE, "--force", "0", "0", "-9"),
+        (5, "physical*", "singularities", *POSE),
+        (5, "physical*", "statics", *POSE, "--force", "0", "0", "-9"),
         (0, "physical", "forward", *LEGS),
     ):
         other = run(*command, "--geometry", out)

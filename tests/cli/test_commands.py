@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,49 @@ def test_singularities_of_each_branch() -> None:
     )
     table = run("singularities", *EXAMPLE, "--branch", "TT+").stdout
     assert "TT-" not in table
+
+
+@pytest.mark.parametrize("command", [["statics", "--force", "0", "0", "-100"], ["singularities"]])
+def test_every_answer_marks_the_physical_branch_and_those_beyond_the_limits(command: list[str]) -> None:
+    done = run(*command, *EXAMPLE)
+    ends = [line.split()[-1] for line in done.stdout.splitlines() if line.startswith((" T", " F"))]
+    assert (done.returncode, ends) == (5, ["physical*", *"*****"])
+    assert "* a leg beyond the limits, of the physical branch too" in done.stdout
+    content = json.loads(run(*command, *EXAMPLE, "--json").stdout)["branches"]
+    assert [label for label, row in content.items() if row["physical"]] == ["TT+"]
+    assert (content["TT+"]["within_limits"], content["TT+"]["beyond_limits"]) == (False, [5])
+    # Leg lengths within the limits, whose pose they are, and those of the level home, whose pose has no branches.
+    for legs in (LEGS, ["--legs", *["1.3"] * 6]):
+        given = run(*command, *legs)
+        assert (given.returncode, given.stdout.count("physical"), "*" in given.stdout) == (0, 1, False)
+    for wrong in ([], [*EXAMPLE, *LEGS[:7]]):
+        assert "--legs: expected leg lengths or a pose" in run(*command, *wrong).message
+    far = run(*command, "--legs", *"111911")
+    assert (far.returncode, "A stage cannot be closed" in far.stderr) == (3, True)
+
+
+def test_leg_lengths_beyond_the_limits_are_marked_as_a_pose_is() -> None:
+    legs = ["--legs", "1.2", "1.2", "1.4", "1.25", "1.2", "1.7"]
+    out = forward(*legs, code=5)
+    assert "physical*" in out
+    assert "* r_c3 beyond the limits" in out
+    (mode,) = json.loads(forward(*legs, "--json", code=5))["modes"]
+    assert (mode["within_limits"], mode["beyond_limits"]) == (False, [5])
+
+
+@pytest.mark.parametrize(("option", "count"), [("--xyx", 3), ("--rpy", 3), ("--quat", 4)])
+def test_forward_prints_an_orientation_as_inverse_reads_it(option: str, count: int) -> None:
+    out = forward(*LEGS, option)
+    (line,) = [line for line in out.splitlines() if line.endswith("physical")]
+    numbers = line.split()[1:-1]
+    assert len(numbers) == 3 + count
+    back = run("inverse", "--translation", *numbers[:3], option, *numbers[3:], "--unit", "cm")
+    (row,) = [line for line in back.stdout.splitlines() if line.endswith("physical")]
+    np.testing.assert_allclose(
+        [float(x.strip("*")) for x in row.split()[1:7]], [float(x) for x in LEGS[1:7]], atol=5e-3
+    )
+    assert re.search(r"closure residual up to \S+ cm", out)
+    assert "--xyx and --quat" in run("forward", *LEGS, "--xyx", "--quat").message
 
 
 def forward(*arguments: str, code: int = 0) -> str:

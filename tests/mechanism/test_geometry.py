@@ -46,6 +46,29 @@ def test_limits_contain_their_bounds_and_measure_the_margin() -> None:
     lengths = [[1.0, 1.5, 2.0, 1.5, 2.0, 3.0], [1.2, 1.3, 1.4, 1.6, 1.7, 3.1], [np.nan] * 6]
     np.testing.assert_array_equal(limits.contains(lengths), [True, False, False])
     np.testing.assert_allclose(limits.margin(lengths), [0.0, -0.1, np.nan], atol=1e-15)
+    # To rounding: 1e-8 of the longest limit.
+    by_rounding, beyond = np.full(6, 2.0) + 1e-8, np.full(6, 2.0) + 3e-8
+    assert limits.contains([by_rounding, beyond]).tolist() == [True, False]
+    assert limits.margin([by_rounding, beyond]).round(12).tolist() == [0.0, -3e-8]
+    assert limits.excess(by_rounding).tolist() == [0.0] * 6
+    assert spm.LegLimits(1.0, np.inf).contains(np.full(6, 1.0 - 1e-9))
+    assert not spm.LegLimits(1.0, np.inf).contains(np.full(6, 1.0 - 1e-7))
+
+
+@pytest.mark.parametrize(
+    ("dimensions", "limits", "says"),
+    [
+        ((692.8, 346.4, 800), (1.1, 1.5), "is the middle side 800 mm or cm"),
+        ((69.28, 34.64, 80), (1.1, 1.5), "is the middle side 80 mm or cm"),
+        ((0.69, 0.35, 0.8), (1100, 1500), "is it 1500 mm"),
+        ((0.69, 0.35, 0.8), (110, 150), "is it 150 cm"),
+    ],
+)
+def test_limits_in_another_unit_than_the_dimensions_are_refused(
+    dimensions: tuple[float, ...], limits: tuple[float, float], says: str
+) -> None:
+    with pytest.raises(spm.GeometryError, match=f"^limits: .*{says}"):
+        spm.Geometry(*dimensions, spm.LegLimits(*limits))
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import in_leg_space, random_branches
+from problems import at_end_stops, in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.errors import SelectionError
@@ -104,6 +104,31 @@ def test_within_keeps_what_respects_the_limits(batch: spm.SolutionSet) -> None:
     assert tight.exists.sum() < kept.exists.sum()
     unlimited = spm.inverse_displacement(replace(PAPER, limits=None), POSE)
     assert unlimited.within() is unlimited
+
+
+@pytest.mark.parametrize(("geometry", "count"), [(PAPER, 50_000), (PAPER.perturbed(1, length=1e-3, angle=1e-3), 5_000)])
+def test_a_state_with_legs_at_their_end_stops_keeps_its_branch(geometry: spm.Geometry, count: int) -> None:
+    """Its readings computed from its pose are beyond the stops by rounding in about half of all cases."""
+    states, limits = at_end_stops(geometry, count), geometry.limits
+    assert limits is not None
+    solutions = spm.inverse_displacement(geometry, states.pose)
+    own = solutions.nearest(states)
+    np.testing.assert_allclose(own.readings, states.readings, rtol=0, atol=1e-9)
+    beyond = (own.readings < limits.minimum) | (own.readings > limits.maximum)
+    assert 0.2 < beyond.any(axis=-1).mean() < 0.9
+    np.testing.assert_array_equal(solutions.within().nearest(states).readings, own.readings)
+    assert limits.contains(spm.inverse_physical(geometry, states.pose).readings).all()
+    assert limits.contains(solutions.physical().readings).all()
+    assert spm.workspace.reachable(geometry, states.pose).reachable.all()
+    assert not limits.excess(own.readings).any()
+    assert (limits.margin(own.readings) >= 0.0).all()
+
+
+def test_of_two_physical_branches_the_one_at_its_end_stop_is_within_the_limits() -> None:
+    readings = [1.42881598, 1.5, 1.1, 1.2050192, 1.13281504, 1.36825423]
+    pose = spm.forward_physical(PAPER, readings).pose
+    for found in (spm.inverse_physical(PAPER, pose), spm.inverse_displacement(PAPER, pose).physical()):
+        np.testing.assert_allclose(found.readings, readings, rtol=0, atol=1e-12)
 
 
 def test_nearest_finds_every_branch_again(batch: spm.SolutionSet) -> None:

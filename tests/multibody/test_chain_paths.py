@@ -16,16 +16,25 @@ import pytest
 from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, Array, chain, placed, random_q, rounding, six_branches
 
 import spm_pin as spm
-from spm_pin.errors import ArgumentError, ClosureError, PoseError, SingularConfigurationError, SpmError
+from spm_pin.errors import (
+    ArgumentError,
+    ClosureError,
+    PoseError,
+    SingularConfigurationError,
+    SpmError,
+    UnreachableError,
+)
 from spm_pin.multibody.closure_solvers import close_loops
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 
 pytest.importorskip("pinocchio")
 
-WAYPOINTS = spm.pose(
-    [[0.6889, 0.4963, 2.253], [0.70, 0.48, 2.28], [0.68, 0.50, 2.28]],
-    xyx=np.deg2rad([[-11.08, 32.97, -12.88], [-12.0, 33.5, -12.0], [-11.0, 33.0, -13.0]]),
-)
+LENGTHS = [
+    [1.20, 1.20, 1.40, 1.25, 1.20, 1.45],
+    [1.25, 1.23, 1.40, 1.25, 1.22, 1.45],
+    [1.22, 1.20, 1.42, 1.24, 1.18, 1.42],
+]
+WAYPOINTS = spm.forward_physical(PAPER, LENGTHS).pose
 
 
 def test_one_after_the_other() -> None:
@@ -142,6 +151,10 @@ def test_invalid_paths_and_trajectories_are_refused() -> None:
         robot.joint_trajectory(away, np.linspace(0.0, 1.0, 5), q)
     with pytest.raises(ArgumentError, match=r"^times: expected times from 0 to 2 s"):
         robot.joint_trajectory(path, [0.0, 3.0], q)
+    up = WAYPOINTS[0].translation + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]])
+    beyond = PlatformPath([0.0, 1.0], spm.pose(up, rotation=np.stack([WAYPOINTS[0].rotation.as_matrix()] * 2)))
+    with pytest.raises(UnreachableError, match=r"LegLimits\(1.1, 1.5\), got r_b3 of 1.50\d+ m at 0\.\d+ s"):
+        robot.joint_trajectory(beyond, np.linspace(0.0, 1.0, 51), q)
 
 
 def test_all_joints_of_a_platform_path() -> None:

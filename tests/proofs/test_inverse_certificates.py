@@ -107,6 +107,14 @@ def test_limits_in_which_the_determinant_changes_its_sign_have_a_witness(limits:
     assert "Does not hold" in found.explain()
 
 
+def test_a_witness_is_found_where_the_straight_way_between_samples_has_no_states() -> None:
+    limits = spm.LegLimits(1.08319, 1.59089)
+    found = certify_inverse(spm.Geometry(1.33448, 0.932207, 0.821107, limits))
+    assert found.witness is not None
+    assert limits.contains(found.witness.leg_lengths)
+    assert abs(spm.determinants(found.witness)[2]) < 1e-14
+
+
 def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(spm.GeometryError, match="limits"):
         certify_inverse(spm.Geometry(0.6, 0.4, 0.5))

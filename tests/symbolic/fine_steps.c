@@ -30,10 +30,9 @@ void follow_pose(long count, int parts, const spm_geometry *g, const spm_state *
     long n;
     for (n = 0; n < count; ++n) {
         way w = {0};
-        double lower[6], upper[6], tilts;
+        double lower[6], upper[9], tilts;
         int i;
         w.geometry = g;
-        w.kind = CLOSURE;
         copy(start[n].rotation, w.rotation, 9);
         copy(start[n].position, w.position, 3);
         copy(shift + 3 * n, w.shift, 3);
@@ -56,18 +55,28 @@ void follow_readings(long count, int parts, const spm_geometry *g, const spm_sta
 {
     long n;
     for (n = 0; n < count; ++n) {
-        double balls[2][6];
-        int stage, leg;
-        (void)read_near(g, start + n, balls[0], balls[1]);
-        for (stage = 0; stage < 2; ++stage) {
-            way w = {0};
-            w.geometry = g;
-            w.kind = stage;
-            for (leg = 0; leg < 3; ++leg) {
-                w.lengths[leg] = start[n].readings[3 * stage + leg] - g->offsets[3 * stage + leg];
-                w.change[leg] = change[6 * n + 3 * stage + leg];
+        double balls[2][9], coordinates[6], readings[6], e[9], size;
+        int stage, leg, part;
+        (void)read_near(g, start + n, coordinates, balls[1]);
+        copy(start[n].joints, balls[0], 9);
+        for (part = 1; part <= parts; ++part) {
+            circles here[2];
+            for (leg = 0; leg < 6; ++leg) {
+                readings[leg] = start[n].readings[leg] + change[6 * n + leg] * part / parts;
             }
-            follow_finely(&w, parts, balls[stage]);
+            put_circles(g, readings, here);
+            for (stage = 0; stage < 2; ++stage) {
+                const circles *c = &here[stage];
+                const double *const from[] = {balls[stage], c->axes, c->centres}, *const to[] = {e, c->centres, c->radii};
+                const double *const in[] = {e, c->axes, c->centres, c->radii, c->squares};
+                double *const directions[] = {e}, *const out[] = {e, &size}, *const moved[] = {balls[stage]};
+                directions_to(from, directions);
+                newton_step(in, out);
+                balls_at(to, moved);
+                if (part == parts && !solve_stage(c, balls[stage])) {
+                    put_nan(balls[stage], 9);
+                }
+            }
         }
         (void)join(g, balls[0], balls[1], ends + n);
     }

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli.running import run
-from problems import GEOMETRIES, as_built
+from problems import GEOMETRIES, as_built, at_end_stops
 from scipy.spatial.transform import Rotation
 from symbolic.c_library import STRICT, CLibrary, as_states, compile_c, compilers, run_cmake
 from symbolic.c_poses import hard_poses, held_states, possible_lengths, spread_poses
@@ -118,6 +118,20 @@ def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarra
 def test_a_random_machine_is_computed_as_by_the_package(library: CLibrary, size: float) -> None:
     geometry = PAPER if size == 0.0 else as_built(PAPER, size, 11)
     check_machine(library, geometry, random_readings(200, 1))
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-3])
+def test_states_at_end_stops_keep_their_branch_as_in_the_package(library: CLibrary, size: float) -> None:
+    geometry = PAPER if size == 0.0 else as_built(PAPER, size, 11)
+    states = at_end_stops(geometry, 4_000)
+    expected, (found, status) = (
+        spm.inverse_physical(geometry, states.pose),
+        library.of(geometry).inverse(states.rotation, states.translation),
+    )
+    assert (status == 0).mean() > 0.99
+    solved = status == 0
+    assert geometry.limits.contains(found[solved, 21:]).all()
+    np.testing.assert_allclose(found[solved, 21:], expected.readings[solved], rtol=0, atol=1e-9)
 
 
 @pytest.mark.slow

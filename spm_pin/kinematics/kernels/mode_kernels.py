@@ -404,7 +404,7 @@ def _put_composed(
 
 
 @jit
-def _sheets(
+def stage_modes(
     first: float, second: float, third: float, epsilon: float, above: float, scratch: StageScratch, modes: FloatArray
 ) -> tuple[bool, bool]:
     """Write the sixteen assembly modes of a stage (16, 5), NaN where there is none; tell which of T, F is continuous.
@@ -447,8 +447,8 @@ def all_modes(lengths, r, base_radius, platform_radius, rotation, translation, j
     below, above = np.empty((STAGE, 5)), np.empty((STAGE, 5))
     for n in range(len(lengths)):
         q = lengths[n]
-        lower = _sheets(q[0] / r, q[1] / r, q[2] / r, base_radius / r, 1.0, scratch, below)
-        upper = _sheets(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, -1.0, scratch, above)
+        lower = stage_modes(q[0] / r, q[1] / r, q[2] / r, base_radius / r, 1.0, scratch, below)
+        upper = stage_modes(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, -1.0, scratch, above)
         status[n] = 1
         for i in range(STAGE):
             for j in range(STAGE):

@@ -3,8 +3,9 @@
    @ORIGIN@
 
    First come formulas, written by the code generator of CasADi; from `read_pose` on what checks arguments, iterates and
-   decides. A ball lies in the plane of its leg, normal to the leg's axis: its two coordinates there are unknowns, and
-   six equations in six of them, all quadratic, hold a stage of given leg lengths, or the machine in a given pose. */
+   decides. Readings leave each ball on a circle, and the three balls of a stage are the corners of a triangle. In a
+   given pose a ball lies in the plane of its leg: its two coordinates there are unknowns, and six equations in six of
+   them, all quadratic, hold the machine. */
 
 #include "@PREFIX@kinematics.h"
 
@@ -34,6 +35,7 @@ static double casadi_fmin(double x, double y)
 #define ROUNDED 1e-6            /* largest error of R^T R, and of a state to begin from in units of d */
 #define FARTHEST 1e5            /* largest length in units of E + C + d */
 #define SINGULAR_RATIO @SINGULAR@
+#define LIMIT_ROUNDING @LIMIT_ROUNDING@ /* how far a reading may be beyond a limit, over its larger finite limit */
 #define LEGS(g) (g)->dimensions, (g)->axes, (g)->pivots, (g)->balls, (g)->offsets, (g)->minimum, (g)->maximum
 
 const @PREFIX@geometry @PREFIX@machine = {
@@ -258,14 +260,9 @@ static double image(const double *inverse, const double *errors, int are_sizes)
     return longest(vectors);
 }
 
-/* Six equations for the balls of a stage, 0 or 1, whose legs change, or with CLOSURE of the lower balls in a machine
-   whose platform moves; from t = 0 to t = 1. */
-enum { CLOSURE = 2 };
-
+/* Six equations for the lower balls in a machine whose platform moves, from t = 0 to t = 1. */
 typedef struct {
     const @PREFIX@geometry *geometry;
-    int kind;
-    double lengths[3], change[3];                       /* of a stage's legs, and all along the way */
     double rotation[9], position[3], turn[3], shift[3]; /* of the platform; the turn as a vector */
     double end[9], angle;                               /* R at t = 1 */
 } way;
@@ -301,21 +298,15 @@ static void turned(const way *w, double t, double *r)
 
 static void evaluate(const way *w, double t, const double *balls, equations *e)
 {
-    double r[9], o[3], lengths[3];
+    double r[9], o[3];
+    const double *const in[] = {balls, r, o, LEGS(w->geometry)};
     double *const out[] = {e->errors, e->jacobian, e->curvature, e->tilt, e->lever};
     int i;
     for (i = 0; i < 3; ++i) {
         o[i] = w->position[i] + t * w->shift[i];
-        lengths[i] = w->lengths[i] + t * w->change[i];
     }
-    if (w->kind == CLOSURE) {
-        const double *const in[] = {balls, r, o, LEGS(w->geometry)};
-        turned(w, t, r);
-        closure(in, out);
-    } else {
-        const double *const in[] = {balls, lengths, LEGS(w->geometry)};
-        (w->kind == 0 ? lower_stage : upper_stage)(in, out);
-    }
+    turned(w, t, r);
+    closure(in, out);
 }
 
 /* Newton's method at t, with steps of at most `most`; returns whether it converged. */
@@ -356,7 +347,7 @@ static int solve(const way *w, double t, double most, double *balls)
 /* Return the product of Newton and Kantorovich from t to t + step, at most 1/2 where one solution is near all the way.
 
    G is the inverse of the derivative at t. The first steps of Newton's method in between are bounded by those at both
-   ends, and by how far lengths and planes depart from changing in proportion. */
+   ends, and by how far planes depart from changing in proportion. */
 static double kantorovich(const way *w, const equations *e, const double *inverse, const double *balls, double t,
         double step)
 {
@@ -371,9 +362,6 @@ static double kantorovich(const way *w, const equations *e, const double *invers
     for (i = 0; i < 6; ++i) {
         tilt[i] = angle * e->tilt[i];
         bend[i] = e->lever[i] > 0.0 ? (angle * angle * (e->lever[i] + length) + 2.0 * angle * length) / 8.0 : 0.0;
-        if (w->kind != CLOSURE && i < 3) {
-            bend[i] = w->change[i] * w->change[i] * step * step / (8.0 * w->geometry->dimensions[2]);
-        }
     }
     change = image(inverse, tilt, 1);
     first = image(inverse, next.errors, 0) + image(inverse, e->errors, 0) + image(inverse, bend, 1);
@@ -405,6 +393,83 @@ static int follow(const way *w, double *balls)
     return 1;
 }
 
+/* The circles on which the balls of a stage are. */
+typedef struct {
+    double axes[9], centres[9], radii[3], squares[3];
+} circles;
+
+/* Newton's method from near balls; returns whether it converged. */
+static int solve_stage(const circles *c, double *balls)
+{
+    double e[9], size, last = NAN, converged = 0.0;
+    const double *const from[] = {balls, c->axes, c->centres}, *const in[] = {e, c->axes, c->centres, c->radii, c->squares};
+    const double *const sizes[] = {&size, &last}, *const to[] = {e, c->centres, c->radii};
+    double *const out[] = {e, &size}, *const directions[] = {e}, *const flag[] = {&converged}, *const end[] = {balls};
+    int step;
+    directions_to(from, directions);
+    for (step = 0; step < @NEWTON_STEPS@ && !(converged > 0.0); ++step) {
+        newton_step(in, out);
+        has_converged(sizes, flag);
+        if (!(size < DBL_MAX)) {
+            return 0;
+        }
+        last = size;
+    }
+    balls_at(to, end);
+    return converged > 0.0 || last < 1e-9;
+}
+
+/* Write circles about the centres of others that balls are on, these moved into their planes. */
+static void start_at(const circles *c, double *balls, circles *start)
+{
+    double e[9];
+    const double *const in[] = {balls, c->axes, c->centres}, *const to[] = {e, start->centres, start->radii};
+    const double *const moved[] = {balls};
+    double *const out[] = {e}, *const end[] = {balls}, *const squares[] = {start->squares};
+    int i, j;
+    *start = *c;
+    directions_to(in, out);
+    for (i = 0; i < 3; ++i) {
+        start->radii[i] = 0.0;
+        for (j = 3 * i; j < 3 * i + 3; ++j) {
+            start->radii[i] += e[j] * (balls[j] - c->centres[j]);
+        }
+    }
+    balls_at(to, end);
+    squared_sides(moved, squares);
+}
+
+/* Follow the balls of a stage from circles to others; returns 0 at a singularity. */
+static int follow_stage(const circles *start, const circles *end, double *balls)
+{
+    circles here = *end;
+    double t = 0.0, next, step = 1.0, is_safe, tried[9];
+    const double *const in[] = {balls, end->axes, start->centres, start->radii, start->squares,
+            end->centres, end->radii, end->squares, &t, &next};
+    double *const out[] = {&is_safe};
+    int left, i;
+    for (left = @MOST_STEPS@; left > 0 && t < 1.0 && step >= @SHORTEST@; --left) {
+        next = t + step >= 1.0 ? 1.0 : t + step;
+        for (i = 0; i < 9; ++i) {
+            here.centres[i] = start->centres[i] + next * (end->centres[i] - start->centres[i]);
+        }
+        for (i = 0; i < 3; ++i) {
+            here.radii[i] = start->radii[i] + next * (end->radii[i] - start->radii[i]);
+            here.squares[i] = start->squares[i] + next * (end->squares[i] - start->squares[i]);
+        }
+        copy(balls, tried, 9);
+        is_safe_step(in, out);
+        if (is_safe > 0.0 && solve_stage(next < 1.0 ? &here : end, tried)) {
+            copy(tried, balls, 9);
+            t = next;
+            step *= 2.0;
+        } else {
+            step *= 0.5;
+        }
+    }
+    return t >= 1.0;
+}
+
 static void put_state_nan(@PREFIX@state *state)
 {
     put_nan(state->rotation, 9);
@@ -422,12 +487,14 @@ static int complete(const @PREFIX@geometry *g, @PREFIX@state *s, double *tilts)
     int i, rank = 2;
     describe(in, out);
     for (i = 0; i < 6; ++i) {
-        rank = s->readings[i] >= g->minimum[i] && s->readings[i] <= g->maximum[i] ? rank : 1;
+        const double low = g->minimum[i], high = g->maximum[i];
+        const double rounding = LIMIT_ROUNDING * (high < INFINITY ? casadi_fmax(high, -low) : low);
+        rank = s->readings[i] >= low - rounding && s->readings[i] <= high + rounding ? rank : 1;
     }
     return is_physical > 0.0 ? rank : 0;
 }
 
-/* Write where the balls of a state are in the planes of their legs. */
+/* Write where the lower balls of a state are in the planes of their legs, and the upper balls in {m}. */
 static int read_near(const @PREFIX@geometry *g, const @PREFIX@state *near, double *lower, double *upper)
 {
     double gap;
@@ -435,7 +502,7 @@ static int read_near(const @PREFIX@geometry *g, const @PREFIX@state *near, doubl
     double *const out[] = {lower, upper, &gap};
     int status = check_state(g, near);
     if (status == @PREFIX_UPPER@OK) {
-        in_planes(in, out);
+        own_places(in, out);
         status = gap <= ROUNDED ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_NEAR;
     }
     return status;
@@ -681,10 +748,9 @@ int @PREFIX@inverse(const @PREFIX@geometry *geometry, const double rotation[9], 
         const @PREFIX@state *near, @PREFIX@state *state)
 {
     way w = {0};
-    double o[3], lower[6], upper[6], tilts;
+    double o[3], lower[6], upper[9], tilts;
     int status = read_pose(geometry, rotation, position, w.end, o);
     w.geometry = geometry;
-    w.kind = CLOSURE;
     copy(o, w.position, 3);
     if (status == @PREFIX_UPPER@OK && !near) {
         return begin_inverse(&w, state);
@@ -708,54 +774,64 @@ static int join(const @PREFIX@geometry *g, const double *lower, const double *up
 {
     double tilts;
     const double *const in[] = {lower, upper, LEGS(g)};
-    double *const out[] = {state->rotation, state->position, state->joints};
+    double *const out[] = {state->rotation, state->position};
     placed_platform(in, out);
+    copy(lower, state->joints, 9);
     return complete(g, state, &tilts);
+}
+
+static void put_circles(const @PREFIX@geometry *g, const double *readings, circles *stages)
+{
+    double centres[18], radii[6], squares[6];
+    const double *const in[] = {readings, LEGS(g)};
+    double *const out[] = {centres, radii, squares};
+    int k;
+    circles_of_readings(in, out);
+    for (k = 0; k < 2; ++k) {
+        copy(g->axes + 9 * k, stages[k].axes, 9);
+        copy(centres + 9 * k, stages[k].centres, 9);
+        copy(radii + 3 * k, stages[k].radii, 3);
+        copy(squares + 3 * k, stages[k].squares, 3);
+    }
 }
 
 int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], const @PREFIX@state *near,
         @PREFIX@state *state)
 {
-    way ways[2] = {{0}, {0}};
-    double lengths[6], levels[2][6], balls[2][6];
+    circles start, first[2], last[2];
+    double coordinates[6], balls[2][9], tried[2][9];
+    const double *const in[] = {readings, LEGS(geometry)};
+    double *const out[] = {balls[0], balls[1]};
     int i, k, converged = 1, status = check_geometry(geometry);
     status = status != @PREFIX_UPPER@OK ? status : check_numbers(readings, 6, farthest(geometry));
     for (i = 0; i < 6 && status == @PREFIX_UPPER@OK; ++i) {
-        lengths[i] = readings[i] - geometry->offsets[i];
-        status = lengths[i] > 0.0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@OUT_OF_RANGE;
+        status = readings[i] > geometry->offsets[i] ? @PREFIX_UPPER@OK : @PREFIX_UPPER@OUT_OF_RANGE;
     }
-    status = status != @PREFIX_UPPER@OK || !near ? status : read_near(geometry, near, balls[0], balls[1]);
+    status = status != @PREFIX_UPPER@OK || !near ? status : read_near(geometry, near, coordinates, balls[1]);
     if (status != @PREFIX_UPPER@OK) {
         put_state_nan(state);
         return status;
     }
-    for (k = 0; k < 2; ++k) {
-        ways[k].geometry = geometry;
-        ways[k].kind = k;
-        copy(lengths + 3 * k, ways[k].lengths, 3);
-    }
-    if (!near) {
-        const double *const in[] = {lengths, LEGS(geometry)};
-        double *const out[] = {levels[0], levels[1]};
+    put_circles(geometry, readings, last);
+    if (near) {
+        copy(near->joints, balls[0], 9);
+        put_circles(geometry, near->readings, first);
+    } else {
         level_stages(in, out);
+        put_circles(geometry, readings, first);
         for (k = 0; k < 2; ++k) {
-            copy(levels[k], balls[k], 6);
-            converged = solve(&ways[k], 1.0, 0.3 * geometry->dimensions[2], balls[k]) && converged;
+            copy(balls[k], tried[k], 9);
+            converged = solve_stage(&last[k], tried[k]) && converged;
         }
-        if (converged && join(geometry, balls[0], balls[1], state) > 0) {
+        if (converged && join(geometry, tried[0], tried[1], state) > 0) {
             return @PREFIX_UPPER@OK;
         }
-        copy(levels[0], balls[0], 6);
-        copy(levels[1], balls[1], 6);
     }
-    /* Legs change in proportion from what they are at the start. */
-    for (k = 0, converged = 1; k < 2; ++k) {
-        for (i = 0; i < 3; ++i) {
-            double x = balls[k][2 * i], y = balls[k][2 * i + 1];
-            ways[k].lengths[i] = sqrt(x * x + y * y);
-            ways[k].change[i] = lengths[3 * k + i] - ways[k].lengths[i];
-        }
-        converged = follow(&ways[k], balls[k]) && converged;
+    /* Circles change in proportion from those that the balls are on at the start; where Newton's method has converged
+       nowhere there is no state. */
+    for (k = 0; k < 2; ++k) {
+        start_at(&first[k], balls[k], &start);
+        converged = converged && follow_stage(&start, &last[k], balls[k]);
     }
     if (converged && (join(geometry, balls[0], balls[1], state) > 0 || near)) {
         return @PREFIX_UPPER@OK;

@@ -1,0 +1,504 @@
+"""All assembly modes of any machine: the sixteen ways to place a triangle on three circles, complex ones too.
+
+The sides 12 and 31 give two angles of the other legs each for one of the first, the side 23 a polynomial of degree
+sixteen in e^{iθ}, from its values at roots of unity. Its roots come from the method of Ehrlich and Aberth, and Newton's
+method on the three sides gives them all their digits. Sixteen distinct ones are all there are. See
+`docs/theory/forward_displacement.md`.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.formulas.ball_motions import frame_of_triangle, pose_of_frames
+from spm_pin.formulas.circles import (
+    Circles,
+    PairForm,
+    balls_at,
+    circles_between,
+    directions_to,
+    eliminant,
+    has_converged,
+    in_first_angle,
+    in_other_angle,
+    is_home_state,
+    newton_step,
+    pair_forms,
+    squared_sides,
+    turn_origins,
+    turn_step,
+    turned_back,
+)
+from spm_pin.formulas.joint_values import triangle_axes
+from spm_pin.formulas.leg_constants import mean_radius
+from spm_pin.formulas.stages import cartesian, corners
+from spm_pin.formulas.vectors import Rows, combinations, differences, largest, multiples, scaled
+from spm_pin.formulas.wrenches import mean
+from spm_pin.kinematics.kernels.ball_circles import (
+    ELSEWHERE,
+    HOME,
+    circles_at,
+    home_state,
+    put_state,
+    solution,
+)
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
+from spm_pin.kinematics.kernels.mode_kernels import allocate_stage_scratch, stage_modes
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
+
+ComplexArray = npt.NDArray[np.complex128]
+Forms = tuple[PairForm, PairForm, PairForm]
+Angles = tuple[complex, complex, complex]
+
+MODES = 16
+_DEGREE = 8
+_SAMPLES = 17
+_ANGLES = 2.0 * np.pi * np.arange(_SAMPLES) / _SAMPLES
+_COSINES, _SINES = np.cos(_ANGLES), np.sin(_ANGLES)
+_WAVES = np.exp(-1j * np.outer(np.arange(_DEGREE + 1), _ANGLES)) / _SAMPLES
+_STARTS = np.where(np.arange(MODES) % 2, 0.8, 1.25) * np.exp(2j * np.pi * (np.arange(MODES) + 0.3) / MODES)
+_MOST_ITERATIONS, _MOST_STEPS = 40, 30
+_SEPARATE = 1e-7
+"""Solutions closer than this, relative to e^{iθ}, are one: rounding resolves a double one no better."""
+_NEARLY_REAL = 1e-5  # relative imaginary part from which Newton's method is first tried with real angles
+_FITS = 1e-3  # relative error of the third side up to which a pair of angles is tried
+_SHORTEST = 0.02  # a mode that needs shorter steps of the errors meets another
+_FIRST_STEP, _CONTRACTION = 0.1, 0.1
+"""Newton's method has to begin with a turn of at most the one, and its second be at most this part of the first."""
+_SAME = 1e-3  # distance in units of r up to which a mode that was followed has arrived at a root
+# Rows of the work array of the polynomial's roots.
+_RE, _IM, _VALUE_RE, _VALUE_IM, _SLOPE_RE, _SLOPE_IM, _CROWD_RE, _CROWD_IM, _MOVED, _ROWS = range(10)
+
+
+class Elimination(NamedTuple):
+    """Arrays that stages are solved in, one after another."""
+
+    polynomial: ComplexArray  # (17,)
+    work: FloatArray  # (rows, 16)
+    cosines: ComplexArray  # of the solutions' angles (16, 3)
+    sines: ComplexArray
+
+
+@jit_inline
+def allocate_elimination() -> Elimination:
+    """Allocate the arrays that stages are solved in, one after another."""
+    numbers = np.empty((MODES, 3), np.complex128), np.empty((MODES, 3), np.complex128)
+    return Elimination(np.empty(2 * _DEGREE + 1, np.complex128), np.empty((_ROWS, MODES)), *numbers)
+
+
+@jit
+def _put_polynomial(forms: Forms, polynomial: ComplexArray) -> None:
+    """Write the coefficients in e^{iθ} of the first angle, from the constant up."""
+    for j in range(_DEGREE + 1):
+        polynomial[_DEGREE + j] = 0.0
+    for k in range(_SAMPLES):
+        value = eliminant(forms, _COSINES[k], _SINES[k])
+        for j in range(_DEGREE + 1):
+            polynomial[_DEGREE + j] += value * _WAVES[j, k]
+    for j in range(1, _DEGREE + 1):
+        polynomial[_DEGREE - j] = np.conj(polynomial[_DEGREE + j])
+
+
+@jit
+def _put_roots(polynomial: ComplexArray, work: FloatArray) -> None:
+    """Find all roots of the polynomial side by side."""
+    for k in range(MODES):
+        work[_RE, k], work[_IM, k] = _STARTS[k].real, _STARTS[k].imag
+    for _ in range(_MOST_ITERATIONS):
+        lead = polynomial[2 * _DEGREE]
+        for k in range(MODES):
+            work[_VALUE_RE, k], work[_VALUE_IM, k] = lead.real, lead.imag
+            work[_SLOPE_RE, k], work[_SLOPE_IM, k] = 0.0, 0.0
+            work[_CROWD_RE, k], work[_CROWD_IM, k] = 0.0, 0.0
+        for j in range(2 * _DEGREE - 1, -1, -1):
+            re, im = polynomial[j].real, polynomial[j].imag
+            for k in range(MODES):
+                x, y = work[_RE, k], work[_IM, k]
+                p, q = work[_VALUE_RE, k], work[_VALUE_IM, k]
+                u, v = work[_SLOPE_RE, k], work[_SLOPE_IM, k]
+                work[_SLOPE_RE, k], work[_SLOPE_IM, k] = u * x - v * y + p, u * y + v * x + q
+                work[_VALUE_RE, k], work[_VALUE_IM, k] = p * x - q * y + re, p * y + q * x + im
+        for j in range(MODES):
+            re, im = work[_RE, j], work[_IM, j]
+            for k in range(MODES):
+                x, y = work[_RE, k] - re, work[_IM, k] - im
+                scale = 1.0 / (x * x + y * y + 1e-300)
+                work[_CROWD_RE, k] += x * scale
+                work[_CROWD_IM, k] -= y * scale
+        for k in range(MODES):
+            p, q = work[_VALUE_RE, k], work[_VALUE_IM, k]
+            u, v = work[_CROWD_RE, k], work[_CROWD_IM, k]
+            x, y = work[_SLOPE_RE, k] - (p * u - q * v), work[_SLOPE_IM, k] - (p * v + q * u)
+            scale = 1.0 / (x * x + y * y + 1e-300)
+            u, v = (p * x + q * y) * scale, (q * x - p * y) * scale
+            re, im = work[_RE, k], work[_IM, k]
+            work[_MOVED, k] = (u * u + v * v) / (re * re + im * im + 1e-300)
+            work[_RE, k], work[_IM, k] = re - u, im - v
+        moved = 0.0
+        for k in range(MODES):
+            moved = max(moved, work[_MOVED, k])
+        if moved < 1e-14:
+            break
+
+
+@jit_inline
+def _size(z: complex) -> float:
+    """Return the sum of the magnitudes of both parts, which takes a tenth of the time of |z|."""
+    return abs(z.real) + abs(z.imag)
+
+
+@jit_inline
+def _of_exponential(z: complex) -> tuple[complex, complex]:
+    """Return cosine and sine of the angle whose e^{iθ} is z."""
+    back = 1.0 / z
+    return 0.5 * (z + back), complex(0.0, -0.5) * (z - back)
+
+
+@jit_inline
+def _fitting_angles(coefficients: Angles) -> tuple[complex, complex, complex, complex]:
+    """Return cosine and sine of both angles at which n + a cos θ + b sin θ vanishes."""
+    n, a, b = coefficients
+    lead, last = 0.5 * complex(a.real + b.imag, a.imag - b.real), 0.5 * complex(a.real - b.imag, a.imag + b.real)
+    root = cmath.sqrt(n * n - 4.0 * lead * last)
+    below, above = n - root, n + root
+    larger = -0.5 * (above if _size(above) >= _size(below) else below)
+    first, second = _of_exponential(larger / lead), _of_exponential(last / larger)
+    return first[0], first[1], second[0], second[1]
+
+
+@jit
+def _polished(forms: Forms, c: Angles, s: Angles) -> tuple[Angles, Angles, bool]:
+    """Return cosines and sines where Newton's method leads, real from real ones, and whether it has converged."""
+    last = np.nan
+    for _ in range(_MOST_STEPS):
+        x, y, z = turn_step(forms, c, s)
+        size = max(_size(x), _size(y), _size(z))
+        if not size < 1.0:
+            return c, s, False
+        (c0, s0), (c1, s1), (c2, s2) = _turned(c[0], s[0], x), _turned(c[1], s[1], y), _turned(c[2], s[2], z)
+        c, s = (c0, c1, c2), (s0, s1, s2)
+        if has_converged(size, last):
+            return c, s, True
+        last = size
+    return c, s, last < 1e-9
+
+
+@jit_inline
+def _turned(c: complex, s: complex, step: complex) -> tuple[complex, complex]:
+    """Return cosine and sine of an angle less a step, by the rational map that is a turn to third order."""
+    t = 0.5 * step
+    square = t * t
+    scale = 1.0 / (1.0 + square)
+    cosine, sine = (1.0 - square) * scale, 2.0 * t * scale
+    return c * cosine + s * sine, s * cosine - c * sine
+
+
+@jit_inline
+def _is_near(a: complex, b: complex, c: complex, d: complex) -> bool:
+    return _size(a - c) + _size(b - d) <= _SEPARATE * (_size(c) + _size(d))
+
+
+@jit
+def _add(c: Angles, s: Angles, offset: int, found: Elimination, count: int) -> int:
+    """Append a solution, whose first angle is that of the leg `offset`, if it is new; return their number."""
+    for j in range(count):
+        same = True
+        for i in range(3):
+            leg = (i + offset) % 3
+            same = same and _is_near(c[i], s[i], found.cosines[j, leg], found.sines[j, leg])
+        if same:
+            return count
+    if count == MODES:
+        return count
+    for i in range(3):
+        leg = (i + offset) % 3
+        found.cosines[count, leg], found.sines[count, leg] = c[i], s[i]
+    return count + 1
+
+
+@jit_inline
+def _real(x: Angles) -> tuple[float, float, float]:
+    return x[0].real, x[1].real, x[2].real
+
+
+@jit_inline
+def _complex(x: tuple[float, float, float]) -> Angles:
+    return complex(x[0], 0.0), complex(x[1], 0.0), complex(x[2], 0.0)
+
+
+@jit
+def _is_real(c: Angles, s: Angles, tolerance: float) -> bool:
+    """Return whether angles are their own conjugates."""
+    is_real = True
+    for i in range(3):
+        is_real = is_real and abs(c[i].imag) + abs(s[i].imag) <= tolerance * (_size(c[i]) + _size(s[i]))
+    return is_real
+
+
+@jit
+def _add_solution(forms: Forms, c: Angles, s: Angles, offset: int, found: Elimination, count: int) -> int:
+    """Append the solution near these angles, and its conjugate, as far as they are new; return their number."""
+    if _is_real(c, s, _NEARLY_REAL):
+        real_c, real_s, converged = _polished(forms, _real(c), _real(s))
+        if converged:
+            return _add(_complex(real_c), _complex(real_s), offset, found, count)
+    c, s, converged = _polished(forms, c, s)
+    if not converged:
+        return count
+    if _is_real(c, s, _SEPARATE):
+        return _add(_complex(_real(c)), _complex(_real(s)), offset, found, count)
+    count = _add(c, s, offset, found, count)
+    c, s = (np.conj(c[0]), np.conj(c[1]), np.conj(c[2])), (np.conj(s[0]), np.conj(s[1]), np.conj(s[2]))
+    return _add(c, s, offset, found, count)
+
+
+@jit
+def _collect(forms: Forms, offset: int, is_retry: bool, found: Elimination, count: int) -> int:
+    """Append the solutions that belong to the roots of one elimination; all pairs of angles are tried in a retry."""
+    f12, f23, f31 = forms
+    for k in range(MODES):
+        z = complex(found.work[_RE, k], found.work[_IM, k])
+        # The other root of a conjugate pair is the inverse of this one's conjugate.
+        if not 1.0 - 1e-4 < abs(z) < 1e100 or count == MODES:
+            continue
+        c, s = _of_exponential(z)
+        p = _fitting_angles(in_other_angle(f12, c, s))
+        q = _fitting_angles(in_first_angle(f31, 1.0, c, s))
+        best, least = -1, np.inf
+        for choice in range(4):
+            error = _misfit(f23, p, q, choice)
+            if error < least:
+                best, least = choice, error
+        for choice in range(4):
+            if choice == best or (is_retry and _misfit(f23, p, q, choice) < _FITS):
+                i, j = 2 * (choice % 2), 2 * (choice // 2)
+                count = _add_solution(forms, (c, p[i], q[j]), (s, p[i + 1], q[j + 1]), offset, found, count)
+    return count
+
+
+@jit_inline
+def _misfit(form: PairForm, p, q, choice: int) -> float:
+    """Return the relative error of a side between one of two angles of its first leg and one of two of its second."""
+    i, j = 2 * (choice % 2), 2 * (choice // 2)
+    n, a, b = in_other_angle(form, p[i], p[i + 1])
+    size = _size(n) + (_size(a) + _size(b)) * (_size(q[j]) + _size(q[j + 1]))
+    return _size(n + a * q[j] + b * q[j + 1]) / size
+
+
+@jit
+def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[int, bool]:
+    """Write the balls of all real modes of a stage (16, 3, 3); return how many they are, and whether these are all."""
+    first, second = turn_origins(stage)
+    forms, count = pair_forms(stage, first, second), 0
+    for attempt in range(3):
+        f12, f23, f31 = forms
+        rolled = forms if attempt == 0 else ((f23, f31, f12) if attempt == 1 else (f31, f12, f23))
+        _put_polynomial(rolled, found.polynomial)
+        _put_roots(found.polynomial, found.work)
+        count = _collect(rolled, attempt, attempt > 0, found, count)
+        if count == MODES:
+            break
+    real, complete = 0, count == MODES
+    for k in range(count):
+        x, y = found.cosines[k], found.sines[k]
+        c, s = (x[0], x[1], x[2]), (y[0], y[1], y[2])
+        if _is_real(c, s, 0.0):
+            e = combinations(multiples(_real(c), first), _real(s), second)
+            # With coordinates instead of forms, which lose digits where legs are long.
+            _, b, converged = solution(stage, balls_at(stage, e))
+            complete = complete and converged
+            for i in range(3):
+                for j in range(3):
+                    balls[real, i, j] = b[i][j]
+            real += 1
+    return real, complete
+
+
+@jit
+def _carried(drawn: Circles, stage: Circles, start: Rows) -> tuple[Rows, bool]:
+    """Return where a mode of the drawn stage is led while its errors grow, and whether that is the end.
+
+    A step is taken if Newton's method begins with a short step and contracts at once.
+    """
+    b, share, length = start, 0.0, 1.0
+    while length >= _SHORTEST:
+        target = min(share + length, 1.0)
+        between = stage if target == 1.0 else circles_between(drawn, stage, target)
+        e = directions_to(between, b)
+        step = newton_step(between, e)
+        size = largest(step)
+        if size <= _FIRST_STEP:
+            e = turned_back(between, e, step)
+            step = newton_step(between, e)
+            if largest(step) <= max(_CONTRACTION * size, 1e-13):
+                b, share, length = balls_at(between, turned_back(between, e, step)), target, 2.0 * length
+                if share == 1.0:
+                    return b, True
+                continue
+        length *= 0.5
+    return b, False
+
+
+@jit
+def _put_labelled(
+    drawn: Circles,
+    modes: FloatArray,
+    r: float,
+    stage: Circles,
+    up: float,
+    roots: FloatArray,
+    count: int,
+    balls: FloatArray,
+    merged: BoolArray,
+) -> None:
+    """Write the balls of `count` modes (16, 3, 3), NaN for none, under the labels of the drawn machine's modes (16, 5).
+
+    Each of these is followed while the errors grow. Where two have met, labels are left over: they go to the roots left
+    over, those of the same mode and sheet first, and are marked as merged.
+    """
+    owner = np.full(MODES, -1)
+    for label in range(MODES):
+        balls[label], merged[label] = np.nan, False
+        if math.isnan(modes[label, 0]):
+            continue
+        merged[label] = True
+        x = modes[label]
+        radii, heights = corners(x[0], x[1], x[2], x[3], x[4])
+        start = cartesian(scaled(r, radii), scaled(r, heights))
+        b, arrived = _carried(drawn, stage, start)
+        if not arrived:
+            continue
+        for k in range(count):
+            gaps = differences(rows_at(roots[k], 0), b)
+            if max(largest(gaps[0]), largest(gaps[1]), largest(gaps[2])) <= _SAME * r:
+                # Two that arrive at one have met.
+                owner[k] = label if owner[k] == -1 else -2
+    for k in range(count):
+        if owner[k] >= 0:
+            merged[owner[k]] = False
+            balls[owner[k]] = roots[k]
+    for k in range(count):
+        if owner[k] >= 0:
+            continue
+        b, best, most = rows_at(roots[k], 0), -1, -1
+        half_turned, below = mean_radius(b) < 0.0, up * mean(b)[2] < 0.0
+        for label in range(MODES):
+            fits = 2 * (half_turned == (label >= MODES // 2)) + (below == (label % 2 == 1))
+            if math.isnan(balls[label, 0, 0]) and fits > most:
+                best, most = label, fits
+        merged[best] = True
+        balls[best] = roots[k]
+
+
+@jit
+def _put_frames(own: Rows, balls: FloatArray, frames: FloatArray) -> None:
+    """Write rotations and positions (16, 4, 3) of the middle platform with balls (16, 3, 3)."""
+    axes = triangle_axes(own)
+    for k in range(MODES):
+        b = rows_at(balls[k], 0)
+        turn, place = frame_of_triangle(triangle_axes(b), axes, b, own)
+        for i in range(3):
+            frames[k, 3, i] = place[i]
+            for j in range(3):
+                frames[k, i, j] = turn[i][j]
+
+
+@kernel(
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, "
+    "f8, f8, f8, b1, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], b1[:,::1], i1[::1])"
+)
+def all_modes_as_built(
+    centres,
+    radii,
+    axes,
+    balls,
+    drawn,
+    r,
+    base_radius,
+    platform_radius,
+    has_drawn_modes,
+    rotation,
+    translation,
+    joints,
+    merged,
+    status,
+):
+    """Find all assembly modes of N problems, under the labels of the drawn machine's.
+
+    The circles are as for `ball_circles.physical_states`; `drawn` (3, 6, 3) are axes, pivots and balls [m] of the drawn
+    machine, with the circumradii of its middle, base and terminal platforms [m]; only of RPS legs it
+    `has_drawn_modes`. Written are R (N, 256, 3, 3), o (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode
+    is not real; which labels are `merged` (N, 256); and as `status` (N,) 0, 1 or 3 of `Status`.
+    """
+    found, scratch, modes = allocate_elimination(), allocate_stage_scratch(), np.empty((MODES, 5))
+    roots, labelled, merged_halves = np.empty((MODES, 3, 3)), np.empty((2, MODES, 3, 3)), np.empty((2, MODES), np.bool_)
+    frames = np.empty((2, MODES, 4, 3))
+    count, complete = np.empty(2, np.int64), np.empty(2, np.bool_)
+    for n in range(len(radii)):
+        for half in range(2):
+            own, first, up = rows_at(balls, 3 * half), 3 * half, 1.0 - 2.0 * half
+            stage = circles_at(axes, centres[n], radii[n], squared_sides(own), first)
+            count[half], complete[half] = real_modes(stage, found, roots)
+            q = radii[n, first] / r, radii[n, first + 1] / r, radii[n, first + 2] / r
+            modes[:, 0] = np.nan
+            if has_drawn_modes:
+                stage_modes(q[0], q[1], q[2], (base_radius if half == 0 else platform_radius) / r, up, scratch, modes)
+            before = circles_at(drawn[0], drawn[1], radii[n], squared_sides(rows_at(drawn[2], first)), first)
+            _put_labelled(before, modes, r, stage, up, roots, count[half], labelled[half], merged_halves[half])
+            _put_frames(own, labelled[half], frames[half])
+        solved = complete[0] and complete[1]
+        nowhere = (complete[0] and count[0] == 0) or (complete[1] and count[1] == 0)
+        status[n] = 1 if nowhere else (0 if solved else 3)
+        for i in range(MODES):
+            for j in range(MODES):
+                mode = MODES * i + j
+                merged[n, mode] = status[n] != 3 and (merged_halves[0, i] or merged_halves[1, j])
+                if status[n] != 0 or math.isnan(labelled[0, i, 0, 0]) or math.isnan(labelled[1, j, 0, 0]):
+                    rotation[n, mode], translation[n, mode], joints[n, mode] = np.nan, np.nan, np.nan
+                    continue
+                below, above = frames[0, i], frames[1, j]
+                place = below[3, 0], below[3, 1], below[3, 2]
+                place_m = above[3, 0], above[3, 1], above[3, 2]
+                turn, o = pose_of_frames(rows_at(below, 0), place, rows_at(above, 0), place_m)
+                for k in range(3):
+                    translation[n, mode, k] = o[k]
+                    for m in range(3):
+                        rotation[n, mode, k, m], joints[n, mode, k, m] = turn[k][m], labelled[0, i, k, m]
+
+
+@jit
+def _searched(stage: Circles, own: Rows, up: float, found: Elimination, roots: FloatArray) -> tuple[Rows, bool]:
+    """Return the balls of a stage in its home's aspect, by Newton's method or of all modes, and whether it exists."""
+    b, aspect = home_state(stage, own, up)
+    if aspect != ELSEWHERE:
+        return b, aspect == HOME
+    for k in range(real_modes(stage, found, roots)[0]):
+        b = rows_at(roots[k], 0)
+        if is_home_state(stage, directions_to(stage, b), b, up):
+            return b, True
+    return b, False
+
+
+@kernel(
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, "
+    "f8[:,:,::1], f8[:,::1], f8[:,:,::1])"
+)
+def searched_states(centres, radii, axes, balls, rotation, position, joints):
+    """Find states as `ball_circles.physical_states` does, among all modes where Newton's method leads elsewhere."""
+    found, roots = allocate_elimination(), np.empty((MODES, 3, 3))
+    own, own_upper = rows_at(balls, 0), rows_at(balls, 3)
+    squares, squares_upper = squared_sides(own), squared_sides(own_upper)
+    for n in range(len(radii)):
+        rotation[n], position[n], joints[n] = np.nan, np.nan, np.nan
+        b, exists = _searched(circles_at(axes, centres[n], radii[n], squares, 0), own, 1.0, found, roots)
+        if not exists:
+            continue
+        stage = circles_at(axes, centres[n], radii[n], squares_upper, 3)
+        c, exists = _searched(stage, own_upper, -1.0, found, roots)
+        if exists:
+            put_state(b, c, own, own_upper, rotation[n], position[n], joints[n])
