@@ -20,7 +20,7 @@ from typer.models import ArgumentInfo
 
 from spm_pin.display.writing import FORMATS, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism.arguments import writing
+from spm_pin.mechanism.files import writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

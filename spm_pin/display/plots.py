@@ -34,8 +34,9 @@ from spm_pin.display.writing import (
 )
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS
-from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, real_number
+from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.notebook import VIEW
 
 if TYPE_CHECKING:

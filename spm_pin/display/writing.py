@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.errors import require_extra
-from spm_pin.mechanism.arguments import file_path, writing
+from spm_pin.mechanism.files import file_path, writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -25,15 +25,9 @@ from spm_pin.description.tree import ANGLES, SLIDES, srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
-from spm_pin.mechanism.arguments import (
-    FloatArray,
-    IntArray,
-    broadcastable,
-    check_instance,
-    file_path,
-    first_offender,
-)
+from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, check_instance, first_offender
 from spm_pin.mechanism.configuration import Configuration, check_configuration
+from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.geometry import Geometry, check_same_machine
 from spm_pin.mechanism.joint_angles import joint_angles
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform

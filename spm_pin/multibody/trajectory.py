@@ -15,7 +15,8 @@ from scipy.spatial.transform import RigidTransform, RotationSpline
 from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import FloatArray, as_bool, file_path, frozen, real_array, writing
+from spm_pin.mechanism.arguments import FloatArray, as_bool, frozen, real_array
+from spm_pin.mechanism.files import file_path, writing
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
