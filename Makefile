@@ -32,11 +32,10 @@ lint: $(VENV)/.test
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-# The documentation as a static site in build/site, its theory as build/theory.pdf; `make figures` draws its figures anew,
+# The documentation as a static site in build/site; `make figures` draws its figures anew,
 # but for those of the viewer, which need Chromium: docs/site/viewer_figures.py; and MuJoCo's, docs/site/engine_figure.py.
 docs: $(VENV)/.test
 	$(BIN)/python docs/site/build.py build/site
-	$(BIN)/python docs/site/theory_pdf.py build/theory.pdf
 	@echo "Open build/site/index.html"
 
 figures: $(VENV)/.test
@@ -65,7 +64,7 @@ $(VENV)/.demo: $(VENV)/.python pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.demo
-	$(INSTALL) --editable '.[plots,cluster,design,viewer,engines,robots,docs,pdf,benchmarks,dev]'
+	$(INSTALL) --editable '.[plots,cluster,design,viewer,engines,robots,docs,benchmarks,dev]'
 	@$(BIN)/python -W ignore -m compileall -q -j 0 $(VENV)/lib || true # as pip, whatever a package has that is no Python
 	@touch $@
 

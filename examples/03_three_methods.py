@@ -26,8 +26,8 @@ for label in real:
     q = chain.joint_values(state)
     size = np.abs(closed_form).max()
     off["paper's 9 × 9"].append(np.abs(jacobian.J_f(state) - closed_form).max() / size)
-    off["Pinocchio"].append(np.abs(chain.inverse_jacobian(q) - closed_form).max() / size)
-    gap = np.abs(chain.closure_gap(q)).max()
+    off["Pinocchio"].append(np.abs(chain.state(q).inverse_jacobian() - closed_form).max() / size)
+    gap = np.abs(chain.state(q).closure_gap()).max()
     print(f"{label}: largest entry {size:8.1f}, loops open by {gap:.0e} m", end="")
     print("".join(f", {method} off by {values[-1]:.0e}" for method, values in off.items()))
 
@@ -37,7 +37,7 @@ closed_form = spm.inverse_jacobian(states)
 size = np.abs(closed_form).max(axis=(1, 2))
 others = {
     "paper's 9 × 9": np.array([jacobian.J_f(state) for state in states]),
-    "Pinocchio": np.array([chain.inverse_jacobian(chain.joint_values(state)) for state in states]),
+    "Pinocchio": np.array([chain.state(chain.joint_values(state)).inverse_jacobian() for state in states]),
 }
 condition = np.linalg.cond(closed_form)
 figure, ax = plt.subplots(figsize=(6, 3.4), layout="constrained")

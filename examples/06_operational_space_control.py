@@ -47,7 +47,7 @@ off = {}
 for name, gains in (("feed-forward alone", (0.0, 0.0)), ("with feedback", (400.0, 40.0))):
     run = chain.simulate(q0, np.zeros(18), controller(*gains), times, wrench=[30.0, 0, 0, 0, 0, 0], period=1e-3)
     wanted = path(np.minimum(run.times, path.duration)).pose.translation
-    off[name] = 1e3 * np.linalg.norm(chain.configuration(run.q).translation - wanted, axis=-1)
+    off[name] = 1e3 * np.linalg.norm(chain.state(run.q).configuration().translation - wanted, axis=-1)
     print(f"{name}: {off[name][-1]:.2f} mm from where it should be after {run.times[-1]:.1f} s")
 print("the push is held off by the stiffness alone: no integral term")
 print(run, f"energy known to {np.abs(run.energy_error).max():.0e} J")

@@ -20,7 +20,7 @@ print({name: round(float(value), 4) for name, value in zip(chain.joint_names, q,
 
 # The next reading starts from the last one: a step or two of Newton's method.
 q = chain.forward_kinematics([1.21, 1.20, 1.39, 1.25, 1.20, 1.46], near=q)
-v = chain.joint_rates(q, [0.01, 0.0, -0.01, 0.0, 0.0, 0.01])
+v = chain.state(q).joint_rates([0.01, 0.0, -0.01, 0.0, 0.0, 0.01])
 
 # A path of the platform through poses, at 250 Hz.
 lengths = [
@@ -34,7 +34,7 @@ path = spm.PlatformPath([0.0, 1.0, 2.0], poses, ease=True)
 trajectory = chain.joint_trajectory(path, np.linspace(0.0, 2.0, 501), near=start)
 trajectory.to_csv(folder / "joints.csv")
 trajectory.to_json(folder / "joints.json")
-print(trajectory, f"loops open by {np.abs(chain.closure_gap(trajectory.positions)).max():.0e} m")
+print(trajectory, f"loops open by {np.abs(chain.state(trajectory.positions).closure_gap()).max():.0e} m")
 
 figure, (legs, passive) = plt.subplots(2, 1, figsize=(8, 6.6), sharex=True, layout="constrained", height_ratios=[1, 2])
 change = trajectory.positions - trajectory.positions[0]

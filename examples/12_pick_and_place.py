@@ -87,5 +87,5 @@ axes["force [N]"].set_xlabel("time [s]")
 figure.savefig(folder / "12_pick_and_place.png", dpi=160)
 
 stiff = spm.stiffness(place, legs=2e7)
-frequencies = chain.natural_frequencies(chain.joint_values(place), stiff).frequencies
+frequencies = chain.state(chain.joint_values(place)).natural_frequencies(stiff).frequencies
 print("vibrations at the place, legs of 20 N/µm:", np.round(frequencies), "Hz")

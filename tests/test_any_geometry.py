@@ -52,9 +52,9 @@ VALUES: dict[str, Callable[[spm.Geometry], Any]] = {
     "singularities": lambda g: spm.singularities(state(g)).sigma,
     "stiffness": lambda g: spm.stiffness(state(g), 2e7),
     "chain.forward_kinematics": lambda g: chain(g).forward_kinematics(READINGS),
-    "chain.inverse_jacobian": lambda g: chain(g).inverse_jacobian(q(g)),
-    "chain.leg_forces": lambda g: chain(g).leg_forces(q(g), WRENCH),
-    "chain.forward_dynamics": lambda g: chain(g).forward_dynamics(q(g), np.zeros(18), np.full(6, 500.0)),
+    "chain.inverse_jacobian": lambda g: chain(g).state(q(g)).inverse_jacobian(),
+    "chain.leg_forces": lambda g: chain(g).state(q(g)).leg_forces(WRENCH),
+    "chain.forward_dynamics": lambda g: chain(g).state(q(g)).forward_dynamics(np.full(6, 500.0)),
     "motion.plan": lambda g: spm.plan(g, ENDS[0], ENDS[1]).configurations(3).translation[1],
     "workspace.nearest_reachable_pose": lambda g: (
         spm.workspace.nearest_reachable_pose(g, spm.pose([0.9, 0.1, 2.2], xyx=[0.1, 0.2, 0.1])).configuration.readings

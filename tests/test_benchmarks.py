@@ -178,9 +178,9 @@ def test_plain_pinocchio_has_the_dynamics_of_the_chain() -> None:
     chain = spm.ClosedChain.from_urdf()
     plain = PlainPinocchio(chain)
     for q in chain.joint_values(spm.inverse_physical(GEOMETRY, POSES)):
-        v = chain.joint_velocities(q, [0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
-        a = chain.joint_accelerations(q, v, [1.0, 0.5, -0.5, 0.2, 0.3, 0.1])
-        forces = chain.inverse_dynamics(q, v, a)
+        v = chain.state(q).joint_velocities([0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
+        a = chain.state(q, v).joint_accelerations([1.0, 0.5, -0.5, 0.2, 0.3, 0.1])
+        forces = chain.state(q, v).inverse_dynamics(a)
         np.testing.assert_allclose(plain.inverse(q, v, a), forces, rtol=1e-9)
         np.testing.assert_allclose(plain.forward(q, v, forces), a, atol=1e-8)
 
@@ -193,9 +193,9 @@ def test_a_control_tick_lets_the_platform_move_on_evenly() -> None:
     rates = (lengths[1] - lengths[0]) / 1e-3
     forces = tick(chain)(lengths[0], rates)
     q = chain.forward_kinematics(lengths[0])
-    v = chain.joint_rates(q, rates)
-    a = chain.forward_dynamics(q, v, forces)
-    np.testing.assert_allclose(a, chain.joint_accelerations(q, v, np.zeros(6)), atol=1e-7)
+    v = chain.state(q).joint_rates(rates)
+    a = chain.state(q, v).forward_dynamics(forces)
+    np.testing.assert_allclose(a, chain.state(q, v).joint_accelerations(np.zeros(6)), atol=1e-7)
 
 
 def test_ticks_end_in_the_same_numbers() -> None:

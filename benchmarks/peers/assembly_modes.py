@@ -126,7 +126,7 @@ def pinocchio(problem: tuple[Geometry, FloatArray]) -> Prepared:
         return np.asarray(chain.forward_kinematics(lengths, near=home))
 
     def read(found: list[FloatArray]) -> FloatArray:
-        return np.array([chain.configuration(q).middle_joints for q in found])
+        return np.array([chain.state(q).configuration().middle_joints for q in found])
 
     return Prepared(lambda: [solve(lengths) for lengths in problems], read)
 

@@ -52,14 +52,16 @@ def _balanced(jacobian: FloatArray, wrenches: FloatArray) -> FloatArray:
 def pinocchio(configuration: spm.Configuration) -> Prepared:
     """Prepare J_f from Pinocchio's constraint Jacobians, state by state, joint values computed beforehand."""
     chain, joints = _placed(configuration)
-    return Prepared(lambda: [chain.inverse_jacobian(q) for q in joints], np.array)
+    state = chain.state(joints[0])
+    return Prepared(lambda: [state.update(q).inverse_jacobian() for q in joints], np.array)
 
 
 def forces_by_pinocchio(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
     """Prepare the forces from Pinocchio's constraint Jacobians, state by state, joint values computed beforehand."""
     configuration, wrenches = problem
     chain, joints = _placed(configuration)
-    return Prepared(lambda: [chain.leg_forces(q, w) for q, w in zip(joints, wrenches, strict=True)], np.array)
+    state = chain.state(joints[0])
+    return Prepared(lambda: [state.update(q).leg_forces(w) for q, w in zip(joints, wrenches, strict=True)], np.array)
 
 
 def _placed(configuration: spm.Configuration) -> tuple[Any, list[FloatArray]]:

@@ -158,7 +158,7 @@ def _sweep(section: Section, n: int, pace: Pace, progress: Progress, facts: Fact
 def of_simulation(chain: Any) -> tuple[FloatArray, FloatArray, Callable[..., FloatArray]]:
     """Return q, v and the forces (t, q, v) of a machine on stiff legs whose forces swing for a second."""
     q = chain.forward_kinematics(_LENGTHS)
-    held = chain.inverse_dynamics(q, np.zeros(18), np.zeros(18))
+    held = chain.state(q).inverse_dynamics(np.zeros(18))
     legs = chain.leg_indices
     rest = q[legs]
 
@@ -166,7 +166,7 @@ def of_simulation(chain: Any) -> tuple[FloatArray, FloatArray, Callable[..., Flo
         swing = 300.0 * np.sin(12.0 * t + np.arange(6))
         return np.asarray(held + swing - _STIFFNESS * (q[legs] - rest) - _DAMPING * v[legs])
 
-    return q, chain.joint_rates(q, [0.1, -0.2, 0.15, 0.05, -0.1, 0.2]), forces
+    return q, chain.state(q).joint_rates([0.1, -0.2, 0.15, 0.05, -0.1, 0.2]), forces
 
 
 def _simulation(section: Section, chain: Any, pace: Pace, progress: Progress, facts: Facts) -> None:

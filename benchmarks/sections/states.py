@@ -66,24 +66,20 @@ def _singles(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
     pose = leg_space(1)[0]
     physical = spm.inverse_physical(GEOMETRY, pose)
     q = chain.joint_values(physical)
-    v = chain.joint_velocities(q, [0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
-    a = chain.joint_accelerations(q, v, [1.0, 0.5, -0.5, 0.2, 0.3, 0.1])
+    v = chain.state(q).joint_velocities([0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
+    a = chain.state(q, v).joint_accelerations([1.0, 0.5, -0.5, 0.2, 0.3, 0.1])
     # Two states in turns, for the second call about the same one computes less.
     motions = [(q, v), (chain.forward_kinematics(physical.leg_lengths * 1.001), v)]
-    motions[1] = motions[1][0], chain.joint_velocities(motions[1][0], [0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
+    motions[1] = motions[1][0], chain.state(motions[1][0]).joint_velocities([0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
     forces, state = np.full(6, 100.0), chain.state(q, v)
-    accelerations = [a, chain.joint_accelerations(*motions[1], [1.0, 0.5, -0.5, 0.2, 0.3, 0.1])]
+    accelerations = [a, chain.state(*motions[1]).joint_accelerations([1.0, 0.5, -0.5, 0.2, 0.3, 0.1])]
     calls = {
         "`inverse_physical`": lambda: spm.inverse_physical(GEOMETRY, pose),
         "`ClosedChain.joint_values`": lambda: chain.joint_values(renewed(physical)),
         "forward dynamics, Pinocchio's calls alone": lambda: [plain.forward(*m, forces) for m in motions],
-        "`ClosedChain.forward_dynamics`": lambda: [chain.forward_dynamics(*m, forces) for m in motions],
         "`state.forward_dynamics`": lambda: [state.update(*m).forward_dynamics(forces) for m in motions],
         "inverse dynamics, Pinocchio's calls alone": lambda: [
             plain.inverse(*m, x) for m, x in zip(motions, accelerations, strict=True)
-        ],
-        "`ClosedChain.inverse_dynamics`": lambda: [
-            chain.inverse_dynamics(*m, x) for m, x in zip(motions, accelerations, strict=True)
         ],
         "`state.inverse_dynamics`": lambda: [
             state.update(*m).inverse_dynamics(x) for m, x in zip(motions, accelerations, strict=True)

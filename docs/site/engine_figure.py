@@ -40,7 +40,7 @@ def main() -> None:
 
 def state_of_keyframe(model: mujoco.MjModel, key: int) -> spm.Configuration:
     """Return the configuration of a keyframe; MuJoCo's q is that of the closed chain."""
-    return spm.ClosedChain.from_urdf().configuration(model.key_qpos[key])
+    return spm.ClosedChain.from_urdf().state(model.key_qpos[key]).configuration()
 
 
 def rendering(model: mujoco.MjModel, key: int) -> npt.NDArray[np.uint8]:

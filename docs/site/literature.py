@@ -90,7 +90,7 @@ def freedoms() -> list[Freedoms]:
     }
     found = []
     for name, state in states.items():
-        closures = matrix_rank(chain.constraint_jacobian(chain.joint_values(state)))
+        closures = matrix_rank(chain.state(chain.joint_values(state)).constraint_jacobian())
         platform = matrix_rank(spm.kinematics.platform_jacobian(state))
         found.append(Freedoms(name, 18, closures, 18 - closures, platform))
     return found

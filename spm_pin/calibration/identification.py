@@ -20,6 +20,7 @@ from spm_pin.calibration.error_model import error_jacobian, gauge_directions, pa
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.random_states import random_states
 from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry, notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool, check_instance, choice, generator, whole_number
 from spm_pin.mechanism.configuration import check_configuration
@@ -102,10 +103,6 @@ class Calibration:
     def _sizes(self) -> list[FloatArray]:
         """Return the position errors before and after [m], (N,) each."""
         return [np.linalg.norm(errors[:, :3], axis=-1) for errors in (self.before, self.residuals)]
-
-    def plot(self) -> Any:
-        """Return a matplotlib figure of the position errors before and after, and of the uncertainties."""
-        return notebook.plot("calibration_figure", self)
 
     @property
     def geometry(self) -> Geometry:
@@ -447,15 +444,7 @@ def given_or_drawn(geometry: Geometry, states: Configuration | int, argument: st
     if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
         cause = "Give the limits to the Geometry, or the states to choose from"
         raise ArgumentError("geometry", "a machine with leg limits to draw states from", "none", cause)
-    random, readings = generator(rng), []
-    for _ in range(100):
-        drawn = random.uniform(geometry.limits.minimum, geometry.limits.maximum, (2 * wanted, 6))
-        possible = forward_physical(geometry, drawn)
-        readings.append(possible.readings[possible.exists][:wanted])
-        wanted -= len(readings[-1])
-        if not wanted:
-            return forward_physical(geometry, np.concatenate(readings))
-    raise ArgumentError("geometry", "leg limits within which the machine has states", repr(geometry.limits))
+    return random_states(geometry, wanted, generator(rng))
 
 
 def _exchanged(rows: FloatArray, count: int) -> list[int]:

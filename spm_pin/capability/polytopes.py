@@ -275,7 +275,7 @@ def wrench_polytope(
         Largest force of each leg [N], pushing as pulling; or the least (pulling, negative) and the largest.
     load : array_like, shape (..., 6), optional
         A wrench onto the platform that is there besides [N, N m]: the weight of a payload, or of all bodies,
-        ``-chain.platform_dynamics(q, v).gravity``. Leading axes broadcast with those of `configuration`.
+        ``-chain.state(q, v).platform_dynamics().gravity``. Leading axes broadcast with those of `configuration`.
 
     Returns
     -------
@@ -342,7 +342,7 @@ def acceleration_polytope(
     force_limits : array_like, shape (), (6,) or (2, 6)
         As for `wrench_polytope`.
     mass : array_like, shape (..., 6, 6)
-        Λ of ``chain.platform_dynamics(q, v)``, the mass of all bodies reflected at o, or of the platform alone.
+        Λ of ``chain.state(q, v).platform_dynamics()``, the mass of all bodies reflected at o, or of the platform alone.
     load : array_like, shape (..., 6), optional
         The wrench onto the platform besides [N, N m]; with `dynamics` from that call, ``-dynamics.bias -
         dynamics.gravity`` for the robot's own velocity and weight.

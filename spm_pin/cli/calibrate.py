@@ -26,7 +26,6 @@ def calibrate(
     ],
     out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
-    style: outputs.PictureStyle = None,
     identified: Annotated[
         list[str] | None,
         Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. All if not."),
@@ -63,7 +62,7 @@ def calibrate(
         message = _with_lines(f"error: the measurements fit no machine: {error}", error.rows, measurements)
         outputs.note(message, "bold red")
         raise typer.Exit(1) from None
-    outputs.write_figure(figure, style, calibration_figure, calibration)
+    outputs.write_figure(figure, calibration_figure, calibration)
     fits = calibration.status == "fits"
     if out is not None and (fits or force):
         calibration.fitted.to_yaml(out)

@@ -52,7 +52,6 @@ def crosscheck(
     json: options.AsJson = False,
     out: Annotated[Path | None, outputs.file_option("Also write the report to a file, as JSON.")] = None,
     figure: Annotated[Path | None, outputs.picture_option("Also draw the differences of all pairs.")] = None,
-    style: outputs.PictureStyle = None,
 ) -> None:
     """Solve random poses by independent methods and compare their answers.
 
@@ -65,7 +64,7 @@ def crosscheck(
     content = _comparison_content(report, file)
     if out is not None:
         outputs.write_json(content, out)
-    outputs.write_figure(figure, style, agreement_figure, report)
+    outputs.write_figure(figure, agreement_figure, report)
     if json:
         outputs.write_json(content)
     else:

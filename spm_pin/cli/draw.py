@@ -40,7 +40,6 @@ def draw(
         Option("--names/--no-names", help="Name joints, legs and axes; a branch alone has names."),
     ] = None,
     background: Annotated[str | None, Option(help="A colour, or none; white if not given.")] = None,
-    style: outputs.PictureStyle = None,
 ) -> None:
     """Draw the manipulator: the physical branch of a pose, branches by their names, or all of them.
 
@@ -53,13 +52,9 @@ def draw(
     if not (abs(view[0]) <= 360.0 and abs(view[1]) <= 90.0):
         expected = "azimuth and elevation in degrees, at most 360 and 90"
         raise ArgumentError("--view", expected, f"{view[0]:g} and {view[1]:g}")
-    if style is not None and width is not None and (style.width or style.dpi):
-        raise ArgumentError("--width", "to be left out beside a size or dpi in --style", width)
-    if style is not None and background is not None and style.dark:
-        raise ArgumentError("--background", "to be left out beside dark in --style", background)
     solutions, default = options.requested_solutions(options.read_geometry(geometry), pose, legs, unit)
     direction = math.radians(view[0]), math.radians(view[1])
-    appearance: dict[str, Any] = {"view": direction, "background": background or "white", "style": style}
+    appearance: dict[str, Any] = {"view": direction, "background": background or "white"}
     named = branch is not None
     labels = options.selected_labels(solutions, branch, required=named) if every or named else []
     states = {"": solutions[labels[0]] if labels else default}

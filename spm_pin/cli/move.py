@@ -60,7 +60,6 @@ def certify(
         bool, Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
     ] = False,
     out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
-    style: outputs.PictureStyle = None,
     unit: Annotated[LengthUnit, Option(help="Unit of the lengths typed; the answer is in metres.")] = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
@@ -88,7 +87,7 @@ def certify(
         certificate = prove(dimensions, limits, boxes=boxes, **errors)
         if inverse:
             other = certify_inverse(certificate.geometry, certificate.limits, boxes=boxes, forward=certificate)
-    outputs.write_figure(out, style, certificate_figure, certificate)
+    outputs.write_figure(out, certificate_figure, certificate)
     if json:
         outputs.write_json(_content(certificate, other))
     else:
@@ -154,7 +153,6 @@ def move(
     period: Annotated[float, Option(help="Time between the rows, at most \\[s].")] = 2e-3,
     out: Annotated[Path | None, outputs.file_option("CSV of the motion to write.", (".csv",))] = None,
     plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
-    style: outputs.PictureStyle = None,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     masses: options.MassesFile = None,
@@ -201,7 +199,7 @@ def move(
     if out is not None:
         motion.to_csv(out)
         outputs.note(f"wrote {out}")
-    outputs.write_figure(plot, style, motion_figure, motion, motion.readings, allowed, largest)
+    outputs.write_figure(plot, motion_figure, motion, motion.readings, allowed, largest)
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
         outputs.write_json({**content, **motion.columns()})

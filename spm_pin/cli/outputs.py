@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, get_type_hints
 
 import typer
 from rich.cells import cell_len
@@ -18,9 +18,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from typer.models import ArgumentInfo
 
-from spm_pin.display.writing import FORMATS, Style, save_figure, to_json
+from spm_pin.display.writing import FORMATS, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism.arguments import writing
+from spm_pin.mechanism.files import writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -163,25 +163,6 @@ def picture_option(help_text: str) -> Any:
     return file_option(help_text, FORMATS, "plots")
 
 
-def _read_style(text: str | Style) -> Style:
-    if isinstance(text, Style):
-        return text
-    try:
-        return Style.from_text(text)
-    except ArgumentError as error:
-        raise typer.BadParameter(f"expected {error.expected}, got {error.received}") from error
-
-
-PictureStyle = Annotated[
-    Style | None,
-    typer.Option(
-        metavar="WORDS",
-        parser=_read_style,
-        help="Size, font and background of the picture, joined by commas: 140mm,8pt,600dpi,dark or 5.5in.",
-    ),
-]
-
-
 def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:
     """Raise `ArgumentError` if a file cannot be written later, by its ending, its folder, its permissions."""
     if endings and path.suffix.lower() not in endings:
@@ -214,12 +195,10 @@ def write_json(content: Any, path: Path | None = None) -> None:
     write_text(to_json(content) + "\n", path)
 
 
-def write_figure(
-    path: Path | None, style: Style | None, draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs
-) -> None:
+def write_figure(path: Path | None, draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs) -> None:
     """Draw a figure and write it; without a path, do nothing."""
     if path is not None:
-        save_figure(draw(*args, **kwargs), path, style=style)
+        save_figure(draw(*args, **kwargs), path)
         note(f"wrote {path}")
 
 

@@ -53,7 +53,6 @@ def workspace(
     ] = None,
     sections: Annotated[bool, Option("--sections", help="Draw sections, with what is reached, instead.")] = False,
     samples: Annotated[int, Option(min=1, help="Random sets of leg lengths for --sections.")] = 2_000_000,
-    style: outputs.PictureStyle = None,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
@@ -85,9 +84,9 @@ def workspace(
     elif out is not None and sections:
         with outputs.stderr.status("drawing leg lengths"):
             reached, aspect = sample_positions_near_limits(shell.geometry, shell.limits, count=samples)
-        save_figure(sections_figure(shell, reached, aspect), out, style=style)
+        save_figure(sections_figure(shell, reached, aspect), out)
     elif out is not None:
-        save_figure(shell_figure(shell), out, style=style)
+        save_figure(shell_figure(shell), out)
     if out is not None:
         outputs.note(f"wrote {out}")
     if json:
@@ -311,7 +310,6 @@ def design(
     choose: Annotated[int | None, Option(metavar="ROW", help="Row of the front to write to --out, from 0.")] = None,
     out: Annotated[Path | None, outputs.file_option("YAML file of that machine to write.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the front to write.")] = None,
-    style: outputs.PictureStyle = None,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
@@ -349,7 +347,7 @@ def design(
             raise ArgumentError("--choose", f"a row from 0 to {len(front.designs) - 1}", choose)
         front.designs.geometries[choose].to_yaml(out)
         outputs.note(f"wrote {out}")
-    outputs.write_figure(figure, style, front_figure, front)
+    outputs.write_figure(figure, front_figure, front)
     if json:
         machines = [machine.as_data() for machine in front.designs.geometries]
         outputs.write_json({"machines": machines, "columns": dict(front.designs.columns), "better": front.better})

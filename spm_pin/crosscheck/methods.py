@@ -194,15 +194,15 @@ class Pinocchio(Method):
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
-        return np.asarray(self.chain.inverse_jacobian(self.chain.joint_values(configuration)))
+        return np.asarray(self.chain.state(self.chain.joint_values(configuration)).inverse_jacobian())
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
-        return np.asarray(self.chain.leg_forces(self.chain.joint_values(configuration), wrench))
+        return np.asarray(self.chain.state(self.chain.joint_values(configuration)).leg_forces(wrench))
 
     def assembled(self, configuration: Configuration) -> Configuration:
         """Return the configurations that the tree's frames give at the joint values of states (N,)."""
-        states: Configuration = self.chain.configuration(self.chain.joint_values(configuration))
+        states: Configuration = self.chain.state(self.chain.joint_values(configuration)).configuration()
         return states
 
 

@@ -314,7 +314,8 @@ def _true_values(third: Configuration) -> list[TrueValue]:
     q = chain.joint_values(third)
     paper = table_5(third)
     closed_form = leg_rates(third, twist) * _CM, leg_forces(third, wrench) / _KILO
-    pinocchio = chain.inverse_jacobian(q) @ twist * _CM, chain.leg_forces(q, wrench) / _KILO
+    at = chain.state(q)
+    pinocchio = at.inverse_jacobian() @ twist * _CM, at.leg_forces(wrench) / _KILO
     rows = zip(paper, closed_form, pinocchio, strict=True)
     return [
         TrueValue(f"{name}_{leg.replace('_', '')}", *(float(x) for x in values))

@@ -15,15 +15,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError, DescriptionError, raised_as
-from spm_pin.mechanism.arguments import (
-    FloatArray,
-    check_instance,
-    frozen,
-    read_yaml,
-    real_array,
-    real_number,
-    symmetric_matrices,
-)
+from spm_pin.mechanism.arguments import FloatArray, check_instance, frozen, real_array, real_number, symmetric_matrices
+from spm_pin.mechanism.files import read_yaml
 from spm_pin.mechanism.pose import homogeneous
 
 # Some readers of URDFs know Drake's elements by this prefix, not by its namespace.

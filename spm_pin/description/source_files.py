@@ -13,7 +13,8 @@ import yaml
 from spm_pin.description.masses import Masses, with_masses
 from spm_pin.errors import DescriptionError, raised_as
 from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.arguments import as_bool, check_instance, writing
+from spm_pin.mechanism.arguments import as_bool, check_instance
+from spm_pin.mechanism.files import writing
 from spm_pin.mechanism.geometry import check_rps, config_directory
 
 # Names of files; `spm_pin.description` says what each is.

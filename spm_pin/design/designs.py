@@ -24,13 +24,12 @@ from spm_pin.mechanism.arguments import (
     check_instance,
     check_progress,
     choice,
-    file_path,
     number_pair,
     real_number,
     type_and_value,
     whole_number,
-    writing,
 )
+from spm_pin.mechanism.files import file_path, writing
 from spm_pin.proofs.certificate import free_of_singularities
 from spm_pin.sweeps.domains import Sample, definition_differences, package_version
 from spm_pin.sweeps.metrics import METRICS, Metric, prepare_metrics, resolve_metrics

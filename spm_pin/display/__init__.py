@@ -19,12 +19,11 @@ if TYPE_CHECKING:
     from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
     from spm_pin.display.shell_plots import draw_shell, save_mesh, sections_figure, shell_figure
     from spm_pin.display.viewer import Playback, Recording, Viewer, read_recording
-    from spm_pin.display.writing import Style, save_figure
+    from spm_pin.display.writing import save_figure
 
 __all__ = [
     "Playback",
     "Recording",
-    "Style",
     "Viewer",
     "agreement_figure",
     "calibration_figure",
@@ -50,7 +49,7 @@ _HOMES = {
     "plots": "draw draw_capability save_gallery save_picture",
     "shell_plots": "draw_shell save_mesh sections_figure shell_figure",
     "viewer": "Playback Recording Viewer read_recording",
-    "writing": "Style save_figure",
+    "writing": "save_figure",
 }
 
 

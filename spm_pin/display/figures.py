@@ -194,7 +194,7 @@ def motion_figure(
             ax.axhline(line, color="0.55", lw=0.9, ls=":")
         ax.set_title(label, loc="left", fontsize=10)
         ax.spines[["top", "right"]].set_visible(False)
-    legend_below(figure, fontsize=8)
+    legend_below(figure, columns=6, fontsize=8)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(float(motion.times[0]), float(motion.times[-1]))
     return figure

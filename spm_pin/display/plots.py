@@ -27,17 +27,16 @@ from spm_pin.display.rendering import (
 )
 from spm_pin.display.writing import (
     FORMATS,
-    Style,
     new_figure,
     save_figure,
-    scaled,
     show_in_notebooks,
     write_name,
 )
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS
-from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, real_number
+from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number
 from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.notebook import VIEW
 
 if TYPE_CHECKING:
@@ -49,7 +48,6 @@ INK: Colour = (0.13, 0.15, 0.18)
 _EDGE = 0.45  # width of edges in points
 _WIDTH = 4.0  # of a new figure, in inches
 _WIDEST = 6000  # pixels: a picture takes 2 GB and a minute then
-_PRINTED_DPI = 300.0  # of a picture whose size is given
 _MARGINS = (0.049, 0.035)  # for labels
 NARROWEST = {False: 100, True: 200}
 """Least width of a picture in pixels, without and with labels, which are seven pixels high there."""
@@ -92,7 +90,6 @@ def draw(
     view: tuple[float, float] = VIEW,
     labels: bool = True,
     dpi: float = 200.0,
-    font_size: float | None = None,
 ) -> Axes:
     """Draw a configuration into a 2-D matplotlib Axes.
 
@@ -110,8 +107,6 @@ def draw(
         Name the joints, the legs and the axes of {B} and {m}; else leave the frames out too.
     dpi : float
         Pixels per inch of the solids, at the present size of `ax`.
-    font_size : float, optional
-        Size of the names in points; by default in proportion to the picture.
 
     Returns
     -------
@@ -124,7 +119,7 @@ def draw(
     ax.axis("off")
     if labels:
         size = max(float(np.ptp(ax.get_xlim())), float(np.ptp(ax.get_ylim())))
-        font = float(np.clip(1.55 * size / inch, 5.0, 11.0)) if font_size is None else font_size
+        font = float(np.clip(1.55 * size / inch, 5.0, 11.0))
         darkness = image[..., 3] * (1.0 - image[..., :3].mean(axis=-1))
         _label(configuration, _LabelPlacer(ax, darkness, extent, font / 72.0 * inch, font), camera)
     return ax
@@ -176,7 +171,6 @@ def save_picture(
     labels: bool = True,
     width: int = 1000,
     background: str = "white",
-    style: Style | None = None,
 ) -> Path:
     """Save a picture of a configuration as .png, .svg or .pdf; a file that exists is replaced.
 
@@ -190,40 +184,24 @@ def save_picture(
         Width of the picture in pixels; the height follows from the view.
     background : str
         Any colour of matplotlib, or ``"none"``.
-    style : Style, optional
-        Size, font and background for print, see `Style`; the width in pixels is then that of its size and its dpi.
     """
-    path, style = file_path(path, suffixes=FORMATS), style or Style()
-    scale, dpi, font_size = _printed(style, _WIDTH, width, NARROWEST[labels], background)
-    ax = draw(configuration, view=view, labels=labels, dpi=scale * dpi, font_size=font_size)
-    figure = scaled(cast("Figure", ax.figure), scale)
-    return save_figure(figure, path, dpi=dpi, background=background, style=Style(dark=style.dark))
+    path = file_path(path, suffixes=FORMATS)
+    _check_appearance(width, NARROWEST[labels], background)
+    dpi = width / _WIDTH
+    ax = draw(configuration, view=view, labels=labels, dpi=dpi)
+    return save_figure(cast("Figure", ax.figure), path, dpi=dpi, background=background)
 
 
-def _printed(
-    style: Style, drawn: float, width: int, narrowest: int, background: str
-) -> tuple[float, float, float | None]:
-    """Return by how much to enlarge a picture that is `drawn` inches wide, its dpi, and the font to draw it with.
-
-    `width` is in pixels, and counts where the style does not say. It and the colour behind the picture are checked.
-    """
-    if style.height is not None:
-        raise ArgumentError("style", "a width alone: the height follows from the view", "a height as well")
-    inches, dpi = style.width or drawn, style.dpi or _PRINTED_DPI
-    if style.width is not None or style.dpi is not None:
-        width = round(inches * dpi)
+def _check_appearance(width: int, narrowest: int, background: str) -> None:
+    """Check the width of a picture in pixels, and the colour behind it."""
     if not isinstance(width, int) or not narrowest <= width <= _WIDEST:
         expected = f"at least {narrowest}" if isinstance(width, int) and width < narrowest else f"at most {_WIDEST}"
         raise ArgumentError("width", f"{expected} pixels, a whole number", width)
-    if style.width is None and style.dpi is None:
-        dpi = width / drawn
     require_extra("plots", "matplotlib")
     from matplotlib.colors import is_color_like
 
     if not is_color_like(background):
         raise ArgumentError("background", "a colour of matplotlib, such as white, #f0f0f0 or none", repr(background))
-    scale = inches / drawn
-    return scale, dpi, None if style.font_size is None else style.font_size / scale
 
 
 def save_gallery(
@@ -234,7 +212,6 @@ def save_gallery(
     labels: bool = False,
     width: int = 1600,
     background: str = "white",
-    style: Style | None = None,
 ) -> Path:
     """Save a picture of several configurations, each under its name.
 
@@ -242,25 +219,26 @@ def save_gallery(
     ----------
     configurations : mapping of str to Configuration
         Single configurations that exist, by what is written above them.
-    path, view, labels, width, background, style
+    path, view, labels, width, background
         As for `save_picture`; the width is that of the whole picture.
     """
-    path, style = file_path(path, suffixes=FORMATS), style or Style()
+    path = file_path(path, suffixes=FORMATS)
     if not configurations:
         raise ArgumentError("configurations", "at least one", "none", "No real branch?")
     count = len(configurations)
     columns = count if count <= 4 else math.ceil(count / 2)
     rows = math.ceil(count / columns)
     narrowest = columns * (_NARROWEST_NAMED_COLUMN if labels else NARROWEST[False])
-    scale, dpi, font_size = _printed(style, float(columns * _GALLERY[0]), width, narrowest, background)
+    _check_appearance(width, narrowest, background)
+    dpi = width / float(columns * _GALLERY[0])
     figure = new_figure(*(_GALLERY * (columns, rows)))
     for k, (name, configuration) in enumerate(configurations.items()):
         column, row = k % columns, rows - 1 - k // columns
         place = ((column + 0.04) / columns, (row + 0.02) / rows, 0.92 / columns, 0.86 / rows)
         ax = figure.add_axes(place)
-        draw(configuration, ax=ax, view=view, labels=labels, dpi=scale * dpi, font_size=font_size)
-        ax.set_title(name, fontsize=font_size or 11, pad=3)
-    return save_figure(scaled(figure, scale), path, dpi=dpi, background=background, style=Style(dark=style.dark))
+        draw(configuration, ax=ax, view=view, labels=labels, dpi=dpi)
+        ax.set_title(name, fontsize=11, pad=3)
+    return save_figure(figure, path, dpi=dpi, background=background)
 
 
 @dataclass

@@ -14,7 +14,8 @@ from spm_pin.display.plots import INK, draw_solids
 from spm_pin.display.rendering import Colour, Rendering, Solid, camera_axes
 from spm_pin.display.writing import legend_below, new_figure, write_name
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path, writing
+from spm_pin.mechanism.arguments import FloatArray, check_instance
+from spm_pin.mechanism.files import file_path, writing
 from spm_pin.mechanism.notebook import VIEW
 from spm_pin.workspace.paper_shell import Patch, Shell
 

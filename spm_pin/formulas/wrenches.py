@@ -225,10 +225,10 @@ def may_structure_be_singular(b: Rows, c: Rows, a: Rows, a_m: Rows, side: float,
 
 
 def _is_suspect(determinant: float, squared_size: float, singular: float) -> bool:
-    """Return whether the smallest singular value of six forces may be `singular` times the largest or less; NaN is not.
+    """Return False where the smallest of six forces' singular values is surely above `singular` times the largest.
 
-    The five larger singular values multiply to at most (F²/5)^(5/2), F the Frobenius norm, so most matrices are known
-    to be regular without a decomposition. The factor covers the determinant's rounding.
+    True leaves it to a decomposition; NaN is False. The five larger singular values multiply to at most (F²/5)^(5/2),
+    F the Frobenius norm, so most matrices are known to be regular. The factor covers the determinant's rounding.
     """
     ratio = 5.0 / squared_size
     at_least = magnitude(determinant) * (ratio * ratio * sqrt(ratio))

@@ -120,10 +120,6 @@ class FollowedPath:
         picture = notebook.curves(self.parameters, self.configurations.readings, "legs [m] along the path", marks)
         return notebook.table(repr(self), ("parameter", "event", "") if rows else (), rows, picture)
 
-    def plot(self) -> Any:
-        """Return a matplotlib figure of the legs and of the distances to singularities, with the events."""
-        return notebook.plot("path_figure", self)
-
     @property
     def complete(self) -> bool:
         """True if the solution lasts to the end of the path."""

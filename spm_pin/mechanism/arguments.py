@@ -7,17 +7,12 @@ an `ArgumentError`, which `raised_as` turns into another kind.
 
 from __future__ import annotations
 
-import contextlib
 import operator
-import os
-import re
-from collections.abc import Callable, Collection, Iterator
-from pathlib import Path
+from collections.abc import Callable, Collection
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from spm_pin.errors import ArgumentError
 
@@ -138,77 +133,6 @@ def choice(value: Any, argument: str, choices: Collection[str]) -> str:
         received = repr(value) if isinstance(value, str) else type_and_value(value)
         raise ArgumentError(argument, f"one of {', '.join(map(repr, choices))}", received)
     return value
-
-
-def file_path(
-    value: Any, argument: str = "path", *, suffixes: Collection[str] = (), expected: str = "the name of a file"
-) -> Path:
-    """Read the name of a file without access to it; `suffixes` are the endings accepted, lower case with their dot."""
-    try:
-        text = os.fspath(value)
-        fits = isinstance(text, str) and bool(text) and b"\0" not in os.fsencode(text)
-    except Exception as failed:  # whatever __fspath__ of a foreign object raises
-        raise ArgumentError(argument, expected, type_and_value(value), str(failed)) from failed
-    if not fits:
-        raise ArgumentError(argument, expected, repr(value), "Empty, or a byte of zero in it?")
-    path = Path(text)
-    if suffixes and path.suffix.lower() not in suffixes:
-        raise ArgumentError(argument, f"a file name ending in {', '.join(suffixes)}", repr(path.name))
-    return path
-
-
-@contextlib.contextmanager
-def writing(path: Path, argument: str = "path") -> Iterator[None]:
-    """Make the folders of a file, and turn an `OSError` of a block that writes it into an error with the argument."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield
-    except OSError as failed:
-        raise ArgumentError(argument, "a file that can be written", path, str(failed.strerror)) from failed
-
-
-_NUMBER = re.compile(r"[-+]?((0|[1-9]\d*)(\.\d*)?|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)
-_LARGEST_FILE = 1 << 20
-"""Characters of a file that are read; a larger one is refused."""
-
-
-class _Loader(yaml.BaseLoader):
-    """Reads mappings, lists, decimal numbers and texts: no tag has an effect, and no key may occur twice."""
-
-    def construct_scalar(self, node: yaml.ScalarNode) -> Any:
-        text = super().construct_scalar(node)
-        if node.style is None and text in ("", "~", "null"):
-            return None
-        is_number = node.style is None and _NUMBER.fullmatch(text)
-        return float(text.lower().replace(".inf", "inf")) if is_number else text
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys: set[Any] = set()
-        for entry, _ in node.value:
-            key = self.construct_object(entry, deep=True)
-            if isinstance(entry, yaml.ScalarNode) and key in keys:
-                raise yaml.MarkedYAMLError(problem=f"the key {key!r} twice", problem_mark=entry.start_mark)
-            keys |= {key} if isinstance(entry, yaml.ScalarNode) else set()
-        return super().construct_mapping(node, deep)
-
-
-def read_yaml(path: str | Path) -> Any:
-    """Read a YAML file of numbers, which become floats, texts, lists and mappings."""
-    file = file_path(path)
-    try:
-        with file.open("rb") as opened:
-            text = opened.read(_LARGEST_FILE + 1)
-        if len(text) > _LARGEST_FILE:
-            raise ArgumentError(str(file), f"a YAML file of at most {_LARGEST_FILE} characters", "a longer one")
-        return yaml.load(text.decode("utf-8"), _Loader)  # which constructs no objects
-    except OSError as failed:
-        raise ArgumentError(str(file), "a readable YAML file", str(failed.strerror)) from failed
-    except UnicodeDecodeError as failed:
-        raise ArgumentError(str(file), "a YAML file, text in UTF-8", str(failed)) from failed
-    except ArgumentError:
-        raise
-    except Exception as failed:  # YAMLError; of malformed escapes, tags and nesting also other kinds
-        raise ArgumentError(str(file), "a YAML file", str(failed) or type(failed).__name__) from failed
 
 
 def generator(value: Any, argument: str = "rng") -> np.random.Generator:

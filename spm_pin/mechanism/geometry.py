@@ -24,17 +24,8 @@ from spm_pin.errors import GeometryError, raised_as
 from spm_pin.formulas.leg_constants import turned_axis
 from spm_pin.formulas.operations import on_arrays
 from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import (
-    FloatArray,
-    check_instance,
-    dimension,
-    file_path,
-    generator,
-    read_yaml,
-    real_number,
-    type_and_value,
-    writing,
-)
+from spm_pin.mechanism.arguments import FloatArray, check_instance, dimension, generator, real_number, type_and_value
+from spm_pin.mechanism.files import file_path, read_yaml, writing
 from spm_pin.mechanism.leg_kinds import KINDS, RPS, LegKind
 from spm_pin.mechanism.legs import AXES, LEGS, RADIAL, LegLimits, Legs, axis_directions, bounded_array, drawn_legs
 from spm_pin.mechanism.stage import Stage

@@ -17,7 +17,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, file_path, first_offender, writing
+from spm_pin.mechanism.arguments import FloatArray, first_offender
+from spm_pin.mechanism.files import file_path, writing
 from spm_pin.mechanism.pose import UNIT, first_wrong_quaternion, pose
 
 TIME, POSITION, QUATERNION = "time", ("x", "y", "z"), ("qx", "qy", "qz", "qw")

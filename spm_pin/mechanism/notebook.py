@@ -6,8 +6,6 @@ import html
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 
@@ -19,11 +17,6 @@ VIEW = (math.radians(15.0), math.radians(25.0))
 """The azimuth and the elevation [rad] from which pictures are taken."""
 _LOWER, _UPPER = "#0072b2", "#d98c00"
 _LEG_COLOURS = ("#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7")
-
-
-def plot(function: str, *arguments: Any) -> Any:
-    """Return the figure that a function of `spm_pin.display` draws; that folder stands above all results."""
-    return getattr(import_module("spm_pin.display"), function)(*arguments)
 
 
 def view_axes(azimuth: float, elevation: float) -> FloatArray:

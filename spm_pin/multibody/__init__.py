@@ -4,7 +4,6 @@ from spm_pin.description.source_files import Closure
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.chain_state import (
     ChainState,
-    ConstrainedChain,
     ConstrainedState,
     Energy,
     NaturalFrequencies,
@@ -19,7 +18,6 @@ __all__ = [
     "ChainState",
     "ClosedChain",
     "Closure",
-    "ConstrainedChain",
     "ConstrainedState",
     "Energy",
     "JointTrajectory",

@@ -25,25 +25,18 @@ from spm_pin.description.tree import ANGLES, SLIDES, srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
-from spm_pin.mechanism.arguments import (
-    FloatArray,
-    IntArray,
-    broadcastable,
-    check_instance,
-    file_path,
-    first_offender,
-)
+from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, check_instance, first_offender
 from spm_pin.mechanism.configuration import Configuration, check_configuration
+from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.geometry import Geometry, check_same_machine
 from spm_pin.mechanism.joint_angles import joint_angles
 from spm_pin.mechanism.legs import check_path_readings
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.multibody.chain_state import ChainState, ConstrainedChain, NaturalFrequencies, PlatformDynamics, at_index
+from spm_pin.multibody.chain_state import ChainState, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
 from spm_pin.multibody.constrained_model import (
     AGREEMENT,
     ConstrainedModel,
-    SingularValues,
     TreeKinematics,
     check_leg_lengths,
     read_vectors,
@@ -53,22 +46,18 @@ from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulati
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, increasing_times, read_motion
 
 
-class ClosedChain(ConstrainedChain[ChainState]):
+class ClosedChain:
     """The spanning tree of the description in Pinocchio, and the closures that make it the mechanism; read-only.
 
-    Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. Methods take q, joint values [rad, m] in the
-    order of `joint_names`, of one state or of a batch (..., 18). Leading axes of several arguments broadcast. Pinocchio
-    answers one state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics`
-    and `inverse_kinematics` without `near`, are vectorised closed forms. nq = nv = 18; the n = 6 actuators are legs.
+    Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. The chain finds joint values q [rad, m]
+    that close the loops, in the order of `joint_names`; rates, forces and dynamics at q are methods of its `state`.
+    Arguments are of one state or of a batch (..., 18), and leading axes of several broadcast. Pinocchio answers one
+    state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
+    `inverse_kinematics` without `near`, are vectorised closed forms. nq = nv = 18; the n = 6 actuators are legs.
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
     of the batch says why. Joint values of a machine as built are zero at the home of its drawing, where its loops are
     open by about its errors; leg lengths are distances from pivot to ball, and readings what its encoders show of them.
-
-    Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it;
-    legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.
-    Methods that use rates or forces raise `ArgumentError` where a ball joint's middle angle is ±90°, and
-    `SingularConfigurationError` at the singularities they name, where a matrix is singular to rounding.
 
     Attributes
     ----------
@@ -90,7 +79,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
         self._urdf, self.geometry, self.prefix = urdf, geometry, prefix
         self.model = pin.buildModelFromXML(urdf)
         self.closures = read_closures(prefix=prefix)
-        super().__init__(ConstrainedModel(self.model, self.closures, geometry, prefix), ChainState)
+        self._constrained = ConstrainedModel(self.model, self.closures, geometry, prefix)
         self.joint_names, self.leg_indices = self._constrained.names, self._constrained.legs
         self._order = np.argsort(self._constrained.joint_indices(*ANGLES, *SLIDES))
 
@@ -133,6 +122,13 @@ class ClosedChain(ConstrainedChain[ChainState]):
     def __repr__(self) -> str:
         named = f" {self.prefix!r}" if self.prefix else ""
         return f"<ClosedChain{named}: {self.model.nq} joints, {len(self.closures)} closures, {self.geometry}>"
+
+    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
+        """Return the state of joint values q (..., 18) and velocities v (..., 18), by default at rest.
+
+        Its methods are all that follows from q and v: rates, forces, dynamics, singularities, the configuration.
+        """
+        return ChainState(self._constrained).update(q, v)
 
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
@@ -199,13 +195,6 @@ class ClosedChain(ConstrainedChain[ChainState]):
             raise ArgumentError("configuration", "a closed mechanism", received, cause)
         return angles.values.take(self._order, axis=-1)
 
-    def configuration(self, q: npt.ArrayLike) -> Configuration:
-        """Return the configuration in q (..., 18): the poses of m and of the middle platform's corners.
-
-        If q is open, so is the configuration, and its leg lengths are those between its points, not those of q.
-        """
-        return self._at(q).configuration()
-
     def leg_lengths(self, q: npt.ArrayLike) -> FloatArray:
         """Return the distances from pivot to ball [m] that the slides have in q (..., 18), shape (..., 6)."""
         return self._constrained.leg_lengths(self._constrained.read_q(q))
@@ -233,7 +222,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
         All joints move, as little as closes the loops to first order, slides measured in units of the middle platform's
         side. Raises `ClosureError` if the loops do not close to rounding in fifty steps.
         """
-        state = self._at(q)
+        state = self.state(q)
         return np.array(state._each_member(lambda: close_loops(state.kinematics, state.kinematics.q, most=50), (18,)))
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
@@ -289,7 +278,7 @@ class ClosedChain(ConstrainedChain[ChainState]):
     ) -> FloatArray:
         """Return q of each target, from that of the one before; a target is of so many axes of each array."""
         q = self._constrained.read_q(near, "near", single=True)
-        kinematics: TreeKinematics = self._at(q).kinematics
+        kinematics: TreeKinematics = self.state(q).kinematics
         kinematics.check_closed()
         shape = targets[0].shape[: targets[0].ndim - axes[0]]
         path = np.empty((*shape, q.size))
@@ -300,70 +289,6 @@ class ClosedChain(ConstrainedChain[ChainState]):
                 raise at_index(error, index) from error
             path[index] = q
         return path
-
-    def singular_values(self, q: npt.ArrayLike) -> SingularValues:
-        """Return how near q (..., 18) is to each kind of singularity, without raising `SingularConfigurationError`."""
-        return self._at(q).singular_values()
-
-    def inverse_jacobian(self, q: npt.ArrayLike) -> FloatArray:
-        """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; q is closed.
-
-        Raises at an inverse or a constraint singularity.
-        """
-        return self._at(q).inverse_jacobian()
-
-    def joint_velocities(self, q: npt.ArrayLike, twist: npt.ArrayLike) -> FloatArray:
-        """Return the velocities of all joints (..., 18) [rad/s, m/s] for a twist (..., 6) of m.
-
-        q and the errors are those of `inverse_jacobian`.
-        """
-        return self._at(q).joint_velocities(twist)
-
-    def joint_rates(self, q: npt.ArrayLike, leg_rates: npt.ArrayLike) -> FloatArray:
-        """Return the velocities of all joints (..., 18) [rad/s, m/s] for rates of the six legs (..., 6) [m/s].
-
-        q is closed. Raises at a forward or a constraint singularity.
-        """
-        return self._at(q).joint_rates(leg_rates)
-
-    def joint_accelerations(self, q: npt.ArrayLike, v: npt.ArrayLike, acceleration: npt.ArrayLike) -> FloatArray:
-        """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6).
-
-        That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}. q and v (..., 18)
-        are those of a closed mechanism. Raises at an inverse or a constraint singularity.
-        """
-        return self._at(q, v).joint_accelerations(acceleration)
-
-    def leg_forces(self, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
-        """Return the actuator forces (..., 6) [N] that hold a wrench (..., 6) applied onto the terminal platform.
-
-        Weights and friction are left out: `inverse_dynamics` has the weights. Raises at a forward or a constraint
-        singularity.
-        """
-        return self._at(q).leg_forces(wrench)
-
-    def cut_forces(self, q: npt.ArrayLike, wrench: npt.ArrayLike) -> FloatArray:
-        """Return the forces in the ball joints where the tree is cut, shape (..., 4, 3) [N] in {B}.
-
-        Per closure, what the middle platform (`frame_a`) exerts onto the tip of the leg (`frame_b`). Arguments and
-        errors are those of `leg_forces`.
-        """
-        return self._at(q).cut_forces(wrench)
-
-    def platform_dynamics(self, q: npt.ArrayLike, v: npt.ArrayLike) -> PlatformDynamics:
-        """Return the equations of motion at the terminal platform, Λ ṫ + C t + G = J_fᵀ f + w, of all bodies' masses.
-
-        q, v and the errors are those of `joint_accelerations`.
-        """
-        return self._at(q, v).platform_dynamics()
-
-    def natural_frequencies(self, q: npt.ArrayLike, stiffness: npt.ArrayLike) -> NaturalFrequencies:
-        """Return the small vibrations of the platform with its motors held, on legs that are elastic.
-
-        q is closed, `stiffness` (..., 6, 6) the platform's as of `spm_pin.stiffness`; what weights add to it is left
-        out. Raises at an inverse or a constraint singularity.
-        """
-        return self._at(q).natural_frequencies(stiffness)
 
     def joint_trajectory(
         self, path: Callable[[float], PlatformMotion], times: npt.ArrayLike, near: npt.ArrayLike

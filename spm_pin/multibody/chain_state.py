@@ -11,9 +11,8 @@ forces f, a wrench w onto the terminal platform and the forces λ in the cut bal
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -79,10 +78,10 @@ Result = TypeVar("Result")
 class ConstrainedState:
     """Joint values q and velocities v of a model with closures, and what is computed from them.
 
-    Made by the method `state` of `ClosedChain` and of `MountedChain`, and moved on by `update`, without new memory. Its
-    methods are those of the chain, without q and v. Of one q and v, kinematics, constraint Jacobian and factorisations
-    are computed once and kept for later calls; of a batch each call computes them anew, member by member. Arguments
-    broadcast with the batch. A state is for one thread at a time.
+    Made by the method `state` of `ClosedChain` and of `MountedChain`, and moved on by `update`, without new memory:
+    loops make one and update it. Of one q and v, kinematics, constraint Jacobian and factorisations are computed once
+    and kept for later calls; of a batch each call computes them anew, member by member. Arguments broadcast with the
+    batch. A state is for one thread at a time.
 
     Attributes
     ----------
@@ -178,11 +177,14 @@ class ConstrainedState:
         return self._each_member(member, shape, **arrays)
 
     def closure_gap(self) -> FloatArray:
-        """Return how far the closures are open, shape (..., 4, 3) [m]."""
+        """Return how far the closures are open: from `frame_a` to `frame_b` of each [m], shape (..., 4, 3)."""
         return self._each_member(lambda: self.kinematics.gap.copy(), (len(self._constrained.closures), 3))
 
     def constraint_jacobian(self) -> FloatArray:
-        """Return the derivative of `closure_gap` by q, shape (..., 12, nv)."""
+        """Return the derivative of `closure_gap` by q, shape (..., 12, nv), three rows per closure; exact at any q.
+
+        Its transpose maps forces onto the closures' `frame_b`, with the opposite onto `frame_a`, to generalized forces.
+        """
         shape = 3 * len(self._constrained.closures), self._constrained.model.nv
         return self._each_member(lambda: self.kinematics.constraint_jacobian.copy(), shape)
 
@@ -191,7 +193,12 @@ class ConstrainedState:
         return Energy(*self._each_member(lambda: self.kinematics.energies(self._rates), [(), ()]))
 
     def forward_dynamics(self, forces: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
-        """Return the accelerations of all joints (..., nv) under actuators (..., n), gravity and a wrench (..., 6)."""
+        """Return the accelerations of all joints (..., nv) [rad/s², m/s²] under actuators, gravity and a wrench.
+
+        `forces` (..., n) [N, N m] are those of the actuators: of another robot first, then of the legs; `wrench`
+        (..., 6) is onto the terminal platform. q and v are closed. Only constraint singularities raise: inverse and
+        forward ones are no obstacle.
+        """
         constrained, kinematics = self._constrained, self.kinematics
         arrays = {"forces": read_vectors(forces, "forces", constrained.actuated.size), **_wrench(wrench)}
         if self._solver is None:
@@ -208,7 +215,12 @@ class ConstrainedState:
         return self._each_member(member, (kinematics.model.nv,), **arrays)
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
-        """Return the actuators' forces (..., n) for joint accelerations (..., nv), gravity and a wrench (..., 6)."""
+        """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and a wrench.
+
+        q, v and the accelerations `a` (..., nv) are those of a closed mechanism, the order of the forces and the wrench
+        as in `forward_dynamics`. At rest, the weights of all bodies are left. Raises at a forward or a constraint
+        singularity.
+        """
         constrained, kinematics = self._constrained, self.kinematics
         model, data = kinematics.model, kinematics.data
         arrays = {"a": read_vectors(a, "a", model.nv), **_wrench(wrench)}
@@ -254,11 +266,17 @@ class ConstrainedState:
 class ChainState(ConstrainedState):
     """The state of a `ClosedChain`: a `ConstrainedState` with the methods that a mounted chain has not.
 
-    Beside the chain's own methods these are `joint_accelerations_of_legs` and `platform_acceleration`.
+    Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it;
+    legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.
+    Methods that use rates or forces take a closed q, and raise `ArgumentError` where a ball joint's middle angle is
+    ±90°, and `SingularConfigurationError` at the singularities they name, where a matrix is singular to rounding.
     """
 
     def configuration(self) -> Configuration:
-        """Return the poses of m and of the middle platform's corners."""
+        """Return the configuration (...): the poses of m and of the middle platform's corners.
+
+        If q is open, so is the configuration, and its leg lengths are those between its points, not those of q.
+        """
         kinematics, constrained = self.kinematics, self._constrained
 
         def member() -> tuple[FloatArray, ...]:
@@ -267,31 +285,44 @@ class ChainState(ConstrainedState):
 
         return Configuration.from_arrays(constrained.geometry, *self._each_member(member, [(3, 3), (3,), (3, 3)]))
 
-    def leg_lengths(self) -> FloatArray:
-        """Return the leg lengths (..., 6) [m]."""
-        return self._constrained.leg_lengths(self._q)
-
     def inverse_jacobian(self) -> FloatArray:
-        """Return J_f, which maps the platform's twist to the leg rates, shape (..., 6, 6)."""
+        """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates.
+
+        Raises at an inverse or a constraint singularity.
+        """
         legs = self._constrained.legs
         return self._each_closed_member(lambda: self.kinematics.velocities_of_twists.take(legs, axis=0), (6, 6))
 
     def joint_velocities(self, twist: npt.ArrayLike) -> FloatArray:
-        """Return the velocities of all joints (..., 18) for a twist (..., 6) of m."""
+        """Return the velocities of all joints (..., 18) [rad/s, m/s] for a twist (..., 6) of m.
+
+        Raises as `inverse_jacobian`.
+        """
         twists = read_vectors(twist, "twist", 6)
         return self._each_closed_member(lambda t: self.kinematics.velocities_of_twists.dot(t), (18,), twist=twists)
 
     def joint_rates(self, leg_rates: npt.ArrayLike) -> FloatArray:
-        """Return the velocities of all joints (..., 18) for rates of the six legs (..., 6)."""
+        """Return the velocities of all joints (..., 18) [rad/s, m/s] for rates of the six legs (..., 6) [m/s].
+
+        Raises at a forward or a constraint singularity.
+        """
         rates = read_vectors(leg_rates, "leg_rates", 6)
         return self._each_closed_member(self.kinematics.velocities_of_legs, (18,), leg_rates=rates)
 
     def leg_forces(self, wrench: npt.ArrayLike) -> FloatArray:
-        """Return the actuator forces (..., 6) that hold a wrench (..., 6) applied onto the terminal platform."""
+        """Return the actuator forces (..., 6) [N] that hold a wrench (..., 6) applied onto the terminal platform.
+
+        Weights and friction are left out: `inverse_dynamics` has the weights. Raises at a forward or a constraint
+        singularity.
+        """
         return self._holding(wrench)[0]
 
     def cut_forces(self, wrench: npt.ArrayLike) -> FloatArray:
-        """Return the forces in the cut ball joints, shape (..., 4, 3)."""
+        """Return the forces in the ball joints where the tree is cut, shape (..., 4, 3) [N] in {B}.
+
+        Per closure, what the middle platform (`frame_a`) exerts onto the tip of the leg (`frame_b`). The wrench and the
+        errors are those of `leg_forces`.
+        """
         cuts = self._holding(wrench)[1]
         return cuts.reshape(*cuts.shape[:-1], 4, 3)
 
@@ -304,11 +335,15 @@ class ChainState(ConstrainedState):
         return self._each_closed_member(member, [(6,), (12,)], wrench=read_vectors(wrench, "wrench", 6))
 
     def singular_values(self) -> SingularValues:
-        """Return how near q is to each kind of singularity."""
+        """Return how near q is to each kind of singularity, without raising `SingularConfigurationError`."""
         return SingularValues(*self._each_closed_member(self.kinematics.singular_values, [(), (), ()]))
 
     def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
-        """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6)."""
+        """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6).
+
+        That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}. Raises at an
+        inverse or a constraint singularity.
+        """
 
         def member(acceleration: FloatArray) -> FloatArray:
             self._check_closed()
@@ -319,7 +354,10 @@ class ChainState(ConstrainedState):
         return self._each_member(member, (18,), acceleration=read_vectors(acceleration, "acceleration", 6))
 
     def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
-        """Return the accelerations of all joints (..., 18) for those of the legs (..., 6) [m/s²]."""
+        """Return the accelerations of all joints (..., 18) for those of the legs (..., 6) [m/s²].
+
+        Raises as `joint_rates`.
+        """
 
         def member(accelerations: FloatArray) -> FloatArray:
             self._check_closed()
@@ -337,7 +375,10 @@ class ChainState(ConstrainedState):
         return self._each_closed_member(member, (6,), a=read_vectors(a, "a", 18))
 
     def platform_dynamics(self) -> PlatformDynamics:
-        """Return the equations of motion at the terminal platform."""
+        """Return the equations of motion at the terminal platform, Λ ṫ + C t + G = J_fᵀ f + w, of all bodies' masses.
+
+        Raises at an inverse or a constraint singularity.
+        """
         return PlatformDynamics(*self._each_member(self._platform_dynamics, [(6, 6), (6, 6), (6,), (6,)]))
 
     def _platform_dynamics(self) -> tuple[FloatArray, ...]:
@@ -360,7 +401,11 @@ class ChainState(ConstrainedState):
         return 0.5 * (reflected + reflected.T), coriolis, bias, gravity
 
     def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
-        """Return the vibrations Λ ẍ + K x = 0 on elastic legs, of stiffnesses K (..., 6, 6)."""
+        """Return the small vibrations of the platform with its motors held, on legs that are elastic: Λ ẍ + K x = 0.
+
+        `stiffness` K (..., 6, 6) is the platform's as of `spm_pin.stiffness`; what weights add to it is left out.
+        Raises at an inverse or a constraint singularity.
+        """
         meaning = "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness"
         matrices = symmetric_matrices(stiffness, "stiffness", 6, meaning)
         flat = matrices.reshape(*matrices.shape[:-2], 36)
@@ -375,77 +420,6 @@ class ChainState(ConstrainedState):
         if squares[0] <= 0.0:
             raise ArgumentError("stiffness", expected, f"a least ω² of {squares[0]:g} 1/s²")
         return np.sqrt(squares) / (2.0 * math.pi), modes.T
-
-
-State = TypeVar("State", bound=ConstrainedState)
-
-
-class ConstrainedChain(Generic[State]):
-    """Dynamics and closures of a `ClosedChain` or a `MountedChain` as functions of q (..., nq) and v (..., nv)."""
-
-    def __init__(self, constrained: ConstrainedModel, state_type: type[State]) -> None:
-        self._constrained, self._state_type = constrained, state_type
-        self._calls = threading.local()
-
-    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> State:
-        """Return the state of joint values q (..., nq) and velocities v (..., nv), by default at rest.
-
-        It has the methods about rates, forces and dynamics, without q and v; for a single q and v they share what they
-        compute.
-        """
-        return self._state_type(self._constrained).update(q, v)
-
-    def _at(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> State:
-        """Return the state that calls of this thread compute in, moved to q and v: its memory is kept between them."""
-        state: State | None = getattr(self._calls, "state", None)
-        if state is None:
-            state = self._calls.state = self._state_type(self._constrained)
-        return state.update(q, v)
-
-    def closure_gap(self, q: npt.ArrayLike) -> FloatArray:
-        """Return how far the closures are open: from `frame_a` to `frame_b` of each [m], shape (..., 4, 3)."""
-        return self._at(q).closure_gap()
-
-    def constraint_jacobian(self, q: npt.ArrayLike) -> FloatArray:
-        """Return the derivative of `closure_gap` by q, shape (..., 12, nv), three rows per closure; exact at any q.
-
-        Its transpose maps forces onto the closures' `frame_b`, with the opposite onto `frame_a`, to generalized forces.
-        """
-        return self._at(q).constraint_jacobian()
-
-    def energy(self, q: npt.ArrayLike, v: npt.ArrayLike) -> Energy:
-        """Return the kinetic and the potential energy (...) [J] of all bodies at q and v, closed or not."""
-        return self._at(q, v).energy()
-
-    def forward_dynamics(
-        self, q: npt.ArrayLike, v: npt.ArrayLike, forces: npt.ArrayLike, wrench: npt.ArrayLike | None = None
-    ) -> FloatArray:
-        """Return the accelerations of all joints (..., nv) [rad/s², m/s²] under actuators, gravity and a wrench.
-
-        Parameters
-        ----------
-        q, v : array_like, shapes (..., nq) and (..., nv)
-            Joint values, and joint velocities [rad/s, m/s], closed.
-        forces : array_like, shape (..., n)
-            Of the actuators [N, N m]: of another robot first, then of the legs.
-        wrench : array_like, shape (..., 6), optional
-            Onto the terminal platform.
-
-        Notes
-        -----
-        Only constraint singularities raise: inverse and forward ones are no obstacle.
-        """
-        return self._at(q, v).forward_dynamics(forces, wrench)
-
-    def inverse_dynamics(
-        self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, wrench: npt.ArrayLike | None = None
-    ) -> FloatArray:
-        """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and a wrench.
-
-        q, v and a (..., nv) are those of a closed mechanism, the other arguments as in `forward_dynamics`. At rest, the
-        weights of all bodies are left. Raises at a forward or a constraint singularity.
-        """
-        return self._at(q, v).inverse_dynamics(a, wrench)
 
 
 def _wrench(wrench: npt.ArrayLike | None) -> dict[str, FloatArray]:

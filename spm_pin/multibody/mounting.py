@@ -10,11 +10,11 @@ import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, frozen
-from spm_pin.multibody.chain_state import ConstrainedChain, ConstrainedState
+from spm_pin.multibody.chain_state import ConstrainedState
 from spm_pin.multibody.constrained_model import ConstrainedModel, read_vectors
 
 
-class MountedChain(ConstrainedChain[ConstrainedState]):
+class MountedChain:
     """A `ClosedChain` and another robot in one Pinocchio model, the loops closed; read-only.
 
     Made by `ClosedChain.mounted_on` and `ClosedChain.carrying`. The universe is that of whichever robot carries the
@@ -34,7 +34,7 @@ class MountedChain(ConstrainedChain[ConstrainedState]):
     """
 
     def __init__(self, chain: Any, other: Any, model: Any, collisions: Any, visuals: Any) -> None:
-        super().__init__(ConstrainedModel(model, chain.closures, chain.geometry, chain.prefix), ConstrainedState)
+        self._constrained = ConstrainedModel(model, chain.closures, chain.geometry, chain.prefix)
         self.chain, self.model = chain, model
         self._other, self._shapes = other, (collisions, visuals)
         self._q, self.chain_indices = self._places(chain.model)
@@ -43,6 +43,10 @@ class MountedChain(ConstrainedChain[ConstrainedState]):
 
     def __repr__(self) -> str:
         return f"<MountedChain: {self.chain!r} and {self._other.name}, {self.model.nv} degrees of freedom of the tree>"
+
+    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ConstrainedState:
+        """Return the state of joint values q (..., nq) and velocities v (..., nv), by default at rest."""
+        return ConstrainedState(self._constrained).update(q, v)
 
     def _places(self, tree: Any) -> tuple[IntArray, IntArray]:
         """Return the indices in q and in v of the joints of one of the two trees, in its own order."""
@@ -85,7 +89,7 @@ def mount(chain: Any, other: Any, frame: str, placement: Any, *, carried: bool) 
     if isinstance(other, pin.Model):
         other = pin.RobotWrapper(other)
     if not isinstance(other, pin.RobotWrapper):
-        cause = "Its loops would be lost" if isinstance(other, ConstrainedChain) else ""
+        cause = "Its loops would be lost" if isinstance(other, type(chain) | MountedChain) else ""
         raise ArgumentError("other", "a pinocchio.Model or a pinocchio.RobotWrapper", type(other).__name__, cause)
     robots = chain.robot_wrapper(), other
     parent, child = robots if carried else robots[::-1]

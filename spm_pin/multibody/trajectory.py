@@ -15,7 +15,8 @@ from scipy.spatial.transform import RigidTransform, RotationSpline
 from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import FloatArray, as_bool, file_path, frozen, real_array, writing
+from spm_pin.mechanism.arguments import FloatArray, as_bool, frozen, real_array
+from spm_pin.mechanism.files import file_path, writing
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
@@ -140,10 +141,6 @@ class JointTrajectory:
         pictures = notebook.curves(self.times, self.velocities[:, self.slides], "rates of the legs [m/s] over time [s]")
         pictures += notebook.curves(self.times, self.efforts[:, self.slides], "forces of the legs [N] over time [s]")
         return notebook.table(repr(self), (), (), pictures)
-
-    def plot(self) -> Any:
-        """Return a matplotlib figure of the legs' slides, rates, accelerations and forces over time."""
-        return notebook.plot("motion_figure", self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of a ROS message `trajectory_msgs/JointTrajectory`, as plain Python.

@@ -10,7 +10,6 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -153,10 +152,6 @@ class Certificate:
         ]
         header = ("stage", "boxes", "undecided", "least |det J|, proved")
         return notebook.table(self.explain(), header, rows)
-
-    def plot(self) -> Any:
-        """Return a matplotlib figure of the proved and the undecided boxes, over the tilt of the middle platform."""
-        return notebook.plot("certificate_figure", self)
 
     def __repr__(self) -> str:
         failed = "undecided" if self.witness is None else "not proved: singular within the limits"

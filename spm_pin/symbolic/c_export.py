@@ -35,7 +35,8 @@ from spm_pin.kinematics import (
 )
 from spm_pin.kinematics.rates_and_forces import SINGULAR
 from spm_pin.mechanism import BRANCHES, FAMILIES, Configuration, Geometry, LegLimits
-from spm_pin.mechanism.arguments import FloatArray, check_instance, file_path
+from spm_pin.mechanism.arguments import FloatArray, check_instance
+from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.joint_angles import JOINTS
 from spm_pin.symbolic import functions
 from spm_pin.symbolic.machine import FIELDS, Drawn, Machine, State, all_of, in_casadi, parts, rows

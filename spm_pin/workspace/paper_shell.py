@@ -10,7 +10,6 @@ from __future__ import annotations
 import enum
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -166,10 +165,6 @@ class Shell(ClosedMesh):
     def _repr_html_(self) -> str:
         rows = [(patch.name, f"{patch.area:.4f}") for patch in self.patches]
         return notebook.table(repr(self), ("patch", "area [m²]"), rows)
-
-    def plot(self) -> Any:
-        """Return a matplotlib figure of the shell from four sides, after the paper's Fig. 2."""
-        return notebook.plot("shell_figure", self)
 
     def __getitem__(self, name: str) -> Patch:
         for patch in self.patches:

@@ -123,8 +123,8 @@ def test_the_section_is_the_hull_of_the_forces_that_are_held_without_a_moment() 
 def test_accelerations_are_those_of_the_dynamics() -> None:
     chain = spm.ClosedChain.from_urdf()
     q = chain.joint_values(STATE)
-    v = chain.joint_velocities(q, [0.1, -0.2, 0.1, 0.3, 0.2, -0.1])
-    dynamics = chain.platform_dynamics(q, v)
+    v = chain.state(q).joint_velocities([0.1, -0.2, 0.1, 0.3, 0.2, -0.1])
+    dynamics = chain.state(q, v).platform_dynamics()
     load = -dynamics.bias - dynamics.gravity
     polytope = acceleration_polytope(STATE, 5.0 * LIMITS, dynamics.mass, load)
     state = chain.state(q, v)
@@ -134,7 +134,7 @@ def test_accelerations_are_those_of_the_dynamics() -> None:
         np.testing.assert_allclose(polytope.vertices[corner], expected, rtol=1e-8, atol=1e-6)
     # At rest, an acceleration on a facet takes a leg to its limit.
     direction = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    still = chain.platform_dynamics(q, np.zeros(18))
+    still = chain.state(q).platform_dynamics()
     polytope = acceleration_polytope(STATE, 5.0 * LIMITS, still.mass, -still.gravity)
     most = polytope.extent(direction) * direction
     rest = chain.state(q)

@@ -38,7 +38,7 @@ def test_both_platforms_are_in_equilibrium(geometry: spm.Geometry) -> None:
 def test_the_forces_in_the_cut_balls_are_those_of_pinocchio(geometry: spm.Geometry) -> None:
     states = spm.forward_physical(geometry, LENGTHS)
     chain = spm.ClosedChain.from_urdf(geometry=geometry)
-    cuts = chain.cut_forces(chain.joint_values(states), WRENCH)
+    cuts = chain.state(chain.joint_values(states)).cut_forces(WRENCH)
     forces, _ = leg_loads(states)
     for number, closure in enumerate(chain.closures):
         name = f"{closure.frame_a} {closure.frame_b}"
@@ -94,7 +94,7 @@ def test_the_numbers_of_the_page_on_capability() -> None:
     assert held.ball() == pytest.approx(509.0, abs=0.5)
     assert limited.ball() == pytest.approx(274.0, abs=0.5)
     chain = spm.ClosedChain.from_urdf()
-    gravity = chain.platform_dynamics(chain.joint_values(state), np.zeros(18)).gravity
+    gravity = chain.state(chain.joint_values(state)).platform_dynamics().gravity
     down = [0.0, 0.0, -1.0, 0.0, 0.0, 0.0]
     assert held.extent(down) == pytest.approx(1065.0, abs=0.5)
     assert wrench_polytope(state, 1000.0, load=-gravity).extent(down) == pytest.approx(464.0, abs=0.5)

@@ -120,7 +120,8 @@ class Inaccurate(ClosedForm):
 def test_a_flipped_sign_in_one_loop_equation_is_found() -> None:
     with flipped_sign():
         methods: list[Method] = [ClosedForm(PAPER), Paper(PAPER), Pinocchio(PAPER), Nlp(PAPER)]
-        found = compare_methods(PAPER, poses=8, methods=methods)
+        # Among the poses of this seed is one at which the wrong equations have solutions.
+        found = compare_methods(PAPER, poses=8, seed=3, methods=methods)
     assert not found.agrees
     assert found.outliers == ("nlp",)
     assert found.verdict == "nlp is wrong: the others agree."

@@ -86,9 +86,9 @@ def test_leg_forces_balance_in_mujoco(name: str) -> None:
         unknown = np.linalg.solve(np.concatenate([actuated, constraints.T], axis=1), -applied)
         np.testing.assert_allclose(unknown[:6], spm.leg_forces(state, load), rtol=1e-7, atol=1e-7)
         q = chain.joint_values(state)
-        np.testing.assert_allclose(unknown[:6], chain.leg_forces(q, load), rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(unknown[:6], chain.state(q).leg_forces(load), rtol=1e-7, atol=1e-7)
         # MuJoCo's constraints act onto the first frame of a closure.
-        np.testing.assert_allclose(-unknown[6:].reshape(4, 3), chain.cut_forces(q, load), rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(-unknown[6:].reshape(4, 3), chain.state(q).cut_forces(load), rtol=1e-7, atol=1e-7)
 
 
 def test_files_of_a_machine(tmp_path: Path) -> None:

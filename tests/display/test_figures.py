@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import re
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from PIL import Image
 
 import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
 from spm_pin.design import DesignProblem, Designs, Front
-from spm_pin.display.figures import agreement_figure, front_figure
-from spm_pin.display.plots import save_picture
-from spm_pin.display.writing import DARK, Style, legend_below, new_figure, save_figure, write_name
+from spm_pin.display.figures import agreement_figure, certificate_figure, front_figure, motion_figure, path_figure
+from spm_pin.display.writing import new_figure, save_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.motion import plan, time_optimal
 from spm_pin.multibody.chain import ClosedChain
@@ -26,85 +23,15 @@ GEOMETRY = spm.Geometry.paper()
 
 
 @pytest.mark.parametrize("ending", ["pdf", "svg"])
-def test_a_figure_for_print_has_its_size_its_fonts_and_its_background(tmp_path: Path, ending: str) -> None:
+def test_texts_of_a_vector_file_are_texts(tmp_path: Path, ending: str) -> None:
     figure = new_figure(8.0, 4.0)
     figure.add_subplot().set(xlabel="length", title="title")
-    path = save_figure(figure, tmp_path / f"figure.{ending}", style=Style.from_text("90mm, 8pt, dark"))
-    content = path.read_bytes()
+    content = save_figure(figure, tmp_path / f"figure.{ending}").read_bytes()
     if ending == "pdf":
-        width, height = map(float, re.search(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+)", content).groups())
-        assert (width, height) == pytest.approx((90.0 / 25.4 * 72.0, 45.0 / 25.4 * 72.0))
         assert b"/FontFile2" in content
         assert b"/Type3" not in content
     else:
-        assert re.search(rb"<text[^>]*font-size: 8px[^>]*>length</text>", content)
-        assert DARK.encode() in content
-        assert b"#000000" not in content
-
-
-SIZE = r"expected a width from 25\.4 to 1016 mm, got 9000 mm"
-
-
-@pytest.mark.parametrize(
-    ("text", "says"), [*((x, "style") for x in ("90", "90x60pt", "8 pt", "0mm", "bright", "2dpi")), ("9000mm", SIZE)]
-)
-def test_a_style_that_says_nothing_is_refused_in_the_unit_typed(text: str, says: str) -> None:
-    with pytest.raises(ArgumentError, match=says):
-        Style.from_text(text)
-
-
-def test_the_width_of_a_printed_picture_is_that_of_its_size_and_resolution(tmp_path: Path) -> None:
-    state = spm.forward_physical(spm.Geometry.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
-    path = save_picture(state, tmp_path / "picture.png", style=Style(width=2.0, dpi=150.0, font_size=7.0))
-    with Image.open(path) as picture:
-        assert picture.width == 300
-    with pytest.raises(ArgumentError, match="height"):
-        save_picture(state, path, style=Style(width=2.0, height=2.0))
-
-
-def test_texts_and_legend_of_a_narrow_figure_are_broken_and_cover_nothing() -> None:
-    figure = two_panels()
-    Style.from_text("90mm,8pt").apply(figure)
-    figure.draw_without_rendering()
-    titles = [ax.title.get_window_extent() for ax in figure.axes]
-    (legend,) = figure.legends
-    assert "\n" in figure.axes[0].get_title()
-    assert not titles[0].overlaps(titles[1])
-    assert legend.get_window_extent().width <= figure.bbox.width
-    assert [text.get_text() for text in legend.get_texts()] == [f"curve number {k}" for k in range(6)]
-    # Too small for them, a size that is enough is named.
-    with pytest.raises(ArgumentError, match=r"such as (\d+)mm, got 30 mm") as refused:
-        Style.from_text("30mm,14pt").apply(two_panels())
-    enough = refused.value.expected.split()[-1]
-    Style.from_text(f"{enough},14pt").apply(figure := two_panels())
-    assert figure.get_size_inches()[0] == pytest.approx(float(enough.removesuffix("mm")) / 25.4)
-
-
-def test_a_narrow_figure_becomes_higher_where_its_numbers_would_cover_one_another() -> None:
-    def bars() -> Figure:
-        figure = new_figure(8.0, 3.0, layout="constrained")
-        figure.add_subplot().barh([f"row {k}" for k in range(16)], range(16))
-        return figure
-
-    figure = bars()
-    Style.from_text("89mm,8pt").apply(figure)
-    width, height = figure.get_size_inches()
-    assert width == pytest.approx(89.0 / 25.4)
-    assert height > 3.0 / 8.0 * width
-    figure.draw_without_rendering()
-    boxes = [label.get_window_extent() for label in figure.axes[0].get_yticklabels()]
-    assert not any(box.overlaps(following) for box, following in pairwise(boxes))
-    with pytest.raises(ArgumentError, match=r"a size for this figure, such as \d+x\d+mm, got 89 mm"):
-        Style.from_text("89x33mm,8pt").apply(bars())
-
-
-def test_names_that_would_cover_another_are_left_out_of_a_small_figure() -> None:
-    figure = new_figure(6.0, 4.0, layout="constrained")
-    ax = figure.add_subplot()
-    for place, name in (((0.5, 0.5), "first"), ((0.52, 0.5), "second"), ((0.1, 0.1), "third")):
-        write_name(ax, place, name, 9.0, "black", 0.3)
-    Style.from_text("80mm").apply(figure)
-    assert [text.get_text() for text in ax.texts if text.get_visible()] == ["first", "first", "third", "third"]
+        assert re.search(rb"<text[^>]*font-size: 10px[^>]*>length</text>", content)
 
 
 @pytest.mark.parametrize("name", ["path", "motion", "certificate", "agreement"])
@@ -120,27 +47,17 @@ def motion() -> Figure:
     chain = ClosedChain.from_urdf(geometry=GEOMETRY)
     home, end = [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.21, 1.2, 1.4, 1.25, 1.2, 1.5]
     planned = plan(GEOMETRY, home, end, spm.LegLimits(1.0, 1.6))
-    return time_optimal(chain, planned, leg_accelerations=1.0).plot()
+    return motion_figure(time_optimal(chain, planned, leg_accelerations=1.0))
 
 
 PATH = [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.45, 1.15, 1.3, 1.2, 1.5, 1.35], [1.1, 1.35, 1.6, 1.3, 1.4, 1.2]]
 FIGURES = {
-    "path": lambda: spm.follow(GEOMETRY, PATH).plot(),
+    "path": lambda: path_figure(spm.follow(GEOMETRY, PATH)),
     "motion": motion,
-    "certificate": lambda: spm.certify(GEOMETRY, spm.LegLimits(1.2, 1.25)).plot(),
+    "certificate": lambda: certificate_figure(spm.certify(GEOMETRY, spm.LegLimits(1.2, 1.25))),
     "agreement": lambda: agreement_figure(compare_methods(GEOMETRY, poses=1, methods=["closed-form", "paper"])),
 }
 """Figures of results by their names."""
-
-
-def two_panels() -> Figure:
-    figure = new_figure(9.0, 4.6, layout="constrained")
-    for ax in figure.subplots(1, 2):
-        for k in range(6):
-            ax.plot([k, 1 - k], label=f"curve number {k}")
-        ax.set_title("a title that is longer than a panel is wide")
-    legend_below(figure)
-    return figure
 
 
 def test_each_pair_has_a_bar_as_long_as_its_share_of_the_tolerance() -> None:

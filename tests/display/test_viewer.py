@@ -20,10 +20,10 @@ from spm_pin.display import Recording, read_recording
 from spm_pin.display.rendering import robot_solids
 from spm_pin.display.viewer.model import (
     ViewerModel,
-    leg_ranges,
     pose_coordinates,
     pose_of_coordinates,
     pose_ranges,
+    reading_ranges,
     sampled_states,
     state_data,
 )
@@ -222,8 +222,8 @@ def test_slider_ranges_span_reachable_poses_around_the_state():
     assert (now <= ranges[:, 1]).all()
     assert (np.ptp(ranges, axis=1) < [1.0, 1.0, 1.0, 90.0, 90.0, 90.0]).all()
     assert (np.ptp(ranges, axis=1) > [0.3, 0.3, 0.3, 10.0, 10.0, 10.0]).all()
-    np.testing.assert_allclose(leg_ranges(START), np.tile([1.1, 1.5], (6, 1)), atol=1e-12)
-    free = leg_ranges(spm.inverse_displacement(FREE, START.pose).physical())
+    np.testing.assert_allclose(reading_ranges(START), np.tile([1.1, 1.5], (6, 1)), atol=1e-12)
+    free = reading_ranges(spm.inverse_displacement(FREE, START.pose).physical())
     for k in range(6):
         for end in free[k]:
             assert spm.forward_physical(FREE, np.where(np.arange(6) == k, end, START.leg_lengths)).exists
@@ -277,7 +277,7 @@ def test_the_exported_command_and_the_exported_json_hold_the_state():
     np.testing.assert_array_equal(np.array(content["pose"]), START.pose.as_matrix())
     pose = spm.pose(content["translation"], xyx=content["xyx"])
     np.testing.assert_allclose(pose.as_matrix(), START.pose.as_matrix(), atol=1e-14)
-    assert np.abs(chain.closure_gap(np.array([content["q"][name] for name in chain.joint_names]))).max() < 1e-12
+    assert np.abs(chain.state(np.array([content["q"][name] for name in chain.joint_names])).closure_gap()).max() < 1e-12
     assert content["branch"] == "TT+"
     assert content["leg_forces"]["r_b1"] == pytest.approx(spm.leg_forces(START, [0, 0, -500, 0, 0, 0])[0])
     words = shlex.split(content["command"])

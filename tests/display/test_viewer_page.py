@@ -193,7 +193,7 @@ def test_a_dragged_gizmo_moves_the_robot(client, viewer):
     assert np.linalg.norm(shown.translation - before) > 0.01
     # The joint values the page shows put Pinocchio's platform where the page's robot is.
     q = np.array(eval(session.panel.q.value.replace("\n", "")))
-    np.testing.assert_allclose(chain.configuration(q).translation, shown.translation, atol=1e-6)
+    np.testing.assert_allclose(chain.state(q).configuration().translation, shown.translation, atol=1e-6)
     positions, _, _ = solid_placements(shown)
     np.testing.assert_allclose([handle.position for handle in session.scene._robot], positions, atol=1e-6)
     # The trail of o begins, and other sliders have the ranges around the new state.

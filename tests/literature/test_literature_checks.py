@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-from pathlib import Path
-
 import literature
 import numpy as np
 import pytest
@@ -175,10 +172,3 @@ def test_every_table_of_the_page_is_made() -> None:
     text = literature.with_tables(literature.PAGE.read_text(encoding="utf-8"))
     assert "<!-- table" not in text
     assert text.count("\n|---|") == 6
-
-
-def test_the_theory_is_set_as_one_paper(tmp_path: Path) -> None:
-    pytest.importorskip("typst", reason="the extra pdf is not installed")
-    theory_pdf = importlib.import_module("theory_pdf")
-    theory_pdf.main(tmp_path / "theory.pdf")
-    assert (tmp_path / "theory.pdf").read_bytes().startswith(b"%PDF-")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import spm_pin as spm
-from spm_pin.mechanism import arguments
+from spm_pin.mechanism import arguments, files
 
 HUGE = 10**5000
 """An integer that no float holds and that Python does not print."""
@@ -36,7 +36,7 @@ def test_numbers_of_python_and_numpy_are_read() -> None:
         assert count == 3
     assert arguments.as_bool(np.True_, "check") is True
     assert arguments.choice("legs", "space", ("legs", "poses")) == "legs"
-    assert arguments.file_path("a.csv") == Path("a.csv")
+    assert files.file_path("a.csv") == Path("a.csv")
 
 
 REFUSED: dict[str, tuple[Callable[[Any], object], list[Any]]] = {
@@ -53,7 +53,7 @@ REFUSED: dict[str, tuple[Callable[[Any], object], list[Any]]] = {
         lambda value: arguments.choice(value, "space", ("legs", "poses")),
         ["pose", None, np.ones(3), ["legs"], HUGE],
     ),
-    "path: expected the name of a file, got": (arguments.file_path, ["", "a\0b", b"name", 3, "\ud800"]),
+    "path: expected the name of a file, got": (files.file_path, ["", "a\0b", b"name", 3, "\ud800"]),
     "rng: expected a numpy.random.Generator, a seed": (arguments.generator, ["x", -1, HUGE, 2.0, [1, 2], Hostile()]),
     "mask: expected booleans of shape (8,), got": (
         lambda value: arguments.boolean_array(value, "mask", (8,)),
@@ -94,9 +94,9 @@ def test_the_bounds_of_a_number_are_as_named(
 
 
 def test_the_ending_of_a_file_name_is_checked_in_any_case() -> None:
-    assert arguments.file_path(Path("a.CSV"), suffixes=(".csv", ".json")).name == "a.CSV"
+    assert files.file_path(Path("a.CSV"), suffixes=(".csv", ".json")).name == "a.CSV"
     with pytest.raises(spm.ArgumentError, match=r"^path: expected a file name ending in \.csv, \.json, got 'a\.txt'"):
-        arguments.file_path("a.txt", suffixes=(".csv", ".json"))
+        files.file_path("a.txt", suffixes=(".csv", ".json"))
 
 
 def test_a_generator_is_made_of_a_seed() -> None:

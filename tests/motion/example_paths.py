@@ -29,7 +29,7 @@ def shares(motion: spm.multibody.JointTrajectory, limits: dict[str, object]) -> 
     legs = {"leg_rates": motion.velocities, "leg_accelerations": motion.accelerations, "leg_forces": motion.efforts}
     columns = [np.abs(legs[name][:, LEGS]).max(axis=-1) / limits[name] for name in legs if name in limits]
     if "twist" in limits:
-        jacobian = np.linalg.inv(CHAIN.inverse_jacobian(motion.positions))
+        jacobian = np.linalg.inv(CHAIN.state(motion.positions).inverse_jacobian())
         twist = (jacobian @ motion.velocities[:, LEGS, None])[..., 0]
         columns += [np.linalg.norm(twist[:, 3 * k : 3 * k + 3], axis=-1) / limits["twist"][k] for k in range(2)]
     return np.stack(columns, axis=-1)

@@ -35,7 +35,7 @@ def test_the_rows_keep_the_limits_and_some_limit_is_always_used(name: str) -> No
     # The rows where the acceleration switches lie between two parts of the grid.
     assert (used.max(axis=-1) >= 0.99).mean() > 0.97
     np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-6)
-    assert CHAIN.closure_gap(motion.positions).max() < 1e-9
+    assert CHAIN.state(motion.positions).closure_gap().max() < 1e-9
 
 
 @pytest.mark.parametrize("jerk", [None, 400.0])
@@ -50,9 +50,9 @@ def test_a_machine_as_built_moves_within_its_limits(jerk: float | None) -> None:
     used = shares(motion, limits).max(axis=0)
     assert (used < 1.0 + 1e-6).all()
     assert used.max() > 0.97
-    assert np.abs(chain.closure_gap(motion.positions)).max() < 1e-9
+    assert np.abs(chain.state(motion.positions).closure_gap()).max() < 1e-9
     np.testing.assert_allclose(chain.readings(motion.positions)[[0, -1]], [START, GOAL], atol=1e-9)
-    forces = chain.inverse_dynamics(motion.positions, motion.velocities, motion.accelerations)
+    forces = chain.state(motion.positions, motion.velocities).inverse_dynamics(motion.accelerations)
     np.testing.assert_allclose(motion.efforts[:, LEGS], forces, rtol=0, atol=1e-6)
     assert abs(motion.times[-1] / nominal.times[-1] - 1.0) > 1e-5
     with pytest.raises(spm.GeometryError, match="path: expected the axes of the chain, got a machine that differs by"):
@@ -120,7 +120,7 @@ def test_a_payload_weighs_at_rest_and_pushes_when_it_is_moved() -> None:
     body = model.inertias[frame.parentJoint]
     model.inertias[frame.parentJoint] = body + frame.placement.act(inertia)
     loaded = spm.time_optimal(CHAIN, CURVE, leg_forces=1800.0, payload=LOAD, grid=200)
-    expected = heavy.inverse_dynamics(loaded.positions, loaded.velocities, loaded.accelerations)
+    expected = heavy.state(loaded.positions, loaded.velocities).inverse_dynamics(loaded.accelerations)
     # Made anew: a chain keeps memory of its model.
     np.testing.assert_allclose(loaded.efforts[:, LEGS], expected, rtol=0, atol=1e-6)
 
@@ -241,7 +241,7 @@ def test_a_replay_in_mujoco_tracks_the_motion() -> None:
         errors.append(np.abs(away).max())
         corrections.append(np.abs(correction).max())
         if k % 50 == 0:
-            gaps.append(np.abs(CHAIN.closure_gap(q)).max())
+            gaps.append(np.abs(CHAIN.state(q).closure_gap()).max())
         return motion.efforts[k, LEGS] + correction
 
     end = engine.run(motion.positions[0], motion.velocities[0], forces, float(motion.times[-1]), LEGS)

@@ -64,9 +64,9 @@ def test_poses_are_reached_in_the_branch_started_from() -> None:
         if end[label].exists:
             found = robot.inverse_kinematics(target, q)
             # Near a fold, legs move as the root of what the pose moves.
-            allowed = 64 * EPS / robot.singular_values(found).inverse ** 2
+            allowed = 64 * EPS / robot.state(found).singular_values().inverse ** 2
             assert np.abs(robot.leg_lengths(found) - end[label].leg_lengths).max() <= allowed
-            assert np.abs(robot.configuration(found).pose.as_matrix() - target.as_matrix()).max() <= 1e-13
+            assert np.abs(robot.state(found).configuration().pose.as_matrix() - target.as_matrix()).max() <= 1e-13
             continue
         with pytest.raises(ClosureError, match="an inverse singularity, or out of reach") as caught:
             robot.inverse_kinematics(target, q)
@@ -80,11 +80,11 @@ def test_rates_are_the_other_way_of_joint_velocities() -> None:
     for state in six_branches():
         q = robot.joint_values(state)
         rates = np.random.default_rng(402).normal(size=6)
-        v = robot.joint_rates(q, rates)
+        v = robot.state(q).joint_rates(rates)
         assert np.array_equal(v[robot.leg_indices], rates) or np.allclose(v[robot.leg_indices], rates, rtol=1e-14)
         twist = spm.kinematics.platform_jacobian(state) @ rates
-        allowed = 1e-10 * np.abs(v).max() / robot.singular_values(q).inverse
-        assert np.abs(robot.joint_velocities(q, twist) - v).max() <= allowed
+        allowed = 1e-10 * np.abs(v).max() / robot.state(q).singular_values().inverse
+        assert np.abs(robot.state(q).joint_velocities(twist) - v).max() <= allowed
 
 
 def test_unreachable_targets() -> None:
@@ -163,8 +163,8 @@ def test_all_joints_of_a_platform_path() -> None:
     path, times = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS, ease=True), np.linspace(0.0, 2.0, 201)
     found = robot.joint_trajectory(path, times, q)
     assert found.joint_names == robot.joint_names
-    assert np.abs(robot.closure_gap(found.positions)).max() <= 1e-12
-    reached = robot.configuration(found.positions).pose.as_matrix()
+    assert np.abs(robot.state(found.positions).closure_gap()).max() <= 1e-12
+    reached = robot.state(found.positions).configuration().pose.as_matrix()
     assert np.abs(reached - path(times).pose.as_matrix()).max() <= 1e-12
     # Legs as the closed form has them, in the branch of the start.
     legs = spm.inverse_displacement(PAPER, path(times).pose)["TT+"].leg_lengths
@@ -175,7 +175,7 @@ def test_all_joints_of_a_platform_path() -> None:
         # The waypoint between is a corner of the accelerations.
         smooth = np.abs(path(times).pose.translation[2:-2] - WAYPOINTS[1].translation).max(axis=-1) > 5e-3
         assert np.abs(slope - rates[2:-2])[smooth].max() <= 2e-4 * np.abs(rates).max()
-    forces = robot.inverse_dynamics(found.positions, found.velocities, found.accelerations)
+    forces = robot.state(found.positions, found.velocities).inverse_dynamics(found.accelerations)
     assert np.allclose(found.efforts[:, robot.leg_indices], forces, rtol=1e-9)
     assert not np.delete(found.efforts, robot.leg_indices, axis=1).any()
     # A function of one time serves as well, at any rate.
@@ -196,7 +196,7 @@ def test_a_trajectory_in_files(tmp_path: Path) -> None:
     parts = [found.times[:, None], robot.readings(found.positions), table[:, 7:14]]
     parts += [found.positions, found.velocities, found.accelerations, found.efforts]
     assert np.array_equal(table, np.concatenate(parts, axis=1))
-    poses = robot.configuration(found.positions).pose
+    poses = robot.state(found.positions).configuration().pose
     expected = [poses.translation, poses.rotation.as_quat()]
     np.testing.assert_allclose(table[:, 7:14], np.concatenate(expected, axis=1), atol=1e-12)
     message = json.loads(found.to_json(tmp_path / "all.json"))
@@ -298,7 +298,7 @@ def residuals(robot: Any, q: Array) -> list[float]:
         except ClosureError as error:
             found.append(error.residual)
         else:
-            return [*found, float(np.linalg.norm(robot.closure_gap(closed), axis=1).max())]
+            return [*found, float(np.linalg.norm(robot.state(closed).closure_gap(), axis=1).max())]
     raise AssertionError(found)
 
 
@@ -308,13 +308,13 @@ def test_a_perturbed_q_is_closed(name: str) -> None:
     units = np.ones(18)
     units[robot.leg_indices] = robot.geometry.middle_side
     for _, q in placed(name, 25, seed=132):
-        if robot.singular_values(q).constraint < 0.05:
+        if robot.state(q).singular_values().constraint < 0.05:
             continue
         off = 0.01 * units * rng.uniform(-1, 1, 18)
         off[robot.leg_indices] = np.maximum(off[robot.leg_indices], -0.5 * robot.leg_lengths(q))
         found = robot.project(q + off)
-        assert np.abs(robot.closure_gap(found)).max() <= rounding(robot, q)
-        assert robot.configuration(found).closure_residual <= rounding(robot, q)
+        assert np.abs(robot.state(found).closure_gap()).max() <= rounding(robot, q)
+        assert robot.state(found).configuration().closure_residual <= rounding(robot, q)
         # It goes to a point near by: to first order none is nearer, and q is one.
         assert np.linalg.norm((found - q - off) / units) <= 1.5 * np.linalg.norm(off / units)
 
@@ -347,7 +347,7 @@ def test_starts_that_do_not_converge() -> None:
         except ClosureError as error:
             residuals_left.append(error.residual)
         else:
-            assert np.abs(robot.closure_gap(found)).max() <= 10 * rounding(robot, found)
+            assert np.abs(robot.state(found).closure_gap()).max() <= 10 * rounding(robot, found)
             assert (robot.leg_lengths(found) >= 0).all()
     assert 0 < len(residuals_left) < 40
     assert min(residuals_left) > 1e-6

@@ -24,10 +24,10 @@ def states(name: str, count: int, seed: int) -> list[tuple[Array, Array]]:
     robot, rng = chain(name), np.random.default_rng(seed)
     found = []
     for _, q in placed(name, count, seed):
-        values = robot.singular_values(q)
+        values = robot.state(q).singular_values()
         if min(values.inverse, values.forward, values.constraint) > 3e-3:
             rates = rng.normal(size=6) * robot.geometry.middle_side
-            found.append((q, robot.joint_rates(q, rates)))
+            found.append((q, robot.state(q).joint_rates(rates)))
     assert len(found) >= count
     return found
 
@@ -41,8 +41,8 @@ def test_forward_dynamics_is_the_plain_solution(name: str) -> None:
         force = frame_jacobian(robot, q, "terminal_platform").T @ wrench
         force[robot.leg_indices] += f
         expected = plain_accelerations(robot.model, robot.closures, q, v, force)
-        error = np.abs(robot.forward_dynamics(q, v, f, wrench) - expected).max()
-        assert error <= 1e-10 * np.abs(expected).max() / robot.singular_values(q).constraint
+        error = np.abs(robot.state(q, v).forward_dynamics(f, wrench) - expected).max()
+        assert error <= 1e-10 * np.abs(expected).max() / robot.state(q).singular_values().constraint
 
 
 @pytest.mark.parametrize("name", ["paper", "as built"])
@@ -55,8 +55,8 @@ def test_two_other_engines_accelerate_alike(engine: Any, name: str, tmp_path: Pa
     other = engine(file)
     for q, v in states(name, 5, seed=205):
         f = 500.0 * rng.normal(size=6)
-        ours, theirs = robot.forward_dynamics(q, v, f), accelerations(other, robot.leg_indices, q, v, f)
-        assert np.abs(ours - theirs).max() <= 1e-10 * np.abs(theirs).max() / robot.singular_values(q).constraint
+        ours, theirs = robot.state(q, v).forward_dynamics(f), accelerations(other, robot.leg_indices, q, v, f)
+        assert np.abs(ours - theirs).max() <= 1e-10 * np.abs(theirs).max() / robot.state(q).singular_values().constraint
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -64,13 +64,13 @@ def test_forward_after_inverse_returns_the_motion(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(206)
     for q, v in states(name, 5, seed=207):
         d = robot.geometry.middle_side
-        a = robot.joint_accelerations(q, v, rng.normal(size=6) * [d, d, d, 1, 1, 1])
+        a = robot.state(q, v).joint_accelerations(rng.normal(size=6) * [d, d, d, 1, 1, 1])
         wrench = rng.normal(size=6)
-        f = robot.inverse_dynamics(q, v, a, wrench)
-        back = robot.forward_dynamics(q, v, f, wrench)
-        values = robot.singular_values(q)
+        f = robot.state(q, v).inverse_dynamics(a, wrench)
+        back = robot.state(q, v).forward_dynamics(f, wrench)
+        values = robot.state(q).singular_values()
         assert np.abs(back - a).max() <= 1e-11 * np.abs(a).max() / (values.inverse * values.forward)
-        again = robot.inverse_dynamics(q, v, back, wrench)
+        again = robot.state(q, v).inverse_dynamics(back, wrench)
         assert np.abs(again - f).max() <= 1e-10 * np.abs(f).max() / (values.inverse * values.forward)
 
 
@@ -87,9 +87,9 @@ def test_mujoco_holds_the_mechanism_with_the_same_forces() -> None:
         engine.hold(q[robot.leg_indices])
         settled = engine.run(q, rest, lambda t, q, v: np.zeros(6), 0.05, robot.leg_indices)
         assert np.abs(settled - q)[robot.leg_indices].max() <= 1e-9
-        assert np.abs(robot.closure_gap(settled)).max() <= 1e-9
+        assert np.abs(robot.state(settled).closure_gap()).max() <= 1e-9
         assert np.abs(engine.data.qvel).max() <= 1e-10
-        expected = robot.inverse_dynamics(q, rest, rest)
+        expected = robot.state(q, rest).inverse_dynamics(rest)
         assert np.abs(engine.data.efc_force[12:18] - expected).max() <= 1e-8 * np.abs(expected).max()
 
 
@@ -99,14 +99,14 @@ def test_the_platform_s_equations(name: str) -> None:
     d = robot.geometry.middle_side
     for q, v in states(name, 4, seed=209):
         change, wrench = rng.normal(size=6) * [d, d, d, 1, 1, 1], rng.normal(size=6)
-        a = robot.joint_accelerations(q, v, change)
-        f = robot.inverse_dynamics(q, v, a, wrench)
-        at = robot.platform_dynamics(q, v)
-        terms = [at.mass @ change, at.bias, at.gravity, -robot.inverse_jacobian(q).T @ f, -wrench]
+        a = robot.state(q, v).joint_accelerations(change)
+        f = robot.state(q, v).inverse_dynamics(a, wrench)
+        at = robot.state(q, v).platform_dynamics()
+        terms = [at.mass @ change, at.bias, at.gravity, -robot.state(q).inverse_jacobian().T @ f, -wrench]
         size = sum(np.abs(term).max() for term in terms)
-        assert np.abs(sum(terms)).max() <= 1e-9 * size / robot.singular_values(q).forward
+        assert np.abs(sum(terms)).max() <= 1e-9 * size / robot.state(q).singular_values().forward
         twist = frame_jacobian(robot, q, "terminal_platform") @ v
-        assert twist @ at.mass @ twist / 2 == pytest.approx(robot.energy(q, v).kinetic, rel=1e-9)
+        assert twist @ at.mass @ twist / 2 == pytest.approx(robot.state(q, v).energy().kinetic, rel=1e-9)
         assert np.array_equal(at.mass, at.mass.T)
         assert np.linalg.eigvalsh(at.mass).min() > 0.0
         assert np.abs(at.coriolis @ twist - at.bias).max() <= 1e-9 * np.abs(at.bias).max()
@@ -117,16 +117,16 @@ def test_finite_differences_of_the_platform_s_equations() -> None:
     robot, rng = chain(), np.random.default_rng(210)
     d, h, rest = robot.geometry.middle_side, 1e-2, np.zeros(18)
     for q, _ in states("paper", 4, seed=211)[:6]:
-        twist = 0.1 * rng.normal(size=6) * [d, d, d, 1, 1, 1] * robot.singular_values(q).inverse
-        at, ends = robot.platform_dynamics(q, robot.joint_velocities(q, twist)), []
+        twist = 0.1 * rng.normal(size=6) * [d, d, d, 1, 1, 1] * robot.state(q).singular_values().inverse
+        at, ends = robot.state(q, robot.state(q).joint_velocities(twist)).platform_dynamics(), []
         for t in (h, -h):  # to second order and better
-            half = robot.project(q + t / 2 * robot.joint_velocities(q, twist))
-            ends.append(robot.project(q + t * robot.joint_velocities(half, twist)))
-        ahead, behind = (robot.platform_dynamics(end, rest).mass for end in ends)
+            half = robot.project(q + t / 2 * robot.state(q).joint_velocities(twist))
+            ends.append(robot.project(q + t * robot.state(half).joint_velocities(twist)))
+        ahead, behind = (robot.state(end, rest).platform_dynamics().mass for end in ends)
         slope = (ahead - behind) / (2 * h)
         assert np.abs(slope).max() > 0.0
         assert np.abs(slope - at.coriolis - at.coriolis.T).max() <= 1e-3 * np.abs(slope).max()
-        above, below = (robot.energy(end, rest).potential for end in ends)
+        above, below = (robot.state(end, rest).energy().potential for end in ends)
         allowed = 1e-4 * np.abs(at.gravity * twist).max()
         assert (above - below) / (2 * h) == pytest.approx(at.gravity @ twist, rel=1e-4, abs=allowed)
 
@@ -136,36 +136,37 @@ def test_singularities() -> None:
     rest, forces = np.zeros(18), np.zeros(6)
     # At home the twist says nothing of the legs, but forces still accelerate and hold.
     with pytest.raises(SingularConfigurationError, match="inverse singularity"):
-        robot.platform_dynamics(home, rest)
+        robot.state(home, rest).platform_dynamics()
     with pytest.raises(SingularConfigurationError, match="inverse singularity"):
-        robot.joint_accelerations(home, rest, np.zeros(6))
-    held = robot.inverse_dynamics(home, rest, rest)
-    assert np.abs(robot.forward_dynamics(home, rest, held)).max() <= 1e-9
-    assert np.abs(robot.forward_dynamics(home, rest, forces)).max() > 1.0
+        robot.state(home, rest).joint_accelerations(np.zeros(6))
+    held = robot.state(home, rest).inverse_dynamics(rest)
+    assert np.abs(robot.state(home, rest).forward_dynamics(held)).max() <= 1e-9
+    assert np.abs(robot.state(home, rest).forward_dynamics(forces)).max() > 1.0
     forward = problems.singular_state(0, *problems.PAPER_TILTS[0])
     q = robot.joint_values(forward)
     with pytest.raises(SingularConfigurationError, match="forward singularity") as caught:
-        robot.inverse_dynamics(q, rest, rest)
+        robot.state(q, rest).inverse_dynamics(rest)
     assert caught.value.sigma_min < 1e-12
-    assert np.isfinite(robot.forward_dynamics(q, rest, forces)).all()
+    assert np.isfinite(robot.state(q, rest).forward_dynamics(forces)).all()
 
 
 def test_bad_arguments() -> None:
     robot, rest = chain(), np.zeros(18)
     q = robot.joint_values(six_branches()[0])
-    v = robot.joint_velocities(q, [0.1, 0, 0, 0, 0, 0.1])
+    v = robot.state(q).joint_velocities([0.1, 0, 0, 0, 0, 0.1])
     with pytest.raises(ClosureError, match="The method project closes the loops") as caught:
-        robot.inverse_dynamics(q + 1e-4, rest, rest)
-    assert caught.value.residual == pytest.approx(np.linalg.norm(robot.closure_gap(q + 1e-4), axis=-1).max())
+        robot.state(q + 1e-4, rest).inverse_dynamics(rest)
+    assert caught.value.residual == pytest.approx(np.linalg.norm(robot.state(q + 1e-4).closure_gap(), axis=-1).max())
     with pytest.raises(ArgumentError, match=r"^v: expected joint velocities that keep the loops closed"):
-        robot.forward_dynamics(q, v + 1e-4, np.zeros(6))
+        robot.state(q, v + 1e-4).forward_dynamics(np.zeros(6))
     with pytest.raises(ArgumentError, match=r"^a: expected joint accelerations that keep the loops closed"):
-        robot.inverse_dynamics(q, v, rest)
+        robot.state(q, v).inverse_dynamics(rest)
 
 
 def test_a_call_passes_few_files() -> None:
-    """Forward dynamics is computed in at most three files of the package, that of the class among them."""
-    robot, (q, v), files = chain(), states("paper", 1, seed=214)[0], set()
+    """Forward dynamics is computed in at most three files of the package, that of the state among them."""
+    (q, v), files = states("paper", 1, seed=214)[0], set()
+    state = chain().state(q)
 
     def note(frame: Any, event: str, _: Any) -> None:
         if event == "call" and "spm_pin" in frame.f_code.co_filename:
@@ -173,7 +174,7 @@ def test_a_call_passes_few_files() -> None:
 
     sys.setprofile(note)
     try:
-        robot.forward_dynamics(q.tolist(), v, np.zeros(6), np.ones(6))
+        state.update(q.tolist(), v).forward_dynamics(np.zeros(6), np.ones(6))
     finally:
         sys.setprofile(None)
     assert "chain_state.py" in files
@@ -197,27 +198,27 @@ def test_frequencies_are_the_spectrum_of_the_linearised_motion() -> None:
             moved = chain().forward_kinematics(LENGTHS + sign * step * leg, near=q)
             pull = -LEGS * sign * step * leg
             rest = np.zeros(18)
-            with_springs = chain().forward_dynamics(moved, rest, pull)
-            without = chain().forward_dynamics(moved, rest, np.zeros(6))
+            with_springs = chain().state(moved, rest).forward_dynamics(pull)
+            without = chain().state(moved, rest).forward_dynamics(np.zeros(6))
             ends.append((with_springs - without)[chain().leg_indices])
         columns.append((ends[0] - ends[1]) / (2.0 * step))
     squares = np.sort(-np.linalg.eigvals(np.array(columns).T).real)
-    found = chain().natural_frequencies(q, stiff)
+    found = chain().state(q).natural_frequencies(stiff)
     np.testing.assert_allclose(found.frequencies, np.sqrt(squares) / (2.0 * np.pi), rtol=1e-6)
     for wrong in (np.arange(36.0).reshape(6, 6), -np.eye(6)):
         with pytest.raises(ArgumentError, match="stiffness"):
-            chain().natural_frequencies(q, wrong)
+            chain().state(q).natural_frequencies(wrong)
     with pytest.raises(ClosureError):
-        chain().natural_frequencies(q + 0.01, np.eye(6))
+        chain().state(q + 0.01).natural_frequencies(np.eye(6))
 
 
 def test_modes_are_orthogonal_with_respect_to_mass_and_stiffness() -> None:
     states = spm.forward_physical(chain().geometry, np.random.default_rng(1).uniform(1.15, 1.45, (4, 6)))
     q, stiff = chain().joint_values(states), spm.stiffness(states, LEGS)
-    found = chain().natural_frequencies(q, stiff)
+    found = chain().state(q).natural_frequencies(stiff)
     assert found.frequencies.shape == (4, 6)
     assert (np.diff(found.frequencies, axis=-1) >= 0.0).all()
-    mass, turned = chain().platform_dynamics(q, np.zeros_like(q)).mass, found.modes.swapaxes(-1, -2)
+    mass, turned = chain().state(q).platform_dynamics().mass, found.modes.swapaxes(-1, -2)
     np.testing.assert_allclose(found.modes @ mass @ turned, np.tile(np.eye(6), (4, 1, 1)), atol=1e-9)
     squares = np.diagonal(found.modes @ stiff @ turned, axis1=-2, axis2=-1)
     np.testing.assert_allclose(squares, (2.0 * np.pi * found.frequencies) ** 2, rtol=1e-9)

@@ -31,10 +31,10 @@ def test_round_trip_in_every_family(name: str) -> None:
     for family in spm.mechanism.FAMILIES:
         for state in problems.random_branches(robot.geometry, family, 50, seed=71).configuration:
             q = robot.joint_values(state)
-            assert np.abs(robot.closure_gap(q)).max() <= 1e-13
+            assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13
             assert (np.delete(lower, slides) <= np.delete(q, slides)).all()
             assert (np.delete(q, slides) <= np.delete(upper, slides)).all()
-            found = robot.configuration(q)
+            found = robot.state(q).configuration()
             # Ten joints lie between {B} and m, each with a rounding of a rotation and of a position.
             rounding = 32 * EPS * (1.0 + robot.leg_lengths(q).max())
             assert np.abs(found.pose.as_matrix() - state.pose.as_matrix()).max() <= rounding
@@ -47,10 +47,10 @@ def test_round_trip_in_every_family(name: str) -> None:
 def test_an_open_q_is_an_open_configuration() -> None:
     robot = chain()
     q = random_q(robot, np.random.default_rng(72))
-    state = robot.configuration(q)
+    state = robot.state(q).configuration()
     assert state.closure_residual > 1e-2
     # Leg b2 ends beside the middle platform's corner, and q has the length of the leg.
-    gap = np.linalg.norm(robot.closure_gap(q)[0])
+    gap = np.linalg.norm(robot.state(q).closure_gap()[0])
     assert 0.0 < abs(state.leg_lengths[1] - robot.leg_lengths(q)[1]) <= gap
 
 
@@ -100,7 +100,7 @@ def test_configurations_without_joint_values_are_refused() -> None:
 def test_legs_of_negative_length_are_refused() -> None:
     """All other wrong vectors are those of `test_wrong_arguments`."""
     robot = chain()
-    for call in (robot.configuration, robot.leg_lengths, robot.project, robot.inverse_jacobian, robot.state):
+    for call in (robot.leg_lengths, robot.project, robot.state):
         with pytest.raises(ArgumentError, match=r"^q: expected legs of no negative length, got -0\.7 m"):
             call(np.full(18, -2.0))
 
@@ -129,7 +129,7 @@ def test_arguments_are_not_changed() -> None:
     q = random_q(robot, np.random.default_rng(73))
     before = q.copy()
     robot.with_readings(q, np.ones(6))
-    robot.closure_gap(q)
+    robot.state(q).closure_gap()
     closed = robot.joint_values(six_branches()[0]) + 1e-3
     start = closed.copy()
     assert not np.array_equal(robot.project(closed), start)
@@ -167,16 +167,16 @@ def test_states_have_joint_values_to_which_their_readings_and_poses_lead(name: s
     robot = built(name, size)
     state, side = states(robot, 20, seed=4), robot.geometry.nominal.middle_side
     q = robot.joint_values(state)
-    assert np.abs(robot.closure_gap(q)).max() <= rounding(robot, q)
+    assert np.abs(robot.state(q).closure_gap()).max() <= rounding(robot, q)
     np.testing.assert_allclose(robot.leg_lengths(q), state.leg_lengths, atol=1e-14 * side)
     np.testing.assert_allclose(robot.readings(q), state.readings, atol=1e-14 * side)
-    back = robot.configuration(q)
+    back = robot.state(q).configuration()
     assert back.geometry == robot.geometry
     np.testing.assert_allclose(back.pose.as_matrix(), state.pose.as_matrix(), atol=1e-13 * max(side, 1.0))
     np.testing.assert_allclose(back.middle_joints, state.middle_joints, atol=1e-13 * side)
     np.testing.assert_allclose(back.leg_lengths, state.leg_lengths, atol=1e-13 * side)
     found = robot.forward_kinematics(state.readings)
-    assert np.abs(robot.closure_gap(found)).max() <= rounding(robot, found)
+    assert np.abs(robot.state(found).closure_gap()).max() <= rounding(robot, found)
     np.testing.assert_allclose(found, q, atol=1e-9)
     np.testing.assert_allclose(robot.leg_lengths(found), state.leg_lengths, atol=1e-13 * side)
     # Readings a little away, from the joint values nearby, and back by the pose that they give.
@@ -184,7 +184,7 @@ def test_states_have_joint_values_to_which_their_readings_and_poses_lead(name: s
     for k in range(5):
         moved = robot.forward_kinematics(state.readings[k] + change, near=q[k])
         np.testing.assert_allclose(robot.readings(moved), state.readings[k] + change, atol=1e-13 * side)
-        assert np.abs(robot.closure_gap(moved)).max() <= 2.0 * rounding(robot, moved)
+        assert np.abs(robot.state(moved).closure_gap()).max() <= 2.0 * rounding(robot, moved)
         np.testing.assert_allclose(moved, robot.forward_kinematics(state.readings[k] + change), atol=1e-9)
         back_there = robot.inverse_kinematics(state[k].pose, near=moved)
         np.testing.assert_allclose(back_there, q[k], atol=1e-9)
@@ -228,7 +228,7 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
 def test_states_of_other_machines_are_refused() -> None:
     robot = built("paper", 1e-3)
     state = states(robot, 2, seed=18)
-    nominal = chain().configuration(chain().joint_values(states(chain(), 1, seed=18)))
+    nominal = chain().state(chain().joint_values(states(chain(), 1, seed=18))).configuration()
     with pytest.raises(GeometryError, match=r"the axes of the chain, got a machine that differs by .* rad in r_"):
         robot.joint_values(nominal)
     with pytest.raises(GeometryError, match="the axes of the chain, got a machine that differs"):

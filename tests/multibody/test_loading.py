@@ -45,8 +45,8 @@ def test_a_file_gives_the_chain_of_its_geometry(name: str, prefix: str, tmp_path
     expected = ClosedChain.from_urdf(geometry=geometry, prefix=prefix) if prefix else chain(name)
     assert robot.geometry == geometry
     ((state, q),) = placed(name, 1, seed=91)[:1]
-    assert np.abs(robot.closure_gap(q)).max() <= 1e-13
-    assert np.allclose(robot.configuration(q).middle_joints, state.middle_joints, atol=1e-13)
+    assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13
+    assert np.allclose(robot.state(q).configuration().middle_joints, state.middle_joints, atol=1e-13)
     assert np.array_equal(q, expected.joint_values(state))
     # The description of this package and its expanded xacro are one robot.
     for mine, other in zip(robot.model.inertias, expected.model.inertias, strict=True):
@@ -149,7 +149,7 @@ def test_copies_and_pickles() -> None:
         assert other.geometry == robot.geometry
         assert other.joint_names == robot.joint_names
         assert np.array_equal(other.joint_values(state), q)
-        assert np.array_equal(other.inverse_jacobian(q), robot.inverse_jacobian(q))
+        assert np.array_equal(other.state(q).inverse_jacobian(), robot.state(q).inverse_jacobian())
 
 
 def test_shapes_and_the_wrapper() -> None:

@@ -43,7 +43,7 @@ def state(both: Any, name: str, seed: int) -> tuple[Array, Array]:
     pinocchio.seed(seed)
     q = pinocchio.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq))
     machine_q = small().forward_kinematics(small().leg_lengths(np.zeros(18)) * rng.uniform(0.95, 1.05, 6))
-    rates = small().joint_rates(machine_q, 0.01 * rng.normal(size=6))
+    rates = small().state(machine_q).joint_rates(0.01 * rng.normal(size=6))
     return both.join(q, machine_q), both.join_velocities(0.3 * rng.normal(size=model.nv), rates)
 
 
@@ -55,8 +55,8 @@ def test_closed_wherever_the_arm_is(name: str, way: str) -> None:
     both = mounted(name, way)
     q, v = state(both, name, seed=500)
     assert both.model.nv == arm(name).model.nv + 18
-    assert np.abs(both.closure_gap(q)).max() <= 1e-14
-    assert np.abs(both.constraint_jacobian(q) @ v).max() <= 1e-14
+    assert np.abs(both.state(q).closure_gap()).max() <= 1e-14
+    assert np.abs(both.state(q).constraint_jacobian() @ v).max() <= 1e-14
     data = both.model.createData()
     pinocchio.framesForwardKinematics(both.model, data, q)
     for closure in small().closures:
@@ -64,7 +64,7 @@ def test_closed_wherever_the_arm_is(name: str, way: str) -> None:
         assert np.linalg.norm(a - b) <= 1e-14
     # Each robot is as it is by itself.
     other, machine_q = both.split(q)
-    alone = small().configuration(machine_q)
+    alone = small().state(machine_q).configuration()
     base, platform = (data.oMf[both.model.getFrameId(f"spm_{link}")] for link in ("base", "terminal_platform"))
     assert np.allclose(base.actInv(platform).translation, alone.translation, atol=1e-14)
     tool = arm(name).model.nframes - 1
@@ -81,21 +81,21 @@ def test_forces_and_motions_of_both_mounted_chains(name: str, way: str) -> None:
     q, v = state(both, name, seed=502)
     f = rng.normal(size=both.actuated_indices.size)
     push = rng.normal(size=6)
-    model, a = both.model, both.forward_dynamics(q, v, f, push)
+    model, a = both.model, both.state(q, v).forward_dynamics(f, push)
     force = frame_jacobian(both, q, "spm_terminal_platform").T @ push
     force[both.actuated_indices] += f
     expected = plain_accelerations(both.model, small().closures, q, v, force)
     assert np.abs(a - expected).max() <= 1e-9 * np.abs(expected).max()
-    back = both.inverse_dynamics(q, v, a, push)
+    back = both.state(q, v).inverse_dynamics(a, push)
     mass = pinocchio.crba(model, model.createData(), q)
     size = np.abs((np.triu(mass) + np.triu(mass, 1).T) @ a).max()
     assert np.abs(back - f).max() <= 1e-9 * size + 1e-9
     # Actuators alone change the energy: dE/dt by differences along the motion.
-    a = both.forward_dynamics(q, v, f)
+    a = both.state(q, v).forward_dynamics(f)
     h = 1e-5
 
     def energy(t: float) -> float:
-        return float(both.energy(pinocchio.integrate(model, q, t * v + t**2 / 2 * a), v + t * a).total)
+        return float(both.state(pinocchio.integrate(model, q, t * v + t**2 / 2 * a), v + t * a).energy().total)
 
     power = f @ v[both.actuated_indices]
     assert (energy(h) - energy(-h)) / (2 * h) == pytest.approx(power, rel=1e-4, abs=1e-5)
@@ -107,9 +107,9 @@ def test_batches_states_joining_and_wrapping() -> None:
     q, v = (np.array(part) for part in zip(*pairs, strict=True))
     assert np.array_equal(both.join(*both.split(q)), q)
     forces = np.random.default_rng(506).normal(size=12)
-    together = both.forward_dynamics(q, v, forces)
-    assert np.array_equal(together[1], both.forward_dynamics(q[1], v[1], forces))
-    assert both.energy(q, v).kinetic.shape == (2,)
+    together = both.state(q, v).forward_dynamics(forces)
+    assert np.array_equal(together[1], both.state(q[1], v[1]).forward_dynamics(forces))
+    assert both.state(q, v).energy().kinetic.shape == (2,)
     wrapper = both.robot_wrapper()
     assert wrapper.nq == 24
     shapes = arm("ur5").visual_model.ngeoms, small().visual_model.ngeoms
@@ -120,11 +120,11 @@ def test_batches_states_joining_and_wrapping() -> None:
     here = both.state(q[0], v[0])
     a = here.forward_dynamics(forces)
     assert np.array_equal(a, together[0])
-    assert np.array_equal(here.inverse_dynamics(a), both.inverse_dynamics(q[0], v[0], a))
-    assert here.energy() == both.energy(q[0], v[0])
-    assert np.array_equal(here.constraint_jacobian(), both.constraint_jacobian(q[0]))
+    assert np.array_equal(here.inverse_dynamics(a), both.state(q[0], v[0]).inverse_dynamics(a))
+    assert here.energy() == both.state(q[0], v[0]).energy()
+    assert np.array_equal(here.constraint_jacobian(), both.state(q[0]).constraint_jacobian())
     with pytest.raises(ArgumentError, match="legs of no negative length"):
-        both.closure_gap(both.join(np.zeros(6), np.full(18, -1.0)))
+        both.state(both.join(np.zeros(6), np.full(18, -1.0))).closure_gap()
 
 
 def test_invalid_mountings_are_refused() -> None:
@@ -142,11 +142,11 @@ def test_invalid_mountings_are_refused() -> None:
     both = mounted("ur5", "carried")
     q, v = state(both, "ur5", seed=505)
     with pytest.raises(ClosureError):
-        both.forward_dynamics(q + 1e-3, v, np.zeros(12))
+        both.state(q + 1e-3, v).forward_dynamics(np.zeros(12))
     with pytest.raises(ArgumentError, match=r"^v: "):
-        both.inverse_dynamics(q, v + 1e-3, np.zeros(24))
+        both.state(q, v + 1e-3).inverse_dynamics(np.zeros(24))
     with pytest.raises(ArgumentError, match=r"^forces: "):
-        both.forward_dynamics(q, v, np.zeros(6))
+        both.state(q, v).forward_dynamics(np.zeros(6))
     with pytest.raises(ArgumentError, match=r"^chain: expected leading axes"):
         both.join(np.zeros((2, 6)), np.zeros((3, 18)))
 
@@ -159,8 +159,8 @@ def test_the_arm_moves_alone_with_the_legs_held(name: str, way: str, speed: floa
     q, v = state(both, name, seed=510)
     v *= speed
     v[both.chain_indices] = 0.0
-    a = both.forward_dynamics(q, v, np.zeros(both.actuated_indices.size))
-    assert np.abs(both.inverse_dynamics(q, v, a)).max() <= 1e-9 * max(1.0, np.abs(a).max())
+    a = both.state(q, v).forward_dynamics(np.zeros(both.actuated_indices.size))
+    assert np.abs(both.state(q, v).inverse_dynamics(a)).max() <= 1e-9 * max(1.0, np.abs(a).max())
     v[both.chain_indices[3]] = 1e-3 * speed
     with pytest.raises(ArgumentError, match="keep the loops closed"):
-        both.inverse_dynamics(q, v, a)
+        both.state(q, v).inverse_dynamics(a)

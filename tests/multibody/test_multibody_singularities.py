@@ -21,20 +21,20 @@ HOME = np.zeros(18)
 def test_home_is_an_inverse_singularity() -> None:
     """NumPy's solve sees nothing wrong there, and returns some 1e16."""
     robot = chain()
-    for call in (robot.inverse_jacobian, lambda q: robot.joint_velocities(q, np.ones(6))):
+    for call in (lambda q: robot.state(q).inverse_jacobian(), lambda q: robot.state(q).joint_velocities(np.ones(6))):
         with pytest.raises(SingularConfigurationError, match=r"^inverse singularity: the twist") as caught:
             call(HOME)
         assert caught.value.kind == "inverse"
         assert caught.value.sigma_min <= 10 * SINGULAR
         assert caught.value.index == ()
-    values = robot.singular_values(HOME)
+    values = robot.state(HOME).singular_values()
     assert values.inverse <= 10 * SINGULAR
     assert min(values.forward, values.constraint) > 0.1
     # Forces exist.
-    state = robot.configuration(HOME)
+    state = robot.state(HOME).configuration()
     for wrench in np.random.default_rng(121).normal(size=(10, 6)):
         expected = spm.leg_forces(state, wrench)
-        assert np.linalg.norm(robot.leg_forces(HOME, wrench) - expected) <= 1e-13 * np.linalg.norm(expected)
+        assert np.linalg.norm(robot.state(HOME).leg_forces(wrench) - expected) <= 1e-13 * np.linalg.norm(expected)
 
 
 def test_between_two_branches_that_meet() -> None:
@@ -45,13 +45,13 @@ def test_between_two_branches_that_meet() -> None:
     robot = chain()
     q = robot.joint_values(state)
     with pytest.raises(SingularConfigurationError) as caught:
-        robot.inverse_jacobian(q)
+        robot.state(q).inverse_jacobian()
     assert caught.value.kind == "inverse"
     wrench = np.arange(1.0, 7.0)
     expected = spm.leg_forces(state, wrench)
     # As far as closure is violated, to second order in the branches' distance, q is another state.
-    allowed = 64 * (EPS + float(state.closure_residual)) / robot.singular_values(q).forward ** 2
-    assert np.linalg.norm(robot.leg_forces(q, wrench) - expected) <= allowed * np.linalg.norm(wrench)
+    allowed = 64 * (EPS + float(state.closure_residual)) / robot.state(q).singular_values().forward ** 2
+    assert np.linalg.norm(robot.state(q).leg_forces(wrench) - expected) <= allowed * np.linalg.norm(wrench)
 
 
 @pytest.mark.parametrize("mode", ["T", "F"])
@@ -60,12 +60,12 @@ def test_forward_singularities(mode: str) -> None:
     state = problems.without_torsion(PAPER, (0.0, 0.0, 0.0), (0.4, 0.3, -1.1), f"{mode}T")
     robot = chain()
     q = robot.joint_values(state)
-    for call in (robot.leg_forces, robot.cut_forces):
+    for call in (robot.state(q).leg_forces, robot.state(q).cut_forces):
         with pytest.raises(SingularConfigurationError) as caught:
-            call(q, np.ones(6))
+            call(np.ones(6))
         assert caught.value.kind == "forward"
-    assert robot.singular_values(q).forward <= 10 * SINGULAR
-    assert robot.singular_values(q).constraint > 1e-3
+    assert robot.state(q).singular_values().forward <= 10 * SINGULAR
+    assert robot.state(q).singular_values().constraint > 1e-3
     with pytest.raises(SingularConfigurationError, match=r"^forward"):
         spm.leg_forces(state, np.ones(6))
 
@@ -78,11 +78,11 @@ def test_constraint_singularities(which: str) -> None:
     state = problems.without_torsion(PAPER, (*lower, 1.2), (*upper, -1.1))
     robot = chain()
     q = robot.joint_values(state)
-    for call in (robot.inverse_jacobian, lambda q: robot.leg_forces(q, np.ones(6))):
+    for call in (lambda q: robot.state(q).inverse_jacobian(), lambda q: robot.state(q).leg_forces(np.ones(6))):
         with pytest.raises(SingularConfigurationError, match=r"^constraint singularity") as caught:
             call(q)
         assert caught.value.kind == "constraint"
-    values = robot.singular_values(q)
+    values = robot.state(q).singular_values()
     assert max(values.constraint, values.inverse, values.forward) <= 10 * SINGULAR
     with pytest.raises(SingularConfigurationError, match=r"^constraint"):
         spm.inverse_jacobian(state)
@@ -92,7 +92,7 @@ def test_kinds_are_those_of_the_closed_form() -> None:
     """Each smallest singular value goes to zero with its counterpart in the 6 x 6 matrices."""
     for name in problems.GEOMETRIES:
         for state, q in placed(name, 40, seed=122):
-            values = chain(name).singular_values(q)
+            values = chain(name).state(q).singular_values()
             stages, both = wrench_conditions(state)
             for tree, wrenches in ((values.forward, stages), (values.inverse, both)):
                 assert 1e-3 < tree / wrenches < 1e3
@@ -105,9 +105,10 @@ def test_a_ball_joint_at_a_right_angle() -> None:
     for ball in ("ball_b1_y", "ball_c1_y"):
         right = q.copy()
         right[robot.joint_indices(ball)] = -np.pi / 2
-        for call in (robot.inverse_jacobian, robot.singular_values, lambda value: robot.leg_forces(value, np.ones(6))):
+        state = robot.state(right)
+        for call in (state.inverse_jacobian, state.singular_values, lambda s=state: s.leg_forces(np.ones(6))):
             with pytest.raises(ArgumentError, match=rf"^q: expected {ball} away from ±90°, got -90°"):
-                call(right)
+                call()
 
 
 def test_singular_values_do_not_depend_on_the_ball_angles() -> None:
@@ -125,5 +126,5 @@ def test_singular_values_do_not_depend_on_the_ball_angles() -> None:
     for state in [*six_branches(), *steep]:
         pose = spm.pose(turn @ state.translation, rotation=turn @ state.rotation @ turn.T)
         turned = spm.Configuration(PAPER, pose, np.roll(state.middle_joints @ turn.T, 1, axis=0))
-        before, after = (robot.singular_values(robot.joint_values(s)) for s in (state, turned))
+        before, after = (robot.state(robot.joint_values(s)).singular_values() for s in (state, turned))
         assert np.abs(np.log(np.divide(after, before))).max() < np.log(3.0)

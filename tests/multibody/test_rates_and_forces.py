@@ -29,9 +29,9 @@ def test_gaps_and_jacobians_of_the_frames(name: str) -> None:
     for q in [q for _, q in placed(name, 20, seed=83)] + [random_q(robot, rng) for _ in range(20)]:
         expected = closure_jacobian(robot, q)
         allowed = 64 * EPS * (1.0 + np.abs(expected).max())
-        assert np.abs(robot.constraint_jacobian(q) - expected).max() <= allowed
+        assert np.abs(robot.state(q).constraint_jacobian() - expected).max() <= allowed
         pinocchio.framesForwardKinematics(robot.model, data, q)
-        for closure, gap in zip(robot.closures, robot.closure_gap(q), strict=True):
+        for closure, gap in zip(robot.closures, robot.state(q).closure_gap(), strict=True):
             a, b = (data.oMf[robot.model.getFrameId(name)].translation for name in (closure.frame_a, closure.frame_b))
             assert np.abs(gap - (b - a)).max() <= allowed
 
@@ -42,10 +42,10 @@ def test_three_methods_agree_in_every_family(name: str, count: int, seed: int) -
     robot, d = chain(name), chain(name).geometry.middle_side
     scale = np.array([1, 1, 1, 1 / d, 1 / d, 1 / d])
     for state, q in placed(name, count, seed):
-        found = robot.inverse_jacobian(q)
+        found = robot.state(q).inverse_jacobian()
         # A solve errs by eps / σ², times the size of the rows of the twist at o.
         reach = 1.0 + np.linalg.norm(state.translation - state.middle_joints.mean(axis=0)) / d
-        allowed = 32 * EPS * reach / min(robot.singular_values(q).inverse, wrench_conditions(state)[1]) ** 2
+        allowed = 32 * EPS * reach / min(robot.state(q).singular_values().inverse, wrench_conditions(state)[1]) ** 2
         for other in (spm.inverse_jacobian, paper.J_f) if robot.geometry.is_nominal else (spm.inverse_jacobian,):
             assert np.linalg.norm((found - other(state)) * scale) <= allowed
 
@@ -58,19 +58,19 @@ def test_joint_velocities_give_the_twist_and_keep_the_loops_closed(name: str) ->
     units[robot.leg_indices] = d
     for state, q in placed(name, 15, seed=104):
         twist = rng.normal(size=6) * [d, d, d, 1, 1, 1]
-        rates = robot.joint_velocities(q, twist)
+        rates = robot.state(q).joint_velocities(twist)
         # Scaled to one unit of joint speed, so that the differences are well behaved at any conditioning.
         speed = np.linalg.norm(rates / units)
         rates, twist = rates / speed, twist / speed
-        ahead, behind = (robot.configuration(q + sign * h * rates) for sign in (1.0, -1.0))
+        ahead, behind = (robot.state(q + sign * h * rates).configuration() for sign in (1.0, -1.0))
         turn = Rotation.from_matrix(ahead.rotation @ behind.rotation.T).as_rotvec()
         found = np.concatenate([ahead.translation - behind.translation, turn]) / (2 * h)
         reach = 1.0 + robot.leg_lengths(q).sum() / d
         allowed = 10 * reach * d * (h**2 + 32 * EPS / h)
-        inverse = robot.singular_values(q).inverse
+        inverse = robot.state(q).singular_values().inverse
         solved = 32 * EPS * reach * d / inverse**2 / speed
         assert np.abs((found - twist) * [1, 1, 1, d, d, d]).max() <= allowed + solved
-        gaps = robot.closure_gap(q + h * rates) - robot.closure_gap(q - h * rates)
+        gaps = robot.state(q + h * rates).closure_gap() - robot.state(q - h * rates).closure_gap()
         assert np.abs(gaps).max() / (2 * h) <= allowed + solved
         legs = spm.leg_rates(state, twist)
         assert np.abs(rates[robot.leg_indices] - legs).max() <= 32 * EPS * reach * d / inverse**2
@@ -90,8 +90,8 @@ def test_the_closed_form_in_every_family(name: str, count: int, seed: int) -> No
     d = robot.geometry.middle_side
     for state, q in placed(name, count, seed):
         wrench = rng.normal(size=6) * [1, 1, 1, d, d, d]
-        smallest = min(robot.singular_values(q).forward, wrench_conditions(state)[0])
-        error = np.linalg.norm(robot.leg_forces(q, wrench) - spm.leg_forces(state, wrench))
+        smallest = min(robot.state(q).singular_values().forward, wrench_conditions(state)[0])
+        error = np.linalg.norm(robot.state(q).leg_forces(wrench) - spm.leg_forces(state, wrench))
         assert error <= rounding(robot, q, wrench, smallest)
 
 
@@ -101,8 +101,8 @@ def test_the_tree_is_in_equilibrium(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(113)
     for _, q in placed(name, 10, seed=114):
         wrench = rng.normal(size=6)
-        legs, cuts = robot.leg_forces(q, wrench), robot.cut_forces(q, wrench)
+        legs, cuts = robot.state(q).leg_forces(wrench), robot.state(q).cut_forces(wrench)
         total = frame_jacobian(robot, q, "terminal_platform").T @ wrench + closure_jacobian(robot, q).T @ cuts.ravel()
         total[robot.leg_indices] += legs
-        allowed = 2.0 * rounding(robot, q, wrench, robot.singular_values(q).forward)
+        allowed = 2.0 * rounding(robot, q, wrench, robot.state(q).singular_values().forward)
         assert np.abs(total).max() <= allowed * (1.0 + robot.leg_lengths(q).sum())

@@ -34,7 +34,7 @@ def free(t: float, q: Array, v: Array) -> Array:
 
 @cache
 def held() -> Array:
-    return np.asarray(chain().inverse_dynamics(reference(), np.zeros(18), np.zeros(18)))
+    return np.asarray(chain().state(reference()).inverse_dynamics(np.zeros(18)))
 
 
 def driven(t: float, q: Array, v: Array) -> Array:
@@ -47,7 +47,7 @@ LAWS = {"free fall": free, "driven": driven}
 
 def start(law: str) -> tuple[Array, Array]:
     q = reference()
-    return q, np.zeros(18) if law == "free fall" else chain().joint_rates(q, MOVING)
+    return q, np.zeros(18) if law == "free fall" else chain().state(q).joint_rates(MOVING)
 
 
 def rk4(rate: Callable[[float, Array], Array], state: Array, until: float, steps: int) -> Array:
@@ -93,7 +93,7 @@ def test_a_conservative_run_keeps_its_energy(name: str) -> None:
     home = robot.readings(np.zeros(18))
     q = robot.forward_kinematics(home * (1.0 + 0.05 * np.sin(np.arange(6))))
     rest, lengths = np.zeros(18), robot.leg_lengths(q)
-    held = robot.inverse_dynamics(q, rest, rest)
+    held = robot.state(q, rest).inverse_dynamics(rest)
     stiffness = 20.0 * np.abs(held).max() / robot.geometry.middle_side
 
     def springs(t: float, q: Array, v: Array) -> Array:
@@ -104,7 +104,7 @@ def test_a_conservative_run_keeps_its_energy(name: str) -> None:
     assert np.ptp(run.leg_lengths, axis=0).max() > 1e-3 * robot.geometry.middle_side
     assert np.abs(run.energy_error).max() <= 1e-9 * np.abs(run.energy).max()
     assert run.closure_gap.max() <= 1e-13 * robot.geometry.middle_side * 10.0
-    opening = np.einsum("nij,nj->ni", robot.constraint_jacobian(run.q), run.v)
+    opening = np.einsum("nij,nj->ni", robot.state(run.q).constraint_jacobian(), run.v)
     assert np.abs(opening).max() <= 1e-12 * max(1.0, np.abs(run.v).max())
     moved = run.leg_lengths - lengths
     stored = 0.5 * stiffness * (moved**2).sum(axis=1) - 0.7 * moved @ held
@@ -124,7 +124,7 @@ def test_power_balances_along_a_driven_run() -> None:
         assert moment == pytest.approx(power[k + 2], abs=1e-6 * np.abs(power).max())
     assert np.abs(run.energy_error).max() <= 1e-10 * run.energy[0]
     # The record says what acted: forces, and the accelerations they give.
-    again = robot.forward_dynamics(run.q, run.v, run.leg_forces, push)
+    again = robot.state(run.q, run.v).forward_dynamics(run.leg_forces, push)
     assert np.allclose(again, run.a, rtol=1e-9, atol=1e-9)
     # A wrench may be a function, too; it is not left out.
     function = robot.simulate(q, v, driven, times, wrench=lambda t, q, v: push)
@@ -182,7 +182,7 @@ def test_a_constraint_singularity_ends_a_run() -> None:
     robot, q = chain(), reference()
     run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 5.0, 51))
     assert run.end is SimulationEnd.CONSTRAINT_SINGULARITY
-    assert robot.singular_values(run.q[-1]).constraint == pytest.approx(LEAST_CONSTRAINED, rel=1e-3)
+    assert robot.state(run.q[-1]).singular_values().constraint == pytest.approx(LEAST_CONSTRAINED, rel=1e-3)
     assert np.abs(run.energy_error).max() <= 1e-9 * run.energy[0]
     assert run.times[-1] < 5.0
 

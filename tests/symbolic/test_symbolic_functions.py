@@ -401,4 +401,4 @@ def test_gravity_is_that_of_the_closed_chain(size: float) -> None:
     q, rest = chain.forward_kinematics(state.readings), np.zeros((len(forces), 18))
     payload = np.tile([0.0, 0.0, -7.0 * 9.81, 0.0, 0.0, 0.0], (len(forces), 1))
     payload[:, 3:] = np.cross(state.rotation @ [0.1, -0.2, 0.3], payload[:, :3])
-    np.testing.assert_allclose(forces, chain.inverse_dynamics(q, rest, rest, payload), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(forces, chain.state(q, rest).inverse_dynamics(rest, payload), rtol=0, atol=1e-8)

@@ -23,10 +23,10 @@ from spm_pin.kinematics import (
     singularities,
 )
 from spm_pin.kinematics.path_following import last_on_line, physical_mode_share
+from spm_pin.kinematics.random_states import random_states
 from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, LegLimits, SolutionSet, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, real_array
 from spm_pin.mechanism.branch_of_state import family, physical
-from spm_pin.mechanism.joint_angles import home_lengths
 from spm_pin.mechanism.pose import inverse_command
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance
@@ -46,7 +46,7 @@ _STEPS = 48  # along a leg, to see how far the assembly mode lasts
 
 
 @dataclass(frozen=True)
-class State:
+class SessionState:
     """The configuration shown, the pose requested and the load; what follows from them is computed when asked for."""
 
     target: RigidTransform  # the requested pose of {m} in {B}; that of `shown` where legs were moved
@@ -138,9 +138,9 @@ class ViewerModel:
     def __init__(self, start: Configuration) -> None:
         self.hold_limits = True  # whether a machine that is within its leg limits stays there
         solutions = inverse_displacement(start.geometry, start.pose)
-        self.state = State(start.pose, start, _label(solutions, start, ""), solutions, 0.0, np.zeros(6))
+        self.state = SessionState(start.pose, start, _label(solutions, start, ""), solutions, 0.0, np.zeros(6))
 
-    def drag(self, target: RigidTransform) -> State:
+    def drag(self, target: RigidTransform) -> SessionState:
         """Move to a pose on the branch, or to the nearest reachable one."""
         before, geometry = self.state.shown, self.state.shown.geometry
         label = self.state.label or FAMILIES[max(int(family(before)), 0)] + "+"
@@ -160,7 +160,7 @@ class ViewerModel:
             return self._show(target, shown)
         return self._show(target, shown, distance=distance, remarks=[_out_of_reach(solutions, label, distance)])
 
-    def set_readings(self, readings: npt.ArrayLike) -> State:
+    def set_readings(self, readings: npt.ArrayLike) -> SessionState:
         """Move to encoder readings (6,) [m] in the assembly mode, as far as it lasts."""
         target = real_array(readings, "readings", (6,), "readings of the encoders in metres")
         before = self.state.shown
@@ -174,7 +174,7 @@ class ViewerModel:
                 remarks = [f"{text} Shown: the last on the way, at {100 * share:.0f} %."]
         return self._show(shown.pose, shown, remarks=remarks)
 
-    def select(self, label: str) -> State:
+    def select(self, label: str) -> SessionState:
         """Take another branch of the shown pose; raises `ArgumentError` if it has no such branch."""
         before = self.state
         if label not in before.labels:
@@ -182,13 +182,13 @@ class ViewerModel:
         self.place(before.solutions[label])
         return self.drag(before.target)
 
-    def load(self, wrench: npt.ArrayLike) -> State:
+    def load(self, wrench: npt.ArrayLike) -> SessionState:
         """Put a wrench (f, m) on the platform at o in {B} [N, N m]."""
         load = real_array(wrench, "wrench", (6,), "(f, m) at o in {B} in N and N m")
         self.state = replace(self.state, wrench=load)
         return self.state
 
-    def place(self, configuration: Configuration) -> State:
+    def place(self, configuration: Configuration) -> SessionState:
         """Show a configuration, as it is."""
         return self._show(configuration.pose, configuration, jump=True)
 
@@ -201,14 +201,14 @@ class ViewerModel:
         distance: float = 0.0,
         remarks: Sequence[str] = (),
         jump: bool = False,
-    ) -> State:
+    ) -> SessionState:
         """Replace the state; `solutions` are those of the pose of `shown`, solved here if not given."""
         if solutions is None:
             solutions = inverse_displacement(shown.geometry, shown.pose)
         before = self.state
         label = _label(solutions, shown, before.label)
         origin = None if jump else (before.label, before.singularities.scaled_determinants)
-        self.state = State(target, shown, label, solutions, distance, before.wrench, tuple(remarks), origin)
+        self.state = SessionState(target, shown, label, solutions, distance, before.wrench, tuple(remarks), origin)
         return self.state
 
 
@@ -241,17 +241,8 @@ def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:
 
 @lru_cache(maxsize=4)
 def sampled_states(geometry: Geometry) -> Configuration:
-    """Return physical states (n,) of readings spread evenly over their limits, always the same.
-
-    Without limits the readings are those at home, a third more or less.
-    """
-    home, limits = np.repeat(home_lengths(geometry), 3), geometry.limits
-    low, high = home / 1.33, home * 1.33
-    if limits is not None:
-        low, high = np.maximum(limits.minimum, 0.3 * home), np.minimum(limits.maximum, 3.0 * home)
-    readings = np.random.default_rng(0).uniform(low, np.maximum(low, high), (_SAMPLES, 6))
-    states = forward_physical(geometry, readings)
-    return states[states.exists]
+    """Return physical states (n,) drawn within the leg limits, always the same."""
+    return random_states(geometry, _SAMPLES, np.random.default_rng(0))
 
 
 def pose_ranges(configuration: Configuration, angles: str = "X-Y-X") -> FloatArray:
@@ -261,7 +252,7 @@ def pose_ranges(configuration: Configuration, angles: str = "X-Y-X") -> FloatArr
     """
     states, now = sampled_states(configuration.geometry), pose_coordinates(configuration.pose, angles)
     gaps = np.linalg.norm(states.platform_joints - configuration.platform_joints, axis=-1).max(axis=-1)
-    nearest = states.pose[np.argsort(gaps)[:_NEIGHBOURS]] if len(gaps) else configuration.pose
+    nearest = states.pose[np.argsort(gaps)[:_NEIGHBOURS]]
     steps = np.atleast_2d(pose_coordinates(nearest, angles) - now)
     steps[:, 3:] = (steps[:, 3:] + 180.0) % 360.0 - 180.0
     ends = now + np.stack([steps.min(axis=0, initial=0.0), steps.max(axis=0, initial=0.0)])
@@ -269,7 +260,7 @@ def pose_ranges(configuration: Configuration, angles: str = "X-Y-X") -> FloatArr
     return np.asarray(ends.T)
 
 
-def leg_ranges(configuration: Configuration) -> FloatArray:
+def reading_ranges(configuration: Configuration) -> FloatArray:
     """Return the least and the largest reading of each leg (6, 2) [m]: its limits, or as far as the mode lasts."""
     geometry, now = configuration.geometry, np.array(configuration.readings)
     longest = 3.0 * (geometry.base_radius + geometry.platform_radius + geometry.middle_side)
@@ -303,7 +294,7 @@ def command_line(configuration: Configuration, geometry_file: Path | None = None
     return inverse_command(values[:3], values[3:], None if geometry_file is None else str(geometry_file))
 
 
-def state_data(state: State, chain: ClosedChain, geometry_file: Path | None = None) -> dict[str, Any]:
+def state_data(state: SessionState, chain: ClosedChain, geometry_file: Path | None = None) -> dict[str, Any]:
     """Return the state as data for JSON, in metres, radians and newtons."""
     shown, kind = state.shown, state.singularities
     values = {name: getattr(kind, name) for name in ("sigma", "condition", "scaled_determinants")}

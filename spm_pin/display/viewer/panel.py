@@ -11,11 +11,11 @@ import numpy as np
 from spm_pin.display.viewer.model import (
     NEAR,
     SINGULARITIES,
-    State,
+    SessionState,
     command_line,
-    leg_ranges,
     pose_coordinates,
     pose_ranges,
+    reading_ranges,
 )
 from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, Colour
 from spm_pin.display.writing import fixed
@@ -134,7 +134,7 @@ class Panel:
         steps = [0.1 if "°" in label else 0.001 for label in labels]
         return [self._add("slider", event, labels[k], 0.0, 1.0, steps[k], 0.0, key=k) for k in range(len(labels))]
 
-    def show(self, state: State, moved: tuple[str, int]) -> None:
+    def show(self, state: SessionState, moved: tuple[str, int]) -> None:
         """Show a state.
 
         The slider that the user moves, "coordinate" or "leg" and which of them, is left alone, and so are the values
@@ -152,7 +152,7 @@ class Panel:
         pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose, self.angles)
         kinds = (
             ("coordinate", self.pose_sliders, pose, pose_ranges(state.shown, self.angles)),
-            ("leg", self.leg_sliders, state.shown.readings, leg_ranges(state.shown)),
+            ("leg", self.leg_sliders, state.shown.readings, reading_ranges(state.shown)),
         )
         for kind, sliders, values, ranges in kinds:
             for k, (slider, value, (low, high)) in enumerate(zip(sliders, values, ranges, strict=True)):
@@ -187,7 +187,7 @@ def _length(value: float) -> str:
     return f"{fixed(1e3 * value, 0)} mm" if abs(value) < 9.9995 else f"{fixed(value, 1)} m"
 
 
-def status(state: State, convention: str = "X-Y-X") -> str:
+def status(state: SessionState, convention: str = "X-Y-X") -> str:
     """Return the branch, the position with the angles in a convention, and the notices."""
     values = pose_coordinates(state.shown.pose, convention)
     o, angles = (", ".join(fixed(x, digits) for x in part) for part, digits in ((values[:3], 3), (values[3:], 1)))
@@ -205,7 +205,7 @@ def status(state: State, convention: str = "X-Y-X") -> str:
     return f'<div style="{_BOX}">{"".join(lines)}</div>'
 
 
-def instruments(state: State) -> str:
+def instruments(state: SessionState) -> str:
     """Return the legs against their limits, and the distances from singularities."""
     return f'<div style="{_BOX}">{_legs(state)}{_singularities(state)}</div>'
 
@@ -234,7 +234,7 @@ def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str 
     return f'<div style="{_TRACK}"><div style="{filled};background:rgb{colour};opacity:0.85"></div>{marks}</div>'
 
 
-def _legs(state: State) -> str:
+def _legs(state: SessionState) -> str:
     readings, limits, cells = state.shown.readings, state.shown.geometry.limits, []
     for k, (leg, reading, excess) in enumerate(zip(LEGS, readings, state.limit_excess, strict=True)):
         # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
@@ -251,7 +251,7 @@ def _legs(state: State) -> str:
     return f"<div><b>{name}</b> {unit}</div>" + _grid("max-content minmax(3em,1fr) max-content max-content", cells)
 
 
-def _singularities(state: State) -> str:
+def _singularities(state: SessionState) -> str:
     singular, side = state.singularities, state.shown.geometry.middle_side
     cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in ("", "", "away", "σ", "cond")]
     rows = zip(SINGULARITIES, state.is_near, state.travel, singular.sigma, singular.condition, strict=True)
@@ -268,7 +268,7 @@ def _singularities(state: State) -> str:
     return heading + _grid("max-content minmax(2em,1fr) max-content max-content max-content", cells)
 
 
-def forces_table(state: State) -> str:
+def forces_table(state: SessionState) -> str:
     """Return the leg forces that hold the load, as bars from the middle."""
     forces = state.forces
     if forces is None:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from spm_pin.capability import wrench_polytope
 from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.display.rendering import camera_axes
-from spm_pin.display.viewer.model import State, sampled_states
+from spm_pin.display.viewer.model import SessionState, sampled_states
 from spm_pin.errors import SpmError
 from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
@@ -156,7 +156,7 @@ class RobotScene:
             visible=False,
         )
 
-    def show(self, state: State) -> None:
+    def show(self, state: SessionState) -> None:
         """Show a state but for its forces; what viser has already is not sent again."""
         beyond = {f"leg_{leg[2:]}" for leg, excess in zip(LEGS, state.limit_excess, strict=True) if excess}
         nodes = zip(self._robot, self._parts, self._colours, *solid_placements(state.shown), strict=True)
@@ -173,7 +173,7 @@ class RobotScene:
         self._show_ghosts(state)
         self._show_trail(state.shown.translation)
 
-    def _show_ghosts(self, state: State) -> None:
+    def _show_ghosts(self, state: SessionState) -> None:
         others = [label in state.labels and label != state.label for label in BRANCHES]
         shown = self.layers["ghosts"] and any(others)
         if shown:
@@ -197,7 +197,7 @@ class RobotScene:
                 handle.position, handle.text = places[-1], f"{label} ◀" if label == state.label else label
             handle.visible = named
 
-    def show_forces(self, state: State) -> None:
+    def show_forces(self, state: SessionState) -> None:
         """Show the load, the leg forces that hold it, and the forces that legs of equal strength hold."""
         o, wrench = state.shown.translation, state.wrench
         length = 1.1 * self.size

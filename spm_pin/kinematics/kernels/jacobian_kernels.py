@@ -45,7 +45,7 @@ INPUTS = 39
 _LOAD, _RESULTS, _FLAG, _ROWS = 39, 45, 81, 82
 
 
-class Machine(NamedTuple):
+class LegNumbers(NamedTuple):
     """The legs of a machine as numbers."""
 
     lower_axes: Rows
@@ -68,11 +68,11 @@ class StateForces(NamedTuple):
 
 
 @jit_inline
-def read_machine(machine: FloatArray) -> Machine:
+def read_machine(machine: FloatArray) -> LegNumbers:
     """Return the legs of an array (9, 3) as numbers, so that a loop over a tile reads no second array."""
     weights = rows_at(machine, 6)
     is_paired = max(largest(weights[0]), largest(weights[1]), largest(weights[2])) == 0.0
-    return Machine(rows_at(machine, 0), rows_at(machine, 3), weights, is_paired)
+    return LegNumbers(rows_at(machine, 0), rows_at(machine, 3), weights, is_paired)
 
 
 @jit_inline
@@ -104,7 +104,7 @@ def load_states(
 
 
 @jit_inline
-def state_forces(tile: FloatArray, k: int, machine: Machine) -> StateForces:
+def state_forces(tile: FloatArray, k: int, machine: LegNumbers) -> StateForces:
     """Return the forces of the state in place k of a tile."""
     b, o = matrix(tile, 0, k), vector(tile, 18, k)
     c = upper_balls(b, machine.weights)

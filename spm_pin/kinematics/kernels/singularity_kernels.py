@@ -20,7 +20,7 @@ from spm_pin.kinematics.kernels.jacobian_kernels import (
     INPUTS,
     MACHINE,
     STATES,
-    Machine,
+    LegNumbers,
     load_states,
     read_machine,
     state_forces,
@@ -209,7 +209,7 @@ def _put_block(blocks: FloatArray, block: int, k: int, forces: Rows, about: Rows
 
 
 @jit
-def _set_up(tile: FloatArray, k: int, legs: Machine, side: float, blocks: FloatArray, out: FloatArray) -> None:
+def _set_up(tile: FloatArray, k: int, legs: LegNumbers, side: float, blocks: FloatArray, out: FloatArray) -> None:
     """Write the forces of one state into its blocks, and what follows from them alone into `out`.
 
     Not part of the loop over the states, which would take seconds to compile.
