@@ -72,15 +72,16 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     >>> int(modes.count), modes["T1+/T1+"].translation.round(4)
     (144, array([0.6889, 0.4963, 2.253 ]))
     """
-    from spm_pin.kinematics.kernels.mode_kernels import all_modes
+    from spm_pin.kinematics.kernels.circle_modes import all_modes
 
     checked = _read_lengths(geometry, readings)
     shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    if not geometry.is_nominal:
-        return _modes_as_built(geometry, checked)
-    results = (*((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((4,), np.int8), ((), np.int8))
-    solved = run_kernel(all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD)
-    *state, families, status = with_batch_shape(solved, shape)
+    legs, drawn, states = geometry.legs, geometry.nominal.legs, ((n, 3, 3), (n, 3), (n, 3, 3))
+    drawing = np.stack([drawn.axes, drawn.pivots, drawn.balls])
+    constants = legs.axes, legs.balls, drawing, geometry.is_nominal, *radii(geometry)
+    results = *((x, np.float64) for x in states), ((n,), np.bool_), ((4,), np.int8), ((), np.int8)
+    solved = run_kernel(all_modes, _circles(geometry, lengths), constants, results, _MIN_BATCH_PER_THREAD)
+    *state, merged, families, status = with_batch_shape(solved, shape)
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(geometry, *state)
     if not shape and status == Status.UNREACHABLE:
@@ -90,24 +91,8 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
         ASSEMBLY_MODES,
         np.where(largest > 0, Status.DEGENERATE, status),
         degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
+        merged=None if geometry.is_nominal else merged,
     )
-
-
-def _modes_as_built(geometry: Geometry, checked: FloatArray) -> SolutionSet:
-    """Return the modes of a machine as built with leg lengths (..., 6)."""
-    from spm_pin.kinematics.kernels.circle_modes import all_modes_as_built
-
-    shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    drawn = geometry.nominal.legs
-    results = *((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((n,), np.bool_), ((), np.int8)
-    drawing = np.stack([drawn.axes, drawn.pivots, drawn.balls])
-    constants = geometry.legs.axes, geometry.legs.balls, drawing, *radii(geometry)
-    solved = run_kernel(all_modes_as_built, _circles(geometry, lengths), constants, results, _MIN_BATCH_PER_THREAD)
-    *state, merged, status = with_batch_shape(solved, shape)
-    modes = Configuration.from_arrays(geometry, *state)
-    if not shape and status == Status.UNREACHABLE:
-        modes.missing_reason = unit_hint(geometry, checked)
-    return SolutionSet(modes, ASSEMBLY_MODES, status, merged=merged)
 
 
 def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
