@@ -39,6 +39,7 @@ VALUES: dict[str, Callable[[spm.Geometry], Any]] = {
     "determinant_gradients": lambda g: spm.kinematics.determinant_gradients(state(g)),
     "determinants": lambda g: spm.determinants(state(g)),
     "follow": lambda g: spm.follow(g, ENDS, spm.forward_physical(g, ENDS[0])).configurations.translation[-1],
+    "forward_displacement": lambda g: spm.forward_displacement(g, READINGS)["T1+/T1+"].translation,
     "forward_physical": lambda g: state(g).translation,
     "forward_physical, near": lambda g: spm.forward_physical(g, ENDS[0], near=state(g)).translation,
     "inverse_displacement": lambda g: spm.inverse_displacement(g, state(PAPER).pose).physical(state(PAPER)).readings,
@@ -65,7 +66,6 @@ VALUES: dict[str, Callable[[spm.Geometry], Any]] = {
 }
 
 REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
-    "all assembly modes": lambda g: spm.forward_displacement(g, READINGS),
     "the paper's shell": lambda g: spm.workspace.workspace_shell(g),
 }
 

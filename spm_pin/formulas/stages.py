@@ -22,15 +22,10 @@ from spm_pin.formulas.vectors import (
     larger,
     largest,
     magnitude,
-    minus,
-    rotation_of,
     scaled,
-    times,
 )
 
 State = tuple[float, float, float, float]
-Placement = tuple[float, float, float, float, float]
-"""x0, x1, x2, x3, ζ of the middle platform."""
 Pairs = tuple[float, float, float, float, float, float]
 """Quantities of the pairs of legs 12, 23, 31, 21, 32, 13."""
 
@@ -256,23 +251,6 @@ def in_home_aspect(radii: Vector, heights: Vector, base_radius: float) -> bool:
 
 def _sign_bit(x: float) -> float:
     return where(x < 0.0, 1.0, 0.0)
-
-
-def compose(lower: Placement, upper: Placement) -> tuple[Rows, Vector, Rows]:
-    """Return R, o and the b_i, in units of r, of two stages joined at their middle platform.
-
-    The platform of the lower stage is placed in {B}, that of the upper in {m}.
-    """
-    (a0, a1, a2, a3, zeta), (b0, b1, b2, b3, zeta_m) = lower, upper
-    # The middle platform's rotation in {B} times the inverse of that in {m}.
-    w, x = a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3, a1 * b0 - a0 * b1 - a2 * b3 + a3 * b2
-    y, z = a2 * b0 - a0 * b2 - a3 * b1 + a1 * b3, a3 * b0 - a0 * b3 - a1 * b2 + a2 * b1
-    rotation = rotation_of(x, y, z, w)
-    # The centre in {B} less the centre in {m}, turned.
-    turned = times(rotation, (-2.0 * b1 * b2, b2 * b2 - b1 * b1, zeta_m))
-    position = minus((-2.0 * a1 * a2, a2 * a2 - a1 * a1, zeta), turned)
-    radii, heights = corners(a0, a1, a2, a3, zeta)
-    return rotation, position, cartesian(radii, heights)
 
 
 def cartesian(radii: Vector, heights: Vector) -> Rows:

@@ -84,15 +84,21 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     >>> int(modes.count), modes["T1+/T1+"].translation.round(4)
     (144, array([0.6889, 0.4963, 2.253 ]))
     """
-    from spm_pin.kinematics.kernels.mode_kernels import all_modes
+    from spm_pin.kinematics.kernels.circle_modes import all_modes
 
     checked = _read_readings(geometry, readings)
-    shape, lengths, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    if not (geometry.is_nominal and geometry.legs.are_rps):
-        return _modes_of_circles(geometry, checked)
-    results = (*((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((4,), np.int8), ((), np.int8))
-    solved = run_kernel(all_modes, (lengths,), radii(geometry), results, _MIN_BATCH_PER_THREAD)
-    *state, families, status = with_batch_shape(solved, shape)
+    shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
+    legs, drawn, states = geometry.legs, geometry.nominal.legs, ((n, 3, 3), (n, 3), (n, 3, 3))
+    drawing = np.stack([drawn.axes, drawn.pivots, drawn.balls])
+    is_drawn = geometry.is_nominal and legs.are_rps
+    constants = legs.axes, legs.balls, drawing, legs.are_rps, is_drawn, *radii(geometry)
+    results = *((x, np.float64) for x in states), ((n,), np.bool_), ((4,), np.int8), ((), np.int8)
+    solved = run_kernel(all_modes, legs.circles(readings), constants, results, _MIN_BATCH_PER_THREAD)
+    if not legs.are_rps:
+        _in_working_mode(geometry, solved[:3], np.broadcast_to(readings[:, None], (len(readings), n, 6)))
+        status = solved[-1]
+        status[(status == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE
+    *state, merged, families, status = with_batch_shape(solved, shape)
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(geometry, *state)
     if not shape and status == Status.UNREACHABLE:
@@ -102,27 +108,8 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
         ASSEMBLY_MODES,
         np.where(largest > 0, Status.DEGENERATE, status),
         degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
+        merged=None if is_drawn else merged,
     )
-
-
-def _modes_of_circles(geometry: Geometry, checked: FloatArray) -> SolutionSet:
-    """Return the modes of a machine as built, or of legs that are not RPS, with readings (..., 6)."""
-    from spm_pin.kinematics.kernels.circle_modes import all_modes_as_built
-
-    shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    drawn, legs = geometry.nominal.legs, geometry.legs
-    results = *((shape, np.float64) for shape in ((n, 3, 3), (n, 3), (n, 3, 3))), ((n,), np.bool_), ((), np.int8)
-    before = np.stack([drawn.axes, drawn.pivots, drawn.balls])
-    constants = legs.axes, legs.balls, before, *radii(geometry), legs.are_rps
-    solved = run_kernel(all_modes_as_built, legs.circles(readings), constants, results, _MIN_BATCH_PER_THREAD)
-    if not legs.are_rps:
-        _in_working_mode(geometry, solved[:3], np.broadcast_to(readings[:, None], (len(readings), n, 6)))
-        solved[4][(solved[4] == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE
-    *state, merged, status = with_batch_shape(solved, shape)
-    modes = Configuration.from_arrays(geometry, *state)
-    if not shape and status == Status.UNREACHABLE:
-        modes.missing_reason = unit_hint(geometry, checked)
-    return SolutionSet(modes, ASSEMBLY_MODES, status, merged=merged)
 
 
 def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:

@@ -83,8 +83,8 @@ class SolutionSet:
     degeneracy : Degeneracy, optional
         Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
     merged : ndarray of bool, shape (..., n), optional
-        For a machine as built: True where the branch of this label met another one while the errors grew from zero to
-        those of the machine. It has ended, or is a root left over, whose label is a name only.
+        For a machine as built: True where the branch or mode of this label met another while the errors grew from zero
+        to those of the machine. It has ended, or is a root left over, whose label is a name only.
     radius : ndarray, shape (..., n), optional
         Radius [m] around each middle joint within which the exact one is, NaN where not proved; exactly one solution
         has all three joints within it. Given if the solver was asked to certify.

@@ -196,11 +196,11 @@ def test_two_solutions_that_coincide_are_not_followed_forever() -> None:
     twice = spm.Configuration(FREE, np.stack([state.pose.as_matrix()] * 2), np.stack([state.middle_joints] * 2))
     parameters = []
 
-    def solve(s: float, near: spm.Configuration | None) -> spm.SolutionSet:
+    def solve(s: float) -> spm.SolutionSet:
         parameters.append(s)
         return spm.SolutionSet(twice, ("one", "other"), spm.Status.OK)
 
-    tracker = Tracker(solve, solve(0.0, None), 0, has_legs=False)
+    tracker = Tracker(solve, solve(0.0), 0, has_legs=False)
     assert not tracker.advance(1.0)
     assert "coincides with another" in tracker.events[-1].detail
     assert len(parameters) < 1_000

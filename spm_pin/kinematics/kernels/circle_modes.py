@@ -37,8 +37,8 @@ from spm_pin.formulas.circles import (
 )
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.leg_constants import mean_radius
-from spm_pin.formulas.stages import cartesian, corners, pair_adjugate, pair_determinant
-from spm_pin.formulas.vectors import Rows, combinations, differences, largest, multiples, scaled, weighted
+from spm_pin.formulas.stages import pair_adjugate, pair_determinant
+from spm_pin.formulas.vectors import Rows, combinations, differences, largest, multiples, weighted
 from spm_pin.formulas.wrenches import mean
 from spm_pin.kinematics.kernels.ball_circles import (
     ELSEWHERE,
@@ -49,7 +49,7 @@ from spm_pin.kinematics.kernels.ball_circles import (
     solution,
 )
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
-from spm_pin.kinematics.kernels.mode_kernels import allocate_stage_scratch, stage_modes
+from spm_pin.kinematics.kernels.mode_kernels import allocate_stage_scratch, is_countable, stage_modes
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -380,20 +380,17 @@ def _put_labelled(
     balls: FloatArray,
     merged: BoolArray,
 ) -> None:
-    """Write the balls of `count` modes (16, 3, 3), NaN for none, under the labels of the drawn machine's modes (16, 5).
+    """Write the balls of `count` modes (16, 3, 3), NaN for none, under the labels of the drawn stage's `modes`.
 
     Each of these is followed while the errors grow. Where two have met, labels are left over: they go to the roots left
     over, those of the same mode and sheet first, and are marked as merged.
     """
     owner = np.full(MODES, -1)
     for label in range(MODES):
-        balls[label], merged[label] = np.nan, False
-        if math.isnan(modes[label, 0]):
+        balls[label], merged[label] = np.nan, not math.isnan(modes[label, 0, 0])
+        if not merged[label]:
             continue
-        merged[label] = True
-        x = modes[label]
-        radii, heights = corners(x[0], x[1], x[2], x[3], x[4])
-        start = cartesian(scaled(r, radii), scaled(r, heights))
+        start = multiples((r, r, r), rows_at(modes[label], 0))
         b, arrived = _carried(drawn, stage, start)
         if not arrived:
             continue
@@ -438,54 +435,68 @@ def _put_frames(own: Rows, balls: FloatArray, frames: FloatArray) -> None:
 
 @kernel(
     f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, "
-    "f8, f8, f8, b1, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], b1[:,::1], i1[::1])"
+    "b1, b1, f8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], b1[:,::1], i1[:,::1], i1[::1])"
 )
-def all_modes_as_built(
+def all_modes(
     centres,
     radii,
     axes,
     balls,
     drawn,
+    are_rps,
+    is_drawn,
     r,
     base_radius,
     platform_radius,
-    has_drawn_modes,
     rotation,
     translation,
     joints,
     merged,
+    dimension,
     status,
 ):
     """Find all assembly modes of N problems, under the labels of the drawn machine's.
 
     The circles are as for `ball_circles.physical_states`; `drawn` (3, 6, 3) are axes, pivots and balls [m] of the drawn
-    machine, with the circumradii of its middle, base and terminal platforms [m]; only of RPS legs it
-    `has_drawn_modes`. Written are R (N, 256, 3, 3), o (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode
-    is not real; which labels are `merged` (N, 256); and as `status` (N,) 0, 1 or 3 of `Status`.
+    machine, with the circumradii of its middle, base and terminal platforms [m]; modes of legs that are not RPS have no
+    such labels, and the first that fit. Written are R (N, 256, 3, 3), o
+    (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode is not real; which labels are `merged` (N, 256);
+    the dimensions of a drawn machine's continuous families in TT, TF, FT, FF (N, 4); and as `status` (N,) 0, 1 or 3
+    of `Status`, continuous families not counted.
     """
-    found, scratch, modes = allocate_elimination(), allocate_stage_scratch(), np.empty((MODES, 5))
-    roots, labelled, merged_halves = np.empty((MODES, 3, 3)), np.empty((2, MODES, 3, 3)), np.empty((2, MODES), np.bool_)
-    frames = np.empty((2, MODES, 4, 3))
-    count, complete = np.empty(2, np.int64), np.empty(2, np.bool_)
+    found, scratch, frames = allocate_elimination(), allocate_stage_scratch(), np.empty((2, MODES, 4, 3))
+    roots, modes, labelled = np.empty((MODES, 3, 3)), np.empty((MODES, 3, 3)), np.empty((2, MODES, 3, 3))
+    label_merged = np.empty((2, MODES), np.bool_)
+    is_complete, is_absent, is_continuous = np.empty(2, np.bool_), np.empty(2, np.bool_), np.empty((2, 2), np.bool_)
     for n in range(len(radii)):
         for half in range(2):
             own, first, up = rows_at(balls, 3 * half), 3 * half, 1.0 - 2.0 * half
-            stage = circles_at(axes, centres[n], radii[n], squared_sides(own), first)
-            count[half], complete[half] = real_modes(stage, found, roots)
-            q = radii[n, first] / r, radii[n, first + 1] / r, radii[n, first + 2] / r
-            modes[:, 0] = np.nan
-            if has_drawn_modes:
-                stage_modes(q[0], q[1], q[2], (base_radius if half == 0 else platform_radius) / r, up, scratch, modes)
-            before = circles_at(drawn[0], drawn[1], radii[n], squared_sides(rows_at(drawn[2], first)), first)
-            _put_labelled(before, modes, r, stage, up, roots, count[half], labelled[half], merged_halves[half])
+            epsilon = (base_radius if half == 0 else platform_radius) / r
+            q0, q1, q2 = radii[n, first] / r, radii[n, first + 1] / r, radii[n, first + 2] / r
+            families = False, False
+            modes[:] = np.nan
+            if are_rps:
+                families = stage_modes(q0, q1, q2, epsilon, up, scratch, modes)
+            if is_drawn:
+                is_continuous[half, 0], is_continuous[half, 1] = families
+                is_complete[half] = families[0] or families[1] or is_countable(q0, q1, q2, epsilon)
+                labelled[half], label_merged[half], count = r * modes, False, 0
+                for k in range(MODES):
+                    count += not math.isnan(modes[k, 0, 0])
+            else:
+                is_continuous[half], families = False, (False, False)
+                stage = circles_at(axes, centres[n], radii[n], squared_sides(own), first)
+                count, is_complete[half] = real_modes(stage, found, roots)
+                before = circles_at(drawn[0], drawn[1], radii[n], squared_sides(rows_at(drawn[2], first)), first)
+                _put_labelled(before, modes, r, stage, up, roots, count, labelled[half], label_merged[half])
+            is_absent[half] = is_complete[half] and count == 0 and not (families[0] or families[1])
             _put_frames(own, labelled[half], frames[half])
-        solved = complete[0] and complete[1]
-        nowhere = (complete[0] and count[0] == 0) or (complete[1] and count[1] == 0)
-        status[n] = 1 if nowhere else (0 if solved else 3)
+        # A stage that cannot be closed is enough to know that there is none.
+        status[n] = 1 if is_absent[0] or is_absent[1] else (0 if is_complete[0] and is_complete[1] else 3)
         for i in range(MODES):
             for j in range(MODES):
                 mode = MODES * i + j
-                merged[n, mode] = status[n] != 3 and (merged_halves[0, i] or merged_halves[1, j])
+                merged[n, mode] = status[n] != 3 and (label_merged[0, i] or label_merged[1, j])
                 if status[n] != 0 or math.isnan(labelled[0, i, 0, 0]) or math.isnan(labelled[1, j, 0, 0]):
                     rotation[n, mode], translation[n, mode], joints[n, mode] = np.nan, np.nan, np.nan
                     continue
@@ -497,6 +508,13 @@ def all_modes_as_built(
                     translation[n, mode, k] = o[k]
                     for m in range(3):
                         rotation[n, mode, k, m], joints[n, mode, k, m] = turn[k][m], labelled[0, i, k, m]
+        for i in range(2):
+            for j in range(2):
+                free = (1 if is_continuous[0, i] else 0) + (1 if is_continuous[1, j] else 0)
+                # The first place of a mode, T or F, is filled first.
+                exists = is_continuous[0, i] or not math.isnan(labelled[0, 8 * i, 0, 0])
+                exists = exists and (is_continuous[1, j] or not math.isnan(labelled[1, 8 * j, 0, 0]))
+                dimension[n, 2 * i + j] = free if exists and status[n] == 0 else 0
 
 
 @jit

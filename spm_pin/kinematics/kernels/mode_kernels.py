@@ -17,10 +17,9 @@ import numpy.typing as npt
 
 from spm_pin.formulas.stages import (
     EPS,
-    Placement,
     StageEquations,
     State,
-    compose,
+    cartesian,
     corners,
     damped,
     inverse,
@@ -33,7 +32,7 @@ from spm_pin.formulas.stages import (
     tilt_quadratic,
 )
 from spm_pin.formulas.vectors import Rows, Vector, dot, largest, scaled, times, transposed, weighted
-from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -370,105 +369,34 @@ def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, sc
 
 
 @jit
-def _put_composed(
-    lower: Placement, upper: Placement, r: float, rotation: FloatArray, translation: FloatArray, joints: FloatArray
-) -> None:
-    """Write R (3, 3), o [m] and the b_i (3, 3) [m] of two stages joined at their middle platform, NaN if one is."""
-    if math.isnan(lower[0]) or math.isnan(upper[0]):
-        rotation[:], translation[:], joints[:] = np.nan, np.nan, np.nan
-        return
-    turn, place, b = compose(lower, upper)
-    for i in range(3):
-        translation[i] = r * place[i]
-        for j in range(3):
-            rotation[i, j], joints[i, j] = turn[i][j], r * b[i][j]
-
-
-@jit
 def stage_modes(
-    first: float, second: float, third: float, epsilon: float, above: float, scratch: StageScratch, modes: FloatArray
+    first: float, second: float, third: float, epsilon: float, above: float, scratch: StageScratch, balls: FloatArray
 ) -> tuple[bool, bool]:
-    """Write the sixteen assembly modes of a stage (16, 5), NaN where there is none; tell which of T, F is continuous.
+    """Write the balls of the sixteen modes of a stage (16, 3, 3), NaN where there is none, in units of r.
 
-    The sheet + is above the pivots, or below, by the sign of `above`; the other is mirrored at their plane, where a
-    rotation keeps its part about the normal.
+    Returned is which of T, F is continuous. The sheet + is above the pivots, or below, by the sign of `above`; the
+    other is its mirror image.
     """
     kept = scratch.kept
     for k in range(STAGE):
-        modes[k, 0] = np.nan
+        balls[k] = np.nan
     straight = has_continuous_family(first, second, third, epsilon, False, EXACT)
     half_turned = has_continuous_family(first, second, third, epsilon, True, EXACT)
     for m in range(2):
         stage = stage_equations(first, second, third, epsilon if m == 0 else -epsilon)
         for k in range(solve_mode(stage, m == 1, straight if m == 0 else half_turned, scratch)):
-            flat = max(abs(kept[k, 8]), abs(kept[k, 9]), abs(kept[k, 10])) <= SAME
-            for sheet in range(1 if flat else 2):
-                sign = above if sheet == 0 else -above
-                row = modes[(m * PLACES + k) * 2 + sheet]
-                row[0], row[1], row[2] = kept[k, 0], sign * kept[k, 1], sign * kept[k, 2]
-                row[3], row[4] = kept[k, 3], sign * kept[k, 4]
+            radii, heights = (kept[k, 5], kept[k, 6], kept[k, 7]), (kept[k, 8], kept[k, 9], kept[k, 10])
+            for sheet in range(1 if largest(heights) <= SAME else 2):
+                b = cartesian(radii, scaled(above if sheet == 0 else -above, heights))
+                for i in range(3):
+                    for j in range(3):
+                        balls[(m * PLACES + k) * 2 + sheet, i, j] = b[i][j]
     return straight, half_turned
 
 
 @jit
-def _is_countable(first: float, second: float, third: float, epsilon: float) -> bool:
+def is_countable(first: float, second: float, third: float, epsilon: float) -> bool:
     """Return whether double precision is enough to count modes: away from families, and without a very short leg."""
     return min(first, second, third) >= _SHORTEST and not has_continuous_family(
         first, second, third, epsilon, False, _NEAR
     )
-
-
-@jit
-def _has_modes(families: tuple[bool, bool], modes: FloatArray) -> bool:
-    for k in range(STAGE):
-        if not math.isnan(modes[k, 0]):
-            return True
-    return families[0] or families[1]
-
-
-@jit_inline
-def _stage(stages: FloatArray, n: int) -> Placement:
-    """Return quaternion and height of one of several stages (…, 5)."""
-    return stages[n, 0], stages[n, 1], stages[n, 2], stages[n, 3], stages[n, 4]
-
-
-@kernel(f"void({readonly_array(2)}, f8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], i1[:,::1], i1[::1])")
-def all_modes(lengths, r, base_radius, platform_radius, rotation, translation, joints, dimension, status):
-    """Solve N sets of leg lengths (N, 6), with circumradii of the middle, base and terminal platforms [m].
-
-    Written are R (N, 256, 3, 3), o (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode is not real; the
-    dimensions of the continuous families in TT, TF, FT, FF (N, 4); and as `status` (N,) 0, 1 or 3 of `Status`,
-    continuous families not counted.
-    """
-    scratch = allocate_stage_scratch()
-    below, above = np.empty((STAGE, 5)), np.empty((STAGE, 5))
-    for n in range(len(lengths)):
-        q = lengths[n]
-        lower = stage_modes(q[0] / r, q[1] / r, q[2] / r, base_radius / r, 1.0, scratch, below)
-        upper = stage_modes(q[3] / r, q[4] / r, q[5] / r, platform_radius / r, -1.0, scratch, above)
-        counted = lower[0] or lower[1] or _is_countable(q[0] / r, q[1] / r, q[2] / r, base_radius / r)
-        counted_upper = upper[0] or upper[1] or _is_countable(q[3] / r, q[4] / r, q[5] / r, platform_radius / r)
-        status[n] = 1
-        dimension[n] = 0
-        if not (counted and counted_upper):
-            # A stage that cannot be closed is enough to know that there is none.
-            nowhere = (counted and not _has_modes(lower, below)) or (counted_upper and not _has_modes(upper, above))
-            status[n] = 1 if nowhere else 3
-            rotation[n], translation[n], joints[n] = np.nan, np.nan, np.nan
-            continue
-        for i in range(STAGE):
-            for j in range(STAGE):
-                mode = i * STAGE + j
-                _put_composed(
-                    _stage(below, i), _stage(above, j), r, rotation[n, mode], translation[n, mode], joints[n, mode]
-                )
-                if not math.isnan(rotation[n, mode, 0, 0]):
-                    status[n] = 0
-        for i in range(2):
-            for j in range(2):
-                free = (1 if lower[i] else 0) + (1 if upper[j] else 0)
-                # The first place of a mode, T or F, is filled first.
-                both_exist = (lower[i] or not math.isnan(below[8 * i, 0])) and (
-                    upper[j] or not math.isnan(above[8 * j, 0])
-                )
-                dimension[n, 2 * i + j] = free if both_exist else 0
