@@ -124,14 +124,14 @@ def _read(readings: npt.ArrayLike) -> FloatArray:
 
 
 def check_path_readings(
-    limits: LegLimits | None, readings: FloatArray, argument: str, places: FloatArray, unit: str
+    limits: LegLimits | None, readings: FloatArray, argument: str, places: FloatArray, what: str
 ) -> None:
     """Raise `UnreachableError` at the first of `places` (n,) where readings (n, 6) are beyond the limits, if any."""
     excess = np.zeros(readings.shape) if limits is None else limits.excess(readings)
     if excess.any():
         k = int(excess.any(axis=-1).argmax())
         leg = int(np.abs(excess[k]).argmax())
-        received = f"{LEGS[leg]} of {readings[k, leg]:.6g} m at {places[k]:.4g} {unit}"
+        received = f"{LEGS[leg]} of {readings[k, leg]:.6g} m at {what} {places[k]:.4g}"
         raise UnreachableError(argument, f"leg lengths within the machine's {limits}", received)
 
 

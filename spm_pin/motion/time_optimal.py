@@ -172,7 +172,7 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
     """
     if not planned:
         limits, readings = chain.geometry.limits, along.states.readings
-        check_path_readings(limits, readings, "path", along.parameters, "of its parameter")
+        check_path_readings(limits, readings, "path", along.parameters, "parameter")
     values = determinants(along.states)[:, : 2 if isinstance(path, LegPath) else 3]
     crossed = (values[1:] * values[:-1] < 0.0).any(axis=-1)
     if crossed.any():

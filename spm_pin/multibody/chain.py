@@ -319,7 +319,7 @@ class ClosedChain:
                 raise at_index(error, (k,)) from error
             rows.append((q, v, a, efforts, self.readings(q), pose.as_matrix()))
         positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
-        check_path_readings(self.geometry.limits, readings, "path", t, "s")
+        check_path_readings(self.geometry.limits, readings, "path", t, "time")
         pose = RigidTransform.from_matrix(poses)
         return JointTrajectory(self.joint_names, t, positions, v, a, efforts, readings, pose)
 
