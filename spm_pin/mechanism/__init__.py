@@ -4,23 +4,30 @@ from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import PARAMETERS, Geometry
 from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
+from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.mechanism.legs import LEGS, LegLimits, Legs
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.mechanism.stage import Stage
 
 __all__ = [
     "BRANCHES",
     "FAMILIES",
     "LEGS",
     "PARAMETERS",
+    "PRS",
+    "RPS",
+    "RRS",
     "Configuration",
     "Degeneracy",
     "Geometry",
     "JointAngles",
+    "LegKind",
     "LegLimits",
     "Legs",
     "PoseLike",
     "SolutionSet",
+    "Stage",
     "Status",
     "as_rigid_transform",
     "joint_angles",

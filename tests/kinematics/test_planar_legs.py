@@ -1,0 +1,258 @@
+"""Machines of RPS, PRS and RRS legs in either stage, drawn and as built."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import mpmath
+import numpy as np
+import pytest
+from problems import PAPER, Array
+from scipy.optimize import fsolve
+
+import spm_pin as spm
+from spm_pin.formulas.operations import ARRAYS, bind
+from spm_pin.formulas.planar_legs import LegPlane, place_in_plane
+from spm_pin.kinematics import compliance, determinant_gradients, platform_jacobian
+from spm_pin.mechanism import PRS, RPS, RRS, Legs, Stage
+from spm_pin.mechanism.leg_kinds import KINDS
+
+KINDS_OF_STAGES = {"RPS": RPS(), "PRS": PRS(rod=1.6, direction=1.3), "RRS": RRS(crank=1.1, rod=0.9)}
+PAIRS = list(itertools.product(KINDS_OF_STAGES, repeat=2))
+SIGNS = [PRS(rod=1.6, direction=1.3, sign=1), RRS(crank=1.1, rod=0.9, sign=1), *KINDS_OF_STAGES.values()]
+BALL = 0.3, 1.2
+WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
+
+
+def machine(lower: str, upper: str, *, built: bool = False) -> spm.Geometry:
+    """Return a machine of the paper's triangles with legs of these kinds."""
+    radius = PAPER.middle_radius
+    stages = zip((lower, upper), (PAPER.base_radius, PAPER.platform_radius), strict=True)
+    drawn = spm.Geometry.of_stages(*(Stage(base, radius, KINDS_OF_STAGES[kind]) for kind, base in stages))
+    return drawn.perturbed(5, length=5e-3, angle=5e-3) if built else drawn
+
+
+def states(geometry: spm.Geometry, count: int = 60) -> spm.Configuration:
+    """Return physical states of a machine, away from singularities."""
+    legs = np.random.default_rng(11).uniform(1.15, 1.45, (count, 6))
+    other = spm.forward_physical(PAPER, legs)
+    readings = spm.mechanism.Configuration(geometry, other.pose, other.middle_joints).readings
+    found = spm.forward_physical(geometry, readings[np.isfinite(readings).all(axis=-1)])
+    found = found[found.exists]
+    regular = (np.abs(found.slopes) > 0.2 * geometry.legs.largest_slopes).all(axis=-1)
+    return found[regular & (np.abs(platform_jacobian(found)).max(axis=(-1, -2)) < 20.0)]
+
+
+def test_readings_of_right_triangles() -> None:
+    rrs, prs = RRS(crank=3.0, rod=4.0), PRS(rod=5.0)
+    place = np.array([[[3.0, 4.0]] * 3]) + 0.0
+    right_angle = np.arctan2(4.0, 3.0) - np.arccos(3.0 / 5.0)
+    np.testing.assert_allclose(rrs.readings(place), right_angle, atol=1e-15)
+    np.testing.assert_allclose(prs.readings(place), 0.0, atol=1e-15)
+    np.testing.assert_allclose(RPS().readings(place), 5.0)
+    # The knee is at the end of the crank, the carriage on its vertical slide.
+    np.testing.assert_allclose(rrs.circles(rrs.readings(place))[0][0, 0], [3.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(prs.circles(prs.readings(place))[0][0, 0], [0.0, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", SIGNS, ids=repr)
+def test_a_reading_is_where_another_method_finds_the_joint_between_the_links(kind: Any) -> None:
+    numbers, (x, z) = kind.numbers[0], BALL
+    (reading,) = kind.readings(np.array([[BALL] * 3]))[:, 0]
+
+    def gaps(q: Array) -> list[float]:
+        if isinstance(kind, RPS):
+            return [float(np.hypot(x, z) - q[0])]
+        if isinstance(kind, PRS):
+            along = q[0] * np.array([np.cos(numbers[1]), np.sin(numbers[1])])
+            return [float(np.hypot(*(BALL - along)) - numbers[0])]
+        return [float(np.hypot(*(BALL - numbers[0] * np.array([np.cos(q[0]), np.sin(q[0])]))) - numbers[1])]
+
+    (found,) = fsolve(gaps, [reading + 0.05], xtol=1e-13)
+    assert found == pytest.approx(reading, abs=1e-11)
+
+
+@pytest.mark.parametrize("kind", SIGNS, ids=repr)
+def test_formulas_of_legs_on_every_kind_of_number(kind: Any) -> None:
+    def values(run: Callable[..., Any], number: Callable[[float], Any]) -> list[Any]:
+        x, z, numbers = number(BALL[0]), number(BALL[1]), tuple(map(number, kind.numbers[0].tolist()))
+        reading = run(kind.formulas.reading)(x, z, numbers)
+        circle = run(kind.formulas.circle)(reading, numbers)
+        return [reading, *circle, run(kind.formulas.slope)(x, z, reading, numbers)]
+
+    expected = values(lambda formula: formula, float)
+    mp = {"sqrt": mpmath.sqrt, "cos": mpmath.cos, "sin": mpmath.sin, "arctan2": mpmath.atan2}
+    with mpmath.workdps(40):
+        exact = values(lambda formula: bind(formula, **mp, RIGHT_ANGLE=mpmath.pi / 2), mpmath.mpf)
+        np.testing.assert_allclose(expected, [float(x) for x in exact], atol=1e-15)
+    own = {"sqrt": ca.sqrt, "cos": ca.cos, "sin": ca.sin, "arctan2": ca.atan2}
+    symbolic = values(lambda formula: bind(formula, **own), ca.DM)
+    np.testing.assert_allclose(expected, [float(x) for x in symbolic], atol=1e-15)
+    arrays = values(lambda formula: bind(formula, **ARRAYS), lambda x: np.full(2, x))
+    np.testing.assert_allclose(expected, [np.broadcast_to(x, 2)[1] for x in arrays], atol=1e-15)
+
+
+@pytest.mark.parametrize("built", [False, True])
+@pytest.mark.parametrize(("lower", "upper"), PAIRS)
+def test_readings_lead_to_the_pose_and_the_pose_to_the_readings(lower: str, upper: str, built: bool) -> None:
+    geometry = machine(lower, upper, built=built)
+    found = states(geometry)
+    assert len(found) > 20
+    assert found.closure_residual.max() < 1e-14
+    branches = spm.inverse_displacement(geometry, found.pose)
+    error = np.abs(branches.readings - found.readings[:, None]).max(axis=-1)
+    np.testing.assert_allclose(np.nanmin(error, axis=-1), 0.0, atol=1e-11)
+    physical = spm.inverse_physical(geometry, found.pose, near=found)
+    np.testing.assert_allclose(physical.readings, found.readings, atol=1e-11)
+    # The balls are on the circles that the readings leave, seen from outside.
+    centres, radii = geometry.legs.circles(found.readings)
+    np.testing.assert_allclose(found.own_circle_centres, centres)
+    np.testing.assert_allclose(np.linalg.norm(found.leg_vectors, axis=-1), radii, atol=1e-13)
+    outward, forward = geometry.legs.planes
+    plane = LegPlane(*map(tuple, (geometry.legs.pivots[0], outward[0], forward[0])))
+    x, z = place_in_plane(tuple(found.balls[:, 0].T), plane)
+    np.testing.assert_allclose(np.stack([x, z], axis=-1), found.places[:, 0], atol=1e-15)
+    moved = spm.forward_physical(geometry, found.readings[1:], near=found[:-1])
+    assert moved.exists.mean() > 0.9
+    np.testing.assert_allclose(
+        moved.translation[moved.exists], found.translation[1:][moved.exists], atol=1e-11, err_msg="followed elsewhere"
+    )
+
+
+@pytest.mark.parametrize("built", [False, True])
+@pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS"), ("RRS", "RRS")])
+def test_rates_forces_and_gradients_are_those_of_the_readings(lower: str, upper: str, built: bool) -> None:
+    geometry = machine(lower, upper, built=built)
+    found = states(geometry)[:12]
+    jacobian, inverse, h = platform_jacobian(found), spm.inverse_jacobian(found), 1e-6
+    gradients = determinant_gradients(found)
+    for leg in range(6):
+        ends = [spm.forward_physical(geometry, found.readings + sign * h * np.eye(6)[leg], found) for sign in (1, -1)]
+        linear = (ends[0].translation - ends[1].translation) / (2.0 * h)
+        angular = (ends[0].pose.rotation * ends[1].pose.rotation.inv()).as_rotvec() / (2.0 * h)
+        expected = np.concatenate([linear, angular], axis=-1)
+        scale = 1.0 + np.abs(expected).max()
+        np.testing.assert_allclose(jacobian[..., leg], expected, rtol=0, atol=1e-7 * scale**2)
+        slopes = (spm.determinants(ends[0]) - spm.determinants(ends[1])) / (2.0 * h)
+        np.testing.assert_allclose(gradients[..., leg], slopes, rtol=0, atol=1e-7 * scale**2)
+    np.testing.assert_allclose(inverse @ jacobian, np.broadcast_to(np.eye(6), inverse.shape), atol=1e-10)
+    # Power balance: what the actuators exert at the rates of a twist is minus the work of the wrench.
+    forces = spm.leg_forces(found, WRENCH)
+    np.testing.assert_allclose(np.einsum("nl,nlk->nk", forces, inverse), np.tile(-WRENCH, (len(found), 1)), atol=1e-8)
+    product = spm.stiffness(found, 1e4) @ compliance(found, 1e4)
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(6), product.shape), atol=1e-6)
+
+
+@pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RPS")])
+@pytest.mark.parametrize("built", [False, True])
+def test_all_modes_have_the_readings_and_hold_the_physical_state(lower: str, upper: str, built: bool) -> None:
+    geometry = machine(lower, upper, built=built)
+    found = states(geometry)[:8]
+    modes = spm.forward_displacement(geometry, found.readings)
+    assert (np.asarray(modes.status) == spm.Status.OK).all()
+    assert np.nanmax(modes.residual) < 1e-13
+    assert np.nanmax(np.abs(modes.readings - found.readings[:, None])) < 1e-10
+    np.testing.assert_allclose(modes.physical(found).translation, found.translation, atol=1e-11)
+
+
+def test_a_ball_out_of_a_legs_reach_is_data() -> None:
+    geometry = spm.Geometry.of_stages(Stage(0.7, 0.45, RRS(crank=0.6, rod=0.8)), Stage(0.4, 0.45))
+    branches = spm.inverse_displacement(geometry, spm.pose([0.0, 0.0, 9.0], rpy=[0.1, 0.1, 0.0]))
+    assert branches.status == spm.Status.UNREACHABLE
+    assert "r_b1" in branches.physical().missing_reason
+
+
+def test_a_leg_is_singular_where_rod_and_crank_are_in_line() -> None:
+    geometry = machine("RRS", "RPS")
+    state = states(geometry)[0]
+    # The same state of a machine whose first leg just reaches its ball.
+    reach = float(np.hypot(*state.places[0]))
+    kind = RRS(crank=(reach - 0.9, 1.1, 1.1), rod=0.9)
+    legs = Legs(*geometry.legs.arrays, (kind, RPS()))
+    built = spm.Geometry(*geometry.dimensions, legs=legs)
+    stretched = spm.mechanism.Configuration(built, state.pose, state.middle_joints)
+    kind_of = spm.kinematics.SingularityKind
+    assert kind_of(int(spm.singularities(stretched, tolerance=1e-6).kind)) & kind_of.LEG
+    assert not kind_of(int(spm.singularities(state, tolerance=1e-6).kind)) & kind_of.LEG
+
+
+def test_a_path_of_poses_ends_where_a_leg_no_longer_reaches() -> None:
+    geometry = machine("RRS", "RRS")
+    state = states(geometry)[0]
+    up = spm.pose(state.translation + np.array([0.0, 0.0, 1.5]), rotation=state.pose.rotation)
+    path = spm.follow(geometry, [state.pose.as_matrix(), up.as_matrix()], state, samples=20)
+    end = path.events[-1]
+    assert end.kind == "solution ends"
+    assert "whose actuator no longer moves its ball" in end.detail
+
+
+@pytest.mark.parametrize("built", [False, True])
+def test_files_copies_and_parameters_keep_the_legs(built: bool, tmp_path: Path) -> None:
+    geometry = machine("RRS", "PRS", built=built)
+    geometry.to_yaml(tmp_path / "machine.yaml")
+    for copy in (spm.Geometry.from_yaml(tmp_path / "machine.yaml"), pickle.loads(pickle.dumps(geometry))):
+        assert copy == geometry
+        assert copy.is_nominal == geometry.is_nominal != built
+    again = geometry.from_parameters(geometry.parameters)
+    np.testing.assert_allclose(again.parameters, geometry.parameters, atol=1e-15)
+    assert len(geometry.parameter_names) == len(geometry.parameter_units) == len(geometry.parameters) == 66
+    assert geometry.parameter_units[-1] == "rad", "the direction of a slide"
+
+
+WRONG: dict[str, tuple[Callable[[], Any], str]] = {
+    "no sign": (lambda: RRS(crank=0.5, rod=0.9, sign=0), "sign of RRS: expected .1 or -1"),
+    "a rod of no length": (lambda: PRS(rod=0.0), "rod of PRS"),
+    "degrees": (lambda: PRS(rod=1.0, direction=90.0), "Given in degrees"),
+    "four legs": (lambda: RRS(crank=[1.0] * 4, rod=1.0), "one for each of the three legs"),
+    "limits in degrees": (
+        lambda: spm.Geometry.of_stages(Stage(0.7, 0.45, RRS(crank=0.5, rod=0.9), (-30.0, 90.0)), Stage(0.4, 0.45)),
+        "In degrees",
+    ),
+    "a negative length": (
+        lambda: spm.Geometry.of_stages(Stage(0.7, 0.45, RPS(), (-0.3, 0.9)), Stage(0.4, 0.45)),
+        "0 <= minimum",
+    ),
+    "two triangles": (lambda: spm.Geometry.of_stages(Stage(0.7, 0.45), Stage(0.4, 0.46)), "platform_radius"),
+    "readings in degrees": (
+        lambda: spm.forward_physical(machine("RRS", "RPS"), [60.0, 60.0, 60.0, 1.3, 1.3, 1.3]),
+        "In degrees",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_legs_are_refused_with_the_cause(name: str) -> None:
+    call, message = WRONG[name]
+    with pytest.raises(spm.ArgumentError, match=message):
+        call()
+
+
+REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
+    "arrays": lambda g: spm.arrays.forward_physical(g, np.full(6, 1.3)),
+    "calibration": lambda g: spm.calibration.error_jacobian(states(g)[0]),
+    "casadi": lambda g: spm.symbolic.forward_physical(g),
+    "certify": lambda g: spm.certify(g, spm.LegLimits(1.2, 1.3)),
+    "crosscheck": lambda g: spm.crosscheck.compare_methods(g, poses=2),
+    "joint values": lambda g: spm.mechanism.joint_angles(states(g)[0]),
+    "leg lengths of the search": lambda g: spm.nlp.leg_lengths(g),
+    "pinocchio": lambda g: spm.ClosedChain.from_urdf(geometry=g),
+    "plan": lambda g: spm.plan(g, np.full(6, 1.3), np.full(6, 1.4)),
+    "urdf": lambda g: spm.description.urdf_text(g),
+    "the paper's Jacobian": lambda g: spm.paper.jacobian.J_f(states(g)[0]),
+    "workspace": lambda g: spm.workspace.reachable_position(g, [0.1, 0.0, 2.0], spm.LegLimits(0.0, 2.0)),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_known_for_rps_legs_alone_refuses_others_by_name(name: str) -> None:
+    with pytest.raises(spm.GeometryError, match="RRS below and RPS above"):
+        REFUSED[name](machine("RRS", "RPS"))
+
+
+def test_the_kinds_have_their_names() -> None:
+    assert {name: kind.unit for name, kind in KINDS.items()} == {"RPS": "m", "PRS": "m", "RRS": "rad"}
