@@ -39,6 +39,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.mechanism.geometry import check_rps, check_same_machine
+from spm_pin.workspace.nearest_state import nearest_state
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
 
@@ -46,8 +47,8 @@ _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i +
 """Pairs of legs that have no joint in common, by their indices in `LEGS`."""
 _ANGLES = ("hip", "ball_x", "ball_y", "ball_z")
 """Names of the limits of angles."""
-_STARTS = 8
-"""Starts of a search: the states of a sample whose platform joints are nearest to the target's."""
+_STARTS = [0, 5, 15, 40]
+"""Starts of a search: places among the states of a sample by the distance of their platform joints from the target's."""
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
 _FREE_SAMPLE, _FREE_STARTS, _SEED = 4096, 32, 20_140_131
@@ -359,9 +360,9 @@ def _nearest_within(
     joints, targets = geometry.platform_joints, _joint_positions(geometry, matrices)
     if near is None:
         states = states_within(geometry, limits)
-        starts = states.sample[states.joints_tree.query(targets, _STARTS)[1]]
-        result = nearest_states(states, targets, starts, joints)
-        return states.states(result.coordinates, result.readings)
+        starts = states.sample[states.joints_tree.query(targets, _STARTS[-1] + 1)[1][:, _STARTS]]
+        ends = [nearest_state(states, *problem, joints) for problem in zip(targets, starts, strict=True)]
+        return states.states(np.array(ends).reshape(-1, 2, 3))
     states, start = states_around(near, limits)
     result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)
     if states.aspects == (HOME_ASPECT, HOME_ASPECT):
