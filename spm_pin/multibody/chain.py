@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
@@ -80,6 +81,7 @@ class ClosedChain:
         self.model = pin.buildModelFromXML(urdf)
         self.closures = read_closures(prefix=prefix)
         self._constrained = ConstrainedModel(self.model, self.closures, geometry, prefix)
+        self._of_thread = threading.local()
         self.joint_names, self.leg_indices = self._constrained.names, self._constrained.legs
         self._order = np.argsort(self._constrained.joint_indices(*ANGLES, *SLIDES))
 
@@ -129,6 +131,13 @@ class ClosedChain:
         Its methods are all that follows from q and v: rates, forces, dynamics, singularities, the configuration.
         """
         return ChainState(self._constrained).update(q, v)
+
+    def _at(self, q: npt.ArrayLike) -> ChainState:
+        """Return the state at q that this thread's projections and continuations compute in, without new memory."""
+        if not hasattr(self._of_thread, "state"):
+            self._of_thread.state = ChainState(self._constrained)
+        state: ChainState = self._of_thread.state
+        return state.update(q)
 
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
@@ -222,7 +231,7 @@ class ClosedChain:
         All joints move, as little as closes the loops to first order, slides measured in units of the middle platform's
         side. Raises `ClosureError` if the loops do not close to rounding in fifty steps.
         """
-        state = self.state(q)
+        state = self._at(q)
         return np.array(state._each_member(lambda: close_loops(state.kinematics, state.kinematics.q, most=50), (18,)))
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
@@ -278,7 +287,7 @@ class ClosedChain:
     ) -> FloatArray:
         """Return q of each target, from that of the one before; a target is of so many axes of each array."""
         q = self._constrained.read_q(near, "near", single=True)
-        kinematics: TreeKinematics = self.state(q).kinematics
+        kinematics: TreeKinematics = self._at(q).kinematics
         kinematics.check_closed()
         shape = targets[0].shape[: targets[0].ndim - axes[0]]
         path = np.empty((*shape, q.size))
