@@ -18,6 +18,8 @@ _LEAST_DETERMINANT = 3e-7
 """Of a stage, about 1 at home: nearer to a forward singularity rounding of the readings moves the platform farther."""
 _RIM = 1e-9
 """Least of 1 - x² - y² of a stage."""
+_FAR = 1e6
+"""The objective where there is no state."""
 _COARSE, _FINE, _POLISHED = {"maxiter": 10, "ftol": 1e-6}, {"maxiter": 200, "ftol": 1e-16}, 2
 """Steps of a search at most, and the change of half the squared distance over the machine's size squared at its end;
 and how many of the nearest ends of coarse searches are finished."""
@@ -34,12 +36,12 @@ def nearest_state(states: StateSet, target: FloatArray, starts: FloatArray, body
     coarse = [problem.search(start.ravel(), _COARSE) for start in starts]
     # Searches that end at one place are one.
     ends = sorted({(round(float(end.fun), 9), *end.x.tolist()) for end in coarse})
-    best, least = starts[0], np.inf
+    best, least = np.asarray(starts[0]), np.inf
     for _, *place in ends[:_POLISHED]:
         found = problem.search(np.array(place), _FINE)
         distance = problem.objective(found.x)[0]
-        if distance < least and problem.room(found.x).min() >= -_ROUNDING:
-            best, least = found.x.reshape(2, 3), distance
+        if distance < least and problem.is_state(found.x):
+            best, least = np.array(found.x).reshape(2, 3), distance
     return best
 
 
@@ -47,49 +49,58 @@ class _Problem:
     """Half the squared distance and the room to all limits, in units of the machine's size, with their derivatives."""
 
     def __init__(self, states: StateSet, target: FloatArray, body: FloatArray) -> None:
-        self._states, self._target, self._body = states, target, body
+        rows = 3 * len(body)
+        self._states, self._machine = states, states.machine(body)
+        self._target, self._size = target / np.sqrt(len(body)), states.size
         self._limited = np.isfinite(states.minimum), np.isfinite(states.maximum)
+        self._points, self._moved, self._readings, self._rates = (
+            np.empty(shape) for shape in ((rows,), (rows, 6), (6,), (6, 6))
+        )
+        self._determinants, self._slopes, self._places = np.empty(2), np.empty((2, 6)), np.empty(2, np.int64)
         self._at: bytes = b""
-        self._parts: Any = ()
 
-    def search(self, start: FloatArray, options: dict[str, float]) -> scipy.optimize.OptimizeResult:
+    def search(self, start: FloatArray, options: dict[str, float]) -> Any:
         """Return the end of SLSQP from a start (6,)."""
         room = {"type": "ineq", "fun": self.room, "jac": self.room_slopes}
-        return scipy.optimize.minimize(
-            self.objective, start, jac=True, method="SLSQP", constraints=room, options=options
-        )
+        minimize: Any = scipy.optimize.minimize
+        return minimize(self.objective, start, jac=True, method="SLSQP", constraints=room, options=options)
 
-    def _evaluate(self, x: FloatArray) -> Any:
-        """Return points and room, and their derivatives by the six coordinates, at x (6,)."""
+    def is_state(self, x: FloatArray) -> bool:
+        """Return whether x (6,) is a state of the set: within its limits, and both stages in their aspects."""
+        from spm_pin.kinematics.kernels.stage_states import INSIDE
+
+        return bool(self.room(x).min() >= -_ROUNDING and (self._places == INSIDE).all())
+
+    def _evaluate(self, x: FloatArray) -> bool:
+        """Compute what the state at x (6,) is; False where there is none."""
+        from spm_pin.kinematics.kernels.stage_states import NO_STATE
+        from spm_pin.kinematics.kernels.state_search import state_terms
+
         if x.tobytes() != self._at:
-            self._at, self._parts = x.tobytes(), self._states.with_slopes(x.reshape(2, 3), self._body)
-        return self._parts
+            self._at = x.tobytes()
+            results = self._points, self._moved, self._readings, self._rates, self._determinants, self._slopes
+            state_terms(x.reshape(2, 3).copy(), self._machine, *results, self._places)
+        return bool((self._places != NO_STATE).all())
 
     def objective(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Return half the squared distance, and its gradient (6,)."""
-        points, slopes, *_ = self._evaluate(x)
-        gap, size = (points - self._target) / self._states.size, self._states.size
-        if not np.isfinite(gap).all():
-            return np.inf, np.zeros(6)
-        return 0.5 * float(gap @ gap), gap @ slopes / size
+        if not self._evaluate(x):
+            return _FAR, np.zeros(6)
+        gap = (self._points - self._target) / self._size
+        return 0.5 * float(gap @ gap), gap @ self._moved / self._size
 
     def room(self, x: FloatArray) -> FloatArray:
         """Return how far readings, determinants and coordinates are within their limits, (n,)."""
-        _, _, readings, _, determinants, _ = self._evaluate(x)
-        below, above = self._limited
-        room = [
-            (readings - self._states.minimum)[below] / self._states.size,
-            (self._states.maximum - readings)[above] / self._states.size,
-            determinants - _LEAST_DETERMINANT,
-            1.0 - _RIM - (x.reshape(2, 3)[:, :2] ** 2).sum(axis=-1),
-        ]
-        return np.nan_to_num(np.concatenate(room), nan=-1.0)
+        exists, (below, above), states = self._evaluate(x), self._limited, self._states
+        rim = 1.0 - _RIM - (x.reshape(2, 3)[:, :2] ** 2).sum(axis=-1)
+        low, high = (self._readings - states.minimum)[below], (states.maximum - self._readings)[above]
+        room = np.concatenate([low / self._size, high / self._size, self._determinants - _LEAST_DETERMINANT, rim])
+        return room if exists else np.full(len(room), -1.0)
 
     def room_slopes(self, x: FloatArray) -> FloatArray:
         """Return the derivatives of `room`, (n, 6)."""
-        _, _, _, rates, _, slopes = self._evaluate(x)
-        below, above = self._limited
-        rim = np.zeros((2, 6))
+        self._evaluate(x)
+        rim, (below, above) = np.zeros((2, 6)), self._limited
         rim[0, :2], rim[1, 3:5] = -2.0 * x[:2], -2.0 * x[3:5]
-        rows = [rates[below] / self._states.size, -rates[above] / self._states.size, slopes, rim]
-        return np.nan_to_num(np.concatenate(rows))
+        rates = self._rates / self._size
+        return np.concatenate([rates[below], -rates[above], self._slopes, rim])

@@ -47,8 +47,8 @@ _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i +
 """Pairs of legs that have no joint in common, by their indices in `LEGS`."""
 _ANGLES = ("hip", "ball_x", "ball_y", "ball_z")
 """Names of the limits of angles."""
-_STARTS = [0, 5, 15, 40]
-"""Starts of a search: places among the states of a sample by the distance of their platform joints from the target's."""
+_CANDIDATES, _STARTS = 400, 6
+"""States of a sample whose platform joints are nearest to the target's, and how many unlike ones of them are starts."""
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
 _FREE_SAMPLE, _FREE_STARTS, _SEED = 4096, 32, 20_140_131
@@ -360,7 +360,8 @@ def _nearest_within(
     joints, targets = geometry.platform_joints, _joint_positions(geometry, matrices)
     if near is None:
         states = states_within(geometry, limits)
-        starts = states.sample[states.joints_tree.query(targets, _STARTS[-1] + 1)[1][:, _STARTS]]
+        places = np.asarray(states.joints_tree.query(targets, _CANDIDATES)[1])
+        starts = (_unlike(states.sample[place], _STARTS) for place in places)
         ends = [nearest_state(states, *problem, joints) for problem in zip(targets, starts, strict=True)]
         return states.states(np.array(ends).reshape(-1, 2, 3))
     states, start = states_around(near, limits)
@@ -373,6 +374,15 @@ def _nearest_within(
     with np.errstate(invalid="ignore"):
         kept = gap <= _MODE_TOLERANCE * geometry.middle_side
     return states.states(np.where(kept[:, None, None], result.coordinates, start))
+
+
+def _unlike(states: FloatArray, count: int) -> FloatArray:
+    """Return the first of states (n, 2, 3) and others (count in all), each the farthest from those before it."""
+    chosen, nearest = [0], np.full(len(states), np.inf)
+    for _ in range(count - 1):
+        nearest = np.minimum(nearest, ((states - states[chosen[-1]]) ** 2).sum(axis=(-1, -2)))
+        chosen.append(int(nearest.argmax()))
+    return states[chosen]
 
 
 def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: Configuration | None) -> Configuration:

@@ -64,8 +64,6 @@ class Stages:
     in_aspect: BoolArray  # (N,)
     spins: FloatArray  # derivatives by the coordinates, which are last: the rotation's, as rotation vectors, (N, 3, 3)
     velocities: FloatArray  # the centre's, (N, 3, 3)
-    rates: FloatArray  # the readings', (N, 3, 3)
-    slope: FloatArray  # the determinant's, (N, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +130,7 @@ class StateSet:
         inputs = [np.require(coordinates, requirements=("C", "W"))]
         values, slopes, places = run_kernel(stage_states, inputs, constants, results, _MIN_BATCH)
         rotation, centre, readings, determinant = np.split(values, [9, 12, 15], axis=1)
-        derivatives = slopes[:, :3], slopes[:, 3:6], slopes[:, 6:9], slopes[:, 9]
+        derivatives = slopes[:, :3], slopes[:, 3:6]
         return Stages(rotation.reshape(-1, 3, 3), centre, readings, determinant[:, 0], places == INSIDE, *derivatives)
 
     def _both(self, coordinates: FloatArray) -> tuple[Stages, Stages, FloatArray]:
@@ -164,32 +162,12 @@ class StateSet:
 
     def jacobians(self, coordinates: FloatArray) -> FloatArray:
         """Return the derivatives of o and of the rotation by the coordinates, (N, 6, 6) [m, rad]."""
-        return self._slopes(*self._both(coordinates))
-
-    def _slopes(self, lower: Stages, upper: Stages, rotation: FloatArray) -> FloatArray:
-        matrix = np.empty((len(rotation), 6, 6))
+        lower, upper, rotation = self._both(coordinates)
+        matrix = np.empty((len(coordinates), 6, 6))
         matrix[:, :3, :3] = lower.velocities - np.cross(lower.spins, rotation @ upper.centre[..., None], axis=1)
         matrix[:, :3, 3:] = -rotation @ (upper.velocities - np.cross(upper.spins, upper.centre[..., None], axis=1))
         matrix[:, 3:, :3], matrix[:, 3:, 3:] = lower.spins, -rotation @ upper.spins
         return matrix
-
-    def with_slopes(self, coordinates: FloatArray, body: FloatArray) -> tuple[FloatArray, ...]:
-        """Return what one state is, and the derivatives of all by its coordinates (2, 3), which are last.
-
-        The positions of points `body` (K, 3) of the platform in {B} [m], (3K,) and (3K, 6); the readings, (6,) and
-        (6, 6); both determinants, (2,) and (2, 6).
-        """
-        lower, upper, rotation = self._both(coordinates[None])
-        jacobian = self._slopes(lower, upper, rotation)[0]
-        points = (body @ rotation[0].T)[:, :, None]
-        moved = jacobian[:3] + np.cross(jacobian[None, 3:], points, axis=1)
-        o = lower.centre[0] - rotation[0] @ upper.centre[0]
-        rates, slopes = np.zeros((6, 6)), np.zeros((2, 6))
-        for k, stage in enumerate((lower, upper)):
-            rates[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], slopes[k, 3 * k : 3 * k + 3] = stage.rates[0], stage.slope[0]
-        readings = np.concatenate([lower.readings[0], upper.readings[0]])
-        determinants = np.concatenate([lower.determinant, upper.determinant])
-        return (points[:, :, 0] + o).ravel(), moved.reshape(-1, 6), readings, rates, determinants, slopes
 
     def upper_for(self, lower: FloatArray, points: FloatArray) -> FloatArray:
         """Return coordinates of upper stages (N, 3) that put o at `points` (N, 3) [m], given those of the lower stages.

@@ -63,6 +63,7 @@ Machine = tuple[FloatArray, float, float, FloatArray, FloatArray, FloatArray, Fl
 """Legs (2, 3, 10) of both stages, r [m], the machine's size [m], the aspects wanted (2,), points of the body (K, 3)
 in {m} [m], the diagonal of the half turn between stages of different modes (3,), and limits (2, 8): of six readings [m]
 and of both determinants times the size."""
+_MACHINE = "Tuple((f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1]))"
 State = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Values (2, 16) and slopes (2, 10, 3) of both stages, residual (3K + 8,) and its Jacobian (3K + 8, 6)."""
 Search = tuple[Machine, State, State, FloatArray, FloatArray]
@@ -103,6 +104,26 @@ def _put_points(
             seen = times(lower, (between[0] * d0, between[1] * d1, between[2] * d2))
             for i in range(3):
                 jacobian[3 * n + i, k], jacobian[3 * n + i, 3 + k] = scale * moved[i], -scale * seen[i]
+
+
+@kernel(f"void(f8[:, ::1], {_MACHINE}, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])")
+def state_terms(coordinates, machine, points, moved, readings, rates, determinants, slopes, places):
+    """Write what the state at coordinates (2, 3) is, and the derivatives of all by its six coordinates.
+
+    The points of the body (3K,) over √K, and (3K, 6); readings (6,) and (6, 6) [m]; determinants (2,) and (2, 6); and
+    where each stage is (2,), see `evaluate_stage`.
+    """
+    legs, radius, _, aspects, body, between, _ = machine
+    values, changes = np.empty((2, STAGE_NUMBERS)), np.empty((2, SLOPE_NUMBERS, 3))
+    rates[:], slopes[:] = 0.0, 0.0
+    for k in range(2):
+        upward = 1.0 - 2.0 * k
+        places[k] = evaluate_stage(coordinates[k], legs[k], radius, upward, aspects[k], values[k], changes[k])
+        determinants[k], slopes[k, 3 * k : 3 * k + 3] = values[k, DETERMINANT], changes[k, RATES + 3]
+        for i in range(3):
+            readings[3 * k + i] = values[k, READINGS + i]
+            rates[3 * k + i, 3 * k : 3 * k + 3] = changes[k, RATES + i]
+    _put_points(values, changes, body, between, points, moved)
 
 
 @jit
@@ -336,9 +357,6 @@ def _settle(
             coordinates[k // 3, k % 3] -= step[k]
     certain = place == INSIDE and min(values[0, DETERMINANT], values[1, DETERMINANT]) > _LEAST_DETERMINANT
     return gap <= rounding and (certain or machine[3][0] == ANY_ASPECT)
-
-
-_MACHINE = "Tuple((f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1]))"
 
 
 @kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], f8[:, ::1], {_MACHINE}, f8[:, :, ::1], f8[:, ::1], i8[::1])")
