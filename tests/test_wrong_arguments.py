@@ -131,6 +131,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("SolutionSet.nearest.near", "SolutionSet.physical.near", "configuration", "state"), lambda: STATE),
     **{f"{function}.near": lambda: STATE for function in ("forward_physical", "inverse_physical")},
     "nearest_reachable_pose.near": lambda: STATE,
+    **dict.fromkeys(("Geometry.of_stages.lower", "Geometry.of_stages.upper"), lambda: spm.mechanism.Stage(0.7, 0.4)),
     **dict.fromkeys(("leg_grid.lower", "leg_grid.upper"), lambda: (1.2, 1.3, 2)),
     "geometry": lambda: PAPER,
     **dict.fromkeys(("path", "PlatformPath.poses"), lambda: PATH),

@@ -39,8 +39,9 @@ from spm_pin.formulas.wrenches import is_stage_at_home, mean, pairs
 
 LONGEST_TURN = 0.3
 """Largest turn of a leg in one of Newton's steps [rad]."""
-MOST_STEPS = 20
-"""Newton's steps from the level stage. No state has been seen that took more than 14."""
+SEARCH_STEPS, MOST_STEPS, WANDERING = 20, 60, 1e-2
+"""Newton's steps after which one larger than the last number [rad] says that there is no solution, and at most. No
+state has been seen that took more than 14 but near a fold, towards which steps only halve."""
 _KANTOROVICH, _DRIFT = 0.125, 0.25
 """Largest products of the inverse's norm at the end of a step with the Lipschitz constant times Newton's first step and
 with the change of the derivative on the way. At constant angles the errors are quadratic in radii and centres, so all

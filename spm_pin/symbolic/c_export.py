@@ -151,6 +151,8 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
         "LIMIT_ROUNDING": repr(LIMIT_ROUNDING),
         "MOST_STEPS": str(MOST_STEPS),
         "NEWTON_STEPS": str(circles.MOST_STEPS),
+        "SEARCH_STEPS": str(circles.SEARCH_STEPS),
+        "WANDERING": repr(circles.WANDERING),
         "SHORTEST": repr(SHORTEST),
         "ROOT_STEPS": str(ROOT_STEPS),
         "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(geometry).values()),

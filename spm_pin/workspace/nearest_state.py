@@ -6,10 +6,10 @@ the readings and both determinants are inequalities, so that what is found is wi
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
-import scipy.optimize
 
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.states import StateSet
@@ -62,7 +62,8 @@ class _Problem:
     def search(self, start: FloatArray, options: dict[str, float]) -> Any:
         """Return the end of SLSQP from a start (6,)."""
         room = {"type": "ineq", "fun": self.room, "jac": self.room_slopes}
-        minimize: Any = scipy.optimize.minimize
+        # Not at the top: it takes longer to import than all else that a command needs.
+        minimize: Any = import_module("scipy.optimize").minimize
         return minimize(self.objective, start, jac=True, method="SLSQP", constraints=room, options=options)
 
     def is_state(self, x: FloatArray) -> bool:

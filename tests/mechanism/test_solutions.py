@@ -209,7 +209,7 @@ def test_more_than_two_branches_of_a_family_give_the_status_unsolved(branches: s
 def test_representations_are_summaries(branches: spm.SolutionSet, batch: spm.SolutionSet) -> None:
     assert repr(branches) == "<SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->"
     assert "(500,) problems (500 ok, 0 unreachable" in repr(batch)
-    assert repr(branches["TT+"]).startswith("<Configuration: leg lengths (1.1998, 1.2000")
+    assert repr(branches["TT+"]).startswith("<Configuration: readings 1.1998 m, 1.2000 m")
 
 
 LEVEL = spm.pose([0.0, 0.0, 2.2], rotation=np.eye(3))

@@ -336,7 +336,6 @@ def test_other_files_are_refused_and_not_changed(kind: str, tmp_path: Path) -> N
         ({"workers": None, "scheduler": 3}, "scheduler"),
         ({"metrics": [["reachable"]]}, "a Metric, or names among"),
         ({"metrics": [Metric("x", "m", "", lambda points: points.coordinates[:, 0])]}, "coordinates"),
-        ({"geometry": spm.Geometry.paper().perturbed(1), "metrics": ["assembly_modes"]}, "a machine as drawn"),
     ],
 )
 def test_bad_arguments_are_refused_before_anything_is_written(

@@ -12,6 +12,8 @@ import numpy as np
 from spm_pin.formulas.ball_motions import frame_of_triangle, points_from_platform, pose_of_frames
 from spm_pin.formulas.circles import (
     MOST_STEPS,
+    SEARCH_STEPS,
+    WANDERING,
     Circles,
     balls_at,
     circles_between,
@@ -49,12 +51,12 @@ def circles_at(axes: FloatArray, centres: FloatArray, radii: FloatArray, squares
 def solution(stage: Circles, start: Rows) -> tuple[Rows, Rows, bool]:
     """Return directions and balls where Newton's method leads from near these balls, and whether it has converged."""
     e, last = directions_to(stage, start), np.nan
-    for _ in range(MOST_STEPS):
+    for count in range(MOST_STEPS):
         step = newton_step(stage, e)
         e, size = turned_back(stage, e, limited(step)), largest(step)
         if has_converged(size, last):
             return e, balls_at(stage, e), True
-        if not size < np.inf:
+        if not size < (np.inf if count < SEARCH_STEPS else WANDERING):
             break
         last = size
     return e, balls_at(stage, e), last < 1e-9

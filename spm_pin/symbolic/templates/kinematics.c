@@ -410,7 +410,7 @@ static int solve_stage(const circles *c, double *balls)
     for (step = 0; step < @NEWTON_STEPS@ && !(converged > 0.0); ++step) {
         newton_step(in, out);
         has_converged(sizes, flag);
-        if (!(size < DBL_MAX)) {
+        if (!(size < (step < @SEARCH_STEPS@ ? DBL_MAX : @WANDERING@))) {
             return 0;
         }
         last = size;
