@@ -55,6 +55,7 @@ class _Command(TyperCommand):
 _COMMANDS = {
     "demo": "crosscheck",
     "inverse": "pose_commands",
+    "nearest": "pose_commands",
     "forward": "pose_commands",
     "reproduce": "crosscheck",
     "crosscheck": "crosscheck",

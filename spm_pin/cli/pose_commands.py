@@ -1,4 +1,4 @@
-"""`spm-pin inverse`, `forward`, `singularities` and `statics`: the states of one pose or of six leg lengths.
+"""`spm-pin inverse`, `nearest`, `forward`, `singularities` and `statics`: states of one pose or of six leg lengths.
 
 Each builds one record per state, which is the JSON, and prints a table of columns of these records.
 """
@@ -21,7 +21,7 @@ from spm_pin.kinematics.forward_displacement import forward_displacement, forwar
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
-from spm_pin.mechanism import LEGS, Configuration, SolutionSet, Status
+from spm_pin.mechanism import LEGS, Configuration, Geometry, SolutionSet, Status
 
 Record = dict[str, Any]
 _MATRICES = ("J_b", "J_c", "K")
@@ -52,9 +52,10 @@ def inverse(
     branches = _records(solutions, None, lambda state: _lengths(state, unit))
     physical = solutions.physical()
     code = options.exit_code(solutions, physical)
+    reach = _nearest(solutions.geometry, pose, unit) if code in (3, 5) else None
     if json:
         content = options.status_content(solutions, unit)
-        outputs.write_json(content | {"discriminants": solutions.discriminants, "branches": branches})
+        outputs.write_json(content | {"discriminants": solutions.discriminants, "branches": branches, "nearest": reach})
         raise typer.Exit(code)
 
     # The space stands for the mark of a leg beyond its limits.
@@ -70,8 +71,58 @@ def inverse(
     lines += options.state_remarks(branches, physical, "branch")
     if solutions.ambiguous:
         lines.append("Two branches are physical, on either side of an inverse singularity; the straighter is likelier.")
+    if reach is not None:
+        lines += [f"The nearest pose within the limits is {unit.text(reach['distance'], 1)} {unit} away:"]
+        lines += [f"  {_pose_options(reach, unit)}"]
     outputs.print_lines(lines)
     raise typer.Exit(code)
+
+
+@outputs.name_options()
+@options.takes_pose()
+def nearest(
+    pose: RigidTransform,
+    unit: options.Unit = LengthUnit.M,
+    geometry: options.GeometryFile = None,
+    json: options.AsJson = False,
+) -> None:
+    """Find the reachable pose nearest to one, within the leg limits and in the physical mode.
+
+    Example: spm-pin nearest --translation 0.1 0 2.4 --rpy 5 0 0
+
+    The distance is the root mean square displacement of the platform's three joints c_1, c_2, c_3: zero where the pose
+    itself can be reached.
+    """
+    machine = options.read_geometry(geometry)
+    reach = _nearest(machine, pose, unit)
+    if reach is None:
+        raise ArgumentError("--geometry", "a machine with leg limits", "none", "Its file has them as leg_limits")
+    if json:
+        outputs.write_json({"unit": unit, **reach})
+        return
+    columns = {name: lambda row, leg=leg: unit.text(row["readings"][leg]) for leg, name in enumerate(LEGS)}
+    outputs.print_table(f"Leg lengths in {unit}, as the encoders show them", columns, [reach])
+    outputs.print_lines([f"distance: {unit.text(reach['distance'], 1)} {unit}", f"pose: {_pose_options(reach, unit)}"])
+
+
+def _nearest(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> Record | None:
+    """Return the nearest reachable pose, its readings and how far it is; None of a machine without leg limits."""
+    if geometry.limits is None:
+        return None
+    from spm_pin.workspace.poses import nearest_reachable_pose
+
+    found = nearest_reachable_pose(geometry, pose)
+    state = found.configuration
+    lengths = {"translation": state.translation, "readings": state.readings, "distance": found.distance}
+    rpy = state.pose.rotation.as_euler("xyz", degrees=True, suppress_warnings=True)
+    return {name: x * unit.per_metre for name, x in lengths.items()} | {"rpy": rpy, "rotation": state.rotation}
+
+
+def _pose_options(reach: Record, unit: LengthUnit) -> str:
+    """Return the options that enter a nearest pose, to the digits of the table."""
+    translation = " ".join(unit.text(x, 2) for x in reach["translation"])
+    named = "" if unit is LengthUnit.M else f" --unit {unit}"
+    return f"--translation {translation} --rpy {' '.join(fixed(x, 3) for x in reach['rpy'])}{named}"
 
 
 def _records(

@@ -214,7 +214,7 @@ def test_a_wrong_row_alone_is_named(change: Callable[..., Any], row: int, loss: 
     assert np.linalg.norm(places[0].translation - places[1].translation, axis=-1).max() < 5e-5
 
 
-@pytest.mark.parametrize(("error", "status"), [(1e-3, "misfit"), (0.1, "not converged")])
+@pytest.mark.parametrize(("error", "status"), [(3e-3, "misfit"), (0.1, "not converged")])
 def test_too_few_rows_to_find_the_wrong_one_are_no_fit(error: float, status: str) -> None:
     poses, readings = measure(PAPER.perturbed(1), 0, states=plan()[:9])
     readings[5, 2] += error
