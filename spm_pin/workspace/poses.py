@@ -47,7 +47,7 @@ _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i +
 """Pairs of legs that have no joint in common, by their indices in `LEGS`."""
 _ANGLES = ("hip", "ball_x", "ball_y", "ball_z")
 """Names of the limits of angles."""
-_CANDIDATES, _STARTS = 400, 6
+_CANDIDATES, _STARTS = 400, 8
 """States of a sample whose platform joints are nearest to the target's, and how many unlike ones of them are starts."""
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""

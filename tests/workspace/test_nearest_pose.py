@@ -144,3 +144,14 @@ def test_without_limits_the_nearest_pose_has_the_branch() -> None:
     drawn, built = (nearest_reachable_pose(machine, TARGET, limits, branch="TT+") for machine in (PAPER, BUILT))
     assert built.configuration.closure_residual < 1e-13
     assert built.distance == pytest.approx(drawn.distance, abs=0.03)
+
+
+def test_a_search_from_one_side_alone_stops_in_a_bad_minimum() -> None:
+    turn = Rotation.from_rotvec([1.111399262918864, 1.9798418298099358, 0.02259312256275072])
+    target = spm.pose([-0.7413837786575485, -0.7539752247540946, 0.7062825095402535], rotation=turn)
+    limits = spm.LegLimits(0.6, 2.0)
+    nearest = nearest_reachable_pose(PAPER, target, limits)
+    # The states nearest to the target lead to one that is 0.49 m away.
+    assert nearest.distance < 0.3323
+    assert limits.contains(nearest.configuration.readings)
+    assert spm.inverse_physical(PAPER, nearest.configuration.pose, near=nearest.configuration).exists
