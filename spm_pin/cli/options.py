@@ -157,6 +157,8 @@ def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: b
         raise ArgumentError(argument, f"one orientation, of {names}", f"{len(chosen)} of them" if chosen else "none")
     (name,) = chosen
     value = np.array(typed[name])
+    if name in ("xyx", "rpy", "rotvec") and not np.isfinite(value).all():
+        raise PoseError(f"--{prefix}{name}", "finite angles in degrees", " ".join(f"{x:g}" for x in value))
     if name in ("xyx", "rpy") and np.isfinite(value).all():
         value = np.fmod(value, 360.0)
     if name in ("xyx", "rpy", "rotvec"):

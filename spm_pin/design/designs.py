@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ import numpy as np
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.arguments import (
+    LARGEST,
+    SMALLEST,
     BoolArray,
     FloatArray,
     Progress,
@@ -52,6 +55,8 @@ VARIABLES = (
     *(f"{stage}{end}" for stage in _STAGES for end in ("minimum", "stroke")),
 )
 """Names of variables that may be free [m]: E, C, d, the shortest length and the stroke of all legs, or of a stage's."""
+_NARROWEST = 1e-6
+"""Least width of a free range, over its end: a search needs many distinct numbers."""
 _CHOICES = ("free", "aims", "at_least", "at_most")
 _FORMAT, _IMPOSSIBLE = 2, 1e30
 
@@ -225,8 +230,11 @@ class DesignProblem:
             object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))
         for name, ends in self.free.items():
             low, high = number_pair(ends, f"free[{choice(name, 'free', VARIABLES)!r}]", "metres")
-            if not 0.0 < low < high < np.inf:
-                raise ArgumentError(f"free[{name!r}]", "0 < low < high, in metres", f"{low:g} and {high:g}")
+            if not (SMALLEST <= low < high <= LARGEST and high - low > _NARROWEST * high):
+                expected = (
+                    f"{SMALLEST:g} <= low < high <= {LARGEST:g}, in metres, a range of more than {_NARROWEST:g} of it"
+                )
+                raise ArgumentError(f"free[{name!r}]", expected, f"{low:g} and {high:g}")
         for both, stage in (("minimum", "_minimum"), ("stroke", "_stroke")):
             if both in self.free and any(name.endswith(stage) for name in self.free):
                 raise ArgumentError("free", f"{both} of all legs, or lower{stage} and upper{stage}", "both")
@@ -374,9 +382,9 @@ def pareto_front(
         designs = evaluate_designs(some, problem.metrics, scheduler=client, **options)
         numbers = {name: [None if np.isnan(x) else x for x in column] for name, column in designs.columns.items()}
         stored.append({"values": values.tolist(), "columns": numbers})
-        draft = path.with_name(f"{path.name}.draft")
-        with writing(path, "store"):
-            # What was there is lost only when the new file is complete.
+        # What was there is lost only when the new file is complete, in a folder that is no one else's.
+        with writing(path, "store"), tempfile.TemporaryDirectory(prefix=".front", dir=path.parent) as folder:
+            draft = Path(folder, "store")
             draft.write_text(json.dumps({**definition, "generations": stored}, allow_nan=False), encoding="utf-8")
             draft.replace(path)
         return designs

@@ -27,8 +27,8 @@ Progress = Callable[[str, int, int], None]
 Kind = TypeVar("Kind")
 Scalar = TypeVar("Scalar", bound=np.generic)
 
-_PRINTED = 10**20
-"""Larger integers are not written out in messages."""
+_PRINTED, _LONGEST = 10**20, 60
+"""Larger integers are not written out in messages, and of longer texts their beginnings."""
 
 
 def first_offender(wrong: BoolArray | np.bool_) -> tuple[int, ...]:
@@ -289,5 +289,7 @@ def type_and_value(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return str(value)
     name = type(value).__name__
-    short = isinstance(value, str | bytes | float) or (isinstance(value, int) and abs(value) < _PRINTED)
-    return f"{name} {value!r}" if short else name
+    if not (isinstance(value, str | bytes | float) or (isinstance(value, int) and abs(value) < _PRINTED)):
+        return name
+    text = repr(value)
+    return f"{name} {text if len(text) <= _LONGEST else text[:_LONGEST] + '…'}"

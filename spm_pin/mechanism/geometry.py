@@ -439,7 +439,10 @@ def _mapping(data: Any, place: str, keys: Collection[str], optional: Collection[
     if optional:
         expected += f", and perhaps {', '.join(sorted(optional))}"
     if not isinstance(data, dict):
-        raise GeometryError(place, expected, "an empty file" if data is None else type_and_value(data))
+        received, cause = "an empty file" if data is None else type_and_value(data), ""
+        if isinstance(data, str):
+            cause = "A URDF or another XML file?" if data.lstrip().startswith("<") else "A table, as CSV files are?"
+        raise GeometryError(place, expected, received, cause)
     for key in data:
         if key not in keys and key not in optional:
             meant = _DIMENSIONS.get(key)

@@ -99,6 +99,9 @@ class Metric:
             raise ArgumentError("parameters", expected, repr(parameters))
         object.__setattr__(self, "parameters", copy)
 
+    def __hash__(self) -> int:
+        return hash((self.name, self.unit, self.dtype, self.version))
+
     def __reduce__(self) -> tuple[Callable[..., Metric], tuple[Any, ...]]:
         if self.is_of_package:
             # Functions of the package's table have no name by which pickle finds them.

@@ -215,3 +215,18 @@ def test_a_search_without_a_machine_within_the_bounds_says_so(tmp_path: Path) ->
     done = run(*command, "--choose", "0", "--out", tmp_path / "x.yaml")
     assert done.returncode == 2
     assert "got 0. No machine keeps the bounds" in done.message
+
+
+def test_a_file_beside_the_store_is_left_alone(tmp_path: Path) -> None:
+    other = tmp_path / "front.json.draft"
+    other.write_text("not ours", encoding="utf-8")
+    problem = DesignProblem(spm.Geometry.paper(), {"stroke": (0.1, 0.3)}, {"volume": "max", "footprint": "min"})
+    pareto_front(problem, store=tmp_path / "front.json", population=4, generations=2, states=16)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["front.json", "front.json.draft"]
+    assert other.read_text(encoding="utf-8") == "not ours"
+
+
+@pytest.mark.parametrize("ends", [(1.0, 1.0 + 1e-15), (1e-12, 1.0), (1.0, 1e12)])
+def test_ranges_without_choice_or_out_of_bounds_are_refused(ends: tuple[float, float]) -> None:
+    with pytest.raises(spm.ArgumentError, match="low < high"):
+        DesignProblem(spm.Geometry.paper(), {"stroke": ends}, {"volume": "max"})

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from spm_pin.formulas.circles import has_converged
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -24,15 +25,6 @@ _CONTRACTION = 0.1
 
 It then converges to the root next to it, and no other is near.
 """
-
-
-@jit_inline
-def has_converged(size: float, last: float) -> bool:
-    """Return whether Newton's method is at rounding after a step of this size; `last` is the one before, NaN if none.
-
-    Rounding is reached, or will be by what is left after this step.
-    """
-    return size < 1e-15 or (size < 1e-10 and size > 0.5 * last) or size * size * size < 1e-17 * last * last
 
 
 @jit
