@@ -119,8 +119,8 @@ def _nearest(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> Reco
 
 
 def _pose_options(reach: Record, unit: LengthUnit) -> str:
-    """Return the options that enter a nearest pose, to the digits of the table."""
-    translation = " ".join(unit.text(x, 2) for x in reach["translation"])
+    """Return the options that enter a nearest pose, to a micrometre and a thousandth of a degree."""
+    translation = " ".join(unit.text(x, 1) for x in reach["translation"])
     named = "" if unit is LengthUnit.M else f" --unit {unit}"
     return f"--translation {translation} --rpy {' '.join(fixed(x, 3) for x in reach['rpy'])}{named}"
 
