@@ -131,6 +131,17 @@ def has_converged(size: float, last: float) -> bool:
     return either(at_rounding, size * size * size < 1e-17 * last * last)
 
 
+def is_stalled(size: float, last: float) -> bool:
+    """Return whether steps as small as these still only halve, as towards a fold; in vain where rounding is larger."""
+    return both(size < 1e-6, size > 0.25 * last)
+
+
+def is_closed(stage: Circles, e: Rows) -> bool:
+    """Return whether these directions close the stage to rounding, half of whose digits the angles have at a fold."""
+    size = largest(stage.squares) + largest(stage.radii) * largest(stage.radii)
+    return largest(errors(stage, balls_at(stage, e))) <= 1e-15 * size
+
+
 def is_safe_step(middle: Circles, end: Circles, b: Rows, change: float) -> bool:
     """Return whether a solution b at the start of a step is next to those all along it.
 

@@ -331,6 +331,8 @@ def _stage_formulas() -> list[ca.Function]:
         ("squared_sides", [b], in_casadi(circles.squared_sides)(_rows(b))),
         ("is_safe_step", [b, axes, *ends[0], *ends[1], share, next_share], is_safe),
         ("has_converged", [size, last], in_casadi(circles.has_converged)(size, last)),
+        ("is_stalled", [size, last], in_casadi(circles.is_stalled)(size, last)),
+        ("is_closed", [e, axes, *ends[1]], in_casadi(circles.is_closed)(end, _rows(e))),
     )
     return [ca.Function(name, inputs, [_column(x) for x in outputs]) for name, inputs, *outputs in table]
 

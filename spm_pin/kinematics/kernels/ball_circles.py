@@ -19,8 +19,10 @@ from spm_pin.formulas.circles import (
     circles_between,
     directions_to,
     has_converged,
+    is_closed,
     is_home_state,
     is_safe_step,
+    is_stalled,
     largest_change,
     level_balls,
     limited,
@@ -54,7 +56,7 @@ def solution(stage: Circles, start: Rows) -> tuple[Rows, Rows, bool]:
     for count in range(MOST_STEPS):
         step = newton_step(stage, e)
         e, size = turned_back(stage, e, limited(step)), largest(step)
-        if has_converged(size, last):
+        if has_converged(size, last) or (is_stalled(size, last) and is_closed(stage, e)):
             return e, balls_at(stage, e), True
         if not size < (np.inf if count < SEARCH_STEPS else WANDERING):
             break

@@ -401,15 +401,20 @@ typedef struct {
 /* Newton's method from near balls; returns whether it converged. */
 static int solve_stage(const circles *c, double *balls)
 {
-    double e[9], size, last = NAN, converged = 0.0;
+    double e[9], size, last = NAN, converged = 0.0, stalled = 0.0;
     const double *const from[] = {balls, c->axes, c->centres}, *const in[] = {e, c->axes, c->centres, c->radii, c->squares};
     const double *const sizes[] = {&size, &last}, *const to[] = {e, c->centres, c->radii};
-    double *const out[] = {e, &size}, *const directions[] = {e}, *const flag[] = {&converged}, *const end[] = {balls};
+    double *const out[] = {e, &size}, *const directions[] = {e}, *const flag[] = {&converged}, *const stalls[] = {&stalled};
+    double *const end[] = {balls};
     int step;
     directions_to(from, directions);
     for (step = 0; step < @NEWTON_STEPS@ && !(converged > 0.0); ++step) {
         newton_step(in, out);
         has_converged(sizes, flag);
+        is_stalled(sizes, stalls);
+        if (!(converged > 0.0) && stalled > 0.0) {
+            is_closed(in, flag);
+        }
         if (!(size < (step < @SEARCH_STEPS@ ? DBL_MAX : @WANDERING@))) {
             return 0;
         }
