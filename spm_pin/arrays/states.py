@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 from spm_pin.arrays.displacement import State
@@ -12,6 +13,7 @@ from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS, UP
 from spm_pin.formulas.operations import mapped, rows_of, vector_of
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.joint_angles import JOINTS
+from spm_pin.mechanism.leg_kinds import RPS
 
 
 class _Legs:
@@ -98,24 +100,23 @@ def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Ar
     own = run(values.triangle_axes, machine.balls[0])
     upper_balls = run(ball_motions.points_from_platform, legs.c, *legs.pose)
     shortest, longest = machine.limits
-    constants = []
+    constants, kind = [], RPS.bound(lambda formula: functools.partial(run, formula))
     for k, radius, stage, up in zip((0, 3), machine.radii, machine.legs, (1.0, -1.0), strict=True):
         ends = max(shortest[k : k + 3]), min(longest[k : k + 3])
-        home = run(leg_constants.home_length, radius, machine.r, *ends)
-        for axis, pivot, drawn, outward in zip(*stage, AXES, TANGENT_SIGNS, strict=True):
-            constants.append(
-                run(leg_constants.leg_frame, axis, pivot, drawn, own, (home, machine.r - radius, outward, up))
-            )
+        home = run(values.leg_home, machine.r - radius, machine.r + radius, ends, 1.0, (), kind)
+        for axis, pivot, drawn, sign in zip(*stage, AXES, TANGENT_SIGNS, strict=True):
+            signs = sign, up
+            constants.append(run(values.leg_frame, (axis, pivot), drawn, own, signs, home, ((), ()), kind))
     balls, frames = library.together([*legs.b, *upper_balls], legs.zero), library.together(constants, legs.zero)
-    of_legs = run(values.leg_values, balls, frames)
+    of_legs = run(values.leg_values, balls, frames, kind)
     seen = tuple(run(vectors.times, columns, axis) for axis in triangle)
     first = mapped(lambda x: library.xp.stack([x[0, ...], x[3, ...]]), (of_legs, frames))
     signs, axes = library.together([1.0, -1.0], legs.zero), library.together([triangle, seen], legs.zero)
-    angles = [*run(values.ball_angles, *first, axes, signs), of_legs.hip]
+    angles = [*run(values.ball_angles, *first, axes, signs), of_legs.passive]
     turns = [library.xp.atan2(sine, cosine) for sine, cosine in angles]
     named = {f"ball_{leg}_{x}": turns[k][i, ...] for i, leg in enumerate(("b1", "c1")) for k, x in enumerate("xyz")}
     for i, leg in enumerate(("b1", "b2", "b3", "c1", "c2", "c3")):
-        named |= {f"leg_{leg}_hip": turns[3][i, ...], f"leg_{leg}_slide": of_legs.slide[i, ...]}
+        named |= {f"leg_{leg}_hip": turns[3][i, ...], f"leg_{leg}_slide": of_legs.actuated[i, ...]}
     return library.stacked([named[name] for name in JOINTS], legs.zero)
 
 

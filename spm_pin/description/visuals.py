@@ -15,7 +15,7 @@ import numpy.typing as npt
 from spm_pin.description.robot import read_robot
 from spm_pin.mechanism import LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.pose import homogeneous
 
 PLATFORMS = ("base", "middle_platform", "terminal_platform")
@@ -43,7 +43,7 @@ class VisualPart:
 def section_size(geometry: Geometry) -> float:
     """Return the length s that radii and thicknesses of the robot are fractions of [m]; see `inertials.yaml`."""
     radii = (geometry.base_radius, geometry.platform_radius, geometry.middle_radius)
-    return min(*radii, *home_lengths(geometry))
+    return float(min(*radii, *home_readings(geometry)))
 
 
 @lru_cache(maxsize=16)

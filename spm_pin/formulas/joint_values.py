@@ -1,17 +1,31 @@
 """Values of the revolute, prismatic and ball joints of a state, of any machine: `docs/mechanism.md`.
 
+A leg's actuated joint has the value of its reading less that at home, its passive one the angle about the revolute axis
+from home. `kind` has the formulas of the leg's kind as of `spm_pin.formulas.planar_legs`, made for the same runner.
 Angles are returned as multiples of their sine and cosine, for the runner's own arc tangent.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from spm_pin.formulas.operations import sqrt, where
+from spm_pin.formulas.leg_constants import INFINITY, UP, leg_axes
+from spm_pin.formulas.operations import both, sqrt, where
+from spm_pin.formulas.planar_legs import Circle, Numbers
 from spm_pin.formulas.vectors import Rows, Vector, combined, cross, direction, dot, minus, times, weighted
 
 Angle = tuple[float, float]
 """Multiples of the sine and the cosine of an angle, by one positive factor."""
+InPlane = tuple[float, float]
+"""x and z of a vector in a leg's plane, radially outwards and towards the middle platform."""
+
+
+class LegHome(NamedTuple):
+    """A leg with both platforms level on one axis."""
+
+    reading: float  # without the encoder's offset
+    x: float  # of the ball, from the pivot
+    z: float
 
 
 class LegFrame(NamedTuple):
@@ -20,28 +34,86 @@ class LegFrame(NamedTuple):
     axes: Rows  # of the frame, in {B} or {m}
     pivot: Vector  # in those axes
     corner: Rows  # the axes of the frame at the ball, in those of the lower balls' triangle
-    lean_cos: float  # of the direction from pivot to ball at home, about x from z
-    lean_sin: float
-    home_length: float
+    outward: float  # x and z of the leg's plane over y and z of the frame, +1 or -1
+    up: float
+    rod: InPlane  # direction from the circle's centre to the ball at home
+    passive: InPlane  # the same as the body sees it that carries the passive joint
+    home_reading: float
+    numbers: Numbers  # that are fixed in the leg
 
 
 class LegValues(NamedTuple):
     """Joint values of a leg, from its ball seen from the platform that the leg stands on."""
 
-    hip: Angle
-    slide: float
-    length: float
+    passive: Angle
+    actuated: float
+    rod: Angle  # by which the rod, or an RPS leg, is turned about the revolute axis
+    length: float  # of the rod, the factor of its angle
     plane_distance: float
 
 
-def leg_values(ball: Vector, leg: LegFrame) -> LegValues:
-    """Return the hip's angle and the slide of a leg."""
-    along, across, up = minus(times(leg.axes, ball), leg.pivot)
-    # Turned back by the lean at home, the direction's angle is the hip's.
-    cosine = leg.lean_cos * up - leg.lean_sin * across
-    sine = -leg.lean_sin * up - leg.lean_cos * across
-    length = sqrt(cosine * cosine + sine * sine)
-    return LegValues((sine, cosine), length - leg.home_length, length, along)
+def leg_home(
+    x: float, height: float, limits: tuple[float, float], slope_sign: float, numbers: Numbers, kind: Any
+) -> LegHome:
+    """Return a leg at home, where its ball is at x: at the middle of its limits, if the stage stands there.
+
+    Otherwise, and without limits, it is at the reading of its kind's `home`. `slope_sign` is that of κ in the leg's
+    working mode, and `height` the sum of the radii of the stage's triangles.
+    """
+    low, high = limits
+    middle = 0.5 * (low + high)
+    stands = both(both(low < high, _home_height(x, middle, slope_sign, numbers, kind) > 0.0), middle < INFINITY)
+    reading = where(stands, middle, kind.home(x, height, low, numbers))
+    return LegHome(reading, x, _home_height(x, reading, slope_sign, numbers, kind))
+
+
+def _home_height(x: float, reading: float, slope_sign: float, numbers: Numbers, kind: Any) -> float:
+    """Return z of a ball on the circle of a reading, the upper one unless it is of the other working mode."""
+    circle: Circle = kind.circle(reading, numbers)
+    aside = x - circle.x
+    rise = sqrt((circle.radius - aside) * (circle.radius + aside))
+    above = slope_sign * kind.slope(x, circle.z + rise, reading, numbers) > 0.0
+    return circle.z + where(above, rise, -rise)
+
+
+def leg_frame(
+    placement: tuple[Vector, Vector],
+    drawn_axis: Vector,
+    own_axes: Rows,
+    signs: tuple[float, float],
+    at_home: LegHome,
+    numbers: tuple[Numbers, Numbers],
+    kind: Any,
+) -> LegFrame:
+    """Return the constants of a leg with this axis and pivot.
+
+    `own_axes` are the axes of the lower balls' triangle in {n}; `signs` are the leg's of `leg_constants.TANGENT_SIGNS`,
+    and +1 of a lower leg or -1 of an upper; `numbers` are those of the drawing and the leg's own.
+    """
+    (axis, pivot), (tangent_sign, up), (drawn_numbers, own_numbers) = placement, signs, numbers
+    rows = leg_axes(axis)
+    corner = times(own_axes, drawn_axis), times(own_axes, cross(UP, drawn_axis)), times(own_axes, UP)
+    circle = kind.circle(at_home.reading, drawn_numbers)
+    rod = (at_home.x - circle.x) / circle.radius, (at_home.z - circle.z) / circle.radius
+    passive = kind.passive(*rod, at_home.reading)
+    return LegFrame(rows, times(rows, pivot), corner, -tangent_sign, up, rod, passive, at_home.reading, own_numbers)
+
+
+def leg_values(ball: Vector, leg: LegFrame, kind: Any) -> LegValues:
+    """Return the values of a leg's passive and actuated joint."""
+    along, across, level = minus(times(leg.axes, ball), leg.pivot)
+    x, z = leg.outward * across, leg.up * level
+    reading = kind.reading(x, z, leg.numbers)
+    circle = kind.circle(reading, leg.numbers)
+    rod = x - circle.x, z - circle.z
+    sense = leg.outward * leg.up
+    passive = _turn(leg.passive, kind.passive(*rod, reading), sense)
+    return LegValues(passive, reading - leg.home_reading, _turn(leg.rod, rod, sense), circle.radius, along)
+
+
+def _turn(begin: InPlane, end: InPlane, sense: float) -> Angle:
+    """Return the angle from a direction at home to another about the leg's axis, x to z if `sense` is +1."""
+    return sense * (begin[0] * end[1] - begin[1] * end[0]), begin[1] * end[1] + begin[0] * end[0]
 
 
 def triangle_axes(b: Rows) -> Rows:
@@ -58,9 +130,9 @@ def ball_angles(values: LegValues, leg: LegFrame, axes: Rows, sign: float) -> tu
     `axes` are those of the lower balls' triangle, seen from the platform that the leg stands on. For an upper leg the
     rotation goes from the platform to the rod: its transpose has the angles negated, and `sign` is -1.
     """
-    # The axes of the frame at the ball in the leg's frame, then turned back by the hip about x.
+    # The axes of the frame at the ball in the leg's frame, then turned back as the rod is about x.
     x, y, z = _seen(leg, axes, leg.corner[0]), _seen(leg, axes, leg.corner[1]), _seen(leg, axes, leg.corner[2])
-    s, c = _unit(values.hip, values.length)
+    s, c = _unit(values.rod, values.length)
     y_z, z_z = c * z[1] + s * z[2], c * z[2] - s * z[1]
     level = sqrt(y_z * y_z + z_z * z_z)
     sine, cosine = _unit((-y_z, z_z), level)

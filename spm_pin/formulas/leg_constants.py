@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from spm_pin.formulas.joint_values import LegFrame
-from spm_pin.formulas.operations import COS_30, both, cos, sin, sqrt, where
-from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, larger, magnitude, scaled, times
+from spm_pin.formulas.operations import COS_30, cos, sin, sqrt, where
+from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, larger, magnitude, scaled
 
 UP = (0.0, 0.0, 1.0)
 RADIAL = ((COS_30, -0.5, 0.0), (0.0, 1.0, 0.0), (-COS_30, -0.5, 0.0))
@@ -40,13 +39,6 @@ def turned_axis(axis: Vector, first: float, second: float) -> Vector:
     return combined(scaled(cosine, axis), sinc, across)
 
 
-def home_length(radius: float, r: float, low: float, high: float) -> float:
-    """Return the leg length at home of a stage with limits, see `spm_pin.mechanism.joint_angles.home_lengths`."""
-    middle, reach = 0.5 * (low + high), magnitude(r - radius)
-    stands = both(both(low < high, reach < middle), middle < INFINITY)
-    return where(stands, middle, low + sqrt(reach * reach + (r + radius) * (r + radius)))
-
-
 def admitted_readings(low: float, high: float) -> tuple[float, float]:
     """Return the ends of the readings that count as within the limits of a leg."""
     rounding = limit_rounding(low, high)
@@ -65,18 +57,3 @@ def leg_axes(axis: Vector) -> Rows:
     scale = 1.0 / sqrt(dot(z, z))
     # The second is z x, without what rounding would leave of its third component.
     return axis, scaled(scale, cross(UP, axis)), scaled(scale, z)
-
-
-def leg_frame(
-    axis: Vector, pivot: Vector, drawn_axis: Vector, own_axes: Rows, home: tuple[float, float, float, float]
-) -> LegFrame:
-    """Return the constants of a leg.
-
-    `own_axes` are the axes of the lower balls' triangle in {n}; `home` is the leg's length there, r - radius of the
-    platform, the leg's `TANGENT_SIGNS`, and +1 of a lower leg or -1 of an upper.
-    """
-    length, offset, outward, up = home
-    rows = leg_axes(axis)
-    corner = times(own_axes, drawn_axis), times(own_axes, cross(UP, drawn_axis)), times(own_axes, UP)
-    lean_cos = up * sqrt((length - offset) * (length + offset)) / length
-    return LegFrame(rows, times(rows, pivot), corner, lean_cos, outward * offset / length, length)

@@ -5,9 +5,12 @@ in that plane from the leg's pivot, radially outwards and towards the middle pla
 is on a circle, see `Circle`. The slope κ is the speed of the ball away from the circle's centre per unit rate of the
 reading; where it is zero the leg itself is singular: `docs/theory/planar_legs.md`.
 
-Each kind has the same three formulas, of the numbers that are fixed in a leg: of RPS none; of PRS the rod's length, the
+Each kind has the same five formulas, of the numbers that are fixed in a leg: of RPS none; of PRS the rod's length, the
 direction of the slide, an angle from x towards z, and the working mode; of RRS the lengths of crank and rod, and the
-working mode. The working mode is the sign, +1 or -1, of the root in the reading.
+working mode. The working mode is the sign, +1 or -1, of the root in the reading. The last two serve the values of the
+joints, `spm_pin.formulas.joint_values`: the reading at home where no limits say, from x there, the height of a stage
+that is as high as its two radii together, and the least reading; and a direction as the body sees it that carries the
+passive joint.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from typing import NamedTuple
 
 from spm_pin.formulas.leg_constants import UP
 from spm_pin.formulas.operations import RIGHT_ANGLE, arctan2, cos, sin, sqrt
-from spm_pin.formulas.vectors import Vector, combined, cross, direction, dot, minus, scaled
+from spm_pin.formulas.vectors import Vector, combined, cross, direction, dot, larger, magnitude, minus, scaled
 
 Numbers = tuple[float, ...]
 
@@ -72,6 +75,16 @@ def rps_slope(x: float, z: float, reading: float, numbers: Numbers) -> float:
     return 1.0
 
 
+def rps_home(x: float, height: float, least: float, numbers: Numbers) -> float:
+    """Return the length of an RPS leg: the shortest, and on top of it that of a leg of a stage of this height."""
+    return least + sqrt(x * x + height * height)
+
+
+def rps_passive(x: float, z: float, reading: float) -> tuple[float, float]:
+    """Return a direction as the plate of an RPS leg sees it."""
+    return x, z
+
+
 def prs_reading(x: float, z: float, numbers: Numbers) -> float:
     """Return the place of a PRS leg's carriage along its slide, not a number where the rod is too short."""
     rod, direction, sign = numbers
@@ -90,6 +103,16 @@ def prs_slope(x: float, z: float, reading: float, numbers: Numbers) -> float:
     """Return κ of a PRS leg: the cosine of the angle between slide and rod."""
     rod, direction, _ = numbers
     return (cos(direction) * x + sin(direction) * z - reading) / rod
+
+
+def prs_home(x: float, height: float, least: float, numbers: Numbers) -> float:
+    """Return the place of a PRS leg's carriage: at the pivot."""
+    return 0.0
+
+
+def prs_passive(x: float, z: float, reading: float) -> tuple[float, float]:
+    """Return a direction as the carriage of a PRS leg sees it, which does not turn."""
+    return x, z
 
 
 def rrs_reading(x: float, z: float, numbers: Numbers) -> float:
@@ -113,3 +136,16 @@ def rrs_slope(x: float, z: float, reading: float, numbers: Numbers) -> float:
     """Return κ of an RRS leg [m/rad]: the lever arm of the rod about the crank's axis."""
     crank, rod, _ = numbers
     return crank * (z * cos(reading) - x * sin(reading)) / rod
+
+
+def rrs_home(x: float, height: float, least: float, numbers: Numbers) -> float:
+    """Return the angle of an RRS leg's crank with the ball in the middle of the leg's reach."""
+    crank, rod, _ = numbers
+    reach = 0.5 * (larger(magnitude(x), magnitude(crank - rod)) + crank + rod)
+    return rrs_reading(x, sqrt((reach - x) * (reach + x)), numbers)
+
+
+def rrs_passive(x: float, z: float, reading: float) -> tuple[float, float]:
+    """Return a direction as the crank of an RRS leg sees it."""
+    cosine, sine = cos(reading), sin(reading)
+    return cosine * x + sine * z, cosine * z - sine * x

@@ -23,7 +23,7 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine, unit_hint
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
@@ -171,7 +171,7 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
 
 def starting_configuration(geometry: Geometry) -> Configuration:
     """Return a regular configuration of the manipulator: the paper's solution 3, in proportion to the home lengths."""
-    home = np.repeat(home_lengths(geometry), 3)
+    home = home_readings(geometry)
     for share in (1.0, 0.5, 0.2, 0.05):
         state = forward_physical(geometry, home * (1.0 + share * (_START - 1.0)) + geometry.legs.offsets)
         if state.exists:

@@ -8,7 +8,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.joint_angles import home_readings
 
 _SPREAD = 1.33
 """Without limits, readings are those of the home times or divided by at most this."""
@@ -21,7 +21,7 @@ def random_states(geometry: Geometry, count: int, rng: np.random.Generator) -> C
     Without limits the readings are those of the home, a third more or less; instead of limits of zero and infinity they
     are a third and three times those. Raises `ArgumentError` where the limits hold no state, or next to none.
     """
-    home, limits = np.repeat(home_lengths(geometry), 3) + geometry.legs.offsets, geometry.limits
+    home, limits = home_readings(geometry) + geometry.legs.offsets, geometry.limits
     low, high = home / _SPREAD, home * _SPREAD
     if limits is not None:
         least, most = np.array([limits.minimum, limits.maximum])

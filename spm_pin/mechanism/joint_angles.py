@@ -2,66 +2,138 @@
 
 A leg's frame stands at its pivot, x along the revolute axis, z as near to the normal of {B} or {m} as that allows. The
 frame at a ball is turned in {n} as the drawn machine's leg frames are in {B}: x along the middle platform's tangent, z
-along its normal. A leg's hip turns about its revolute axis, from the leg's direction at the symmetric home; its slide
-is its length less that at home. The ball joint of a lower leg turns the rod into the middle platform about the leg's
-revolute axis (x), the middle axis (y) and the platform's normal (z), in this order. That of an upper leg turns the
-middle platform into the rod, in the order z, y, x. The home of a machine as built is that of the drawn one.
+along its normal. A leg's actuated joint, an RPS leg's slide for one, has the value of its reading less the encoder's
+offset and the reading at the symmetric home; its passive joint turns about the revolute axis, from the direction of leg
+or rod there. The ball joint of a lower leg turns the rod into the middle platform about the leg's revolute axis (x),
+the middle axis (y) and the platform's normal (z), in this order. That of an upper leg turns the middle platform into
+the rod, in the order z, y, x. The home of a machine as built is that of the drawn one.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.formulas import joint_values as formulas
-from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS, home_length, leg_frame
+from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
 from spm_pin.formulas.leg_planes import upper_balls
-from spm_pin.formulas.operations import ARRAYS, bind
+from spm_pin.formulas.operations import ARRAYS, bind, on_arrays
 from spm_pin.formulas.vectors import dot, minus, times, transposed
-from spm_pin.mechanism.arguments import FloatArray, type_and_value, whole_number
+from spm_pin.mechanism.arguments import FloatArray, frozen, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, check_rps
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_kinds import KINDS, LegKind
+from spm_pin.mechanism.legs import LEGS
 
-JOINTS = (
-    *("leg_b1_hip", "leg_b1_slide", "ball_b1_x", "ball_b1_y", "ball_b1_z"),
-    *("ball_c1_z", "ball_c1_y", "ball_c1_x", "leg_c1_slide", "leg_c1_hip"),
-    *("leg_b2_hip", "leg_b2_slide", "leg_b3_hip", "leg_b3_slide"),
-    *("leg_c2_hip", "leg_c2_slide", "leg_c3_hip", "leg_c3_slide"),
-)
-"""The eighteen joints of the URDF: up the first legs to the terminal platform, then the other lower and upper legs."""
 # Configurations computed together: intermediate arrays stay in the processor's cache.
 _BLOCK = 2048
 
 
-def home_lengths(geometry: Geometry) -> tuple[float, float]:
-    """Return the leg length at home of the lower and of the upper stage [m].
+def leg_joints(geometry: Geometry | None = None) -> dict[str, tuple[str, str]]:
+    """Return the names of each leg's two joints, from its plate to its ball, by the names of `LEGS`."""
+    kinds = (Geometry.paper() if geometry is None else geometry).legs.kinds
+    return {
+        leg: (f"leg_{leg[2:]}_{first}", f"leg_{leg[2:]}_{second}")
+        for k, leg in enumerate(LEGS)
+        for first, second in [kinds[k // 3].joints]
+    }
 
-    It is the middle of the limits that the stage's three legs share, if it is longer than the radial distance from hip
-    to ball. Otherwise, and without limits, it is the shortest length allowed plus that of legs whose stage is as high
-    as the sum of its two radii.
+
+def joint_names(geometry: Geometry | None = None) -> tuple[str, ...]:
+    """Return the names of the eighteen joints of a machine's URDF, by default of one of RPS legs.
+
+    Up the first legs to the terminal platform, then those of the other lower and upper legs.
     """
-    limits = geometry.limits
-    lengths = []
+    first, *lower, last = (legs := leg_joints(geometry))["r_b1"], legs["r_b2"], legs["r_b3"], legs["r_c1"]
+    balls = "ball_b1_x", "ball_b1_y", "ball_b1_z", "ball_c1_z", "ball_c1_y", "ball_c1_x"
+    others = *lower, legs["r_c2"], legs["r_c3"]
+    return *first, *balls, *last[::-1], *(joint for leg in others for joint in leg)
+
+
+def actuated_joints(geometry: Geometry | None = None) -> tuple[str, ...]:
+    """Return the names of the joints that the actuators move, in the order of `LEGS`; see `joint_names`."""
+    return _of_each_leg(geometry, "actuated")
+
+
+def value_names(geometry: Geometry | None = None) -> tuple[str, ...]:
+    """Return the names of the joints in the order of `JointAngles.values` for the balls of the first legs."""
+    balls = (f"ball_{leg}_{axis}" for axis in "xyz" for leg in ("b1", "c1"))
+    return *_of_each_leg(geometry, "passive"), *balls, *_of_each_leg(geometry, "actuated")
+
+
+def _of_each_leg(geometry: Geometry | None, which: str) -> tuple[str, ...]:
+    kinds = (Geometry.paper() if geometry is None else geometry).legs.kinds
+    return tuple(f"leg_{leg[2:]}_{getattr(kinds[k // 3], which)}" for k, leg in enumerate(LEGS))
+
+
+JOINTS = joint_names()
+"""The eighteen joints of a URDF of RPS legs; see `joint_names`."""
+
+
+@functools.lru_cache(maxsize=64)
+def home_readings(geometry: Geometry) -> FloatArray:
+    """Return the readings (6,) of the symmetric home, offsets aside: [m], of RRS legs [rad].
+
+    Both platforms are level there. The reading is the middle of the limits that the stage's three legs share, if the
+    stage stands there. Otherwise, and without limits, RPS legs are as long as the shortest allowed and those of a stage
+    as high as the sum of its two radii together, carriages are at their pivots, and balls in the middle of the reach of
+    crank and rod. A `GeometryError` is raised for a stage that does not stand there either.
+    """
+    readings, _ = _homes(geometry)
+    return readings
+
+
+@functools.lru_cache(maxsize=64)
+def _homes(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
+    """Return `home_readings`, and the balls' places there (6, 2) in the planes of the legs [m]."""
+    readings, places = np.empty(6), np.empty((6, 2))
     for stage, radius in enumerate((geometry.base_radius, geometry.platform_radius)):
-        legs = slice(3 * stage, 3 * stage + 3)
-        low = max(limits.minimum[legs]) if limits else 0.0
+        legs, kind, limits = slice(3 * stage, 3 * stage + 3), geometry.legs.kinds[stage].nominal, geometry.limits
+        low = max(kind.least_reading, *limits.minimum[legs]) if limits else kind.least_reading
         high = min(limits.maximum[legs]) if limits else math.inf
-        lengths.append(float(home_length(radius, geometry.middle_radius, low, high)))
-    return lengths[0], lengths[1]
+        numbers, signs = tuple(kind.numbers[0].tolist()), geometry.legs.slope_signs[legs]
+        x, height = geometry.middle_radius - radius, geometry.middle_radius + radius
+        with np.errstate(invalid="ignore"):
+            at_home = _HOME(x, height, (low, high), signs[0], numbers, kind.on_arrays)
+        places[legs] = x, at_home.z
+        # Legs of the other working mode have another reading in the same place.
+        own = kind.readings(places[legs])
+        readings[legs] = np.where(signs == signs[0], at_home.reading, own)
+        if not (at_home.z > 0.0 and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
+            ends = f" between {low:g} and {high:g} {kind.unit}" if limits else ""
+            expected = "a machine whose platforms are level at the middle of its limits"
+            cause = "A rod too short, another sign, or limits about a place where the stage does not stand?"
+            raise GeometryError("geometry", expected, f"{kind!r} on radii of {radius:g} m{ends}", cause)
+    return frozen(readings), frozen(places)
 
 
-_FORMULAS = upper_balls, formulas.leg_values, formulas.triangle_axes, formulas.ball_angles, leg_frame
-# By the names of the formulas, and with the square root of each kind of number.
-_ON_NUMBERS, _ON_ARRAYS = (
-    SimpleNamespace(sqrt=operations["sqrt"], **{formula.__name__: bind(formula, **operations) for formula in _FORMULAS})
-    for operations in ({"sqrt": math.sqrt}, ARRAYS)
+_HOME = on_arrays(formulas.leg_home)
+_FORMULAS = upper_balls, formulas.leg_values, formulas.leg_frame, formulas.triangle_axes, formulas.ball_angles
+
+
+def _of_numbers(function: Callable[..., Any]) -> Callable[..., float]:
+    """Return a function of NumPy's arrays as one of Python's numbers, with the same bits."""
+    return lambda *numbers: float(function(*numbers))
+
+
+def _runner(**operations: Callable[..., Any]) -> SimpleNamespace:
+    """Return the formulas with these operations by their names, and those of each kind of legs."""
+    bound = {formula.__name__: bind(formula, **operations) for formula in _FORMULAS}
+    kinds = {kind: kind.bound(lambda formula: bind(formula, **operations)) for kind in KINDS.values()}
+    return SimpleNamespace(sqrt=operations["sqrt"], kinds=kinds, **bound)
+
+
+_ON_ARRAYS = _runner(**ARRAYS)
+_ON_NUMBERS = _runner(
+    sqrt=lambda x: math.sqrt(x) if x >= 0.0 else math.nan,
+    **{name: _of_numbers(getattr(np, name)) for name in ("cos", "sin", "arctan2")},
 )
 
 
@@ -69,19 +141,24 @@ class _Constants(NamedTuple):
     legs: tuple[formulas.LegFrame, ...]
     sides: tuple[float, ...]  # b_1 b_2, b_2 b_3 and b_3 b_1
     weights: Any  # see `upper_ball_weights`
+    kinds: tuple[type[LegKind], ...]  # of the six legs
 
 
 @functools.lru_cache(maxsize=16)
 def _constants(geometry: Geometry) -> _Constants:
-    check_rps(geometry, "joint values")
     axes, pivots, balls = map(_tuples, geometry.legs.arrays[:3])
-    own_axes, legs = _ON_NUMBERS.triangle_axes(balls[:3]), []
+    own_axes, legs, kinds = _ON_NUMBERS.triangle_axes(balls[:3]), [], []
+    readings, places = _homes(geometry)
     for leg in range(6):
-        radius, up = ((geometry.base_radius, 1.0), (geometry.platform_radius, -1.0))[leg // 3]
-        home = home_lengths(geometry)[leg // 3], geometry.middle_radius - radius, TANGENT_SIGNS[leg % 3], up
-        legs.append(_ON_NUMBERS.leg_frame(axes[leg], pivots[leg], AXES[leg % 3], own_axes, home))
+        kind, signs = geometry.legs.kinds[leg // 3], (TANGENT_SIGNS[leg % 3], (1.0, -1.0)[leg // 3])
+        kinds.append(type(kind))
+        numbers = tuple(tuple(x.numbers[leg % 3].tolist()) for x in (kind.nominal, kind))
+        at_home = formulas.LegHome(readings[leg].item(), *places[leg].tolist())
+        placement, run = (axes[leg], pivots[leg]), _ON_NUMBERS
+        drawn_axis, of_kind = AXES[leg % 3], run.kinds[type(kind)]
+        legs.append(run.leg_frame(placement, drawn_axis, own_axes, signs, at_home, numbers, of_kind))
     weights = geometry.legs.upper_ball_weights
-    return _Constants(tuple(legs), tuple(geometry.legs.sides.tolist()), _tuples(weights))
+    return _Constants(tuple(legs), tuple(geometry.legs.sides.tolist()), _tuples(weights), tuple(kinds))
 
 
 def _tuples(matrix: FloatArray) -> Any:
@@ -93,13 +170,17 @@ class JointAngles:
     """Joint values of configurations; NaN where one does not exist."""
 
     values: FloatArray
-    """Six hips; the balls' angles about x, y and z, of n lower and then n upper legs; six slides; (..., 12 + 6 n)."""
+    """Six passive joints; the balls' angles about x, y and z, of n lower and then n upper legs; six actuated joints;
+    shape (..., 12 + 6 n). Their names are `value_names`."""
     closure_residual: FloatArray
     """`Configuration.closure_residual` [m], shape (...)."""
 
     @property
-    def hip(self) -> FloatArray:
-        """Angles of the revolute joints [rad] in [-π, π], in the order of `LEGS`, shape (..., 6)."""
+    def passive(self) -> FloatArray:
+        """Angles of the revolute joints without an actuator [rad] in [-π, π], in the order of `LEGS`, (..., 6).
+
+        The hips of RPS legs, the knees of PRS and RRS legs.
+        """
         return self.values[..., :6]
 
     @property
@@ -118,8 +199,8 @@ class JointAngles:
         return self._balls[..., 2, :]
 
     @property
-    def slide(self) -> FloatArray:
-        """Leg lengths less those at home [m], shape (..., 6)."""
+    def actuated(self) -> FloatArray:
+        """Readings less offsets and the readings at home, shape (..., 6): [m], of RRS legs [rad]."""
         return self.values[..., -6:]
 
     @property
@@ -151,11 +232,11 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
             block = slice(begin, begin + _BLOCK)
             # Components first: each operation runs along the configurations of a block.
             parts = [tuple(np.ascontiguousarray(a[block].T)) for a in arrays]
-            angles, slides, errors = _values(_rows(parts), constants, corners, _ON_ARRAYS)
+            angles, actuated, errors = _values(_rows(parts), constants, corners, _ON_ARRAYS)
             rows = rows[:, : len(parts[1][0])]
             for row, (sine, cosine) in zip(rows, angles, strict=False):
                 np.arctan2(sine, cosine, out=row)
-            rows[-6:] = slides
+            rows[-6:] = actuated
             values[block] = rows.T
             residual[block] = functools.reduce(np.maximum, errors)
     return JointAngles(values.reshape(*shape, count), residual.reshape(shape))
@@ -165,10 +246,10 @@ def _single(state: list[FloatArray], constants: _Constants, corners: tuple[int, 
     """Return the values of one state, computed in Python's numbers: NumPy takes longer for arrays of one."""
     try:
         parts = [tuple(a.ravel().tolist()) for a in state]
-        angles, slides, errors = _values(_rows(parts), constants, corners, _ON_NUMBERS)
+        angles, actuated, errors = _values(_rows(parts), constants, corners, _ON_NUMBERS)
     except ZeroDivisionError:  # balls in one place or in a line
         return JointAngles(np.full(12 + 6 * len(corners), np.nan), np.array(np.nan))
-    return JointAngles(np.concatenate([np.arctan2(*zip(*angles, strict=True)), slides]), np.array(max(errors)))
+    return JointAngles(np.concatenate([np.arctan2(*zip(*angles, strict=True)), actuated]), np.array(max(errors)))
 
 
 def _rows(parts: Sequence[Sequence[Any]]) -> Sequence[Any]:
@@ -180,15 +261,17 @@ def _rows(parts: Sequence[Sequence[Any]]) -> Sequence[Any]:
 def _values(
     state: Sequence[Any], constants: _Constants, corners: tuple[int, ...], run: SimpleNamespace
 ) -> tuple[list[formulas.Angle], list[Any], list[Any]]:
-    """Return joint angles as multiples of (sine, cosine), slides, and closure errors: of numbers, or of arrays (n,).
+    """Return angles as multiples of (sine, cosine), actuated joints, and closure errors: of numbers, or of arrays (n,).
 
-    The angles are the six hips', then the balls' x, y and z. `state` has R, o and the b_i as formulas take them.
+    The angles are those of the six passive joints, then the balls' x, y and z. `state` has R, o and the b_i as formulas
+    take them.
     """
     rotation, position, b = state
     columns = transposed(rotation)
     upper = run.upper_balls(b, constants.weights)
     balls = [*b, *(times(columns, minus(ball, position)) for ball in upper)]
-    legs = [run.leg_values(ball, frame) for ball, frame in zip(balls, constants.legs, strict=True)]
+    kinds = [run.kinds[kind] for kind in constants.kinds]
+    legs = [run.leg_values(*leg) for leg in zip(balls, constants.legs, kinds, strict=True)]
     edges = minus(b[0], b[1]), minus(b[1], b[2]), minus(b[2], b[0])
     errors = [abs(leg.plane_distance) for leg in legs]
     errors += [abs(run.sqrt(dot(edge, edge)) - side) for edge, side in zip(edges, constants.sides, strict=True)]
@@ -198,5 +281,5 @@ def _values(
         for first, seen, sign in ((0, axes, 1.0), (3, tuple(times(columns, x) for x in axes), -1.0))
         for k in (first + corner for corner in corners)
     ]
-    angles = [leg.hip for leg in legs] + [turn[k] for k in range(3) for turn in turns]
-    return angles, [leg.slide for leg in legs], errors
+    angles = [leg.passive for leg in legs] + [turn[k] for k in range(3) for turn in turns]
+    return angles, [leg.actuated for leg in legs], errors

@@ -22,6 +22,8 @@ from spm_pin.mechanism.arguments import FloatArray, as_array, dimension, real_nu
 Number = float | Sequence[float]
 """One number of all three legs, or one for each."""
 
+FORMULAS = "reading", "circle", "slope", "home", "passive"
+"""What every kind has a formula for."""
 _ANGLE = 2.0 * math.pi
 
 
@@ -34,8 +36,16 @@ class LegKind:
     """Of readings: "m" or "rad"."""
     effort_unit: ClassVar[str]
     """Of what the actuator exerts: "N" or "N m"."""
+    joints: ClassVar[tuple[str, str]]
+    """Names of the two joints from the plate to the ball: "hip", "slide" or "knee"."""
+    actuated: ClassVar[str]
+    """Which of them the actuator moves."""
+    body: ClassVar[str]
+    """Name of the body between them."""
+    least_reading: ClassVar[float] = -math.inf
+    """Beyond which every reading is, offset aside."""
     formulas: ClassVar[SimpleNamespace]
-    """`reading`, `circle` and `slope` of `spm_pin.formulas.planar_legs`, for runners to bind."""
+    """The kind's formulas of `spm_pin.formulas.planar_legs`, see `FORMULAS`, for runners to bind."""
     on_arrays: ClassVar[SimpleNamespace]
     """The same as functions of NumPy's arrays."""
 
@@ -48,11 +58,24 @@ class LegKind:
 
     def __init_subclass__(cls) -> None:
         cls.name = cls.__name__
-        parts = {
-            part: getattr(planar_legs, f"{cls.__name__.lower()}_{part}") for part in ("reading", "circle", "slope")
-        }
-        cls.formulas = SimpleNamespace(**parts)
-        cls.on_arrays = SimpleNamespace(**{part: on_arrays(formula) for part, formula in parts.items()})
+        cls.formulas = SimpleNamespace(**{x: getattr(planar_legs, f"{cls.__name__.lower()}_{x}") for x in FORMULAS})
+        cls.on_arrays = cls.bound(on_arrays)
+
+    @classmethod
+    def bound(cls, bind: Callable[[Any], Any]) -> SimpleNamespace:
+        """Return the kind's formulas as a function that binds one makes them."""
+        return SimpleNamespace(**{name: bind(formula) for name, formula in vars(cls.formulas).items()})
+
+    @property
+    def passive(self) -> str:
+        """Name of the joint that the actuator does not move, which is revolute."""
+        return self.joints[self.joints[0] == self.actuated]
+
+    @property
+    def links(self) -> FloatArray:
+        """Sum of the lengths that are fixed in each leg [m], (3,)."""
+        lengths = [getattr(self, field.name) for field in fields(self) if _READERS[field.name] is dimension]
+        return np.asarray(sum((np.broadcast_to(length, 3) for length in lengths), np.zeros(3)))
 
     @property
     def numbers(self) -> FloatArray:
@@ -111,6 +134,10 @@ class RPS(LegKind):
 
     unit = "m"
     effort_unit = "N"
+    joints = ("hip", "slide")
+    actuated = "slide"
+    body = "cylinder"
+    least_reading = 0.0
 
 
 @dataclass(frozen=True)
@@ -135,6 +162,9 @@ class PRS(LegKind):
 
     unit = "m"
     effort_unit = "N"
+    joints = ("slide", "knee")
+    actuated = "slide"
+    body = "carriage"
 
 
 @dataclass(frozen=True)
@@ -159,6 +189,9 @@ class RRS(LegKind):
 
     unit = "rad"
     effort_unit = "N m"
+    joints = ("hip", "knee")
+    actuated = "hip"
+    body = "crank"
 
 
 def _sign(value: Any, argument: str) -> float:

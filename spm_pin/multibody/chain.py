@@ -217,7 +217,7 @@ class ClosedChain:
         joints, lengths = self._constrained.read_q(q), self._lengths_of_readings(readings)
         shape = broadcastable("readings", lengths.shape[:-1], "q", joints.shape[:-1])
         changed = np.broadcast_to(joints, (*shape, joints.shape[-1])).copy()
-        changed[..., self.leg_indices] = lengths - self._constrained.home_lengths
+        changed[..., self.leg_indices] = lengths - self._constrained.home_readings
         return changed
 
     def _lengths_of_readings(self, readings: npt.ArrayLike) -> FloatArray:

@@ -31,7 +31,7 @@ from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, frozen, real_array
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.joint_angles import JOINTS, home_lengths
+from spm_pin.mechanism.joint_angles import JOINTS, home_readings
 from spm_pin.mechanism.legs import LEGS
 
 AGREEMENT = 1e-9
@@ -159,7 +159,7 @@ class ConstrainedModel:
         # Where the actuators are in v: all of another robot, then the six legs.
         self.actuated = frozen(np.concatenate([self.others, self.in_v[self.legs]]))
         self._slides = self.in_q[self.legs]
-        self.home_lengths = frozen(np.repeat(home_lengths(geometry), 3))
+        self.home_readings = home_readings(geometry)
         # d, and the platforms' part in the length of a loop [m].
         self.side, self._platform_sizes = geometry.middle_side, sum(geometry.dimensions)
         # Of a step of order one in each joint: 1 rad, or d.
@@ -183,7 +183,7 @@ class ConstrainedModel:
 
     def leg_lengths(self, q: FloatArray) -> FloatArray:
         """Return the distances of the balls from the pivots (..., 6) [m] in q (..., nq)."""
-        return np.asarray(self.home_lengths + q.take(self._slides, axis=-1))
+        return np.asarray(self.home_readings + q.take(self._slides, axis=-1))
 
     def rounding(self, q: FloatArray) -> float:
         """Return the size of a gap that rounding explains [m]: a few eps times the length of the loops."""

@@ -307,13 +307,13 @@ def values_of(state: State) -> dict[str, Any]:
     seen = [parts(turned @ ca.vertcat(*x)) for x in triangle]
     by_joint: dict[str, Any] = {}
     for k, name in enumerate(_LEG_NAMES):
-        radius, up = ((machine.base, 1.0), (machine.platform, -1.0))[k // 3]
-        home = machine.home_length(k // 3), machine.r - radius, leg_constants.TANGENT_SIGNS[k % 3], up
-        axis, pivot = parts(machine.axes[k]), parts(machine.pivots[k])
-        leg = in_casadi(leg_constants.leg_frame)(axis, pivot, leg_constants.AXES[k % 3], own, home)
+        (at_home, kind), up = machine.at_home(k // 3), 1.0 - 2.0 * (k // 3)
+        placement, signs = (parts(machine.axes[k]), parts(machine.pivots[k])), (leg_constants.TANGENT_SIGNS[k % 3], up)
+        drawn_axis, numbers = leg_constants.AXES[k % 3], ((), ())
+        leg = in_casadi(values.leg_frame)(placement, drawn_axis, own, signs, at_home, numbers, kind)
         ball = state.balls[k] if k < 3 else turned @ (state.balls[k] - state.position)
-        of_leg = in_casadi(values.leg_values)(parts(ball), leg)
-        by_joint |= {f"leg_{name}_hip": ca.atan2(*of_leg.hip), f"leg_{name}_slide": of_leg.slide}
+        of_leg = in_casadi(values.leg_values)(parts(ball), leg, kind)
+        by_joint |= {f"leg_{name}_hip": ca.atan2(*of_leg.passive), f"leg_{name}_slide": of_leg.actuated}
         if k % 3 == 0:
             angles = in_casadi(values.ball_angles)(of_leg, leg, triangle if k < 3 else seen, up)
             by_joint |= {f"ball_{name}_{x}": ca.atan2(*angle) for x, angle in zip("xyz", angles, strict=True)}

@@ -13,11 +13,22 @@ import casadi as ca
 import numpy as np
 
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import ball_motions, branches, circles, leg_constants, leg_planes, stages, vectors, wrenches
+from spm_pin.formulas import (
+    ball_motions,
+    branches,
+    circles,
+    joint_values,
+    leg_constants,
+    leg_planes,
+    stages,
+    vectors,
+    wrenches,
+)
 from spm_pin.formulas.operations import bind
 from spm_pin.mechanism import FAMILIES, Geometry
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
 from spm_pin.mechanism.geometry import check_rps
+from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import AXES, RADIAL
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 
@@ -193,11 +204,12 @@ class Machine:
         planes = self.planes[3 * stage : 3 * stage + 3]
         return [parts(ca.cos(angles[i]) * plane.y + ca.sin(angles[i]) * plane.z) for i, plane in enumerate(planes)]
 
-    def home_length(self, stage: int) -> Any:
-        """Return the leg length at home of a stage [m]."""
+    def at_home(self, stage: int) -> Any:
+        """Return a leg of a stage at home, and its kind's formulas."""
         legs, radius = slice(3 * stage, 3 * stage + 3), (self.base, self.platform)[stage]
-        low, high = ca.mmax(self.minimum[legs]), ca.mmin(self.maximum[legs])
-        return in_casadi(leg_constants.home_length)(radius, self.r, low, high)
+        limits = ca.mmax(self.minimum[legs]), ca.mmin(self.maximum[legs])
+        kind = RPS.bound(in_casadi)
+        return in_casadi(joint_values.leg_home)(self.r - radius, self.r + radius, limits, 1.0, (), kind), kind
 
 
 def _legs_of_parameters(parameters: Any) -> tuple[list[Any], list[Any], list[Any], Any]:

@@ -14,7 +14,7 @@ from spm_pin.description.source_files import MESHES, description_directory
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import Configuration, Geometry, LegLimits
-from spm_pin.mechanism.joint_angles import JOINTS, home_lengths
+from spm_pin.mechanism.joint_angles import JOINTS, home_readings
 from spm_pin.symbolic.c_export import c_sources, filled, write_files
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
@@ -46,7 +46,7 @@ def ros_package(geometry: Geometry, *, prefix: str = "", masses: Masses | None =
     sources = c_sources(geometry, prefix=name, masses=masses)
     urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses)
     slides, joints = ([f"{prefix}{joint}" for joint in names] for names in (SLIDES, JOINTS))
-    zeros = (np.repeat(home_lengths(geometry), 3) + geometry.legs.offsets).tolist()
+    zeros = (home_readings(geometry) + geometry.legs.offsets).tolist()
     readings, goal = _start(geometry)
     position, quaternion = goal.translation, goal.pose.rotation.as_quat()
     values = {
@@ -98,7 +98,7 @@ def write_ros(
 def _start(geometry: Geometry) -> tuple[list[float], Configuration]:
     """Return readings to start from, away from the ends of the limits and from a level platform, and a state nearby."""
     limits, offsets = geometry.limits or LegLimits(0.0, float("inf")), geometry.legs.offsets
-    home = np.repeat(home_lengths(geometry), 3)
+    home = home_readings(geometry)
     low = np.array(limits.minimum)
     high = np.minimum(limits.maximum, np.maximum(low, home + offsets) + home)
     middle, reach = 0.5 * (low + high), np.minimum(0.25 * (high - low), _SHARE * home)

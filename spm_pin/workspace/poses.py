@@ -45,8 +45,8 @@ from spm_pin.workspace.states import free_states, given_limits, states_around, s
 
 _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
 """Pairs of legs that have no joint in common, by their indices in `LEGS`."""
-_ANGLES = ("hip", "ball_x", "ball_y", "ball_z")
-"""Names of the limits of angles."""
+_ANGLES = {"hip": "passive"} | {name: name for name in ("ball_x", "ball_y", "ball_z")}
+"""Names of the limits of angles, and of the angles."""
 _CANDIDATES, _STARTS = 400, 8
 """States of a sample whose platform joints are nearest to the target's, and how many unlike ones of them are starts."""
 _MODE_TOLERANCE = 1e-7
@@ -66,7 +66,8 @@ class JointLimits:
     Parameters
     ----------
     hip : pair of floats, optional
-        Smallest and largest angle of the six revolute joints, from the home's direction [rad].
+        Smallest and largest angle of the passive revolute joints, the hips of RPS legs and the knees of others, from
+        the home's direction [rad].
     ball_x, ball_y, ball_z : pairs of floats, optional
         The same of each angle of the six ball joints [rad]: from the leg's rod to the middle platform about the leg's
         revolute axis, then about the middle one, then about the platform's normal.
@@ -101,7 +102,7 @@ class JointLimits:
         limited = [name for name in _ANGLES if getattr(self, name) is not None]
         angles = joint_angles(configuration) if limited else None
         for name in limited:
-            (low, high), values = getattr(self, name), getattr(angles, name)
+            (low, high), values = getattr(self, name), getattr(angles, _ANGLES[name])
             margin = np.minimum(margin, np.minimum(values - low, high - values).min(axis=-1))
         return np.where(configuration.exists, margin, np.nan)
 

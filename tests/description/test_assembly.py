@@ -13,7 +13,7 @@ import spm_pin as spm
 from spm_pin.description import urdf_text
 from spm_pin.description.source_files import read_closures
 from spm_pin.description.tree import SLIDES, joint_values
-from spm_pin.mechanism.joint_angles import home_lengths
+from spm_pin.mechanism.joint_angles import home_readings
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
@@ -50,7 +50,7 @@ def test_home_is_assembled_and_symmetric(name: str, trees: dict[str, KinematicTr
         np.testing.assert_allclose(frames[platform][:2, 3], 0.0, atol=1e-14)
     heights = [frames[platform][2, 3] for platform in ("base", "middle_platform", "terminal_platform")]
     assert heights[0] == 0.0 < heights[1] < heights[2]
-    lower, upper = home_lengths(geometry)
+    lower, upper = home_readings(geometry)[[0, 3]]
     for leg, corner, home in (("b", "base_a", lower), ("c", "terminal_c", upper)):
         for i in (1, 2, 3):
             hip, tip, middle = (frames[name][:3, 3] for name in (f"{corner}{i}", f"leg_{leg}{i}_tip", f"middle_b{i}"))
@@ -71,7 +71,7 @@ def test_home_is_assembled_and_symmetric(name: str, trees: dict[str, KinematicTr
 @pytest.mark.parametrize("name", ALL)
 def test_slides_are_lengths_minus_home(name: str, trees: dict[str, KinematicTree]) -> None:
     limits, slides = ALL[name].limits, [trees[name].moving[slide].limit for slide in SLIDES]
-    homes = np.repeat(home_lengths(ALL[name]), 3)
+    homes = home_readings(ALL[name])
     shortest, longest = (homes + [limit[end] for limit in slides] for end in ("lower", "upper"))
     assert (shortest > 0.0).all()
     assert (shortest < longest).all()
@@ -82,11 +82,11 @@ def test_slides_are_lengths_minus_home(name: str, trees: dict[str, KinematicTree
 
 
 def test_home_lies_in_the_middle_of_the_shared_limits_if_it_can() -> None:
-    assert home_lengths(PAPER) == (1.3, 1.3)
-    assert home_lengths(LIMITED["a limit for each leg"]) == pytest.approx((1.3, 0.95))
+    assert set(home_readings(PAPER).tolist()) == {1.3}
+    assert home_readings(LIMITED["a limit for each leg"])[[0, 3]] == pytest.approx((1.3, 0.95))
     for name in ("no longest leg", "too short to stand", "nothing shared"):
         geometry = LIMITED[name]
-        for length, radius in zip(home_lengths(geometry), (1.2, 0.5), strict=True):
+        for length, radius in zip(home_readings(geometry)[[0, 3]], (1.2, 0.5), strict=True):
             assert length > abs(geometry.middle_radius - radius)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +11,8 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
-from problems import PAPER, Array
+from kinds_of_legs import KINDS_OF_STAGES, PAIRS, machine, states
+from problems import Array
 from scipy.optimize import fsolve
 
 import spm_pin as spm
@@ -22,30 +22,9 @@ from spm_pin.kinematics import compliance, determinant_gradients, platform_jacob
 from spm_pin.mechanism import PRS, RPS, RRS, Legs, Stage
 from spm_pin.mechanism.leg_kinds import KINDS
 
-KINDS_OF_STAGES = {"RPS": RPS(), "PRS": PRS(rod=1.6, direction=1.3), "RRS": RRS(crank=1.1, rod=0.9)}
-PAIRS = list(itertools.product(KINDS_OF_STAGES, repeat=2))
 SIGNS = [PRS(rod=1.6, direction=1.3, sign=1), RRS(crank=1.1, rod=0.9, sign=1), *KINDS_OF_STAGES.values()]
 BALL = 0.3, 1.2
 WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
-
-
-def machine(lower: str, upper: str, *, built: bool = False) -> spm.Geometry:
-    """Return a machine of the paper's triangles with legs of these kinds."""
-    radius = PAPER.middle_radius
-    stages = zip((lower, upper), (PAPER.base_radius, PAPER.platform_radius), strict=True)
-    drawn = spm.Geometry.of_stages(*(Stage(base, radius, KINDS_OF_STAGES[kind]) for kind, base in stages))
-    return drawn.perturbed(5, length=5e-3, angle=5e-3) if built else drawn
-
-
-def states(geometry: spm.Geometry, count: int = 60) -> spm.Configuration:
-    """Return physical states of a machine, away from singularities."""
-    legs = np.random.default_rng(11).uniform(1.15, 1.45, (count, 6))
-    other = spm.forward_physical(PAPER, legs)
-    readings = spm.mechanism.Configuration(geometry, other.pose, other.middle_joints).readings
-    found = spm.forward_physical(geometry, readings[np.isfinite(readings).all(axis=-1)])
-    found = found[found.exists]
-    regular = (np.abs(found.slopes) > 0.2 * geometry.legs.largest_slopes).all(axis=-1)
-    return found[regular & (np.abs(platform_jacobian(found)).max(axis=(-1, -2)) < 20.0)]
 
 
 def test_readings_of_right_triangles() -> None:
@@ -238,7 +217,6 @@ REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
     "casadi": lambda g: spm.symbolic.forward_physical(g),
     "certify": lambda g: spm.certify(g, spm.LegLimits(1.2, 1.3)),
     "crosscheck": lambda g: spm.crosscheck.compare_methods(g, poses=2),
-    "joint values": lambda g: spm.mechanism.joint_angles(states(g)[0]),
     "leg lengths of the search": lambda g: spm.nlp.leg_lengths(g),
     "pinocchio": lambda g: spm.ClosedChain.from_urdf(geometry=g),
     "plan": lambda g: spm.plan(g, np.full(6, 1.3), np.full(6, 1.4)),

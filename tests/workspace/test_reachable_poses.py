@@ -217,7 +217,7 @@ def test_margins_are_the_worst_and_infinite_without_limits(machine: spm.Geometry
     assert np.isposinf(JointLimits().angle_margin(states)).all()
     assert np.isposinf(JointLimits().clearance_margin(states)).all()
     both = JointLimits(hip=(-0.3, 0.4), ball_z=(-0.1, 0.2)).angle_margin(states)
-    hip = np.minimum(angles.hip + 0.3, 0.4 - angles.hip).min(axis=-1)
+    hip = np.minimum(angles.passive + 0.3, 0.4 - angles.passive).min(axis=-1)
     ball = np.minimum(angles.ball_z + 0.1, 0.2 - angles.ball_z).min(axis=-1)
     np.testing.assert_allclose(both, np.minimum(hip, ball), atol=1e-15)
     np.testing.assert_allclose(JointLimits(clearance=0.1).clearance_margin(states), leg_clearance(states) - 0.1)

@@ -1,0 +1,34 @@
+"""Machines of the paper's triangles with RPS, PRS and RRS legs in either stage, and states of them."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from problems import PAPER
+
+import spm_pin as spm
+from spm_pin.kinematics import platform_jacobian
+from spm_pin.mechanism import PRS, RPS, RRS, Stage
+
+KINDS_OF_STAGES = {"RPS": RPS(), "PRS": PRS(rod=1.6, direction=1.3), "RRS": RRS(crank=1.1, rod=0.9)}
+PAIRS = list(itertools.product(KINDS_OF_STAGES, repeat=2))
+
+
+def machine(lower: str, upper: str, *, built: bool = False) -> spm.Geometry:
+    """Return a machine of the paper's triangles with legs of these kinds."""
+    radius = PAPER.middle_radius
+    stages = zip((lower, upper), (PAPER.base_radius, PAPER.platform_radius), strict=True)
+    drawn = spm.Geometry.of_stages(*(Stage(base, radius, KINDS_OF_STAGES[kind]) for kind, base in stages))
+    return drawn.perturbed(5, length=5e-3, angle=5e-3) if built else drawn
+
+
+def states(geometry: spm.Geometry, count: int = 60) -> spm.Configuration:
+    """Return physical states of a machine, away from singularities."""
+    legs = np.random.default_rng(11).uniform(1.15, 1.45, (count, 6))
+    other = spm.forward_physical(PAPER, legs)
+    readings = spm.mechanism.Configuration(geometry, other.pose, other.middle_joints).readings
+    found = spm.forward_physical(geometry, readings[np.isfinite(readings).all(axis=-1)])
+    found = found[found.exists]
+    regular = (np.abs(found.slopes) > 0.2 * geometry.legs.largest_slopes).all(axis=-1)
+    return found[regular & (np.abs(platform_jacobian(found)).max(axis=(-1, -2)) < 20.0)]
