@@ -59,7 +59,7 @@ $(VENV)/.python:
 
 # Without bytecode of all that is installed, which takes as long as unpacking it; what is imported makes its own.
 $(VENV)/.demo: $(VENV)/.python pyproject.toml constraints.txt
-	@echo "Installing into $(VENV): 1.3 GB, most of it Pinocchio, CasADi and LLVM"
+	@echo "Installing into $(VENV): 1.3 GB, most of it Pinocchio, CasADi and LLVM; a minute or two, in silence"
 	@$(INSTALL) --no-compile --editable '.[plots]'
 	@touch $@
 

@@ -17,7 +17,7 @@ __all__ += ["UnreachableError"]
 
 EXTRAS = {
     "arrays": ("array_api_compat",),
-    "cluster": ("zarr", "xarray", "dask", "distributed", "filelock", "google_crc32c"),
+    "cluster": ("zarr", "xarray", "dask", "distributed", "filelock"),
     "jax": ("array_api_compat", "jax"),
     "design": ("pymoo",),
     "plots": ("matplotlib", "trimesh"),

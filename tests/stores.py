@@ -21,17 +21,18 @@ def small(path: Path, **changes: Any) -> Any:
 
 
 def contents(path: Path) -> dict[str, bytes]:
-    """Return every file below `path`, and of its own name beside it."""
-    inside = {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+    """Return every file below `path` but the drafts of killed processes, and of its own name beside it."""
+    files = (file for file in path.rglob("*") if file.is_file() and not file.match("*.partial"))
+    inside = {str(file.relative_to(path)): file.read_bytes() for file in files}
     beside = {file.name: b"" for file in path.parent.glob(f"*{path.name}*") if file != path}
     return inside | beside
 
 
 def records(path: Path) -> list[Path]:
-    """Return the records of completed chunks, sorted."""
-    return sorted((path / "sweep" / "crc32c").glob("c.*"))
+    """Return the marks of completed chunks, sorted."""
+    return sorted((path / "sweep" / "done").glob("c.*"))
 
 
 def times(path: Path) -> dict[str, int]:
-    """Return when the record of each completed chunk was written."""
+    """Return when the mark of each completed chunk was written."""
     return {record.name: record.stat().st_mtime_ns for record in records(path)}

@@ -10,8 +10,7 @@ from scipy.spatial.transform import RigidTransform
 import spm_pin as spm
 from benchmarks.peers.c_loop import real_branches
 from benchmarks.peers.peer import FloatArray, Prepared
-from spm_pin.kinematics.batches import BRANCH_RESULTS, new_result
-from spm_pin.kinematics.inverse_displacement import branch_lengths
+from spm_pin.kinematics.inverse_displacement import BranchMemory, branch_lengths
 from spm_pin.paper import resultant
 
 
@@ -49,7 +48,7 @@ def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
     matrices = poses.as_matrix()
     rotation, position = np.ascontiguousarray(matrices[:, :3, :3]), np.ascontiguousarray(matrices[:, :3, 3])
     n = len(position)
-    results = [new_result(n, result) for result in BRANCH_RESULTS]
+    results = BranchMemory(geometry, n).arrays
     sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius
 
     def call() -> FloatArray:

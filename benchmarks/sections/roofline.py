@@ -67,7 +67,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         return section
     small, large = _FEW, 100_000 if pace.quick else 1_000_000
     few, many = leg_space(_FEW), tiled(large)
-    found = spm.inverse_displacement(GEOMETRY, many)
+    found = spm.kinematics.BranchMemory(GEOMETRY, large)
     timed_calls = [
         TimedCall(f"{OURS} {_CACHE}", package.inverse((GEOMETRY, few)).call, small),
         TimedCall(f"{_KERNEL} {_CACHE}", package.kernel((GEOMETRY, few)).call, small),

@@ -13,6 +13,7 @@ from benchmarks.report import Facts, Section, count, microseconds, spread_of_sec
 from benchmarks.sections.preparation import Progress
 from benchmarks.sections.velocity import states
 from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
+from spm_pin.kinematics.inverse_displacement import BranchMemory
 from spm_pin.kinematics.rates_and_forces import force_matrices
 
 _MANY = 10_000
@@ -122,7 +123,7 @@ def _memory(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
         facts[key] = Spread.of(1e6 * np.array(measured))
     n = 100_000 if pace.quick else 1_000_000
     large, small = tiled(n), leg_space(_MANY)
-    found, less = spm.inverse_displacement(GEOMETRY, large), spm.inverse_displacement(GEOMETRY, small)
+    found, less = BranchMemory(GEOMETRY, n), BranchMemory(GEOMETRY, _MANY)
     names = [f"`inverse_displacement(out=...)`, {count(n)} poses", f"the same, {count(_MANY)}"]
     calls = [
         TimedCall(names[0], lambda: spm.inverse_displacement(GEOMETRY, large, out=found), n),

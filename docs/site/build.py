@@ -144,6 +144,8 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
             return f"[{text}](#{'.'.join(parts)})"
         elif parts[0] == "spm_pin" and len(parts) > 1 and parts[1] in INTERNAL:
             shown = f"reference/modules/{parts[1]}.md"
+        elif parts == ("docs", "live"):
+            return f"[{text}]({'../' * page.count('/')}live.html)"
         elif parts[:2] == ("docs", "images") or path.suffix == ".bib":
             shown = path.relative_to(ROOT / "docs").as_posix()
         else:
@@ -160,10 +162,10 @@ def _contents(found: dict[str, str]) -> str:
     theory = ("README", *kinematics, "literature_checks", "workspace", "reachable_set", "proofs", "as_built")
     guides = ("batches", "paths", "motion", "workspace", "viewer", "pipelines", "load_elsewhere", "controller", "sweep")
     chapters = {
-        "Theory": _ordered(found, "theory", theory),
-        "The paper, and others": ["findings", "paper", "related_work"],
         "How to": _ordered(found, "howto", guides),
         "Notebooks": [f"notebooks/{name}" for name in CHAPTERS],
+        "Theory": _ordered(found, "theory", theory),
+        "The paper, and others": ["findings", "paper", "related_work"],
         "More": [
             "examples",
             "reference/commands",

@@ -36,7 +36,7 @@ class _Console(Console):
 stdout = _Console(markup=False, highlight=False, emoji=False)
 stderr = _Console(stderr=True, markup=False, highlight=False, emoji=False, soft_wrap=True)
 
-_ROUNDING = 1e-12
+_PRINTED_AS_ZERO = 1e-12
 """A number smaller than this share of its scale is printed as zero."""
 
 P = ParamSpec("P")
@@ -135,7 +135,7 @@ def print_table(
 
 def significant(value: float, scale: float = 0.0, digits: int = 5) -> str:
     """Format with a number of significant digits; what is rounding beside `scale` is 0."""
-    return "0" if abs(value) <= _ROUNDING * scale else f"{value:.{digits}g}"
+    return "0" if abs(value) <= _PRINTED_AS_ZERO * scale else f"{value:.{digits}g}"
 
 
 def file_name(text: str) -> Path:

@@ -34,6 +34,10 @@ Complex = tuple[float, float]
 
 ROUNDING = 2.0**-46
 """Rounding of a pose relative to its size: what is smaller is taken for zero when a family is degenerate."""
+ROUNDING_BOUND = 2.0**-39
+"""Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
+PARALLEL = 1e-12
+"""Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
 
 
 class PoseFrame(NamedTuple):
@@ -172,6 +176,17 @@ def _family(
 def discriminant(family: Family) -> float:
     """Return uv² - uu vv: the branches of a family are real where it is not negative."""
     return family.uv * family.uv - family.uu * family.vv
+
+
+def rounding_bound(position: Vector, r: float) -> float:
+    """Return a bound of the rounding error of a discriminant over r²."""
+    size = 1.0 + (magnitude(position[0]) + magnitude(position[1])) / r
+    return ROUNDING_BOUND * (size * size)
+
+
+def is_tilted(rotation: Rows) -> bool:
+    """Return whether the Z axes of {B} and {m} are not parallel to rounding, so that discriminants prove something."""
+    return magnitude(rotation[0][2]) + magnitude(rotation[1][2]) > PARALLEL
 
 
 def is_continuous(family: Family, noise: float) -> bool:

@@ -3,6 +3,7 @@
 from spm_pin.kinematics.batches import compile_kernels, set_threads, threads
 from spm_pin.kinematics.forward_displacement import ASSEMBLY_MODES, STAGE_MODES, forward_displacement, forward_physical
 from spm_pin.kinematics.inverse_displacement import (
+    BranchMemory,
     branch_lengths,
     complex_middle_joints,
     inverse_displacement,
@@ -31,6 +32,7 @@ from spm_pin.kinematics.singularity_analysis import (
 __all__ = [
     "ASSEMBLY_MODES",
     "STAGE_MODES",
+    "BranchMemory",
     "CertifiedLimits",
     "Event",
     "EventKind",

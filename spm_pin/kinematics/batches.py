@@ -35,17 +35,6 @@ _CACHE_LINE, _LONG = 64, 1 << 14
 """Bytes of a cache line, and of a result that begins at one: a store across two lines takes twice as long."""
 Result = tuple[tuple[int, ...], npt.DTypeLike]
 """Trailing shape and type of one result of a kernel."""
-BRANCH_RESULTS: tuple[Result, ...] = (
-    ((3, 3), np.float64),
-    ((3,), np.float64),
-    ((8, 3, 3), np.float64),
-    ((8, 6), np.float64),
-    ((4,), np.float64),
-    ((3,), np.uint8),
-    ((), np.int8),
-    ((), np.uint8),
-)
-"""Results of the kernel `all_branches`: R, o, joints, lengths, discriminants, choice, status and what is flagged."""
 
 
 def new_result(count: int, result: Result) -> npt.NDArray[Any]:

@@ -15,7 +15,6 @@ computed with outward rounding. See `docs/theory/proofs.md`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,11 +26,11 @@ from spm_pin.formulas.operations import bind
 from spm_pin.formulas.stages import cartesian
 from spm_pin.formulas.vectors import combined, cross, dot, minus, rotation_of, scaled, times
 from spm_pin.kinematics.intervals import SQRT_3, Interval
+from spm_pin.kinematics.inverse_displacement import BuiltBranches, DrawnBranches
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
-from spm_pin.mechanism.branch_of_state import physical, tilt_cosine_sum
+from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.solutions import SolutionSet
 
 Vectors = Any
 """Vectors of intervals or balls instead of numbers, which formulas take as well."""
@@ -43,36 +42,30 @@ _BITS = 400, 1600, 6400
 """Precisions in which a discriminant is computed; one that is zero to the last is left undecided."""
 
 
-def certify_branches(branches: SolutionSet) -> SolutionSet:
-    """Decide the families that are not `certain`, in the memory of `branches`, and bound the error of all joints."""
+def certify_branches(geometry: Geometry, solved: DrawnBranches | BuiltBranches) -> FloatArray:
+    """Return bounds (N, 8) of the error of all joints; decide the families that are not certain, in place."""
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
-    assert branches.memory is not None
-    radius = _radii(branches.configurations)
-    if branches.degeneracy is None:  # of a machine as built, which has no families
-        return replace(branches, radius=radius)
-    certain, shape, families = np.asarray(branches.certain), branches.shape, branches.degeneracy.families
-    vertical = (branches.memory[7] & VERTICAL) > 0
-    undecided = ~certain.reshape(-1, 4) & ~families.reshape(-1, 4) & ~vertical[:, None]
-    decided = _decide_families(branches.geometry, branches.memory, undecided, radius.reshape(-1, 8))
-    status = branches.memory[6].reshape(shape)
-    return replace(branches, status=status, proved=certain | decided.reshape(certain.shape), radius=radius)
+    radius = _radii(geometry, solved)
+    if isinstance(solved, DrawnBranches):  # of a machine as built there are no families
+        flagged = solved.flagged[:, None]
+        _decide_families(
+            geometry, solved, ~solved.certain & (flagged & [1, 2, 4, 8] == 0) & (flagged & VERTICAL == 0), radius
+        )
+    return radius
 
 
-def _decide_families(
-    geometry: Geometry, solved: tuple[Any, ...], undecided: BoolArray, radius: FloatArray
-) -> BoolArray:
-    """Compute the families `undecided` (N, 4), and their radii (N, 8), anew; return which of them are decided now."""
-    rotation, position, joints, lengths, discriminants, hint, status, _ = solved
-    decided = np.zeros_like(undecided)
+def _decide_families(geometry: Geometry, solved: DrawnBranches, undecided: BoolArray, radius: FloatArray) -> None:
+    """Compute the families `undecided` (N, 4), and their radii (N, 8), anew."""
+    rotation, position, joints, lengths, discriminants, certain, at_home, status, _ = solved
     for n in np.flatnonzero(undecided.any(axis=-1)):
         families = _families_in_balls(rotation[n], position[n], geometry.middle_side)
         for family in np.flatnonzero(undecided[n]).tolist():
             if (exact := families[family]) is not None:
                 pair = slice(2 * family, 2 * family + 2)
-                decided[n, family] = True
+                certain[n, family] = True
                 discriminants[n, family], joints[n, pair], radius[n, pair] = exact
-        anew = np.repeat(decided[n], 2)
+        anew = np.repeat(undecided[n] & certain[n], 2)
         # The exact joints are known; nothing else is near them if all other solutions are known to be farther away.
         apart = np.linalg.norm(joints[n][:, None] - joints[n], axis=-1).max(axis=-1)
         far = (apart > _SAFE * (radius[n] + radius[n][:, None])) | np.isnan(apart) | np.eye(8, dtype=np.bool_)
@@ -83,11 +76,8 @@ def _decide_families(
         lengths[n] = np.where(anew[:, None], branches.leg_lengths, lengths[n])
         if status[n] < 2:
             status[n] = 0 if branches.exists.any() else 1
-        if decided[n, 0]:
-            hint[n, :2] = physical(branches[:2])
-            tilts = tilt_cosine_sum(branches[:2])
-            hint[n, 2] = tilts[1] > tilts[0]
-    return decided
+        if anew[0]:
+            at_home[n, :2] = physical(branches[:2])
 
 
 _ExactFamily = tuple[float, FloatArray, FloatArray]
@@ -156,20 +146,20 @@ def _quaternions(rotation: Sequence[Any]) -> tuple[tuple[Any, Any, Any, Any], ..
     )
 
 
-def _radii(states: Configuration) -> FloatArray:
-    """Return radii (...) [m] around joints in which exact ones exist, and are the only ones; NaN where not proved."""
-    geometry, radius = states.geometry, np.full(states.exists.size, np.nan)
-    joints, rotation = states.middle_joints.reshape(-1, 3, 3), states.rotation.reshape(-1, 3, 3)
-    position = states.translation.reshape(-1, 3)
+def _radii(geometry: Geometry, solved: DrawnBranches | BuiltBranches) -> FloatArray:
+    """Return radii (N, 8) [m] around joints in which exact ones exist, and are the only ones; NaN where not proved."""
+    joints = solved.joints.reshape(-1, 3, 3)
+    radius = np.full(len(joints), np.nan)
     legs, enclosed = (_drawn_legs, _enclosed_rotation) if geometry.is_nominal else (_legs, _rows)
     machine = legs(geometry)
-    existing = np.flatnonzero(states.exists)
+    existing = np.flatnonzero(np.isfinite(joints[:, 0, 0]))
     for first in range(0, len(existing), _CHUNK):
         some = existing[first : first + _CHUNK]
-        state = _rows(joints[some]), enclosed(rotation[some]), _vector(position[some])
+        poses = some // 8
+        state = _rows(joints[some]), enclosed(solved.rotation[poses]), _vector(solved.position[poses])
         with np.errstate(all="ignore"):
             radius[some] = _radii_of_equations(*machine, geometry.middle_side, *state)
-    return radius.reshape(states.shape)
+    return radius.reshape(-1, 8)
 
 
 def _legs(geometry: Geometry) -> tuple[Vectors, Vectors, Vectors, Vectors]:

@@ -7,7 +7,6 @@ three quadrics, all eight roots of which are found, and the labels of the drawn 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -17,8 +16,8 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.branches import ROUNDING
-from spm_pin.kinematics.batches import BRANCH_RESULTS, radii, read_pose, run_kernel, with_batch_shape
-from spm_pin.mechanism.arguments import FloatArray, as_bool
+from spm_pin.kinematics.batches import Result, new_result, radii, read_pose, run_kernel, with_batch_shape
+from spm_pin.mechanism.arguments import FloatArray, as_bool, check_instance, whole_number
 from spm_pin.mechanism.branch_of_state import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -26,14 +25,11 @@ from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.pose import PoseLike
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
 
-ROUNDING_BOUND = 2.0**-39
-"""Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
-
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 
 
 def inverse_displacement(
-    geometry: Geometry, pose: PoseLike, *, out: SolutionSet | None = None, certify: bool = False
+    geometry: Geometry, pose: PoseLike, *, out: BranchMemory | None = None, certify: bool = False
 ) -> SolutionSet:
     """Find all configurations of the manipulator that hold the platform in a pose.
 
@@ -43,9 +39,9 @@ def inverse_displacement(
         The manipulator. Its leg limits are not applied; see `SolutionSet.within`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
-    out : SolutionSet, optional
-        What an earlier call with this geometry for a batch of this shape returned. Its memory is written anew: it and
-        everything taken from it then hold the new numbers.
+    out : BranchMemory, optional
+        Memory for the results, of this geometry and for a batch of this size. What earlier calls with it returned then
+        holds the new numbers.
     certify : bool
         Bound the error of all joints, in `SolutionSet.radius`. In a drawn machine also decide the families that are not
         `certain`, and compute their branches, with more digits, a few milliseconds each.
@@ -83,35 +79,34 @@ def inverse_displacement(
     certified = as_bool(certify, "certify")
     shape, rotation, position = read_pose(geometry, pose)
     method = _method(geometry)
-    results = method.results if out is None else _memory_of(out, geometry, shape)
-    solved = run_kernel(method.all_branches, (rotation, position), method.constants, results, method.min_batch)
-    rotation, position, joints, lengths, *_ = solved
-    status = solved[6]
-    details: dict[str, Any]
-    if method.is_drawn:
-        discriminants, hint, _, flagged = solved[4:]
-        details = {
-            "discriminants": discriminants.reshape(*shape, 4),
-            "degeneracy": _find_degeneracy(geometry, shape, rotation, position, flagged, status),
-            "physical_hint": hint.reshape(*shape, 3),
-            "rounding": ROUNDING_BOUND,
-        }
-    else:
-        details = {"merged": (solved[5] == 0).reshape(*shape, 8)}
-    states = Configuration.from_arrays(
-        geometry,
-        np.broadcast_to(rotation.reshape(*shape, 1, 3, 3), (*shape, 8, 3, 3)),
-        np.broadcast_to(position.reshape(*shape, 1, 3), (*shape, 8, 3)),
-        *with_batch_shape((joints, lengths), shape),
-    )
-    branches = SolutionSet(states, BRANCHES, status.reshape(shape), memory=solved, **details)
-    if not geometry.legs.are_rps:
-        branches = _within_reach(branches)
-    if not certified:
-        return branches
-    from spm_pin.kinematics.certified_branches import certify_branches
+    results = method.results if out is None else _memory_of(out, geometry, len(position))
+    constants, minimum = method.constants, method.min_batch
+    solved = type(method.results)(*run_kernel(method.all_branches, (rotation, position), constants, results, minimum))
+    details: dict[str, Any] = {}
+    if isinstance(solved, DrawnBranches):
+        details["degeneracy"] = _find_degeneracy(geometry, shape, solved)
+    if certified:
+        from spm_pin.kinematics.certified_branches import certify_branches
 
-    return certify_branches(branches)
+        details["radius"] = certify_branches(geometry, solved).reshape(*shape, 8)
+    if isinstance(solved, DrawnBranches):
+        names = "discriminants", "certain", "at_home"
+        details |= dict(zip(names, with_batch_shape([getattr(solved, name) for name in names], shape), strict=True))
+    else:
+        details["merged"] = (solved.carried == 0).reshape(*shape, 8)
+    branches = SolutionSet(_states(geometry, solved, shape), BRANCHES, solved.status.reshape(shape), **details)
+    return branches if geometry.legs.are_rps else _within_reach(branches)
+
+
+def _states(geometry: Geometry, solved: DrawnBranches | BuiltBranches, shape: tuple[int, ...]) -> Configuration:
+    """Return branches (..., 8)."""
+    rotation, position = solved.rotation.reshape(*shape, 1, 3, 3), solved.position.reshape(*shape, 1, 3)
+    return Configuration.from_arrays(
+        geometry,
+        np.broadcast_to(rotation, (*shape, 8, 3, 3)),
+        np.broadcast_to(position, (*shape, 8, 3)),
+        *with_batch_shape((solved.joints, solved.lengths), shape),
+    )
 
 
 def _within_reach(branches: SolutionSet) -> SolutionSet:
@@ -124,50 +119,93 @@ def _within_reach(branches: SolutionSet) -> SolutionSet:
         beyond = (f"{label} {', '.join(np.array(LEGS)[legs])}" for label, exists, legs in rows if exists and legs.any())
         left.configurations.missing_reason = f"balls are out of reach of their legs: {'; '.join(beyond)}"
     # Which branches are physical depends on rods, and the kernels look at the lines from the pivots.
-    status = np.where(lost, Status.UNREACHABLE, branches.status)
-    return replace(left, status=status, physical_hint=None)
+    return replace(left, status=np.where(lost, Status.UNREACHABLE, branches.status), at_home=None)
 
 
-def _memory_of(out: SolutionSet, geometry: Geometry, shape: tuple[int, ...]) -> tuple[npt.NDArray[Any], ...]:
-    expected = f"what `inverse_displacement` returned for this geometry and a batch of shape {shape}"
-    if not isinstance(out, SolutionSet):
-        raise ArgumentError("out", expected, type(out).__name__)
-    if out.memory is None or out.shape != shape or len(out.memory[0]) != math.prod(shape):
-        received = f"one of shape {out.shape}" if out.memory is not None else "one that does not own its memory"
-        raise ArgumentError("out", expected, received)
-    if out.geometry is not geometry and out.geometry != geometry:
-        raise ArgumentError("out", expected, f"one of {out.geometry!r}", "It would keep that geometry")
-    return out.memory
+class DrawnBranches(NamedTuple):
+    """Results of the kernel `all_branches`, of N poses."""
+
+    rotation: Any
+    position: Any
+    joints: Any
+    lengths: Any
+    discriminants: Any
+    certain: Any
+    at_home: Any
+    status: Any
+    flagged: Any
+
+
+class BuiltBranches(NamedTuple):
+    """Results of the kernel `as_built_branches`, of N poses."""
+
+    rotation: Any
+    position: Any
+    joints: Any
+    lengths: Any
+    roots: Any
+    carried: Any
+    status: Any
+
+
+_BRANCHES: tuple[Result, Result, Result, Result] = (
+    ((3, 3), np.float64),
+    ((3,), np.float64),
+    ((8, 3, 3), np.float64),
+    ((8, 6), np.float64),
+)
+_SIGNS: tuple[Result, Result, Result] = (((4,), np.float64), ((4,), np.bool_), ((8,), np.bool_))
+_DRAWN = DrawnBranches(*_BRANCHES, *_SIGNS, ((), np.int8), ((), np.uint8))
+_BUILT = BuiltBranches(*_BRANCHES, np.empty((0, 8, 3, 3), np.complex128), ((8,), np.uint8), ((), np.int8))
+
+
+class BranchMemory:
+    """Memory into which `inverse_displacement` writes the branches of one batch after another.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    size : int
+        Number of poses of a batch.
+    """
+
+    def __init__(self, geometry: Geometry, size: int) -> None:
+        self._geometry = check_instance(geometry, Geometry, "geometry")
+        self._size = whole_number(size, "size", "the number of poses of a batch", least=0)
+        results = _method(geometry).results
+        self.arrays = [x if isinstance(x, np.ndarray) else new_result(self._size, x) for x in results]
+
+
+def _memory_of(out: BranchMemory, geometry: Geometry, size: int) -> list[npt.NDArray[Any]]:
+    expected = f"BranchMemory of this geometry for {size} poses"
+    memory = check_instance(out, BranchMemory, "out", expected)
+    if memory._size != size or (memory._geometry is not geometry and memory._geometry != geometry):
+        raise ArgumentError("out", expected, f"one of {memory._geometry!r} for {memory._size}")
+    return memory.arrays
 
 
 class _Method(NamedTuple):
-    """The kernels that solve poses of a machine, what else they take, and the results of all branches.
-
-    Results are R, o, joints, lengths, two of its own, status, and perhaps one more of its own.
-    """
+    """The kernels that solve poses of a machine, what else they take, and the results of all branches."""
 
     all_branches: Callable[..., None]
-    physical_branches: Callable[..., None]
+    physical_branch: Callable[..., None]
     constants: tuple[Any, ...]
-    results: tuple[Any, ...]
+    results: DrawnBranches | BuiltBranches
     min_batch: int
-    is_drawn: bool
 
 
 def _method(geometry: Geometry) -> _Method:
     if geometry.is_nominal:
-        from spm_pin.kinematics.kernels.branch_kernels import all_branches, physical_branches
+        from spm_pin.kinematics.kernels.branch_kernels import all_branches, physical_branch
 
-        constants = radii(geometry)
-        return _Method(all_branches, physical_branches, constants, BRANCH_RESULTS, _MIN_BATCH_PER_THREAD, True)
-    from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches, as_built_physical_branches
+        return _Method(all_branches, physical_branch, radii(geometry), _DRAWN, _MIN_BATCH_PER_THREAD)
+    from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches, as_built_physical_branch
 
     unit = geometry.middle_radius
     machines = [(x.axes, x.pivots / unit, x.balls / unit) for x in (geometry.nominal.legs, geometry.legs)]
-    no_roots = np.empty((0, 8, 3, 3), np.complex128)
-    results: tuple[Any, ...] = *BRANCH_RESULTS[:4], no_roots, ((8,), np.uint8), ((), np.int8)
-    kernels = as_built_branches, as_built_physical_branches
-    return _Method(*kernels, (np.stack(machines), unit), results, _MIN_BATCH_PER_THREAD_AS_BUILT, False)
+    constants = np.stack(machines), unit
+    return _Method(as_built_branches, as_built_physical_branch, constants, _BUILT, _MIN_BATCH_PER_THREAD_AS_BUILT)
 
 
 def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
@@ -207,7 +245,7 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64)
     method = _method(geometry)
     constants = *method.constants, bounds
-    solved = run_kernel(method.physical_branches, (rotation, position), constants, results, method.min_batch)
+    solved = run_kernel(method.physical_branch, (rotation, position), constants, results, method.min_batch)
     state = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
     if not shape and not state.exists:
         # The same, with the reason why there is none.
@@ -233,16 +271,17 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     """
     shape, rotation, position = read_pose(geometry, pose)
     method = _method(geometry)
-    results = list(method.results)
-    if method.is_drawn:
+    results = method.results
+    if isinstance(results, DrawnBranches):
         # No memory for what is not asked for.
-        results = [np.empty((0, *inner), number) for inner, number in BRANCH_RESULTS]
-        results[3], results[6], results[7] = BRANCH_RESULTS[3], BRANCH_RESULTS[6], BRANCH_RESULTS[7]
-    solved = run_kernel(method.all_branches, (rotation, position), method.constants, results, method.min_batch)
-    lengths, status = solved[3], solved[6]
-    if method.is_drawn:
-        _find_degeneracy(geometry, shape, rotation, position, solved[7], status)
-    return lengths.reshape(*shape, 8, 6), status.reshape(shape)
+        nothing = {name: new_result(0, getattr(results, name)) for name in results._fields}
+        results = results._replace(**{x: nothing[x] for x in nothing if x not in ("lengths", "status", "flagged")})
+    solved = type(results)(
+        *run_kernel(method.all_branches, (rotation, position), method.constants, results, method.min_batch)
+    )
+    if isinstance(solved, DrawnBranches):
+        _find_degeneracy(geometry, shape, solved._replace(rotation=rotation, position=position))
+    return solved.lengths.reshape(*shape, 8, 6), solved.status.reshape(shape)
 
 
 def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
@@ -262,28 +301,24 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
     """
     shape, *poses = read_pose(geometry, pose)
     method, roots = _method(geometry), ((8, 3, 3), np.complex128)
-    if method.is_drawn:
+    if isinstance(method.results, DrawnBranches):
         from spm_pin.kinematics.kernels.branch_kernels import complex_branches
 
         radius = method.constants[:1]
         (joints,) = run_kernel(complex_branches, poses, radius, [roots], _MIN_BATCH_PER_THREAD_AS_BUILT)
     else:
-        results = *method.results[:4], roots, *method.results[5:]
-        joints = run_kernel(method.all_branches, poses, method.constants, results, method.min_batch)[4]
+        results = method.results._replace(roots=roots)
+        joints = BuiltBranches(
+            *run_kernel(method.all_branches, poses, method.constants, results, method.min_batch)
+        ).roots
     return np.asarray(joints.reshape(*shape, 8, 3, 3))
 
 
-def _find_degeneracy(
-    geometry: Geometry,
-    shape: tuple[int, ...],
-    rotation: FloatArray,
-    position: FloatArray,
-    flagged: npt.NDArray[np.uint8],
-    status: npt.NDArray[np.int8],
-) -> Degeneracy:
-    """Describe the continuous families, which only poses that are `flagged` (N,) can have; set their `status` (N,)."""
+def _find_degeneracy(geometry: Geometry, shape: tuple[int, ...], solved: DrawnBranches) -> Degeneracy:
+    """Describe the continuous families, which only poses that are flagged can have; set their status."""
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL, continuous_families
 
+    rotation, position, flagged = solved.rotation, solved.position, solved.flagged
     n, some = len(flagged), np.flatnonzero(flagged)
     families, dimension, legs = np.zeros((n, 4), np.bool_), np.zeros(n, np.int8), np.zeros((n, 3), np.bool_)
     families[some] = (flagged[some, None] & np.array([1, 2, 4, 8])) > 0
@@ -296,7 +331,7 @@ def _find_degeneracy(
         families[vertical], dimension[vertical] = flat > 0, sizes
     moving = np.flatnonzero(dimension)
     if len(moving):
-        status[moving] = Status.DEGENERATE
+        solved.status[moving] = Status.DEGENERATE
         axes, places = geometry.revolute_axes, position[moving]
         parallel = np.linalg.norm(np.cross(axes, axes @ np.swapaxes(rotation[moving], -1, -2)), axis=-1) <= ROUNDING
         aside = np.hypot(places[:, 0], places[:, 1])

@@ -30,9 +30,6 @@ from spm_pin.mechanism.geometry import Geometry, unit_hint
 from spm_pin.mechanism.legs import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 
-_PARALLEL = 1e-12
-"""Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
-
 
 class Status(enum.IntEnum):
     """Outcome of one problem."""
@@ -80,6 +77,13 @@ class SolutionSet:
         Outcome of each problem; `Status` of a single problem, an int8 array of them for a batch.
     discriminants : ndarray, shape (..., 4), optional
         Of the families TT, TF, FT, FF, for inverse displacement: real iff not negative.
+    certain : ndarray of bool, shape (..., 4), optional
+        Families that are proved to be real, or not, as `exists` says: their discriminant is larger than all that
+        rounding can have changed. False for a continuous family, and where the Z axes of {B} and {m} are parallel to
+        1e-12 rad.
+    at_home : ndarray of bool, shape (..., n), optional
+        True for solutions reached from the symmetric home without a forward singularity, leg limits aside; looked for
+        if not given.
     degeneracy : Degeneracy, optional
         Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
     merged : ndarray of bool, shape (..., n), optional
@@ -88,10 +92,6 @@ class SolutionSet:
     radius : ndarray, shape (..., n), optional
         Radius [m] around each middle joint within which the exact one is, NaN where not proved; exactly one solution
         has all three joints within it. Given if the solver was asked to certify.
-    physical_hint, memory, rounding, proved : optional
-        From the solver: whether the first and the second solution are physical and the second is tilted less, uint8
-        (..., 3); arrays that it may write anew; the bound of a discriminant's rounding over (1 + (|x| + |y|)/r)²;
-        what `certain` is, where that does not follow from `rounding`.
 
     Notes
     -----
@@ -105,12 +105,10 @@ class SolutionSet:
     labels: tuple[str, ...]
     status: Status | npt.NDArray[np.int8]
     discriminants: FloatArray | None = None
+    certain: BoolArray | None = None
+    at_home: BoolArray | None = None
     degeneracy: Degeneracy | None = None
-    physical_hint: npt.NDArray[np.uint8] | None = None
-    memory: tuple[npt.NDArray[Any], ...] | None = None
     merged: BoolArray | None = None
-    rounding: float | None = None
-    proved: BoolArray | None = None
     radius: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -121,10 +119,6 @@ class SolutionSet:
         status = np.broadcast_to(np.asarray(self.status, dtype=np.int8), shape[:-1])
         object.__setattr__(self, "labels", tuple(self.labels))
         object.__setattr__(self, "status", status if self.shape else Status(int(status)))
-
-    def __getstate__(self) -> dict[str, Any]:
-        # A copy does not own the memory.
-        return {**self.__dict__, "memory": None}
 
     @classmethod
     def from_unordered(
@@ -212,24 +206,6 @@ class SolutionSet:
         """Number of real solutions, shape (...)."""
         return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
 
-    @property
-    def certain(self) -> BoolArray | None:
-        """True for the families TT, TF, FT, FF that are proved to be real, or not, as `exists` says, shape (..., 4).
-
-        It is where the discriminant is larger than all that rounding can have changed. False for a continuous family,
-        and where the Z axes of {B} and {m} are parallel to 1e-12 rad. None for other problems than the inverse
-        displacement.
-        """
-        if self.proved is not None or self.rounding is None or self.discriminants is None:
-            return self.proved
-        position, rotation = self.translation[..., 0, :], self.rotation[..., 0, :, 2]
-        least = np.abs(position[..., 0]) + np.abs(position[..., 1])
-        least = self.rounding * (1.0 + least / self.geometry.middle_radius) ** 2
-        # Not to be proved where the tilt is rounding.
-        parallel = np.abs(rotation[..., 0]) + np.abs(rotation[..., 1]) <= _PARALLEL
-        certain = (np.abs(self.discriminants) > least[..., None]) & ~parallel[..., None]
-        return np.asarray(certain if self.degeneracy is None else certain & ~self.degeneracy.families)
-
     @overload
     def __getitem__(self, index: str) -> Configuration: ...
     @overload
@@ -249,10 +225,10 @@ class SolutionSet:
         except SelectionError as error:
             expected = f"a label, or an index of the problems {self.shape}"
             raise SelectionError("index", expected, type_and_value(index), error.cause) from error
-        values: dict[str, Any] = {"status": np.asarray(self.status)[index], "memory": None}
+        values: dict[str, Any] = {"status": np.asarray(self.status)[index]}
         if self.degeneracy is not None:
             values["degeneracy"] = self.degeneracy[batch]
-        for name in ("discriminants", "physical_hint", "merged", "proved", "radius"):
+        for name in ("discriminants", "certain", "at_home", "merged", "radius"):
             array = getattr(self, name)
             values[name] = None if array is None else array[inner]
         return replace(self, configurations=chosen, **values)
@@ -317,7 +293,7 @@ class SolutionSet:
         lengths = None if state.known_lengths is None else np.where(kept, state.known_lengths, np.nan)
         left = Configuration.from_arrays(self.geometry, state.rotation, state.translation, joints, lengths)
         radius = None if self.radius is None else np.where(kept[..., 0], self.radius, np.nan)
-        return replace(self, configurations=left, memory=None, radius=radius)
+        return replace(self, configurations=left, radius=radius)
 
     def within(self, limits: LegLimits | None = None) -> SolutionSet:
         """Keep the solutions inside leg limits, by default the geometry's own; `status` stays as it is."""
@@ -351,17 +327,14 @@ class SolutionSet:
         If several are, and some respect the geometry's limits, the others are dropped; chain ``.within().physical()``
         to exclude all that do not.
         """
-        if self.physical_hint is None:
-            mode, most = physical(self.configurations), len(self.labels)
-        else:
-            mode, most = np.zeros(self.configurations.shape, dtype=np.bool_), 2
-            mode[..., :most] = self.physical_hint[..., :most]
-            mode &= self.exists
+        mode = physical(self.configurations) if self.at_home is None else self.at_home & self.exists
         limits = self.geometry.limits
         if limits is None:
             return mode
+        # Of branches the first two as a rule: readings of the others are not computed.
+        some = slice(int(np.flatnonzero(mode.reshape(-1, len(self.labels)).any(axis=0))[-1:].sum()) + 1)
         inside = mode.copy()
-        inside[..., :most] &= limits.contains(self.readings[..., :most, :])
+        inside[..., some] &= limits.contains(self.configurations[..., some].readings)
         return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
 
     @property
@@ -380,10 +353,9 @@ class SolutionSet:
         if near is not None:
             return self.where(candidates).nearest(near)
         score = np.where(candidates, 0.0, -np.inf)
-        if self.physical_hint is not None:
-            score[..., 1] += self.physical_hint[..., 2] - 0.5
-        elif np.any(np.count_nonzero(candidates, axis=-1) > 1):
-            score[candidates] = tilt_cosine_sum(self.configurations[candidates])
+        several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
+        if several.any():
+            score[several] = tilt_cosine_sum(self.configurations[several])
         return self.pick(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
 
     def one(self) -> Configuration:

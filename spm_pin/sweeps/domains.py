@@ -36,7 +36,7 @@ _MOST_VALUES = 10**8
 """Values along one axis; they are held in memory."""
 _BLOCK = 8192
 """Points evaluated together: enough for little time outside kernels, few enough to need some megabytes."""
-FORMAT = 4
+FORMAT = 5
 """Version of the layout of a store."""
 
 

@@ -165,9 +165,8 @@ def _run(
     check_progress(progress, "the points done and all points")
     report = progress or (lambda done, total: None)
     plan.prepare()
-    store = Store.create(path, plan)
+    Store.create(path, plan)
     with locked(path):
-        store.remove_drafts()
         done, total = 0, plan.domain.size
         report(done, total)
         try:
@@ -181,7 +180,6 @@ def _run(
             raise
         except (StoreError, WorkersLostError) as error:
             raise SweepError(str(path), str(error), completed_count(path), plan.count) from error
-        store.remove_drafts()
     import xarray
 
     with as_store_error(path, "metadata"):

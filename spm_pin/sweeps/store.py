@@ -1,10 +1,8 @@
 """The results of a sweep on disk: a Zarr v3 group in which every chunk is either complete or not there.
 
-Each chunk of each variable ends with its CRC32C, by Zarr's own codec. Beside the variables is a group `sweep` with the
-array `crc32c`: for every chunk the CRC32C of the sweep's definition, of the chunk's index, and of its bytes in all
-variables. This record is written after the chunk's bytes have reached the disk, so a chunk with a record that fits
-needs no work, and any other is computed again. Only Zarr's temporary files (`*.partial`), left by killed processes, are
-ever removed.
+Each chunk of each variable ends with its CRC32C, by Zarr's own codec. Beside the variables is the array `sweep/done`: 1
+for every chunk that is complete, written after the chunk's bytes have reached the disk. A chunk with this mark whose
+files are there and read without an error needs no work, and any other is computed again.
 """
 
 from __future__ import annotations
@@ -29,11 +27,10 @@ from spm_pin.mechanism.files import file_path
 from spm_pin.sweeps.domains import FORMAT, SweepPlan, definition_differences
 
 _LOCK = "sweep/lock"
-_RECORDS = "sweep/crc32c"
+_DONE = "sweep/done"
 _SHOWN = 4
 """Differences between a store and a sweep that a message spells out."""
 _CHUNK = r"c(\.\d+)*"
-_DRAFT = rf"({_CHUNK}|zarr)\.[0-9a-f]{{32}}\.partial"
 _UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
 """Exceptions raised while damaged contents of a store are read."""
 
@@ -99,7 +96,7 @@ class Store:
             # A chunk of nothing but fill values is a file like the others: a missing one is always an accident.
             self._arrays: dict[str, Any] = {
                 name: group[name].with_config({"write_empty_chunks": True})  # type: ignore[union-attr]
-                for name in (*self._names, _RECORDS)
+                for name in (*self._names, _DONE)
             }
 
     @classmethod
@@ -139,41 +136,29 @@ class Store:
         """Return whether the chunk at `index` has been written, and is still as it was."""
         with as_store_error(self.path):
             try:
-                return bool(self._checksum(index) == self._arrays[_RECORDS][index])
+                region = self.plan.domain.region(index, self.plan.chunk)
+                # Zarr reads a chunk without a file as one of fill values, and checks the sums of the others.
+                return bool(self._arrays[_DONE][index] == 1) and all(
+                    self._file(name, index).exists() and self._arrays[name][region] is not None for name in self._names
+                )
             except (FileNotFoundError, ValueError, RuntimeError):
                 return False
 
     def write(self, index: tuple[int, ...], values: dict[str, npt.NDArray[Any]]) -> None:
-        """Write the chunk at `index`, then its record. If that fails, it has no record, or the one it had."""
+        """Write the chunk at `index`, then mark it as complete."""
         region = self.plan.domain.region(index, self.plan.chunk)
         with as_store_error(self.path):
+            # What a failure leaves of a chunk written anew is not to pass for the whole.
+            self._file(_DONE, index).unlink(missing_ok=True)
             for name in self._names:
                 self._arrays[name][region] = values[name]
             for name in self._names:
                 _synchronise(self._file(name, index), self.path / name)
-            self._arrays[_RECORDS][index] = self._checksum(index)
-            _synchronise(self._file(_RECORDS, index), self.path / _RECORDS)
-
-    def remove_drafts(self) -> None:
-        """Remove the files that processes which were killed had not yet renamed."""
-        with as_store_error(self.path):
-            for name in (*self._names, _RECORDS):
-                for entry in os.scandir(self.path / name):
-                    if re.fullmatch(_DRAFT, entry.name):
-                        Path(entry.path).unlink(missing_ok=True)
+            self._arrays[_DONE][index] = 1
+            _synchronise(self._file(_DONE, index), self.path / _DONE)
 
     def _file(self, name: str, index: tuple[int, ...]) -> Path:
         return self.path / name / f"c.{'.'.join(map(str, index))}"
-
-    def _checksum(self, index: tuple[int, ...]) -> int:
-        import google_crc32c
-
-        checksum = google_crc32c.value(f"{self.plan.text} {index}".encode())
-        for name in self._names:
-            content = self._file(name, index).read_bytes()
-            checksum = google_crc32c.extend(checksum, f"{name} {len(content)} ".encode())
-            checksum = google_crc32c.extend(checksum, content)
-        return int(checksum)
 
 
 def store_path(store: str | os.PathLike[str]) -> Path:
@@ -205,9 +190,9 @@ def read_plan(path: Path) -> SweepPlan:
 
 
 def completed_count(path: Path) -> int:
-    """Return the number of chunks with a record, without reading them."""
+    """Return the number of chunks that are marked as complete, without reading them."""
     with as_store_error(path):
-        return sum(re.fullmatch(_CHUNK, entry.name) is not None for entry in os.scandir(path / _RECORDS))
+        return sum(re.fullmatch(_CHUNK, entry.name) is not None for entry in os.scandir(path / _DONE))
 
 
 @contextlib.contextmanager
@@ -281,13 +266,13 @@ def _create(path: Path, plan: SweepPlan) -> None:
             **layout,
         )
     group.create_array(
-        _RECORDS,
+        _DONE,
         shape=plan.chunks,
         chunks=(1,) * len(plan.chunks),
-        dtype="int64",
-        fill_value=-1,
+        dtype="int8",
+        fill_value=0,
         compressors=[Crc32cCodec()],
-        attributes={"long_name": "CRC32C of the definition and of the chunk's bytes in all variables; -1: incomplete"},
+        attributes={"long_name": "1 where all variables of the chunk are complete"},
         **layout,
     )
     (path / _LOCK).touch()

@@ -263,16 +263,16 @@ def test_poses_too_far_away_to_be_resolved_are_refused(distance: float) -> None:
 def test_results_are_written_into_memory_of_the_same_machine_only() -> None:
     built, poses = as_built(PAPER, 1e-4, seed=2), in_leg_space(PAPER, 40, seed=3).pose.as_matrix().reshape(2, 20, 4, 4)
     for machine in (PAPER, built):
-        first, expected = (spm.inverse_displacement(machine, pose) for pose in poses)
-        again = spm.inverse_displacement(machine, poses[1], out=first)
+        memory, expected = spm.kinematics.BranchMemory(machine, 20), spm.inverse_displacement(machine, poses[1])
+        first, again = (spm.inverse_displacement(machine, pose, out=memory) for pose in poses)
         assert np.shares_memory(again.middle_joints, first.middle_joints)
         for name in ("rotation", "translation", "middle_joints", "leg_lengths", "discriminants", "status"):
             np.testing.assert_array_equal(getattr(again, name), getattr(expected, name), err_msg=name)
         np.testing.assert_array_equal(first.rotation, expected.rotation)
         for other in (spm.Geometry(0.7, 0.35, 0.8), as_built(PAPER, 1e-4, seed=3), replace(PAPER, limits=None)):
-            with pytest.raises(spm.ArgumentError, match="out: expected what `inverse_displacement` returned for this"):
-                spm.inverse_displacement(other, poses[1], out=first)
-        for wrong in (poses[0], expected[:5], spm.forward_displacement(PAPER, [1.3] * 6)):
+            with pytest.raises(spm.ArgumentError, match="out: expected BranchMemory of this geometry for 20 poses"):
+                spm.inverse_displacement(other, poses[1], out=memory)
+        for wrong in (poses[0], expected, spm.kinematics.BranchMemory(machine, 19)):
             with pytest.raises(spm.ArgumentError, match=r"^out: expected"):
                 spm.inverse_displacement(machine, poses[1], out=wrong)
 

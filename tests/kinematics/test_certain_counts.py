@@ -11,7 +11,7 @@ from problems import GEOMETRIES, PAPER, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
-from spm_pin.kinematics.inverse_displacement import ROUNDING_BOUND
+from spm_pin.formulas.branches import ROUNDING_BOUND
 
 
 @pytest.fixture(autouse=True)

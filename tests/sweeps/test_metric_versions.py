@@ -40,7 +40,7 @@ def test_values_of_another_function_are_never_returned(tmp_path: Path, monkeypat
     stores.records(store)[0].unlink()
     with pytest.raises(spm.ArgumentError, match="mine without one"):
         swept(None)
-    assert stores.contents(store).keys() == before.keys() - {"sweep/crc32c/c.0.0.0.0"}
+    assert stores.contents(store).keys() == before.keys() - {"sweep/done/c.0.0.0.0"}
 
 
 def test_a_stated_version_continues_its_store_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -167,19 +167,13 @@ def flip_bit(path: Path) -> None:
     path.write_bytes(content)
 
 
-def take_anothers(store: Path) -> None:
-    for name in (*VARIABLES, "sweep/crc32c"):
-        shutil.copy(store / name / "c.4.0.0.0", store / name / PLACE)
-
-
 CHUNK_DAMAGES: dict[str, Callable[[Path], object]] = {
     "a bit": lambda store: flip_bit(store / "conditioning" / PLACE),
     "length": lambda store: (store / "status" / PLACE).write_bytes((store / "status" / PLACE).read_bytes()[:-1]),
     "no data": lambda store: (store / "reachable" / PLACE).unlink(),
-    "no record": lambda store: (store / "sweep/crc32c" / PLACE).unlink(),
-    "another record": lambda store: (store / "sweep/crc32c" / PLACE).write_bytes(b"\0" * 32),
-    "empty record": lambda store: (store / "sweep/crc32c" / PLACE).write_bytes(b""),
-    "another chunk": take_anothers,
+    "no mark": lambda store: (store / "sweep/done" / PLACE).unlink(),
+    "another mark": lambda store: (store / "sweep/done" / PLACE).write_bytes(b"\0" * 32),
+    "empty mark": lambda store: (store / "sweep/done" / PLACE).write_bytes(b""),
 }
 
 
@@ -200,11 +194,12 @@ def test_a_damaged_chunk_is_not_read_as_if_it_were_good(store: Path) -> None:
         xarray.open_zarr(store).conditioning.load()
 
 
-def test_drafts_of_files_of_killed_processes_are_removed(store: Path, undisturbed: Path) -> None:
-    for name in ("status/c.0.0.0", "sweep/crc32c/c.0.0", "payload/zarr"):
+def test_drafts_of_files_of_killed_processes_do_no_harm(store: Path, undisturbed: Path) -> None:
+    for name in ("status/c.0.0.0", "sweep/done/c.0.0", "payload/zarr"):
         (store / f"{name}.{32 * 'a'}.partial").write_bytes(b"half")
     (store / "sweep" / "lock").write_text('{"pid": 1')
     small(store)
+    xarray.testing.assert_identical(xarray.open_zarr(store), xarray.open_zarr(undisturbed))
     assert contents(store) == contents(undisturbed)
 
 
@@ -216,7 +211,7 @@ def test_nothing_that_a_sweep_did_not_make_is_removed(tmp_path: Path) -> None:
     for file in ("map.zarr.lock", "map.zarr.partial"):
         (tmp_path / file).write_text("mine")
     small(path)
-    for file in ("notes.partial", "status/c.partial", "status/draft.partial", "sweep/crc32c/lock", "data.csv"):
+    for file in ("notes.partial", "status/c.partial", "status/draft.partial", "sweep/done/lock", "data.csv"):
         (path / file).write_text("mine")
     (path / "mine.partial").mkdir()
     before = contents(tmp_path)
@@ -441,7 +436,7 @@ def test_the_lock_of_a_process_that_was_killed_is_free(store: Path, undisturbed:
 # Disks that fail
 
 
-@pytest.mark.parametrize("where", ["status", "sweep/crc32c"])
+@pytest.mark.parametrize("where", ["status", "sweep/done"])
 def test_a_full_disk_leaves_what_was_done(
     where: str, tmp_path: Path, undisturbed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

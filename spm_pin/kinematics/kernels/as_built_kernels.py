@@ -74,7 +74,7 @@ OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
 _SHORTEST_STEPS = 1.0, 0.02, 1e-7
 """Shortest steps of the errors, as parts of them: a branch that needs shorter ones meets another. The shorter ones are
 tried only while a real root is left for such a branch."""
-_SHARE = 8 * POINTS  # where the row of the shares of the errors begins that roots were led to
+_ERROR_SHARE = 8 * POINTS  # where the row of the shares of the errors begins that roots were led to
 _LEVELS = 25  # halvings of the way, no fewer than lead to the shortest step
 _SAME_ROOT = 1e-6  # projective distance up to which a branch that was followed has arrived at a root
 _FLAT = 1e-13
@@ -216,8 +216,8 @@ def _follow(
 ) -> None:
     """Follow real roots while the errors grow from zero to those of the machine.
 
-    The row `_SHARE` of the roots has the shares of the errors that they were led to: zero in the beginning, and one in
-    the end if a root has arrived. A root for which a step would have to be shorter than `shortest` is left behind.
+    The row `_ERROR_SHARE` of the roots has the shares of the errors that they were led to: zero in the beginning, and
+    one in the end if a root has arrived. A root that needs a step shorter than `shortest` is left behind.
     """
     trial, targets = scratch.trial, scratch.targets
     level, share = 0, 0.0
@@ -225,7 +225,7 @@ def _follow(
     while level >= 0:
         waiting = False
         for k in range(POINTS):
-            is_tried = roots[_SHARE + k] == share
+            is_tried = roots[_ERROR_SHARE + k] == share
             waiting = waiting or is_tried
             trial[STATE + k] = PENDING if is_tried else FAILED
             put_real_part(trial, k, real_part(roots, k))
@@ -234,9 +234,9 @@ def _follow(
             waiting = False
             for k in range(POINTS):
                 if trial[STATE + k] == CONVERGED:
-                    roots[_SHARE + k] = targets[level]
+                    roots[_ERROR_SHARE + k] = targets[level]
                     put_real_part(roots, k, real_part(trial, k))
-                elif roots[_SHARE + k] == share:
+                elif roots[_ERROR_SHARE + k] == share:
                     waiting = True
         half = 0.5 * (targets[level] - share)
         if waiting and half >= shortest:
@@ -323,9 +323,9 @@ def as_built_branches(
             if left == 0 and shortest < 1.0:
                 break
             for k in range(8):
-                followed[_SHARE + k] = 1.0
+                followed[_ERROR_SHARE + k] = 1.0
                 if is_carried[n, k] == 0:
-                    followed[_SHARE + k] = 0.0
+                    followed[_ERROR_SHARE + k] = 0.0
                     _put_start(followed, k, rows_at(drawn[k].real, 0))
             _follow(turn, place, machines, shortest, followed, scratch)
             left -= _claim(roots, followed, is_carried[n], label_of, root_of)
@@ -360,7 +360,7 @@ def _claim(
     """Give labels to the real roots at which branches arrived; return how many more roots have one."""
     claimed = 0
     for label in range(8):
-        if is_carried[label] != 0 or followed[_SHARE + label] != 1.0:
+        if is_carried[label] != 0 or followed[_ERROR_SHARE + label] != 1.0:
             continue
         x = real_part(followed, label)
         for k in range(8):
@@ -424,12 +424,10 @@ def _put_nearest(rotation: Rows, position: Vector, scratch: PoseScratch, nearest
     f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(4)}, f8, {readonly_array(2)}, f8[:,:,::1], "
     "f8[:,::1], f8[:,:,::1], f8[:,::1])"
 )
-def as_built_physical_branches(
-    rotation, position, machines, unit, limits, rotation_copy, position_copy, joints, lengths
-):
+def as_built_physical_branch(rotation, position, machines, unit, limits, rotation_copy, position_copy, joints, lengths):
     """Solve N poses for the physical branch.
 
-    Poses and machines as for `as_built_branches`, limits and results as for `physical_branches` of drawn machines; the
+    Poses and machines as for `as_built_branches`, limits and results as for `physical_branch` of drawn machines; the
     lengths are those without offsets.
     """
     scratch, elimination, own = _allocate_pose_scratch(), allocate_elimination(), np.empty(6)

@@ -18,11 +18,13 @@ from spm_pin.formulas.branches import (
     families,
     is_continuous,
     is_other_preferred,
+    is_tilted,
     leg_lengths,
     middle_joints,
     platform_corners,
     pose_frame,
     root,
+    rounding_bound,
     stands_at_home,
 )
 from spm_pin.formulas.stages import cartesian
@@ -43,9 +45,10 @@ VERTICAL = 16
 """Flag of a pose, besides bit k for a continuous family k: the two Z axes are parallel, without a common normal."""
 
 # Rows of a tile: R, o, the discriminants over r²; b_i and leg lengths, branch by branch; 1 if a branch is real; flags;
-# of TT+ and TT-, 1 if physical, 2 if within the leg limits too, and the sum of its radii.
+# by how much each discriminant exceeds its rounding; of TT+ and TT-, 1 if physical, 2 if within the leg limits too, and
+# the sum of its radii.
 _POSITION, _DISCRIMINANTS, _JOINTS, _LENGTHS = 9, 12, 16, 88
-_REAL, _FLAGS, _RANK, _TILTS, _ROWS = 136, 137, 138, 140, 142
+_REAL, _FLAGS, _CERTAIN, _RANK, _TILTS, _ROWS = 136, 137, 138, 142, 144, 146
 _POSES = f"{readonly_array(3)}, {readonly_array(2)}"
 
 
@@ -122,16 +125,20 @@ def _put_family(
 ) -> None:
     """Write both branches of a family, its discriminant and flag, and count it if it is real."""
     radicand, unit = _radicand(family, frame), 1.0 / (sizes[0] * sizes[0])
-    tile[_DISCRIMINANTS + number, k] = np.nan if frame.is_vertical else discriminant(family) * unit
+    is_free = is_continuous(family, frame.noise) & (not frame.is_vertical)
+    value = np.nan if frame.is_vertical else discriminant(family) * unit
+    tile[_DISCRIMINANTS + number, k] = value
+    is_known = abs(value) > rounding_bound(vector(tile, _POSITION, k), sizes[0])
+    tile[_CERTAIN + number, k] = 1.0 if is_known & is_tilted(matrix(tile, 0, k)) & (not is_free) else 0.0
     tile[_REAL, k] += 1.0 if radicand >= 0.0 else 0.0
-    tile[_FLAGS, k] += 1.0 * 2**number if is_continuous(family, frame.noise) & (not frame.is_vertical) else 0.0
+    tile[_FLAGS, k] += 1.0 * 2**number if is_free else 0.0
     _put_branch(tile, k, 2 * number, radicand, family, frame, corners, sizes)
     _put_branch(tile, k, 2 * number + 1, radicand, family, frame, corners, sizes)
 
 
 @kernel(
-    f"void({_POSES}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], u1[:,::1], i1[::1], "
-    "u1[::1])"
+    f"void({_POSES}, f8, f8, f8, f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,::1], b1[:,::1], b1[:,::1], "
+    "i1[::1], u1[::1])"
 )
 def all_branches(
     rotation,
@@ -144,16 +151,17 @@ def all_branches(
     joints,
     lengths,
     discriminants,
-    preference,
+    certain,
+    at_home,
     status,
     flagged,
 ):
     """Solve N poses R (N, 3, 3), o (N, 3) [m], with circumradii of the middle, base and terminal platforms [m].
 
-    Written are the poses; b_i (N, 8, 3, 3) and leg lengths (N, 8, 6) [m]; discriminants over r² (N, 4); as `preference`
-    (N, 3) whether TT+ is physical, whether TT- is, and whether TT- is tilted less; as `status` (N,) 0 or 1, the first
-    two of `Status`, continuous families not counted; as `flagged` (N,) bit k for a continuous family k, and `VERTICAL`.
-    Without memory for the poses only lengths, status and flags are written.
+    Written are the poses; b_i (N, 8, 3, 3) and leg lengths (N, 8, 6) [m]; discriminants over r² (N, 4), and which of
+    their signs are `certain`; which branches are physical, leg limits aside, as `at_home` (N, 8); as `status` (N,) 0 or
+    1, the first two of `Status`, continuous families not counted; as `flagged` (N,) bit k for a continuous family k,
+    and `VERTICAL`. Without memory for the poses only lengths, status and flags are written.
     """
     count, tile, sizes = len(position), np.ones((_ROWS, TILE)), (r, base_radius, platform_radius)
     rotations, joint_rows = rotation_copy.reshape(len(rotation_copy), 9), joints.reshape(len(joints), 72)
@@ -187,12 +195,13 @@ def all_branches(
                 joint_rows[start + k, i] = tile[_JOINTS + i, k]
             for i in range(4):
                 discriminants[start + k, i] = tile[_DISCRIMINANTS + i, k]
-            preference[start + k, 0], preference[start + k, 1] = np.uint8(tile[_RANK, k]), np.uint8(tile[_RANK + 1, k])
-            preference[start + k, 2] = 1 if tile[_TILTS + 1, k] > tile[_TILTS, k] else 0
+                certain[start + k, i] = tile[_CERTAIN + i, k] > 0.0
+            for i in range(8):
+                at_home[start + k, i] = i < 2 and tile[_RANK + i % 2, k] > 0.0
 
 
 @kernel(f"void({_POSES}, f8, f8, f8, {readonly_array(2)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1])")
-def physical_branches(
+def physical_branch(
     rotation, position, r, base_radius, platform_radius, limits, rotation_copy, position_copy, joints, lengths
 ):
     """Solve N poses for the physical branch, which is TT+ or TT-.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import inspect
 import logging
@@ -106,11 +105,11 @@ class Kernel:
         function = self.py_func
         function.__qualname__ = f"{function.__name__}_{_SOURCES.hexdigest()[:16]}"
         try:
-            with event.install_listener("numba:compile", _Announcement()):
+            with event.install_listener("numba:compile", _Announcement(self.py_func.__name__)):
                 return self._dispatcher(cache=True)
         except Exception as error:  # nowhere to keep it, or a damaged file, which may raise anything
             _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
-            _announce("at every start")
+            _announce(function.__name__, "at every start")
             return self._dispatcher(cache=False)
 
     def _dispatcher(self, cache: bool) -> Callable[..., Any]:
@@ -121,20 +120,23 @@ class Kernel:
 
 
 class _Announcement(event.Listener):
-    """Log that Numba begins to compile, not that it loads what is kept."""
+    """Log that Numba begins to compile a function, not that it loads what is kept."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
 
     def on_start(self, event: Any) -> None:
-        _announce("for this machine, once")
+        _announce(self._name, "for this machine, once")
 
     def on_end(self, event: Any) -> None:
         pass
 
 
-@functools.cache
-def _announce(when: str) -> None:
-    """Log, once in a process, that kernels are compiled, and how long that takes."""
-    _LOG.warning(
-        "spm_pin: compiling %s. A function's first call takes 1 to 20 s, all functions together a minute, more on a "
-        "busy machine; spm_pin.kinematics.compile_kernels() compiles everything in advance",
-        when,
-    )
+_announced: set[str] = set()
+
+
+def _announce(name: str, when: str) -> None:
+    """Log that a kernel is compiled, and the first time in a process how long that takes."""
+    advice = " (1 to 20 s; spm_pin.kinematics.compile_kernels() compiles all functions in advance, in a minute)"
+    _LOG.warning("spm_pin: compiling %s %s%s", name, when, "" if _announced else advice)
+    _announced.add(name)

@@ -45,7 +45,9 @@ PLACES = 4
 STAGE = 4 * PLACES
 """Assembly modes of a stage: two modes, four places, two sheets."""
 _NEAR_FOLD = 1e3  # ratio of a solution's error to that of the leg lengths above which a fold or a family is near
-_ROUNDING = 4.0 * EPS  # residual of a solution relative to the largest term of its equations; half of it has been seen
+_RESIDUAL_ROUNDING = (
+    4.0 * EPS
+)  # residual of a solution relative to the largest term of its equations; half of it has been seen
 _MOST_STEPS = 40
 _LONGEST_TURN = 0.3
 _SHORT = 0.25  # leg length below which the equations, which are made of squares of all legs, lose digits
@@ -215,13 +217,13 @@ def _polished(stage: StageEquations, start: State) -> tuple[State, float, bool]:
         gain = 1.0 / EPS if singular else np.sqrt(square) * stage.scale
         length, off = np.sqrt(dot(step, step)), largest(error) / stage.scale
         # Beside a fold or a family, a step no longer than its own rounding leads nowhere better.
-        if length <= 8.0 * EPS * gain and gain > _NEAR_FOLD and off <= _ROUNDING:
+        if length <= 8.0 * EPS * gain and gain > _NEAR_FOLD and off <= _RESIDUAL_ROUNDING:
             break
         state = moved(state, damped(step, _LONGEST_TURN))
         # What a step leaves is its square, divided by the distance to the fold.
         if length * length * max(gain, 1.0) <= EPS or off <= EPS:
             break
-    arrived = largest(residual(stage, state)) <= _ROUNDING * stage.scale
+    arrived = largest(residual(stage, state)) <= _RESIDUAL_ROUNDING * stage.scale
     if arrived and min(stage.lengths) < _SHORT:
         columns, _ = inverse(jacobian(stage, state))
         step = scaled(-1.0, weighted(residual_by_legs(stage, state), columns))

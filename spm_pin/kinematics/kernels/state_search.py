@@ -46,7 +46,7 @@ _DIFFERENCE = 1e-4  # step in the coordinates for second derivatives
 _DOUBT = 1e-4  # residual norm, over the size, up to which a search that has stalled leaves its point undecided
 _SAME_STATE = 1e-6  # distance, over the size, by which the points may move when the readings are put within the limits
 _SETTLING = 10  # steps by which readings are put within the limits, at most
-_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)  # error of readings, over the size
+_READING_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)  # error of readings, over the size
 _LEAST_DETERMINANT = 1e-12  # least determinant of a state that is taken to be on this side of a forward singularity
 _SAME_END = 1e-3  # distance in the coordinates of two ends of searches that are taken for one
 _PENALTY_WEIGHTS = (1.0, 3.0, 10.0)  # penalty weights of the first minimisation, of the second and of the further ones
@@ -283,7 +283,7 @@ def _minimise(
     machine, state, trial, matrix, factor = search
     values, slopes, residual, jacobian = state
     size, gradient, flatter, step, tried = machine[2], np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3))
-    damping, norm, rounding, fresh = _DAMPING, _norm(residual), 0.25 * _ROUNDING * size, True
+    damping, norm, rounding, fresh = _DAMPING, _norm(residual), 0.25 * _READING_ROUNDING * size, True
     largest, before = _put_gradient(jacobian, residual, gradient), norm
     for count in range(1, min(most, _STEPS[method]) + 1):
         stationary = largest <= _GRADIENT[method] * norm
@@ -331,7 +331,7 @@ def _settle(
     """
     machine, state, _, matrix, factor = search
     values, slopes, residual, jacobian = state
-    limits, rounding, rows, place = machine[6], _ROUNDING * machine[2], len(target), INSIDE
+    limits, rounding, rows, place = machine[6], _READING_ROUNDING * machine[2], len(target), INSIDE
     gradient, step, zeros, gap = np.empty(6), np.empty(6), np.zeros(8), np.inf
     for _ in range(_SETTLING):
         place = _evaluate(machine, coordinates, target, 1.0, zeros, state)
