@@ -29,7 +29,7 @@ from spm_pin.formulas.vectors import dot, minus, times, transposed
 from spm_pin.mechanism.arguments import FloatArray, frozen, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.leg_kinds import KINDS, LegKind
+from spm_pin.mechanism.leg_kinds import KINDS, RPS, LegKind
 from spm_pin.mechanism.legs import LEGS
 
 # Configurations computed together: intermediate arrays stay in the processor's cache.
@@ -38,7 +38,7 @@ _BLOCK = 2048
 
 def leg_joints(geometry: Geometry | None = None) -> dict[str, tuple[str, str]]:
     """Return the names of each leg's two joints, from its plate to its ball, by the names of `LEGS`."""
-    kinds = (Geometry.paper() if geometry is None else geometry).legs.kinds
+    kinds = (RPS(), RPS()) if geometry is None else geometry.legs.kinds
     return {
         leg: (f"leg_{leg[2:]}_{first}", f"leg_{leg[2:]}_{second}")
         for k, leg in enumerate(LEGS)
@@ -69,7 +69,7 @@ def value_names(geometry: Geometry | None = None) -> tuple[str, ...]:
 
 
 def _of_each_leg(geometry: Geometry | None, which: str) -> tuple[str, ...]:
-    kinds = (Geometry.paper() if geometry is None else geometry).legs.kinds
+    kinds = (RPS(), RPS()) if geometry is None else geometry.legs.kinds
     return tuple(f"leg_{leg[2:]}_{getattr(kinds[k // 3], which)}" for k, leg in enumerate(LEGS))
 
 
