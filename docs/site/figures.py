@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from PIL import Image
+from uniqueness_figure import uniqueness
 
 import spm_pin as spm
 from spm_pin.display import draw, draw_capability, front_figure
@@ -21,7 +22,7 @@ EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.8
 
 def main() -> None:
     """Draw each figure into docs/images."""
-    for figure in (anatomy, number_of_branches, followed_path, condition_numbers, capability, design_front):
+    for figure in (anatomy, number_of_branches, followed_path, condition_numbers, capability, design_front, uniqueness):
         save(figure(), figure.__name__)
 
 
