@@ -1,6 +1,7 @@
-"""Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator.
+"""Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator and of its stages.
 
-The names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
+A `Stage`, three planar legs under a platform, is a machine of its own, see `spm_pin.stages`; a `Geometry` is two. The
+names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
 states), `spm_pin.kinematics` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
 `spm_pin.capability`, `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.symbolic`, `spm_pin.arrays` (JAX and others),
 `spm_pin.multibody` (the robot in Pinocchio), `spm_pin.motion`, `spm_pin.design`, `spm_pin.nlp`, `spm_pin.crosscheck`,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from spm_pin import multibody as multibody
     from spm_pin import nlp as nlp
     from spm_pin import proofs as proofs
+    from spm_pin import stages as stages
     from spm_pin import sweeps as sweeps
     from spm_pin import symbolic as symbolic
     from spm_pin import workspace as workspace
@@ -52,7 +54,18 @@ if TYPE_CHECKING:
     )
     from spm_pin.kinematics.forward_displacement import forward_displacement
     from spm_pin.kinematics.inverse_displacement import inverse_displacement
-    from spm_pin.mechanism import Configuration, Geometry, LegLimits, SolutionSet, Status, pose
+    from spm_pin.mechanism import (
+        PRS,
+        RPS,
+        RRS,
+        Configuration,
+        Geometry,
+        LegLimits,
+        SolutionSet,
+        Stage,
+        Status,
+        pose,
+    )
     from spm_pin.motion import plan
     from spm_pin.motion.time_optimal import time_optimal
     from spm_pin.multibody import ClosedChain, PlatformPath
@@ -63,6 +76,7 @@ __version__ = "0.3.0"
 __all__ = ["ArgumentError", "ClosureError", "GeometryError", "NotOneSolutionError", "PoseError"]
 __all__ += ["SingularConfigurationError", "SpmError"]
 __all__ += ["Configuration", "Geometry", "LegLimits", "SolutionSet", "Status", "pose"]
+__all__ += ["PRS", "RPS", "RRS", "Stage"]
 __all__ += ["forward_displacement", "forward_physical", "inverse_displacement", "inverse_physical"]
 __all__ += ["determinants", "inverse_jacobian", "leg_forces", "leg_rates", "singularities", "stiffness"]
 __all__ += ["Certificate", "ClosedChain", "PlatformPath", "certify", "follow", "largest_certified_limits"]
@@ -70,7 +84,7 @@ __all__ += ["plan", "set_threads", "threads", "time_optimal"]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"calibration", "kinematics", "crosscheck", "errors", "mechanism", "motion", "multibody", "nlp", "proofs"}
-_MODULES |= {"arrays", "capability", "description", "design", "display", "sweeps", "symbolic", "workspace"}
+_MODULES |= {"arrays", "capability", "description", "design", "display", "stages", "sweeps", "symbolic", "workspace"}
 _HOMES = ("errors", "mechanism", "kinematics", "proofs", "multibody", "motion")
 
 

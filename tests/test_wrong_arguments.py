@@ -58,6 +58,8 @@ PAPER = spm.Geometry.paper()
 BUILT = PAPER.perturbed(5)
 MEASURED = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.15, 1.45, (16, 6)))
 STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
+STAGE = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).perturbed(3)
+STAGE_STATE = spm.stages.forward_physical(STAGE, [0.2, 0.4, 0.6])
 
 
 @functools.cache
@@ -89,6 +91,11 @@ def shell() -> Any:
 def store() -> str:
     spm.sweeps.run_sweep(PAPER, spm.sweeps.leg_grid(1.2, (1.2, 1.3, 2)), ["branches"], "made.zarr")
     return "made.zarr"
+
+
+def stage_file() -> str:
+    STAGE.to_yaml("stage.yaml")
+    return "stage.yaml"
 
 
 def masses_file() -> Path:
@@ -134,6 +141,19 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("Geometry.of_stages.lower", "Geometry.of_stages.upper"), lambda: spm.mechanism.Stage(0.7, 0.4)),
     **dict.fromkeys(("leg_grid.lower", "leg_grid.upper"), lambda: (1.2, 1.3, 2)),
     "geometry": lambda: PAPER,
+    "stage": lambda: STAGE,
+    "height": lambda: 0.12,
+    **{f"stages.{name}.readings": lambda: STAGE_STATE.readings for name in ("forward", "forward_physical")},
+    **{f"StageSolutions.{name}.near": lambda: STAGE_STATE for name in ("nearest", "physical")},
+    "stages.forward_physical.near": lambda: STAGE_STATE,
+    "StageConfiguration.pose": lambda: STAGE_STATE.pose,
+    "StageSolutions.where.mask": lambda: np.ones(2, dtype=bool),
+    "Stage.from_parameters.parameters": lambda: STAGE.parameters,
+    "Stage.base_radius": lambda: 0.08,
+    "Stage.platform_radius": lambda: 0.09,
+    "Stage.to_yaml.path": lambda: "stage.yaml",
+    "Stage.from_yaml.path": stage_file,
+    **{f"StageLimits.{name}.readings": lambda: STAGE_STATE.readings for name in ("contains", "excess", "margin")},
     **dict.fromkeys(("path", "PlatformPath.poses"), lambda: PATH),
     "branch": lambda: "TT+",
     "chain": lambda: chain(),
@@ -213,6 +233,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
 INPUTS = "Configuration DesignProblem Geometry JointLimits LegLimits LegPath Legs Masses Payload PlatformPath RigidBody"
+INPUTS += " Stage StageConfiguration StageLimits"
 """Classes that users make themselves; the others are results, made by the package."""
 
 OTHER_WORDS = {"value": "pose", "lower": "r_", "upper": "r_", "pose_noise": "the noise", "length_noise": "the noise"}
@@ -233,12 +254,14 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "PlatformPath": lambda: spm.PlatformPath([0.0, 1.0], PATH),
     "Polytope": lambda: spm.capability.wrench_polytope(STATE, 900.0),
     "Shell": shell,
+    "Stage": lambda: STAGE,
+    "StageSolutions": lambda: spm.stages.inverse(STAGE, 0.12),
     "SolutionSet": lambda: spm.inverse_displacement(PAPER, STATE.pose),
 }
 """Objects whose methods are called."""
 
 UNCHECKED = (
-    "SolutionSet.pick",  # for solvers, documented to check nothing
+    *("SolutionSet.pick", "StageSolutions.pick"),  # for solvers, documented to check nothing
     *("ClosedChain.simulate", "ClosedChain.joint_trajectory"),  # have tests of their own; a call takes long
     *("ClosedChain.mounted_on", "ClosedChain.carrying"),
     *("make_methods", "compare_methods", "compare_in_batches"),

@@ -17,8 +17,8 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
 from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, first_offender, real_array, symmetric_matrices
-from spm_pin.mechanism.geometry import unit_hint
 from spm_pin.mechanism.motion_table import POSITION, MotionTable
+from spm_pin.mechanism.units import unit_hint
 
 _SUSPICIOUS = 0.02
 """Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""

@@ -22,7 +22,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Status, pose
 from spm_pin.mechanism.branch_of_state import branch_sign, family
-from spm_pin.mechanism.geometry import PER_METRE, likely_unit, machine_size
+from spm_pin.mechanism.units import PER_METRE, likely_unit
 
 
 class LengthUnit(enum.StrEnum):
@@ -184,7 +184,7 @@ def unit_hint(option: str, typed: Any, unit: LengthUnit, geometry: Geometry) -> 
     better = likely_unit(geometry, length / unit.per_metre, unit)
     if better is None:
         return ""
-    size = machine_size(geometry) * unit.per_metre
+    size = geometry.size * unit.per_metre
     return (
         f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:.3g} {unit}. "
         f"In {better} it would be in proportion: --unit {better}."

@@ -26,7 +26,6 @@ from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, check_instance, whole_number
-from spm_pin.mechanism.configuration import compared_points
 from spm_pin.mechanism.geometry import check_rps
 from spm_pin.mechanism.pose import inverse_command
 
@@ -406,7 +405,7 @@ class _Comparison:
         wrench = _FORCE * rng.uniform(-1.0, 1.0, (count, 6)) * np.repeat([1.0, side], 3)
         rates: dict[str, FloatArray] = {}
         forces: dict[str, FloatArray] = {}
-        assembled: dict[str, FloatArray] = {"given state": compared_points(states).reshape(-1, 18)}
+        assembled: dict[str, FloatArray] = {"given state": states.compared_points.reshape(-1, 18)}
         for method in self._methods:
             self._describe_step(f"{method.name}: Jacobians and forces")
             jacobian, force = method.inverse_jacobian(states), method.leg_forces(states, wrench)
@@ -416,7 +415,7 @@ class _Comparison:
             if force is not None:
                 forces[method.name] = force
             if built is not None:
-                assembled[method.name] = compared_points(built).reshape(-1, 18)
+                assembled[method.name] = built.compared_points.reshape(-1, 18)
         size = np.nanmax([np.zeros(count), *(np.linalg.norm(force, axis=-1) for force in forces.values())], axis=0)
         quantities: dict[Quantity, tuple[dict[str, FloatArray], Callable[[FloatArray], FloatArray]]] = {
             Quantity.POSITIONS: (joints, conditioning.position),

@@ -185,7 +185,7 @@ def largest_change(start: Circles, end: Circles) -> float:
 
 def is_home_state(stage: Circles, e: Rows, b: Rows, up: float) -> bool:
     """Return whether a stage is in the aspect of its home, upright and without torsion; up is as for `level_balls`."""
-    stands = both(mean_radius(b) > 0.0, up * mean(b)[2] > 0.0)
+    stands = both(mean_radius(b) > 0.0, up * (mean(b)[2] - mean(stage.centres)[2]) > 0.0)
     return both(stands, is_stage_at_home(b, (scaled(up, e[0]), scaled(up, e[1]), scaled(up, e[2])), stage.axes))
 
 

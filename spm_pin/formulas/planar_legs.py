@@ -115,15 +115,21 @@ def prs_passive(x: float, z: float, reading: float) -> tuple[float, float]:
     return x, z
 
 
-def rrs_reading(x: float, z: float, numbers: Numbers) -> float:
-    """Return the angle of an RRS leg's crank from x towards z, from -π/2 to 3π/2; not a number out of its reach."""
+def rrs_crank(x: float, z: float, numbers: Numbers) -> tuple[float, float]:
+    """Return x² + z² times cosine and sine of the angle of an RRS leg's crank; not numbers out of its reach."""
     crank, rod, sign = numbers
     square = x * x + z * z
     # The knee along the line from pivot to ball, and beside it, times that line's length.
     longest, shortest = crank + rod, crank - rod
     along = (square + longest * shortest) / (2.0 * crank)
     beside = sign * sqrt((longest * longest - square) * (square - shortest * shortest)) / (2.0 * crank)
-    return RIGHT_ANGLE + arctan2(z * beside - x * along, z * along + x * beside)
+    return x * along - z * beside, z * along + x * beside
+
+
+def rrs_reading(x: float, z: float, numbers: Numbers) -> float:
+    """Return the angle of an RRS leg's crank from x towards z, from -π/2 to 3π/2; not a number out of its reach."""
+    cosine, sine = rrs_crank(x, z, numbers)
+    return RIGHT_ANGLE + arctan2(-cosine, sine)
 
 
 def rrs_circle(reading: float, numbers: Numbers) -> Circle:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
+from spm_pin.kinematics.stage_balls import Circles, Triangle, followed_balls, parts_of_turns, physical_balls
 from spm_pin.mechanism.arguments import (
     LARGEST_RATIO,
     FloatArray,
@@ -22,19 +23,19 @@ from spm_pin.mechanism.arguments import (
     real_array,
 )
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, check_same_machine, unit_hint
+from spm_pin.mechanism.geometry import Geometry, check_same_machine
 from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import LEGS
-from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.mechanism.solution_axis import Status
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
+from spm_pin.mechanism.units import unit_hint
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
 """Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
 
-_CHORD = 0.1
-"""Turn of a crank [rad] over which the arc of its end is replaced by the chord."""
 _MOST_TURNS = 8.0 * np.pi
 """Largest angle of a crank [rad]."""
 _OPEN = 1e-6
@@ -43,7 +44,7 @@ _START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
 """Leg lengths of the paper's solution 3, over its home lengths."""
 _STATE = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
 """Results of kernels: R, o and the b_i."""
-_MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_FOLLOWED, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 10, 1 << 12
+_MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 
 
 def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> SolutionSet:
@@ -157,7 +158,8 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
     if near is not None:
         _check_near(geometry, checked, near)
         shape = np.broadcast_shapes(checked.shape[:-1], near.shape)
-        arrays = (near.rotation, 2), (near.translation, 1), (near.middle_joints, 2), (near.readings, 1), (checked, 1)
+        upper = (near.balls[..., 3:, :] - near.translation[..., None, :]) @ near.rotation
+        arrays = (near.middle_joints, 2), (upper, 2), (near.readings, 1), (checked, 1)
         *start, ends = [flat_batch(x, shape, inner) for x, inner in arrays]
         followed = _follow(geometry, tuple(start), ends)
         return Configuration.from_arrays(geometry, *with_batch_shape(followed, shape))
@@ -228,36 +230,43 @@ def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) ->
 
 
 def _follow(geometry: Geometry, near: tuple[FloatArray, ...], end: FloatArray) -> tuple[FloatArray, ...]:
-    """Follow states R, o, b_i and readings (N, ...) to other readings (N, 6); NaN where they meet a singularity."""
-    from spm_pin.kinematics.kernels.ball_circles import follow_states
+    """Follow states R, o, b_i, c_i in {m} and readings (N, ...) to other readings (N, 6).
 
-    legs, (*state, start) = geometry.legs, near
-    # Centres that turn are led along chords of their arcs.
-    turns = np.abs(end - start)[:, [unit == "rad" for unit in legs.units]]
-    parts = 1 + int(np.nan_to_num(turns).max(initial=0.0) / _CHORD)
-    for part in range(parts):
-        here, there = start + part / parts * (end - start), start + (part + 1) / parts * (end - start)
-        inputs = *state, *legs.circles(here), *legs.circles(end if part + 1 == parts else there)
-        state = list(run_kernel(follow_states, inputs, (legs.axes, legs.balls), _STATE, _MIN_BATCH_PER_THREAD_FOLLOWED))
-    return _in_working_mode(geometry, tuple(state), end)
+    They are NaN where they meet a singularity.
+    """
+    legs, (lower, upper, start) = geometry.legs, near
+    parts = parts_of_turns((end - start)[:, [unit == "rad" for unit in legs.units]])
+    circles = _circles(geometry, start)
+    for part in range(1, parts + 1):
+        there = _circles(geometry, end if part == parts else start + part / parts * (end - start))
+        below, above = zip(_triangles(geometry), circles, there, strict=True)
+        lower, upper = followed_balls(below[0], lower, *below[1:]), followed_balls(above[0], upper, *above[1:])
+        circles = there
+    return _in_working_mode(geometry, _joined(geometry, lower, upper), end)
 
 
 def _physical(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
     """Return R, o and the b_i (N, ...) of the physical states with readings (N, 6), NaN where there is none."""
-    from spm_pin.kinematics.kernels.ball_circles import ELSEWHERE, physical_states
-    from spm_pin.kinematics.kernels.circle_modes import searched_states
+    stages = zip(_triangles(geometry), _circles(geometry, readings), strict=True)
+    return _in_working_mode(geometry, _joined(geometry, *(physical_balls(*stage) for stage in stages)), readings)
 
-    inputs, constants = geometry.legs.circles(readings), (geometry.legs.axes, geometry.legs.balls)
-    *state, aspect = run_kernel(
-        physical_states, inputs, constants, (*_STATE, ((), np.int8)), _MIN_BATCH_PER_THREAD_PHYSICAL
-    )
-    elsewhere = np.flatnonzero(aspect == ELSEWHERE)
-    if len(elsewhere):
-        inputs = geometry.legs.circles(readings[elsewhere])
-        others = run_kernel(searched_states, inputs, constants, _STATE, _MIN_BATCH_PER_THREAD)
-        for array, values in zip(state, others, strict=True):
-            array[elsewhere] = values
-    return _in_working_mode(geometry, tuple(state), readings)
+
+def _triangles(geometry: Geometry) -> tuple[Triangle, Triangle]:
+    axes, balls = geometry.legs.axes, geometry.legs.balls
+    return Triangle(axes[:3], balls[:3], 1.0), Triangle(axes[3:], balls[3:], -1.0)
+
+
+def _circles(geometry: Geometry, readings: FloatArray) -> tuple[Circles, Circles]:
+    """Return the circles of the lower stage and of the upper one."""
+    centres, radii = geometry.legs.circles(readings)
+    return (centres[:, :3], radii[:, :3]), (centres[:, 3:], radii[:, 3:])
+
+
+def _joined(geometry: Geometry, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, ...]:
+    """Return R, o and the b_i (N, ...) of the balls of both stages, in {B} and in {m}."""
+    from spm_pin.kinematics.kernels.ball_circles import join_stages
+
+    return run_kernel(join_stages, (lower, upper), (geometry.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
 
 
 def _in_working_mode(geometry: Geometry, state: tuple[FloatArray, ...], readings: FloatArray) -> tuple[FloatArray, ...]:

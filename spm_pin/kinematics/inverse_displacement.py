@@ -23,7 +23,8 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.pose import PoseLike
-from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.mechanism.solution_axis import Status
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
 
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 

@@ -31,7 +31,7 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.mechanism.branch_of_state import physical
-from spm_pin.mechanism.configuration import Configuration, check_configuration, compared_points
+from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.pose import as_rigid_transform, pose
@@ -245,7 +245,7 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
         reason = f"{chosen.missing_reason}. A solution that is not physical is named by its label"
         cause = reason if start is None else ""
         raise ArgumentError("start", "a solution that exists where the path begins", "none", cause)
-    gap = np.abs(compared_points(solutions.configurations) - compared_points(chosen)).max(axis=(-1, -2))
+    gap = np.abs(solutions.configurations.compared_points - chosen.compared_points).max(axis=(-1, -2))
     return int(np.where(solutions.exists, gap, np.inf).argmin())
 
 
@@ -298,12 +298,12 @@ class Tracker:
 
     def _nearest(self, solutions: SolutionSet, ahead: float) -> tuple[int | None, bool]:
         """Return the solution nearest to the predicted one, if any is near, and whether it clearly is."""
-        here = compared_points(self.states[-1])
+        here = self.states[-1].compared_points
         predicted = here
         if len(self.states) > 1:
             last = self.parameters[-1] - self.parameters[-2]
-            predicted = here + (here - compared_points(self.states[-2])) * (ahead - self.parameters[-1]) / last
-        points = compared_points(solutions.configurations)
+            predicted = here + (here - self.states[-2].compared_points) * (ahead - self.parameters[-1]) / last
+        points = solutions.configurations.compared_points
         error = np.linalg.norm(points - predicted, axis=-1).max(axis=-1)
         error = np.where(solutions.exists, error, np.inf)
         order = error.argsort()
@@ -335,9 +335,9 @@ class Tracker:
         k = int(np.clip(np.searchsorted(self.parameters, parameter), 1, len(self.parameters) - 1))
         low, high = self.parameters[k - 1], self.parameters[k]
         share = (parameter - low) / (high - low)
-        between = (1.0 - share) * compared_points(self.states[k - 1]) + share * compared_points(self.states[k])
+        between = (1.0 - share) * self.states[k - 1].compared_points + share * self.states[k].compared_points
         solutions = self.solve(parameter)
-        error = np.linalg.norm(compared_points(solutions.configurations) - between, axis=-1).max(axis=-1)
+        error = np.linalg.norm(solutions.configurations.compared_points - between, axis=-1).max(axis=-1)
         state: Configuration = solutions.configurations[int(np.where(solutions.exists, error, np.inf).argmin())]
         return state
 

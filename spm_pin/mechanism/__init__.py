@@ -5,10 +5,12 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import PARAMETERS, Geometry
 from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
 from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.mechanism.legs import LEGS, LegLimits, Legs
+from spm_pin.mechanism.legs import LEGS, STAGE_LEGS, LegLimits, Legs, StageLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
-from spm_pin.mechanism.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.mechanism.solution_axis import Status
+from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
 from spm_pin.mechanism.stage import Stage
+from spm_pin.mechanism.stage_configuration import StageConfiguration, StageSolutions
 
 __all__ = [
     "BRANCHES",
@@ -18,6 +20,7 @@ __all__ = [
     "PRS",
     "RPS",
     "RRS",
+    "STAGE_LEGS",
     "Configuration",
     "Degeneracy",
     "Geometry",
@@ -28,6 +31,9 @@ __all__ = [
     "PoseLike",
     "SolutionSet",
     "Stage",
+    "StageConfiguration",
+    "StageLimits",
+    "StageSolutions",
     "Status",
     "as_rigid_transform",
     "joint_angles",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.errors import ArgumentError, SelectionError
+from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import (
     BoolArray,
@@ -20,8 +20,8 @@ from spm_pin.mechanism.arguments import (
     first_offender,
     frozen,
     real_array,
-    type_and_value,
 )
+from spm_pin.mechanism.batched import Batched, masked
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LEGS, triangle_frames, triangle_sides
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
@@ -30,7 +30,7 @@ _COLUMNS = ("o in {B} [m]", "roll, pitch, yaw [°]", *(f"{leg} [m]" for leg in L
 """Heading of a notebook's table."""
 
 
-class Configuration:
+class Configuration(Batched):
     """One state of the manipulator, or a batch of states; read-only.
 
     Parameters
@@ -48,9 +48,6 @@ class Configuration:
     The arrays are copied. Nothing is solved here: the state may violate the loop equations, and `closure_residual`
     is by how much.
     """
-
-    missing_reason = ""
-    """Why a single state does not exist, where that is known; empty otherwise."""
 
     def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
         check_instance(geometry, Geometry, "geometry")
@@ -107,25 +104,6 @@ class Configuration:
         state = self._geometry, self._rotation, self._translation, self._middle_joints, self.known_lengths
         return Configuration.from_arrays, state, {"missing_reason": self.missing_reason}
 
-    def __getitem__(self, index: object) -> Configuration:
-        """Index the batch axes as NumPy would."""
-        if not self.shape:
-            raise SelectionError("index", "a batch of configurations", "a single one", "It has no batch axes to index")
-        batch = batch_index(index)
-        try:
-            return self.transformed(lambda array, inner: array[(*batch, *(slice(None),) * inner)])
-        except Exception as error:  # whatever NumPy makes of a foreign object
-            expected = f"an index of the batch axes {self.shape}"
-            raise SelectionError("index", expected, type_and_value(index), str(error)) from error
-
-    def __iter__(self) -> Iterator[Configuration]:
-        return (self[i] for i in range(len(self)))
-
-    def __len__(self) -> int:
-        if not self.shape:
-            raise TypeError("a single configuration has no length and no batch axes to iterate over")
-        return self.shape[0]
-
     def __repr__(self) -> str:
         if self.shape:
             return f"<Configuration: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
@@ -162,19 +140,15 @@ class Configuration:
         return self._geometry
 
     @property
-    def rotation(self) -> FloatArray:
-        """Rotation R from {m} to {B}, shape (..., 3, 3)."""
-        return self._rotation
+    def compared_points(self) -> FloatArray:
+        """The points by which states are compared, b_i and c_i as rows in {B} [m], shape (..., 6, 3)."""
+        return np.concatenate([self._middle_joints, self.platform_joints], axis=-2)
 
-    @property
-    def translation(self) -> FloatArray:
-        """Position of o in {B} [m], shape (..., 3)."""
-        return self._translation
-
-    @cached_property
-    def pose(self) -> RigidTransform:
-        """Pose of the terminal platform {m} in {B}; NaN where a member has no pose."""
-        return unchecked_transform(self._rotation, self._translation)
+    def where(self, kept: BoolArray) -> Configuration:
+        """Return the states where `kept` (...) is true; the others have no joints, and keep their pose."""
+        joints = masked(self._middle_joints, kept, 2)
+        lengths = None if self.known_lengths is None else masked(self.known_lengths, kept, 1)
+        return Configuration.from_arrays(self._geometry, self._rotation, self._translation, joints, lengths)
 
     @property
     def middle_joints(self) -> FloatArray:
@@ -321,17 +295,6 @@ class Configuration:
         upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)
         sides = triangle_sides(b) - legs.sides
         return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
-
-
-def compared_points(configuration: Configuration) -> FloatArray:
-    """Return the points by which states are compared, b_i and c_i as rows in {B} [m], shape (..., 6, 3)."""
-    return np.concatenate([configuration.middle_joints, configuration.platform_joints], axis=-2)
-
-
-def batch_index(index: object) -> tuple[Any, ...]:
-    """Return an index of batch axes with an Ellipsis, so that an index of the inner axes may follow."""
-    batch = index if isinstance(index, tuple) else (index,)
-    return batch if any(part is Ellipsis for part in batch) else (*batch, Ellipsis)
 
 
 def check_configuration(

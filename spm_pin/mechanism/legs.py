@@ -1,4 +1,4 @@
-"""The six legs of a machine: their names, kinds and limits, their axes, pivots, balls and offsets."""
+"""The three legs of a stage, or the six of a machine: names, kinds and limits, axes, pivots, balls and offsets."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,25 +22,37 @@ from spm_pin.mechanism.arguments import (
     FloatArray,
     as_array,
     frozen,
+    generator,
     number_pair,
     real_array,
+    real_number,
     type_and_value,
 )
 from spm_pin.mechanism.leg_kinds import RPS, LegKind
 
 LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
 """Names and order of the legs: the lower stage's three, then the upper stage's."""
+STAGE_LEGS = ("r_1", "r_2", "r_3")
+"""Names and order of the legs of a stage alone."""
 
 ORDERED = "minimum < maximum for every leg"
 
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
 
+COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
+"""Names of the nine parameters of an RPS leg."""
+_MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
+"""Largest standard deviations of random errors: normal numbers then do not leave the ranges accepted."""
+
+_turned_axis = on_arrays(leg_constants.turned_axis)
 _triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(circles.squared_sides)
 _admitted_readings = on_arrays(leg_constants.admitted_readings)
 _limit_rounding = on_arrays(leg_constants.limit_rounding)
 _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _plane_axes = bind(planar_legs.plane_axes, sqrt=math.sqrt)
+_LARGEST_ANGLE = 4.0 * math.pi
+"""Largest limit of an angle [rad]: a crank's, with its encoder's offset."""
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
 _STEP = 1e-100
@@ -56,7 +68,7 @@ class LegLimits:
     Parameters
     ----------
     minimum, maximum : float or sequence of six floats
-        In the order of `LEGS`: in metres, of RRS legs in radians. They may be infinite.
+        In the order of `LEGS`: in metres, of RRS legs in radians. They may be infinite. `StageLimits` are of three.
 
     Notes
     -----
@@ -66,11 +78,13 @@ class LegLimits:
 
     minimum: tuple[float, ...]
     maximum: tuple[float, ...]
+    legs: ClassVar[tuple[str, ...]] = LEGS
+    """Names of the legs."""
 
     def __init__(self, minimum: float | Sequence[float], maximum: float | Sequence[float]) -> None:
-        object.__setattr__(self, "minimum", _six(minimum, "minimum"))
-        object.__setattr__(self, "maximum", _six(maximum, "maximum"))
-        for leg, low, high in zip(LEGS, self.minimum, self.maximum, strict=True):
+        object.__setattr__(self, "minimum", _of_legs(minimum, "minimum", self.legs))
+        object.__setattr__(self, "maximum", _of_legs(maximum, "maximum", self.legs))
+        for leg, low, high in zip(self.legs, self.minimum, self.maximum, strict=True):
             if not low < high:
                 cause = "Minimum and maximum exchanged?" if low > high else ""
                 raise GeometryError("limits", ORDERED, f"[{low:g}, {high:g}] for {leg}", cause)
@@ -80,16 +94,17 @@ class LegLimits:
     def stages(cls, lower: Sequence[float], upper: Sequence[float]) -> LegLimits:
         """Make limits from one (minimum, maximum) pair [m] for the lower legs and one for the upper."""
         pairs = [number_pair(lower, "lower", "metres")] * 3 + [number_pair(upper, "upper", "metres")] * 3
-        return cls(*zip(*pairs, strict=True))
+        return LegLimits(*zip(*pairs, strict=True))
 
     def __repr__(self) -> str:
         pairs = [f"{low:.6g}, {high:.6g}" for low, high in zip(self.minimum, self.maximum, strict=True)]
+        name = type(self).__name__
         if len(set(pairs)) == 1:
-            return f"LegLimits({pairs[0]})"
+            return f"{name}({pairs[0]})"
         if len(set(pairs[:3])) == len(set(pairs[3:])) == 1:
             return f"LegLimits.stages(({pairs[0]}), ({pairs[3]}))"
         bounds = (f"[{', '.join(f'{end:.6g}' for end in ends)}]" for ends in (self.minimum, self.maximum))
-        return f"LegLimits({', '.join(bounds)})"
+        return f"{name}({', '.join(bounds)})"
 
     @functools.cached_property
     def admitted(self) -> FloatArray:
@@ -103,24 +118,30 @@ class LegLimits:
 
     def contains(self, readings: npt.ArrayLike) -> BoolArray:
         """Return which sets of readings (..., 6) [m] respect all limits, to rounding; NaN does not."""
-        lengths, (low, high) = _read(readings), self.admitted
+        lengths, (low, high) = self._read(readings), self.admitted
         return np.asarray(_least(np.minimum(lengths - low, high - lengths)) >= 0.0)
 
     def excess(self, readings: npt.ArrayLike) -> FloatArray:
         """Return by how much each leg of (..., 6) [m] is too long, or too short (negative); 0 within its limits."""
-        lengths, (low, high) = _read(readings), self.admitted
+        lengths, (low, high) = self._read(readings), self.admitted
         beyond = np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0)
         return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
 
     def margin(self, readings: npt.ArrayLike) -> FloatArray:
         """Return the distance [m] of the worst leg of (..., 6) [m] to its limits; negative outside, NaN for NaN."""
-        lengths, (low, high) = _read(readings), self.admitted
+        lengths, (low, high) = self._read(readings), self.admitted
         room = np.minimum(lengths - self.minimum, self.maximum - lengths)
         return _least(np.where((lengths >= low) & (lengths <= high), np.maximum(room, 0.0), room))
 
+    def _read(self, readings: npt.ArrayLike) -> FloatArray:
+        shape = (len(self.legs),)
+        return real_array(readings, "readings", shape, "what the encoders show, in metres", allow_nan=True)
 
-def _read(readings: npt.ArrayLike) -> FloatArray:
-    return real_array(readings, "readings", (6,), "what the encoders show, in metres", allow_nan=True)
+
+class StageLimits(LegLimits):
+    """Smallest and largest reading of the three legs of a `Stage`: one number for all, or three; see `LegLimits`."""
+
+    legs = STAGE_LEGS
 
 
 def check_path_readings(
@@ -140,21 +161,24 @@ def _least(of_legs: FloatArray) -> FloatArray:
     return np.asarray(functools.reduce(np.minimum, np.moveaxis(of_legs, -1, 0)))
 
 
-def _six(value: float | Sequence[float], argument: str) -> tuple[float, ...]:
-    expected = "one length or six in the order " + ", ".join(LEGS) + ", in metres"
+def _of_legs(value: float | Sequence[float], argument: str, legs: tuple[str, ...]) -> tuple[float, ...]:
+    count = {6: "six", 3: "three"}[len(legs)]
+    expected = f"one length or {count} in the order {', '.join(legs)}, in metres"
     array = as_array(value)
     if array is None or array.dtype.kind not in "fiu":
         raise GeometryError(argument, expected, type_and_value(value))
-    if array.shape not in ((), (6,)):
+    if array.shape not in ((), (len(legs),)):
         raise GeometryError(argument, expected, f"shape {array.shape}")
     if np.isnan(array).any():
         raise GeometryError(argument, expected, "NaN", "Use 0 and infinity where there is no limit")
-    return tuple(float(x) for x in np.broadcast_to(array, 6))
+    return tuple(float(x) for x in np.broadcast_to(array, len(legs)))
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Legs:
-    """Kinds, axes, pivots, balls and encoder offsets of the six legs, in the order of `LEGS`; read-only.
+    """Kinds, axes, pivots, balls and encoder offsets of the six legs of a machine, or the three of a stage; read-only.
+
+    They are in the order of `LEGS`. Those of a `Stage` alone have one kind, and are a lower stage's.
 
     Leg i moves in the plane through its pivot that is normal to its axis, the direction of its revolute joints, and
     holds the centre of a ball of the middle platform there. Its reading is that of its kind, plus the offset: of an RPS
@@ -170,7 +194,7 @@ class Legs:
         Centres of the balls [m] in {n}. Those of a lower and of an upper leg need not coincide.
     offsets : array_like, shape (6,)
         What each reading exceeds that of its leg's own dimensions by [m], or [rad] of RRS legs.
-    kinds : pair of LegKind
+    kinds : pair of LegKind, or one
         What the lower and the upper legs are, with the numbers fixed in them: `RPS`, `PRS` or `RRS`.
 
     A `GeometryError` is raised for a number beyond 1e9 m, an axis that is no unit vector, and balls of the lower or of
@@ -181,41 +205,48 @@ class Legs:
     pivots: FloatArray
     balls: FloatArray
     offsets: FloatArray
-    kinds: tuple[LegKind, LegKind] = (RPS(), RPS())
+    kinds: tuple[LegKind, ...] = (RPS(), RPS())
     is_drawn: bool = field(default=False, init=False)
-    """True for legs that a `Geometry` has drawn from its dimensions."""
+    """True for legs that a `Geometry` or a `Stage` has drawn from its dimensions."""
 
     @raised_as(GeometryError)
     def __post_init__(self) -> None:
-        axes = bounded_array(self.axes, "axes", (6, 3), "unit vectors along the revolute axes")
+        kinds = self.kinds
+        if not (isinstance(kinds, tuple) and len(kinds) in (1, 2) and all(isinstance(x, LegKind) for x in kinds)):
+            raise ArgumentError("kinds", "a pair of kinds of legs, such as (RPS(), RPS())", type_and_value(kinds))
+        names, count = self.names, len(self.names)
+        axes = bounded_array(self.axes, "axes", (count, 3), "unit vectors along the revolute axes")
         sizes = np.sqrt((axes**2).sum(axis=-1))
         wrong = np.abs(sizes - 1.0) > _UNIT
         if wrong.any():
             leg = int(wrong.argmax())
             expected = "unit vectors along the revolute axes"
-            raise ArgumentError("axes", expected, f"length {sizes[leg]:g} of {LEGS[leg]}", "Divide it by its length")
-        # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
-        if not (isinstance(self.kinds, tuple) and [isinstance(x, LegKind) for x in self.kinds] == [True, True]):
-            raise ArgumentError("kinds", "a pair of kinds of legs, such as (RPS(), RPS())", type_and_value(self.kinds))
-        backward = (axes * np.tile(AXES, (2, 1))).sum(axis=-1) <= 0.0
+            raise ArgumentError("axes", expected, f"length {sizes[leg]:g} of {names[leg]}", "Divide it by its length")
+        backward = (axes * np.tile(AXES, (len(kinds), 1))).sum(axis=-1) <= 0.0
         if backward.any() and not self.are_rps:
             leg, expected = (
                 int(backward.argmax()),
                 "axes along the drawn ones, from which x and z of a leg's plane follow",
             )
-            raise ArgumentError("axes", expected, f"the opposite direction of {LEGS[leg]}", "Change its sign")
+            raise ArgumentError("axes", expected, f"the opposite direction of {names[leg]}", "Change its sign")
+        # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
         exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
-        pivots = bounded_array(self.pivots, "pivots", (6, 3), "points of the revolute axes in metres")
-        balls = bounded_array(self.balls, "balls", (6, 3), "ball centres in {n} in metres")
-        for stage, b in (("lower", balls[:3]), ("upper", balls[3:])):
+        pivots = bounded_array(self.pivots, "pivots", (count, 3), "points of the revolute axes in metres")
+        balls = bounded_array(self.balls, "balls", (count, 3), "ball centres in {n} in metres")
+        for stage, b in zip(("lower", "upper"), balls.reshape(-1, 3, 3), strict=False):
             longest = triangle_sides(b).max()
             if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
                 expected = "three ball centres of each stage that form a triangle"
                 raise ArgumentError("balls", expected, f"those of the {stage} legs on one line")
-        offsets = bounded_array(self.offsets, "offsets", (6,), "offsets of the readings in metres")
+        offsets = bounded_array(self.offsets, "offsets", (count,), "offsets of the readings in metres")
         arrays = axes / np.where(exact, 1.0, sizes)[:, None], pivots, balls, offsets
         for name, array in zip(("axes", "pivots", "balls", "offsets"), arrays, strict=True):
             object.__setattr__(self, name, frozen(array.copy()))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the legs: `LEGS`, or `STAGE_LEGS` of those of a stage alone."""
+        return LEGS if len(self.kinds) == 2 else STAGE_LEGS
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -234,7 +265,7 @@ class Legs:
 
     @functools.cached_property
     def planes(self) -> tuple[FloatArray, FloatArray]:
-        """Unit vectors x, radially outwards, and z, towards the middle platform, of the legs' planes, (6, 3) each.
+        """Unit vectors x, radially outwards, and z, towards the balls, of the legs' planes, (6, 3) or (3, 3) each.
 
         As the axes they are in {B} of lower and in {m} of upper legs.
         """
@@ -246,6 +277,67 @@ class Legs:
             strict=True,
         )
         return frozen(np.array(outward)), frozen(np.array(forward))
+
+    @property
+    def parameters(self) -> FloatArray:
+        """Nine numbers of each leg, then those fixed in PRS and RRS legs: see `Geometry.parameters`."""
+        drawn, first, second = axis_directions(len(self.kinds))
+        across = np.stack([(self.axes * first).sum(axis=-1), (self.axes * second).sum(axis=-1)], axis=-1)
+        sine = np.sqrt((across**2).sum(axis=-1))
+        angle = np.arctan2(sine, (self.axes * drawn).sum(axis=-1))
+        turn = across * np.divide(angle, sine, out=np.ones(len(sine)), where=sine > 0.0)[:, None]
+        numbers = [kind.numbers[:, : len(kind.identified)].ravel() for kind in self.kinds]
+        rows = np.concatenate([turn, self.pivots, self.balls, self.offsets[:, None]], axis=-1)
+        return np.concatenate([rows.ravel(), *numbers])
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the `parameters`, such as `r_b1.pivot_x`, and of PRS and RRS legs `r_b1.rod`."""
+        own = (f"{leg}.{component}" for leg in self.names for component in COMPONENTS)
+        stages = zip(self.kinds, (self.names[:3], self.names[3:]), strict=False)
+        return *own, *(f"{leg}.{name}" for kind, legs in stages for leg in legs for name in kind.identified)
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Units of the `parameters`, "m" or "rad"."""
+        offsets = dict(zip((f"{leg}.offset" for leg in self.names), self.units, strict=True))
+        return tuple(offsets.get(name, "rad" if ".direction" in name else "m") for name in self.parameter_names)
+
+    @raised_as(GeometryError)
+    def from_parameters(self, parameters: npt.ArrayLike) -> Legs:
+        """Return legs with these `parameters`, in the same working modes."""
+        count, meaning = len(self.parameter_names), "radians and metres, see parameter_names"
+        read, first = bounded_array(parameters, "parameters", (count,), meaning), len(COMPONENTS) * len(self.names)
+        values, kinds = read[:first].reshape(-1, len(COMPONENTS)), []
+        for kind in self.kinds:
+            last = first + 3 * len(kind.identified)
+            kinds.append(kind.with_numbers(read[first:last].reshape(3, -1)))
+            first = last
+        angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
+        if (angle > np.pi / 2.0).any():
+            leg = int(angle.argmax())
+            expected = "directions of the axes within a quarter turn of the drawn ones, in radians"
+            raise GeometryError("parameters", expected, f"{angle[leg]:g} rad at {self.names[leg]}", "Given in degrees?")
+        drawn = tuple(np.tile(AXES, (len(self.kinds), 1)).T)
+        axes = np.stack(_turned_axis(drawn, values[:, 0], values[:, 1]), axis=-1)
+        return Legs(axes, values[:, 2:5], values[:, 5:8], values[:, 8], tuple(kinds))
+
+    def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Legs:
+        """Return legs with independent normal errors added to all `parameters`; see `Geometry.perturbed`."""
+        random = generator(rng)
+        expected = f"a standard deviation from 0 to {_MOST_LENGTH:g} m"
+        spread = real_number(length, "length", expected, least=0.0, most=_MOST_LENGTH)
+        expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
+        turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
+        scale = np.array([turn if unit == "rad" else spread for unit in self.parameter_units])
+        return self.from_parameters(self.parameters + scale * random.standard_normal(len(scale)))
+
+    def deviations(self, drawn: Legs) -> tuple[FloatArray, ...]:
+        """Return by how much each leg is off the drawn one: axis [rad], and pivot, ball and offset [m]."""
+        sine = np.sqrt((np.cross(self.axes, drawn.axes) ** 2).sum(axis=-1))
+        angles = np.arctan2(sine, (self.axes * drawn.axes).sum(axis=-1))
+        _, pivots, balls, offsets = map(np.abs, map(np.subtract, self.arrays, drawn.arrays))
+        return angles, pivots.max(axis=-1), balls.max(axis=-1), offsets
 
     def readings(self, places: FloatArray) -> FloatArray:
         """Return what the encoders show (..., 6) of balls at x and z (..., 6, 2) [m]; NaN out of a leg's reach."""
@@ -275,14 +367,14 @@ class Legs:
         if self.are_rps:
             radii = readings - self.offsets
             return np.broadcast_to(self.pivots, (*radii.shape, 3)), radii
-        (lower, below), (upper, above) = self._by_stage("circles", readings - self.offsets)
-        x, z = np.moveaxis(np.concatenate([lower, upper], axis=-2)[..., None], -2, 0)
+        stages = self._by_stage("circles", readings - self.offsets)
+        x, z = np.moveaxis(np.concatenate([centres for centres, _ in stages], axis=-2)[..., None], -2, 0)
         outward, forward = self.planes
-        return self.pivots + x * outward + z * forward, np.concatenate([below, above], axis=-1)
+        return self.pivots + x * outward + z * forward, np.concatenate([radii for _, radii in stages], axis=-1)
 
     def _by_stage(self, name: str, *arguments: Any) -> list[Any]:
         """Return what a method of both kinds makes of arrays whose axis of length six counts the legs."""
-        stages = slice(0, 3), slice(3, 6)
+        stages = (slice(0, 3), slice(3, 6))[: len(self.kinds)]
         return [
             getattr(kind, name)(*(x[..., legs, :] if x.shape[-1] == 2 else x[..., legs] for x in arguments))
             for kind, legs in zip(self.kinds, stages, strict=True)
@@ -317,22 +409,20 @@ class Legs:
 
 
 @functools.lru_cache(maxsize=64)
-def drawn_legs(
-    base_radius: float, platform_radius: float, middle_side: float, kinds: tuple[LegKind, LegKind] = (RPS(), RPS())
-) -> Legs:
-    """Return the legs of the drawing with the dimensions E, C and d [m], of these kinds, equal in a stage."""
-    corners = middle_side / math.sqrt(3.0) * RADIAL
-    pivots = np.concatenate([base_radius * RADIAL, platform_radius * RADIAL])
-    nominal = kinds[0].nominal, kinds[1].nominal
-    legs = Legs(np.tile(AXES, (2, 1)), pivots, np.concatenate([corners, corners]), np.zeros(6), nominal)
+def drawn_legs(radii: tuple[float, ...], middle_radius: float, kinds: tuple[LegKind, ...]) -> Legs:
+    """Return the legs of the drawing, equal in a stage: its pivots at one of `radii`, its balls at another [m]."""
+    count = len(kinds)
+    pivots = np.concatenate([radius * RADIAL for radius in radii])
+    balls, nominal = np.tile(middle_radius * RADIAL, (count, 1)), tuple(kind.nominal for kind in kinds)
+    legs = Legs(np.tile(AXES, (count, 1)), pivots, balls, np.zeros(3 * count), nominal)
     object.__setattr__(legs, "is_drawn", True)
     return legs
 
 
-def axis_directions() -> tuple[FloatArray, FloatArray, FloatArray]:
+def axis_directions(stages: int = 2) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return each leg's drawn axis and the two directions perpendicular to it, radial and along z, (6, 3) each."""
-    axes = np.tile(AXES, (2, 1))
-    up = np.broadcast_to([0.0, 0.0, 1.0], (6, 3))
+    axes = np.tile(AXES, (stages, 1))
+    up = np.broadcast_to([0.0, 0.0, 1.0], axes.shape)
     return axes, np.cross(up, axes), up
 
 
@@ -356,3 +446,14 @@ def bounded_array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], m
     if (np.abs(array) > LARGEST).any():
         raise ArgumentError(argument, f"{meaning}, at most {LARGEST:g}", f"{np.abs(array).max():g}", "Another unit?")
     return array
+
+
+def check_limits(limits: LegLimits, legs: Legs) -> None:
+    """Raise a GeometryError for limits that no readings of such legs have."""
+    for leg, name in enumerate(limits.legs):
+        kind, low, high = legs.kinds[leg // 3], limits.minimum[leg], limits.maximum[leg]
+        received = f"[{low:g}, {high:g}] for {name}"
+        if isinstance(kind, RPS) and low < 0.0:
+            raise GeometryError("limits", "limits of lengths, 0 <= minimum < maximum, in metres", received)
+        if kind.unit == "rad" and max(abs(x) for x in (low, high, 0.0) if math.isfinite(x)) > _LARGEST_ANGLE:
+            raise GeometryError("limits", f"angles in radians, within ±{_LARGEST_ANGLE:.3g}", received, "In degrees?")

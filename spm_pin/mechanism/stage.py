@@ -1,39 +1,270 @@
-"""A stage: three planar legs of one kind on a plate, and the triangle of balls that they hold."""
+"""A stage: three planar legs of one kind on a plate, and the triangle of balls that they hold.
+
+It is a machine of its own, a ball balancer, a tripod head or the mount of a mirror, and half of a `Geometry`. Its base
+has the frame {B} at the centre of the pivots, z towards the platform; the platform has {n} at the centre of the balls.
+Legs 1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in both.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
 
 from spm_pin.errors import GeometryError, raised_as
-from spm_pin.mechanism.arguments import check_instance, dimension, number_pair
-from spm_pin.mechanism.leg_kinds import RPS, LegKind
+from spm_pin.mechanism.arguments import dimension, type_and_value
+from spm_pin.mechanism.files import file_path, read_yaml, writing
+from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
+from spm_pin.mechanism.legs import Legs, StageLimits, check_limits, drawn_legs
+from spm_pin.mechanism.machine_files import (
+    legs_as_data,
+    limits_as_data,
+    read_kind,
+    read_legs,
+    read_limits,
+    read_mapping,
+)
+from spm_pin.mechanism.units import likely_unit
 
 _LENGTHS = RPS()
+_LARGEST = 20.0
+"""A stage with a larger dimension [m] is read as one in another unit."""
+_PROPORTION = 100.0
+"""Lengths of one stage that are this many times another are read as being in another unit."""
+_LEVEL = 1e-9
+"""Sine of the rise of a slide up to which it is level."""
+_HEADING = "# A stage of three planar legs, lengths in metres and angles in radians: see Stage of spm_pin.\n"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False, repr=False)
 class Stage:
-    """A stage as drawn: two of them, on one triangle of balls, are a `Geometry`.
+    """Three planar legs of one kind on a base, and a platform on their balls: as drawn, or one machine as built.
 
     Parameters
     ----------
     base_radius, platform_radius : float
-        From the centre of the plate to the legs' pivots, and from that of the triangle to its balls [m].
-    legs : LegKind
-        `RPS()`, `PRS(rod=…)` or `RRS(crank=…, rod=…)`.
-    limits : (minimum, maximum), optional
-        Of the readings of its legs: [m], of RRS legs [rad].
+        From the centre of the base to the legs' pivots, and from that of the platform to its balls [m]; to 20 m.
+    legs : LegKind or Legs
+        Of a machine as drawn `RPS()`, `PRS(rod=…)` or `RRS(crank=…, rod=…)`; of one as built `Legs` of three, with
+        their axes, pivots, balls and offsets.
+    limits : (minimum, maximum) or StageLimits, optional
+        Of the readings, each one number or three: [m], of RRS legs [rad]. None means unlimited.
+
+    Attributes
+    ----------
+    legs : Legs
+        The three legs, drawn or as built.
+
+    Notes
+    -----
+    Two of them on one triangle of balls are a `Geometry`. `spm_pin.stages` has the displacements both ways, rates,
+    forces, singularities and the reach. A stage whose platform hangs is described turned over, z downwards.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> balancer = spm.Stage(base_radius=0.08, platform_radius=0.09, legs=spm.RRS(crank=0.05, rod=0.11))
+    >>> state = spm.stages.inverse_physical(balancer, height=0.12, tilt=0.2, azimuth=0.0)
+    >>> state.readings.round(4)
+    array([0.0547, 0.3299, 0.6472])
     """
 
     base_radius: float
     platform_radius: float
-    legs: LegKind = _LENGTHS
-    limits: tuple[float, float] | None = None
+    legs: Legs
+    limits: StageLimits | None
 
     @raised_as(GeometryError)
-    def __post_init__(self) -> None:
-        for name in ("base_radius", "platform_radius"):
-            object.__setattr__(self, name, dimension(getattr(self, name), name))
-        check_instance(self.legs, LegKind, "legs", "RPS(), PRS(rod=…) or RRS(crank=…, rod=…)")
+    def __init__(
+        self,
+        base_radius: float,
+        platform_radius: float,
+        legs: LegKind | Legs = _LENGTHS,
+        limits: StageLimits | Sequence[Any] | None = None,
+    ) -> None:
+        for name, value in (("base_radius", base_radius), ("platform_radius", platform_radius)):
+            object.__setattr__(self, name, dimension(value, name))
+        if not isinstance(legs, LegKind | Legs) or (isinstance(legs, Legs) and len(legs.kinds) != 1):
+            expected = "RPS(), PRS(rod=…) or RRS(crank=…, rod=…), or the Legs of three"
+            received = "Legs of six" if isinstance(legs, Legs) else type_and_value(legs)
+            raise GeometryError("legs", expected, received)
+        kind = legs if isinstance(legs, LegKind) else legs.kinds[0]
+        self._check_proportion(kind)
+        drawn = drawn_legs((self.base_radius,), self.platform_radius, (kind,))
+        # Legs whose numbers differ are those of a machine as built.
+        if isinstance(legs, LegKind) and not legs.is_drawn:
+            legs = Legs(*drawn.arrays, (legs,))
+        # Drawn legs follow the dimensions when these are replaced.
+        keeps = isinstance(legs, Legs) and not legs.is_drawn and legs != drawn
+        object.__setattr__(self, "legs", legs if keeps else drawn)
+        self._check_reach()
+        object.__setattr__(self, "limits", None if limits is None else self._read_limits(limits))
+
+    def _check_proportion(self, kind: LegKind) -> None:
+        """Raise `GeometryError` for dimensions that are in another unit than metres, or in several."""
+        own = {name: float(np.mean(getattr(kind, name))) for name in ("crank", "rod") if hasattr(kind, name)}
+        lengths = {"base_radius": self.base_radius, "platform_radius": self.platform_radius, **own}
+        longest = max(lengths, key=lambda name: lengths[name])
+        if lengths[longest] > _LARGEST:
+            value, shorter = lengths[longest], min(lengths.values())
+            cause = f"Lengths are in metres: {value:g} mm are {1e-3 * value:g}"
+            expected = f"a length in metres, to {_LARGEST:g}"
+            if value > _PROPORTION * shorter:
+                expected += f", in proportion to the others, of which one is {shorter:g} m"
+            raise GeometryError(longest, expected, f"{value:g}", cause)
+        shortest = min(lengths, key=lambda name: lengths[name])
+        if lengths[longest] > _PROPORTION * lengths[shortest]:
+            expected = f"lengths in one unit, metres: {longest} is {lengths[longest]:g} m"
+            raise GeometryError(shortest, expected, f"{lengths[shortest]:g} m", "In another unit?")
+
+    def _check_reach(self) -> None:
+        """Raise `GeometryError` for a leg that does not reach its ball at any height of the level platform."""
+        pivots, balls = self.legs.pivots, self.legs.balls
+        outward, _ = self.legs.planes
+        x = ((balls - pivots) * outward).sum(axis=-1)
+        kind, numbers = self.kind, self.kind.numbers
+        if isinstance(kind, RRS):
+            reach, needed = numbers[:, 0] + numbers[:, 1], np.abs(x)
+        elif isinstance(kind, PRS):
+            # Along a slide that rises the carriage follows the ball; else the height is free and the rod has to span z.
+            vertical = np.abs(np.cos(numbers[:, 1])) < _LEVEL
+            reach, needed = numbers[:, 0], np.where(vertical, np.abs(x), 0.0)
+        else:
+            return
+        if (short := reach <= needed).any():
+            leg = int(short.argmax())
+            what = "crank and rod" if isinstance(kind, RRS) else "a rod"
+            expected = (
+                f"{what} longer than {needed[leg]:.4g} m, the radial distance from pivot to ball of the level platform"
+            )
+            raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", "In another unit?")
+
+    def _read_limits(self, value: StageLimits | Sequence[Any]) -> StageLimits:
+        if not isinstance(value, StageLimits):
+            pair = value if isinstance(value, list | tuple | np.ndarray) and len(value) == 2 else None
+            if pair is None:
+                expected = f"a pair (minimum, maximum) in {self.unit}, each one number or three"
+                raise GeometryError("limits", expected, type_and_value(value))
+            with raised_as(GeometryError, "limits"):
+                value = StageLimits(pair[0], pair[1])
+        check_limits(value, self.legs)
+        ends = np.abs(np.array([value.minimum, value.maximum]) - self.legs.offsets)
+        farthest = float(ends.max(initial=0.0, where=np.isfinite(ends)))
+        if self.unit == "m":
+            unit = likely_unit(self, farthest)
+            cause = f"Lengths are in metres: is it {farthest:g} {unit}?"
+        else:
+            unit, cause = ("°" if farthest > 2.0 * math.pi else None), "In degrees?"
+        if unit is not None:
+            expected = f"limits of readings in {self.unit}, in proportion to the stage, or infinity for none"
+            raise GeometryError("limits", expected, f"{farthest:g} {self.unit}", cause)
+        return value
+
+    def __repr__(self) -> str:
+        limits = "" if self.limits is None else f", limits={self.limits!r}"
+        text = f"Stage(base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}"
+        text += f", legs={self.kind!r}{limits}"
+        if self.is_nominal:
+            return f"{text})"
+        angles, *lengths = self.legs.deviations(self.nominal.legs)
+        length = max(float(deviations.max()) for deviations in lengths)
+        return f"{text}, legs off the drawing by up to {length:.3g} m, {float(angles.max()):.3g} rad)"
+
+    @property
+    def kind(self) -> LegKind:
+        """What the three legs are, with the numbers that are fixed in them."""
+        return self.legs.kinds[0]
+
+    @property
+    def unit(self) -> str:
+        """Of the readings: "m" or "rad"."""
+        return self.kind.unit
+
+    @property
+    def up(self) -> float:
+        """-1 where the rods hang at home: of PRS legs whose carriages are ahead of the balls on slides that rise."""
+        kind = self.kind
+        hangs = isinstance(kind, PRS) and float(np.mean(kind.numbers[:, 2] * np.sin(kind.numbers[:, 1]))) > _LEVEL
+        return -1.0 if hangs else 1.0
+
+    @property
+    def size(self) -> float:
+        """About the height of the stage [m]."""
+        own = [float(np.max(getattr(self.kind, name))) for name in ("crank", "rod") if hasattr(self.kind, name)]
+        return self.base_radius + self.platform_radius + sum(own)
+
+    @property
+    def is_nominal(self) -> bool:
+        """True if the legs are those of the drawing."""
+        return self.legs.is_drawn
+
+    @cached_property
+    def nominal(self) -> Stage:
+        """The stage as drawn, with the same dimensions and limits."""
+        return (
+            self if self.is_nominal else Stage(self.base_radius, self.platform_radius, self.kind.nominal, self.limits)
+        )
+
+    @property
+    def parameters(self) -> npt.NDArray[np.float64]:
+        """The parameters of the legs: nine of each, and those fixed in PRS and RRS legs; see `Geometry.parameters`."""
+        return self.legs.parameters
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the `parameters`, such as `r_1.pivot_x` and `r_1.rod`."""
+        return self.legs.parameter_names
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Units of the `parameters`, "m" or "rad"."""
+        return self.legs.parameter_units
+
+    def from_parameters(self, parameters: npt.ArrayLike) -> Stage:
+        """Return the stage of the same dimensions and limits whose legs have these `parameters`."""
+        return Stage(self.base_radius, self.platform_radius, self.legs.from_parameters(parameters), self.limits)
+
+    def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Stage:
+        """Return a stage with independent normal errors added to all parameters, as `Geometry.perturbed` does."""
+        legs = self.legs.perturbed(rng, length=length, angle=angle)
+        return Stage(self.base_radius, self.platform_radius, legs, self.limits)
+
+    @classmethod
+    @raised_as(GeometryError)
+    def from_yaml(cls, path: str | Path) -> Stage:
+        """Read a stage from a YAML file, in metres and radians, as `to_yaml` writes it.
+
+        A `GeometryError` names the key of what describes no stage.
+        """
+        keys = {"base_radius", "platform_radius", "legs"}
+        data = read_mapping(read_yaml(path), str(path), keys, {"limits", "as_built"})
+        kind = read_kind(data["legs"], f"legs in {path}")
+        legs = read_legs(data["as_built"], f"as_built in {path}", (kind,)) if "as_built" in data else kind
+        limits = read_limits(data["limits"], f"limits in {path}", StageLimits) if "limits" in data else None
+        with raised_as(GeometryError, str(path)):
+            return cls(data["base_radius"], data["platform_radius"], legs, limits)
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Write the stage to a YAML file that `from_yaml` reads, every number with all its digits."""
+        with raised_as(GeometryError):
+            path = file_path(path)
+            text = yaml.safe_dump(self.as_data(), sort_keys=False, default_flow_style=None, width=120)
+            with writing(path):
+                path.write_text(_HEADING + text, encoding="utf-8")
+
+    def as_data(self) -> dict[str, Any]:
+        """Return what `to_yaml` writes."""
+        data: dict[str, Any] = {"base_radius": self.base_radius, "platform_radius": self.platform_radius}
+        data["legs"] = self.kind.as_data()
         if self.limits is not None:
-            object.__setattr__(self, "limits", number_pair(self.limits, "limits", self.legs.unit))
+            data["limits"] = limits_as_data(self.limits)
+        if not self.is_nominal:
+            data["as_built"] = legs_as_data(self.legs)
+        return data

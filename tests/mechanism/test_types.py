@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 import spm_pin as spm
+from spm_pin.mechanism import SolutionSet, Status
 from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.solutions import SolutionSet, Status
 
 
 def test_items_of_a_set_have_types() -> None:

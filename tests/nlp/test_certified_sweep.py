@@ -11,7 +11,7 @@ from scipy.stats import binom
 import spm_pin as spm
 from spm_pin import nlp
 from spm_pin.crosscheck import in_leg_space, on_all_rotations
-from spm_pin.mechanism.solutions import Status
+from spm_pin.mechanism import Status
 
 GEOMETRY = spm.Geometry.paper()
 MISS_RATE = 1e-3

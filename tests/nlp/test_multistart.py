@@ -13,7 +13,7 @@ import spm_pin as spm
 from spm_pin import nlp
 from spm_pin.crosscheck import Conditioning
 from spm_pin.crosscheck import random_poses as draw
-from spm_pin.mechanism.solutions import Status
+from spm_pin.mechanism import Status
 from spm_pin.nlp.branch_search import random_starts
 
 FAR = spm.pose([3.0, 3.0, 2.0], xyx=[0.1, 0.5, 0.3])

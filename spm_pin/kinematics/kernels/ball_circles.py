@@ -1,15 +1,15 @@
-"""Newton's method on stages of any machine: the physical state of leg lengths, and a state followed to other lengths.
+"""Newton's method on a stage: the physical state of its legs' circles, and a state followed to other circles.
 
-Each stage is three circles and a triangle by itself, `spm_pin.formulas.circles`. The physical state is sought from the
-level stage. From a state, a step is taken if the theorem of Newton and Kantorovich holds at its start for all lengths
-along it: there is one solution near, and Newton's method finds it.
+A stage is three circles and a triangle, `spm_pin.formulas.circles`; a robot's two are put together afterwards. The
+physical state is sought from the level stage. From a state, a step is taken if the theorem of Newton and Kantorovich
+holds at its start for all lengths along it: there is one solution near, and Newton's method finds it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from spm_pin.formulas.ball_motions import frame_of_triangle, points_from_platform, pose_of_frames
+from spm_pin.formulas.ball_motions import frame_of_triangle, pose_of_frames
 from spm_pin.formulas.circles import (
     MOST_STEPS,
     SEARCH_STEPS,
@@ -31,7 +31,6 @@ from spm_pin.formulas.circles import (
     turned_back,
 )
 from spm_pin.formulas.joint_values import triangle_axes
-from spm_pin.formulas.leg_planes import upper_ball_weights, upper_balls
 from spm_pin.formulas.vectors import Rows, Vector, largest
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.mechanism.arguments import FloatArray
@@ -93,76 +92,85 @@ def followed(start: Circles, end: Circles, first: Rows, shortest: float) -> tupl
     return balls, False
 
 
-@jit
-def put_state(
-    lower: Rows,
-    upper: Rows,
-    own: Rows,
-    own_upper: Rows,
-    rotation: FloatArray,
-    position: FloatArray,
-    joints: FloatArray,
-) -> None:
-    """Write R (3, 3), o (3,) and the b_i (3, 3) of two stages whose triangles are `own` in the platform's frame."""
-    middle, place = frame_of_triangle(triangle_axes(lower), triangle_axes(own), lower, own)
-    middle_m, place_m = frame_of_triangle(triangle_axes(upper), triangle_axes(own_upper), upper, own_upper)
-    r, o = pose_of_frames(middle, place, middle_m, place_m)
+@jit_inline
+def put_rows(rows: Rows, out: FloatArray) -> None:
+    """Write three vectors as rows (3, 3)."""
     for i in range(3):
-        position[i] = o[i]
         for j in range(3):
-            rotation[i, j], joints[i, j] = r[i][j], lower[i][j]
+            out[i, j] = rows[i][j]
 
 
 @kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, "
-    "f8[:,:,::1], f8[:,::1], f8[:,:,::1], i1[::1])"
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, f8, "
+    "f8[:,:,::1], i1[::1])"
 )
-def physical_states(centres, radii, axes, balls, rotation, position, joints, aspect):
+def home_states(centres, radii, axes, balls, up, joints, aspect):
     """Find the physical states of N stages by Newton's method from the level ones.
 
-    The circles of the legs have `centres` (N, 6, 3) [m], `radii` (N, 6) [m] and `axes` (6, 3), each in {B} or {m};
-    `balls` (6, 3) [m] are in the middle platform's frame. Written are R (N, 3, 3), o (N, 3) [m] and the b_i (N, 3, 3)
-    [m], NaN where no state was found, and as `aspect` (N,) `ELSEWHERE` where it may have been passed over.
+    The circles of the legs have `centres` (N, 3, 3) [m], `radii` (N, 3) [m] and `axes` (3, 3), in {B} of a lower stage
+    and in {m} of an upper one, of which `up` is -1; `balls` (3, 3) [m] are in the platform's frame. Written are the
+    balls (N, 3, 3) [m], NaN where no state was found, and as `aspect` (N,) `ELSEWHERE` where it may have been passed
+    over.
     """
-    own, own_upper = rows_at(balls, 0), rows_at(balls, 3)
-    squares, squares_upper = squared_sides(own), squared_sides(own_upper)
+    own = rows_at(balls, 0)
+    squares = squared_sides(own)
     for n in range(len(radii)):
-        rotation[n], position[n], joints[n] = np.nan, np.nan, np.nan
-        b, aspect[n] = home_state(circles_at(axes, centres[n], radii[n], squares, 0), own, 1.0)
-        if aspect[n] == ABSENT:
-            continue
-        c, upper = home_state(circles_at(axes, centres[n], radii[n], squares_upper, 3), own_upper, -1.0)
-        if upper != HOME:
-            aspect[n] = upper
+        b, aspect[n] = home_state(circles_at(axes, centres[n], radii[n], squares, 0), own, up)
         if aspect[n] == HOME:
-            put_state(b, c, own, own_upper, rotation[n], position[n], joints[n])
+            put_rows(b, joints[n])
+        else:
+            joints[n] = np.nan
 
 
 @kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, {readonly_array(3)}, {readonly_array(2)}, "
-    f"{readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, "
-    "f8[:,:,::1], f8[:,::1], f8[:,:,::1])"
+    f"void({readonly_array(3)}, {readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, {readonly_array(2)}, "
+    f"{readonly_array(2)}, {readonly_array(2)}, f8[:,:,::1])"
 )
-def follow_states(
-    rotation, position, joints, start, start_radii, end, end_radii, axes, balls, end_rotation, end_position, end_joints
-):
-    """Follow N states to other circles of their legs, whose centres and radii change in proportion.
+def follow_states(joints, start, start_radii, end, end_radii, axes, balls, end_joints):
+    """Follow N states of a stage, its balls (N, 3, 3) [m], to other circles, which change in proportion.
 
-    States are R (N, 3, 3), o (N, 3) [m] and the b_i (N, 3, 3) [m], NaN where there is none at the start, and where the
-    path meets a singularity before the end. The circles have the centres `start` and `end` (N, 6, 3) [m] and radii
-    (N, 6) [m]; `axes` and `balls` are as for `physical_states`.
+    The circles have the centres `start` and `end` (N, 3, 3) [m] and radii (N, 3) [m]; `axes` and `balls` are as for
+    `home_states`. Written are the balls, NaN where there are none at the start, and where the path meets a singularity.
+    """
+    squares = squared_sides(rows_at(balls, 0))
+    for n in range(len(end_radii)):
+        first = circles_at(axes, start[n], start_radii[n], squares, 0)
+        last = circles_at(axes, end[n], end_radii[n], squares, 0)
+        b, arrived = followed(first, last, rows_at(joints[n], 0), _SHORTEST)
+        if arrived:
+            put_rows(b, end_joints[n])
+        else:
+            end_joints[n] = np.nan
+
+
+@kernel(f"void({readonly_array(3)}, {readonly_array(2)}, f8[:,:,::1], f8[:,::1])")
+def platform_frames(joints, balls, rotation, position):
+    """Write the poses R (N, 3, 3) and t (N, 3) [m] of a platform with these balls, which are `balls` in its frame."""
+    own = rows_at(balls, 0)
+    own_axes = triangle_axes(own)
+    for n in range(len(joints)):
+        b = rows_at(joints[n], 0)
+        turn, place = frame_of_triangle(triangle_axes(b), own_axes, b, own)
+        put_rows(turn, rotation[n])
+        position[n, 0], position[n, 1], position[n, 2] = place
+
+
+@kernel(f"void({readonly_array(3)}, {readonly_array(3)}, {readonly_array(2)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
+def join_stages(lower, upper, balls, rotation, position, joints):
+    """Put the states of a lower and of an upper stage together, whose balls (N, 3, 3) [m] are in {B} and in {m}.
+
+    Written are R (N, 3, 3), o (N, 3) [m] and the b_i (N, 3, 3) [m], NaN where either has none.
     """
     own, own_upper = rows_at(balls, 0), rows_at(balls, 3)
-    squares, squares_upper, weights = squared_sides(own), squared_sides(own_upper), upper_ball_weights(own, own_upper)
-    for n in range(len(end_radii)):
-        end_rotation[n], end_position[n], end_joints[n] = np.nan, np.nan, np.nan
-        r, o, b = rows_at(rotation[n], 0), (position[n, 0], position[n, 1], position[n, 2]), rows_at(joints[n], 0)
-        c = points_from_platform(upper_balls(b, weights), r, o)
-        first = circles_at(axes, start[n], start_radii[n], squares, 0)
-        b, arrived = followed(first, circles_at(axes, end[n], end_radii[n], squares, 0), b, _SHORTEST)
-        if not arrived:
-            continue
-        first = circles_at(axes, start[n], start_radii[n], squares_upper, 3)
-        c, arrived = followed(first, circles_at(axes, end[n], end_radii[n], squares_upper, 3), c, _SHORTEST)
-        if arrived:
-            put_state(b, c, own, own_upper, end_rotation[n], end_position[n], end_joints[n])
+    axes, axes_upper = triangle_axes(own), triangle_axes(own_upper)
+    for n in range(len(lower)):
+        b, c = rows_at(lower[n], 0), rows_at(upper[n], 0)
+        turn, place = frame_of_triangle(triangle_axes(b), axes, b, own)
+        turn_m, place_m = frame_of_triangle(triangle_axes(c), axes_upper, c, own_upper)
+        r, o = pose_of_frames(turn, place, turn_m, place_m)
+        put_rows(r, rotation[n])
+        position[n, 0], position[n, 1], position[n, 2] = o
+        joints[n] = np.nan
+        # Not numbers where either stage has no state.
+        if o[0] == o[0]:
+            put_rows(b, joints[n])

@@ -38,18 +38,23 @@ from spm_pin.formulas.circles import (
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.leg_constants import mean_radius
 from spm_pin.formulas.stages import pair_adjugate, pair_determinant
-from spm_pin.formulas.vectors import Rows, combinations, differences, largest, multiples, weighted
+from spm_pin.formulas.vectors import Rows, Vector, combinations, differences, largest, multiples, weighted
 from spm_pin.formulas.wrenches import mean
 from spm_pin.kinematics.kernels.ball_circles import (
     ELSEWHERE,
     HOME,
     circles_at,
     home_state,
-    put_state,
+    put_rows,
     solution,
 )
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
-from spm_pin.kinematics.kernels.mode_kernels import allocate_stage_scratch, is_countable, stage_modes
+from spm_pin.kinematics.kernels.mode_kernels import (
+    StageScratch,
+    allocate_stage_scratch,
+    is_countable,
+    stage_modes,
+)
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -433,6 +438,44 @@ def _put_frames(own: Rows, balls: FloatArray, frames: FloatArray) -> None:
                 frames[k, i, j] = turn[i][j]
 
 
+@jit
+def _put_stage(
+    stage: Circles,
+    drawn: Circles,
+    sizes: Vector,
+    is_rps: bool,
+    is_drawn: bool,
+    scratch: StageScratch,
+    found: Elimination,
+    work: FloatArray,
+    balls: FloatArray,
+    merged: BoolArray,
+) -> tuple[int, bool, bool, bool]:
+    """Write the balls of a stage's real modes (16, 3, 3), NaN for none, under the labels of the drawn stage's.
+
+    `sizes` are the circumradii of the drawn stage's triangle and pivots [m], and +1 or -1 for the side on which the
+    sheet + is; `work` (2, 16, 3, 3) is overwritten. Returned are how many modes there are, whether these are all, and,
+    of a drawn stage of RPS legs, which of T, F is continuous.
+    """
+    r, base, up = sizes
+    roots, modes = work[0], work[1]
+    epsilon, q0, q1, q2 = base / r, drawn.radii[0] / r, drawn.radii[1] / r, drawn.radii[2] / r
+    straight, half_turned = False, False
+    modes[:] = np.nan
+    if is_rps:
+        straight, half_turned = stage_modes(q0, q1, q2, epsilon, up, scratch, modes)
+    if is_drawn:
+        count = 0
+        for k in range(MODES):
+            merged[k] = False
+            count += not math.isnan(modes[k, 0, 0])
+        balls[:] = r * modes
+        return count, straight or half_turned or is_countable(q0, q1, q2, epsilon), straight, half_turned
+    count, is_complete = real_modes(stage, found, roots)
+    _put_labelled(drawn, modes, r, stage, up, roots, count, balls, merged)
+    return count, is_complete, False, False
+
+
 @kernel(
     f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, "
     "b1, b1, f8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], b1[:,::1], i1[:,::1], i1[::1])"
@@ -457,7 +500,7 @@ def all_modes(
 ):
     """Find all assembly modes of N problems, under the labels of the drawn machine's.
 
-    The circles are as for `ball_circles.physical_states`; `drawn` (3, 6, 3) are axes, pivots and balls [m] of the drawn
+    The circles are as for `ball_circles.home_states`; `drawn` (3, 6, 3) are axes, pivots and balls [m] of the drawn
     machine, with the circumradii of its middle, base and terminal platforms [m]; modes of legs that are not RPS have no
     such labels, and the first that fit. Written are R (N, 256, 3, 3), o
     (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode is not real; which labels are `merged` (N, 256);
@@ -465,31 +508,20 @@ def all_modes(
     of `Status`, continuous families not counted.
     """
     found, scratch, frames = allocate_elimination(), allocate_stage_scratch(), np.empty((2, MODES, 4, 3))
-    roots, modes, labelled = np.empty((MODES, 3, 3)), np.empty((MODES, 3, 3)), np.empty((2, MODES, 3, 3))
+    work, labelled = np.empty((2, MODES, 3, 3)), np.empty((2, MODES, 3, 3))
     label_merged = np.empty((2, MODES), np.bool_)
     is_complete, is_absent, is_continuous = np.empty(2, np.bool_), np.empty(2, np.bool_), np.empty((2, 2), np.bool_)
     for n in range(len(radii)):
         for half in range(2):
-            own, first, up = rows_at(balls, 3 * half), 3 * half, 1.0 - 2.0 * half
-            epsilon = (base_radius if half == 0 else platform_radius) / r
-            q0, q1, q2 = radii[n, first] / r, radii[n, first + 1] / r, radii[n, first + 2] / r
-            families = False, False
-            modes[:] = np.nan
-            if are_rps:
-                families = stage_modes(q0, q1, q2, epsilon, up, scratch, modes)
-            if is_drawn:
-                is_continuous[half, 0], is_continuous[half, 1] = families
-                is_complete[half] = families[0] or families[1] or is_countable(q0, q1, q2, epsilon)
-                labelled[half], label_merged[half], count = r * modes, False, 0
-                for k in range(MODES):
-                    count += not math.isnan(modes[k, 0, 0])
-            else:
-                is_continuous[half], families = False, (False, False)
-                stage = circles_at(axes, centres[n], radii[n], squared_sides(own), first)
-                count, is_complete[half] = real_modes(stage, found, roots)
-                before = circles_at(drawn[0], drawn[1], radii[n], squared_sides(rows_at(drawn[2], first)), first)
-                _put_labelled(before, modes, r, stage, up, roots, count, labelled[half], label_merged[half])
-            is_absent[half] = is_complete[half] and count == 0 and not (families[0] or families[1])
+            own, first = rows_at(balls, 3 * half), 3 * half
+            sizes = r, base_radius if half == 0 else platform_radius, 1.0 - 2.0 * half
+            stage = circles_at(axes, centres[n], radii[n], squared_sides(own), first)
+            before = circles_at(drawn[0], drawn[1], radii[n], squared_sides(rows_at(drawn[2], first)), first)
+            count, is_complete[half], straight, half_turned = _put_stage(
+                stage, before, sizes, are_rps, is_drawn, scratch, found, work, labelled[half], label_merged[half]
+            )
+            is_continuous[half, 0], is_continuous[half, 1] = straight, half_turned
+            is_absent[half] = is_complete[half] and count == 0 and not (straight or half_turned)
             _put_frames(own, labelled[half], frames[half])
         # A stage that cannot be closed is enough to know that there is none.
         status[n] = 1 if is_absent[0] or is_absent[1] else (0 if is_complete[0] and is_complete[1] else 3)
@@ -530,21 +562,45 @@ def _searched(stage: Circles, own: Rows, up: float, found: Elimination, roots: F
     return b, False
 
 
-@kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, "
-    "f8[:,:,::1], f8[:,::1], f8[:,:,::1])"
-)
-def searched_states(centres, radii, axes, balls, rotation, position, joints):
-    """Find states as `ball_circles.physical_states` does, among all modes where Newton's method leads elsewhere."""
-    found, roots = allocate_elimination(), np.empty((MODES, 3, 3))
-    own, own_upper = rows_at(balls, 0), rows_at(balls, 3)
-    squares, squares_upper = squared_sides(own), squared_sides(own_upper)
+@kernel(f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, f8, f8[:,:,::1])")
+def searched_states(centres, radii, axes, balls, up, joints):
+    """Find states as `ball_circles.home_states` does, among all modes where Newton's method leads elsewhere."""
+    found, roots, own = allocate_elimination(), np.empty((MODES, 3, 3)), rows_at(balls, 0)
+    squares = squared_sides(own)
     for n in range(len(radii)):
-        rotation[n], position[n], joints[n] = np.nan, np.nan, np.nan
-        b, exists = _searched(circles_at(axes, centres[n], radii[n], squares, 0), own, 1.0, found, roots)
-        if not exists:
-            continue
-        stage = circles_at(axes, centres[n], radii[n], squares_upper, 3)
-        c, exists = _searched(stage, own_upper, -1.0, found, roots)
+        b, exists = _searched(circles_at(axes, centres[n], radii[n], squares, 0), own, up, found, roots)
         if exists:
-            put_state(b, c, own, own_upper, rotation[n], position[n], joints[n])
+            put_rows(b, joints[n])
+        else:
+            joints[n] = np.nan
+
+
+@kernel(
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, "
+    "b1, b1, f8, f8, f8, f8[:,:,:,::1], b1[:,::1], b1[:,::1], i1[::1])"
+)
+def modes_of_stages(
+    centres, radii, axes, balls, drawn, is_rps, is_drawn, r, base_radius, up, joints, merged, continuous, status
+):
+    """Find all assembly modes of N stages, under the labels of the drawn stage's.
+
+    The circles are as for `ball_circles.home_states`; `drawn` (3, 3, 3) are axes, pivots and balls [m] of the drawn
+    stage, with the circumradii of its platform and base [m]. Written are the balls (N, 16, 3, 3) [m], NaN where a mode
+    is not real; which labels are `merged` (N, 16); which of the modes T, F of a drawn stage of RPS legs are
+    `continuous` (N, 2); and `Status` (N,), continuous families not counted.
+    """
+    found, scratch, work = allocate_elimination(), allocate_stage_scratch(), np.empty((2, MODES, 3, 3))
+    squares, sizes = squared_sides(rows_at(balls, 0)), (r, base_radius, up)
+    drawn_squares = squared_sides(rows_at(drawn[2], 0))
+    for n in range(len(radii)):
+        stage = circles_at(axes, centres[n], radii[n], squares, 0)
+        before = circles_at(drawn[0], drawn[1], radii[n], drawn_squares, 0)
+        count, is_complete, straight, half_turned = _put_stage(
+            stage, before, sizes, is_rps, is_drawn, scratch, found, work, joints[n], merged[n]
+        )
+        continuous[n, 0], continuous[n, 1] = straight, half_turned
+        status[n] = 3
+        if is_complete:
+            status[n] = 0 if count > 0 or straight or half_turned else 1
+        else:
+            joints[n], merged[n] = np.nan, False

@@ -1,0 +1,119 @@
+"""The pose of a stage's platform from its normal and the height of its centre: `docs/theory/stages.md`.
+
+The rotation is T R_z(ψ), where T turns z to the normal about a level axis and ψ is the torsion. The planes of the legs,
+a_i·(R p_i + t) = a_i·(pivot i), are linear in x and y of t and in cos ψ and sin ψ. Weights under which x and y drop out
+leave one equation in ψ: two solutions. Without errors one has no torsion, mode T, and one a half turn, mode F.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from spm_pin.formulas.operations import sqrt
+from spm_pin.formulas.vectors import (
+    Rows,
+    Vector,
+    combined,
+    cross,
+    dot,
+    dots,
+    minus,
+    scaled,
+    shifted,
+    transposed,
+    turned,
+)
+
+
+class StageConstants(NamedTuple):
+    """The planes of a stage's legs, the balls in the platform's frame, and what solves three planes for x and y."""
+
+    axes: Rows
+    heights: Vector  # a_i·(pivot i)
+    balls: Rows
+    weights: Vector  # under which x and y drop out
+    along_x: Vector
+    along_y: Vector
+
+
+class Torsion(NamedTuple):
+    """The equation cosine cos ψ + sine sin ψ = constant, and the planes' own coefficients."""
+
+    cosine: float
+    sine: float
+    constant: float
+    cosines: Vector
+    sines: Vector
+    constants: Vector
+
+
+def stage_constants(axes: Rows, pivots: Rows, balls: Rows) -> StageConstants:
+    """Return the constants of a stage."""
+    u, v, _ = transposed(axes)
+    weights = cross(u, v)
+    scale = 1.0 / dot(weights, weights)
+    along_x, along_y = scaled(scale, cross(v, weights)), scaled(scale, cross(weights, u))
+    return StageConstants(axes, dots(axes, pivots), balls, weights, along_x, along_y)
+
+
+def shortest_turn(normal: Vector) -> Rows:
+    """Return the rotation T about a level axis that takes z to a unit vector, not a number where that is -z."""
+    x, y, z = normal
+    scale = 1.0 / (1.0 + z)
+    return (1.0 - scale * x * x, -scale * x * y, x), (-scale * x * y, 1.0 - scale * y * y, y), (-x, -y, z)
+
+
+def torsion_equation(turn: Rows, height: float, stage: StageConstants) -> Torsion:
+    """Return the equation of the torsion where T and the height of the platform's centre are given."""
+    (px, py, pz), (x, y, z) = transposed(stage.balls), transposed(turned(transposed(turn), stage.axes))
+    cosines = x[0] * px[0] + y[0] * py[0], x[1] * px[1] + y[1] * py[1], x[2] * px[2] + y[2] * py[2]
+    sines = y[0] * px[0] - x[0] * py[0], y[1] * px[1] - x[1] * py[1], y[2] * px[2] - x[2] * py[2]
+    axes = stage.axes
+    lift = axes[0][2] * height, axes[1][2] * height, axes[2][2] * height
+    constants = minus(minus(stage.heights, (z[0] * pz[0], z[1] * pz[1], z[2] * pz[2])), lift)
+    w = stage.weights
+    return Torsion(dot(w, cosines), dot(w, sines), dot(w, constants), cosines, sines, constants)
+
+
+def discriminant(equation: Torsion) -> float:
+    """Return a number that is negative where no platform has the normal, and zero where both modes meet."""
+    return equation.cosine * equation.cosine + equation.sine * equation.sine - equation.constant * equation.constant
+
+
+def pose_in_mode(
+    sign: float, turn: Rows, height: float, equation: Torsion, stage: StageConstants
+) -> tuple[Rows, Vector]:
+    """Return rotation and position of mode T, sign +1, or F, -1; not numbers where there is none."""
+    a, b, constant = equation.cosine, equation.sine, equation.constant
+    root, scale = sign * sqrt(discriminant(equation)), 1.0 / (a * a + b * b)
+    c, s = scale * (a * constant + b * root), scale * (b * constant - a * root)
+    rest = combined(combined(equation.constants, -c, equation.cosines), -s, equation.sines)
+    position = dot(stage.along_x, rest), dot(stage.along_y, rest), height
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turn
+    rotation = (
+        (c * xx + s * xy, c * xy - s * xx, xz),
+        (c * yx + s * yy, c * yy - s * yx, yz),
+        (c * zx + s * zy, c * zy - s * zx, zz),
+    )
+    return rotation, position
+
+
+def platform_balls(rotation: Rows, position: Vector, balls: Rows) -> Rows:
+    """Return the balls in {B}."""
+    return shifted(turned(rotation, balls), position)
+
+
+def parasitic_rates(axes: Rows, b: Rows, o: Vector, motion: Vector) -> tuple[Vector, Vector]:
+    """Return the twist (v, ω) at o of which v_z, ω_x, ω_y are given: v_x, v_y, ω_z follow from the stage.
+
+    They are not numbers at a constraint singularity, where both modes meet.
+    """
+    rate, wx, wy = motion
+    arms = minus(b[0], o), minus(b[1], o), minus(b[2], o)
+    u, v, vertical = transposed(axes)
+    first, second, third = transposed((cross(arms[0], axes[0]), cross(arms[1], axes[1]), cross(arms[2], axes[2])))
+    rest = combined(combined(scaled(-rate, vertical), -wx, first), -wy, second)
+    normal = cross(u, v)
+    scale = 1.0 / dot(normal, third)
+    vx, vy = scale * dot(cross(v, third), rest), scale * dot(cross(third, u), rest)
+    return (vx, vy, rate), (wx, wy, scale * dot(normal, rest))

@@ -1,0 +1,105 @@
+"""The inverse of a stage: its platform's pose from the normal and the height, and what its legs read there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spm_pin.formulas.circles import Circles, is_home_state
+from spm_pin.formulas.planar_legs import LegPlane, place_in_plane, prs_circle, prs_reading, rrs_crank
+from spm_pin.formulas.stage_poses import platform_balls, pose_in_mode, shortest_turn, stage_constants, torsion_equation
+from spm_pin.formulas.vectors import combinations, differences, multiples
+from spm_pin.kinematics.kernels.compilation import TILE, jit, kernel, matrix, readonly_array, rows_at, vector
+from spm_pin.mechanism.arguments import FloatArray
+
+RPS_LEGS, PRS_LEGS, RRS_LEGS = 0, 1, 2
+"""Kinds of legs, as the kernel takes them."""
+_NORMAL, _HEIGHT, _ROTATION, _POSITION, _X, _Z, _READING, _COSINE, _ROD_X, _ROD_Z, _HOME, _ROWS = (
+    *(0, 3, 4, 13, 16, 19, 22, 25, 28, 31, 34, 35),
+)
+"""Rows of a tile: what is given, the pose, balls in their legs' planes, readings, rods, and whether it is physical."""
+
+
+@jit
+def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray) -> None:
+    """Write the readings of the legs, of RRS legs their sines and cosines, and x and z of their rods."""
+    for leg in range(3):
+        x, z, reading, cosine = _X + leg, _Z + leg, _READING + leg, _COSINE + leg
+        along, up = _ROD_X + leg, _ROD_Z + leg
+        if kind == RPS_LEGS:
+            for k in range(TILE):
+                tile[along, k], tile[up, k] = tile[x, k], tile[z, k]
+                tile[reading, k] = np.sqrt(tile[x, k] * tile[x, k] + tile[z, k] * tile[z, k])
+        elif kind == PRS_LEGS:
+            fixed = numbers[leg, 0], numbers[leg, 1], numbers[leg, 2]
+            for k in range(TILE):
+                tile[reading, k] = prs_reading(tile[x, k], tile[z, k], fixed)
+                circle = prs_circle(tile[reading, k], fixed)
+                tile[along, k], tile[up, k] = tile[x, k] - circle.x, tile[z, k] - circle.z
+        else:
+            fixed = numbers[leg, 0], numbers[leg, 1], numbers[leg, 2]
+            for k in range(TILE):
+                c, s = rrs_crank(tile[x, k], tile[z, k], fixed)
+                scale = fixed[0] / (tile[x, k] * tile[x, k] + tile[z, k] * tile[z, k])
+                tile[cosine, k], tile[reading, k] = c, s
+                tile[along, k], tile[up, k] = tile[x, k] - scale * c, tile[z, k] - scale * s
+
+
+@kernel(
+    f"void({readonly_array(2)}, {readonly_array(1)}, {readonly_array(3)}, {readonly_array(3)}, i8, "
+    f"{readonly_array(2)}, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], u1[:,::1])"
+)
+def poses_of_stages(
+    normals, heights, legs, planes, kind, numbers, up, rotation, position, readings, cosines, is_physical
+):
+    """Find the poses of a stage's platform with N unit normals (N, 3) and heights (N,) [m], in mode T, and in F.
+
+    `legs` (3, 3, 3) are axes, pivots and balls [m], `planes` (2, 3, 3) the directions of x and z of the legs' planes,
+    and `numbers` (3, n) those fixed in the legs. Written are, for m modes, 1 or 2, R (N, m, 3, 3) and t (N, m, 3) [m],
+    NaN where there is none; readings without offsets (N, m, 3), NaN out of a leg's reach, of RRS legs multiples of
+    their sines, and in `cosines`, if it has a length, of the cosines; and which are physical (N, m).
+    """
+    axes, pivots = rows_at(legs[0], 0), rows_at(legs[1], 0)
+    stage = stage_constants(axes, pivots, rows_at(legs[2], 0))
+    outward, forward = rows_at(planes[0], 0), rows_at(planes[1], 0)
+    first = LegPlane(pivots[0], outward[0], forward[0])
+    second, third = LegPlane(pivots[1], outward[1], forward[1]), LegPlane(pivots[2], outward[2], forward[2])
+    tile, modes = np.empty((_ROWS, TILE)), rotation.shape[1]
+    for start in range(0, len(heights), TILE):
+        size = min(TILE, len(heights) - start)
+        for k in range(TILE):
+            n = start + min(k, size - 1)
+            tile[_HEIGHT, k] = heights[n]
+            for j in range(3):
+                tile[_NORMAL + j, k] = normals[n, j]
+        for mode in range(modes):
+            sign = 1.0 - 2.0 * mode
+            for k in range(TILE):
+                turn, height = shortest_turn(vector(tile, _NORMAL, k)), tile[_HEIGHT, k]
+                r, t = pose_in_mode(sign, turn, height, torsion_equation(turn, height, stage), stage)
+                b = platform_balls(r, t, stage.balls)
+                tile[_X, k], tile[_Z, k] = place_in_plane(b[0], first)
+                tile[_X + 1, k], tile[_Z + 1, k] = place_in_plane(b[1], second)
+                tile[_X + 2, k], tile[_Z + 2, k] = place_in_plane(b[2], third)
+                (
+                    (tile[_ROTATION, k], tile[_ROTATION + 1, k], tile[_ROTATION + 2, k]),
+                    (tile[_ROTATION + 3, k], tile[_ROTATION + 4, k], tile[_ROTATION + 5, k]),
+                    (tile[_ROTATION + 6, k], tile[_ROTATION + 7, k], tile[_ROTATION + 8, k]),
+                ) = r
+                tile[_POSITION, k], tile[_POSITION + 1, k], tile[_POSITION + 2, k] = t
+            _put_readings(tile, kind, numbers)
+            for k in range(TILE):
+                rods = multiples(vector(tile, _ROD_X, k), outward)
+                rods = combinations(rods, vector(tile, _ROD_Z, k), forward)
+                b = platform_balls(matrix(tile, _ROTATION, k), vector(tile, _POSITION, k), stage.balls)
+                circles = Circles(axes, differences(b, rods), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+                tile[_HOME, k] = 1.0 if is_home_state(circles, rods, b, up) else 0.0
+            for k in range(size):
+                n = start + k
+                is_physical[n, mode] = sign > 0.0 and tile[_HOME, k] > 0.0
+                for j in range(3):
+                    position[n, mode, j], readings[n, mode, j] = tile[_POSITION + j, k], tile[_READING + j, k]
+                    for i in range(3):
+                        rotation[n, mode, i, j] = tile[_ROTATION + 3 * i + j, k]
+                if len(cosines):
+                    for j in range(3):
+                        cosines[n, mode, j] = tile[_COSINE + j, k]

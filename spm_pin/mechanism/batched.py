@@ -1,0 +1,97 @@
+"""What the states of a robot and of a stage have in common: a pose each, and batch axes indexed as NumPy would."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.errors import SelectionError
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, type_and_value
+from spm_pin.mechanism.pose import unchecked_transform
+
+
+class Batched(ABC):
+    """A state, or a batch of states, read-only."""
+
+    missing_reason = ""
+    """Why a single state does not exist, where that is known; empty otherwise."""
+    _rotation: FloatArray
+    _translation: FloatArray
+
+    @property
+    @abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """Batch shape."""
+
+    @property
+    @abstractmethod
+    def exists(self) -> BoolArray:
+        """False for a member of the batch that does not exist, shape (...)."""
+
+    @property
+    @abstractmethod
+    def readings(self) -> FloatArray:
+        """Readings of the legs' encoders, shape (..., legs)."""
+
+    @property
+    @abstractmethod
+    def compared_points(self) -> FloatArray:
+        """Points by which states are compared, as rows in {B} [m], shape (..., n, 3)."""
+
+    @abstractmethod
+    def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Self:
+        """Return the states of what `change` makes of each array, given with the number of its inner axes."""
+
+    @abstractmethod
+    def where(self, kept: BoolArray) -> Self:
+        """Return the states where `kept` (...) is true; the others do not exist."""
+
+    def __getitem__(self, index: object) -> Self:
+        """Index the batch axes as NumPy would."""
+        if not self.shape:
+            raise SelectionError("index", "a batch of configurations", "a single one", "It has no batch axes to index")
+        batch = batch_index(index)
+        try:
+            return self.transformed(lambda array, inner: array[(*batch, *(slice(None),) * inner)])
+        except Exception as error:  # whatever NumPy makes of a foreign object
+            expected = f"an index of the batch axes {self.shape}"
+            raise SelectionError("index", expected, type_and_value(index), str(error)) from error
+
+    def __iter__(self) -> Iterator[Self]:
+        return (self[i] for i in range(len(self)))
+
+    def __len__(self) -> int:
+        if not self.shape:
+            raise TypeError("a single configuration has no length and no batch axes to iterate over")
+        return self.shape[0]
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Rotation of the platform in {B}, shape (..., 3, 3)."""
+        return self._rotation
+
+    @property
+    def translation(self) -> FloatArray:
+        """Position of the platform's origin in {B} [m], shape (..., 3)."""
+        return self._translation
+
+    @cached_property
+    def pose(self) -> RigidTransform:
+        """Pose of the platform in {B}; NaN where a member has no pose."""
+        return unchecked_transform(self._rotation, self._translation)
+
+
+def batch_index(index: object) -> tuple[Any, ...]:
+    """Return an index of batch axes with an Ellipsis, so that an index of the inner axes may follow."""
+    batch = index if isinstance(index, tuple) else (index,)
+    return batch if any(part is Ellipsis for part in batch) else (*batch, Ellipsis)
+
+
+def masked(array: FloatArray, kept: BoolArray, inner: int) -> FloatArray:
+    """Return an array with `inner` axes per member, NaN where `kept` (...) is false."""
+    return np.where(kept.reshape(*kept.shape, *(1,) * inner), array, np.nan)

@@ -1,0 +1,397 @@
+"""Displacements of a stage: the pose and readings of a tilt and a height in closed form, and all modes of readings."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.batches import run_kernel, with_batch_shape
+from spm_pin.kinematics.forward_displacement import STAGE_MODES
+from spm_pin.kinematics.stage_balls import Triangle, followed_balls, parts_of_turns, physical_balls
+from spm_pin.mechanism.arguments import (
+    LARGEST_RATIO,
+    BoolArray,
+    FloatArray,
+    broadcastable,
+    check_instance,
+    first_offender,
+    real_array,
+)
+from spm_pin.mechanism.leg_kinds import KINDS, RPS, RRS
+from spm_pin.mechanism.solution_axis import Status
+from spm_pin.mechanism.stage import Stage
+from spm_pin.mechanism.stage_configuration import StageConfiguration, StageSolutions
+from spm_pin.mechanism.units import unit_hint
+
+OPERATION_MODES = ("T", "F")
+"""The two solutions of an inverse displacement: without torsion, and turned half round."""
+
+_MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_OF_MODES = 1 << 14, 1 << 8
+_UNIT = 1e-6
+"""Largest error of the length of a normal that is taken for rounding."""
+_MOST_TURNS = 8.0 * math.pi
+"""Largest angle of a crank [rad]."""
+
+
+def inverse(
+    stage: Stage,
+    height: npt.ArrayLike,
+    *,
+    tilt: npt.ArrayLike | None = None,
+    azimuth: npt.ArrayLike | None = None,
+    roll: npt.ArrayLike | None = None,
+    pitch: npt.ArrayLike | None = None,
+    normal: npt.ArrayLike | None = None,
+) -> StageSolutions:
+    """Find both states of a stage whose platform has a tilt and a height, in closed form.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage, drawn or as built. Its limits are not applied; see `StageSolutions.within`.
+    height : array_like, shape (...)
+        Of the platform's origin, the centre of its balls, above the base's plane of pivots: z in {B} [m].
+    tilt, azimuth : array_like, shape (...), optional
+        Angle between the platform's normal and z, from 0 to less than π, and the direction in which the normal leans,
+        hence in which the platform is lowest: from x towards y, with the legs at -30°, 90° and 210° [rad].
+    roll, pitch : array_like, shape (...), optional
+        Or: the normal is Rx(roll) Ry(pitch) z [rad], so that without torsion they are those of ROS; one alone leaves
+        the other zero.
+    normal : array_like, shape (..., 3), optional
+        Or: the platform's unit normal in {B}. Without any of these the platform is level.
+
+    Returns
+    -------
+    StageSolutions
+        The modes T, without torsion, and F, turned half round, along the last axis, each with the whole pose: so
+        `.rotation` is (..., 2, 3, 3), and `.configurations.shift` and `.torsion` are the parasitic motion. `.readings`
+        (..., 2, 3). NaN where there is none. `.status` (...) is `Status.OK`, or `UNREACHABLE` where neither exists:
+        no platform has this normal, or a leg does not reach its ball. `.physical()` is the one that a machine is in,
+        and `nearest_reachable` the nearest tilt where there is none.
+
+    Examples
+    --------
+    >>> import numpy as np, spm_pin as spm
+    >>> balancer = spm.Stage(base_radius=0.08, platform_radius=0.09, legs=spm.RRS(crank=0.05, rod=0.11))
+    >>> solutions = spm.stages.inverse(balancer, height=0.12, roll=np.deg2rad(8), pitch=np.deg2rad(-5))
+    >>> solutions
+    <StageSolutions: ok, 1 of 2 real: T>
+    >>> np.rad2deg(solutions.physical().readings).round(2)
+    array([19.61, 33.38,  5.64])
+    """
+    shape, normals, heights = _read_request(stage, height, tilt, azimuth, roll, pitch, normal)
+    rotation, translation, readings, _ = _solve(stage, normals, heights, 2)
+    reached = np.isfinite(readings).all(axis=-1)
+    arrays = with_batch_shape((rotation, translation, readings), shape)
+    solutions = StageConfiguration.from_arrays(stage, *arrays).where(reached.reshape(*shape, 2))
+    if not shape and not reached.any():
+        solutions.missing_reason = _why_unreachable(stage, heights, normals, readings, translation)
+    status = np.where(reached.any(axis=-1), Status.OK, Status.UNREACHABLE)
+    return StageSolutions(solutions, OPERATION_MODES, status.reshape(shape))
+
+
+def inverse_physical(
+    stage: Stage,
+    height: npt.ArrayLike,
+    *,
+    tilt: npt.ArrayLike | None = None,
+    azimuth: npt.ArrayLike | None = None,
+    roll: npt.ArrayLike | None = None,
+    pitch: npt.ArrayLike | None = None,
+    normal: npt.ArrayLike | None = None,
+) -> StageConfiguration:
+    """Find the physical state for a tilt and a height: what ``inverse(…).physical()`` returns, in half the time.
+
+    Parameters
+    ----------
+    stage, height, tilt, azimuth, roll, pitch, normal
+        As for `inverse`.
+
+    Returns
+    -------
+    StageConfiguration
+        Of shape (...): in mode T, and reached from the level platform without a forward singularity. `.exists` is
+        False, and everything NaN, where there is none. `.limit_excess` says which readings are beyond the limits.
+
+    Examples
+    --------
+    >>> import numpy as np, spm_pin as spm
+    >>> head = spm.Stage(base_radius=0.35, platform_radius=0.20, legs=spm.PRS(rod=0.40))
+    >>> spm.stages.inverse_physical(head, height=0.5, tilt=np.deg2rad(20), azimuth=np.pi / 2)
+    <StageConfiguration: tilt 20.00° towards 90.0°, height 0.5000 m, readings 0.1634, 0.0686, 0.1634 m>
+    """
+    shape, normals, heights = _read_request(stage, height, tilt, azimuth, roll, pitch, normal)
+    rotation, translation, readings, physical = (x[:, 0] for x in _solve(stage, normals, heights, 1))
+    state = StageConfiguration.from_arrays(stage, *with_batch_shape((rotation, translation, readings), shape))
+    kept = (physical > 0) & np.isfinite(readings).all(axis=-1)
+    if kept.all():
+        return state
+    state = state.where(kept.reshape(shape))
+    if not shape:
+        state.missing_reason = inverse(stage, heights[0], normal=normals[0]).physical().missing_reason
+    return state
+
+
+def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
+    """Find all states that three readings allow.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage. Its limits are not applied.
+    readings : array_like, shape (..., 3)
+        What the encoders show: [m], of RRS legs [rad].
+
+    Returns
+    -------
+    StageSolutions
+        The assembly modes of `STAGE_MODES` along the last axis, `.rotation` (..., 16, 3, 3), NaN where a mode is not
+        real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` where there is none;
+        `DEGENERATE` where a stage of RPS legs as drawn moves with its legs locked, that family left out; or
+        `UNSOLVED`, and nothing exists, where fewer than sixteen distinct modes were found, complex ones counted.
+
+    Notes
+    -----
+    T and F name modes as in `spm_pin.forward_displacement`, + is the side of the base on which the platform stands. Of
+    legs that are not RPS, and of a machine as built, numbers are names only.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> tripod = spm.Stage(base_radius=0.7, platform_radius=0.46)
+    >>> spm.stages.forward(tripod, [1.2, 1.2, 1.4])
+    <StageSolutions: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
+    """
+    from spm_pin.kinematics.kernels.circle_modes import modes_of_stages
+
+    read = _read_readings(stage, readings)
+    shape, flat, n = read.shape[:-1], read.reshape(-1, 3), len(STAGE_MODES)
+    legs, is_rps, drawing = stage.legs, isinstance(stage.kind, RPS), np.stack(stage.nominal.legs.arrays[:3])
+    sizes = stage.platform_radius, stage.base_radius, stage.up
+    constants = legs.axes, legs.balls, drawing, is_rps, is_rps and stage.is_nominal, *sizes
+    results = ((n, 3, 3), np.float64), ((n,), np.bool_), ((2,), np.bool_), ((), np.int8)
+    solved = run_kernel(modes_of_stages, legs.circles(flat), constants, results, _MIN_BATCH_PER_THREAD_OF_MODES)
+    balls, _, continuous, status = solved
+    states = _in_working_mode(_of_balls(stage, balls), np.broadcast_to(flat[:, None], (len(flat), n, 3)))
+    status[continuous.any(axis=-1) & (status == Status.OK)] = Status.DEGENERATE
+    status[(status == Status.OK) & ~states.exists.any(axis=-1)] = Status.UNREACHABLE
+    modes = states.transformed(lambda array, inner: array.reshape(*shape, n, *array.shape[-inner:]))
+    if not shape and status[0] == Status.UNREACHABLE:
+        modes.missing_reason = _reading_hint(stage, flat)
+    return StageSolutions(modes, STAGE_MODES, status.reshape(shape))
+
+
+def forward_physical(
+    stage: Stage, readings: npt.ArrayLike, near: StageConfiguration | None = None
+) -> StageConfiguration:
+    """Find the physical state with these readings: the one that the machine is in.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage. Its limits are not applied.
+    readings : array_like, shape (..., 3)
+        What the encoders show: [m], of RRS legs [rad].
+    near : StageConfiguration, optional
+        Where the machine was. Its leading axes broadcast with those of `readings`.
+
+    Returns
+    -------
+    StageConfiguration
+        Of shape (...). Without `near` the state in the home's aspect: without torsion, and reached from the level
+        platform without a forward singularity. With `near` the end of the path on which its readings change to the
+        given ones in a straight line, whatever its mode, in steps that provably stay on it. `.exists` is False, and
+        everything NaN, where there is none, or where that path meets a forward singularity.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> balancer = spm.Stage(base_radius=0.08, platform_radius=0.09, legs=spm.RRS(crank=0.05, rod=0.11))
+    >>> spm.stages.forward_physical(balancer, [0.2, 0.4, 0.6])
+    <StageConfiguration: tilt 7.75° towards -1.8°, height 0.1232 m, readings 0.2000, 0.4000, 0.6000 rad>
+    """
+    read = _read_readings(stage, readings)
+    triangle = Triangle(stage.legs.axes, stage.legs.balls, stage.up)
+    if near is None:
+        shape, ends = read.shape[:-1], read.reshape(-1, 3)
+        balls = physical_balls(triangle, stage.legs.circles(ends))
+    else:
+        _check_near(stage, near)
+        shape = broadcastable("near", near.shape, "readings", read.shape[:-1])
+        ends, starts = (np.broadcast_to(x, (*shape, 3)).reshape(-1, 3) for x in (read, near.readings))
+        balls = np.broadcast_to(near.balls, (*shape, 3, 3)).reshape(-1, 3, 3)
+        parts = parts_of_turns(ends - starts) if stage.unit == "rad" else 1
+        here = stage.legs.circles(starts)
+        for part in range(1, parts + 1):
+            there = stage.legs.circles(ends if part == parts else starts + part / parts * (ends - starts))
+            balls, here = followed_balls(triangle, balls, here, there), there
+    state = _in_working_mode(_of_balls(stage, balls), ends)
+    state = state.transformed(lambda array, inner: array.reshape(*shape, *array.shape[-inner:]))
+    if not shape and not state.exists:
+        reason = "with these readings no state is reached from the level platform without a forward singularity"
+        state.missing_reason = f"{reason}. {_reading_hint(stage, ends)}".rstrip(". ")
+    return state
+
+
+def _solve(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) -> tuple[Any, ...]:
+    """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and which are physical (N, modes)."""
+    from spm_pin.kinematics.kernels.one_stage import RRS_LEGS, poses_of_stages
+
+    legs, kind = stage.legs, list(KINDS).index(stage.kind.name)
+    constants = np.stack(legs.arrays[:3]), np.stack(legs.planes), kind, stage.kind.numbers, stage.up
+    triple = ((modes, 3), np.float64)
+    cosines: Any = triple if kind == RRS_LEGS else np.empty((0, modes, 3))
+    results = ((modes, 3, 3), np.float64), triple, triple, cosines, ((modes,), np.uint8)
+    solved = run_kernel(poses_of_stages, (normals, heights), constants, results, _MIN_BATCH_PER_THREAD)
+    rotation, translation, readings, cosines, physical = solved
+    if kind == RRS_LEGS:
+        # As `rrs_reading` does, on arrays: NumPy takes several arc tangents at a time.
+        np.arctan2(np.negative(cosines, out=cosines), readings, out=readings)
+        readings += 0.5 * math.pi
+    if legs.offsets.any():
+        readings += legs.offsets
+    return rotation, translation, readings, physical
+
+
+def _of_balls(stage: Stage, balls: FloatArray) -> StageConfiguration:
+    """Return the states (...) with balls (..., 3, 3)."""
+    from spm_pin.kinematics.kernels.ball_circles import platform_frames
+
+    shape, results = balls.shape[:-2], (((3, 3), np.float64), ((3,), np.float64))
+    frames = run_kernel(platform_frames, [balls.reshape(-1, 3, 3)], [stage.legs.balls], results, _MIN_BATCH_PER_THREAD)
+    return StageConfiguration.from_arrays(stage, *with_batch_shape(frames, shape))
+
+
+def _in_working_mode(states: StageConfiguration, readings: FloatArray) -> StageConfiguration:
+    """Return states with readings (..., 3), NaN where a leg is in another working mode."""
+    legs, stage = states.stage.legs, states.stage
+    exists = states.exists
+    if not legs.are_rps:
+        exists = exists & (legs.slopes(states.places, readings) * legs.slope_signs > 0.0).all(axis=-1)
+    known = StageConfiguration.from_arrays(stage, states.rotation, states.translation, np.array(readings))
+    return known if exists.all() else known.where(exists)
+
+
+def _read_request(
+    stage: Stage,
+    height: npt.ArrayLike,
+    tilt: npt.ArrayLike | None,
+    azimuth: npt.ArrayLike | None,
+    roll: npt.ArrayLike | None,
+    pitch: npt.ArrayLike | None,
+    normal: npt.ArrayLike | None,
+) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
+    """Return the batch shape, unit normals (N, 3) and heights (N,)."""
+    check_instance(stage, Stage, "stage")
+    heights = real_array(height, "height", (), "of the platform's origin above the pivots, in metres")
+    farthest = LARGEST_RATIO * stage.size
+    if (np.abs(heights) > farthest).any():
+        cause = "A height in another unit?"
+        raise ArgumentError("height", f"metres, within {farthest:.3g} m", f"{np.abs(heights).max():g}", cause)
+    ways = {"tilt": tilt is not None or azimuth is not None, "roll": roll is not None or pitch is not None}
+    ways["normal"] = normal is not None
+    if sum(ways.values()) > 1:
+        several = " and ".join(way for way, given in ways.items() if given)
+        raise ArgumentError(several, "one of tilt with azimuth, roll with pitch, and normal", "several of them")
+    if ways["tilt"]:
+        if tilt is None or azimuth is None:
+            missing = "tilt" if tilt is None else "azimuth"
+            raise ArgumentError(missing, "a tilt with its azimuth, in radians", None)
+        normals = _normals_of_tilt(tilt, azimuth)
+    elif ways["roll"]:
+        normals = _normals_of_roll(0.0 if roll is None else roll, 0.0 if pitch is None else pitch)
+    else:
+        normals = _read_normal([0.0, 0.0, 1.0] if normal is None else normal)
+    shape = broadcastable("height", heights.shape, "the normals", normals.shape[:-1])
+    normals = np.broadcast_to(normals, (*shape, 3)).reshape(-1, 3)
+    return shape, normals, np.broadcast_to(heights, shape).reshape(-1)
+
+
+def _normals_of_tilt(tilt: npt.ArrayLike, azimuth: npt.ArrayLike) -> FloatArray:
+    angles = _angles(tilt, "tilt", math.pi), _angles(azimuth, "azimuth", 2.0 * math.pi)
+    broadcastable("azimuth", angles[1].shape, "tilt", angles[0].shape)
+    tilts, azimuths = angles
+    if (wrong := (tilts < 0.0) | (tilts >= math.pi)).any():
+        received = f"{tilts[first_offender(wrong)]:g}"
+        raise ArgumentError("tilt", "angles from 0 to less than π, in radians", received)
+    sine = np.sin(tilts)
+    return np.stack(np.broadcast_arrays(sine * np.cos(azimuths), sine * np.sin(azimuths), np.cos(tilts)), axis=-1)
+
+
+def _normals_of_roll(roll: npt.ArrayLike, pitch: npt.ArrayLike) -> FloatArray:
+    rolls, pitches = _angles(roll, "roll", math.pi), _angles(pitch, "pitch", math.pi)
+    broadcastable("pitch", pitches.shape, "roll", rolls.shape)
+    cosine = np.cos(pitches)
+    return np.stack(np.broadcast_arrays(np.sin(pitches), -np.sin(rolls) * cosine, np.cos(rolls) * cosine), axis=-1)
+
+
+def _angles(value: npt.ArrayLike, argument: str, most: float) -> FloatArray:
+    angles = real_array(value, argument, (), "angles in radians")
+    if (beyond := np.abs(angles) > most).any():
+        expected = f"angles in radians within ±{most:.4g}"
+        raise ArgumentError(argument, expected, f"{angles[first_offender(beyond)]:g}", "Given in degrees?")
+    return angles
+
+
+def _read_normal(normal: npt.ArrayLike) -> FloatArray:
+    normals = real_array(normal, "normal", (3,), "unit normals of the platform in {B}")
+    sizes = np.sqrt((normals**2).sum(axis=-1, keepdims=True))
+    if (wrong := np.abs(sizes[..., 0] - 1.0) > _UNIT).any():
+        received = f"length {sizes[..., 0][first_offender(wrong)]:g}"
+        raise ArgumentError("normal", "unit normals of the platform in {B}", received, "Divide it by its length")
+    return np.asarray(normals / sizes)
+
+
+def _read_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:
+    """Read readings (..., 3) that this stage can be resolved beside."""
+    check_instance(stage, Stage, "stage")
+    names, legs = ", ".join(stage.legs.names), stage.legs
+    read = real_array(readings, "readings", (3,), f"{names} in {'metres' if stage.unit == 'm' else 'radians'}")
+    own = read - legs.offsets
+    if isinstance(stage.kind, RPS) and (short := own <= 0.0).any():
+        index = first_offender(short)
+        cause = "Strokes of the actuators instead of distances between joint centres?"
+        received = f"{own[index]:g} for {legs.names[index[-1]]}"
+        raise ArgumentError("readings", f"positive lengths {names} in metres", received, cause)
+    is_angle = isinstance(stage.kind, RRS)
+    farthest = _MOST_TURNS if is_angle else LARGEST_RATIO * stage.size
+    if (beyond := np.abs(own) > farthest).any():
+        expected = f"numbers of {stage.unit} within ±{farthest:.3g}"
+        cause = "In degrees?" if is_angle else "In another unit?"
+        raise ArgumentError("readings", expected, f"{own[first_offender(beyond)]:g}", cause)
+    return read
+
+
+def _check_near(stage: Stage, near: Any) -> None:
+    cause = "Choose one of its solutions: .physical()" * hasattr(type(near), "physical")
+    check_instance(near, StageConfiguration, "near", cause)
+    if near.stage.legs != stage.legs:
+        raise ArgumentError("near", f"a state of this stage, {stage!r}", repr(near.stage), "Computed for another one?")
+    exists: BoolArray = near.exists & np.isfinite(near.readings).all(axis=-1)
+    if not exists.all():
+        cause = near.missing_reason or "Not a real solution? See .status and .exists"
+        raise ArgumentError("near", "a state that exists", f"NaN at index {first_offender(~exists)}", cause)
+    residual = float(near.closure_residual.max(initial=0.0))
+    if residual > _UNIT * stage.platform_radius:
+        raise ArgumentError("near", "a state whose balls are in their legs' planes", f"a distance of {residual:.1e} m")
+
+
+def _reading_hint(stage: Stage, readings: FloatArray) -> str:
+    return unit_hint(stage, readings) if stage.unit == "m" and readings.any() else ""
+
+
+def _why_unreachable(
+    stage: Stage, heights: FloatArray, normals: FloatArray, readings: FloatArray, translation: FloatArray
+) -> str:
+    """Return the reason why a single request has no solution."""
+    if np.isnan(translation[0, 0, 2]) or np.isnan(translation[0, 0, 0]):
+        return "the planes of the legs allow no platform with this normal"
+    names = ", ".join(name for name, reading in zip(stage.legs.names, readings[0, 0], strict=True) if np.isnan(reading))
+    hint = unit_hint(stage, heights) if heights.any() else ""
+    if not hint and normals[0, 2] < 0.0:
+        hint = f"The tilt is {math.degrees(math.acos(normals[0, 2])):.0f}°: angles are in radians"
+    return f"the ball is out of reach of {names}{hint and '. '}{hint}"

@@ -1,0 +1,36 @@
+"""Stages of every kind, drawn and as built, and states of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+import spm_pin as spm
+
+STAGES = {
+    "RPS": spm.Stage(0.7, 0.46),
+    "PRS": spm.Stage(0.35, 0.2, spm.PRS(rod=0.4)),
+    "PRS inclined": spm.Stage(0.35, 0.2, spm.PRS(rod=0.4, direction=2.0)),
+    "PRS radial": spm.Stage(0.3, 0.2, spm.PRS(rod=0.4, direction=0.0, sign=1)),
+    "PRS hanging": spm.Stage(0.35, 0.2, spm.PRS(rod=0.4, sign=1)),
+    "RRS": spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)),
+    "RRS inwards": spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11, sign=1)),
+}
+HEIGHTS = {"RPS": 1.1, "PRS radial": 0.3, "RRS": 0.12, "RRS inwards": 0.12}
+"""At which they stand well; of the others 0.5 m."""
+MACHINES = {f"{name}{built}": (name, bool(built)) for name in STAGES for built in ("", " as built")}
+
+
+def stage_and_height(machine: str) -> tuple[spm.Stage, float]:
+    """Return one of `MACHINES` and a height at which it stands well."""
+    name, built = MACHINES[machine]
+    stage = STAGES[name]
+    return stage.perturbed(3, length=5e-3 * stage.size, angle=5e-3) if built else stage, HEIGHTS.get(name, 0.5)
+
+
+def requests(height: float, count: int, seed: int = 0) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return unit normals (count, 3), tilted by up to 35°, and heights (count,) near one."""
+    rng = np.random.default_rng(seed)
+    tilt, azimuth = rng.uniform(0.0, 0.6, count), rng.uniform(-np.pi, np.pi, count)
+    normals = np.stack([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)], axis=-1)
+    return normals, height * rng.uniform(0.9, 1.1, count)

@@ -1,0 +1,275 @@
+"""Displacements of a stage alone, of every kind of legs, drawn and as built."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from balancers import MACHINES, STAGES, requests, stage_and_height
+from modes_oracle import real_modes
+from scipy.optimize import fsolve
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.mechanism import Stage, StageConfiguration
+
+BALANCER = STAGES["RRS"]
+
+
+def test_a_level_balancer_has_the_readings_of_a_triangle() -> None:
+    """Pivot (0, 0), ball (9, 12) cm; crank 9 cm, rod 12 cm: the knee is at a corner of the rectangle."""
+    stage = Stage(0.03, 0.12, spm.RRS(crank=0.09, rod=0.12))
+    state = spm.stages.inverse_physical(stage, 0.12)
+    np.testing.assert_allclose(state.readings, 0.0, atol=1e-14)
+    np.testing.assert_allclose(state.translation, [0.0, 0.0, 0.12])
+    inwards = spm.stages.inverse_physical(Stage(0.03, 0.12, spm.RRS(crank=0.09, rod=0.12, sign=1)), 0.12)
+    np.testing.assert_allclose(inwards.readings, 2.0 * np.arctan2(12.0, 9.0), atol=1e-14)
+
+
+def test_a_tilt_an_azimuth_and_roll_and_pitch_mean_what_scipy_means() -> None:
+    state = spm.stages.inverse_physical(BALANCER, 0.12, roll=0.1, pitch=-0.15)
+    np.testing.assert_allclose(state.pose.rotation.as_euler("xyz")[:2], [0.1, -0.15], atol=1e-15)
+    np.testing.assert_allclose([state.roll, state.pitch], [0.1, -0.15], atol=1e-15)
+    leaning = spm.stages.inverse_physical(BALANCER, 0.12, tilt=0.2, azimuth=np.pi / 2)
+    np.testing.assert_allclose([leaning.tilt, leaning.azimuth], [0.2, np.pi / 2])
+    lowest = leaning.balls[:, 2].argmin()
+    assert lowest == 1, "leg 2 stands at 90°, where the platform is lowest"
+    assert leaning.readings[1] < leaning.readings[[0, 2]].min()
+    same = spm.stages.inverse_physical(BALANCER, 0.12, normal=leaning.normal)
+    np.testing.assert_allclose(same.readings, leaning.readings, atol=1e-14)
+
+
+def test_a_stage_as_drawn_shifts_as_the_literature_says() -> None:
+    """By r (-2 x1 x2, x2² - x1²) of the quaternion, without torsion; mode F by the opposite, turned half round."""
+    normals, heights = requests(1.1, 50)
+    stage = STAGES["RPS"]
+    t, f = (spm.stages.inverse(stage, heights, normal=normals)[label] for label in "TF")
+    x1, x2 = t.pose.rotation.as_quat()[:, :2].T
+    shift = stage.platform_radius * np.stack([-2.0 * x1 * x2, x2**2 - x1**2], axis=-1)
+    np.testing.assert_allclose(t.shift, shift, atol=1e-15)
+    np.testing.assert_allclose(f.shift, -shift, atol=1e-15)
+    np.testing.assert_allclose(t.torsion, 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.abs(f.torsion), np.pi, atol=1e-15)
+
+
+def fifty_digits(stage: Stage, normal: np.ndarray, height: float, state: StageConfiguration) -> np.ndarray:
+    """Return the balls that Newton's method of mpmath finds: a unit quaternion, x and y from planes and normal."""
+
+    def place(q: list[mpmath.mpf], p: np.ndarray) -> mpmath.matrix:
+        w, u, p = q[0], q[1:4], [mpmath.mpf(float(x)) for x in p]
+        cross = lambda a, b: [a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)]  # noqa: E731
+        inner = cross(u, [a + w * b for a, b in zip(cross(u, p), p, strict=True)])
+        return [a + 2 * b for a, b in zip(p, inner, strict=True)]
+
+    def errors(*x: mpmath.mpf) -> list[mpmath.mpf]:
+        n, t = place(x, np.array([0.0, 0.0, 1.0])), [*x[4:], mpmath.mpf(float(height))]
+        planes = [
+            mpmath.fdot(axis.tolist(), [a + b - c for a, b, c in zip(place(x, ball), t, pivot.tolist(), strict=True)])
+            for axis, pivot, ball in zip(*stage.legs.arrays[:3], strict=True)
+        ]
+        return [*planes, n[0] - normal[0], n[1] - normal[1], mpmath.fdot(x[:4], x[:4]) - 1]
+
+    quaternion = state.pose.rotation.as_quat(scalar_first=True)
+    x = list(mpmath.findroot(errors, [*quaternion, *state.shift], tol=1e-40))
+    balls = [[a + b for a, b in zip(place(x, p), [*x[4:], height], strict=True)] for p in stage.legs.balls]
+    return np.array(balls, dtype=float)
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_the_inverse_is_what_another_method_finds_with_fifty_digits(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    normals, heights = requests(height, 3, seed=5)
+    solutions = spm.stages.inverse(stage, heights, normal=normals)
+    assert solutions.count.sum() >= 2
+    for k, m in np.argwhere(solutions.exists):
+        state = solutions.configurations[k, m]
+        with mpmath.workdps(50):
+            expected = fifty_digits(stage, normals[k], heights[k], state)
+        np.testing.assert_allclose(state.balls, expected, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_readings_lead_back_to_the_pose_and_sides_are_rigid(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    normals, heights = requests(height, 2000)
+    states = spm.stages.inverse_physical(stage, heights, normal=normals)
+    states = states[states.exists]
+    assert len(states) > 1000
+    sides = states.balls - np.roll(states.balls, -1, axis=-2)
+    own = stage.legs.balls - np.roll(stage.legs.balls, -1, axis=-2)
+    error = np.linalg.norm(sides, axis=-1) - np.linalg.norm(own, axis=-1)
+    np.testing.assert_allclose(error, 0.0, atol=1e-15)
+    assert states.closure_residual.max() < 1e-15
+    assert states.is_at_home.all()
+    again = spm.stages.forward_physical(stage, states.readings)
+    assert again.exists.all()
+    np.testing.assert_allclose(again.translation, states.translation, atol=1e-11)
+    np.testing.assert_allclose(again.rotation, states.rotation, atol=1e-11)
+    led = spm.stages.forward_physical(stage, states.readings[1:100], near=states[:99])
+    np.testing.assert_allclose(led.translation[led.exists], states.translation[1:100][led.exists], atol=1e-11)
+    assert led.exists.mean() > 0.95
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_what_the_physical_inverse_returns_is_in_the_set_of_both(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    normals, heights = requests(height, 200)
+    both = spm.stages.inverse(stage, heights, normal=normals)
+    physical = spm.stages.inverse_physical(stage, heights, normal=normals)
+    np.testing.assert_array_equal(both.physical().readings, physical.readings)
+    np.testing.assert_array_equal(both.physical().rotation, physical.rotation)
+    assert not both.is_physical[:, 1].any()
+    # The readings are those of the pose, by the legs' own formulas.
+    exists = both.exists
+    fresh = StageConfiguration(stage, both.configurations[exists].pose)
+    np.testing.assert_allclose(fresh.readings, both.readings[exists], atol=1e-13)
+    np.testing.assert_allclose(fresh.torsion, both.configurations[exists].torsion, atol=1e-14)
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("count", [1, pytest.param(20, marks=pytest.mark.slow)])
+def test_all_sixteen_modes_and_no_others(machine: str, count: int) -> None:
+    """Held-out stages of other proportions, against an elimination with a hundred digits."""
+    reference, height = stage_and_height(machine)
+    rng = np.random.default_rng(17)
+    for _ in range(count):
+        parameters = reference.parameters * (
+            1.0 + 0.1 * rng.normal(size=len(reference.parameters)) * (rng.random() < 0.5)
+        )
+        stage = reference.from_parameters(parameters)
+        normals, heights = requests(height, 1, seed=int(rng.integers(1000)))
+        state = spm.stages.inverse(stage, heights[0], normal=normals[0])["T"]
+        if not state.exists:
+            continue
+        modes = spm.stages.forward(stage, state.readings)
+        assert modes.status is spm.Status.OK
+        centres, radii = stage.legs.circles(state.readings)
+        expected = real_modes(stage.legs.axes, centres, stage.legs.balls, radii)
+        # Those of the legs' working mode: a leg of another reads something else.
+        places = np.stack([((expected - stage.legs.pivots) * axes).sum(axis=-1) for axes in stage.legs.planes], axis=-1)
+        own = np.abs(stage.legs.readings(places) - state.readings).max(axis=-1) < 1e-9
+        assert modes.count == own.sum() > 0
+        gaps = np.abs(modes.configurations.balls[modes.exists][:, None] - expected[own]).max(axis=(-1, -2))
+        assert gaps.min(axis=1).max() < 1e-9 * stage.size
+        assert gaps.min(axis=0).max() < 1e-9 * stage.size
+
+
+def test_modes_of_the_tripod_are_those_of_the_robots_stage() -> None:
+    robot = spm.Geometry.of_stages(STAGES["RPS"], STAGES["RPS"])
+    lengths = np.array([1.2, 1.25, 1.4])
+    modes = spm.stages.forward(STAGES["RPS"], lengths)
+    whole = spm.forward_displacement(robot, np.tile(lengths, 2))
+    for k, label in enumerate(modes.labels):
+        assert modes.exists[k] == np.isfinite(whole.middle_joints[16 * k :][:16]).any()
+        if modes.exists[k]:
+            joints = whole[f"{label}/T1+"].middle_joints
+            np.testing.assert_allclose(modes[label].balls, joints, atol=1e-14)
+
+
+def test_a_locked_stage_that_moves_is_degenerate() -> None:
+    stage = Stage(0.23, 0.46)
+    assert spm.stages.forward(stage, [1.0, 1.0, 1.0]).status is spm.Status.DEGENERATE
+    assert spm.stages.forward(stage, [0.1, 0.1, 0.1]).status is spm.Status.UNREACHABLE
+
+
+def test_the_3spr_is_the_stage_seen_from_its_other_plate() -> None:
+    """A fixed plate of balls, a moving one of pivots: the pose is the inverse, the tilt the same."""
+    stage = STAGES["RPS"]
+    level = spm.stages.inverse_physical(stage, 1.0, tilt=0.3, azimuth=0.7)
+    wanted = 1.2
+    state = spm.stages.inverse_physical(
+        stage, (wanted - level.normal[:2] @ level.shift) / level.normal[2], tilt=0.3, azimuth=0.7
+    )
+    pivots_seen = state.pose.inv()
+    np.testing.assert_allclose(pivots_seen.translation[2], -wanted)
+    legs = np.linalg.norm(pivots_seen.apply(stage.legs.pivots) - stage.legs.balls, axis=-1)
+    np.testing.assert_allclose(legs, state.readings)
+
+
+def test_limits_mark_and_choose() -> None:
+    stage = Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(0.0, 0.4))
+    state = spm.stages.inverse_physical(stage, 0.12, tilt=0.2, azimuth=np.pi / 2)
+    assert "beyond the limits: r_1, r_3" in repr(state)
+    assert list(np.sign(state.limit_excess)) == [1.0, 0.0, 1.0]
+    solutions = spm.stages.inverse(stage, 0.12, tilt=0.2, azimuth=np.pi / 2)
+    assert not solutions.within().exists.any()
+    assert solutions.within(spm.mechanism.StageLimits(-1.0, 1.0)).exists.any()
+
+
+def test_why_there_is_no_solution_is_said() -> None:
+    far = spm.stages.inverse(BALANCER, 120.0)
+    assert far.status is spm.Status.UNREACHABLE
+    assert "is it 120 mm" in repr(far)
+    assert "out of reach of r_1" in spm.stages.inverse_physical(BALANCER, 0.2).missing_reason
+    assert "angles are in radians" in repr(spm.stages.inverse(BALANCER, 0.12, tilt=2.0, azimuth=0.0))
+    with pytest.raises(spm.ArgumentError, match=r"tilt: .*radians.*, got 15\. Given in degrees"):
+        spm.stages.inverse(BALANCER, 0.12, tilt=15.0, azimuth=0.0)
+    with pytest.raises(spm.ArgumentError, match="azimuth: expected a tilt with its azimuth"):
+        spm.stages.inverse(BALANCER, 0.12, tilt=0.1)
+    with pytest.raises(spm.ArgumentError, match="tilt and roll: expected one of"):
+        spm.stages.inverse(BALANCER, 0.12, tilt=0.1, azimuth=0.0, roll=0.1)
+    with pytest.raises(spm.ArgumentError, match="In degrees"):
+        spm.stages.forward(BALANCER, [30.0, 20.0, 40.0])
+    with pytest.raises(spm.ArgumentError, match="a state of this stage"):
+        spm.stages.forward_physical(STAGES["RPS"], [1.2, 1.2, 1.2], near=spm.stages.inverse_physical(BALANCER, 0.12))
+
+
+@pytest.mark.parametrize(
+    ("make", "cause"),
+    {
+        "millimetres": (lambda: Stage(80, 90, spm.RRS(crank=50, rod=110)), "110 mm are 0.11"),
+        "a rod in millimetres": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=110)), "110 mm are 0.11"),
+        "one in centimetres": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.0005, rod=0.11)), "In another unit"),
+        "a rod too short": (
+            lambda: Stage(0.08, 0.3, spm.RRS(crank=0.05, rod=0.11)),
+            "longer than 0.22 m",
+        ),
+        "a rod beside its slide": (lambda: Stage(0.35, 0.2, spm.PRS(rod=0.14)), "a rod longer than 0.15 m"),
+        "degrees": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), (-30, 90)), "In degrees"),
+        "a few degrees": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), (-10, 10)), "In degrees"),
+        "a slide in degrees": (lambda: Stage(0.35, 0.2, spm.PRS(rod=0.4, direction=90)), "Given in degrees"),
+        "no working mode": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11, sign=0)), "the working mode"),
+        "limits in millimetres": (lambda: Stage(0.7, 0.46, limits=(1100, 1500)), "is it 1500 mm"),
+        "limits exchanged": (lambda: Stage(0.7, 0.46, limits=(1.5, 1.1)), "exchanged"),
+        "legs of six": (lambda: Stage(0.7, 0.46, spm.Geometry.paper().legs), "Legs of six"),
+        "a stage as built": (lambda: spm.Geometry.of_stages(STAGES["RPS"].perturbed(1), STAGES["RPS"]), "as drawn"),
+    }.values(),
+)
+def test_numbers_that_are_no_stage_are_refused_with_the_cause(make: object, cause: str) -> None:
+    with pytest.raises(spm.GeometryError, match=cause):
+        make()  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_a_file_holds_every_digit(machine: str, tmp_path: object) -> None:
+    stage, _ = stage_and_height(machine)
+    limited = Stage(stage.base_radius, stage.platform_radius, stage.legs, ([0.1, 0.0, 0.05], 0.9))
+    limited.to_yaml(f"{tmp_path}/stage.yaml")
+    again = Stage.from_yaml(f"{tmp_path}/stage.yaml")
+    assert again == limited
+    assert again.is_nominal == stage.is_nominal
+    np.testing.assert_array_equal(again.parameters, stage.parameters)
+    assert limited.from_parameters(limited.parameters).limits == limited.limits
+
+
+def test_a_platform_turned_over_has_no_answer_under_ok() -> None:
+    found = spm.stages.inverse(BALANCER, 0.1, normal=[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    assert list(found.status) == [spm.Status.UNREACHABLE, spm.Status.OK]
+    assert np.isfinite(found.rotation[1, 0]).all()
+
+
+def test_two_stages_are_the_robot() -> None:
+    """The lower stage of a machine of two is the stage alone: SciPy closes its loops from another start."""
+    stage = STAGES["RPS"]
+    robot = spm.Geometry.of_stages(stage, stage)
+    state = spm.forward_physical(robot, [1.2, 1.25, 1.4, 1.3, 1.2, 1.25])
+    alone = spm.stages.forward_physical(stage, [1.2, 1.25, 1.4])
+    np.testing.assert_array_equal(alone.balls.round(14), state.middle_joints.round(14))
+
+    def lengths(x: np.ndarray) -> np.ndarray:
+        balls = Rotation.from_rotvec(x[:3]).apply(stage.legs.balls.copy()) + x[3:]
+        planes = (balls * stage.legs.axes).sum(axis=-1)
+        return np.concatenate([planes, np.linalg.norm(balls - stage.legs.pivots, axis=-1) - [1.2, 1.25, 1.4]])
+
+    found = fsolve(lengths, [0.0, 0.0, 0.0, 0.0, 0.0, 1.0], xtol=1e-13)
+    np.testing.assert_allclose(found[3:], alone.translation, atol=1e-12)
