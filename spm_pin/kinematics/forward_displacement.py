@@ -13,10 +13,20 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
-from spm_pin.kinematics.stage_balls import Circles, Triangle, followed_balls, parts_of_turns, physical_balls
+from spm_pin.kinematics.stage_balls import (
+    Circles,
+    Drawing,
+    Modes,
+    Triangle,
+    all_modes,
+    followed_balls,
+    parts_of_turns,
+    physical_balls,
+)
 from spm_pin.mechanism.arguments import (
     LARGEST_RATIO,
     FloatArray,
+    IntArray,
     broadcastable,
     check_instance,
     first_offender,
@@ -85,21 +95,26 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     >>> int(modes.count), modes["T1+/T1+"].translation.round(4)
     (144, array([0.6889, 0.4963, 2.253 ]))
     """
-    from spm_pin.kinematics.kernels.circle_modes import all_modes
+    from spm_pin.kinematics.kernels.circle_modes import join_modes
 
     checked = _read_readings(geometry, readings)
     shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    legs, drawn, states = geometry.legs, geometry.nominal.legs, ((n, 3, 3), (n, 3), (n, 3, 3))
-    drawing = np.stack([drawn.axes, drawn.pivots, drawn.balls])
-    is_drawn = geometry.is_nominal and legs.are_rps
-    constants = legs.axes, legs.balls, drawing, legs.are_rps, is_drawn, *radii(geometry)
-    results = *((x, np.float64) for x in states), ((n,), np.bool_), ((4,), np.int8), ((), np.int8)
-    solved = run_kernel(all_modes, legs.circles(readings), constants, results, _MIN_BATCH_PER_THREAD)
+    legs, is_drawn = geometry.legs, geometry.is_nominal and geometry.legs.are_rps
+    stages = zip(_triangles(geometry), _circles(geometry, readings), _drawings(geometry), strict=True)
+    below, above = (all_modes(*stage) for stage in stages)
+    # A stage that cannot be closed is enough to know that there is none.
+    is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
+    status = np.where(is_absent, Status.UNREACHABLE, np.maximum(below.status, above.status)).astype(np.int8)
+    is_solved = status == Status.OK
+    upper = np.where(is_solved[:, None, None, None], above.balls, np.nan)
+    results = ((n, 3, 3), np.float64), ((n, 3), np.float64), ((n, 3, 3), np.float64)
+    solved = run_kernel(join_modes, (below.balls, upper), (legs.balls,), results, _MIN_BATCH_PER_THREAD)
+    merged = (below.merged[:, :, None] | above.merged[:, None]).reshape(-1, n) & (status != Status.UNSOLVED)[:, None]
+    families = _continuous_families(below, above) * is_solved[:, None]
     if not legs.are_rps:
         _in_working_mode(geometry, solved[:3], np.broadcast_to(readings[:, None], (len(readings), n, 6)))
-        status = solved[-1]
         status[(status == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE
-    *state, merged, families, status = with_batch_shape(solved, shape)
+    *state, merged, families, status = with_batch_shape((*solved, merged, families, status), shape)
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(geometry, *state)
     if not shape and status == Status.UNREACHABLE:
@@ -254,6 +269,23 @@ def _physical(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...
 def _triangles(geometry: Geometry) -> tuple[Triangle, Triangle]:
     axes, balls = geometry.legs.axes, geometry.legs.balls
     return Triangle(axes[:3], balls[:3], 1.0), Triangle(axes[3:], balls[3:], -1.0)
+
+
+def _drawings(geometry: Geometry) -> tuple[Drawing, Drawing]:
+    """Return the drawn stages. Of legs that are not RPS modes have no labels there, and take the first that fit."""
+    legs, is_rps, (r, base, platform) = geometry.nominal.legs, geometry.legs.are_rps, radii(geometry)
+    whole = np.stack([legs.axes, legs.pivots, legs.balls])
+    is_drawn = geometry.is_nominal and is_rps
+    lower, upper = (whole[:, half] for half in (slice(3), slice(3, 6)))
+    return Drawing(lower, is_rps, is_drawn, r, base), Drawing(upper, is_rps, is_drawn, r, platform)
+
+
+def _continuous_families(below: Modes, above: Modes) -> IntArray:
+    """Return the dimensions of the continuous families in TT, TF, FT, FF, (N, 4)."""
+    free = below.continuous[:, :, None].astype(np.intp) + above.continuous[:, None]
+    # The first place of a mode, T or F, is filled first.
+    exists = [stage.continuous | np.isfinite(stage.balls[:, ::8, 0, 0]) for stage in (below, above)]
+    return np.asarray((free * (exists[0][:, :, None] & exists[1][:, None])).reshape(-1, 4))
 
 
 def _circles(geometry: Geometry, readings: FloatArray) -> tuple[Circles, Circles]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_displacement import STAGE_MODES
-from spm_pin.kinematics.stage_balls import Triangle, followed_balls, parts_of_turns, physical_balls
+from spm_pin.kinematics.stage_balls import Drawing, Triangle, all_modes, followed_balls, parts_of_turns, physical_balls
 from spm_pin.mechanism.arguments import (
     LARGEST_RATIO,
     BoolArray,
@@ -30,7 +30,7 @@ from spm_pin.mechanism.units import unit_hint
 OPERATION_MODES = ("T", "F")
 """The two solutions of an inverse displacement: without torsion, and turned half round."""
 
-_MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_OF_MODES = 1 << 14, 1 << 8
+_MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6
 """Largest error of the length of a normal that is taken for rounding."""
 _MOST_TURNS = 8.0 * math.pi
@@ -166,16 +166,11 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     >>> spm.stages.forward(tripod, [1.2, 1.2, 1.4])
     <StageSolutions: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
     """
-    from spm_pin.kinematics.kernels.circle_modes import modes_of_stages
-
     read = _read_readings(stage, readings)
     shape, flat, n = read.shape[:-1], read.reshape(-1, 3), len(STAGE_MODES)
-    legs, is_rps, drawing = stage.legs, isinstance(stage.kind, RPS), np.stack(stage.nominal.legs.arrays[:3])
-    sizes = stage.platform_radius, stage.base_radius, stage.up
-    constants = legs.axes, legs.balls, drawing, is_rps, is_rps and stage.is_nominal, *sizes
-    results = ((n, 3, 3), np.float64), ((n,), np.bool_), ((2,), np.bool_), ((), np.int8)
-    solved = run_kernel(modes_of_stages, legs.circles(flat), constants, results, _MIN_BATCH_PER_THREAD_OF_MODES)
-    balls, _, continuous, status = solved
+    is_rps, drawn = isinstance(stage.kind, RPS), np.stack(stage.nominal.legs.arrays[:3])
+    drawing = Drawing(drawn, is_rps, is_rps and stage.is_nominal, stage.platform_radius, stage.base_radius)
+    balls, _, continuous, status = all_modes(_triangle(stage), stage.legs.circles(flat), drawing)
     states = _in_working_mode(_of_balls(stage, balls), np.broadcast_to(flat[:, None], (len(flat), n, 3)))
     status[continuous.any(axis=-1) & (status == Status.OK)] = Status.DEGENERATE
     status[(status == Status.OK) & ~states.exists.any(axis=-1)] = Status.UNREACHABLE
@@ -215,7 +210,7 @@ def forward_physical(
     <StageConfiguration: tilt 7.75° towards -1.8°, height 0.1232 m, readings 0.2000, 0.4000, 0.6000 rad>
     """
     read = _read_readings(stage, readings)
-    triangle = Triangle(stage.legs.axes, stage.legs.balls, stage.up)
+    triangle = _triangle(stage)
     if near is None:
         shape, ends = read.shape[:-1], read.reshape(-1, 3)
         balls = physical_balls(triangle, stage.legs.circles(ends))
@@ -255,6 +250,10 @@ def _solve(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) -
     if legs.offsets.any():
         readings += legs.offsets
     return rotation, translation, readings, physical
+
+
+def _triangle(stage: Stage) -> Triangle:
+    return Triangle(stage.legs.axes, stage.legs.balls, stage.up)
 
 
 def _of_balls(stage: Stage, balls: FloatArray) -> StageConfiguration:

@@ -27,7 +27,6 @@ from spm_pin.formulas.circles import (
     has_converged,
     in_first_angle,
     in_other_angle,
-    is_home_state,
     newton_step,
     pair_forms,
     squared_sides,
@@ -41,11 +40,7 @@ from spm_pin.formulas.stages import pair_adjugate, pair_determinant
 from spm_pin.formulas.vectors import Rows, Vector, combinations, differences, largest, multiples, weighted
 from spm_pin.formulas.wrenches import mean
 from spm_pin.kinematics.kernels.ball_circles import (
-    ELSEWHERE,
-    HOME,
     circles_at,
-    home_state,
-    put_rows,
     solution,
 )
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
@@ -478,105 +473,6 @@ def _put_stage(
 
 @kernel(
     f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, "
-    "b1, b1, f8, f8, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1], b1[:,::1], i1[:,::1], i1[::1])"
-)
-def all_modes(
-    centres,
-    radii,
-    axes,
-    balls,
-    drawn,
-    are_rps,
-    is_drawn,
-    r,
-    base_radius,
-    platform_radius,
-    rotation,
-    translation,
-    joints,
-    merged,
-    dimension,
-    status,
-):
-    """Find all assembly modes of N problems, under the labels of the drawn machine's.
-
-    The circles are as for `ball_circles.home_states`; `drawn` (3, 6, 3) are axes, pivots and balls [m] of the drawn
-    machine, with the circumradii of its middle, base and terminal platforms [m]; modes of legs that are not RPS have no
-    such labels, and the first that fit. Written are R (N, 256, 3, 3), o
-    (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where a mode is not real; which labels are `merged` (N, 256);
-    the dimensions of a drawn machine's continuous families in TT, TF, FT, FF (N, 4); and as `status` (N,) 0, 1 or 3
-    of `Status`, continuous families not counted.
-    """
-    found, scratch, frames = allocate_elimination(), allocate_stage_scratch(), np.empty((2, MODES, 4, 3))
-    work, labelled = np.empty((2, MODES, 3, 3)), np.empty((2, MODES, 3, 3))
-    label_merged = np.empty((2, MODES), np.bool_)
-    is_complete, is_absent, is_continuous = np.empty(2, np.bool_), np.empty(2, np.bool_), np.empty((2, 2), np.bool_)
-    for n in range(len(radii)):
-        for half in range(2):
-            own, first = rows_at(balls, 3 * half), 3 * half
-            sizes = r, base_radius if half == 0 else platform_radius, 1.0 - 2.0 * half
-            stage = circles_at(axes, centres[n], radii[n], squared_sides(own), first)
-            before = circles_at(drawn[0], drawn[1], radii[n], squared_sides(rows_at(drawn[2], first)), first)
-            count, is_complete[half], straight, half_turned = _put_stage(
-                stage, before, sizes, are_rps, is_drawn, scratch, found, work, labelled[half], label_merged[half]
-            )
-            is_continuous[half, 0], is_continuous[half, 1] = straight, half_turned
-            is_absent[half] = is_complete[half] and count == 0 and not (straight or half_turned)
-            _put_frames(own, labelled[half], frames[half])
-        # A stage that cannot be closed is enough to know that there is none.
-        status[n] = 1 if is_absent[0] or is_absent[1] else (0 if is_complete[0] and is_complete[1] else 3)
-        for i in range(MODES):
-            for j in range(MODES):
-                mode = MODES * i + j
-                merged[n, mode] = status[n] != 3 and (label_merged[0, i] or label_merged[1, j])
-                if status[n] != 0 or math.isnan(labelled[0, i, 0, 0]) or math.isnan(labelled[1, j, 0, 0]):
-                    rotation[n, mode], translation[n, mode], joints[n, mode] = np.nan, np.nan, np.nan
-                    continue
-                below, above = frames[0, i], frames[1, j]
-                place = below[3, 0], below[3, 1], below[3, 2]
-                place_m = above[3, 0], above[3, 1], above[3, 2]
-                turn, o = pose_of_frames(rows_at(below, 0), place, rows_at(above, 0), place_m)
-                for k in range(3):
-                    translation[n, mode, k] = o[k]
-                    for m in range(3):
-                        rotation[n, mode, k, m], joints[n, mode, k, m] = turn[k][m], labelled[0, i, k, m]
-        for i in range(2):
-            for j in range(2):
-                free = (1 if is_continuous[0, i] else 0) + (1 if is_continuous[1, j] else 0)
-                # The first place of a mode, T or F, is filled first.
-                exists = is_continuous[0, i] or not math.isnan(labelled[0, 8 * i, 0, 0])
-                exists = exists and (is_continuous[1, j] or not math.isnan(labelled[1, 8 * j, 0, 0]))
-                dimension[n, 2 * i + j] = free if exists and status[n] == 0 else 0
-
-
-@jit
-def _searched(stage: Circles, own: Rows, up: float, found: Elimination, roots: FloatArray) -> tuple[Rows, bool]:
-    """Return the balls of a stage in its home's aspect, by Newton's method or of all modes, and whether it exists."""
-    b, aspect = home_state(stage, own, up)
-    if aspect != ELSEWHERE:
-        return b, aspect == HOME
-    for k in range(real_modes(stage, found, roots)[0]):
-        b = rows_at(roots[k], 0)
-        if is_home_state(stage, directions_to(stage, b), b, up):
-            return b, True
-    return b, False
-
-
-@kernel(f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, f8, f8[:,:,::1])")
-def searched_states(centres, radii, axes, balls, up, joints):
-    """Find states as `ball_circles.home_states` does, among all modes where Newton's method leads elsewhere."""
-    found, roots, own = allocate_elimination(), np.empty((MODES, 3, 3)), rows_at(balls, 0)
-    squares = squared_sides(own)
-    for n in range(len(radii)):
-        b, exists = _searched(circles_at(axes, centres[n], radii[n], squares, 0), own, up, found, roots)
-        if exists:
-            put_rows(b, joints[n])
-        else:
-            joints[n] = np.nan
-
-
-@kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, "
     "b1, b1, f8, f8, f8, f8[:,:,:,::1], b1[:,::1], b1[:,::1], i1[::1])"
 )
 def modes_of_stages(
@@ -604,3 +500,32 @@ def modes_of_stages(
             status[n] = 0 if count > 0 or straight or half_turned else 1
         else:
             joints[n], merged[n] = np.nan, False
+
+
+@kernel(
+    f"void(Array(f8, 4, 'C', True), Array(f8, 4, 'C', True), {readonly_array(2)}, "
+    "f8[:,:,:,::1], f8[:,:,::1], f8[:,:,:,::1])"
+)
+def join_modes(lower, upper, balls, rotation, translation, joints):
+    """Put the modes of N lower and N upper stages together, each of the one with each of the other.
+
+    The balls (N, 16, 3, 3) [m] are in {B} and in {m}, `balls` (6, 3) [m] in the middle platform's frame. Written are
+    R (N, 256, 3, 3), o (N, 256, 3) [m] and the b_i (N, 256, 3, 3) [m], NaN where either mode is not real.
+    """
+    frames = np.empty((2, MODES, 4, 3))
+    for n in range(len(lower)):
+        _put_frames(rows_at(balls, 0), lower[n], frames[0])
+        _put_frames(rows_at(balls, 3), upper[n], frames[1])
+        for i in range(MODES):
+            below = frames[0, i]
+            place = below[3, 0], below[3, 1], below[3, 2]
+            for j in range(MODES):
+                mode, above = MODES * i + j, frames[1, j]
+                place_m = above[3, 0], above[3, 1], above[3, 2]
+                turn, o = pose_of_frames(rows_at(below, 0), place, rows_at(above, 0), place_m)
+                is_real = o[0] == o[0]
+                for k in range(3):
+                    translation[n, mode, k] = o[k]
+                    for m in range(3):
+                        rotation[n, mode, k, m] = turn[k][m]
+                        joints[n, mode, k, m] = lower[n, i, k, m] if is_real else np.nan
