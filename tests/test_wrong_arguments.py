@@ -146,6 +146,12 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **{f"stages.{name}.readings": lambda: STAGE_STATE.readings for name in ("forward", "forward_physical")},
     **{f"StageSolutions.{name}.near": lambda: STAGE_STATE for name in ("nearest", "physical")},
     "stages.forward_physical.near": lambda: STAGE_STATE,
+    **{
+        f"stages.{name}.configuration": lambda: STAGE_STATE
+        for name in ("inverse_jacobian", "joint_loads", "leg_forces", "leg_rates", "parasitic_jacobian")
+    },
+    **{f"stages.{name}.configuration": lambda: STAGE_STATE for name in ("platform_jacobian", "singularities")},
+    "motion": lambda: np.zeros(3),
     "StageConfiguration.pose": lambda: STAGE_STATE.pose,
     "StageSolutions.where.mask": lambda: np.ones(2, dtype=bool),
     "Stage.from_parameters.parameters": lambda: STAGE.parameters,

@@ -94,4 +94,4 @@ def batch_index(index: object) -> tuple[Any, ...]:
 
 def masked(array: FloatArray, kept: BoolArray, inner: int) -> FloatArray:
     """Return an array with `inner` axes per member, NaN where `kept` (...) is false."""
-    return np.where(kept.reshape(*kept.shape, *(1,) * inner), array, np.nan)
+    return np.where(np.reshape(kept, (*kept.shape, *(1,) * inner)), array, np.nan)

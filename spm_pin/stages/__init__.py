@@ -4,20 +4,42 @@ A stage has three readings, and its platform tilts and rises: what it does besid
 """
 
 from spm_pin.mechanism.stage_configuration import StageConfiguration, StageSolutions
-from spm_pin.stages.displacement import (
-    OPERATION_MODES,
-    forward,
-    forward_physical,
-    inverse,
-    inverse_physical,
+from spm_pin.stages.displacement import OPERATION_MODES, forward, forward_physical, inverse, inverse_physical
+from spm_pin.stages.rates_and_forces import (
+    MOTION,
+    JointLoads,
+    StageSingularities,
+    inverse_jacobian,
+    joint_loads,
+    leg_forces,
+    leg_rates,
+    parasitic_jacobian,
+    platform_jacobian,
+    singularities,
 )
+from spm_pin.stages.reach import ReachEnd, StageReach, height_range, nearest_reachable, reach
 
 __all__ = [
+    "MOTION",
     "OPERATION_MODES",
+    "JointLoads",
+    "ReachEnd",
     "StageConfiguration",
+    "StageReach",
+    "StageSingularities",
     "StageSolutions",
     "forward",
     "forward_physical",
+    "height_range",
     "inverse",
+    "inverse_jacobian",
     "inverse_physical",
+    "joint_loads",
+    "leg_forces",
+    "leg_rates",
+    "nearest_reachable",
+    "parasitic_jacobian",
+    "platform_jacobian",
+    "reach",
+    "singularities",
 ]

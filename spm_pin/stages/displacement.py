@@ -84,7 +84,7 @@ def inverse(
     array([19.61, 33.38,  5.64])
     """
     shape, normals, heights = _read_request(stage, height, tilt, azimuth, roll, pitch, normal)
-    rotation, translation, readings, _ = _solve(stage, normals, heights, 2)
+    rotation, translation, readings, _ = poses(stage, normals, heights, 2)
     reached = np.isfinite(readings).all(axis=-1)
     arrays = with_batch_shape((rotation, translation, readings), shape)
     solutions = StageConfiguration.from_arrays(stage, *arrays).where(reached.reshape(*shape, 2))
@@ -125,7 +125,7 @@ def inverse_physical(
     <StageConfiguration: tilt 20.00° towards 90.0°, height 0.5000 m, readings 0.1634, 0.0686, 0.1634 m>
     """
     shape, normals, heights = _read_request(stage, height, tilt, azimuth, roll, pitch, normal)
-    rotation, translation, readings, physical = (x[:, 0] for x in _solve(stage, normals, heights, 1))
+    rotation, translation, readings, physical = (x[:, 0] for x in poses(stage, normals, heights, 1))
     state = StageConfiguration.from_arrays(stage, *with_batch_shape((rotation, translation, readings), shape))
     kept = (physical > 0) & np.isfinite(readings).all(axis=-1)
     if kept.all():
@@ -232,8 +232,8 @@ def forward_physical(
     return state
 
 
-def _solve(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) -> tuple[Any, ...]:
-    """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and which are physical (N, modes)."""
+def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) -> tuple[Any, ...]:
+    """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and which are physical, of mode T, and of F if two."""
     from spm_pin.kinematics.kernels.one_stage import RRS_LEGS, poses_of_stages
 
     legs, kind = stage.legs, list(KINDS).index(stage.kind.name)
@@ -286,11 +286,31 @@ def _read_request(
 ) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
     """Return the batch shape, unit normals (N, 3) and heights (N,)."""
     check_instance(stage, Stage, "stage")
-    heights = real_array(height, "height", (), "of the platform's origin above the pivots, in metres")
+    heights = read_heights(stage, height)
+    normals = normals_of_request(tilt, azimuth, roll, pitch, normal)
+    shape = broadcastable("height", heights.shape, "the normals", normals.shape[:-1])
+    normals = np.broadcast_to(normals, (*shape, 3)).reshape(-1, 3)
+    return shape, normals, np.broadcast_to(heights, shape).reshape(-1)
+
+
+def read_heights(stage: Stage, height: npt.ArrayLike, argument: str = "height") -> FloatArray:
+    """Read heights (...) at which this stage can be resolved."""
+    heights = real_array(height, argument, (), "of the platform's origin above the pivots, in metres")
     farthest = LARGEST_RATIO * stage.size
     if (np.abs(heights) > farthest).any():
-        cause = "A height in another unit?"
-        raise ArgumentError("height", f"metres, within {farthest:.3g} m", f"{np.abs(heights).max():g}", cause)
+        expected = f"heights in metres, within {farthest:.3g} m"
+        raise ArgumentError(argument, expected, f"{np.abs(heights).max():g}", "In another unit?")
+    return heights
+
+
+def normals_of_request(
+    tilt: npt.ArrayLike | None,
+    azimuth: npt.ArrayLike | None,
+    roll: npt.ArrayLike | None,
+    pitch: npt.ArrayLike | None,
+    normal: npt.ArrayLike | None,
+) -> FloatArray:
+    """Return the unit normals (..., 3) that arguments of `inverse` describe."""
     ways = {"tilt": tilt is not None or azimuth is not None, "roll": roll is not None or pitch is not None}
     ways["normal"] = normal is not None
     if sum(ways.values()) > 1:
@@ -300,25 +320,26 @@ def _read_request(
         if tilt is None or azimuth is None:
             missing = "tilt" if tilt is None else "azimuth"
             raise ArgumentError(missing, "a tilt with its azimuth, in radians", None)
-        normals = _normals_of_tilt(tilt, azimuth)
-    elif ways["roll"]:
-        normals = _normals_of_roll(0.0 if roll is None else roll, 0.0 if pitch is None else pitch)
-    else:
-        normals = _read_normal([0.0, 0.0, 1.0] if normal is None else normal)
-    shape = broadcastable("height", heights.shape, "the normals", normals.shape[:-1])
-    normals = np.broadcast_to(normals, (*shape, 3)).reshape(-1, 3)
-    return shape, normals, np.broadcast_to(heights, shape).reshape(-1)
+        return _read_tilt(tilt, azimuth)
+    if ways["roll"]:
+        return _normals_of_roll(0.0 if roll is None else roll, 0.0 if pitch is None else pitch)
+    return _read_normal([0.0, 0.0, 1.0] if normal is None else normal)
 
 
-def _normals_of_tilt(tilt: npt.ArrayLike, azimuth: npt.ArrayLike) -> FloatArray:
+def normals_of_tilt(tilt: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """Return unit normals (..., 3)."""
+    sine = np.sin(tilt)
+    return np.stack(np.broadcast_arrays(sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(tilt)), axis=-1)
+
+
+def _read_tilt(tilt: npt.ArrayLike, azimuth: npt.ArrayLike) -> FloatArray:
     angles = _angles(tilt, "tilt", math.pi), _angles(azimuth, "azimuth", 2.0 * math.pi)
     broadcastable("azimuth", angles[1].shape, "tilt", angles[0].shape)
     tilts, azimuths = angles
     if (wrong := (tilts < 0.0) | (tilts >= math.pi)).any():
         received = f"{tilts[first_offender(wrong)]:g}"
         raise ArgumentError("tilt", "angles from 0 to less than π, in radians", received)
-    sine = np.sin(tilts)
-    return np.stack(np.broadcast_arrays(sine * np.cos(azimuths), sine * np.sin(azimuths), np.cos(tilts)), axis=-1)
+    return normals_of_tilt(tilts, azimuths)
 
 
 def _normals_of_roll(roll: npt.ArrayLike, pitch: npt.ArrayLike) -> FloatArray:

@@ -1,0 +1,318 @@
+"""Rates, forces and singularities of a stage alone: `docs/theory/stages.md`.
+
+The platform has three freedoms, its *motion* (v_z, ω_x, ω_y): the velocity of its origin along z of {B} and the part of
+its angular velocity across z. What it does besides is parasitic. Each leg acts on it through its ball along
+`leg_vectors`, where its actuator holds, and along its revolute axis, where its structure holds: six forces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.formulas import stage_poses, wrenches
+from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
+from spm_pin.kinematics.rates_and_forces import SINGULAR
+from spm_pin.kinematics.singularity_analysis import SingularityKind
+from spm_pin.mechanism.arguments import (
+    FloatArray,
+    broadcastable,
+    check_instance,
+    real_array,
+    real_number,
+)
+from spm_pin.mechanism.batched import masked
+from spm_pin.mechanism.stage_configuration import StageConfiguration
+
+MOTION = slice(2, 5)
+"""Rows of a twist (v, ω) that are the motion (v_z, ω_x, ω_y)."""
+
+_stage_twists, _parasitic_rates = on_arrays(wrenches.stage_twists), on_arrays(stage_poses.parasitic_rates)
+
+
+class JointLoads(NamedTuple):
+    """What the joints of a stage carry, for states and wrenches of shape (...); weights and friction are left out."""
+
+    efforts: FloatArray
+    """Of the actuators, positive where they increase the reading, shape (..., 3): [N], of RRS legs [N m]."""
+    rods: FloatArray
+    """Force of each leg along `leg_vectors`, positive where it pushes the platform [N], shape (..., 3)."""
+    across: FloatArray
+    """Force of each leg along its revolute axis, which its structure carries [N], shape (..., 3)."""
+    balls: FloatArray
+    """Forces of the legs onto the platform through the balls, as rows in {B} [N], shape (..., 3, 3)."""
+    moments: FloatArray
+    """Moments of these forces at the legs' pivots, as rows in {B} [N m], shape (..., 3, 3)."""
+
+
+@dataclass(frozen=True)
+class StageSingularities:
+    """Singularities of states of shape (...), and distances to them; NaN where a state does not exist."""
+
+    kind: npt.NDArray[np.int8]
+    """A combination of `SingularityKind`, shape (...).
+
+    `FORWARD` where the platform moves with its actuators locked, `INVERSE` where tilt and height do not determine its
+    motion, and both operation modes meet, with `CONSTRAINT` where the structure's own three forces are dependent, and
+    `LEG` where an actuator does not move its ball.
+    """
+    forward: FloatArray
+    """Smallest singular value of the six forces, arms in units of the platform's radius, shape (...)."""
+    inverse: FloatArray
+    """Smallest singular value of what determines v_x, v_y and ω_z, in the same unit, shape (...)."""
+    leg: FloatArray
+    """κ of each leg over its largest, in its working mode positive, shape (..., 3)."""
+    gained_twist: FloatArray
+    """The twist (v, ω) at the platform's origin in {B} that locked actuators resist least, shape (..., 6).
+
+    (v, r ω) has length 1 m/s, r the platform's radius.
+    """
+
+
+def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
+    """Return the twist of the platform per unit rate of each reading, its parasitic motion included.
+
+    Parameters
+    ----------
+    configuration : StageConfiguration
+        States of shape (...).
+
+    Returns
+    -------
+    ndarray, shape (..., 6, 3)
+        Rows (v, ω) of the platform at its origin, in {B} [m/s, rad/s]; columns the legs. Its rows `MOTION` are the
+        3 x 3 of tilt and height. NaN for a member of a batch that does not exist or is forward singular.
+
+    Raises
+    ------
+    SingularConfigurationError
+        For a single state at a forward singularity, where the legs do not hold the platform.
+    """
+    return _columns(configuration, along_legs=True) * configuration.slopes[..., None, :]
+
+
+def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
+    """Return the twist of the platform for its motion (v_z, ω_x, ω_y): what it does besides follows from the planes.
+
+    Parameters
+    ----------
+    configuration : StageConfiguration
+        States of shape (...).
+
+    Returns
+    -------
+    ndarray, shape (..., 6, 3)
+        Rows (v, ω) of the platform at its origin, in {B}; columns v_z [m/s], ω_x and ω_y [rad/s]. NaN for a member of a
+        batch that does not exist or is inverse singular.
+
+    Raises
+    ------
+    SingularConfigurationError
+        For a single state at an inverse singularity, where the motion does not determine the twist.
+    """
+    state = _read(configuration)
+    axes, balls, origin = rows_of(state.stage.legs.axes), rows_of(state.balls), vector_of(state.translation)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        columns = [_parasitic_rates(axes, balls, origin, tuple(unit)) for unit in np.eye(3).tolist()]
+    twists = _stacked(state, columns)
+    return _without_singular(state, twists, "inverse", _inverse_matrices(state))
+
+
+def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
+    """Return the rates of the readings for the platform's motion.
+
+    Parameters
+    ----------
+    configuration : StageConfiguration
+        States of shape (...).
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Rows the legs, [m/s], of RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. NaN for a
+        member of a batch that does not exist or is singular as below.
+
+    Raises
+    ------
+    SingularConfigurationError
+        For a single state at an inverse singularity, or, as "leg", where an actuator does not move its ball.
+    """
+    twists = parasitic_jacobian(configuration)
+    slopes, largest = configuration.slopes, configuration.stage.legs.largest_slopes
+    stuck = np.abs(slopes) <= SINGULAR * largest
+    if stuck.any() and not configuration.shape:
+        raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
+    forces = _forces(configuration)[..., :3, :]
+    return np.asarray(forces @ twists / np.where(stuck, np.nan, slopes)[..., None])
+
+
+def leg_rates(configuration: StageConfiguration, motion: npt.ArrayLike) -> FloatArray:
+    """Return the rates of the readings (..., 3) for a motion (v_z, ω_x, ω_y) of the platform (..., 3).
+
+    Parameters
+    ----------
+    configuration : StageConfiguration
+        States of shape (...).
+    motion : array_like, shape (..., 3)
+        Of the platform's origin along z [m/s], and ω_x, ω_y in {B} [rad/s]. Leading axes broadcast.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        [m/s], of RRS legs [rad/s]; at singularities as `inverse_jacobian`.
+    """
+    value = _argument(configuration, motion, "motion", 3, "(v_z, ω_x, ω_y) in m/s and rad/s")
+    return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
+
+
+def leg_forces(configuration: StageConfiguration, wrench: npt.ArrayLike) -> FloatArray:
+    """Return what the actuators exert to hold a wrench applied onto the platform, shape (..., 3).
+
+    Parameters
+    ----------
+    configuration : StageConfiguration
+        States of shape (...).
+    wrench : array_like, shape (..., 6)
+        (f, m): force [N] and moment [N m] at the platform's origin, in {B}, from outside. Leading axes broadcast.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        [N], of RRS legs [N m]; positive increases the reading: an RPS leg pushes. Half of the wrench's components the
+        structure holds, see `joint_loads`. NaN for a member of a batch that does not exist or is forward singular.
+
+    Raises
+    ------
+    SingularConfigurationError
+        For a single state at a forward singularity, where the legs do not hold the platform.
+    """
+    load = _argument(configuration, wrench, "wrench", 6, "(f, m) at the platform's origin in {B} in N and N m")
+    return np.asarray(-np.einsum("...ki,...k->...i", platform_jacobian(configuration), load))
+
+
+def joint_loads(configuration: StageConfiguration, wrench: npt.ArrayLike) -> JointLoads:
+    """Return what actuators, legs, balls and pivots carry under a wrench applied onto the platform.
+
+    Parameters
+    ----------
+    configuration, wrench
+        As for `leg_forces`.
+
+    Returns
+    -------
+    JointLoads
+        NaN for a member of a batch that does not exist or is forward singular; a single one raises as `leg_forces`.
+    """
+    load = _argument(configuration, wrench, "wrench", 6, "(f, m) at the platform's origin in {B} in N and N m")
+    rods, across = (
+        -np.einsum("...ki,...k->...i", _columns(configuration, along_legs=along), load) for along in (True, False)
+    )
+    vectors = _forces(configuration)[..., :3]
+    balls = rods[..., None] * vectors[..., :3, :] + across[..., None] * vectors[..., 3:, :]
+    arms = configuration.balls - configuration.stage.legs.pivots
+    return JointLoads(rods * configuration.slopes, rods, across, balls, np.cross(arms, balls))
+
+
+def singularities(configuration: StageConfiguration, tolerance: float = SINGULAR) -> StageSingularities:
+    """Find which states are singular, of which kind, and how far the others are from it.
+
+    Parameters
+    ----------
+    configuration : StageConfiguration
+        States of shape (...).
+    tolerance : float
+        Smallest singular value over the largest, and κ over the largest, up to which a state is singular.
+
+    Returns
+    -------
+    StageSingularities
+    """
+    state = check_instance(configuration, StageConfiguration, "configuration")
+    expected = "a number from 0 to less than 1, the ratio of singular values up to which a state is singular"
+    least = real_number(tolerance, "tolerance", expected, least=0.0, below=1.0)
+    exists, scale = state.exists[..., None, None], state.stage.platform_radius
+    six = np.where(exists, _six_forces(state), np.eye(6))
+    three = np.where(exists, _inverse_matrices(state), np.eye(3))
+    _, sizes, right = np.linalg.svd(six)
+    own, structure = (np.linalg.svd(x, compute_uv=False) for x in (three, six[..., 3:, :]))
+    leg = state.slopes * state.stage.legs.slope_signs / state.stage.legs.largest_slopes
+    kinds = {
+        SingularityKind.FORWARD: sizes[..., -1] <= least * sizes[..., 0],
+        SingularityKind.INVERSE: own[..., -1] <= least * own[..., 0],
+        SingularityKind.CONSTRAINT: structure[..., -1] <= least * structure[..., 0],
+        SingularityKind.LEG: (leg <= least).any(axis=-1),
+    }
+    kind = np.asarray(sum((int(kind) * (flags & state.exists) for kind, flags in kinds.items()), np.zeros(state.shape)))
+    twist = right[..., -1, :] / np.repeat([1.0, scale], 3)
+    forward, inverse, gained = (
+        masked(x, state.exists, x.ndim - len(state.shape)) for x in (sizes[..., -1], own[..., -1], twist)
+    )
+    return StageSingularities(kind.astype(np.int8), forward, inverse, leg, gained)
+
+
+def _read(configuration: Any) -> StageConfiguration:
+    state = check_instance(configuration, StageConfiguration, "configuration")
+    if not state.shape and not state.exists:
+        cause = state.missing_reason or "Not a real solution? See .status and .exists of the solutions"
+        raise ArgumentError("configuration", "a configuration that exists", "NaN", cause)
+    return state
+
+
+def _argument(configuration: Any, value: npt.ArrayLike, argument: str, count: int, meaning: str) -> FloatArray:
+    array = real_array(value, argument, (count,), meaning)
+    broadcastable(argument, array.shape[:-1], "the configuration", _read(configuration).shape)
+    return array
+
+
+def _directions(state: StageConfiguration) -> tuple[FloatArray, FloatArray]:
+    """Return the unit vectors along legs and along axes, as rows (..., 3, 3)."""
+    vectors = state.leg_vectors
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return along, np.broadcast_to(state.stage.legs.axes, along.shape)
+
+
+def _forces(state: StageConfiguration) -> FloatArray:
+    """Return the six forces as rows (f, m) at the platform's origin, along the legs and along the axes, (..., 6, 6)."""
+    arms = state.balls - state.translation[..., None, :]
+    rows = [np.concatenate([f, np.cross(arms, f)], axis=-1) for f in _directions(state)]
+    return np.concatenate(rows, axis=-2)
+
+
+def _six_forces(state: StageConfiguration) -> FloatArray:
+    """Return `_forces` with lengths in units of the platform's radius."""
+    return np.asarray(_forces(state) / np.repeat([1.0, state.stage.platform_radius], 3))
+
+
+def _inverse_matrices(state: StageConfiguration) -> FloatArray:
+    """Return the matrix of v_x, v_y and ω_z in the planes' equations, in the same units, (..., 3, 3)."""
+    return np.asarray(_six_forces(state)[..., 3:, [0, 1, 5]])
+
+
+def _columns(configuration: Any, *, along_legs: bool) -> FloatArray:
+    """Return the twists (..., 6, 3) of unit rates of the balls along the legs, or else along the axes."""
+    state = _read(configuration)
+    legs, axes = map(rows_of, _directions(state))
+    first, second = (legs, axes) if along_legs else (axes, legs)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        columns = _stage_twists(rows_of(state.balls), first, second, vector_of(state.translation))
+    return _without_singular(state, _stacked(state, columns), "forward", _six_forces(state))
+
+
+def _stacked(state: StageConfiguration, columns: Any) -> FloatArray:
+    """Return twists (v, ω) of formulas as the columns of matrices (..., 6, 3)."""
+    rows = [np.stack(np.broadcast_arrays(*v, *w, np.zeros(state.shape))[:6], axis=-1) for v, w in columns]
+    return np.stack(rows, axis=-1)
+
+
+def _without_singular(state: StageConfiguration, values: FloatArray, kind: str, matrices: FloatArray) -> FloatArray:
+    """Return values (..., m, n), NaN where a matrix is singular to rounding; a single state raises."""
+    sizes = np.linalg.svd(np.nan_to_num(matrices), compute_uv=False)
+    singular = state.exists & (sizes[..., -1] <= SINGULAR * sizes[..., 0])
+    if singular.any() and not state.shape:
+        raise SingularConfigurationError(kind, float(sizes[..., -1]))
+    return np.where(singular[..., None, None], np.nan, values)

@@ -1,0 +1,252 @@
+"""What a stage reaches: heights of the level platform, tilts in every direction, and the nearest tilt to one.
+
+A state counts if it is physical, in mode T and the home's aspect, and within the stage's limits. Tilts are those up to
+which every smaller one in the same direction counts too.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
+from spm_pin.mechanism.stage import Stage
+from spm_pin.mechanism.stage_configuration import StageConfiguration
+from spm_pin.stages.displacement import (
+    inverse,
+    inverse_physical,
+    normals_of_request,
+    normals_of_tilt,
+    poses,
+    read_heights,
+)
+
+_STEP = math.radians(0.5)
+"""Tilts that are tried are this far apart [rad]: what is lost and won again in between is not seen."""
+_LARGEST_TILT = math.pi / 2.0
+_HEIGHTS, _BISECTIONS = 2000, 45
+_MOST_DIRECTIONS = 10_000
+_BESIDE = 1e-6
+"""How far beyond the end of the reach its cause is looked at [rad]."""
+
+
+class ReachEnd(enum.IntEnum):
+    """Why a stage tilts no farther."""
+
+    NOT_LEVEL = 0
+    """It is not reached level at this height."""
+    LIMIT = 1
+    """A reading is at its limit."""
+    LEG = 2
+    """A ball is out of a leg's reach, where crank and rod are in line or the rod is across its slide."""
+    FORWARD = 3
+    """A forward singularity, where the platform moves with its actuators locked."""
+    PLANES = 4
+    """The planes of the legs allow no platform with this normal, where both modes meet."""
+    NONE = 5
+    """It tilts by a right angle at least."""
+
+    def __str__(self) -> str:
+        return {0: "not level", 1: "limit", 2: "leg's reach", 3: "forward singularity", 4: "planes", 5: "none"}[self]
+
+
+@dataclass(frozen=True)
+class StageReach:
+    """Largest tilts of a stage, by height and azimuth."""
+
+    stage: Stage
+    heights: FloatArray
+    """Of the platform's origin [m], shape (n,)."""
+    azimuths: FloatArray
+    """Directions in which the normal leans, evenly from -π [rad], shape (m,)."""
+    tilts: FloatArray
+    """Largest tilts [rad], to π/2, shape (n, m); NaN where the level platform is not reached."""
+    ends: npt.NDArray[np.int8]
+    """`ReachEnd` of each, shape (n, m)."""
+
+    @property
+    def all_round(self) -> FloatArray:
+        """Largest tilt that is reached in every direction [rad], shape (n,); NaN where there is none."""
+        return np.asarray(self.tilts.min(axis=-1))
+
+
+def height_range(stage: Stage) -> tuple[float, float]:
+    """Return the lowest and the highest level platform [m] between which every height counts.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage. Without limits the highest of an RPS stage is ten times its size.
+
+    Returns
+    -------
+    lowest, highest : float
+        Heights of the platform's origin above the pivots: of several such ranges the widest, NaN where there is none.
+    """
+    check_instance(stage, Stage, "stage")
+    top = (10.0 if stage.unit == "m" and stage.limits is None else 1.0) * stage.size
+    if stage.limits is not None and stage.unit == "m":
+        ends = np.abs(np.array([stage.limits.minimum, stage.limits.maximum]) - stage.legs.offsets)
+        top += float(ends.max(initial=0.0, where=np.isfinite(ends)))
+    grid = np.linspace(-top, top, _HEIGHTS)
+
+    def counts(heights: FloatArray) -> BoolArray:
+        return _counts(inverse_physical(stage, heights))
+
+    good = counts(grid)
+    # The ranges' ends between the heights tried: a state that counts, and one that does not.
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
+    if not len(edges):
+        return math.nan, math.nan
+    first, last = edges[::2], edges[1::2] - 1
+    widest = int((last - first).argmax())
+    low, high = int(first[widest]), int(last[widest])
+    lowest = grid[low] if low == 0 else _between(counts, grid[low : low + 1], grid[low - 1 : low])[0]
+    beyond = grid[high + 1 : high + 2]
+    highest = grid[high] if not len(beyond) else _between(counts, grid[high : high + 1], beyond)[0]
+    return float(np.squeeze(lowest)), float(np.squeeze(highest))
+
+
+def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int = 72) -> StageReach:
+    """Find how far a stage tilts in every direction, at one height or several.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage; its limits count.
+    heights : array_like, shape () or (n,), optional
+        Of the platform's origin above the pivots [m]; by default fifteen within `height_range`.
+    directions : int
+        How many azimuths, 1 to 10,000.
+
+    Returns
+    -------
+    StageReach
+        Largest tilts to 1e-12 rad, and what ends them. States are tried every half degree up to a right angle.
+
+    Examples
+    --------
+    >>> import numpy as np, spm_pin as spm
+    >>> balancer = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
+    >>> np.degrees(spm.stages.reach(balancer, 0.12).all_round).round(2)
+    array([22.88])
+    """
+    check_instance(stage, Stage, "stage")
+    count = whole_number(directions, "directions", least=1, most=_MOST_DIRECTIONS)
+    if heights is None:
+        low, high = height_range(stage)
+        if math.isnan(low):
+            expected = "a stage that is reached level at some height"
+            raise ArgumentError("stage", expected, stage, "Limits of other readings?")
+        levels = np.linspace(low, high, 17)[1:-1]
+    else:
+        levels = np.atleast_1d(read_heights(stage, heights, "heights"))
+    if levels.ndim > 1:
+        raise ArgumentError("heights", "a height, or several of shape (n,)", f"shape {levels.shape}")
+    azimuths = -math.pi + 2.0 * math.pi * np.arange(count) / count
+    tilts, ends = _largest_tilts(stage, levels[:, None], azimuths)
+    return StageReach(stage, levels, azimuths, tilts, ends)
+
+
+def nearest_reachable(
+    stage: Stage,
+    height: float,
+    *,
+    tilt: float | None = None,
+    azimuth: float | None = None,
+    roll: float | None = None,
+    pitch: float | None = None,
+    normal: npt.ArrayLike | None = None,
+) -> StageConfiguration:
+    """Find the state that counts whose normal is nearest to one, at the same height if the stage stands level there.
+
+    Parameters
+    ----------
+    stage, height, tilt, azimuth, roll, pitch, normal
+        As for `inverse`, of a single state.
+
+    Returns
+    -------
+    StageConfiguration
+        The physical state itself where it counts; else the one of those in `reach` whose normal is at the least angle
+        to the one wanted, to 1e-6 rad. Where the level platform is out of reach the height is the nearest of
+        `height_range`. It does not exist where that is empty.
+    """
+    wanted = inverse_physical(stage, height, tilt=tilt, azimuth=azimuth, roll=roll, pitch=pitch, normal=normal)
+    if wanted.shape:
+        expected = "a single state, of a height with tilt and azimuth, roll and pitch, or a normal"
+        raise ArgumentError("height", expected, f"a batch of shape {wanted.shape}")
+    if _counts(wanted):
+        return wanted
+    target = normals_of_request(tilt, azimuth, roll, pitch, normal)
+    low, high = height_range(stage)
+    if math.isnan(low):
+        return wanted
+    level = float(np.clip(height, low, high)) if not _counts(inverse_physical(stage, height)) else float(height)
+    azimuths, width = np.linspace(-math.pi, math.pi, 361), math.pi / 180.0
+    for _ in range(4):
+        ends, _ = _largest_tilts(stage, np.array([level]), azimuths)
+        # In each direction the tilt nearest to the one wanted is its projection, or the end.
+        along = np.arctan2(np.cos(azimuths) * target[0] + np.sin(azimuths) * target[1], target[2])
+        tilts = np.clip(along, 0.0, ends)
+        normals = normals_of_tilt(tilts, azimuths)
+        angles = np.arctan2(np.linalg.norm(np.cross(normals, target), axis=-1), normals @ target)
+        best = int(angles.argmin())
+        azimuths, width = azimuths[best] + np.linspace(-width, width, 41), width / 15.0
+    return inverse_physical(stage, level, normal=normals[best])
+
+
+def _counts(state: StageConfiguration) -> BoolArray:
+    """Return which states are physical and within the limits."""
+    return np.asarray(state.exists & (state.limit_excess == 0.0).all(axis=-1))
+
+
+def _between(
+    counts: Callable[[FloatArray], BoolArray], good: FloatArray, bad: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the last numbers that count between some that do and others that do not, and the first that do not."""
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (good + bad)
+        inside = counts(middle)
+        good, bad = np.where(inside, middle, good), np.where(inside, bad, middle)
+    return good, bad
+
+
+def _largest_tilts(stage: Stage, heights: FloatArray, azimuths: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int8]]:
+    """Return the largest tilts at heights and azimuths that broadcast, NaN where not even level, and their ends."""
+    shape = np.broadcast_shapes(heights.shape, azimuths.shape)
+    heights, azimuths = np.broadcast_to(heights, shape), np.broadcast_to(azimuths, shape)
+
+    def counts(tilts: FloatArray) -> BoolArray:
+        places = np.broadcast_to(heights[..., None], tilts.shape) if tilts.ndim > heights.ndim else heights
+        ways = azimuths[..., None] if tilts.ndim > heights.ndim else azimuths
+        return _counts(inverse_physical(stage, places, tilt=tilts, azimuth=np.broadcast_to(ways, tilts.shape)))
+
+    grid = np.linspace(0.0, _LARGEST_TILT, round(_LARGEST_TILT / _STEP) + 1)
+    good = counts(np.broadcast_to(grid, (*heights.shape, len(grid))))
+    last = np.where(good.all(axis=-1), len(grid), good.argmin(axis=-1)) - 1
+    inside = np.minimum(last, len(grid) - 2)
+    tilts, _ = _between(counts, grid[np.maximum(inside, 0)], grid[inside + 1])
+    whole = last == len(grid) - 1
+    tilts = np.where(whole, _LARGEST_TILT, np.where(last < 0, np.nan, tilts))
+    beyond = np.where(np.isnan(tilts) | whole, 0.0, tilts + _BESIDE)
+    ends = _causes(stage, heights, beyond, azimuths)
+    ends = np.where(whole, ReachEnd.NONE, np.where(last < 0, ReachEnd.NOT_LEVEL, ends))
+    return tilts, ends.astype(np.int8)
+
+
+def _causes(stage: Stage, heights: FloatArray, tilts: FloatArray, azimuths: FloatArray) -> npt.NDArray[np.int8]:
+    """Return why states do not count."""
+    both = inverse(stage, heights, tilt=tilts, azimuth=azimuths)
+    state, physical = both["T"], both.is_physical[..., 0]
+    beyond = physical & (state.limit_excess != 0.0).any(axis=-1)
+    normals = normals_of_tilt(tilts, azimuths).reshape(-1, 3)
+    absent = np.isnan(poses(stage, normals, heights.reshape(-1), 1)[1][:, 0, 0]).reshape(tilts.shape)
+    choices = [beyond, absent, ~state.exists, ~physical]
+    return np.select(choices, [ReachEnd.LIMIT, ReachEnd.PLANES, ReachEnd.LEG, ReachEnd.FORWARD], ReachEnd.LIMIT)

@@ -1,0 +1,128 @@
+"""Rates, forces, singularities and reach of a stage alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from balancers import MACHINES, STAGES, requests, stage_and_height
+from finite_differences import extrapolated
+
+import spm_pin as spm
+from spm_pin.kinematics import SingularityKind
+from spm_pin.mechanism import Stage
+from spm_pin.stages import MOTION, ReachEnd
+
+BALANCER = Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
+
+
+def states(machine: str, count: int = 12) -> spm.stages.StageConfiguration:
+    stage, height = stage_and_height(machine)
+    normals, heights = requests(height, 3 * count)
+    found = spm.stages.inverse_physical(stage, heights, normal=normals)
+    found = found[found.exists]
+    regular = (np.abs(found.slopes) > 0.2 * stage.legs.largest_slopes).all(axis=-1)
+    return found[regular & (spm.stages.singularities(found).forward > 0.1)][:count]
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_the_twists_are_differences_of_poses(machine: str) -> None:
+    found = states(machine)
+    jacobian = spm.stages.platform_jacobian(found)
+    for leg in range(3):
+
+        def central(h: float, leg: int = leg) -> np.ndarray:
+            steps = h * np.eye(3)[leg], -h * np.eye(3)[leg]
+            a, b = (spm.stages.forward_physical(found.stage, found.readings + step, found) for step in steps)
+            angular = (a.pose.rotation * b.pose.rotation.inv()).as_rotvec()
+            return np.concatenate([a.translation - b.translation, angular], axis=-1) / (2.0 * h)
+
+        np.testing.assert_allclose(jacobian[..., leg], extrapolated(central, 2e-4), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_rates_both_ways_and_the_parasitic_motion_agree(machine: str) -> None:
+    found = states(machine)
+    jacobian, inverse = spm.stages.platform_jacobian(found), spm.stages.inverse_jacobian(found)
+    np.testing.assert_allclose(inverse @ jacobian[:, MOTION], np.broadcast_to(np.eye(3), inverse.shape), atol=1e-11)
+    parasitic = spm.stages.parasitic_jacobian(found)
+    np.testing.assert_allclose(parasitic @ jacobian[:, MOTION], jacobian, atol=1e-11 * np.abs(jacobian).max())
+    motion = [0.1, -0.2, 0.3]
+    twists = np.einsum("nki,ni->nk", jacobian, spm.stages.leg_rates(found, motion))
+    np.testing.assert_allclose(twists[:, MOTION], np.tile(motion, (len(found), 1)), atol=1e-11)
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_what_the_joints_carry_is_in_equilibrium(machine: str) -> None:
+    found, wrench = states(machine), np.array([3.0, -2.0, -50.0, 0.4, -0.6, 0.8])
+    loads = spm.stages.joint_loads(found, wrench)
+    np.testing.assert_allclose(loads.balls.sum(axis=-2), np.tile(-wrench[:3], (len(found), 1)), atol=1e-11)
+    arms = found.balls - found.translation[:, None]
+    moments = np.cross(arms, loads.balls).sum(axis=-2)
+    np.testing.assert_allclose(moments, np.tile(-wrench[3:], (len(found), 1)), atol=1e-11)
+    forces = spm.stages.leg_forces(found, wrench)
+    np.testing.assert_allclose(loads.efforts, forces, atol=1e-11)
+    if found.stage.unit == "rad":
+        # The crank's actuator balances the moment of the ball's force about its axis: a turn that leads outwards.
+        about = (loads.moments * np.cross(*found.stage.legs.planes)).sum(axis=-1)
+        np.testing.assert_allclose(np.abs(about), np.abs(forces), atol=1e-11)
+
+
+def test_a_level_tripod_carries_a_third_in_each_leg() -> None:
+    level = spm.stages.inverse_physical(Stage(0.46, 0.46), 1.0)
+    np.testing.assert_allclose(spm.stages.leg_forces(level, [0, 0, -30.0, 0, 0, 0]), 10.0)
+    loads = spm.stages.joint_loads(level, [0, 0, 0, 0, 0, 9.0])
+    np.testing.assert_allclose(np.abs(loads.across), 9.0 / 3.0 / 0.46)
+    np.testing.assert_allclose(loads.rods, 0.0, atol=1e-14)
+
+
+def test_singularities_of_all_sorts() -> None:
+    assert spm.stages.singularities(states("RPS")).kind.max() == 0
+    # A flat tripod moves with its actuators locked.
+    flat = spm.stages.inverse(STAGES["RPS"], 0.0)["T"]
+    assert spm.stages.singularities(flat).kind & SingularityKind.FORWARD
+    with pytest.raises(spm.SingularConfigurationError, match="forward"):
+        spm.stages.platform_jacobian(flat)
+    # A crank and a rod in line.
+    reach = np.hypot(0.16, 0.0)
+    line = spm.stages.inverse(STAGES["RRS"], float(np.sqrt(reach**2 - 0.01**2)) - 1e-15)["T"]
+    assert spm.stages.singularities(line, tolerance=1e-6).kind == SingularityKind.LEG
+    # Straight up: a platform on its edge has no torsion of its own.
+    normals = np.array([[np.sin(t), 0.0, np.cos(t)] for t in (0.1, 1.0, 2.0, 3.0, 3.14)])
+    distance = spm.stages.singularities(spm.stages.inverse(STAGES["RPS"], 1.0, normal=normals)["T"]).inverse
+    assert (np.diff(distance) < 0.0).all()
+    gained = spm.stages.singularities(flat).gained_twist
+    np.testing.assert_allclose(np.abs(gained[:2]), 0.0, atol=1e-12)
+
+
+def test_the_reach_is_where_states_stop_to_count() -> None:
+    found = spm.stages.reach(BALANCER, 0.12, directions=12)
+    assert (found.ends == ReachEnd.LIMIT).all()
+    for beyond, counts in ((-1e-9, True), (1e-9, False)):
+        state = spm.stages.inverse_physical(BALANCER, 0.12, tilt=found.tilts[0] + beyond, azimuth=found.azimuths)
+        np.testing.assert_array_equal((state.limit_excess == 0.0).all(axis=-1), counts)
+    low, high = spm.stages.height_range(BALANCER)
+    for height, reading in ((low, -0.6), (high, 1.2)):
+        np.testing.assert_allclose(spm.stages.inverse_physical(BALANCER, height).readings, reading, atol=1e-7)
+    assert np.isnan(spm.stages.reach(BALANCER, high + 1e-6).tilts).all()
+    assert (spm.stages.reach(BALANCER, high + 1e-6).ends == ReachEnd.NOT_LEVEL).all()
+    # By symmetry of the drawing, every third of a turn is alike.
+    np.testing.assert_allclose(found.tilts[0, :4], found.tilts[0, 4:8], atol=1e-9)
+    unlimited = spm.stages.reach(STAGES["RRS"], 0.12, directions=12)
+    assert (unlimited.tilts > found.tilts).all()
+    assert set(unlimited.ends.flat) <= {ReachEnd.LEG, ReachEnd.FORWARD}
+
+
+def test_the_nearest_reachable_tilt_is_no_farther_than_any_of_a_grid() -> None:
+    wanted = {"tilt": 0.6, "azimuth": 0.9}
+    nearest = spm.stages.nearest_reachable(BALANCER, 0.12, **wanted)
+    target = np.array([np.sin(0.6) * np.cos(0.9), np.sin(0.6) * np.sin(0.9), np.cos(0.6)])
+    angle = np.arccos(nearest.normal @ target)
+    assert not nearest.limit_excess.any()
+    tilts, azimuths = np.meshgrid(np.linspace(0.0, 0.7, 141), np.linspace(-np.pi, np.pi, 361))
+    grid = spm.stages.inverse_physical(BALANCER, 0.12, tilt=tilts, azimuth=azimuths)
+    counts = grid.exists & (grid.limit_excess == 0.0).all(axis=-1)
+    assert angle <= np.arccos((grid.normal @ target)[counts]).min() + 1e-6
+    inside = spm.stages.nearest_reachable(BALANCER, 0.12, tilt=0.1, azimuth=0.9)
+    np.testing.assert_allclose([inside.tilt, inside.azimuth], [0.1, 0.9])
+    low = spm.stages.nearest_reachable(BALANCER, 0.01, roll=0.1)
+    np.testing.assert_allclose(low.height, spm.stages.height_range(BALANCER)[0])
