@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import re
+from collections.abc import Iterator
 from typing import Any, get_args
 
 from typer.main import get_command
@@ -16,13 +17,22 @@ def command_reference() -> str:
     exit_codes = "[Exit codes](../howto/command_line.md#exit-codes) are those of all commands."
     lines = ["# Commands", "", "[How to use them](../howto/command_line.md), with the extras that some need."]
     lines += [exit_codes, ""]
-    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+    for name, command in _commands(get_command(app)):
         arguments = " ".join(_typed(parameter) for parameter in command.params if parameter.param_type_name != "option")
         lines += [f"## {name}", "", f"`spm-pin {name}{' ' * bool(arguments)}{arguments} [OPTIONS]`", ""]
         lines += [_text(command.help or ""), "", "| | what it is | default |", "|---|---|---|"]
         lines += [_row(parameter) for parameter in command.params if parameter.name != "help"]
         lines.append("")
     return "\n".join(lines)
+
+
+def _commands(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the commands of a group and of the groups in it, with what is typed for them."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from _commands(command, f"{before}{name} ")
+        else:
+            yield f"{before}{name}", command
 
 
 def _typed(parameter: Any) -> str:

@@ -28,7 +28,7 @@ EXIT_CODES = (
 
 
 app = typer.Typer(
-    help="Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator.",
+    help="Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator and of its stages.",
     epilog=EXIT_CODES,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -75,11 +75,22 @@ _COMMANDS = {
 }
 """The commands, which are functions of these names, and their files, in the order of the help."""
 
-for _name, _file in _COMMANDS.items():
-    _function = getattr(import_module(f"spm_pin.cli.{_file}"), _name)
-    # Typer would keep the lines of the docstring, and break them again in a narrower window.
-    _paragraphs = (inspect.getdoc(_function) or "").split("\n\n")
-    app.command(cls=_Command, help="\n\n".join(" ".join(text.split()) for text in _paragraphs))(_function)
+_STAGE_COMMANDS = dict.fromkeys(("inverse", "forward", "reach", "draw"), "stage")
+"""Those of `spm-pin stage`."""
+
+
+def _add_commands(group: typer.Typer, commands: dict[str, str]) -> None:
+    for name, file in commands.items():
+        function = getattr(import_module(f"spm_pin.cli.{file}"), name)
+        # Typer would keep the lines of the docstring, and break them again in a narrower window.
+        paragraphs = (inspect.getdoc(function) or "").split("\n\n")
+        group.command(cls=_Command, help="\n\n".join(" ".join(text.split()) for text in paragraphs))(function)
+
+
+_stage = typer.Typer(help="A stage alone: a ball balancer, a tripod head, a mirror's mount.", no_args_is_help=True)
+_add_commands(_stage, _STAGE_COMMANDS)
+app.add_typer(_stage, name="stage")
+_add_commands(app, _COMMANDS)
 
 
 def _show_version(requested: bool) -> None:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     )
     from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
     from spm_pin.display.shell_plots import draw_shell, save_mesh, sections_figure, shell_figure
+    from spm_pin.display.stage_figures import reach_figure, stage_figure
     from spm_pin.display.viewer import Playback, Recording, Viewer, read_recording
     from spm_pin.display.writing import save_figure
 
@@ -34,6 +35,7 @@ __all__ = [
     "front_figure",
     "motion_figure",
     "path_figure",
+    "reach_figure",
     "read_recording",
     "save_figure",
     "save_gallery",
@@ -41,6 +43,7 @@ __all__ = [
     "save_picture",
     "sections_figure",
     "shell_figure",
+    "stage_figure",
 ]
 
 # Imported on first use: each room that a figure shows takes a moment.
@@ -48,6 +51,7 @@ _HOMES = {
     "figures": "agreement_figure calibration_figure certificate_figure front_figure motion_figure path_figure",
     "plots": "draw draw_capability save_gallery save_picture",
     "shell_plots": "draw_shell save_mesh sections_figure shell_figure",
+    "stage_figures": "reach_figure stage_figure",
     "viewer": "Playback Recording Viewer read_recording",
     "writing": "save_figure",
 }

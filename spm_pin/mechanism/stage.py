@@ -152,8 +152,10 @@ class Stage:
             if pair is None:
                 expected = f"a pair (minimum, maximum) in {self.unit}, each one number or three"
                 raise GeometryError("limits", expected, type_and_value(value))
-            with raised_as(GeometryError, "limits"):
+            try:
                 value = StageLimits(pair[0], pair[1])
+            except GeometryError as error:
+                raise GeometryError("limits", error.expected, error.received, error.cause) from error
         check_limits(value, self.legs)
         ends = np.abs(np.array([value.minimum, value.maximum]) - self.legs.offsets)
         farthest = float(ends.max(initial=0.0, where=np.isfinite(ends)))

@@ -121,7 +121,7 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
     stage : Stage
         The stage; its limits count.
     heights : array_like, shape () or (n,), optional
-        Of the platform's origin above the pivots [m]; by default fifteen within `height_range`.
+        Of the platform's origin above the pivots [m]; by default nine within `height_range`.
     directions : int
         How many azimuths, 1 to 10,000.
 
@@ -144,7 +144,7 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
         if math.isnan(low):
             expected = "a stage that is reached level at some height"
             raise ArgumentError("stage", expected, stage, "Limits of other readings?")
-        levels = np.linspace(low, high, 17)[1:-1]
+        levels = np.linspace(low, high, 11)[1:-1]
     else:
         levels = np.atleast_1d(read_heights(stage, heights, "heights"))
     if levels.ndim > 1:

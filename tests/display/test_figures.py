@@ -13,6 +13,7 @@ import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
 from spm_pin.design import DesignProblem, Designs, Front
 from spm_pin.display.figures import agreement_figure, certificate_figure, front_figure, motion_figure, path_figure
+from spm_pin.display.stage_figures import reach_figure, stage_figure
 from spm_pin.display.writing import new_figure, save_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.motion import plan, time_optimal
@@ -102,3 +103,18 @@ def test_a_front_shows_its_machines_and_the_one_that_it_began_with() -> None:
     np.testing.assert_array_equal(start.get_offsets(), [[1.4, 1.4]])
     assert ax.get_xlabel() == "volume [m³\u00a0rad³], max"
     assert ax.get_ylabel() == "footprint [m²], min"
+
+
+@pytest.mark.parametrize("kind", [spm.RPS(), spm.PRS(rod=0.4), spm.RRS(crank=0.2, rod=0.4)], ids=repr)
+def test_a_stage_and_its_reach_are_drawn(kind: spm.RPS | spm.PRS | spm.RRS) -> None:
+    stage = spm.Stage(0.35, 0.3, kind)
+    state = spm.stages.inverse_physical(stage, 0.45, tilt=0.1, azimuth=0.0)
+    ax = stage_figure(state).axes[0]
+    # Platform and base, and a line for each rod; another for a crank or a slide.
+    assert len(ax.patches) == 2
+    assert len(ax.lines) == (4 if isinstance(kind, spm.RPS) else 7)
+    with pytest.raises(spm.ArgumentError, match="a single state that exists"):
+        stage_figure(spm.stages.inverse_physical(stage, [0.4, 0.5]))
+    reach = spm.stages.reach(stage, [0.3, 0.45], directions=24)
+    lines = reach_figure(reach).axes[0].lines
+    np.testing.assert_allclose(lines[1].get_ydata()[:-1], np.degrees(reach.tilts[1]))

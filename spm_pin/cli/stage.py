@@ -1,0 +1,329 @@
+"""`spm-pin stage`: a stage alone, of a file or of numbers that a ruler gives: displacements, reach, pictures."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from typer import Option
+
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit, Triple
+from spm_pin.display import reach_figure, save_figure, stage_figure
+from spm_pin.display.writing import FORMATS, fixed
+from spm_pin.errors import ArgumentError, GeometryError, raised_as
+from spm_pin.mechanism import PRS, RPS, RRS, LegKind, Stage, StageConfiguration, StageSolutions, Status
+from spm_pin.stages import ReachEnd, forward_physical, height_range, inverse_physical, nearest_reachable
+from spm_pin.stages import forward as all_modes
+from spm_pin.stages import inverse as both_modes
+from spm_pin.stages import reach as largest_tilts
+
+Record = dict[str, Any]
+_Number = float | None
+_STAGE: dict[str, tuple[Any, str, str, str]] = {
+    "file": (Path | None, "--stage", "FILE", "YAML file of a stage, in place of the numbers that follow."),
+    "base": (_Number, "--base", "RADIUS", "From the centre of the base to the pivots, in --unit."),
+    "platform": (_Number, "--platform", "RADIUS", "From the centre of the platform to the balls, in --unit."),
+    "crank": (_Number, "--crank", "LENGTH", "Of servos' cranks, in --unit: with --rod, legs RRS."),
+    "rod": (_Number, "--rod", "LENGTH", "From knee or carriage to ball, in --unit: alone, legs PRS; without, RPS."),
+    "slide": (_Number, "--slide", "DEGREES", "Direction of PRS legs' slides: 0 outwards, 90 upwards, the default."),
+    "sign": (int | None, "--sign", "±1", "Working mode: -1, knees outside and carriages below, the default, or 1."),
+    "limits": (
+        tuple[float, float] | None,
+        "--limits",
+        "MIN MAX",
+        "Of the readings: in --unit, of servos in degrees.",
+    ),
+}
+"""Options that describe a stage: what they take, what is typed, and the help."""
+Height = Annotated[float, Option(metavar="LENGTH", help="Of the platform's centre above the pivots, in --unit.")]
+
+
+def takes_stage(command: Callable[..., None]) -> Callable[..., None]:
+    """Decorate a command that has a `stage`, so that it takes the options of one instead; it has a `unit` too."""
+    parameters = []
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        whole = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        if parameter.name != "stage":
+            parameters.append(whole)
+            continue
+        for name, (kind, typed, metavar, text) in _STAGE.items():
+            annotation = Annotated.__class_getitem__((kind, Option(typed, metavar=metavar, help=text)))  # type: ignore[attr-defined]
+            parameters.append(whole.replace(name=name, annotation=annotation, default=None))
+
+    @functools.wraps(command)
+    def run(**arguments: Any) -> None:
+        typed = {name: arguments.pop(name) for name in _STAGE}
+        command(stage=_read_stage(typed, arguments["unit"]), **arguments)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return run
+
+
+@takes_stage
+@outputs.name_options(**{name: f"--{name}" for name in ("height", "tilt", "azimuth", "roll", "pitch", "normal")})
+def inverse(
+    stage: Stage,
+    height: Height,
+    tilt: Annotated[float | None, Option(metavar="DEGREES", help="Of the platform, with --azimuth.")] = None,
+    azimuth: Annotated[
+        float | None, Option(metavar="DEGREES", help="Where it is lowest: 0 along x, legs at -30, 90 and 210.")
+    ] = None,
+    roll: Annotated[float | None, Option(metavar="DEGREES", help="Instead, with --pitch: about x.")] = None,
+    pitch: Annotated[float | None, Option(metavar="DEGREES", help="About y.")] = None,
+    normal: Annotated[Triple | None, Option(metavar="X Y Z", help="Instead: the unit normal.")] = None,
+    unit: options.Unit = LengthUnit.M,
+    json: options.AsJson = False,
+) -> None:
+    """Find what the legs of a stage read for a tilt and a height of its platform, in both operation modes.
+
+    Example: spm-pin stage inverse --base 80 --platform 90 --crank 50 --rod 110 --unit mm --height 120 --roll 8
+
+    Where the platform does not get there, the nearest reachable tilt is named. The exit code is 3 if neither mode is
+    real, 5 if none is physical and within the limits.
+    """
+    degrees = {"tilt": tilt, "azimuth": azimuth, "roll": roll, "pitch": pitch}
+    request: dict[str, Any] = {name: None if x is None else math.radians(x) for name, x in degrees.items()}
+    request |= {"normal": normal}
+    metres = height / unit.per_metre
+    solutions = both_modes(stage, metres, **request)
+    physical, nearest = solutions.physical(), None
+    code = _exit_code(solutions, physical)
+    if code:
+        nearest = nearest_reachable(stage, metres, **request)
+    records = _records(solutions, unit)
+    if json:
+        found = None if nearest is None or not nearest.exists else _record("nearest", nearest, unit)
+        outputs.write_json({**_units(stage, unit), "status": str(solutions.status), "modes": records, "nearest": found})
+        raise typer.Exit(code)
+    _print_states(stage, records, "mode", unit)
+    status = f"status: {solutions.status}{_why(solutions.configurations.missing_reason)}"
+    lines = [status, *_remarks(records, physical)]
+    if nearest is not None and nearest.exists:
+        found = _record("nearest", nearest, unit)
+        lines.append(
+            f"The nearest tilt that is reached is {fixed(found['tilt'], 3)}° towards {fixed(found['azimuth'], 2)}° at "
+            f"{unit.text(found['height'])} {unit}: {', '.join(_reading(stage, x, unit) for x in found['readings'])}"
+        )
+    outputs.print_lines(lines)
+    raise typer.Exit(code)
+
+
+@takes_stage
+@outputs.name_options()
+def forward(
+    stage: Stage,
+    readings: Annotated[Triple, Option(metavar="R1 R2 R3", help="In --unit, of servos in degrees.")],
+    every: Annotated[bool, Option("--all", help="All sixteen assembly modes, not the physical one alone.")] = False,
+    unit: options.Unit = LengthUnit.M,
+    json: options.AsJson = False,
+) -> None:
+    """Find the tilt and the height of a stage's platform from what its legs read.
+
+    Example: spm-pin stage forward --base 80 --platform 90 --crank 50 --rod 110 --unit mm --readings 20 33 6
+    """
+    own = np.array(readings) / _scale(stage, unit)
+    physical = forward_physical(stage, own)
+    if every:
+        solutions = all_modes(stage, own)
+        records, status, reason = _records(solutions, unit), solutions.status, solutions.configurations.missing_reason
+    else:
+        records = [_record("", physical, unit) | {"physical": True}] if physical.exists else []
+        status, reason = (Status.OK if physical.exists else Status.UNREACHABLE), physical.missing_reason
+    held = bool(physical.exists) and not physical.limit_excess.any()
+    codes = {Status.OK: 0 if held else 5, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}
+    code = codes.get(Status(int(status)), 1)
+    if json:
+        outputs.write_json({**_units(stage, unit), "status": str(status), "modes": records})
+        raise typer.Exit(code)
+    _print_states(stage, records, "mode", unit, pose=True)
+    outputs.print_lines([f"status: {status}" + _why(reason), *_remarks(records, physical)])
+    raise typer.Exit(code)
+
+
+@takes_stage
+@outputs.name_options(heights="--height")
+def reach(
+    stage: Stage,
+    height: Annotated[
+        list[float] | None,
+        Option(metavar="LENGTH", help="Of the platform's centre, in --unit; may be repeated; nine if not given."),
+    ] = None,
+    directions: Annotated[int, Option(metavar="N", help="In how many directions the largest tilt is sought.")] = 72,
+    out: Annotated[Path | None, outputs.picture_option("Picture of the largest tilts to write.")] = None,
+    unit: options.Unit = LengthUnit.M,
+    json: options.AsJson = False,
+) -> None:
+    """Find how far a stage's platform tilts, by height and direction, and what ends it.
+
+    Example: spm-pin stage reach --base 80 --platform 90 --crank 50 --rod 110 --limits -35 70 --unit mm --out reach.png
+    """
+    heights = None if height is None else np.array(height) / unit.per_metre
+    found = largest_tilts(stage, heights, directions=directions)
+    records = [
+        {
+            "height": level * unit.per_metre,
+            "all_round": np.degrees(tilts.min()),
+            "largest": np.degrees(tilts.max()),
+            "ends": [str(ReachEnd(end)) for end in np.unique(ends)],
+        }
+        for level, tilts, ends in zip(found.heights, found.tilts, found.ends, strict=True)
+    ]
+    low, high = (x * unit.per_metre for x in height_range(stage))
+    if json:
+        outputs.write_json({"unit": unit, "height_range": [low, high], "heights": records})
+    else:
+        columns: dict[str, Callable[[Record], str]] = {
+            f"height [{unit}]": lambda row: unit.text(row["height"]),
+            "all round [°]": lambda row: fixed(row["all_round"], 2),
+            "largest [°]": lambda row: fixed(row["largest"], 2),
+            "ends at": lambda row: ", ".join(row["ends"]),
+        }
+        outputs.print_table("Largest tilts, in every direction and in the best one", columns, records, left=["ends at"])
+        outputs.print_lines([f"level from {unit.text(low)} to {unit.text(high)} {unit}"])
+    outputs.write_figure(out, reach_figure, found)
+
+
+@takes_stage
+@outputs.name_options()
+def draw(
+    stage: Stage,
+    out: Annotated[Path, outputs.picture_option(f"Picture to write: {', '.join(FORMATS)}.")],
+    height: Annotated[float | None, Option(metavar="LENGTH", help="In --unit; the middle if not given.")] = None,
+    tilt: Annotated[float, Option(metavar="DEGREES", help="Of the platform.")] = 0.0,
+    azimuth: Annotated[float, Option(metavar="DEGREES", help="Where it is lowest.")] = 0.0,
+    unit: options.Unit = LengthUnit.M,
+) -> None:
+    """Draw a stage with its platform at a height and a tilt.
+
+    Example: spm-pin stage draw --base 80 --platform 90 --crank 50 --rod 110 --unit mm --tilt 12 --out stage.png
+    """
+    metres = sum(height_range(stage)) / 2.0 if height is None else height / unit.per_metre
+    state = inverse_physical(stage, metres, tilt=math.radians(tilt), azimuth=math.radians(azimuth))
+    if not state.exists:
+        raise ArgumentError("--tilt", "a tilt and a height that the stage reaches", "none", state.missing_reason)
+    save_figure(stage_figure(state), out)
+    outputs.note(f"wrote {out}")
+
+
+def _read_stage(typed: Record, unit: LengthUnit) -> Stage:
+    given = [name for name, value in typed.items() if value is not None]
+    if typed["file"] is not None:
+        if len(given) > 1:
+            beside = ", ".join(_STAGE[name][1] for name in given if name != "file")
+            raise ArgumentError("--stage", "a file alone: its numbers are in metres and radians", f"also {beside}")
+        with raised_as(GeometryError, "--stage"):
+            return Stage.from_yaml(typed["file"])
+    for name in ("base", "platform"):
+        if typed[name] is None:
+            raise ArgumentError(_STAGE[name][1], "a radius, or --stage with a file", "neither")
+    lengths = {name: None if typed[name] is None else typed[name] / unit.per_metre for name in list(_STAGE)[1:5]}
+    names = {"base_radius": "--base", "platform_radius": "--platform", "legs": "--rod", "direction": "--slide"}
+    try:
+        kind = _read_kind(typed, lengths)
+        stage = Stage(lengths["base"], lengths["platform"], kind)  # type: ignore[arg-type]
+        limits = None if typed["limits"] is None else [x / _scale(stage, unit) for x in typed["limits"]]
+        return Stage(stage.base_radius, stage.platform_radius, kind, limits)
+    except GeometryError as error:
+        name = error.argument.partition(" of ")[0]
+        option = names.get(name, f"--{name}")
+        cause = (
+            f"Read in {unit}; is it {LengthUnit.MM}? --unit says so" if "are in metres" in error.cause else error.cause
+        )
+        raise GeometryError(option, error.expected, error.received, cause) from error
+
+
+def _read_kind(typed: Record, lengths: Record) -> LegKind:
+    sign: Record = {} if typed["sign"] is None else {"sign": typed["sign"]}
+    if lengths["crank"] is not None:
+        if lengths["rod"] is None:
+            raise ArgumentError("--rod", "the length of the rods beside --crank", "none")
+        _refuse(typed, "slide", "--crank")
+        return RRS(crank=lengths["crank"], rod=lengths["rod"], **sign)
+    if lengths["rod"] is not None:
+        slide: Record = {} if typed["slide"] is None else {"direction": math.radians(typed["slide"])}
+        return PRS(rod=lengths["rod"], **slide, **sign)
+    _refuse(typed, "slide", "legs without --rod")
+    _refuse(typed, "sign", "legs without --rod")
+    return RPS()
+
+
+def _refuse(typed: Record, name: str, beside: str) -> None:
+    if typed[name] is not None:
+        raise ArgumentError(_STAGE[name][1], f"not to be given with {beside}", f"{typed[name]:g}")
+
+
+def _scale(stage: Stage, unit: LengthUnit) -> float:
+    """Return what a reading in metres or radians is multiplied by to be printed."""
+    return unit.per_metre if stage.unit == "m" else 180.0 / math.pi
+
+
+def _units(stage: Stage, unit: LengthUnit) -> Record:
+    return {"unit": unit, "readings": unit if stage.unit == "m" else "degrees"}
+
+
+def _reading(stage: Stage, reading: float, unit: LengthUnit) -> str:
+    return unit.text(reading) if stage.unit == "m" else fixed(reading, 3)
+
+
+def _record(label: str, state: StageConfiguration, unit: LengthUnit) -> Record:
+    angles = {name: np.degrees(getattr(state, name)) for name in ("tilt", "azimuth", "roll", "pitch", "torsion")}
+    return {
+        "label": label,
+        **angles,
+        "height": state.height * unit.per_metre,
+        "shift": state.shift * unit.per_metre,
+        "readings": state.readings * _scale(state.stage, unit),
+        "beyond_limits": np.flatnonzero(state.limit_excess),
+        "translation": state.translation * unit.per_metre,
+        "rotation": state.rotation,
+        "physical": bool(state.is_at_home),
+    }
+
+
+def _records(solutions: StageSolutions, unit: LengthUnit) -> list[Record]:
+    return [_record(solutions.labels[k], solutions.configurations[k], unit) for k in np.flatnonzero(solutions.exists)]
+
+
+def _print_states(stage: Stage, records: list[Record], what: str, unit: LengthUnit, *, pose: bool = False) -> None:
+    angle = "°" if stage.unit == "rad" else str(unit)
+    columns: dict[str, Any] = {what: lambda row: row["label"]} if len(records) > 1 or not pose else {}
+    if pose:
+        for name in ("tilt", "azimuth", "roll", "pitch"):
+            columns[f"{name} [°]"] = lambda row, name=name: fixed(row[name], 3)
+        columns[f"height [{unit}]"] = lambda row: unit.text(row["height"])
+    else:
+        for leg, name in enumerate(stage.legs.names):
+            columns[f"{name} [{angle}] "] = lambda row, leg=leg: (
+                _reading(stage, row["readings"][leg], unit) + " *"[leg in row["beyond_limits"]]
+            )
+    for k, axis in enumerate("xy"):
+        columns[f"shift {axis} [{unit}]"] = lambda row, k=k: unit.text(row["shift"][k])
+    columns["torsion [°]"] = lambda row: fixed(row["torsion"], 3)
+    columns[""] = lambda row: "physical" * row["physical"]
+    title = "Tilt and height of the platform" if pose else f"Readings of the legs in {angle}"
+    outputs.print_table(f"{title}, and its parasitic motion", columns, records, left=[""])
+
+
+def _remarks(records: list[Record], physical: StageConfiguration) -> list[str]:
+    remarks = ["* beyond the limits"] if any(len(record["beyond_limits"]) for record in records) else []
+    if records and not physical.exists:
+        remarks.append("Neither is physical: none is reached from the level platform without a forward singularity.")
+    return remarks
+
+
+def _why(reason: str) -> str:
+    return f": {reason}" if reason else ""
+
+
+def _exit_code(solutions: StageSolutions, physical: StageConfiguration) -> int:
+    if solutions.status is not Status.OK:
+        return 3
+    return 0 if physical.exists and not physical.limit_excess.any() else 5

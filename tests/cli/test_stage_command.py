@@ -1,0 +1,82 @@
+"""`spm-pin stage`: a stage of numbers that a ruler gives, or of a file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli.running import run
+
+import spm_pin as spm
+
+SIZES = ["--base", "80", "--platform", "90", "--crank", "50", "--rod", "110", "--unit", "mm"]
+STAGE = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
+
+
+def test_readings_of_a_tilt_and_the_way_back() -> None:
+    done = run("stage", "inverse", *SIZES, "--height", "120", "--roll", "8", "--pitch", "-5", "--json")
+    content = json.loads(done.stdout)
+    expected = spm.stages.inverse_physical(STAGE, 0.12, roll=np.radians(8), pitch=np.radians(-5))
+    (mode,) = content["modes"]
+    assert content["readings"] == "degrees"
+    np.testing.assert_allclose(mode["readings"], np.degrees(expected.readings), atol=1e-9)
+    np.testing.assert_allclose(mode["shift"], 1e3 * expected.shift, atol=1e-9)
+    back = run("stage", "forward", *SIZES, "--readings", *map(str, mode["readings"]), "--json")
+    (state,) = json.loads(back.stdout)["modes"]
+    np.testing.assert_allclose([state["roll"], state["pitch"], state["height"]], [8.0, -5.0, 120.0], atol=1e-9)
+    every = run("stage", "forward", *SIZES, "--readings", *map(str, mode["readings"]), "--all").stdout
+    assert "T2+" in every
+    assert every.count("physical") == 1
+
+
+def test_what_is_not_reached_has_the_nearest_tilt() -> None:
+    done = run("stage", "inverse", *SIZES, "--height", "120", "--tilt", "40", "--azimuth", "30")
+    out = done.stdout
+    assert done.returncode == 3
+    assert "out of reach of r_3" in out
+    assert "The nearest tilt that is reached is 26.352° towards 30.00° at 120.00 mm" in out
+    limits = ["--limits", "-20", "40"]
+    done = run("stage", "inverse", *SIZES, *limits, "--height", "120", "--tilt", "20", "--azimuth", "30")
+    out = done.stdout
+    assert done.returncode == 5
+    assert "59.904*" in out
+    assert "40.000" in out.splitlines()[-1]
+
+
+def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
+    stage = spm.Stage(0.35, 0.2, spm.PRS(rod=0.4), limits=(-0.05, 0.3)).perturbed(1)
+    stage.to_yaml(tmp_path / "head.yaml")
+    file = ["--stage", str(tmp_path / "head.yaml")]
+    content = json.loads(run("stage", "reach", *file, "--directions", "12", "--json").stdout)
+    np.testing.assert_allclose(content["height_range"], spm.stages.height_range(stage))
+    expected = spm.stages.reach(stage, directions=12)
+    np.testing.assert_allclose([x["all_round"] for x in content["heights"]], np.degrees(expected.all_round))
+    table = run("stage", "reach", *file, "--height", "0.5", "--out", str(tmp_path / "reach.png")).stdout
+    assert "limit" in table
+    run("stage", "draw", *file, "--tilt", "10", "--out", str(tmp_path / "stage.svg"))
+    assert (tmp_path / "reach.png").stat().st_size > 10_000
+    assert "tilt 10.0° towards 0°" in (tmp_path / "stage.svg").read_text(encoding="utf-8")
+    whole = ["--base", "0.7", "--platform", "0.46"]
+    assert "F " in run("stage", "inverse", *whole, "--height", "1.1").stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (SIZES[:8], "--rod: expected a length in metres, to 20, got 110. Read in m; is it mm? --unit says so"),
+        (SIZES[:6] + SIZES[8:], "--rod: expected the length of the rods beside --crank"),
+        (SIZES[:2], "--platform: expected a radius, or --stage with a file"),
+        ([*SIZES, "--slide", "90"], "--slide: expected not to be given with --crank"),
+        ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
+        ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
+        ([*SIZES, "--tilt", "10"], "--azimuth: expected a tilt with its azimuth"),
+        ([*SIZES, "--stage", "no.yaml"], "--stage: expected a file alone"),
+        (["--stage", "no.yaml"], "--stage"),
+    ],
+)
+def test_what_is_wrong_is_named_as_it_was_typed(options: list[str], message: str) -> None:
+    done = run("stage", "inverse", *options, "--height", "120")
+    assert done.returncode == 2
+    assert message in done.message
