@@ -242,7 +242,7 @@ INPUTS = "Configuration DesignProblem Geometry JointLimits LegLimits LegPath Leg
 INPUTS += " Stage StageConfiguration StageLimits"
 """Classes that users make themselves; the others are results, made by the package."""
 
-OTHER_WORDS = {"value": "pose", "lower": "r_", "upper": "r_", "pose_noise": "the noise", "length_noise": "the noise"}
+OTHER_WORDS = {"value": "pose", "lower": "r_", "upper": "r_", "pose_noise": "the noise", "reading_noise": "the noise"}
 """Words by which an error may name an argument, other than its name."""
 
 SMALL = ("samples", "spacing", "starts", "rng", "tries", "xyx")

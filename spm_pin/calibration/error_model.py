@@ -1,28 +1,30 @@
-"""The derivative of the platform's pose by errors of the 54 parameters, and combinations of errors that do not move it.
+"""The derivative of the platform's pose by errors of a machine's parameters, and errors that no measurement shows.
 
 At constant readings every leg gives two equations in the errors and in the twists t_L of the middle platform and t of
-the terminal one. With δ along the leg, n its axis, b its ball and a its pivot, all in {B}, and the errors dp, da, dn
-and do of ball, pivot, axis and offset:
+the terminal one. With u from the centre c of its circle to its ball b, n its axis and a its pivot, all in {B}, the
+errors dp, da, dn and do of ball, pivot, axis and offset, and those dν of the numbers that are fixed in a leg of its
+kind, on which c and the radius ρ depend:
 
-    lower:  δ·t_L(b) = δ·da - δ·dp - do,              n·t_L(b) = n·da - n·dp - dn·(b - a),
-    upper:  δ·(t - t_L)(b) = δ·dp - δ·da - do,        n·(t - t_L)(b) = n·dp - n·da + dn·(b - a).
+    lower:  u·t_L(b) = u·da - u·dp - κ do + Σ (u·∂c/∂ν + ∂ρ/∂ν) dν + φ u×(c - a),   n·t_L(b) = n·da - n·dp - dn·(b - a),
+    upper:  the same with the twist t_L - t.
 
-On the left are the matrices J_b and J_c of `spm_pin.kinematics.rates_and_forces`.
+φ is the turn of the leg's plane about n that dn makes, and × the product in that plane. On the left are the matrices
+J_b and J_c of `spm_pin.kinematics.rates_and_forces`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.rates_and_forces import stage_inverses
-from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance
+from spm_pin.mechanism import LEGS, Configuration, Geometry
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number
 from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.geometry import check_rps
 
 
 def error_jacobian(configuration: Configuration) -> FloatArray:
@@ -35,10 +37,10 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (..., 6, 54)
-        Rows (v, ω): displacement of o [m] and rotation of m [rad], in {B}; columns `PARAMETERS`, per metre or radian.
-        NaN for a member of a batch that does not exist, or is at a forward or a constraint singularity, where a single
-        state raises `SingularConfigurationError`.
+    ndarray, shape (..., 6, n)
+        Rows (v, ω): displacement of o [m] and rotation of m [rad], in {B}; columns `Geometry.parameter_names`, 54 of
+        RPS legs, per metre or radian. NaN for a member of a batch that does not exist, or is at a forward or a
+        constraint singularity, where a single state raises `SingularConfigurationError`.
 
     Examples
     --------
@@ -50,74 +52,127 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     array([-6.0e-06,  6.9e-05, -3.9e-05])
     """
     check_configuration(configuration)
-    state, geometry = configuration, configuration.geometry
-    check_rps(geometry, "errors of the legs")
+    state, legs = configuration, configuration.geometry.legs
     outward = np.where(np.arange(6) < 3, 1.0, -1.0)[:, None]
-    # The arms from pivots to balls, and unit vectors along the legs, those of the upper ones from ball to pivot.
-    arms, axes = outward * state.leg_vectors, state.leg_axes
+    # Unit vectors from the circles' centres to the balls, in {B}, and in the planes of the legs.
     with np.errstate(invalid="ignore"):
-        along = state.leg_vectors / state.leg_lengths[..., None]
+        along = outward * state.leg_vectors / np.linalg.norm(state.leg_vectors, axis=-1, keepdims=True)
+    across, centres = (
+        np.stack([(points * axis).sum(axis=-1) for axis in state.leg_planes], axis=-1)
+        for points in (along, state.circle_centres - state.leg_bases)
+    )
+    turning = centres[..., 0] * across[..., 1] - centres[..., 1] * across[..., 0]
     frames = np.empty((*state.shape, 6, 3, 3))
     frames[..., :3, :, :], frames[..., 3:, :, :] = np.eye(3), state.rotation[..., None, :, :]
     middle = state.middle_pose.as_matrix()[..., None, :3, :3]
+    tilts = configuration.geometry.axis_derivatives
     rows = np.zeros((*state.shape, 6, 2, 9))
-    turned = frames @ geometry.axis_derivatives
-    for row, direction in enumerate((along, axes)):
-        rows[..., row, 2:5] = outward * (direction[..., None, :] @ frames)[..., 0, :]
-        rows[..., row, 5:8] = -outward * (direction[..., None, :] @ middle)[..., 0, :]
-    rows[..., 0, 8] = -1.0
-    rows[..., 1, :2] = -outward * (arms[..., None, :] @ turned)[..., 0, :]
+    for row, direction in enumerate((along, state.leg_axes)):
+        rows[..., row, 2:5] = (direction[..., None, :] @ frames)[..., 0, :]
+        rows[..., row, 5:8] = -(direction[..., None, :] @ middle)[..., 0, :]
+    rows[..., 0, 8] = -state.slopes
+    rows[..., 0, :2] = turning[..., None] * (legs.plane_turns[:, None] @ tilts)[:, 0]
+    rows[..., 1, :2] = -((state.balls - state.leg_bases)[..., None, :] @ (frames @ tilts))[..., 0, :]
+    rows[..., 1, :] *= outward
     inverses = stage_inverses(state)
-    moved = np.empty((*state.shape, 6, 6, 9))
-    for leg in range(6):
-        columns = inverses[..., leg // 3, :, [leg % 3, 3 + leg % 3]]
-        # Advanced indices move to the front: (2, ..., 6).
-        moved[..., leg, :, :] = np.einsum("k...i,...kj->...ij", columns, rows[..., leg, :, :])
-    return np.asarray(np.swapaxes(moved, -3, -2).reshape(*state.shape, 6, 54))
+    # Of each leg the motions (..., 6, 6) that its two equations make.
+    sides = np.swapaxes(inverses, -1, -2).reshape(*state.shape, 2, 2, 3, 6)
+    along_leg, along_axis = (sides[..., k, :, :].reshape(*state.shape, 6, 6) for k in range(2))
+    moved = along_leg[..., None] * rows[..., 0, None, :] + along_axis[..., None] * rows[..., 1, None, :]
+    columns = [_of_legs(moved)]
+    for stage, derivatives in enumerate(legs.circle_derivatives(state.readings)):
+        own = slice(3 * stage, 3 * stage + 3)
+        slopes = (across[..., own, None, :] @ derivatives[..., :2, 1:])[..., 0, :] + derivatives[..., 2, 1:]
+        columns.append(_of_legs(along_leg[..., own, :, None] * slopes[..., None, :]))
+    return np.concatenate(columns, axis=-1)
 
 
-def platform_error(state: Configuration, rotation: FloatArray, position: FloatArray) -> FloatArray:
-    """Return the displacements [m] and rotation vectors [rad] (N, 6) from poses (N, 3, 3), (N, 3) to states (N,)."""
-    turn = np.full((len(position), 3), np.nan)
-    exists = state.exists
+def _of_legs(motions: FloatArray) -> FloatArray:
+    """Return motions (..., legs, 6, n) by the parameters of each leg as columns (..., 6, legs n)."""
+    return np.swapaxes(motions, -3, -2).reshape(*motions.shape[:-3], 6, motions.shape[-3] * motions.shape[-1])
+
+
+def pose_errors(predicted: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return displacements [m] and rotation vectors [rad] (N, 6) from measured to predicted poses (N, 4, 4)."""
+    turn, exists = np.full((len(measured), 3), np.nan), ~np.isnan(predicted[:, 0, 3])
     if exists.any():
-        relative = state.rotation[exists] @ np.swapaxes(rotation[exists], -1, -2)
+        relative = predicted[exists, :3, :3] @ measured[exists, :3, :3].mT
         turn[exists] = Rotation.from_matrix(relative).as_rotvec()
-    return np.concatenate([state.translation - position, turn], axis=-1)
+    return np.concatenate([predicted[:, :3, 3] - measured[:, :3, 3], turn], axis=-1)
 
 
-def gauge_directions(geometry: Geometry, positions_only: bool) -> FloatArray:
-    """Return the errors that change no measurement, (54, 6), or (54, 9) if only positions of o are measured.
+def gauge_directions(geometry: Geometry, target: FloatArray) -> FloatArray:
+    """Return the errors that change no measurement, of the parameters and of `Frames`, (n + 12, k).
 
-    Six move the frame {n} and with it the coordinates of all balls; the other three turn the frame {m} about o.
+    Each of the frames {n}, {B} and {m} may move: {n} changes the coordinates of all balls, {B} and {m} those of a
+    stage's axes and pivots, and what is measured from them; `target` is a point of {m} (3,). Where a circle moves
+    straight, on a slide, the pivot may be anywhere on it.
     """
-    directions = np.zeros((6, 9, 9 if positions_only else 6))
-    first = np.linalg.pinv(geometry.axis_derivatives)
-    for k in range(3):
-        axis = np.eye(3)[k]
-        directions[:, 5 + k, k] = 1.0
-        directions[:, 5:8, 3 + k] = np.cross(axis, geometry.legs.balls)
-        if positions_only:
-            directions[3:, 2:5, 6 + k] = np.cross(axis, geometry.legs.pivots[3:])
-            directions[3:, :2, 6 + k] = (first[3:] @ np.cross(axis, geometry.legs.axes[3:])[..., None])[..., 0]
-    return directions.reshape(54, -1)
+    legs, directions = geometry.legs, []
+    shown, (outward, forward) = np.linalg.pinv(geometry.axis_derivatives), legs.planes
+    turned = [np.array(kind.turned) for kind in legs.kinds]
+
+    def add(own: FloatArray, links: FloatArray | float = 0.0, frames: FloatArray | float = 0.0) -> None:
+        """Add errors of the legs (6, 9), with a turn (6,) of their links, and of the frames (12,)."""
+        changes = [
+            np.outer(of_stage, by) for of_stage, by in zip((links + np.zeros(6)).reshape(2, 3), turned, strict=True)
+        ]
+        own[:, 8] += np.concatenate([x[:, 0] for x in changes])
+        directions.append(np.concatenate([own.ravel(), *(x[:, 1:].ravel() for x in changes), frames + np.zeros(12)]))
+
+    for shift, turn in zip(np.eye(6)[:, :3], np.eye(6)[:, 3:], strict=True):
+        own = np.zeros((6, 9))
+        own[:, 5:8] = shift + np.cross(turn, legs.balls)
+        add(own)
+        tilts = np.cross(turn, legs.axes)
+        # What is left of a turn in each leg's plane, whose own x stays level.
+        links = (np.cross(turn, outward) * forward).sum(axis=-1) - (legs.plane_turns * tilts).sum(axis=-1)
+        for stage, part in enumerate((slice(3), slice(3, 6))):
+            own, moved, frames = np.zeros((6, 9)), np.zeros(6), np.zeros((2, 6))
+            own[part, :2] = (shown @ tilts[..., None])[part, :, 0]
+            own[part, 2:5] = shift + np.cross(turn, legs.pivots[part])
+            moved[part] = links[part]
+            frames[stage] = np.concatenate([-shift, -turn] if stage == 0 else [shift + np.cross(turn, target), turn])
+            add(own, moved, frames.ravel())
+    rates, later = (legs.centre_rates(np.full(6, reading)) for reading in (0.0, 1.0))
+    for leg in np.flatnonzero((rates == later).all(axis=-1) & rates.any(axis=-1)):
+        own = np.zeros((6, 9))
+        own[leg, 2:5] = rates[leg, 0] * outward[leg] + rates[leg, 1] * forward[leg]
+        own[leg, 8] = 1.0
+        add(own)
+    return np.array(directions).T
 
 
 def parameter_scale(geometry: Geometry) -> FloatArray:
-    """Return the unit of each parameter's error (54,): a radian, or the side of the middle platform [m]."""
-    return np.tile(np.repeat([1.0, geometry.middle_side], [2, 7]), 6)
+    """Return the unit of each parameter's error (n,): a radian, or the side of the middle platform [m]."""
+    return np.where(np.array(geometry.parameter_units) == "rad", 1.0, geometry.middle_side)
 
 
-def selected(names: Collection[str] | str, argument: str) -> BoolArray:
-    """Return which of `PARAMETERS` are meant by names of parameters, legs, components or kinds, such as `ball`."""
+def selected(geometry: Geometry, names: Collection[str] | str, argument: str) -> BoolArray:
+    """Return which parameters are meant by names of parameters, legs, components or kinds, such as `ball`."""
     several = [names] if isinstance(names, str) else check_instance(names, Collection, argument)  # type: ignore[type-abstract]
     wanted = {name if isinstance(name, str) else repr(name) for name in several}
-    parts = [name.split(".") for name in PARAMETERS]
-    keys = [{name, leg, part, part.split("_")[0]} for name, (leg, part) in zip(PARAMETERS, parts, strict=True)]
+    parts = [name.split(".") for name in geometry.parameter_names]
+    keys = [{".".join(pair), *pair, pair[1].split("_")[0]} for pair in parts]
     unknown = sorted(name for name in wanted if not any(name in key for key in keys))
     if unknown or not wanted:
-        expected = (
-            "names of parameters such as r_b1.pivot_x, components such as pivot_x, direction, pivot, ball, offset"
-        )
+        known = ", ".join(dict.fromkeys(part.split("_")[0] for _, part in parts))
+        expected = f"names of parameters such as r_b1.pivot_x, components such as pivot_x, {known}"
         raise ArgumentError(argument, f"{expected}, or legs {', '.join(LEGS)}", ", ".join(unknown) or "none")
     return np.array([bool(wanted & key) for key in keys])
+
+
+def prior_deviations(machine: Geometry, tolerances: Mapping[str, float] | npt.ArrayLike) -> FloatArray:
+    """Return the standard deviations (n,) of the parameters, 0 of those not named."""
+    count = len(machine.parameter_names)
+    if isinstance(tolerances, Mapping):
+        deviations = np.zeros(count)
+        for name, value in tolerances.items():
+            expected = "a standard deviation in metres or radians, not negative"
+            deviation = real_number(value, f"tolerances[{name!r}]", expected, least=0.0)
+            deviations[selected(machine, [name], "tolerances")] = deviation
+        return deviations
+    deviations = real_array(tolerances, "tolerances", (count,), "standard deviations of the parameters")
+    if deviations.shape != (count,) or (deviations < 0.0).any():
+        raise ArgumentError("tolerances", f"{count} standard deviations, or a mapping of names to them", "others")
+    return deviations

@@ -7,24 +7,30 @@ by exchange of a D-optimal design.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
+from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
-from spm_pin.calibration.error_model import error_jacobian, gauge_directions, parameter_scale, selected
+from spm_pin.calibration.error_model import (
+    error_jacobian,
+    gauge_directions,
+    parameter_scale,
+    prior_deviations,
+    selected,
+)
+from spm_pin.calibration.frames import FRAME_PARAMETERS, Frames
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.mechanism import LEGS, PARAMETERS, Configuration, Geometry, notebook
+from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform, notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool, check_instance, choice, generator, whole_number
 from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.geometry import check_rps
 from spm_pin.mechanism.legs import RADIAL
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
@@ -49,6 +55,8 @@ _SWEEPS, _GAIN = 20, 1e-6
 _RIDGE = 1e-6
 """Information, relative to that of a pose, from which the first choice starts."""
 
+_TRACKER = "Poses of a target in a tracker's own frame? With frames=True, --frames, both frames are estimated too"
+
 _Function = Callable[[FloatArray], FloatArray]
 
 
@@ -66,14 +74,22 @@ class Calibration:
     """The rows of the measurements that `reason` names, counted from zero."""
     chi_square: float
     """Reduced χ² of all measurements but outliers: about 1 where the noise explains the residuals, above 9 a misfit."""
+    names: tuple[str, ...]
+    """Names of the P parameters: those of the machine, 54 of RPS legs, and of frames that were estimated."""
+    units: tuple[str, ...]
+    """Their units, "m" or "rad"."""
     covariance: FloatArray
-    """Covariance of the parameters [m, rad], shape (54, 54), zero along what is not identifiable."""
+    """Covariance of the parameters [m, rad], shape (P, P), zero along what is not identifiable."""
     identifiable: FloatArray
-    """Combinations of parameters [rad, sides of the middle platform] that are determined, (n, 54), the best first."""
+    """Combinations of parameters [rad, sides of the middle platform] that are determined, (n, P), the best first."""
     deviations: FloatArray
     """Standard deviations of these combinations, shape (n,)."""
     unidentifiable: FloatArray
-    """Combinations that change no measurement of this kind, such as a shift of {n}, (k, 54), and are not changed."""
+    """Combinations that change no measurement of this kind, such as a shift of {n}, (k, P), and are not changed."""
+    base: RigidTransform
+    """Pose of {B} in the frame of the measurements; the identity unless estimated."""
+    target: RigidTransform
+    """Pose of what was measured in {m}; the identity unless estimated."""
     before: FloatArray
     """Predicted less measured poses with the initial machine: displacement [m] and rotation vector [rad] in {B}, shape
     (N, 6), or displacement alone (N, 3)."""
@@ -117,7 +133,17 @@ class Calibration:
         """
         self._check_status()
         jacobian = error_jacobian(configuration)
-        return np.asarray(jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2))
+        own = slice(jacobian.shape[-1])
+        return np.asarray(jacobian @ self.covariance[own, own] @ jacobian.mT)
+
+    @property
+    def standard_deviations(self) -> FloatArray:
+        """Of each parameter by itself [m, rad], shape (P,).
+
+        Some are large although the platform is known well, because the measurements show combinations: judge a machine
+        by its `accuracy`.
+        """
+        return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 
     def _check_status(self) -> None:
         if self.status != "fits":
@@ -133,7 +159,9 @@ def identify(
     *,
     parameters: Collection[str] | str | None = None,
     pose_noise: npt.ArrayLike = (1e-5, 1e-5),
-    length_noise: npt.ArrayLike = 1e-6,
+    reading_noise: npt.ArrayLike = 1e-6,
+    frames: bool = False,
+    tolerances: Mapping[str, float] | npt.ArrayLike | None = None,
     loss: str = "linear",
 ) -> Calibration:
     """Identify a machine from measured poses and readings.
@@ -143,17 +171,24 @@ def identify(
     geometry : Geometry
         The machine as it is known before.
     poses : RigidTransform of shape (N,), array_like (N, 4, 4), or array_like (N, 3)
-        Measured poses of {m} in {B}; or positions of o alone [m].
+        Measured poses of {m} in {B}; or positions of o alone [m]. With `frames`, those of a target on m as a tracker
+        sees them.
     readings : array_like, shape (N, 6)
-        Readings of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 at these poses [m].
+        Readings of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 at these poses [m], of RRS legs [rad].
     parameters : collection of str, optional
-        What to identify: names of `PARAMETERS`, components such as "pivot_x", "direction", "pivot", "ball", "offset",
-        or legs; all if not given. The others keep their values.
+        What to identify: `Geometry.parameter_names`, components such as "pivot_x", "direction", "pivot", "ball",
+        "offset", "crank", "rod", or legs; all if not given. The others keep their values.
     pose_noise : array_like
         Standard deviations of the measured position [m] and orientation [rad], or covariances (6, 6) or (N, 6, 6) of
-        (displacement, rotation vector) in {B}; one number, (3, 3) or (N, 3, 3) for positions.
-    length_noise : array_like
-        Standard deviation of the readings [m], one or six, or covariances (6, 6) or (N, 6, 6).
+        (displacement, rotation vector) in the frame of the measurements; one number, (3, 3) or (N, 3, 3) for positions.
+    reading_noise : array_like
+        Standard deviation of the readings [m, rad], one or six, or covariances (6, 6) or (N, 6, 6).
+    frames : bool
+        Whether to estimate where the tracker sees {B}, `Calibration.base`, and where its target is on m,
+        `Calibration.target`. Errors that move all legs of a stage alike are then not seen, as they move such a frame.
+    tolerances : mapping of str to float, or array_like, optional
+        Standard deviations of the parameters of machines as they are made, as for `tolerance`. What the measurements
+        show badly then stays as near to `geometry`, with the platform known as well as without.
     loss : {"linear", "soft_l1", "huber", "cauchy"}
         With "linear", outliers are a reason not to use the machine. The others, see `scipy.optimize.least_squares`,
         take them in with less weight, and mark them.
@@ -170,27 +205,29 @@ def identify(
         rotations transposed, or if the measurements are too few or too much alike to determine the parameters.
     """
     start = check_instance(geometry, Geometry, "geometry")
-    check_rps(start, "calibration")
-    wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
+    unknown_frames = as_bool(frames, "frames")
+    wanted = selected(start, start.parameter_names if parameters is None else parameters, "parameters")
     choice(loss, "loss", _LOSSES)
-    data = Measurements.check(start, poses, readings)
-    count, components = len(data.position), data.components
-    total = pose_covariances(forward_physical(start, data.readings), components, pose_noise, length_noise)
+    data = Measurements.check(start, poses, readings, frames=unknown_frames)
+    count, components, own = len(data.position), data.components, len(wanted)
+    made = prior_deviations(start, np.zeros(own) if tolerances is None else tolerances)
+    total = pose_covariances(data.states(start), data.frames, components, pose_noise, reading_noise)
     # Matrices (N, n, n) that give residuals unit covariance.
     whitening = np.linalg.inv(np.linalg.cholesky(total))
-    basis, invisible = _visible_basis(start, wanted, components == 3)
+    basis, invisible = _visible_basis(start, wanted, components, data.frames if unknown_frames else None)
     if count * components < basis.shape[1]:
         few = -(-basis.shape[1] // components)
         expected = f"at least {few} measurements for {basis.shape[1]} unknowns"
         raise MeasurementError("poses", expected, f"{count}", "Measure more, or identify fewer parameters")
-    scaled = parameter_scale(start)[:, None] * basis
+    scaled = _scale(start)[:, None] * basis
 
-    def machine(unknown: FloatArray) -> Geometry:
-        return start.from_parameters(start.parameters + scaled @ unknown)
+    def machine(unknown: FloatArray) -> tuple[Geometry, Frames]:
+        changes = scaled @ unknown
+        return start.from_parameters(start.parameters + changes[:own]), data.frames.changed(changes[own:])
 
     def whitened(unknown: FloatArray) -> FloatArray:
         try:
-            errors = data.errors(machine(unknown))
+            errors = data.errors(*machine(unknown))
         except ArgumentError:  # A step to parameters that no machine has.
             errors = np.full((count, components), np.nan)
         # A machine that cannot have these readings is far off.
@@ -198,46 +235,70 @@ def identify(
         return np.asarray((whitening @ errors[..., None])[..., 0])
 
     def jacobian(unknown: FloatArray) -> FloatArray:
-        state = forward_physical(machine(unknown), data.readings)
-        return np.asarray(whitening @ np.nan_to_num(error_jacobian(state)[:, :components]) @ scaled)
+        changed, seen_from = machine(unknown)
+        slopes = seen_from.jacobian(data.states(changed))[:, :components]
+        return np.asarray(whitening @ np.nan_to_num(slopes) @ scaled)
 
     first = np.zeros(basis.shape[1])
-    _check_determined(np.concatenate(jacobian(first)), basis, count)
-    fit = _fit(whitened, jacobian, first, loss)
+    # What is known before, as further rows.
+    prior = scaled[:own][made > 0.0] / made[made > 0.0, None]
+    names = *start.parameter_names, *FRAME_PARAMETERS
+    _check_determined(np.concatenate([*jacobian(first), prior]), basis, count, names)
+    fit = _fit(whitened, jacobian, prior, first, loss)
     used = ~fit.outliers if fit.outliers.sum() * components + len(first) <= count * components else fit.outliers
-    _, values, right = np.linalg.svd(np.concatenate(jacobian(fit.unknown)[used]), full_matrices=False)
+    _, values, right = np.linalg.svd(np.concatenate([*jacobian(fit.unknown)[used], prior]), full_matrices=False)
     spread = scaled @ (right.T / values)
-    fitted, covariance = machine(fit.unknown), spread @ spread.T
+    (fitted, last_frames), covariance = machine(fit.unknown), spread @ spread.T
     if fit.status == "fits" and (other := _other_nominal(start, fitted, covariance)):
         fit = replace(fit, status="another nominal", reason=other)
+    if fit.status not in ("fits", "outliers") and data.are_in_other_frames(start):
+        fit = replace(fit, reason=f"{fit.reason} {_TRACKER}")
+    known = own + (6 + components if unknown_frames else 0)
     return Calibration(
         fitted=fitted,
         status=fit.status,
         reason=fit.reason,
         reason_rows=fit.reason_rows,
         chi_square=fit.chi_square,
-        covariance=covariance,
-        identifiable=right @ basis.T,
+        names=names[:known],
+        units=(*start.parameter_units, *("rad" if "turn" in name else "m" for name in FRAME_PARAMETERS))[:known],
+        covariance=covariance[:known, :known],
+        identifiable=(right @ basis.T)[:, :known],
         deviations=1.0 / values,
-        unidentifiable=invisible,
+        unidentifiable=invisible[:, :known],
+        base=as_rigid_transform(last_frames.base),
+        target=as_rigid_transform(last_frames.target),
         before=data.errors(start),
-        residuals=data.errors(fitted),
+        residuals=data.errors(fitted, last_frames),
         misfit=np.sqrt((whitened(fit.unknown) ** 2).mean(axis=-1)),
         outliers=fit.outliers,
     )
 
 
-def _visible_basis(start: Geometry, wanted: BoolArray, positions_only: bool) -> tuple[FloatArray, FloatArray]:
-    """Return orthonormal combinations of scaled parameters that measurements show, (54, n), and the others, (k, 54)."""
-    scale = parameter_scale(start)
-    hidden = gauge_directions(start, positions_only) / scale[:, None]
+def _scale(start: Geometry) -> FloatArray:
+    """Return the units of the parameters and of those of the frames, (n + 12,)."""
+    return np.concatenate([parameter_scale(start), np.tile(np.repeat([start.middle_side, 1.0], 3), 2)])
+
+
+def _visible_basis(
+    start: Geometry, wanted: BoolArray, components: int, frames: Frames | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return orthonormal combinations of scaled parameters that measurements show, (n + 12, k), and the others.
+
+    Those are (l, n + 12). Of `wanted` parameters of the machine, and of frames if they are unknown.
+    """
+    target = np.zeros(3) if frames is None else frames.target[:3, 3]
+    hidden = gauge_directions(start, target) / _scale(start)[:, None]
+    # The turn of a target of which positions alone are measured is no parameter.
+    used = np.arange(len(hidden)) < len(wanted) + 6 + components
+    free = np.concatenate([wanted, np.full(12, frames is not None)]) & used
     # Those combinations of the invisible errors that leave the other parameters alone.
-    _, values, right = np.linalg.svd(hidden[~wanted], full_matrices=True)
+    _, values, right = np.linalg.svd(hidden[used & ~free], full_matrices=True)
     rank = int((values > 1e-9).sum())
-    inside = hidden @ right[rank:].T
+    inside = np.where(free[:, None], hidden, 0.0) @ right[rank:].T
     left, values, _ = np.linalg.svd(inside, full_matrices=False)
     hidden = left[:, values > 1e-9]
-    chosen = np.eye(54)[:, wanted]
+    chosen = np.eye(len(free))[:, free]
     chosen = chosen - hidden @ (hidden.T @ chosen)
     left, values, _ = np.linalg.svd(chosen, full_matrices=False)
     return left[:, values > 1e-9], hidden.T
@@ -249,7 +310,7 @@ def _other_nominal(start: Geometry, fitted: Geometry, covariance: FloatArray) ->
     weights[0, :3, 2:5] = weights[1, 3:, 2:5] = RADIAL / 3.0
     weights[2, :, 5:8] = np.sqrt(3.0) / 6.0 * np.tile(RADIAL, (2, 1))
     means = weights.reshape(3, 54)
-    corrections = fitted.parameters - start.parameters
+    corrections, covariance = (fitted.parameters - start.parameters)[:54], covariance[:54, :54]
     changes, nominal = means @ corrections, np.array(start.dimensions)
     known = np.abs(changes) - 3.0 * np.sqrt(np.diagonal(means @ covariance @ means.T))
     if (known <= _MANUFACTURE * nominal).all():
@@ -275,8 +336,11 @@ class _Fit:
     reason_rows: tuple[int, ...] = ()
 
 
-def _fit(whitened: _Function, jacobian: _Function, first: FloatArray, loss: str) -> _Fit:
-    """Fit residuals (N, n): by least squares if that explains them, else by a robust loss that finds the outliers."""
+def _fit(whitened: _Function, jacobian: _Function, prior: FloatArray, first: FloatArray, loss: str) -> _Fit:
+    """Fit residuals (N, n), and `prior` times the unknowns.
+
+    By least squares if that explains them, else by a robust loss that finds the outliers.
+    """
 
     def minimize(
         begin: FloatArray, loss: str = "linear", scale: float = 1.0, evaluations: int = _EVALUATIONS, rows: Any = ...
@@ -286,10 +350,10 @@ def _fit(whitened: _Function, jacobian: _Function, first: FloatArray, loss: str)
         options |= {"loss": loss, "f_scale": scale, "max_nfev": evaluations}
 
         def flat(unknown: FloatArray) -> FloatArray:
-            return np.asarray(whitened(unknown)[rows].ravel())
+            return np.concatenate([whitened(unknown)[rows].ravel(), prior @ unknown])
 
         def slopes(unknown: FloatArray) -> FloatArray:
-            return np.concatenate(jacobian(unknown)[rows])
+            return np.concatenate([*jacobian(unknown)[rows], prior])
 
         result = scipy.optimize.least_squares(flat, begin, jac=slopes, **options)
         return np.asarray(result.x), result.status > 0
@@ -364,13 +428,13 @@ def _judged(
     return fit
 
 
-def _check_determined(slopes: FloatArray, basis: FloatArray, count: int) -> None:
+def _check_determined(slopes: FloatArray, basis: FloatArray, count: int, parameters: Sequence[str]) -> None:
     """Raise if a combination of the unknowns is not determined by the measurements."""
     _, values, right = np.linalg.svd(slopes, full_matrices=False)
     unknown = values * _UNKNOWN < 1.0
     if unknown.any():
         worst = basis @ right[-1]
-        names = ", ".join(PARAMETERS[k] for k in np.argsort(-np.abs(worst))[:3])
+        names = ", ".join(parameters[k] for k in np.argsort(-np.abs(worst))[:3])
         received = f"{count} poses that determine {int((~unknown).sum())}; the least determined one moves {names}"
         cause = "Measure at poses further apart, see spm.calibration.choose_poses, or identify fewer parameters"
         cause += ". Is the noise given too large?"
@@ -394,7 +458,8 @@ def choose_poses(
     parameters: Collection[str] | str | None = None,
     positions_only: bool = False,
     pose_noise: npt.ArrayLike = (1e-5, 1e-5),
-    length_noise: npt.ArrayLike = 1e-6,
+    reading_noise: npt.ArrayLike = 1e-6,
+    frames: bool = False,
     rng: object = None,
 ) -> Configuration:
     """Choose the poses whose measurement identifies a machine best: with the smallest ellipsoid of uncertainty.
@@ -407,7 +472,7 @@ def choose_poses(
         Number of poses.
     candidates : int or Configuration
         What to choose from: states of shape (M,), or the number of states drawn uniformly within the leg limits.
-    parameters, pose_noise, length_noise
+    parameters, pose_noise, reading_noise, frames
         As for `identify`.
     positions_only : bool
         Positions of o will be measured, no orientations.
@@ -420,16 +485,17 @@ def choose_poses(
         States of shape (count,), the most informative first; each candidate at most once.
     """
     machine = check_instance(geometry, Geometry, "geometry")
-    wanted = selected(PARAMETERS if parameters is None else parameters, "parameters")
-    basis, _ = _visible_basis(machine, wanted, as_bool(positions_only, "positions_only"))
-    components = 3 if positions_only else 6
+    wanted = selected(machine, machine.parameter_names if parameters is None else parameters, "parameters")
+    components = 3 if as_bool(positions_only, "positions_only") else 6
+    seen_from = Frames.as_defined()
+    basis, _ = _visible_basis(machine, wanted, components, seen_from if as_bool(frames, "frames") else None)
     few = -(-basis.shape[1] // components)
     count = whole_number(count, "count", f"a number of poses, at least {few} for {basis.shape[1]} unknowns", least=few)
     states = given_or_drawn(machine, candidates, "candidates", rng)
     if len(states) < count:
         raise ArgumentError("candidates", f"at least {count} states", f"{len(states)}")
-    total = pose_covariances(states, components, pose_noise, length_noise)
-    rows = error_jacobian(states)[:, :components] @ (parameter_scale(machine)[:, None] * basis)
+    total = pose_covariances(states, seen_from, components, pose_noise, reading_noise)
+    rows = seen_from.jacobian(states)[:, :components] @ (_scale(machine)[:, None] * basis)
     rows = np.linalg.solve(np.linalg.cholesky(total), rows)
     return states[np.array(_exchanged(rows, count))]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,21 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.calibration.error_model import platform_error
+from spm_pin.calibration.error_model import pose_errors
+from spm_pin.calibration.frames import Frames
 from spm_pin.errors import ArgumentError, SingularConfigurationError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
-from spm_pin.mechanism.arguments import LARGEST, FloatArray, as_array, first_offender, real_array, symmetric_matrices
+from spm_pin.mechanism.arguments import (
+    LARGEST,
+    BoolArray,
+    FloatArray,
+    as_array,
+    first_offender,
+    real_array,
+    symmetric_matrices,
+)
 from spm_pin.mechanism.motion_table import POSITION, MotionTable
 from spm_pin.mechanism.units import unit_hint
 
@@ -48,34 +57,37 @@ class MeasurementError(ArgumentError):
 class Measurements:
     """N poses and readings, checked."""
 
-    rotation: FloatArray  # measured rotations from {m} to {B}, (N, 3, 3); identities if only positions were measured
-    position: FloatArray  # measured positions of o in {B}, (N, 3) [m]
-    readings: FloatArray  # readings of the legs, (N, 6) [m]
+    poses: FloatArray  # measured poses of the target (N, 4, 4); not turned if only positions were measured
+    readings: FloatArray  # readings of the legs, (N, 6) [m], of RRS legs [rad]
     components: int  # 6 for poses, 3 for positions alone
+    frames: Frames  # of the tracker
 
     @classmethod
-    def check(cls, geometry: Geometry, poses: Any, readings: npt.ArrayLike) -> Measurements:
-        """Read the arguments of `identify`, with its errors."""
+    def check(cls, geometry: Geometry, poses: Any, readings: npt.ArrayLike, *, frames: bool) -> Measurements:
+        """Read the arguments of `identify`, with its errors; `frames` says that those of the tracker are unknown."""
         array = as_array(poses) if not isinstance(poses, RigidTransform) else None
         if array is not None and array.shape[-1:] == (3,):
             position = real_array(poses, "poses", (3,), "positions of o in {B} in metres")
-            rotation, components = np.broadcast_to(np.eye(3), (*position.shape, 3)), 3
+            matrix, components = np.zeros((*position.shape[:-1], 4, 4)) + np.eye(4), 3
+            matrix[..., :3, 3] = position
         else:
-            matrix = as_rigid_transform(poses, "poses").as_matrix()
-            rotation, position, components = matrix[..., :3, :3], matrix[..., :3, 3], 6
-        lengths = real_array(readings, "readings", (6,), f"readings of {', '.join(LEGS)} in metres")
-        if position.ndim != 2 or lengths.shape != (len(position), 6):
-            expected = f"one row of six readings for each of N poses, whose shape is {position.shape[:-1]}"
-            raise ArgumentError("readings", expected, f"shape {lengths.shape}")
-        measured = cls(rotation, position, lengths, components)
-        if not len(position):
+            matrix, components = as_rigid_transform(poses, "poses").as_matrix(), 6
+        units = "metres, of RRS legs in radians" if "rad" in geometry.legs.units else "metres"
+        read = real_array(readings, "readings", (6,), f"readings of {', '.join(LEGS)} in {units}")
+        if matrix.ndim != 3 or read.shape != (len(matrix), 6):
+            expected = f"one row of six readings for each of N poses, whose shape is {matrix.shape[:-2]}"
+            raise ArgumentError("readings", expected, f"shape {read.shape}")
+        measured = cls(matrix, read, components, Frames.as_defined())
+        if not len(matrix):
             return measured
-        for name, values in (("readings", lengths), ("poses", position)):
+        for name, values in (("readings", read * (np.array(geometry.legs.units) == "m")), ("poses", measured.position)):
             sizes = np.median(np.abs(values), axis=0)
             hint = unit_hint(geometry, sizes.max())
             if hint:
                 column = (LEGS if name == "readings" else POSITION)[int(sizes.argmax())]
                 raise MeasurementError(name, "lengths in metres", f"values of {sizes.max():g} for {column}", hint)
+        if frames:
+            return measured._in_frames(geometry)
         # Exchanged legs may explain positions as well as a mirrored axis does; only rotations tell the two apart.
         checks = [measured._check_columns, measured._check_axes]
         for check in checks if components == 3 else checks[::-1]:
@@ -83,32 +95,62 @@ class Measurements:
         measured._check_rows(geometry)
         return measured
 
-    def errors(self, geometry: Geometry) -> FloatArray:
+    @property
+    def position(self) -> FloatArray:
+        """Measured positions (N, 3) [m]."""
+        return self.poses[:, :3, 3]
+
+    def states(self, geometry: Geometry) -> Configuration:
+        """Return the states (N,) of a machine with the readings; absent where it has none."""
+        impossible = self._impossible(geometry)
+        possible = np.where(impossible[:, None], geometry.legs.offsets + 1.0, self.readings)
+        return forward_physical(geometry, possible).transformed(
+            lambda array, inner: np.where(impossible.reshape(-1, *[1] * inner), np.nan, array)
+        )
+
+    def _impossible(self, geometry: Geometry) -> BoolArray:
+        """Return which rows have a reading that leaves its ball no circle."""
+        return np.asarray((geometry.legs.circles(self.readings)[1] <= 0.0).any(axis=-1))
+
+    def errors(self, geometry: Geometry, frames: Frames | None = None) -> FloatArray:
         """Return the predicted less the measured poses (N, components) [m, rad]; NaN where there is no state."""
-        impossible = (self.readings <= geometry.legs.offsets).any(axis=-1, keepdims=True)
-        state = forward_physical(geometry, np.where(impossible, geometry.legs.offsets + 1.0, self.readings))
-        errors = platform_error(state, self.rotation, self.position)[:, : self.components]
-        return np.where(impossible, np.nan, errors)
+        seen = (frames or self.frames).seen(self.states(geometry))
+        return pose_errors(seen, self.poses)[:, : self.components]
+
+    def _in_frames(self, geometry: Geometry) -> Measurements:
+        """Return the same with the frames with which they are nearest to the states of a machine."""
+        states = self.states(geometry)
+        self._check_states(geometry, states.exists)
+        return replace(self, frames=Frames.estimated(states, self.poses))
+
+    def are_in_other_frames(self, geometry: Geometry) -> bool:
+        """Return whether frames of a tracker explain the positions much better than those given."""
+        size, exists = _median_size(self.errors(geometry)[:, :3]), self.states(geometry).exists
+        if not (exists.all() and size > _SUSPICIOUS * geometry.middle_side):
+            return False
+        return size > _BETTER * _median_size(self._in_frames(geometry).errors(geometry)[:, :3])
 
     def _check_rows(self, geometry: Geometry) -> None:
         """Raise if transposed rotations, or readings of other rows, explain the poses much better."""
-        state = forward_physical(geometry, self.readings)
+        predicted = self.states(geometry).pose.as_matrix()
         if self.components == 6:
-            scalar_first = np.roll(Rotation.from_matrix(self.rotation).as_quat(), -1, axis=-1)
+            rotation = self.poses[:, :3, :3]
+            scalar_first = np.roll(Rotation.from_matrix(rotation).as_quat(), -1, axis=-1)
             rotations = {
-                ("", ""): self.rotation,
-                ("rotations from {B} to {m}", "Transposed"): np.swapaxes(self.rotation, -1, -2),
+                ("", ""): rotation,
+                ("rotations from {B} to {m}", "Transposed"): rotation.mT,
                 ("quaternions whose scalar is first", "Scalar last"): Rotation.from_quat(scalar_first).as_matrix(),
             }
-            turns = {
-                tried: _median_size(platform_error(state, rotation, self.position)[:, 3:])
-                for tried, rotation in rotations.items()
-            }
+            turns = {}
+            for tried, matrices in rotations.items():
+                turned = self.poses.copy()
+                turned[:, :3, :3] = matrices
+                turns[tried] = _median_size(pose_errors(predicted, turned)[:, 3:])
             _refuse_if_better("poses", "rotations from {m} to {B}", turns, _SUSPICIOUS, "mrad")
         shifts = [0, *(shift for k in range(1, len(self.position) // 2 + 1) for shift in (k, -k))]
         sizes = {
             (f"readings shifted by {shift} rows", "Shifted"): _median_size(
-                state.translation - np.roll(self.position, shift, axis=0)
+                predicted[:, :3, 3] - np.roll(self.position, shift, axis=0)
             )
             for shift in shifts
         }
@@ -129,9 +171,8 @@ class Measurements:
 
     def _check_columns(self, geometry: Geometry) -> None:
         """Raise if there is no state, or if exchanged columns explain the positions much better."""
-        below = self.readings <= geometry.legs.offsets
-        if below.any():
-            row, leg = first_offender(below)
+        if self._impossible(geometry).any():
+            row, leg = first_offender(geometry.legs.circles(self.readings)[1] <= 0.0)
             received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
             raise MeasurementError("readings", "readings that exceed the offsets", received, rows=(row,))
         errors = self.errors(geometry)
@@ -140,15 +181,19 @@ class Measurements:
             sizes = {("", ""): typical}
             some = slice(None, None, -(-len(errors) // _SUBSET))
             for order in itertools.permutations(range(6)):
-                swapped = Measurements(self.rotation[some], self.position[some], self.readings[some][:, order], 3)
+                swapped = replace(self, poses=self.poses[some], readings=self.readings[some][:, order], components=3)
                 wrong = [f"{LEGS[i]} holds {LEGS[order.index(i)]}" for i in range(6) if order[i] != i]
-                if wrong and (swapped.readings > geometry.legs.offsets).all():
+                if wrong:
                     with np.errstate(invalid="ignore"):
                         size = _median_size(np.nan_to_num(swapped.errors(geometry), nan=np.inf))
                     sizes[f"columns in another order: {', '.join(wrong)}", "In that order"] = size
             _refuse_if_better("readings", f"readings in the order {', '.join(LEGS)}", sizes, 0.0)
-        if np.isnan(errors).any():
-            row = int(np.isnan(errors).any(axis=-1).argmax())
+        self._check_states(geometry, np.asarray(~np.isnan(errors).any(axis=-1)))
+
+    def _check_states(self, geometry: Geometry, exists: BoolArray) -> None:
+        """Raise at the first row whose readings the machine cannot have."""
+        if not exists.all():
+            row = int(exists.argmin())
             received = f"row {row} with {', '.join(f'{x:g}' for x in self.readings[row])}"
             cause = "A mistyped reading, offsets not subtracted, or another machine? Correct the row or leave it out"
             raise MeasurementError("readings", "readings that this machine can have", received, cause, (row,))
@@ -191,15 +236,15 @@ def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int
 
 
 def pose_covariances(
-    states: Configuration, components: int, pose_noise: npt.ArrayLike, length_noise: npt.ArrayLike
+    states: Configuration, frames: Frames, components: int, pose_noise: npt.ArrayLike, reading_noise: npt.ArrayLike
 ) -> FloatArray:
     """Return covariances (N, n, n) of measured less predicted poses: errors of readings as the poses they cause."""
-    slopes = platform_jacobian(states)[:, :components]
+    slopes = frames.motions(states, platform_jacobian(states))[:, :components]
     lost = np.isnan(slopes).any(axis=(-1, -2)) & states.exists
     if lost.any():
         raise SingularConfigurationError("forward", 0.0, first_offender(lost))
     poses = covariances(pose_noise, "pose_noise", components, len(states))
-    return poses + slopes @ covariances(length_noise, "length_noise", 6, len(states)) @ np.swapaxes(slopes, -1, -2)
+    return poses + slopes @ covariances(reading_noise, "reading_noise", 6, len(states)) @ slopes.mT
 
 
 @raised_as(MeasurementError)

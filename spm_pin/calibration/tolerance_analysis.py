@@ -9,21 +9,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.calibration.error_model import error_jacobian, platform_error, selected
+from spm_pin.calibration.error_model import error_jacobian, pose_errors, prior_deviations
 from spm_pin.calibration.identification import given_or_drawn
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import PARAMETERS, Configuration, Geometry, notebook
+from spm_pin.mechanism import Configuration, Geometry, notebook
 from spm_pin.mechanism.arguments import (
     FloatArray,
     check_instance,
     choice,
     generator,
-    real_array,
     real_number,
     whole_number,
 )
-from spm_pin.mechanism.geometry import check_rps
 
 
 @dataclass(frozen=True, repr=False)
@@ -33,12 +31,12 @@ class ToleranceAnalysis:
     states: Configuration
     """The states of the machine without errors, shape (N,)."""
     deviations: FloatArray
-    """Standard deviations of the parameters [m, rad], shape (54,)."""
+    """Standard deviations of the parameters [m, rad], `Geometry.parameter_names`, shape (n,)."""
     covariance: FloatArray
     """Covariance of the platform's error (displacement, rotation vector) [m, rad] in {B}, to first order, shape
     (N, 6, 6)."""
     shares: FloatArray
-    """Part of the mean variance of the position that each parameter causes, shape (54,); they add up to 1."""
+    """Part of the mean variance of the position that each parameter causes, shape (n,); they add up to 1."""
     samples: FloatArray
     """Errors of S random machines, not linearised, shape (S, N, 6); NaN where a machine cannot have the readings."""
 
@@ -80,7 +78,7 @@ class ToleranceAnalysis:
         """Return names and shares, the largest first, added up by "parameter", "component", "kind" or "leg"."""
         choice(by, "by", ("parameter", "component", "kind", "leg"))
         totals: dict[str, float] = {}
-        for name, share in zip(PARAMETERS, self.shares, strict=True):
+        for name, share in zip(self.states.geometry.parameter_names, self.shares, strict=True):
             leg, component = name.split(".")
             keys = {"parameter": name, "component": component, "kind": component.split("_")[0], "leg": leg}
             totals[keys[by]] = totals.get(keys[by], 0.0) + float(share)
@@ -101,10 +99,10 @@ def tolerance(
     ----------
     geometry : Geometry
         The machine whose readings are commanded.
-    tolerances : mapping of str to float, or array_like, shape (54,)
-        Standard deviations [m, rad]: of each of `PARAMETERS`, or under names of parameters, components such as
-        "pivot_x", kinds ("direction", "pivot", "ball", "offset") or legs; a later name replaces an earlier one, what is
-        not named has no error.
+    tolerances : mapping of str to float, or array_like, shape (n,)
+        Standard deviations [m, rad]: of each of `Geometry.parameter_names`, or under names of parameters, components
+        such as "pivot_x", kinds ("direction", "pivot", "ball", "offset", and "rod", "crank" of legs that have them) or
+        legs; a later name replaces an earlier one, what is not named has no error.
     states : Configuration or int
         Where: states of shape (N,), or the number of states to draw uniformly within the leg limits.
     samples : int
@@ -121,8 +119,7 @@ def tolerance(
     ['ball 33%', 'pivot 33%', 'offset 31%', 'direction 4%']
     """
     machine, random = check_instance(geometry, Geometry, "geometry"), generator(rng)
-    check_rps(machine, "tolerances")
-    deviations = _deviations(tolerances)
+    deviations = prior_deviations(machine, tolerances)
     samples = whole_number(samples, "samples", least=0, most=10**6)
     places = given_or_drawn(machine, states, "states", random)
     if places.geometry != machine:
@@ -131,9 +128,9 @@ def tolerance(
     variances = (scaled[:, :3] ** 2).sum(axis=1).mean(axis=0)
     errors = np.empty((samples, len(places), 6))
     for sample in range(samples):
-        built = machine.from_parameters(machine.parameters + deviations * random.standard_normal(54))
+        built = machine.from_parameters(machine.parameters + deviations * random.standard_normal(len(deviations)))
         states_of_built = forward_physical(built, places.readings)
-        errors[sample] = platform_error(states_of_built, places.rotation, places.translation)
+        errors[sample] = pose_errors(states_of_built.pose.as_matrix(), places.pose.as_matrix())
     return ToleranceAnalysis(
         states=places,
         deviations=deviations,
@@ -141,18 +138,3 @@ def tolerance(
         shares=variances / max(variances.sum(), np.finfo(float).tiny),
         samples=errors,
     )
-
-
-def _deviations(tolerances: Mapping[str, float] | npt.ArrayLike) -> FloatArray:
-    """Return the standard deviations (54,) of the parameters."""
-    if isinstance(tolerances, Mapping):
-        deviations = np.zeros(54)
-        for name, value in tolerances.items():
-            expected = "a standard deviation in metres or radians, not negative"
-            deviation = real_number(value, f"tolerances[{name!r}]", expected, least=0.0)
-            deviations[selected([name], "tolerances")] = deviation
-        return deviations
-    deviations = real_array(tolerances, "tolerances", (54,), "standard deviations of the parameters")
-    if deviations.shape != (54,) or (deviations < 0.0).any():
-        raise ArgumentError("tolerances", "54 standard deviations, or a mapping of names to them", "others")
-    return deviations

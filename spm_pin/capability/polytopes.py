@@ -11,9 +11,10 @@ corners of the box through N⁻¹, and of both matrices there is a closed form:
 Facets therefore also hold where the other matrix does not exist: at an inverse singularity the structure holds some
 wrenches without any leg, at a forward singularity some twists need no leg rates, and the set has no end there.
 
-A leg without weight carries a force through its ball that lies in the plane of its direction and its revolute axis: the
-actuator's force along the leg, and s along the axis, which the structure carries. At the pivot, s is an axial load of
-the revolute joint, and with the leg's length as lever the moment r s bends its bearing and the leg.
+y are efforts of the actuators, forces or torques, and rates of their readings: J_f and G have κ of each leg in them.
+A leg without weight carries a force through its ball that lies in the plane of its rod and its revolute axis: one along
+the rod, the actuator's effort over κ, and s along the axis, which the structure carries. s is an axial load of the
+revolute joints, and with the distance L of the ball as lever the moment L s bends their bearings and the leg.
 """
 
 from __future__ import annotations
@@ -41,7 +42,6 @@ from spm_pin.mechanism.arguments import (
     symmetric_matrices,
 )
 from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.geometry import check_rps
 
 _PARTS = {"linear": slice(3), "angular": slice(3, 6)}
 _CORNERS = (np.arange(64)[:, None] >> np.arange(6)) & 1 == 1
@@ -88,7 +88,11 @@ class JointReactions(NamedTuple):
     axial: FloatArray
     """Force of the leg onto what it carries along its revolute axis `leg_axes`, of the six legs, shape (..., 6, 6)."""
     bending: FloatArray
-    """Moment at the pivot of the six legs, about the direction of the leg x its axis [N m], shape (..., 6, 6)."""
+    """Moment of the six legs at the joint where the rod begins, at `Configuration.circle_centres`: the pivot of an RPS
+    leg, the carriage or the knee of others. About the direction of the rod x its axis [N m], shape (..., 6, 6)."""
+    pivot: FloatArray
+    """Moment at the pivot itself, about the direction from there to the ball x the leg's axis [N m], shape (..., 6, 6):
+    of an RRS leg at the bearings of its motor's shaft."""
     ball: FloatArray
     """Components of each ball's force in eight directions, over cos(π/16), shape (..., 48, 6), leg by leg: all of them
     within ±F guarantee a resultant of at most F, and a resultant of at most 0.98 F keeps them within it."""
@@ -272,7 +276,8 @@ def wrench_polytope(
     configuration : Configuration
         States of shape (...).
     force_limits : array_like, shape (), (6,) or (2, 6)
-        Largest force of each leg [N], pushing as pulling; or the least (pulling, negative) and the largest.
+        Largest effort of each actuator in either sense [N], of RRS legs [N m]; or the least, which is negative, and the
+        largest. A positive one increases the reading: an RPS leg pushes.
     load : array_like, shape (..., 6), optional
         A wrench onto the platform that is there besides [N, N m]: the weight of a payload, or of all bodies,
         ``-chain.state(q, v).platform_dynamics().gravity``. Leading axes broadcast with those of `configuration`.
@@ -296,7 +301,7 @@ def wrench_polytope(
     >>> held.vertices.shape, float(held.ball("linear").round(1)), float(held.extent([0, 0, -1, 0, 0, 0]).round(1))
     ((64, 6), 492.1, 933.9)
     """
-    bounds = leg_bounds(force_limits, "force_limits", "forces of the legs in N", most=_MOST)
+    bounds = leg_bounds(force_limits, "force_limits", "efforts of the actuators in N, of RRS legs in N m", most=_MOST)
     rows = -platform_jacobian(configuration).mT
     offset = _taken(rows, load, "the configuration", configuration.shape)
     return _polytope(rows, bounds, offset, partial(_wrenches_of_forces, configuration))
@@ -310,7 +315,8 @@ def velocity_polytope(configuration: Configuration, rate_limits: npt.ArrayLike) 
     configuration : Configuration
         States of shape (...).
     rate_limits : array_like, shape (), (6,) or (2, 6)
-        Largest rate of each leg [m/s], extending as retracting; or the least (negative) and the largest.
+        Largest rate of each reading [m/s], of RRS legs [rad/s], in either sense; or the least, which is negative, and
+        the largest.
 
     Returns
     -------
@@ -322,7 +328,7 @@ def velocity_polytope(configuration: Configuration, rate_limits: npt.ArrayLike) 
     SingularConfigurationError
         At an inverse or a constraint singularity, where a twist has no leg rates or no unique ones; NaN in a batch.
     """
-    bounds = leg_bounds(rate_limits, "rate_limits", "rates of the legs in m/s", most=_MOST)
+    bounds = leg_bounds(rate_limits, "rate_limits", "rates of the readings in m/s, of RRS legs in rad/s", most=_MOST)
     rows = inverse_jacobian(configuration)
     return _polytope(rows, bounds, np.zeros(rows.shape[:-1]), partial(platform_jacobian, configuration))
 
@@ -352,7 +358,7 @@ def acceleration_polytope(
     Polytope
         Of time derivatives of the twist [m/s², rad/s²] at o in {B}; singularities as in `wrench_polytope`.
     """
-    bounds = leg_bounds(force_limits, "force_limits", "forces of the legs in N", most=_MOST)
+    bounds = leg_bounds(force_limits, "force_limits", "efforts of the actuators in N, of RRS legs in N m", most=_MOST)
     matrix = symmetric_matrices(mass, "mass", 6, "in kg, kg m, kg m²", allow_nan=True, positive=True)
     check_configuration(configuration)
     broadcastable("mass", matrix.shape[:-2], "the configuration", configuration.shape)
@@ -380,14 +386,14 @@ def joint_reactions(configuration: Configuration) -> JointReactions:
         At a forward or a constraint singularity, where the legs do not hold the platform.
     """
     check_configuration(configuration)
-    check_rps(configuration.geometry, "reactions of joints")
     rows = -stage_inverses(configuration).mT
     shape = rows.shape[:-3]
     along, axial = (rows[..., k, :].reshape(*shape, 6, 6) for k in (slice(3), slice(3, 6)))
     angles = np.pi * np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS
     ball = np.cos(angles) * along[..., None, :] + np.sin(angles) * axial[..., None, :]
-    bending = configuration.leg_lengths[..., None] * axial
-    return JointReactions(axial, bending, ball.reshape(*shape, -1, 6) / np.cos(0.5 * np.pi / _DIRECTIONS))
+    rods = np.linalg.norm(configuration.leg_vectors, axis=-1)
+    bending, pivot = (lever[..., None] * axial for lever in (rods, configuration.leg_lengths))
+    return JointReactions(axial, bending, pivot, ball.reshape(*shape, -1, 6) / np.cos(0.5 * np.pi / _DIRECTIONS))
 
 
 def _taken(rows: FloatArray, load: npt.ArrayLike | None, other: str, shape: tuple[int, ...]) -> FloatArray:

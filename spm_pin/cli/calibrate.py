@@ -12,17 +12,22 @@ from typer import Argument, Option
 
 from spm_pin.calibration import Calibration, MeasurementError, identify, read_measurements
 from spm_pin.calibration import tolerance as analyse
-from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.cli import options, outputs
 from spm_pin.display.figures import calibration_figure
-from spm_pin.mechanism import LEGS, PARAMETERS
+from spm_pin.mechanism import LEGS
 from spm_pin.mechanism.motion_table import MotionTable
 
 
-@outputs.name_options(loss="--loss", parameters="--identify", pose_noise="--pose-noise", length_noise="--length-noise")
+@outputs.name_options(
+    loss="--loss",
+    parameters="--identify",
+    pose_noise="--pose-noise",
+    reading_noise="--reading-noise",
+    tolerances="--tolerance",
+)
 def calibrate(
     measurements: Annotated[
-        Path, Argument(metavar="CSV", help="Columns x y z \\[m], qx qy qz qw if measured, r_b1 to r_c3 \\[m].")
+        Path, Argument(metavar="CSV", help="Columns x y z \\[m], qx qy qz qw if measured, r_b1 to r_c3 \\[m or rad].")
     ],
     out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
@@ -33,7 +38,18 @@ def calibrate(
     pose_noise: Annotated[
         tuple[float, float], Option(metavar="M RAD", help="Standard deviations of positions and orientations.")
     ] = (1e-5, 1e-5),
-    length_noise: Annotated[float, Option(metavar="M", help="Standard deviation of the readings.")] = 1e-6,
+    reading_noise: Annotated[
+        float, Option(metavar="M", help="Standard deviation of the readings, of RRS legs in radians.")
+    ] = 1e-6,
+    frames: Annotated[
+        bool, Option("--frames", help="Poses are a target's as a tracker sees them: estimate both frames too.")
+    ] = False,
+    tolerance: Annotated[
+        float | None,
+        Option(
+            metavar="SIGMA", help="Standard deviation of all dimensions as made, in metres and radians; unknown if not."
+        ),
+    ] = None,
     loss: Annotated[
         str, Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
     ] = "linear",
@@ -55,7 +71,8 @@ def calibrate(
     """
     dimensions = options.read_geometry(geometry)
     poses, readings = read_measurements(measurements)
-    noise: dict[str, Any] = {"pose_noise": pose_noise, "length_noise": length_noise}
+    noise: dict[str, Any] = {"pose_noise": pose_noise, "reading_noise": reading_noise, "frames": frames}
+    noise["tolerances"] = None if tolerance is None else dict.fromkeys(LEGS, tolerance)
     try:
         calibration = identify(dimensions, poses, readings, parameters=identified, loss=loss, **noise)
     except MeasurementError as error:
@@ -68,13 +85,14 @@ def calibrate(
         calibration.fitted.to_yaml(out)
         outputs.note(f"wrote {out}")
     if json:
-        machine = calibration.fitted.parameters, np.sqrt(np.diagonal(calibration.covariance))
-        values, deviations = (dict(zip(PARAMETERS, array, strict=True)) for array in machine)
+        values = dict(zip(calibration.fitted.parameter_names, calibration.fitted.parameters, strict=True))
+        deviations = dict(zip(calibration.names, calibration.standard_deviations, strict=True))
         sizes = {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(calibration)}
         content = {"measurements": len(calibration.misfit), "identified": len(calibration.deviations), "rms": sizes}
         names = ("status", "reason", "reason_rows", "chi_square", "misfit")
         content |= {name: getattr(calibration, name) for name in names}
         content |= {"outliers": np.flatnonzero(calibration.outliers)}
+        content |= {name: getattr(calibration, name).as_matrix() for name in ("base", "target")}
         outputs.write_json(content | {"parameters": values, "standard_deviations": deviations})
     else:
         _report(calibration, measurements)
@@ -114,22 +132,39 @@ def _report(calibration: Calibration, measurements: Path) -> None:
         lines.append(f"{name} predicted from the readings, RMS error: {errors}")
     if np.isfinite(calibration.chi_square):
         lines.append(f"residuals are {np.sqrt(calibration.chi_square):.2g} times what the noise given explains")
-    scale = parameter_scale(calibration.fitted)
+    scale = np.where(np.array(calibration.units) == "rad", 1.0, calibration.fitted.middle_side)
     worst = np.argsort(-np.abs(calibration.identifiable[-1]))[:2]
     apart = 1e3 * calibration.deviations[-1] * np.abs(calibration.identifiable[-1, worst] * scale[worst])
-    units = ["mrad" if k % 9 < 2 else "mm" for k in worst]
-    least = " and ".join(f"{PARAMETERS[k]} by {x:.2g} {u}" for k, x, u in zip(worst, apart, units, strict=True))
+    least = " and ".join(
+        f"{calibration.names[k]} by {x:.2g} m{calibration.units[k]}" for k, x in zip(worst, apart, strict=True)
+    )
     lines.append(f"least known is the combination that moves {least} (standard deviation)")
     if calibration.outliers.any():
         rows = np.flatnonzero(calibration.outliers).tolist()
         lines.append(_with_lines(f"{len(rows)} outlier{'s' * (len(rows) > 1)}", rows, measurements))
+    if len(calibration.names) > len(calibration.fitted.parameters):
+        for name, frame in (("{B} from the tracker", calibration.base), ("the target in {m}", calibration.target)):
+            position = ", ".join(f"{x:.6g}" for x in frame.translation)
+            turn = ", ".join(f"{x:.6g}" for x in frame.rotation.as_quat())
+            lines.append(f"{name}: position {position} m, quaternion {turn}")
     outputs.print_lines(lines)
-    nominal = calibration.fitted.nominal
-    changes = (calibration.fitted.parameters - nominal.parameters).reshape(6, 9)
-    names = [name.split(".")[1] for name in PARAMETERS[:9]]
-    numbers = {name: lambda leg, k=k: outputs.significant(1e3 * changes[leg, k], 3) for k, name in enumerate(names)}
-    columns = {"leg": lambda leg: LEGS[leg], **numbers}
-    outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, range(6))
+    fitted = calibration.fitted
+    changes = fitted.parameters - fitted.nominal.parameters
+    # In brackets what is smaller than twice its standard deviation.
+    texts = {
+        name: f"({text})" if abs(change) < 2.0 * deviation else text
+        for name, change, deviation in zip(
+            fitted.parameter_names, changes, calibration.standard_deviations, strict=False
+        )
+        for text in [outputs.significant(1e3 * change, 3)]
+    }
+    components = dict.fromkeys(name.partition(".")[2] for name in texts)
+    columns: dict[str, Any] = {"leg": str}
+    columns |= {part: lambda leg, part=part: texts.get(f"{leg}.{part}", "") for part in components}
+    outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, LEGS)
+    outputs.print_lines(
+        ["(…) is smaller than twice its standard deviation: not known by itself, but in combinations with others."]
+    )
 
 
 def _deviation(help_text: str) -> Any:
@@ -138,10 +173,12 @@ def _deviation(help_text: str) -> Any:
 
 @outputs.name_options(rng="--seed")
 def tolerance(
-    direction: Annotated[float, _deviation("the directions of the revolute axes, in radians.")] = 1e-4,
+    direction: Annotated[float, _deviation("the directions of revolute axes and slides, in radians.")] = 1e-4,
     pivot: Annotated[float, _deviation("each coordinate of the pivots, in metres.")] = 1e-4,
     ball: Annotated[float, _deviation("each coordinate of the ball joints, in metres.")] = 1e-4,
-    offset: Annotated[float, _deviation("the encoders' offsets, in metres.")] = 1e-4,
+    offset: Annotated[float, _deviation("the encoders' offsets, in metres, of RRS legs in radians.")] = 1e-4,
+    rod: Annotated[float | None, _deviation("the rods, in metres; 1e-4 of legs that have them.")] = None,
+    crank: Annotated[float | None, _deviation("the cranks, in metres; 1e-4 of legs that have them.")] = None,
     by: Annotated[str, Option(help="What to rank: parameter, component, kind or leg.")] = "component",
     states: Annotated[int, Option(min=1, help="States to draw within the leg limits.")] = 60,
     samples: Annotated[int, Option(min=0, help="Random machines; 0 for first order alone.")] = 200,
@@ -153,8 +190,12 @@ def tolerance(
 
     Example: spm-pin tolerance --direction 1e-4 --pivot 5e-5 --ball 5e-5 --offset 1e-5
     """
+    machine = options.read_geometry(geometry)
     table = {"direction": direction, "pivot": pivot, "ball": ball, "offset": offset}
-    analysis = analyse(options.read_geometry(geometry), table, states, samples=samples, rng=seed)
+    for name, deviation in (("rod", rod), ("crank", crank)):
+        if deviation is not None or any(x.endswith(f".{name}") for x in machine.parameter_names):
+            table[name] = 1e-4 if deviation is None else deviation
+    analysis = analyse(machine, table, states, samples=samples, rng=seed)
     ranking = analysis.ranking(by)
     linear, sampled = analysis.rms, analysis.sampled_rms
     if json:

@@ -127,7 +127,9 @@ def certificate_figure(certificate: Certificate) -> Figure:
                 around = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
                 ax.annotate(f"{tilt}°", (0.0, radius), color="0.2", fontsize=8, ha="center", va="center", bbox=around)
         bound = certificate.bounds[k]
-        ax.set_title(f"{name}: |det J_{'bc'[k]}| ≥ {bound:.3f} d³" if bound else f"{name}: undecided", fontsize=10)
+        ax.set_title(
+            f"{name}: |det J_{'bc'[k]}| ≥ {bound:.3f} d³" if bound else f"{name}: {certificate.verdict}", fontsize=10
+        )
         ax.set(aspect="equal", xlabel="x", ylabel="y" if k == 0 else "")
     legend_below(figure, fontsize=8)
     title = "Tilt of the middle platform, vector part (x, y) of its quaternion"

@@ -8,6 +8,7 @@ the exact result of the operation on any numbers in them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -109,5 +110,46 @@ def _interval(value: Interval | float) -> Interval:
     return value if isinstance(value, Interval) else Interval.from_numbers(value)
 
 
+def real_root(x: Interval) -> Interval:
+    """Return the square roots of the part that is not negative; both ends NaN where none is."""
+    root, absent = x.root(), x.high < 0.0
+    return Interval(np.where(absent, np.nan, root.low), np.where(absent, np.nan, root.high))
+
+
+def cosine(x: Interval | float) -> Interval:
+    """Return the cosines."""
+    x = _interval(x)
+    ends, width = np.cos(x.low), np.cos(x.high)
+    low, high = np.minimum(ends, width) - _TRIGONOMETRIC, np.maximum(ends, width) + _TRIGONOMETRIC
+    # Multiples of π within, or next to an end.
+    first, last = np.ceil(x.low / np.pi - _TRIGONOMETRIC), np.floor(x.high / np.pi + _TRIGONOMETRIC)
+    several = last > first
+    high = np.where(several | ((first == last) & (first % 2.0 == 0.0)), 1.0, np.minimum(high, 1.0))
+    low = np.where(several | ((first == last) & (first % 2.0 != 0.0)), -1.0, np.maximum(low, -1.0))
+    return Interval(low, high)
+
+
+def sine(x: Interval | float) -> Interval:
+    """Return the sines."""
+    return cosine(_interval(x) - RIGHT_ANGLE)
+
+
+def angle(y: Interval, x: Interval) -> Interval:
+    """Return the angles of points (x, y), from -π to π: all of these where they are on both sides of the cut."""
+    corners = [np.arctan2(b, a) for a in (x.low, x.high) for b in (y.low, y.high)]
+    low, high = np.minimum.reduce(corners) - 4.0 * _TRIGONOMETRIC, np.maximum.reduce(corners) + 4.0 * _TRIGONOMETRIC
+    cut = (x.low <= 0.0) & (y.low <= 0.0) & (y.high >= 0.0)
+    return Interval(np.where(cut, -_TURN, low), np.where(cut, _TURN, high))
+
+
+_TRIGONOMETRIC = 1e-15
+"""Error of a cosine, or of an angle as a share of π: NumPy's are right to four places."""
+_TURN = float(np.pi) + 1e-15
+RIGHT_ANGLE = Interval(np.nextafter(np.pi / 2.0, 0.0), np.nextafter(np.pi / 2.0, 2.0))
+"""The angle π/2."""
 SQRT_3 = Interval(np.nextafter(np.sqrt(3.0), 0.0), np.nextafter(np.sqrt(3.0), 2.0))
 """The square root of three."""
+
+INTERVALS: dict[str, Any] = {"sqrt": real_root, "cos": cosine, "sin": sine, "arctan2": angle}
+INTERVALS |= {"RIGHT_ANGLE": RIGHT_ANGLE}
+"""The operations of formulas on intervals."""

@@ -210,10 +210,10 @@ class Configuration(Batched):
     def places(self) -> FloatArray:
         """Balls in the planes of their legs, from the pivots: x radially outwards, z towards {n} [m], (..., 6, 2)."""
         arms = self.balls - self.leg_bases
-        return frozen(np.stack([(arms * axes).sum(axis=-1) for axes in self._leg_planes], axis=-1))
+        return frozen(np.stack([(arms * axes).sum(axis=-1) for axes in self.leg_planes], axis=-1))
 
     @property
-    def _leg_planes(self) -> tuple[FloatArray, FloatArray]:
+    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
         """The axes x and z of the legs' planes as rows in {B}, (..., 6, 3) each."""
         back = np.swapaxes(self._rotation, -1, -2)
         lower = np.broadcast_to(np.eye(3), back.shape)
@@ -243,7 +243,7 @@ class Configuration(Batched):
     @property
     def centre_rates(self) -> FloatArray:
         """Derivatives of `circle_centres` by their own readings, seen from the legs' plates, in {B}, (..., 6, 3)."""
-        outward, forward = self._leg_planes
+        outward, forward = self.leg_planes
         rates = self._geometry.legs.centre_rates(self.readings)
         return np.asarray(rates[..., :1] * outward + rates[..., 1:] * forward)
 

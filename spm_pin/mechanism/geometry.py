@@ -303,7 +303,7 @@ class Geometry:
     def axis_derivatives(self) -> FloatArray:
         """Derivatives of the axes with respect to the two coordinates of their direction in `parameters`, (6, 3, 2)."""
         drawn, first, second = axis_directions()
-        turn = self.parameters.reshape(6, 9)[:, None, :2]
+        turn = self.parameters[:54].reshape(6, 9)[:, None, :2]
         angle = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
         sinc, across = np.sinc(angle / np.pi), np.stack([first, second], axis=-1)
         # (cos a - sin a / a) / a², which is -1/3 at zero.

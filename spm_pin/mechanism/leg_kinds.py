@@ -25,6 +25,8 @@ Number = float | Sequence[float]
 FORMULAS = "reading", "circle", "slope", "home", "passive"
 """What every kind has a formula for."""
 _ANGLE = 2.0 * math.pi
+_STEP = 1e-100
+"""Imaginary step of a derivative."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class LegKind:
     """Name of the body between them."""
     least_reading: ClassVar[float] = -math.inf
     """Beyond which every reading is, offset aside."""
+    turned: ClassVar[tuple[float, ...]]
+    """Changes of the offset, and of each of the `identified` numbers, that amount to a unit turn of the leg's links."""
     formulas: ClassVar[SimpleNamespace]
     """The kind's formulas of `spm_pin.formulas.planar_legs`, see `FORMULAS`, for runners to bind."""
     on_arrays: ClassVar[SimpleNamespace]
@@ -122,6 +126,20 @@ class LegKind:
         zero = np.zeros_like(readings)
         return np.stack([x + zero, z + zero], axis=-1), radius + zero
 
+    def circle_derivatives(self, readings: FloatArray) -> FloatArray:
+        """Return the derivatives of x, z and radius of the balls' circles, (..., 3, 3, 1 + n).
+
+        By the reading, then by each of the `identified` numbers.
+        """
+        given = np.broadcast_to(self.numbers, (*readings.shape, self.numbers.shape[1]))
+        given = np.concatenate([readings[..., None], given], axis=-1)
+        columns = []
+        for step in 1j * _STEP * np.eye(given.shape[-1])[: 1 + len(self.identified)]:
+            reading, *numbers = np.moveaxis(given + step, -1, 0)
+            circle = np.broadcast_arrays(*self.on_arrays.circle(reading, tuple(numbers)))
+            columns.append(np.stack(circle, axis=-1).imag / _STEP)
+        return np.stack(columns, axis=-1)
+
     def slopes(self, places: FloatArray, readings: FloatArray) -> FloatArray:
         """Return κ (..., 3) of balls at x and z (..., 3, 2) with these readings."""
         numbers = tuple(self.numbers.T)
@@ -138,6 +156,7 @@ class RPS(LegKind):
     actuated = "slide"
     body = "cylinder"
     least_reading = 0.0
+    turned = (0.0,)
 
 
 @dataclass(frozen=True)
@@ -165,6 +184,7 @@ class PRS(LegKind):
     joints = ("slide", "knee")
     actuated = "slide"
     body = "carriage"
+    turned = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -192,6 +212,7 @@ class RRS(LegKind):
     joints = ("hip", "knee")
     actuated = "hip"
     body = "crank"
+    turned = (-1.0, 0.0, 0.0)
 
 
 def _sign(value: Any, argument: str) -> float:

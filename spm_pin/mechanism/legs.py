@@ -14,7 +14,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError, GeometryError, UnreachableError, raised_as
 from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
 from spm_pin.formulas.joint_values import triangle_axes
-from spm_pin.formulas.operations import bind, on_arrays, rows_of
+from spm_pin.formulas.operations import bind, on_arrays, rows_of, vector_of
 from spm_pin.mechanism.arguments import (
     LARGEST,
     SMALLEST,
@@ -53,6 +53,7 @@ _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _plane_axes = bind(planar_legs.plane_axes, sqrt=math.sqrt)
 _LARGEST_ANGLE = 4.0 * math.pi
 """Largest limit of an angle [rad]: a crank's, with its encoder's offset."""
+_planes_axes = on_arrays(planar_legs.plane_axes)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
 _STEP = 1e-100
@@ -347,10 +348,25 @@ class Legs:
         """Return κ (..., 6), the speed of each ball away from its circle's centre per unit rate of the reading."""
         return self._of_stages("slopes", places, readings - self.offsets)
 
+    def circle_derivatives(self, readings: FloatArray) -> list[FloatArray]:
+        """Return the derivatives of x, z and radius of the circles of both stages, (..., 3, 3, 1 + n) each.
+
+        By the readings (..., 6), then by each of the numbers that are fixed in the legs.
+        """
+        return self._by_stage("circle_derivatives", readings - self.offsets)
+
     def centre_rates(self, readings: FloatArray) -> FloatArray:
         """Return the derivatives of the circles' centres by readings (..., 6) in the legs' planes, (..., 6, 2)."""
-        stages = self._by_stage("circles", readings - self.offsets + 1j * _STEP)
-        return np.concatenate([centres.imag / _STEP for centres, _ in stages], axis=-2)
+        return np.concatenate([x[..., :2, 0] for x in self.circle_derivatives(readings)], axis=-2)
+
+    @functools.cached_property
+    def plane_turns(self) -> FloatArray:
+        """Derivatives by the axes of the turn of each leg's plane about its axis, from x to z, (6, 3)."""
+        tilted = self.axes[:, None] + 1j * _STEP * np.eye(3)
+        signs = np.tile(leg_constants.TANGENT_SIGNS, 2)[:, None], np.repeat([1.0, -1.0], 3)[:, None]
+        outward, _ = _planes_axes(vector_of(tilted), *signs)
+        _, forward = self.planes
+        return frozen((np.stack(outward, axis=-1).imag / _STEP * forward[:, None]).sum(axis=-1))
 
     @functools.cached_property
     def slope_signs(self) -> FloatArray:

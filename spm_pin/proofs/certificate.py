@@ -1,4 +1,4 @@
-"""Certificates that leg limits hold no forward singularity, so that six leg lengths mean one configuration.
+"""Certificates that leg limits hold no forward singularity, so that six readings mean one configuration.
 
 One machine is certified with its least determinants and a counterexample; of many it is only decided which are free of
 forward singularities, all their symmetric stages at once. Derivation: `docs/theory/proofs.md`.
@@ -13,14 +13,16 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from spm_pin.errors import ArgumentError, GeometryError, SpmError
+from spm_pin.errors import ArgumentError, GeometryError, SpmError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import physical_mode_share
+from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, leg_values, real_number, whole_number
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, check_rps
+from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.stage_proof import (
     DEEPEST,
@@ -39,12 +41,12 @@ from spm_pin.proofs.stage_proof import (
     region_coordinates,
 )
 
-_LONGEST = 1e3
-"""Largest leg lengths that are worth a proof, in units of the machine's size."""
 _ROUNDING = 1e-15
 """Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""
+_SAME = 1e-6
+"""Configurations whose balls are nearer to each other, in middle sides, are the same beside a fold."""
 _LINES = 1_000
-"""Lines of leg lengths along which a forward singularity is looked for."""
+"""Lines of readings along which a forward singularity is looked for."""
 _FIRST_LEVEL = 3
 """Level of division that symmetric stages begin with."""
 _SLOPE = 1.7320508075689
@@ -60,7 +62,7 @@ class Certificate:
     geometry: Geometry
     """Dimensions of the manipulator."""
     limits: LegLimits
-    """Limits of the leg lengths."""
+    """Limits of the readings."""
     lower: StageProof
     """The subdivision of the lower stage."""
     upper: StageProof
@@ -73,8 +75,16 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """True if it is proved that no configuration joined to the home within the limits is forward singular."""
+        """True if it is proved that no configuration joined to the home within the limits is singular.
+
+        Forward singular, or in a singularity of a leg itself, beyond which its working mode is another.
+        """
         return self.lower.bound > 0.0 and self.upper.bound > 0.0
+
+    @property
+    def verdict(self) -> str:
+        """In a word or two: "proved"; "not proved", with a `witness`; or "undecided"."""
+        return "proved" if self.holds else "undecided" if self.witness is None else "not proved"
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -98,7 +108,7 @@ class Certificate:
         return errors[0] <= most[0] and errors[1] <= most[1]
 
     def covers(self, configuration: Configuration) -> BoolArray:
-        """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...).
+        """Return which configurations (...) are proved to be the only one of their readings, shape (...).
 
         They respect the limits, and both stages lie in boxes of the proof. Nothing is covered if it does not hold.
         """
@@ -115,34 +125,64 @@ class Certificate:
 
     def explain(self) -> str:
         """Return the statement proved, or the counterexample or doubt that is left, in a few lines."""
-        low, high = zip(*zip(self.limits.minimum, self.limits.maximum, strict=True), strict=True)
-        lines = [f"Leg lengths from {min(low):g} m to {max(high):g} m, {self.lower.boxes + self.upper.boxes:,} boxes."]
+        stages = zip(
+            *(np.reshape(ends, (2, 3)).tolist() for ends in (self.limits.minimum, self.limits.maximum)),
+            self.geometry.legs.kinds,
+            strict=True,
+        )
+        ranges = dict.fromkeys(f"{min(low):g} {kind.unit} to {max(high):g} {kind.unit}" for low, high, kind in stages)
+        lines = [f"Readings from {' and '.join(ranges)}, {self.lower.boxes + self.upper.boxes:,} boxes."]
         if any(self.errors):
-            errors = f"{1e3 * self.errors[0]:g} mm and {1e3 * self.errors[1]:g} mrad"
-            lines.append(f"For all machines whose pivots, balls, readings and axes are within {errors} of the nominal.")
+            errors = f"{1e3 * self.errors[0]:.3g} mm and {1e3 * self.errors[1]:.3g} mrad"
+            lines.append(f"For all machines whose dimensions, offsets and axes are within {errors} of the nominal.")
         if self.holds:
             lower, upper = self.bounds
+            legs = "" if self.geometry.legs.are_rps else ", nor is a leg singular itself"
             lines += [
-                "Proved: no configuration joined to the home within these limits is forward singular,",
+                f"Proved: no configuration joined to the home within these limits is forward singular{legs},",
                 f"|det J_b| >= {lower:.3g} d³ and |det J_c| >= {upper:.3g} d³.",
-                "So six lengths within them have exactly one such configuration, and straight lines in leg space are",
+                "So six readings within them have exactly one such configuration, and straight lines of readings are",
                 "free of forward singularities. Assembly modes that are not joined to the home are not part of this.",
             ]
         elif self.witness is not None:
-            lengths = ", ".join(f"{length:.6f}" for length in self.witness.readings)
             lines += [
-                "Not proved: a configuration within the limits is forward singular, with legs",
-                f"({lengths}) m,",
-                "in a box that touches, box by box, that of the home.",
+                "Not proved: a configuration of the nominal machine within the limits is forward singular, with",
+            ]
+            lines += [
+                f"({self._readings(self.witness)}), in a box that touches, box by box, that of the home.",
+                *self._whose(),
             ]
         else:
-            lines.append("Undecided: no singular configuration was found, and none was excluded.")
+            lines.append("Undecided: no singular configuration was found, and none was excluded. More boxes may help,")
+            lines.append(
+                "and narrower limits" + ", or smaller errors." * any(self.errors) + "." * (not any(self.errors))
+            )
         for name, boxes in zip(("lower", "upper"), self.undecided, strict=True):
             if len(boxes):
                 half_sine = float(np.sqrt((boxes[:, :2] ** 2).max(axis=2).sum(axis=1).max()))
                 tilt = np.degrees(2.0 * np.arcsin(min(half_sine, 1.0)))
                 lines.append(f"{len(boxes):,} boxes of the {name} stage, tilted by up to {tilt:.0f}°.")
         return "\n".join(lines)
+
+    def _readings(self, state: Configuration) -> str:
+        units = self.geometry.legs.units
+        return ", ".join(f"{reading:.6f} {unit}" for reading, unit in zip(state.readings, units, strict=True))
+
+    def _whose(self) -> list[str]:
+        """Return what the machine does at the readings of the singular configuration, and what would help."""
+        assert self.witness is not None
+        physical = forward_physical(self.geometry, self.witness.readings)
+        apart = np.abs(physical.balls - self.witness.balls).max() / self.geometry.middle_side
+        if apart > _SAME:
+            least = np.abs(determinants(physical)[:2]).min() / self.geometry.middle_side**3
+            whose = f"As assembled it is in another one with these readings, a regular one: |det J| is {least:.2g} d³."
+        else:
+            whose = "The machine as assembled is there singular, or ends in it."
+        help_text = (
+            "Narrower limits help: largest_certified_limits finds the widest"
+            + ", and so do smaller errors" * any(self.errors)
+        )
+        return [whose, f"{help_text}."]
 
     def _repr_html_(self) -> str:
         names, least = ("lower", "upper"), (self.lower, self.upper)
@@ -154,8 +194,7 @@ class Certificate:
         return notebook.table(self.explain(), header, rows)
 
     def __repr__(self) -> str:
-        failed = "undecided" if self.witness is None else "not proved: singular within the limits"
-        return f"<Certificate: {'holds' if self.holds else failed}>"
+        return f"<Certificate: {self.verdict}>"
 
 
 def certify(
@@ -166,26 +205,28 @@ def certify(
     length_error: float = 0.0,
     angle_error: float = 0.0,
 ) -> Certificate:
-    """Prove that leg limits exclude forward singularities.
+    """Prove that leg limits exclude forward singularities, and singularities of legs.
 
-    What is joined, within the limits, to the physical configuration at their middle is proved free of forward
-    singularities, by interval branch and bound over all orientations without torsion and all heights. It follows that
-    six leg lengths within the limits have exactly one configuration there, and that no straight line in leg space meets
-    a singularity; see `docs/theory/proofs.md`.
+    What is joined, within the limits, to the physical configuration at their middle is proved free of them, by interval
+    branch and bound over all orientations without torsion and all heights. It follows that six readings within the
+    limits have exactly one configuration there, and that no straight line of readings meets a singularity; see
+    `docs/theory/proofs.md`.
 
     Parameters
     ----------
     geometry : Geometry
-        Dimensions. For a machine as built it is proved for all machines that are as near to the nominal one.
+        Dimensions. For a machine as built it is proved for all machines that are as near to the nominal one, the choice
+        of the frame {n} aside.
     limits : LegLimits, optional
-        Limits of the leg lengths, finite; by default those of the geometry.
+        Limits of the readings, finite; by default those of the geometry.
     boxes : int
         Boxes to look at in each stage, at most.
     length_error : float
-        Prove it for every machine of which no coordinate of a pivot or a ball, and no offset of a reading,
-        differs by more than this from that of `geometry` [m]. E, C and d are among these, with the same error.
+        Prove it for every machine of which no coordinate of a pivot or a ball, no rod or crank, and no offset of a
+        reading differs by more than this from that of `geometry` [m]. E, C and d are among these, with the same error.
     angle_error : float
-        The same of each axis, of the turn about either direction perpendicular to it [rad].
+        The same of each axis, of the turn about either direction perpendicular to it, of the directions of slides, and
+        of offsets of angles [rad].
 
     Returns
     -------
@@ -193,7 +234,6 @@ def certify(
         It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
     nominal = check_instance(geometry, Geometry, "geometry").nominal
-    check_rps(geometry, "certificates")
     limits = nominal.limits if limits is None else check_instance(limits, LegLimits, "limits")
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
@@ -205,12 +245,12 @@ def certify(
     if errors[0] > most or errors[1] > 0.2:
         received = f"one that differs by {length:g} m and {angle:g} rad, to which the errors are added"
         raise ArgumentError("geometry", f"a machine within {most:g} m and 0.2 rad of the nominal one", received)
-    if limits is None or not np.isfinite(limits.maximum).all():
-        received = "none" if limits is None else "a leg without a longest length"
-        raise GeometryError("limits", "a finite longest length of every leg", received)
+    if limits is None or not np.isfinite([limits.minimum, limits.maximum]).all():
+        received = "none" if limits is None else f"{limits!r}"
+        raise GeometryError("limits", "finite limits of every reading", received)
     middle = forward_physical(nominal, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
     if not middle.exists:
-        raise GeometryError("limits", "lengths between them that can be assembled", "a middle that cannot be")
+        raise GeometryError("limits", "readings between them that can be assembled", "a middle that cannot be")
     starts = region_coordinates(middle)
     regions = stage_regions(nominal, limits, errors)
     proofs = [prove_stage(region, start, most=boxes) for region, start in zip(regions, starts, strict=True)]
@@ -231,17 +271,18 @@ def largest_certified_limits(
     length_error: float = 0.0,
     angle_error: float = 0.0,
 ) -> Certificate:
-    """Find the widest leg limits around given lengths that are proved free of forward singularities.
+    """Find the widest leg limits around given readings that are proved free of forward singularities.
 
-    All legs may differ from their centre by the same length. No limits hold in which a line from the centre meets a
-    forward singularity; just within the nearest one of many is tried first, then the width is bisected.
+    All readings may differ from their centre by the same amount, and have one unit. No limits hold in which a line from
+    the centre meets a forward singularity; just within the nearest one of many is tried first, then the width is
+    bisected.
 
     Parameters
     ----------
     geometry : Geometry
         Dimensions.
     centre : array_like, shape (6,) or (), optional
-        Leg lengths in the middle [m]; by default the middle of the geometry's limits.
+        Readings in the middle [m], of RRS legs [rad]; by default the middle of the geometry's limits.
     tolerance : float
         How far below the widest half-width that certifies the result may stay, relative to it.
     boxes : int
@@ -254,33 +295,42 @@ def largest_certified_limits(
     Certificate
         It holds; its `limits` are the answer.
     """
-    check_instance(geometry, Geometry, "geometry")
-    check_rps(geometry, "certificates")
+    legs = check_instance(geometry, Geometry, "geometry").legs
+    if len(set(legs.units)) > 1:
+        cause = "All readings may differ from their centre by the same amount"
+        raise GeometryError("geometry", "a machine whose readings have one unit", "metres and radians", cause)
     real_number(tolerance, "tolerance", "a relative width between 1e-6 and 1", least=1e-6, below=1.0)
     if centre is None:
-        if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
-            raise ArgumentError("centre", "leg lengths, as the geometry has no finite limits", "None")
+        if geometry.limits is None or not np.isfinite([geometry.limits.minimum, geometry.limits.maximum]).all():
+            raise ArgumentError("centre", "readings, as the geometry has no finite limits", "None")
         centre = 0.5 * (np.array(geometry.limits.minimum) + np.array(geometry.limits.maximum))
-    lengths = leg_values(centre, "centre", "leg lengths in metres", most=_LONGEST * sum(geometry.dimensions))
-    if lengths.shape != (6,) or not forward_physical(geometry, lengths).exists:
-        received = f"shape {lengths.shape}, {lengths.max(initial=0.0):g} m at the longest"
-        raise ArgumentError("centre", "one or six leg lengths in metres that can be assembled", received)
+    readings = real_array(centre, "centre", (), "readings in metres, of RRS legs in radians")
+    if readings.shape not in ((), (6,)):
+        raise ArgumentError("centre", "one or six readings", f"shape {readings.shape}")
+    readings = np.broadcast_to(readings, 6)
+    with raised_as(ArgumentError, "centre"):
+        assembled = forward_physical(geometry, readings).exists
+    if not assembled:
+        received = f"{readings.max():g} {legs.units[0]} at the largest"
+        raise ArgumentError("centre", "readings with which the machine can be assembled", received)
+    # No length falls to zero, no rod is passed on its slide, and no crank turns farther than round.
+    reach = np.pi if legs.units[0] == "rad" else float(legs.circles(readings)[1].min())
     rng = np.random.default_rng(0)
     directions = np.concatenate([list(product((-1.0, 1.0), repeat=6)), rng.uniform(-1.0, 1.0, (_LINES, 6))])
     directions /= np.abs(directions).max(axis=-1, keepdims=True)
-    shares = physical_mode_share(geometry, lengths, lengths + 0.999 * lengths.min() * directions)
-    best, narrow, wide = None, 0.0, 0.999 * float(lengths.min() * shares.min())
+    shares = physical_mode_share(geometry, readings, readings + 0.999 * reach * directions)
+    best, narrow, wide = None, 0.0, 0.999 * reach * float(shares.min())
     half = (1.0 - 0.9 * tolerance) * wide
     while wide - narrow > tolerance * wide:
-        limits = LegLimits(tuple(lengths - half), tuple(lengths + half))
+        limits = LegLimits(tuple(readings - half), tuple(readings + half))
         certificate = certify(geometry, limits, boxes=boxes, length_error=length_error, angle_error=angle_error)
         if certificate.holds:
             best, narrow = certificate, half
         else:
             wide = half
         half = 0.5 * (narrow + wide)
-        if best is None and wide < 1e-6 * float(lengths.min()):
-            raise ArgumentError("centre", "lengths away from forward singularities", lengths)
+        if best is None and wide < 1e-6 * reach:
+            raise ArgumentError("centre", "readings away from forward singularities", readings)
     assert best is not None
     return best
 
@@ -290,7 +340,8 @@ def stage_regions(geometry: Geometry, limits: LegLimits, errors: tuple[float, fl
     radii = geometry.base_radius, geometry.platform_radius
     low, high = limits.admitted.reshape(2, 2, 3)
     length, angle = _widened(geometry, errors)
-    return [StageRegion(radii[k], geometry.middle_side, low[k], high[k], length, angle) for k in range(2)]
+    kinds = geometry.legs.kinds
+    return [StageRegion(radii[k], geometry.middle_side, low[k], high[k], kinds[k], length, angle) for k in range(2)]
 
 
 def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, float]:
@@ -300,13 +351,28 @@ def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, fl
 
 
 def _deviation(machine: Geometry, nominal: Geometry) -> tuple[float, float]:
-    """Return the largest errors of a machine's lengths [m] and axes [rad] against a nominal geometry."""
-    if machine.is_nominal and machine.dimensions == nominal.dimensions:
+    """Return the largest errors of a machine's lengths [m] and angles [rad] against a nominal one.
+
+    Infinite if of other legs. The frame {n} is where the balls are nearest to the nominal ones, if that is better.
+    """
+    if machine.is_nominal and machine.dimensions == nominal.dimensions and machine.legs.kinds == nominal.legs.kinds:
         return 0.0, 0.0
-    nominal_parameters = nominal.nominal.parameters
+    if (
+        machine.parameter_names != nominal.parameter_names
+        or (machine.legs.slope_signs != nominal.legs.slope_signs).any()
+    ):
+        return np.inf, np.inf
+    balls, drawn = machine.legs.balls, nominal.nominal.legs.balls
+    turn, _ = Rotation.align_vectors(drawn - drawn.mean(axis=0), balls - balls.mean(axis=0))
+    moved = turn.apply(balls - balls.mean(axis=0)) + drawn.mean(axis=0)
+    offs = min(np.abs(points - drawn).max() for points in (balls, moved))
     # Directions of the axes are counted from the nominal ones, which are the same for all dimensions.
-    errors = np.abs(machine.parameters - nominal_parameters).reshape(6, 9)
-    return float(errors[:, 2:].max()), float(errors[:, :2].max())
+    errors, are_angles = (
+        np.abs(machine.parameters - nominal.nominal.parameters),
+        np.array(machine.parameter_units) == "rad",
+    )
+    are_balls = np.array([".ball" in name for name in machine.parameter_names])
+    return float(max(offs, errors[~are_angles & ~are_balls].max())), float(errors[are_angles].max())
 
 
 def free_of_singularities(machines: Sequence[Geometry], boxes: int) -> BoolArray:
@@ -318,7 +384,9 @@ def free_of_singularities(machines: Sequence[Geometry], boxes: int) -> BoolArray
     """
     regions = [stage_regions(machine, machine.limits) for machine in machines if machine.limits is not None]
     symmetric = [
-        machine.is_nominal and all(np.ptp(ends) == 0.0 for region in pair for ends in (region.minimum, region.maximum))
+        machine.is_nominal
+        and machine.legs.are_rps
+        and all(np.ptp(ends) == 0.0 for region in pair for ends in (region.minimum, region.maximum))
         for machine, pair in zip(machines, regions, strict=True)
     ]
     free = np.zeros(len(machines), dtype=np.bool_)

@@ -185,7 +185,7 @@ class _StageCells:
         region, (x, y) = self._region, _ends(level, position)
         radii, rises = region.corners(x, y, Interval.from_numbers(0.0))
         lowest, highest = np.full(len(position), -np.inf), np.full(len(position), np.inf)
-        for radius, rise, length in zip(radii, rises, region.lengths, strict=True):
+        for radius, rise, length in zip(radii, rises, region.radii, strict=True):
             across = (radius - Interval.from_numbers(region.leg_base_radius)).square()
             room = Interval.from_numbers(length.high).square() - across
             top = np.where(room.high < 0.0, -np.inf, room.root().high)

@@ -1,4 +1,4 @@
-"""Proof by subdivision that a 3RPS stage meets no forward singularity between limits of its leg lengths.
+"""Proof by subdivision that a stage meets no singularity between limits of its readings.
 
 A state in mode T is the vector part (x, y) of the middle platform's quaternion (x0, x, y, 0), x0 = √(1 - x² - y²), and
 the height Z of its centre. With r = d/√3, corner k has the radius ρ_k and the height z_k,
@@ -6,27 +6,30 @@ the height Z of its centre. With r = d/√3, corner k has the radius ρ_k and th
     ρ_1, ρ_3 = r (1 - 2y² ∓ 2√3 xy),   z_1, z_3 = Z - r x0 (x ± √3 y),
     ρ_2 = r (1 - 3x² + y²),             z_2 = Z + 2 r x0 x,
 
-leg k the length √((ρ_k - ρ)² + z_k²), where ρ is E or C, and the stage is forward singular where
+its ball the place (ρ_k - ρ, z_k) from the pivot, where ρ is E or C, from which its reading and the centre (s_k, h_k) of
+its circle follow. The stage is forward singular where
 
-    D = m12 m23 m31 + m21 m32 m13 = 0,   m_ij = z_i (ρ + ρ_j / 2) + z_j (ρ_i - ρ).
+    D = m12 m23 m31 + m21 m32 m13 = 0,   m_ij = (z_i - h_i) (ρ + s_i + ρ_j / 2) + (z_j - h_i) (ρ_i - ρ - s_i).
 
-In a machine with errors the quaternion has a small fourth component x3, and each of these numbers differs by what is
-bounded over all machines.
+The centre is the pivot of an RPS leg. Of others it is enclosed from the reading, that from the box of states and the
+limits, and κ has to keep the sign of the working mode. In a machine with errors the quaternion has a small fourth
+component x3, and each of these numbers differs by what is bounded over all machines.
 
-The cube of the states (x, y, Z) is divided into eight again and again: what has no lengths within the limits goes; what
-keeps the sign of D is proved; of the others only what is joined to a given state, through touching boxes, is divided
-further. That one state has the lengths in the middle of the limits is proved by subdivision, until Krawczyk's test
-succeeds. Derivation and theorem: `docs/theory/proofs.md`.
+The cube of the states (x, y, Z) is divided into eight again and again: what has no readings within the limits goes;
+what keeps the signs of D and κ is proved; of the others only what is joined to a given state, through touching boxes,
+is divided further. That one state has the readings in the middle of the limits is proved by subdivision, until
+Krawczyk's test succeeds. Derivation and theorem: `docs/theory/proofs.md`.
 """
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, reduce
 from itertools import product
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,12 +37,15 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from spm_pin.formulas.operations import bind
+from spm_pin.formulas.planar_legs import Circle
 from spm_pin.formulas.stages import pair_determinant
 from spm_pin.formulas.vectors import combined, matrix_product, minus, times
-from spm_pin.kinematics.intervals import SQRT_3, Interval
+from spm_pin.kinematics.intervals import INTERVALS, SQRT_3, Interval
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branch_of_state import stage_coordinates
+from spm_pin.mechanism.leg_kinds import KINDS, RPS, LegKind
 
 Int64Array = npt.NDArray[np.int64]
 
@@ -58,6 +64,9 @@ _ROUNDS, _MOST_BOXES = 30, 20_000
 _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
 """The upper stage is the same upside down, mirrored at the terminal platform."""
 
+ZERO = Interval.from_numbers(0.0)
+_PLANE_TURN = 2.5
+"""Most by which an axis of a leg's plane moves per `angle_error`."""
 _UP = 1.0 + 1e-12
 """Covers the rounding of a bound of errors, a few operations."""
 
@@ -84,11 +93,31 @@ class ErrorBounds:
     """|x0 x3|."""
 
 
+class LegValues(NamedTuple):
+    """What is known of a leg in states, of all machines; its numbers and those of `StageValues` are arrays."""
+
+    reading: Interval
+    x: Interval  # of the circle's centre from the nominal pivot, radially
+    z: Interval  # and towards the middle platform
+    is_beyond: BoolArray  # no reading is within the limits
+    slope: FloatArray  # lower bound of κ, with the sign by which it is positive in the working mode
+
+
+class StageValues(NamedTuple):
+    """What is known of states of a stage, of all machines."""
+
+    readings: list[Interval]  # without offsets
+    squares: list[Interval]  # of the distances from the circles' centres to the balls [m²]
+    determinant: Interval  # D [m⁶]
+    is_beyond: BoolArray  # no readings are within the limits
+    slope: FloatArray  # lower bound of κ of all legs, positive in the working mode
+
+
 @dataclass(frozen=True)
 class StageRegion:
     """The states of a stage that are searched, those of one machine or of all within errors.
 
-    Of N stages at once, whose boxes are then N, it has arrays (N,) for numbers, and (3, N) for the lengths.
+    Of N stages at once, whose boxes are then N, it has arrays (N,) for numbers, and (3, N) for the limits.
     """
 
     leg_base_radius: float | FloatArray
@@ -96,27 +125,51 @@ class StageRegion:
     side: float | FloatArray
     """Side of the middle platform's triangle [m]."""
     minimum: FloatArray
-    """Least leg lengths as they are read [m], shape (3,)."""
+    """Least readings, shape (3,)."""
     maximum: FloatArray
-    """Largest leg lengths as they are read [m], shape (3,)."""
+    """Largest readings, shape (3,)."""
+    legs: LegKind = RPS()  # noqa: RUF009  # frozen
+    """What the legs are, equal in the stage."""
     length_error: float = 0.0
-    """Largest error of each coordinate of a pivot and of a ball, and of a reading [m]."""
+    """Largest error of each coordinate of a pivot and of a ball, of a rod and a crank, and of a reading [m]."""
     angle_error: float = 0.0
-    """Largest turn of a revolute axis about either direction perpendicular to it [rad]."""
+    """Largest turn of a revolute axis about either direction perpendicular to it, of a slide, of a reading [rad]."""
 
     @cached_property
-    def lengths(self) -> list[Interval]:
-        """Distances from pivot to ball of legs whose readings are within the limits [m]."""
-        all_legs = Interval(self.minimum, self.maximum)
-        if self.length_error:
-            all_legs = all_legs + self.error_bounds.length
-        ends = zip(np.maximum(all_legs.low, 0.0), all_legs.high, strict=True)
-        return [Interval(np.asarray(low), np.asarray(high)) for low, high in ends]
+    def numbers(self) -> tuple[tuple[Interval, ...], ...]:
+        """The numbers that are fixed in each leg, of all machines."""
+        spread = {"direction": self.angle_error, "sign": 0.0}
+        errors = [spread.get(field.name, self.length_error) for field in fields(self.legs)]
+        return tuple(
+            tuple(Interval.from_numbers(x) + Interval.within(e) if e else Interval.from_numbers(x) for x, e in pairs)
+            for pairs in (zip(row, errors, strict=True) for row in self.legs.numbers)
+        )
+
+    @cached_property
+    def readings(self) -> list[Interval]:
+        """What readings within the limits are without their offsets."""
+        error = self.angle_error if self.legs.unit == "rad" else self.length_error
+        within = Interval(self.minimum, self.maximum)
+        within = within + Interval.within(error) if error else within
+        return [Interval(np.asarray(low), np.asarray(high)) for low, high in zip(within.low, within.high, strict=True)]
+
+    @cached_property
+    def circles(self) -> list[Circle]:
+        """Circles of all balls with readings within the limits, as intervals."""
+        formula = _ON_INTERVALS[self.legs.name].circle
+        return [formula(*leg) for leg in zip(self.readings, self.numbers, strict=True)]
+
+    @cached_property
+    def radii(self) -> list[Interval]:
+        """Distances from the circles' centres to the balls of legs whose readings are within the limits [m]."""
+        radii = [_interval(circle.radius) for circle in self.circles]
+        return [Interval(np.maximum(radius.low, 0.0), radius.high) for radius in radii]
 
     @cached_property
     def longest(self) -> FloatArray:
         """Bound of the distance from pivot to ball [m]."""
-        return np.asarray((self.maximum.max(axis=0) + self.length_error) * _UP)
+        reaches = [sum(_largest(part) for part in circle) for circle in self.circles]
+        return np.asarray(reduce(np.maximum, reaches) * _UP)
 
     @property
     def height(self) -> FloatArray:
@@ -162,20 +215,71 @@ class StageRegion:
             h + self.error_bounds.height for h in heights
         ]
 
-    def evaluate(self, x: Interval, y: Interval, z: Interval) -> tuple[list[Interval], Interval]:
-        """Return the squares of the distances from pivots to balls [m²] and D [m⁶]."""
+    def evaluate(self, x: Interval, y: Interval, z: Interval) -> StageValues:
+        """Return what is known of states."""
         bounds = self.error_bounds
         radii, heights = self.corners(x, y, z)
         base = Interval.from_numbers(self.leg_base_radius) + bounds.pivot
-        slopes, rises = [radius - base for radius in radii], [height + bounds.length for height in heights]
+        places = [(radius - base, height + bounds.length) for radius, height in zip(radii, heights, strict=True)]
+        legs = [self._leg(k, *place) for k, place in enumerate(places)]
+        # Balls from the centres of their circles.
+        slopes = [_less(x, leg.x) for (x, _), leg in zip(places, legs, strict=True)]
+        rises = [_less(z, leg.z) for (_, z), leg in zip(places, legs, strict=True)]
         squares = [s.square() + h.square() + bounds.leaning.square() for s, h in zip(slopes, rises, strict=True)]
 
         def m(i: int, j: int) -> Interval:
-            upward = rises[i] * (base + 0.5 * radii[j] + bounds.sideways)
-            return upward + (heights[j] + bounds.length) * slopes[i] + bounds.factor
+            centre = base if legs[i].x is ZERO else base + legs[i].x
+            upward = rises[i] * (centre + 0.5 * radii[j] + bounds.sideways)
+            return upward + _less(places[j][1], legs[i].z) * slopes[i] + bounds.factor
 
         pairs: Any = m(0, 1), m(1, 2), m(2, 0), m(1, 0), m(2, 1), m(0, 2)
-        return squares, pair_determinant(pairs)  # type: ignore[return-value]  # an Interval, as its arguments
+        determinant: Any = pair_determinant(pairs)  # an Interval, as its arguments
+        missed = [
+            leg.is_beyond | square.misses(radius.square())
+            for leg, square, radius in zip(legs, squares, self.radii, strict=True)
+        ]
+        works = reduce(np.minimum, (leg.slope for leg in legs))
+        return StageValues([leg.reading for leg in legs], squares, determinant, reduce(np.logical_or, missed), works)
+
+    def _leg(self, leg: int, x: Interval, z: Interval) -> LegValues:
+        """Return what is known of a leg whose ball is at x and z of its nominal plane."""
+        if isinstance(self.legs, RPS):
+            return LegValues((x.square() + z.square()).root(), ZERO, ZERO, np.asarray(False), np.asarray(1.0))
+        formulas, numbers, limits = _ON_INTERVALS[self.legs.name], self.numbers[leg], self.readings[leg]
+        # By the turn of the leg's plane, see `docs/theory/proofs.md`.
+        turned = Interval.within(_PLANE_TURN * self.angle_error * self.longest * _UP)
+        x, z = x + turned, z + turned
+        reading = formulas.reading(x, z, numbers)
+        beyond = np.isnan(reading.low) | reading.misses(limits)
+        within = Interval(
+            np.where(beyond, reading.low, np.maximum(reading.low, limits.low)),
+            np.where(beyond, reading.high, np.minimum(reading.high, limits.high)),
+        )
+        circle, slope = formulas.circle(within, numbers), formulas.slope(x, z, within, numbers)
+        slope = slope * -numbers[-1]
+        return LegValues(reading, circle.x + turned, circle.z + turned, beyond, slope.low)
+
+
+_ON_INTERVALS = {
+    name: SimpleNamespace(**{part: bind(formula, **INTERVALS) for part, formula in vars(kind.formulas).items()})
+    for name, kind in KINDS.items()
+}
+"""The formulas of each kind of legs on intervals."""
+
+
+def _interval(value: Interval | float) -> Interval:
+    return value if isinstance(value, Interval) else Interval.from_numbers(value)
+
+
+def _less(value: Interval, other: Interval) -> Interval:
+    """Return a difference, and what it is taken from where nothing is."""
+    return value if other is ZERO else value - other
+
+
+def _largest(value: Interval | float) -> FloatArray:
+    """Return the largest magnitude."""
+    value = _interval(value)
+    return np.maximum(np.abs(value.low), np.abs(value.high))
 
 
 def region_coordinates(configuration: Configuration) -> FloatArray:
@@ -214,7 +318,7 @@ _BOX = np.dtype(
     [("stage", np.int64), ("level", np.int64), ("position", np.int64, 3), ("bound", np.float64), ("centre", np.float64)]
 )
 """A dyadic box of the cube of a stage: its level of division, its integer position, a lower bound of |det J|, and
-|det J| at its centre, infinity where that has no lengths within the limits."""
+|det J| at its centre, infinity where that has no readings within the limits."""
 
 DEEPEST = 14
 _CORNERS = np.array(list(product((0, 1), repeat=3)))
@@ -285,39 +389,33 @@ def _ends(scale: FloatArray, boxes: Boxes) -> FloatArray:
 
 
 def _measure(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
-    """Return the boxes that may hold lengths within the limits, with what is known of |det J| in them."""
+    """Return the boxes that may hold readings within the limits, with what is known of |det J| in them."""
     boxes = examine(region, scale, boxes)
     boxes["centre"] = _value(region, [Interval.from_numbers(x) for x in _ends(scale, boxes).mean(axis=-1).T])
     return boxes
 
 
 def examine(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
-    """Return the boxes that may hold lengths within the limits, with lower bounds of |det J| in them."""
+    """Return the boxes that may hold readings within the limits, with lower bounds of |det J| in them."""
     x, y, z = columns(_ends(scale, boxes))
     tilt = x.square() + y.square()
-    squares, determinant = region.evaluate(x, y, z)
-    limits = [length.square() for length in region.lengths]
-    outside = tilt.low > 1.0
-    for square, limit in zip(squares, limits, strict=True):
-        outside |= square.misses(limit)
-    # |det J| is |D| over the product of the lengths, and these do not exceed their limits.
-    longest = [np.minimum(square.high, limit.high) for square, limit in zip(squares, limits, strict=True)]
-    product_of_lengths = _product([Interval.from_numbers(square).root() for square in longest]).high
+    values, limits = region.evaluate(x, y, z), [radius.square() for radius in region.radii]
+    # |det J| is |D| over the product of the radii, and these do not exceed their limits.
+    longest = [np.minimum(square.high, limit.high) for square, limit in zip(values.squares, limits, strict=True)]
+    product_of_radii = _product([Interval.from_numbers(square).root() for square in longest]).high
     # Where x0² + x3² exceeds twice the bound of |x0 x3|, x0² and x3² differ.
-    straight = (1.0 - tilt).low > 2.0 * region.error_bounds.torsion
-    boxes["bound"] = np.maximum(
-        np.where(straight, np.nextafter(determinant.low / product_of_lengths, -np.inf), 0.0), 0.0
-    )
-    return boxes[~outside]
+    proved = ((1.0 - tilt).low > 2.0 * region.error_bounds.torsion) & (values.slope > 0.0)
+    bound = np.nextafter(values.determinant.low / product_of_radii, -np.inf)
+    boxes["bound"] = np.maximum(np.where(proved, bound, 0.0), 0.0)
+    return boxes[~((tilt.low > 1.0) | values.is_beyond)]
 
 
 def _value(region: StageRegion, state: Sequence[Interval]) -> FloatArray:
-    """Return |det J| of states of one number each, infinity where they have no lengths within the limits."""
-    squares, determinant = region.evaluate(*state)
-    within = [~square.misses(length.square()) for square, length in zip(squares, region.lengths, strict=True)]
+    """Return |det J| of states of one number each, infinity where they have no readings within the limits."""
+    values = region.evaluate(*state)
     with np.errstate(divide="ignore", invalid="ignore"):
-        values = np.maximum(determinant.low, 0.0) / np.sqrt(_product(squares).high)
-    return np.where(np.all(within, axis=0), values, np.inf)
+        determinants = np.maximum(values.determinant.low, 0.0) / np.sqrt(_product(values.squares).high)
+    return np.where(values.is_beyond, np.inf, determinants)
 
 
 def _product(factors: Sequence[Interval]) -> Interval:
@@ -370,7 +468,7 @@ def _keys(stage: Int64Array, position: Int64Array, level: int) -> Int64Array:
 
 
 def _singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None:
-    """Find the state (x, y, Z) with D = 0 in the boxes (N, 3, 2) whose leg lengths are farthest within the limits."""
+    """Find the state (x, y, Z) with D = 0 in the boxes (N, 3, 2) whose readings are farthest within the limits."""
     if not len(boxes):
         return None
     region = replace(region, length_error=0.0, angle_error=0.0)
@@ -388,9 +486,9 @@ def _singular_state(region: StageRegion, boxes: FloatArray) -> FloatArray | None
         states[:, :2] /= np.maximum(1.0, tilt / 0.999)
     value, gradient = _determinant(region, states)
     arrived = np.abs(value) <= 1e-12 * np.linalg.norm(gradient, axis=1)
-    lengths = np.sqrt(_evaluate(region, states)[0])
-    inside = np.minimum(lengths - region.minimum, region.maximum - lengths).min(axis=1)
-    inside[~arrived] = -np.inf
+    readings, _ = _evaluate(region, states)
+    inside = np.minimum(readings - region.minimum, region.maximum - readings).min(axis=1)
+    inside[~arrived | np.isnan(inside)] = -np.inf
     # Those in other boxes are not joined to the start.
     for best in np.argsort(-inside):
         if not inside[best] >= 0.0:
@@ -410,10 +508,10 @@ def are_in_boxes(states: FloatArray, boxes: FloatArray) -> BoolArray:
 
 
 def _evaluate(region: StageRegion, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the squared leg lengths (N, 3) and D (N,)."""
-    squares, determinant = region.evaluate(*map(Interval.from_numbers, states.T))
-    *lengths, value = (0.5 * (x.low + x.high) for x in (*squares, determinant))
-    return np.stack(lengths, axis=1), value
+    """Return the readings (N, 3) and D (N,)."""
+    values = region.evaluate(*map(Interval.from_numbers, states.T))
+    *readings, value = (0.5 * (x.low + x.high) for x in (*values.readings, values.determinant))
+    return np.stack(readings, axis=1), value
 
 
 def _determinant(region: StageRegion, states: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -423,13 +521,11 @@ def _determinant(region: StageRegion, states: FloatArray) -> tuple[FloatArray, F
 
 
 def has_one_state(region: StageRegion, boxes: FloatArray) -> bool:
-    """Return whether just one state in boxes (N, 3, 2) is proved to have the lengths in the middle of the limits."""
-    lengths = 0.5 * (region.minimum + region.maximum)
-    region = replace(region, minimum=lengths, maximum=lengths, length_error=0.0, angle_error=0.0)
+    """Return whether just one state in boxes (N, 3, 2) is proved to have the readings in the middle of the limits."""
+    middle_readings = 0.5 * (region.minimum + region.maximum)
+    region = replace(region, minimum=middle_readings, maximum=middle_readings, length_error=0.0, angle_error=0.0)
     for _ in range(_ROUNDS):
-        squares, _ = region.evaluate(*columns(boxes))
-        missed = [square.misses(length.square()) for square, length in zip(squares, region.lengths, strict=True)]
-        boxes = boxes[~np.any(missed, axis=0)]
+        boxes = boxes[~region.evaluate(*columns(boxes)).is_beyond]
         if not 0 < len(boxes) <= _MOST_BOXES:
             return False
         if _krawczyk(region, np.stack([boxes[..., 0].min(axis=0), boxes[..., 1].max(axis=0)], axis=-1)):
@@ -459,18 +555,26 @@ def _krawczyk(region: StageRegion, box: FloatArray) -> bool:
     inverse: Any = np.linalg.inv(middle)
     unit: Any = np.eye(3)
     point: Any = [Interval.from_numbers(value) for value in centre]
-    squares, _ = region.evaluate(*point)
-    misses: Any = [square - length.square() for square, length in zip(squares, region.lengths, strict=True)]
+    places = _places(region, *point)
+    squares = [
+        (x - circle.x).square() + (z - circle.z).square() for (x, z), circle in zip(places, region.circles, strict=True)
+    ]
+    misses: Any = [square - radius.square() for square, radius in zip(squares, region.radii, strict=True)]
     defects: Any = [minus(*rows) for rows in zip(unit, matrix_product(inverse, slopes), strict=True)]
     image: Any = combined(minus(point, times(inverse, misses)), 1.0, times(defects, minus(unknowns, point)))
     return all(x.low > low and x.high < high for x, (low, high) in zip(image, box, strict=True))
 
 
+def _places(region: StageRegion, x: Interval, y: Interval, z: Interval) -> list[tuple[Interval, Interval]]:
+    """Return where the balls are, radially and towards the middle platform, from their pivots."""
+    base = Interval.from_numbers(region.leg_base_radius)
+    return [(radius - base, height) for radius, height in zip(*region.corners(x, y, z), strict=True)]
+
+
 def _slopes(region: StageRegion, x: Interval, y: Interval, z: Interval) -> Any:
-    """Return enclosures of the derivatives of the three squared lengths with respect to x, y and Z."""
-    r, base = Interval.from_numbers(region.side) * SQRT_3.reciprocal(), Interval.from_numbers(region.leg_base_radius)
+    """Return enclosures of the derivatives of the squared distances from the circles' centres by x, y and Z."""
+    r = Interval.from_numbers(region.side) * SQRT_3.reciprocal()
     x0 = (1.0 - (x.square() + y.square())).root()
-    radii, heights = region.corners(x, y, z)
     slopes = []
     # Corner k is at the azimuth (a, b): z_k = Z + 2 r x0 (b x - a y).
     directions = ((0.5 * SQRT_3, -0.5), (Interval.from_numbers(0.0), 1.0), (-0.5 * SQRT_3, -0.5))
@@ -479,11 +583,11 @@ def _slopes(region: StageRegion, x: Interval, y: Interval, z: Interval) -> Any:
         (-6.0 * x, 2.0 * y),
         (2.0 * SQRT_3 * y, -4.0 * y + 2.0 * SQRT_3 * x),
     )
-    for (a, b), out, radius, height in zip(directions, outward, radii, heights, strict=True):
+    legs = zip(directions, outward, _places(region, x, y, z), region.circles, strict=True)
+    for (a, b), out, (radial, height), circle in legs:
         lever = b * x - a * y
         up = b * x0 - x * lever / x0, -(a * x0) - y * lever / x0
-        slope = [
-            2.0 * (r * ((radius - base) * part + 2.0 * (height * rise))) for part, rise in zip(out, up, strict=True)
-        ]
-        slopes.append([*slope, 2.0 * height])
+        across, along = radial - circle.x, height - circle.z
+        slope = [2.0 * (r * (across * part + 2.0 * (along * rise))) for part, rise in zip(out, up, strict=True)]
+        slopes.append([*slope, 2.0 * along])
     return slopes

@@ -76,11 +76,11 @@ def test_parameters_not_asked_for_keep_their_values() -> None:
 def test_weights_are_those_of_the_noise() -> None:
     machine = PAPER.perturbed(2)
     poses, readings = measure(machine, 3)
-    pair = identify(PAPER, poses, readings, pose_noise=(1e-5, 1e-5), length_noise=1e-6)
+    pair = identify(PAPER, poses, readings, pose_noise=(1e-5, 1e-5), reading_noise=1e-6)
     pose = np.broadcast_to(1e-10 * np.eye(6), (40, 6, 6))
-    full = identify(PAPER, poses, readings, pose_noise=pose, length_noise=1e-12 * np.eye(6))
+    full = identify(PAPER, poses, readings, pose_noise=pose, reading_noise=1e-12 * np.eye(6))
     assert position_errors(full.geometry, pair.geometry).max() < 1e-9
-    twice = identify(PAPER, poses, readings, pose_noise=(2e-5, 2e-5), length_noise=2e-6)
+    twice = identify(PAPER, poses, readings, pose_noise=(2e-5, 2e-5), reading_noise=2e-6)
     np.testing.assert_allclose(twice.deviations, 2.0 * pair.deviations, rtol=1e-3)
     np.testing.assert_allclose(twice.misfit, 0.5 * pair.misfit, rtol=1e-2)
 

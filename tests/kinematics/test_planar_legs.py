@@ -213,9 +213,8 @@ def test_wrong_legs_are_refused_with_the_cause(name: str) -> None:
 
 REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
     "arrays": lambda g: spm.arrays.forward_physical(g, np.full(6, 1.3)),
-    "calibration": lambda g: spm.calibration.error_jacobian(states(g)[0]),
     "casadi": lambda g: spm.symbolic.forward_physical(g),
-    "certify": lambda g: spm.certify(g, spm.LegLimits(1.2, 1.3)),
+    "certify_inverse": lambda g: spm.proofs.certify_inverse(g, spm.LegLimits(1.2, 1.3)),
     "crosscheck": lambda g: spm.crosscheck.compare_methods(g, poses=2),
     "leg lengths of the search": lambda g: spm.nlp.leg_lengths(g),
     "pinocchio": lambda g: spm.ClosedChain.from_urdf(geometry=g),

@@ -119,7 +119,7 @@ def test_boxes_contain_the_values_of_forty_digits(seed: int) -> None:
     low = rng.uniform([-0.6, -0.6, -2.0], [0.6, 0.6, 2.0])
     high = low + rng.uniform(0.0, 0.1, 3)
     state = low + rng.uniform(size=3) * (high - low)
-    squares, determinant = region.evaluate(
+    _, squares, determinant, *_ = region.evaluate(
         *(Interval(np.array(a), np.array(b)) for a, b in zip(low, high, strict=True))
     )
     with mpmath.workdps(40):

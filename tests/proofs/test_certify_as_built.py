@@ -82,7 +82,7 @@ def test_enclosures_contain_what_machines_within_errors_have(length: float, angl
         turns = state.middle_pose.rotation, state.pose.rotation.inv() * state.middle_pose.rotation
         for k, region in enumerate(regions):
             unknowns = [Interval.from_numbers(column) for column in region_coordinates(state)[:, k].T]
-            squares, determinant = region.evaluate(*unknowns)
+            _, squares, determinant, *_ = region.evaluate(*unknowns)
             for i in range(3):
                 contained("square", squares[i], distances[:, 3 * k + i] ** 2)
                 for name, found, exact in zip(

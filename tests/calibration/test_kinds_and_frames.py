@@ -1,0 +1,198 @@
+"""Machines of PRS and RRS legs identified, and measurements that a tracker takes in its own frame."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from calibration.measured import PAPER, elsewhere, measure
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import spm_pin as spm
+from spm_pin import calibration
+from spm_pin.calibration import MeasurementError, error_jacobian, identify, tolerance
+from spm_pin.calibration.error_model import gauge_directions, parameter_scale
+from spm_pin.mechanism import PRS, RPS, RRS, LegKind, Stage
+
+STAGES: dict[str, tuple[LegKind, tuple[float, float]]] = {
+    "RPS": (RPS(), (0.30, 0.42)),
+    "PRS": (PRS(rod=0.30, direction=1.4), (0.00, 0.12)),
+    "RRS": (RRS(crank=0.15, rod=0.35), (0.1, 0.9)),
+}
+PAIRS = list(itertools.product(STAGES, repeat=2))
+
+
+def machine(lower: str, upper: str) -> spm.Geometry:
+    bases = zip((0.30, 0.22), (STAGES[lower], STAGES[upper]), strict=True)
+    return spm.Geometry.of_stages(*(Stage(base, 0.25, legs, limits) for base, (legs, limits) in bases))
+
+
+def states(geometry: spm.Geometry, count: int, seed: int = 0) -> spm.Configuration:
+    assert geometry.limits is not None
+    readings = np.random.default_rng(seed).uniform(geometry.limits.minimum, geometry.limits.maximum, (count, 6))
+    found = spm.forward_physical(geometry, readings)
+    return found[found.exists]
+
+
+def measured(geometry: spm.Geometry, readings: np.ndarray) -> np.ndarray:
+    return spm.forward_physical(geometry, readings).pose.as_matrix()
+
+
+@pytest.mark.parametrize(("lower", "upper"), PAIRS)
+def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(lower: str, upper: str) -> None:
+    geometry = machine(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
+    found = states(geometry, 12)
+    assert len(found) >= 10
+    jacobian, unit = error_jacobian(found), 1e-6
+    assert jacobian.shape == (len(found), 6, len(geometry.parameter_names))
+    for k, step in enumerate(unit * np.eye(jacobian.shape[-1])):
+        ends = [
+            spm.forward_physical(geometry.from_parameters(geometry.parameters + s * step), found.readings)
+            for s in (1, -1)
+        ]
+        turn = Rotation.from_matrix(ends[0].rotation @ ends[1].rotation.mT).as_rotvec()
+        moved = np.concatenate([ends[0].translation - ends[1].translation, turn], axis=-1) / (2.0 * unit)
+        np.testing.assert_allclose(moved, jacobian[..., k], atol=1e-6 * max(np.abs(jacobian[..., k]).max(), 1.0))
+
+
+@pytest.mark.parametrize(("lower", "upper"), PAIRS)
+def test_what_no_measurement_shows_is_known(lower: str, upper: str) -> None:
+    """The null space of the derivative by all parameters and frames is spanned by the gauge directions, no more."""
+    geometry = machine(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
+    found = states(geometry, 60)
+    seen_from = calibration.frames.Frames(
+        *(
+            RigidTransform.from_components(*pair).as_matrix()
+            for pair in (
+                ([3, 1, 0.5], Rotation.from_rotvec([0.1, 0.4, 2.0])),
+                ([0.1, 0.05, 0.2], Rotation.from_rotvec([1, 2, 3])),
+            )
+        )
+    )
+    hidden, slides = gauge_directions(geometry, seen_from.target[:3, 3]), 3 * (lower, upper).count("PRS")
+    for components, frames in ((6, True), (3, True), (6, False), (3, False)):
+        rows = (
+            seen_from.jacobian(found)[:, :components]
+            if frames
+            else calibration.frames.Frames.as_defined().jacobian(found)[:, :components]
+        )
+        used = np.arange(rows.shape[-1]) < len(geometry.parameters) + (6 + components if frames else 0)
+        scale = np.concatenate([parameter_scale(geometry), np.ones(12)])
+        matrix = (rows * scale).reshape(-1, len(scale))[:, used]
+        values = np.linalg.svd(matrix, compute_uv=False)
+        count = (18 if frames else 6 if components == 6 else 9) + slides
+        assert values[-count - 1] > 1e-9 * values[0]
+        assert values[-count] < 1e-13 * values[0]
+        if frames:
+            shown = (hidden / scale[:, None])[used]
+            assert np.linalg.matrix_rank(shown, tol=1e-9) == count
+            np.testing.assert_allclose(matrix @ shown, 0.0, atol=1e-13 * values[0])
+
+
+@pytest.mark.parametrize("positions_only", [False, True])
+@pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS"), ("RRS", "RRS")])
+def test_servos_and_screws_are_identified(lower: str, upper: str, positions_only: bool) -> None:
+    nominal = machine(lower, upper)
+    true = nominal.perturbed(2, length=1e-4, angle=5e-4)
+    plan = states(nominal, 60)
+    poses = measured(true, plan.readings)
+    found = identify(nominal, poses[:, :3, 3] if positions_only else poses, plan.readings)
+    assert found.status == "fits"
+    count = len(nominal.parameter_names)
+    assert len(found.unidentifiable) == (9 if positions_only else 6) + 3 * (lower, upper).count("PRS")
+    assert len(found.unidentifiable) + len(found.deviations) == count
+    other = states(nominal, 60, seed=1).readings
+    before, after = (
+        np.abs(measured(x, other) - measured(true, other))[:, :3, 3].max() for x in (nominal, found.geometry)
+    )
+    assert before > 1e-4
+    assert after < 1e-8
+    difference = (found.geometry.parameters - true.parameters) / parameter_scale(nominal)
+    np.testing.assert_allclose(found.identifiable[:30] @ difference, 0.0, atol=1e-6)
+    moved = (found.geometry.parameters - nominal.parameters) / parameter_scale(nominal)
+    np.testing.assert_allclose(found.unidentifiable @ moved, 0.0, atol=1e-12)
+
+
+def test_parts_of_a_leg_alone_are_identified() -> None:
+    nominal = machine("RRS", "PRS")
+    parameters = nominal.parameters.copy()
+    wrong = [name for name in nominal.parameter_names if name.split(".")[1] in ("crank", "rod")]
+    assert len(wrong) == 9
+    for k, name in enumerate(wrong):
+        parameters[nominal.parameter_names.index(name)] += 1e-3 * (-1) ** k
+    true, plan = nominal.from_parameters(parameters), states(nominal, 30)
+    found = identify(nominal, measured(true, plan.readings), plan.readings, parameters=["crank", "rod"])
+    np.testing.assert_allclose(found.geometry.parameters, parameters, atol=1e-9)
+    assert len(found.deviations) == 9
+
+
+def test_angles_in_degrees_and_lengths_in_millimetres_are_named() -> None:
+    nominal = machine("RRS", "PRS")
+    plan = states(nominal, 30)
+    for factors, message in (([180.0 / np.pi, 1.0], "radians.*degrees"), ([1.0, 1e3], "metres.*out of proportion")):
+        readings = plan.readings * np.repeat(factors, 3)
+        with pytest.raises(spm.ArgumentError, match=f"readings.*{message}"):
+            identify(nominal, plan.pose, readings)
+
+
+def test_tolerances_of_cranks_and_rods() -> None:
+    nominal = machine("RRS", "PRS")
+    found = tolerance(nominal, {"rod": 1e-4, "crank": 1e-4, "offset": 1e-3}, states(nominal, 30), samples=200, rng=0)
+    assert found.sampled_rms == pytest.approx(found.rms, rel=0.1)
+    assert {name for name, share in found.ranking("kind") if share} == {"rod", "crank", "offset"}
+
+
+TRACKER = RigidTransform.from_components([3.0, -2.0, 0.5], Rotation.from_rotvec([0.1, -0.2, 2.0]))
+TARGET = RigidTransform.from_components([0.1, 0.05, 0.2], Rotation.from_rotvec([0.3, 0.2, -1.0]))
+
+
+@pytest.mark.parametrize("positions_only", [False, True])
+def test_a_tracker_s_frame_and_target_are_estimated_with_the_machine(positions_only: bool) -> None:
+    true = PAPER.perturbed(3)
+    poses, readings = measure(true, 1)
+    seen = TRACKER.as_matrix() @ poses @ TARGET.as_matrix()
+    found = identify(PAPER, seen[:, :3, 3] if positions_only else seen, readings, frames=True)
+    assert found.status == "fits"
+    # As many as without frames: what moves all legs of a stage moves a frame as well.
+    assert len(found.deviations) == (45 if positions_only else 48)
+    assert len(found.unidentifiable) == 18
+    assert found.names[-1] == ("target.z" if positions_only else "target.turn_z")
+    predicted, exact = (measured(x, elsewhere().readings) for x in (found.geometry, true))
+    errors = (
+        found.base.as_matrix() @ predicted @ found.target.as_matrix() - TRACKER.as_matrix() @ exact @ TARGET.as_matrix()
+    )
+    assert np.linalg.norm(errors[:, :3, 3], axis=-1).max() < 5e-5
+    assert np.linalg.norm(found.base.translation - TRACKER.translation) < 1e-3
+
+
+def test_a_tracker_s_own_frame_is_named_as_a_cause() -> None:
+    poses, readings = measure(PAPER.perturbed(3), 1)
+    found = identify(PAPER, (TRACKER.as_matrix() @ poses @ TARGET.as_matrix())[:, :3, 3], readings)
+    with pytest.raises(MeasurementError, match=r"Poses of a target in a tracker's own frame\? With frames=True"):
+        _ = found.geometry
+
+
+def test_poses_are_chosen_for_unknown_frames_too() -> None:
+    candidates = elsewhere()
+    chosen = calibration.choose_poses(PAPER, 12, candidates=candidates, frames=True, positions_only=False)
+    assert chosen.shape == (12,)
+    assert np.isin(chosen.readings[:, 0], candidates.readings[:, 0]).all()
+
+
+def test_with_tolerances_what_is_seen_badly_stays_as_near_as_machines_are_made() -> None:
+    """An offset against the height of its pivot: millimetres without, and the platform is known as well."""
+    true = PAPER.perturbed(3)
+    measurements = measure(true, 1)
+    free, held = (identify(PAPER, *measurements, tolerances=x) for x in (None, dict.fromkeys(spm.mechanism.LEGS, 1e-4)))
+    assert np.abs(free.geometry.parameters - PAPER.parameters).max() > 2e-3
+    assert np.abs(held.geometry.parameters - PAPER.parameters).max() < 4e-4
+    assert np.abs(held.geometry.parameters - true.parameters).max() < 4e-4
+    for found in (free, held):
+        assert found.status == "fits"
+        predicted, exact = (measured(x, elsewhere().readings) for x in (found.geometry, true))
+        assert np.linalg.norm((predicted - exact)[:, :3, 3], axis=-1).max() < 4e-5
+    certificate = spm.certify(held.geometry, spm.LegLimits(1.1, 1.5))
+    assert certificate.holds
+    assert certificate.errors[0] < 4e-4
+    assert spm.certify(free.geometry, spm.LegLimits(1.15, 1.45), boxes=4_000).errors[0] > 2e-3
