@@ -18,14 +18,15 @@ _ATTEMPTS = 100
 def random_states(geometry: Geometry, count: int, rng: np.random.Generator) -> Configuration:
     """Draw physical states (count,) whose readings are uniform within the leg limits.
 
-    Without limits the readings are those of the home, a third more or less; instead of limits of zero and infinity they
-    are a third and three times those. Raises `ArgumentError` where the limits hold no state, or next to none.
+    Without limits the readings are those of the home, a third more or less; instead of limits that no leg has, such as
+    lengths of zero and infinity, they are a third and three times those. Raises `ArgumentError` where the limits hold no state, or next to none.
     """
     home, limits = home_readings(geometry) + geometry.legs.offsets, geometry.limits
     low, high = home / _SPREAD, home * _SPREAD
     if limits is not None:
         least, most = np.array([limits.minimum, limits.maximum])
-        low = np.where(least == 0.0, home / 3.0, least)
+        shortest = np.repeat([kind.least_reading for kind in geometry.legs.kinds], 3)
+        low = np.where(least == shortest, home / 3.0, least)
         high = np.where(np.isfinite(most), most, np.maximum(3.0 * home, 3.0 * low))
     readings = np.empty((0, 6))
     for _ in range(_ATTEMPTS):
