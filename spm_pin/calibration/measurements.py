@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -252,16 +253,19 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     """Read a CSV file of measurements.
 
     The heading names the columns, in any order: x, y, z, the position of o in {B} [m]; qx, qy, qz, qw, if measured, the
-    rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m]. Other columns are passed
-    over. A `MeasurementError` names the line and column of what cannot be read.
+    rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m], of RRS legs [rad]. A
+    warning lists other columns, which are not used. A `MeasurementError` names the line and column of what cannot be
+    read.
 
     Returns
     -------
     poses : RigidTransform, shape (N,), or ndarray, shape (N, 3)
         Poses, or positions if there is no quaternion.
     readings : ndarray, shape (N, 6)
-        Readings of the legs [m].
+        Readings of the legs [m, rad].
     """
     table = MotionTable(path)
-    readings = table.columns([*POSITION, *LEGS])[:, 3:]
-    return table.poses(), readings
+    readings, poses = table.columns([*POSITION, *LEGS])[:, 3:], table.poses()
+    if table.unused:
+        warnings.warn(f"{table.path}: columns that are not used: {', '.join(table.unused)}", stacklevel=3)
+    return poses, readings

@@ -70,7 +70,8 @@ def calibrate(
     if the file cannot be read.
     """
     dimensions = options.read_geometry(geometry)
-    poses, readings = read_measurements(measurements)
+    with options.warnings_as_notes():
+        poses, readings = read_measurements(measurements)
     noise: dict[str, Any] = {"pose_noise": pose_noise, "reading_noise": reading_noise, "frames": frames}
     noise["tolerances"] = None if tolerance is None else dict.fromkeys(LEGS, tolerance)
     try:

@@ -150,7 +150,7 @@ def move(
     clearance: Annotated[float | None, Option(help="Least distance of legs without a common joint, in --unit.")] = None,
     margin: Annotated[float, Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
     straight: Annotated[bool, Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
-    period: Annotated[float, Option(help="Time between the rows, at most \\[s].")] = 2e-3,
+    period: Annotated[float, Option(help="Time between the rows \\[s].")] = 2e-3,
     out: Annotated[Path | None, outputs.file_option("CSV of the motion to write.", (".csv",))] = None,
     plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
     unit: options.Unit = LengthUnit.M,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import functools
 import inspect
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -78,15 +79,21 @@ def read_geometry(path: Path | None) -> Geometry:
     if path is None:
         return Geometry.paper()
     try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            geometry = Geometry.from_yaml(path)
+        with warnings_as_notes("--geometry: "):
+            return Geometry.from_yaml(path)
     except GeometryError as error:
         where = "--geometry" if error.argument == "path" else f"--geometry: {error.argument}"
         raise GeometryError(where, error.expected, error.received, error.cause) from error
+
+
+@contextlib.contextmanager
+def warnings_as_notes(before: str = "") -> Iterator[None]:
+    """Print warnings of a block on stderr."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
     for warning in caught:
-        note(f"--geometry: {warning.message}", "yellow")
-    return geometry
+        note(f"{before}{warning.message}", "yellow")
 
 
 _POSE: dict[str, tuple[Any, str, str]] = {

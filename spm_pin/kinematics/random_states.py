@@ -19,7 +19,8 @@ def random_states(geometry: Geometry, count: int, rng: np.random.Generator) -> C
     """Draw physical states (count,) whose readings are uniform within the leg limits.
 
     Without limits the readings are those of the home, a third more or less; instead of limits that no leg has, such as
-    lengths of zero and infinity, they are a third and three times those. Raises `ArgumentError` where the limits hold no state, or next to none.
+    lengths of zero and infinity, they are a third and three times those. Raises `ArgumentError` where the limits hold
+    no state, or next to none.
     """
     home, limits = home_readings(geometry) + geometry.legs.offsets, geometry.limits
     low, high = home / _SPREAD, home * _SPREAD

@@ -27,6 +27,13 @@ Progress = Callable[[str, int, int], None]
 Kind = TypeVar("Kind")
 Scalar = TypeVar("Scalar", bound=np.generic)
 
+COLUMNS = {
+    3: ("x", "y", "z"),
+    4: ("qx", "qy", "qz", "qw"),
+    6: ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3"),
+}
+"""Names of the columns of a table of positions, quaternions or readings, by their number."""
+
 _PRINTED, _LONGEST = 10**20, 60
 """Larger integers are not written out in messages, and of longer texts their beginnings."""
 
@@ -245,7 +252,7 @@ def shaped_array(value: npt.ArrayLike, argument: str, trailing: tuple[int, ...],
     """Read real numbers that need not be finite as float64 of shape `(..., *trailing)`."""
     if isinstance(value, np.ma.MaskedArray):
         raise ArgumentError(argument, _expected(trailing, meaning), "a masked array", "Fill or drop what is masked")
-    array = as_array(value)
+    array = as_array(_in_order(value, argument, trailing))
     if array is None:
         raise ArgumentError(argument, _expected(trailing, meaning), type_and_value(value), "Rows of different lengths?")
     if array.dtype.kind not in "fiu" and not (array.size == 0 and array.dtype.kind != "O"):
@@ -256,6 +263,19 @@ def shaped_array(value: npt.ArrayLike, argument: str, trailing: tuple[int, ...],
     if array.ndim < len(trailing) or array.shape[array.ndim - len(trailing) :] != trailing:
         raise ArgumentError(argument, _expected(trailing, meaning), f"shape {array.shape}")
     return array
+
+
+def _in_order(value: Any, argument: str, trailing: tuple[int, ...]) -> Any:
+    """Return a table whose columns have names, such as a DataFrame of pandas or polars, in the order of `COLUMNS`."""
+    names = [name for name in getattr(value, "columns", ()) if isinstance(name, str)]
+    order = COLUMNS.get(trailing[-1], ()) if trailing else ()
+    if not names or tuple(names) == order:
+        return value
+    if not order or set(order) - set(names):
+        expected = f"columns {', '.join(order)}" if order else "an array without names"
+        cause = "Columns are taken by their names: rename them, or give .to_numpy() in this order"
+        raise ArgumentError(argument, expected, f"a table with {', '.join(names)}", cause)
+    return value[list(order)]
 
 
 def finite_array(

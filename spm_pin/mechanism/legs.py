@@ -16,6 +16,7 @@ from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.operations import bind, on_arrays, rows_of, vector_of
 from spm_pin.mechanism.arguments import (
+    COLUMNS,
     LARGEST,
     SMALLEST,
     BoolArray,
@@ -30,7 +31,7 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.leg_kinds import RPS, LegKind
 
-LEGS = ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3")
+LEGS = COLUMNS[6]
 """Names and order of the legs: the lower stage's three, then the upper stage's."""
 STAGE_LEGS = ("r_1", "r_2", "r_3")
 """Names and order of the legs of a stage alone."""

@@ -2,7 +2,7 @@
 
 `time` [s]; `r_b1` to `r_c3`, readings of the legs [m]; `x`, `y`, `z`, the position of o in {B} [m]; `qx`, `qy`, `qz`,
 `qw`, the rotation from {m} to {B} as a unit quaternion, scalar last; joints as `name.position` and so on. Each reader
-takes the columns that it needs by their names, in any order, and passes over others.
+takes the columns that it needs by their names, in any order; `MotionTable.unused` are the others.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, first_offender
+from spm_pin.mechanism.arguments import COLUMNS, FloatArray, first_offender
 from spm_pin.mechanism.files import file_path, writing
 from spm_pin.mechanism.pose import UNIT, first_wrong_quaternion, pose
 
-TIME, POSITION, QUATERNION = "time", ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+TIME, POSITION, QUATERNION = "time", COLUMNS[3], COLUMNS[4]
+NAMES = TIME, *POSITION, *QUATERNION, *COLUMNS[6]
+"""Names of columns that readers take."""
 
 
 class MotionTable:
@@ -36,22 +38,31 @@ class MotionTable:
         except (OSError, UnicodeDecodeError, csv.Error) as failed:
             reason = getattr(failed, "strerror", None) or str(failed)
             raise ArgumentError(str(self.path), "a readable CSV file in UTF-8", reason) from failed
+        comments = [row for _, row in lines if row and row[0].startswith("#")]
         lines = [(number, row) for number, row in lines if any(row) and not row[0].startswith("#")]
         if len(lines) < 2:
             expected = "a heading that names the columns, then rows of numbers"
             raise ArgumentError(str(self.path), expected, f"{len(lines)} lines")
         (number, self.names), *self._rows = lines
         place = f"{self.path}:{number}"
+        self._taken: set[str] = set()
         if not np.isnan([_number(name) for name in self.names]).any():
             cause = "The first line looks like numbers: no heading?"
+            if any(set(NAMES) & {cell.strip("# ") for cell in row} for row in comments):
+                cause = "The heading is a comment: take away its #, as numpy.savetxt does with comments=''"
             raise ArgumentError(place, "a heading that names the columns", ", ".join(self.names[:3]) + ", …", cause)
+        if len(self.names) == 1 and (separator := next((x for x in ";\t" if x in self.names[0]), "")):
+            name = {";": "Semicolons", "\t": "Tabs"}[separator]
+            cause = f"{name} instead of commas? Write numbers with points and separate them by commas"
+            raise ArgumentError(place, "a heading of names separated by commas", self.names[0][:60], cause)
         twice = [name for name, count in Counter(self.names).items() if count > 1]
         if twice:
             raise ArgumentError(place, "a heading with each column once", f"twice {', '.join(twice[:3])}")
         for number, cells in self._rows:
             if len(cells) != len(self.names):
                 expected = f"{len(self.names)} values, one per column of the heading"
-                raise ArgumentError(f"{self.path}:{number}", expected, len(cells))
+                cause = "Decimal commas?" if len(cells) == 2 * len(self.names) else ""
+                raise ArgumentError(f"{self.path}:{number}", expected, len(cells), cause)
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -60,6 +71,11 @@ class MotionTable:
     def lines(self) -> list[int]:
         """The lines of the file on which the rows end."""
         return [line for line, _ in self._rows]
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Columns that nobody has taken so far."""
+        return tuple(name for name in self.names if name not in self._taken)
 
     def has(self, names: Sequence[str]) -> bool:
         """Return whether the table has one of these columns at least."""
@@ -71,6 +87,7 @@ class MotionTable:
         if missing:
             expected = f"a heading with the columns {', '.join(names)}"
             raise ArgumentError(f"{self.path}:1", expected, f"one without {', '.join(missing)}")
+        self._taken.update(names)
         places = [self.names.index(name) for name in names]
         numbers = np.array([[_number(cells[place]) for place in places] for _, cells in self._rows])
         wrong = ~np.isfinite(numbers)

@@ -10,16 +10,18 @@ limited jerk they do not, see `limited_jerk`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform
 
 from spm_pin.description.masses import Masses, RigidBody
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number, whole_number
+from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, real_number, whole_number
 from spm_pin.mechanism.geometry import check_same_machine
 from spm_pin.mechanism.legs import check_path_readings
 from spm_pin.motion.least_time import Clock, LeastTime
@@ -27,10 +29,14 @@ from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.paths import LegPath, MotionLimits, MotionPath, PathDynamics, path_dynamics
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
+from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath, increasing_times
 
+_Rows = tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray, RigidTransform]
+"""Values, velocities, accelerations and efforts of the joints, readings, and poses."""
 _LONGEST = 10**6
 """Samples that a trajectory may have."""
+_SHARE = 1e-3
+"""Share of a period that is added to the one before instead of a row of its own at the end."""
 _SLOWDOWNS = 16
 """Times that a motion is slowed down at most until its rows keep all limits, each time by four times as much more."""
 _ROUNDING, _RESERVE = 1e-10, 1e-9
@@ -48,6 +54,25 @@ class TimedMotion(JointTrajectory):
     error: float = 0.0
     """An estimate of the share of the duration by which it is above the least one, good to some ten percent of itself:
     the growth on half as fine a grid, and the slowing down that keeps limits between the points of the grid."""
+    evaluate: Callable[[FloatArray], _Rows] | None = field(default=None, compare=False)
+    """Returns joints, readings and poses at times (n,) [s]; a copy that was pickled has none."""
+
+    def at(self, times: npt.ArrayLike) -> JointTrajectory:
+        """Return the motion at other times [s], increasing, shape (n,), from 0 to that of the last row: set-points.
+
+        Nothing is interpolated: loops are closed, and efforts are those of the inverse dynamics there.
+        """
+        at = increasing_times(np.atleast_1d(real_array(times, "times", (), "in seconds")))
+        if not (at[0] >= 0.0 and at[-1] <= self.times[-1]):
+            outside = at[-1] if at[-1] > self.times[-1] else at[0]
+            raise ArgumentError("times", f"times from 0 to {self.times[-1]:g} s", f"{outside:g}")
+        if self.evaluate is None:
+            raise ArgumentError("times", "a motion as time_optimal returned it", "a copy from a file", "Plan it again")
+        joints, readings, poses = self.evaluate(at)
+        return JointTrajectory(self.joint_names, at, *joints, readings, poses)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "evaluate": None}
 
     def __repr__(self) -> str:
         duration = f"{self.times[-1]:.4g} s, about {100.0 * self.error:.1g} % above the least"
@@ -91,7 +116,8 @@ def time_optimal(
         Parts of the path at least; where a limit bends over a part it is split. The duration is longer than the least
         one by about `error` of the result.
     period : float
-        Time between the rows of the result [s], at most.
+        Time between the rows of the result [s]; between the last two a thousandth more, or less. `TimedMotion.at` has
+        the motion at any other times.
 
     Returns
     -------
@@ -134,22 +160,31 @@ def time_optimal(
         along = checked_dynamics(eased.parameters)
         derivatives = along.first[:, legs], along.second[:, legs]
         duration, clock, error = limited_jerk(eased, limits.rows(chain, along), *derivatives, limits.leg_jerks)
+
+    def moved(times: FloatArray, slower: float) -> tuple[PathDynamics, FloatArray, FloatArray]:
+        s, speeds, accelerations = (values / slower**order for order, values in enumerate(clock(times / slower)))
+        return path_dynamics(chain, way, s), speeds, accelerations
+
     slower = 1.0
     for slowdown in range(_SLOWDOWNS):
         times = _times(slower * duration, step)
-        s, speeds, accelerations = (values / slower**order for order, values in enumerate(clock(times / slower)))
-        along = path_dynamics(chain, way, s)
+        along, speeds, accelerations = moved(times, slower)
         scale = limits.feasible_scale(chain, along, times, speeds, accelerations)
         if scale.min() >= 1.0 - _ROUNDING:
             break
         slower /= np.sqrt(float(scale.min())) * (1.0 - _RESERVE * 4.0**slowdown)
-    rate, change = speeds[:, None], accelerations[:, None]
-    efforts = np.zeros_like(along.q)
-    efforts[:, chain.leg_indices] = along.inertial * change + along.centrifugal * rate**2 + along.static
-    velocities, joint_accelerations = along.first * rate, along.first * change + along.second * rate**2
-    above = slower * (1.0 + error) - 1.0
-    joints = along.q, velocities, joint_accelerations, efforts
-    return TimedMotion(chain.joint_names, times, *joints, along.states.readings, along.states.pose, above)
+
+    def rows(along: PathDynamics, speeds: FloatArray, accelerations: FloatArray) -> _Rows:
+        rate, change = speeds[:, None], accelerations[:, None]
+        efforts = np.zeros_like(along.q)
+        efforts[:, chain.leg_indices] = along.inertial * change + along.centrifugal * rate**2 + along.static
+        velocities, joint_accelerations = along.first * rate, along.first * change + along.second * rate**2
+        return (along.q, velocities, joint_accelerations, efforts), along.states.readings, along.states.pose
+
+    last, above = slower, slower * (1.0 + error) - 1.0
+    joints, readings, poses = rows(along, speeds, accelerations)
+    motion_at = lambda at: rows(*moved(at, last))  # noqa: E731
+    return TimedMotion(chain.joint_names, times, *joints, readings, poses, above, motion_at)
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
@@ -183,7 +218,7 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
 
 
 def _times(duration: float, period: float) -> FloatArray:
-    count = int(np.ceil(duration / period)) + 1
-    if count > _LONGEST:
-        raise ArgumentError("period", f"at most {_LONGEST:,} rows", f"{count:,} of a motion of {duration:.4g} s")
-    return np.linspace(0.0, duration, max(count, 2))
+    count = max(int(np.ceil(duration / period - _SHARE)), 1)
+    if count >= _LONGEST:
+        raise ArgumentError("period", f"at most {_LONGEST:,} rows", f"{count + 1:,} of a motion of {duration:.4g} s")
+    return np.append(period * np.arange(count), duration)

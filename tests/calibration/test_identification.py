@@ -335,6 +335,9 @@ def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) 
         (f"{HEADING}\n{ROW.replace('0,0,0,1', '0,0,0,2', 1)}", r"qx to qw in .*csv:2.*length 1, got length 2"),
         (f"{HEADING.replace('r_c3', 'r_c4')}\n{ROW}", r"csv:1: expected .*, got one without r_c3"),
         (f"{HEADING.replace('qw', 'w')}\n{ROW}", r"csv:1: expected .*, got one without qw"),
+        (f"# {HEADING}\n{ROW}\n{ROW}", r"csv:2: .*The heading is a comment: take away its #"),
+        (f"{HEADING.replace(',', ';')}\n{ROW.replace(',', ';')}", r"csv:1: .*Semicolons instead of commas\?"),
+        (f"{HEADING}\n{ROW.replace('.', ',').replace('0,1', '0,1', 1)}", r"csv:2: expected 13 values"),
         (f"{HEADING},x\n{ROW},1", r"csv:1: expected a heading with each column once, got twice x"),
     ],
 )
@@ -345,3 +348,32 @@ def test_a_malformed_file_is_refused_with_line_and_column(tmp_path: Path, text: 
         calibration.read_measurements(file)
     with pytest.raises(MeasurementError, match="No such file"):
         calibration.read_measurements(tmp_path / "other.csv")
+
+
+def test_columns_that_are_not_used_are_listed(tmp_path: Path) -> None:
+    file = tmp_path / "measured.csv"
+    file.write_text(f"{HEADING},roll,note\n{ROW},1,2\n", encoding="utf-8")
+    with pytest.warns(UserWarning, match=r"measured\.csv: columns that are not used: roll, note"):
+        poses, readings = calibration.read_measurements(file)
+    assert poses.shape == (1,)
+    assert readings.shape == (1, 6)
+
+
+def test_named_columns_of_a_table_are_taken_by_their_names() -> None:
+    pandas = pytest.importorskip("pandas")
+    machine = PAPER.perturbed(1)
+    poses, readings = measure(machine, 0)
+    table = pandas.DataFrame(readings, columns=spm.mechanism.LEGS).assign(
+        z=poses[:, 2, 3], y=poses[:, 1, 3], x=poses[:, 0, 3]
+    )
+    shuffled = table[sorted(table.columns, reverse=True)]
+    np.testing.assert_array_equal(
+        spm.forward_physical(PAPER, shuffled).readings, spm.forward_physical(PAPER, readings).readings
+    )
+    found = identify(PAPER, shuffled[["z", "x", "y"]], shuffled)
+    assert position_errors(found.geometry, machine).max() < 1e-4
+    # Without names it is by place, and other names are refused.
+    plain = pandas.DataFrame(readings)
+    assert spm.forward_physical(PAPER, plain).shape == (40,)
+    with pytest.raises(spm.ArgumentError, match=r"columns r_b1, r_b2.*got a table with l1, l2.*rename them"):
+        spm.forward_physical(PAPER, plain.set_axis(["l1", "l2", "l3", "l4", "l5", "l6"], axis=1))

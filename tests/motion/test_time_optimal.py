@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -36,6 +38,31 @@ def test_the_rows_keep_the_limits_and_some_limit_is_always_used(name: str) -> No
     assert (used.max(axis=-1) >= 0.99).mean() > 0.97
     np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-6)
     assert CHAIN.state(motion.positions).closure_gap().max() < 1e-9
+
+
+@pytest.mark.parametrize("jerk", [None, 400.0])
+def test_rows_are_a_period_apart_and_set_points_are_of_the_same_motion(jerk: float | None) -> None:
+    options = {"leg_accelerations": 3.0, "leg_rates": 0.4, "leg_jerks": jerk, "grid": 200}
+    motion = spm.time_optimal(CHAIN, LINE, **options, period=0.01)
+    steps = np.diff(motion.times)
+    np.testing.assert_allclose(steps[:-1], 0.01, rtol=1e-12)
+    assert 0.0 < steps[-1] <= 0.01001
+    again = motion.at(motion.times)
+    np.testing.assert_allclose(again.positions, motion.positions, atol=1e-12)
+    np.testing.assert_allclose(again.efforts, motion.efforts, atol=1e-6)
+    # Between the rows: closed loops, and rates that are the derivatives of the values.
+    at = np.linspace(0.02, motion.times[-1] - 0.02, 50)
+    between, h = motion.at(at), 1e-5
+    assert CHAIN.state(between.positions).closure_gap().max() < 1e-9
+    ahead, behind = motion.at(at + h), motion.at(at - h)
+    np.testing.assert_allclose((ahead.positions - behind.positions) / (2.0 * h), between.velocities, atol=1e-4)
+    np.testing.assert_allclose(between.readings, CHAIN.readings(between.positions), atol=1e-9)
+    assert motion.at(0.05).times.shape == (1,)
+    for times, message in (([0.1, motion.times[-1] + 1.0], "times from 0 to"), ([0.2, 0.1], "increasing times")):
+        with pytest.raises(spm.ArgumentError, match=message):
+            motion.at(times)
+    with pytest.raises(spm.ArgumentError, match="Plan it again"):
+        pickle.loads(pickle.dumps(motion)).at(0.1)
 
 
 @pytest.mark.parametrize("jerk", [None, 400.0])

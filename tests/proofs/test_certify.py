@@ -61,7 +61,7 @@ def test_the_papers_limits_are_proved(certificate: spm.Certificate) -> None:
     assert certificate.witness is None
     assert not any(len(boxes) for boxes in certificate.undecided)
     assert "Proved" in certificate.explain()
-    assert "holds" in repr(certificate)
+    assert "proved" in repr(certificate)
 
 
 def test_every_set_of_lengths_has_its_physical_mode_in_the_proved_boxes(certificate: spm.Certificate) -> None:
