@@ -34,7 +34,7 @@ _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6
 """Largest error of the length of a normal that is taken for rounding."""
 _MOST_TURNS = 8.0 * math.pi
-"""Largest angle of a crank [rad]."""
+"""Largest angle of a crank, and largest azimuth [rad]."""
 
 
 def inverse(
@@ -202,6 +202,11 @@ def forward_physical(
         given ones in a straight line, whatever its mode, in steps that provably stay on it. `.exists` is False, and
         everything NaN, where there is none, or where that path meets a forward singularity.
 
+    Notes
+    -----
+    The home's aspect of a stage of RPS legs as drawn holds one state at most, `docs/theory/uniqueness.md`; that of one
+    of PRS legs may hold two, of which Newton's method from the level platform finds one: give `near`.
+
     Examples
     --------
     >>> import spm_pin as spm
@@ -333,7 +338,7 @@ def normals_of_tilt(tilt: FloatArray, azimuth: FloatArray) -> FloatArray:
 
 
 def _read_tilt(tilt: npt.ArrayLike, azimuth: npt.ArrayLike) -> FloatArray:
-    angles = _angles(tilt, "tilt", math.pi), _angles(azimuth, "azimuth", 2.0 * math.pi)
+    angles = _angles(tilt, "tilt", math.pi), _angles(azimuth, "azimuth", _MOST_TURNS)
     broadcastable("azimuth", angles[1].shape, "tilt", angles[0].shape)
     tilts, azimuths = angles
     if (wrong := (tilts < 0.0) | (tilts >= math.pi)).any():
