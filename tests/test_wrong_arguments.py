@@ -323,7 +323,13 @@ CASES = [
 
 SLOW = ("Boundary", "Shell", "largest_certified_limits", "orientation_workspace", "reachable_boundary")
 SLOW += ("reachable_position", "reachable_volume", "sample_reachable", "workspace_shell")
-SLOW += ("symbolic.ros_package", "symbolic.write_c", "symbolic.write_ros")
+SLOW += (
+    "symbolic.linuxcnc_configuration",
+    "symbolic.write_linuxcnc",
+    "symbolic.ros_package",
+    "symbolic.write_c",
+    "symbolic.write_ros",
+)
 """Callables, and classes, of which an accepted call takes long."""
 
 

@@ -13,7 +13,7 @@ from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Geometry
 
-Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "ros"]
+Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "linuxcnc", "ros"]
 _OWN_OPTIONS: dict[str, set[str]] = {
     "urdf": {"ros_constraints", "masses"},
     "mjcf": {"anchors", "collisions", "masses"},
@@ -56,7 +56,8 @@ def export(
     file, into a folder `meshes`.
 
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
-    program. ros: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
+    program. linuxcnc: a configuration that simulates the machine, and the source of its kinematics module. ros: a ROS 2
+    package with the description, a node for joint states, a launch file and a controller.
     """
     if (format_ is None) == (option is None):
         received = "none" if format_ is None else "two"
@@ -69,15 +70,21 @@ def export(
             raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {chosen}", value)
     machine = options.read_geometry(geometry)
     bodies = options.read_masses(masses, "written") if "masses" in own else None
-    if chosen not in ("c", "ros"):
+    if chosen not in ("c", "linuxcnc", "ros"):
         if out is not None:
             outputs.check_output(out)
         _write_model(chosen, out, machine, bodies, prefix or "", {name: special[name] for name in own - {"masses"}})
         return
     if out is None:
         raise ArgumentError("--out", "the directory to write into", "none")
-    from spm_pin.symbolic import write_c, write_ros
+    from spm_pin.symbolic import write_c, write_linuxcnc, write_ros
 
+    if chosen == "linuxcnc":
+        if prefix:
+            raise ArgumentError("--prefix", "to be left out with --format linuxcnc", prefix)
+        write_linuxcnc(machine, out)
+        outputs.note(f"wrote a configuration of LinuxCNC into {out}")
+        return
     if chosen == "ros":
         write_ros(machine, out, prefix=prefix or "", masses=bodies)
         outputs.note(f"wrote a ROS 2 package into {out}")

@@ -1,4 +1,4 @@
-"""The kinematics outside of Python: CasADi functions with derivatives of any order, C99 for controllers, ROS 2."""
+"""The kinematics outside of Python: CasADi functions with derivatives of any order, C99, LinuxCNC, ROS 2."""
 
 from spm_pin.symbolic.c_export import c_sources, write_c
 from spm_pin.symbolic.functions import (
@@ -13,6 +13,7 @@ from spm_pin.symbolic.functions import (
     leg_forces,
     leg_rates,
 )
+from spm_pin.symbolic.linuxcnc_export import linuxcnc_configuration, write_linuxcnc
 from spm_pin.symbolic.ros_export import ros_package, write_ros
 
 __all__ = [
@@ -27,7 +28,9 @@ __all__ = [
     "joint_values",
     "leg_forces",
     "leg_rates",
+    "linuxcnc_configuration",
     "ros_package",
     "write_c",
+    "write_linuxcnc",
     "write_ros",
 ]

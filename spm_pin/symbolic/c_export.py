@@ -107,7 +107,7 @@ STATE_FUNCTIONS = (
     ),
 )
 
-_NAMES = "kinematics.h", "kinematics.c", "kinematics_test.c"
+_NAMES = "kinematics.h", "kinematics.c", "kinematics_test.c", "read_machine.h"
 _CASES = 12
 _SPREAD = 1e3
 MOST_STEPS, SHORTEST = 2_000, 1e-7
@@ -132,7 +132,7 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
     -------
     dict of str
         The texts of `spm_kinematics.h`, `spm_kinematics.c`, `spm_kinematics_test.c` and `CMakeLists.txt` by their
-        names, and `spm_machine.txt`: the numbers of the machine, for a program that takes them at run time.
+        names, of `spm_machine.txt`, the numbers of the machine, and of `spm_read_machine.h`, which reads them.
     """
     check_instance(geometry, Geometry, "geometry")
     smallest, largest = min(geometry.dimensions), max(geometry.dimensions)

@@ -14,12 +14,15 @@ from spm_pin.description.source_files import MESHES, description_directory
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import Configuration, Geometry, LegLimits
+from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.joint_angles import JOINTS, home_readings
 from spm_pin.symbolic.c_export import c_sources, filled, write_files
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
-_PATTERN = np.array([-1.0, -1.0, 1.0 / 3.0, -2.0 / 3.0, -1.0, 1.0])
-"""How the readings at the start lie about the middle of the limits: no two axes of the platforms are parallel."""
+ASSUMED_RATE, ASSUMED_ACCELERATION = 0.1, 1.0
+"""Largest rate [m/s] and acceleration [m/s²] of a leg that exported files begin with; a geometry knows none."""
+_PATTERN = np.array([-1.0, 0.0, 1.0, -1.0, 0.0, 1.0])
+"""How the readings at the start lie about the middle of the limits: of three steps each those of the smallest J_f."""
 _SHARE = 0.1
 """The largest deviation of these readings from the middle, in lengths of the legs at home."""
 
@@ -47,7 +50,7 @@ def ros_package(geometry: Geometry, *, prefix: str = "", masses: Masses | None =
     urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses)
     slides, joints = ([f"{prefix}{joint}" for joint in names] for names in (SLIDES, JOINTS))
     zeros = (home_readings(geometry) + geometry.legs.offsets).tolist()
-    readings, goal = _start(geometry)
+    readings, goal = start_readings(geometry)
     position, quaternion = goal.translation, goal.pose.rotation.as_quat()
     values = {
         "PACKAGE": package,
@@ -95,12 +98,16 @@ def write_ros(
     return paths
 
 
-def _start(geometry: Geometry) -> tuple[list[float], Configuration]:
-    """Return readings to start from, away from the ends of the limits and from a level platform, and a state nearby."""
-    limits, offsets = geometry.limits or LegLimits(0.0, float("inf")), geometry.legs.offsets
-    home = home_readings(geometry)
+def travel(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
+    """Return the least and largest readings, where there is no limit one leg's length at home above home."""
+    limits, home = geometry.limits or LegLimits(0.0, float("inf")), home_readings(geometry)
     low = np.array(limits.minimum)
-    high = np.minimum(limits.maximum, np.maximum(low, home + offsets) + home)
+    return low, np.minimum(limits.maximum, np.maximum(low, home + geometry.legs.offsets) + home)
+
+
+def start_readings(geometry: Geometry) -> tuple[list[float], Configuration]:
+    """Return readings to start from, away from the ends of the limits and from a level platform, and a state nearby."""
+    (low, high), home = travel(geometry), home_readings(geometry)
     middle, reach = 0.5 * (low + high), np.minimum(0.25 * (high - low), _SHARE * home)
     for share in (1.0, 0.5, 0.2):
         readings = (middle + share * reach * _PATTERN).round(12)  # 1.2, not 1.2000000000000002

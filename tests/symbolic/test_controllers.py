@@ -1,4 +1,4 @@
-"""The module for LinuxCNC and the ROS 2 package, compiled and run against stand-ins for LinuxCNC and ROS."""
+"""The ROS 2 package, compiled and run against stand-ins for ROS."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from symbolic.c_library import STRICT, compile_c, compilers, run_cmake
 import spm_pin as spm
 from spm_pin.description import joint_values
 
-EXAMPLES = Path(__file__).parents[2] / "examples/controllers"
 PAPER = GEOMETRIES["paper"]
 STAND_INS = Path(__file__).parent / "stand_ins"
 
@@ -33,22 +32,24 @@ def worst_error(program: Path, *arguments: Path) -> float:
     return float(done.stdout)
 
 
-def test_the_module_for_linuxcnc_comes_back_to_the_leg_lengths(tmp_path: Path) -> None:
-    spm.symbolic.write_c(spm.Geometry.paper(), tmp_path)
-    sources = (EXAMPLES / "spmkins.c", STAND_INS / "linuxcnc/drive.c")  # halcompile takes one source for a module
-    include = ("-I", STAND_INS / "linuxcnc", "-I", EXAMPLES, "-I", tmp_path)
-    for compiler in compilers():
-        compile_c(compiler, *STRICT, "-O1", *include, *sources, "-lm", "-o", tmp_path / "program")
-        assert worst_error(tmp_path / "program") < 1e-6  # mm
-        # The calibrated machine at load time, without compiling again.
-        spm.symbolic.write_c(spm.Geometry.paper().perturbed(1, length=1e-3, angle=1e-3), tmp_path / "calibrated")
-        calibrated = tmp_path / "calibrated/spm_machine.txt"
-        assert worst_error(tmp_path / "program", calibrated) < 1e-6
-        # Lines in another order are no machine: 1 says that the module did not load.
-        lines = calibrated.read_text(encoding="utf-8").splitlines()
-        lines[2], lines[3] = lines[3], lines[2]
-        calibrated.write_text("\n".join(lines), encoding="utf-8")
-        assert subprocess.run([tmp_path / "program", calibrated], check=False).returncode == 1
+def test_the_axes_of_linuxcnc_move_the_legs_at_half_their_rate() -> None:
+    machine = as_built(PAPER, 1e-3)
+    settings = spm.symbolic.linuxcnc_configuration(machine)["spm.ini"]
+    values = np.array([float(x) for x in re.search(r"^HOME = (.* .*)$", settings, re.MULTILINE)[1].split()])
+    rates = [float(x) for x in re.findall(r"\[AXIS_.\][^\[]*MAX_VELOCITY = (\S+)", settings)]
+    assert len(rates) == 6
+    home = spm.forward_physical(
+        machine, [float(x) / 1e3 for x in re.findall(r"^HOME = (\S+)$", settings, re.MULTILINE)]
+    )
+
+    def readings(values: np.ndarray) -> np.ndarray:
+        pose = spm.pose(values[:3] / 1e3, rpy=np.deg2rad(values[3:]))
+        return spm.inverse_physical(machine, pose, near=home).readings
+
+    for axis, rate in enumerate(rates):
+        step = 1e-4 * np.eye(6)[axis]
+        per_unit = np.abs(readings(values + step) - readings(values - step)).max() / 2e-4
+        assert rate * per_unit == pytest.approx(0.05, rel=1e-3)  # m/s
 
 
 @pytest.fixture(scope="module")

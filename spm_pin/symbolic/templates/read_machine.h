@@ -1,18 +1,18 @@
-/* Reading the `spm_machine.txt` of an export: one build serves any machine.
+/* Reading the `@PREFIX@machine.txt` of an export: one build serves any machine.
  *
  * SPDX-License-Identifier: BSD-2-Clause
  */
 
-#ifndef READ_MACHINE_H
-#define READ_MACHINE_H
+#ifndef @PREFIX_UPPER@READ_MACHINE_H
+#define @PREFIX_UPPER@READ_MACHINE_H
 
-#include "spm_kinematics.h"
+#include "@PREFIX@kinematics.h"
 
 #include <stdio.h>
 #include <string.h>
 
 /* Read a file of seven lines, each with its name first, in this order; returns whether it describes a machine. */
-static int read_machine(const char *path, spm_geometry *geometry)
+static int @PREFIX@read_machine(const char *path, @PREFIX@geometry *geometry)
 {
     double *const fields[7] = {
         geometry->dimensions, geometry->axes, geometry->pivots, geometry->balls, geometry->offsets, geometry->minimum,
@@ -22,7 +22,7 @@ static int read_machine(const char *path, spm_geometry *geometry)
     const int counts[7] = {3, 18, 18, 18, 6, 6, 6};
     const double level[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, origin[3] = {0.0, 0.0, 0.0};
     FILE *file = fopen(path, "r");
-    spm_state state;
+    @PREFIX@state state;
     char name[16];
     int k, i, is_whole = file != NULL;
     for (k = 0; k < 7 && is_whole; ++k) {
@@ -34,7 +34,7 @@ static int read_machine(const char *path, spm_geometry *geometry)
     if (file) {
         fclose(file);
     }
-    return is_whole && spm_inverse(geometry, level, origin, NULL, &state) != SPM_BAD_GEOMETRY;
+    return is_whole && @PREFIX@inverse(geometry, level, origin, NULL, &state) != @PREFIX_UPPER@BAD_GEOMETRY;
 }
 
 #endif

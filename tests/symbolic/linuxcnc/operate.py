@@ -1,0 +1,74 @@
+#!/usr/bin/python3
+"""The operator of LinuxCNC in a test, in the place of its window: does `steps.json`, and writes `results.json`.
+
+Runs in the Python of the system, which has LinuxCNC's module.
+"""
+
+import json
+import time
+from pathlib import Path
+
+import linuxcnc
+
+command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
+
+
+def settle(condition=lambda: status.inpos, seconds=20.0):
+    """Wait until the last command is done and a condition holds."""
+    end = time.monotonic() + seconds
+    command.wait_complete(seconds)
+    time.sleep(0.05)  # until the status is that of the command
+    status.poll()
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+        status.poll()
+
+
+def report():
+    """Return where the machine is, and the errors since the last report."""
+    texts = []
+    while error := errors.poll():
+        texts.append(error[1])
+    status.poll()
+    is_on = status.task_state == linuxcnc.STATE_ON
+    return {"joints": status.joint_position[:6], "axes": status.position[:6], "errors": texts, "is_on": is_on}
+
+
+def turn_on():
+    """Turn the machine on, and home it where it is not."""
+    for state in (linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON):
+        command.state(state)
+        settle()
+    status.poll()
+    if not all(status.homed[:6]):
+        command.mode(linuxcnc.MODE_MANUAL)
+        settle()
+        command.home(-1)
+        settle(lambda: all(status.homed[:6]))
+
+
+def run(kind, *arguments):
+    """Do one step."""
+    if kind == "on":
+        turn_on()
+    elif kind == "mdi":
+        command.mode(linuxcnc.MODE_MDI)
+        settle()
+        command.mdi(*arguments)
+        settle(lambda: status.inpos or status.task_state != linuxcnc.STATE_ON)
+    else:  # "joint" or "axis", its number, rate and distance
+        command.mode(linuxcnc.MODE_MANUAL)
+        settle()
+        command.teleop_enable(kind == "axis")
+        settle(lambda: status.motion_mode == (linuxcnc.TRAJ_MODE_TELEOP if kind == "axis" else linuxcnc.TRAJ_MODE_FREE))
+        command.jog(linuxcnc.JOG_INCREMENT, kind == "joint", *arguments)
+        time.sleep(arguments[2] / abs(arguments[1]))
+        settle()
+    time.sleep(0.1)
+    return report()
+
+
+results = []
+for step in json.loads(Path("steps.json").read_text()):
+    results.append(run(*step))
+    Path("results.json").write_text(json.dumps(results))
