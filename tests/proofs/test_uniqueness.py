@@ -1,4 +1,4 @@
-"""The programs of docs/theory/uniqueness.md, faults planted in them, and the theorem against the rule of the package."""
+"""The programs of docs/theory/uniqueness.md, faults planted in them, and the theorem against the package's rule."""
 
 from __future__ import annotations
 
