@@ -26,6 +26,7 @@ from benchmarks.poses import GEOMETRY, KINDS, as_built, leg_space, mixture
 from benchmarks.report import Facts
 from benchmarks.sections.completeness import tally
 from benchmarks.sections.preparation import prepare_peers
+from benchmarks.sections.states import _BALANCER, balls_by_scipy
 from benchmarks.sections.velocity import states
 from benchmarks.targets import TARGETS, check
 from benchmarks.timing import Pace, Spread, TimedCall, Timing, time_in_turns
@@ -372,3 +373,8 @@ def test_pycapacity_is_given_the_same_polytopes() -> None:
     for vertices, inverse in zip(held.vertices, inverses, strict=True):
         found = capability.vertices_by_pycapacity(inverse).T
         np.testing.assert_allclose(found.max(axis=0), vertices.max(axis=0), rtol=1e-9)
+
+
+def test_scipy_finds_the_balls_of_the_balancer() -> None:
+    states = spm.stages.inverse_physical(_BALANCER, np.linspace(0.11, 0.13, 5), tilt=0.2, azimuth=0.3)
+    np.testing.assert_allclose(balls_by_scipy(states.readings), states.balls, atol=1e-10)

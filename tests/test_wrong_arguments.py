@@ -143,6 +143,8 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "geometry": lambda: PAPER,
     "stage": lambda: STAGE,
     "height": lambda: 0.12,
+    "arrays.stage_inverse.height": lambda: np.array(0.12),
+    "arrays.stage_inverse.normal": lambda: np.array([0.0, 0.0, 1.0]),
     **{f"stages.{name}.readings": lambda: STAGE_STATE.readings for name in ("forward", "forward_physical")},
     **{f"StageSolutions.{name}.near": lambda: STAGE_STATE for name in ("nearest", "physical")},
     "stages.forward_physical.near": lambda: STAGE_STATE,

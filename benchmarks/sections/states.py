@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import fsolve
 
 import spm_pin as spm
 from benchmarks import child
@@ -17,6 +18,7 @@ from spm_pin.kinematics.inverse_displacement import BranchMemory
 from spm_pin.kinematics.rates_and_forces import force_matrices
 
 _MANY = 10_000
+_BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
@@ -26,6 +28,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         _batches(section, pace, progress, facts)
         _singles(section, pace, progress, facts)
         _memory(section, pace, progress, facts)
+        _stages(section, pace, progress, facts)
     return section
 
 
@@ -58,6 +61,44 @@ def _batches(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
     facts["states/physical"] = timings["`inverse_physical`"].over(timings["`inverse_displacement`"])
     facts["states/singularities"] = microseconds(timings["`singularities`"].spread)
     facts["states/joint values"] = microseconds(timings["`ClosedChain.joint_values`"].spread)
+
+
+def balls_by_scipy(readings: np.ndarray) -> np.ndarray:
+    """Return the balls (n, 3, 3) of the balancer: `fsolve` on the three sides, from the level platform, one by one."""
+    centres, radii = _BALANCER.legs.circles(readings)
+    (outward, forward), corners = _BALANCER.legs.planes, _BALANCER.legs.balls
+    squares = ((corners - np.roll(corners, -1, axis=0)) ** 2).sum(axis=-1)
+
+    def balls(angles: np.ndarray, k: int) -> np.ndarray:
+        return centres[k] + radii[k, :, None] * (np.cos(angles)[:, None] * outward + np.sin(angles)[:, None] * forward)
+
+    def errors(angles: np.ndarray, k: int) -> np.ndarray:
+        b = balls(angles, k)
+        return ((b - np.roll(b, -1, axis=0)) ** 2).sum(axis=-1) - squares
+
+    return np.array([balls(fsolve(errors, [1.5, 1.5, 1.5], (k,), xtol=1e-12), k) for k in range(len(readings))])
+
+
+def _stages(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:
+    """Time the displacements of a ball balancer, a stage alone."""
+    rng, few = np.random.default_rng(0), 50
+    heights, tilts, azimuths = rng.uniform(0.11, 0.13, _MANY), rng.uniform(0.0, 0.3, _MANY), rng.uniform(-3, 3, _MANY)
+    states = spm.stages.inverse_physical(_BALANCER, heights, tilt=tilts, azimuth=azimuths)
+    normals, readings = states.normal.copy(), states.readings
+    scipy = "forward, SciPy's `fsolve` on the three sides"
+    calls = [
+        TimedCall("`inverse_physical`", lambda: spm.stages.inverse_physical(_BALANCER, heights, normal=normals), _MANY),
+        TimedCall("`inverse`, both modes", lambda: spm.stages.inverse(_BALANCER, heights, normal=normals), _MANY),
+        TimedCall("`forward_physical`", lambda: spm.stages.forward_physical(_BALANCER, readings), _MANY),
+        TimedCall(scipy, lambda: balls_by_scipy(readings[:few]), few),
+    ]
+    timings = time_in_turns(calls, pace, progress)
+    rows = [[call.name, count(call.items), *spread_of_seconds(timings[call.name].spread)] for call in calls]
+    section.add("A stage alone, a 3-RRS ball balancer, per item of a batch, `spm_pin.stages`:")
+    section.add(table(["", "items a call", "per item", "quartiles"], rows))
+    facts["states/stage inverse"] = microseconds(timings["`inverse_physical`"].spread)
+    facts["states/stage forward"] = microseconds(timings["`forward_physical`"].spread)
+    facts["states/stage fsolve"] = timings[scipy].over(timings["`forward_physical`"])
 
 
 def _singles(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:

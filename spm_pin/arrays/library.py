@@ -28,6 +28,7 @@ except ImportError as error:
 Array = Any
 """An array of any library that follows the standard."""
 _TRAILING = {"rotation": (3, 3), "translation": (3,), "middle_joints": (3, 3), "readings": (6,), "wrench": (6,)}
+_TRAILING |= {"normal": (3,)}
 """The last axes of arrays by their names."""
 quietly = np.errstate(all="ignore")
 """Decorates functions in which numbers of what does not exist are no reason for NumPy's warnings."""

@@ -17,9 +17,11 @@ from spm_pin.kinematics.stage_balls import (
     Circles,
     Drawing,
     Modes,
-    Triangle,
     all_modes,
+    circles,
     followed_balls,
+    halves,
+    in_working_mode,
     parts_of_turns,
     physical_balls,
 )
@@ -100,19 +102,19 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     checked = _read_readings(geometry, readings)
     shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     legs, is_drawn = geometry.legs, geometry.is_nominal and geometry.legs.are_rps
-    stages = zip(_triangles(geometry), _circles(geometry, readings), _drawings(geometry), strict=True)
+    stages = zip(halves(legs), _circles(geometry, readings), _drawings(geometry), strict=True)
     below, above = (all_modes(*stage) for stage in stages)
+    own = _in_working_mode(geometry, (below.balls, above.balls), readings[:, None])
     # A stage that cannot be closed is enough to know that there is none.
     is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
     status = np.where(is_absent, Status.UNREACHABLE, np.maximum(below.status, above.status)).astype(np.int8)
     is_solved = status == Status.OK
-    upper = np.where(is_solved[:, None, None, None], above.balls, np.nan)
+    upper = np.where(is_solved[:, None, None, None], own[1], np.nan)
     results = ((n, 3, 3), np.float64), ((n, 3), np.float64), ((n, 3, 3), np.float64)
-    solved = run_kernel(join_modes, (below.balls, upper), (legs.balls,), results, _MIN_BATCH_PER_THREAD)
+    solved = run_kernel(join_modes, (own[0], upper), (legs.balls,), results, _MIN_BATCH_PER_THREAD)
     merged = (below.merged[:, :, None] | above.merged[:, None]).reshape(-1, n) & (status != Status.UNSOLVED)[:, None]
     families = _continuous_families(below, above) * is_solved[:, None]
     if not legs.are_rps:
-        _in_working_mode(geometry, solved[:3], np.broadcast_to(readings[:, None], (len(readings), n, 6)))
         status[(status == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE
     *state, merged, families, status = with_batch_shape((*solved, merged, families, status), shape)
     largest = np.asarray(families.max(axis=-1))
@@ -251,24 +253,20 @@ def _follow(geometry: Geometry, near: tuple[FloatArray, ...], end: FloatArray) -
     """
     legs, (lower, upper, start) = geometry.legs, near
     parts = parts_of_turns((end - start)[:, [unit == "rad" for unit in legs.units]])
-    circles = _circles(geometry, start)
+    here, stages = _circles(geometry, start), halves(legs)
     for part in range(1, parts + 1):
         there = _circles(geometry, end if part == parts else start + part / parts * (end - start))
-        below, above = zip(_triangles(geometry), circles, there, strict=True)
+        below, above = zip(stages, here, there, strict=True)
         lower, upper = followed_balls(below[0], lower, *below[1:]), followed_balls(above[0], upper, *above[1:])
-        circles = there
-    return _in_working_mode(geometry, _joined(geometry, lower, upper), end)
+        here = there
+    return _joined(geometry, *_in_working_mode(geometry, (lower, upper), end))
 
 
 def _physical(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
     """Return R, o and the b_i (N, ...) of the physical states with readings (N, 6), NaN where there is none."""
-    stages = zip(_triangles(geometry), _circles(geometry, readings), strict=True)
-    return _in_working_mode(geometry, _joined(geometry, *(physical_balls(*stage) for stage in stages)), readings)
-
-
-def _triangles(geometry: Geometry) -> tuple[Triangle, Triangle]:
-    axes, balls = geometry.legs.axes, geometry.legs.balls
-    return Triangle(axes[:3], balls[:3], 1.0), Triangle(axes[3:], balls[3:], -1.0)
+    stages = zip(halves(geometry.legs), _circles(geometry, readings), strict=True)
+    lower, upper = (physical_balls(*stage) for stage in stages)
+    return _joined(geometry, *_in_working_mode(geometry, (lower, upper), readings))
 
 
 def _drawings(geometry: Geometry) -> tuple[Drawing, Drawing]:
@@ -290,8 +288,8 @@ def _continuous_families(below: Modes, above: Modes) -> IntArray:
 
 def _circles(geometry: Geometry, readings: FloatArray) -> tuple[Circles, Circles]:
     """Return the circles of the lower stage and of the upper one."""
-    centres, radii = geometry.legs.circles(readings)
-    return (centres[:, :3], radii[:, :3]), (centres[:, 3:], radii[:, 3:])
+    lower, upper = halves(geometry.legs)
+    return circles(lower, readings[:, :3]), circles(upper, readings[:, 3:])
 
 
 def _joined(geometry: Geometry, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, ...]:
@@ -301,11 +299,9 @@ def _joined(geometry: Geometry, lower: FloatArray, upper: FloatArray) -> tuple[F
     return run_kernel(join_stages, (lower, upper), (geometry.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
 
 
-def _in_working_mode(geometry: Geometry, state: tuple[FloatArray, ...], readings: FloatArray) -> tuple[FloatArray, ...]:
-    """Return states R, o, b_i (N, ...) with readings (N, 6), NaN where a leg is in another working mode."""
-    if not geometry.legs.are_rps:
-        slopes = geometry.legs.slopes(Configuration.from_arrays(geometry, *state).places, readings)
-        wrong = ~(slopes * geometry.legs.slope_signs > 0.0).all(axis=-1)
-        for array in state:
-            array[wrong] = np.nan
-    return state
+def _in_working_mode(
+    geometry: Geometry, balls: tuple[FloatArray, FloatArray], readings: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the balls of both stages (..., 3, 3), NaN where a leg of either is in another working mode."""
+    lower, upper = halves(geometry.legs)
+    return in_working_mode(lower, balls[0], readings[..., :3]), in_working_mode(upper, balls[1], readings[..., 3:])

@@ -11,7 +11,17 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_displacement import STAGE_MODES
-from spm_pin.kinematics.stage_balls import Drawing, Triangle, all_modes, followed_balls, parts_of_turns, physical_balls
+from spm_pin.kinematics.stage_balls import (
+    Drawing,
+    StageHalf,
+    all_modes,
+    circles,
+    followed_balls,
+    halves,
+    in_working_mode,
+    parts_of_turns,
+    physical_balls,
+)
 from spm_pin.mechanism.arguments import (
     LARGEST_RATIO,
     BoolArray,
@@ -127,7 +137,7 @@ def inverse_physical(
     shape, normals, heights = _read_request(stage, height, tilt, azimuth, roll, pitch, normal)
     rotation, translation, readings, physical = (x[:, 0] for x in poses(stage, normals, heights, 1))
     state = StageConfiguration.from_arrays(stage, *with_batch_shape((rotation, translation, readings), shape))
-    kept = (physical > 0) & np.isfinite(readings).all(axis=-1)
+    kept = physical > 0
     if kept.all():
         return state
     state = state.where(kept.reshape(shape))
@@ -170,8 +180,8 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     shape, flat, n = read.shape[:-1], read.reshape(-1, 3), len(STAGE_MODES)
     is_rps, drawn = isinstance(stage.kind, RPS), np.stack(stage.nominal.legs.arrays[:3])
     drawing = Drawing(drawn, is_rps, is_rps and stage.is_nominal, stage.platform_radius, stage.base_radius)
-    balls, _, continuous, status = all_modes(_triangle(stage), stage.legs.circles(flat), drawing)
-    states = _in_working_mode(_of_balls(stage, balls), np.broadcast_to(flat[:, None], (len(flat), n, 3)))
+    balls, _, continuous, status = all_modes(_half(stage), circles(_half(stage), flat), drawing)
+    states = _with_readings(stage, balls, flat[:, None])
     status[continuous.any(axis=-1) & (status == Status.OK)] = Status.DEGENERATE
     status[(status == Status.OK) & ~states.exists.any(axis=-1)] = Status.UNREACHABLE
     modes = states.transformed(lambda array, inner: array.reshape(*shape, n, *array.shape[-inner:]))
@@ -215,21 +225,21 @@ def forward_physical(
     <StageConfiguration: tilt 7.75° towards -1.8°, height 0.1232 m, readings 0.2000, 0.4000, 0.6000 rad>
     """
     read = _read_readings(stage, readings)
-    triangle = _triangle(stage)
+    half = _half(stage)
     if near is None:
         shape, ends = read.shape[:-1], read.reshape(-1, 3)
-        balls = physical_balls(triangle, stage.legs.circles(ends))
+        balls = physical_balls(half, circles(half, ends))
     else:
         _check_near(stage, near)
         shape = broadcastable("near", near.shape, "readings", read.shape[:-1])
         ends, starts = (np.broadcast_to(x, (*shape, 3)).reshape(-1, 3) for x in (read, near.readings))
         balls = np.broadcast_to(near.balls, (*shape, 3, 3)).reshape(-1, 3, 3)
         parts = parts_of_turns(ends - starts) if stage.unit == "rad" else 1
-        here = stage.legs.circles(starts)
+        here = circles(half, starts)
         for part in range(1, parts + 1):
-            there = stage.legs.circles(ends if part == parts else starts + part / parts * (ends - starts))
-            balls, here = followed_balls(triangle, balls, here, there), there
-    state = _in_working_mode(_of_balls(stage, balls), ends)
+            there = circles(half, ends if part == parts else starts + part / parts * (ends - starts))
+            balls, here = followed_balls(half, balls, here, there), there
+    state = _with_readings(stage, balls, ends)
     state = state.transformed(lambda array, inner: array.reshape(*shape, *array.shape[-inner:]))
     if not shape and not state.exists:
         reason = "with these readings no state is reached from the level platform without a forward singularity"
@@ -257,27 +267,23 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     return rotation, translation, readings, physical
 
 
-def _triangle(stage: Stage) -> Triangle:
-    return Triangle(stage.legs.axes, stage.legs.balls, stage.up)
+def _half(stage: Stage) -> StageHalf:
+    return halves(stage.legs)[0]._replace(up=stage.up)
 
 
-def _of_balls(stage: Stage, balls: FloatArray) -> StageConfiguration:
-    """Return the states (...) with balls (..., 3, 3)."""
+def _with_readings(stage: Stage, balls: FloatArray, readings: FloatArray) -> StageConfiguration:
+    """Return the states with balls (..., 3, 3) and readings (..., 3), NaN where a leg is in another working mode."""
     from spm_pin.kinematics.kernels.ball_circles import platform_frames
 
-    shape, results = balls.shape[:-2], (((3, 3), np.float64), ((3,), np.float64))
-    frames = run_kernel(platform_frames, [balls.reshape(-1, 3, 3)], [stage.legs.balls], results, _MIN_BATCH_PER_THREAD)
-    return StageConfiguration.from_arrays(stage, *with_batch_shape(frames, shape))
-
-
-def _in_working_mode(states: StageConfiguration, readings: FloatArray) -> StageConfiguration:
-    """Return states with readings (..., 3), NaN where a leg is in another working mode."""
-    legs, stage = states.stage.legs, states.stage
-    exists = states.exists
-    if not legs.are_rps:
-        exists = exists & (legs.slopes(states.places, readings) * legs.slope_signs > 0.0).all(axis=-1)
-    known = StageConfiguration.from_arrays(stage, states.rotation, states.translation, np.array(readings))
-    return known if exists.all() else known.where(exists)
+    shape, own = balls.shape[:-2], in_working_mode(_half(stage), balls, readings)
+    results = ((3, 3), np.float64), ((3,), np.float64)
+    frames = run_kernel(platform_frames, [own.reshape(-1, 3, 3)], [stage.legs.balls], results, _MIN_BATCH_PER_THREAD)
+    rotation, translation = with_batch_shape(frames, shape)
+    exists = np.isfinite(translation[..., 2])
+    known = np.broadcast_to(readings, (*shape, 3))
+    if not exists.all():
+        known = np.where(exists[..., None], known, np.nan)
+    return StageConfiguration.from_arrays(stage, rotation, translation, known.copy())
 
 
 def _read_request(
@@ -364,11 +370,11 @@ def _angles(value: npt.ArrayLike, argument: str, most: float) -> FloatArray:
 
 def _read_normal(normal: npt.ArrayLike) -> FloatArray:
     normals = real_array(normal, "normal", (3,), "unit normals of the platform in {B}")
-    sizes = np.sqrt((normals**2).sum(axis=-1, keepdims=True))
-    if (wrong := np.abs(sizes[..., 0] - 1.0) > _UNIT).any():
-        received = f"length {sizes[..., 0][first_offender(wrong)]:g}"
+    squares = np.einsum("...i,...i->...", normals, normals)
+    if (wrong := np.abs(squares - 1.0) > 2.0 * _UNIT).any():
+        received = f"length {math.sqrt(squares[first_offender(wrong)]):g}"
         raise ArgumentError("normal", "unit normals of the platform in {B}", received, "Divide it by its length")
-    return np.asarray(normals / sizes)
+    return normals
 
 
 def _read_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:

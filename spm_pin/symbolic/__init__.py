@@ -15,6 +15,7 @@ from spm_pin.symbolic.functions import (
 )
 from spm_pin.symbolic.linuxcnc_export import linuxcnc_configuration, write_linuxcnc
 from spm_pin.symbolic.ros_export import ros_package, write_ros
+from spm_pin.symbolic.stage_in_casadi import stage_inverse
 
 __all__ = [
     "bodies",
@@ -30,6 +31,7 @@ __all__ = [
     "leg_rates",
     "linuxcnc_configuration",
     "ros_package",
+    "stage_inverse",
     "write_c",
     "write_linuxcnc",
     "write_ros",

@@ -31,7 +31,7 @@ from spm_pin.formulas.circles import (
     turned_back,
 )
 from spm_pin.formulas.joint_values import triangle_axes
-from spm_pin.formulas.vectors import Rows, Vector, largest
+from spm_pin.formulas.vectors import Rows, Vector, combinations, largest
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -98,6 +98,20 @@ def put_rows(rows: Rows, out: FloatArray) -> None:
     for i in range(3):
         for j in range(3):
             out[i, j] = rows[i][j]
+
+
+@kernel(f"void({readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, f8[:,:,::1])")
+def circle_centres(x, z, pivots, planes, centres):
+    """Write the points (N, 3, 3) [m] at x and z (N, 3) in the planes of three legs, from `pivots` (3, 3).
+
+    `planes` (2, 3, 3) are the directions of x and z.
+    """
+    p, outward, forward = rows_at(pivots, 0), rows_at(planes[0], 0), rows_at(planes[1], 0)
+    for n in range(len(x)):
+        put_rows(
+            combinations(combinations(p, (x[n, 0], x[n, 1], x[n, 2]), outward), (z[n, 0], z[n, 1], z[n, 2]), forward),
+            centres[n],
+        )
 
 
 @kernel(

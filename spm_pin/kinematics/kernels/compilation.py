@@ -136,7 +136,9 @@ _announced: set[str] = set()
 
 
 def _announce(name: str, when: str) -> None:
-    """Log that a kernel is compiled, and the first time in a process how long that takes."""
+    """Log once that a kernel is compiled, and the first time in a process how long that takes."""
+    if name in _announced:
+        return
     advice = " (1 to 20 s; spm_pin.kinematics.compile_kernels() compiles all functions in advance, in a minute)"
     _LOG.warning("spm_pin: compiling %s %s%s", name, when, "" if _announced else advice)
     _announced.add(name)

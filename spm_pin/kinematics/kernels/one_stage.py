@@ -1,13 +1,21 @@
-"""The inverse of a stage: its platform's pose from the normal and the height, and what its legs read there."""
+"""The inverse of a stage, pose and readings from the normal and the height, and working modes of its legs."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from spm_pin.formulas.circles import Circles, is_home_state
-from spm_pin.formulas.planar_legs import LegPlane, place_in_plane, prs_circle, prs_reading, rrs_crank
+from spm_pin.formulas.planar_legs import (
+    LegPlane,
+    place_in_plane,
+    prs_circle,
+    prs_reading,
+    prs_slope,
+    rrs_crank,
+    rrs_slope,
+)
 from spm_pin.formulas.stage_poses import platform_balls, pose_in_mode, shortest_turn, stage_constants, torsion_equation
-from spm_pin.formulas.vectors import combinations, differences, multiples
+from spm_pin.formulas.vectors import combinations, differences, direction, multiples
 from spm_pin.kinematics.kernels.compilation import TILE, jit, kernel, matrix, readonly_array, rows_at, vector
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -51,7 +59,7 @@ def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray) -> None:
 def poses_of_stages(
     normals, heights, legs, planes, kind, numbers, up, rotation, position, readings, cosines, is_physical
 ):
-    """Find the poses of a stage's platform with N unit normals (N, 3) and heights (N,) [m], in mode T, and in F.
+    """Find the poses of a stage's platform with N normals (N, 3) and heights (N,) [m], in mode T, and in F.
 
     `legs` (3, 3, 3) are axes, pivots and balls [m], `planes` (2, 3, 3) the directions of x and z of the legs' planes,
     and `numbers` (3, n) those fixed in the legs. Written are, for m modes, 1 or 2, R (N, m, 3, 3) and t (N, m, 3) [m],
@@ -74,7 +82,7 @@ def poses_of_stages(
         for mode in range(modes):
             sign = 1.0 - 2.0 * mode
             for k in range(TILE):
-                turn, height = shortest_turn(vector(tile, _NORMAL, k)), tile[_HEIGHT, k]
+                turn, height = shortest_turn(direction(vector(tile, _NORMAL, k))), tile[_HEIGHT, k]
                 r, t = pose_in_mode(sign, turn, height, torsion_equation(turn, height, stage), stage)
                 b = platform_balls(r, t, stage.balls)
                 tile[_X, k], tile[_Z, k] = place_in_plane(b[0], first)
@@ -103,3 +111,31 @@ def poses_of_stages(
                 if len(cosines):
                     for j in range(3):
                         cosines[n, mode, j] = tile[_COSINE + j, k]
+
+
+@kernel(
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, i8, "
+    f"{readonly_array(2)}, b1[::1])"
+)
+def working_modes(joints, readings, pivots, planes, kind, numbers, is_own):
+    """Write of which of N states, with balls (N, 3, 3) [m] and readings without offsets (N, 3), all legs are in theirs.
+
+    The legs are as for `poses_of_stages`, PRS or RRS; `pivots` (3, 3) [m]. Where a ball is NaN they are not.
+    """
+    p, outward, forward = rows_at(pivots, 0), rows_at(planes[0], 0), rows_at(planes[1], 0)
+    legs = (
+        LegPlane(p[0], outward[0], forward[0]),
+        LegPlane(p[1], outward[1], forward[1]),
+        LegPlane(p[2], outward[2], forward[2]),
+    )
+    for n in range(len(joints)):
+        b, is_own[n] = rows_at(joints[n], 0), True
+        for leg in range(3):
+            fixed = numbers[leg, 0], numbers[leg, 1], numbers[leg, 2]
+            x, z = place_in_plane(b[leg], legs[leg])
+            if kind == PRS_LEGS:
+                slope = prs_slope(x, z, readings[n, leg], fixed)
+            else:
+                slope = rrs_slope(x, z, readings[n, leg], fixed)
+            # The sign of κ is opposite to that of the root in the reading.
+            is_own[n] = is_own[n] and fixed[2] * slope < 0.0
