@@ -8,23 +8,14 @@ does not leave it. See `docs/theory/forward_displacement.md`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
-from spm_pin.kinematics.stage_balls import (
-    Circles,
-    Drawing,
-    Modes,
-    all_modes,
-    circles,
-    followed_balls,
-    halves,
-    in_working_mode,
-    parts_of_turns,
-    physical_balls,
-)
+from spm_pin.kinematics.stage_balls import Drawing, Modes, all_modes, followed_balls, halves, physical_balls
 from spm_pin.mechanism.arguments import (
     LARGEST_RATIO,
     FloatArray,
@@ -38,7 +29,7 @@ from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine
 from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.leg_kinds import RPS
-from spm_pin.mechanism.legs import LEGS
+from spm_pin.mechanism.legs import Legs
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
 from spm_pin.mechanism.units import unit_hint
@@ -99,19 +90,19 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     """
     from spm_pin.kinematics.kernels.circle_modes import join_modes
 
-    checked = _read_readings(geometry, readings)
+    legs = check_instance(geometry, Geometry, "geometry").legs
+    checked = read_readings(legs, sum(geometry.dimensions), readings)
     shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    legs, is_drawn = geometry.legs, geometry.is_nominal and geometry.legs.are_rps
-    stages = zip(halves(legs), _circles(geometry, readings), _drawings(geometry), strict=True)
+    is_drawn = geometry.is_nominal and legs.are_rps
+    stages = zip(halves(legs), _of_stages(readings), _drawings(geometry), strict=True)
     below, above = (all_modes(*stage) for stage in stages)
-    own = _in_working_mode(geometry, (below.balls, above.balls), readings[:, None])
     # A stage that cannot be closed is enough to know that there is none.
     is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
     status = np.where(is_absent, Status.UNREACHABLE, np.maximum(below.status, above.status)).astype(np.int8)
     is_solved = status == Status.OK
-    upper = np.where(is_solved[:, None, None, None], own[1], np.nan)
+    upper = np.where(is_solved[:, None, None, None], above.balls, np.nan)
     results = ((n, 3, 3), np.float64), ((n, 3), np.float64), ((n, 3, 3), np.float64)
-    solved = run_kernel(join_modes, (own[0], upper), (legs.balls,), results, _MIN_BATCH_PER_THREAD)
+    solved = run_kernel(join_modes, (below.balls, upper), (legs.balls,), results, _MIN_BATCH_PER_THREAD)
     merged = (below.merged[:, :, None] | above.merged[:, None]).reshape(-1, n) & (status != Status.UNSOLVED)[:, None]
     families = _continuous_families(below, above) * is_solved[:, None]
     if not legs.are_rps:
@@ -171,18 +162,19 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
     >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
     array([-11.0818,  32.9691, -12.8831])
     """
-    checked = _read_readings(geometry, readings)
+    legs = check_instance(geometry, Geometry, "geometry").legs
+    checked = read_readings(legs, sum(geometry.dimensions), readings)
     if near is not None:
         _check_near(geometry, checked, near)
         shape = np.broadcast_shapes(checked.shape[:-1], near.shape)
         upper = (near.balls[..., 3:, :] - near.translation[..., None, :]) @ near.rotation
         arrays = (near.middle_joints, 2), (upper, 2), (near.readings, 1), (checked, 1)
-        *start, ends = [flat_batch(x, shape, inner) for x, inner in arrays]
-        followed = _follow(geometry, tuple(start), ends)
-        return Configuration.from_arrays(geometry, *with_batch_shape(followed, shape))
-    shape, lengths = checked.shape[:-1], checked.reshape(-1, 6)
-    state = Configuration.from_arrays(geometry, *with_batch_shape(_physical(geometry, lengths), shape))
-    if not shape and not state.exists:
+        *balls, start, end = [flat_batch(x, shape, inner) for x, inner in arrays]
+        stages = zip(halves(legs), balls, _of_stages(start), _of_stages(end), strict=True)
+        return _joined(geometry, shape, [followed_balls(*stage) for stage in stages])
+    own = zip(halves(legs), _of_stages(checked.reshape(-1, 6)), strict=True)
+    state = _joined(geometry, checked.shape[:-1], [physical_balls(*stage) for stage in own])
+    if not state.shape and not state.exists:
         reason = "with these leg lengths no configuration is reached from the home without a forward singularity"
         state.missing_reason = f"{reason}. {unit_hint(geometry, checked)}".rstrip(". ")
     return state
@@ -205,30 +197,27 @@ def set_of_one(state: Configuration, label: str) -> SolutionSet:
     return SolutionSet(states, (label,), Status.OK if state.exists else Status.UNREACHABLE)
 
 
-def _read_readings(geometry: Geometry, readings: npt.ArrayLike) -> FloatArray:
-    """Read readings (..., 6) that this machine can be resolved beside."""
-    check_instance(geometry, Geometry, "geometry")
-    legs, size = geometry.legs, sum(geometry.dimensions)
+def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArray:
+    """Read readings (..., n) of these legs that a machine of this size [m] can be resolved beside."""
     meaning = "in metres" if "rad" not in legs.units else "in metres, of RRS legs in radians"
-    read = real_array(readings, "readings", (6,), f"{', '.join(LEGS)} {meaning}")
+    read = real_array(readings, "readings", (len(legs.names),), f"{', '.join(legs.names)} {meaning}")
     own = np.asarray(read - legs.offsets) if legs.offsets.any() else read
     are_lengths = np.repeat([isinstance(kind, RPS) for kind in legs.kinds], 3)
     short = are_lengths & (own <= 0.0)
     if short.any():
         index = first_offender(short)
-        where = f" for {LEGS[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
+        where = f" for {legs.names[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
         if legs.offsets[index[-1]]:
             expected = f"readings that exceed their offset, {legs.offsets[index[-1]]:g} m{where}"
             raise ArgumentError("readings", expected, f"{read[index]:g}")
         cause = "Strokes of the actuators instead of distances between joint centres?"
-        raise ArgumentError(
-            "readings", f"positive lengths {', '.join(LEGS)} {meaning}", f"{own[index]:g}{where}", cause
-        )
+        expected = f"positive lengths {', '.join(legs.names)} {meaning}"
+        raise ArgumentError("readings", expected, f"{own[index]:g}{where}", cause)
     farthest = np.where([unit == "m" for unit in legs.units], LARGEST_RATIO * size, _MOST_TURNS)
     if (np.abs(own) > farthest).any():
         index = first_offender(np.abs(own) > farthest)
         if legs.units[index[-1]] == "rad":
-            expected, cause = f"angles in radians within ±{_MOST_TURNS:.3g} for {LEGS[index[-1]]}", "In degrees?"
+            expected, cause = f"angles in radians within ±{_MOST_TURNS:.3g} for {legs.names[index[-1]]}", "In degrees?"
         else:
             expected = f"lengths in metres up to {LARGEST_RATIO:.0e} times the machine's own {size:.3g} m"
             cause = "Lengths in another unit?"
@@ -244,29 +233,6 @@ def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) ->
     residual = float(near.closure_residual.max(initial=0.0))
     if residual > _OPEN * geometry.middle_side:
         raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
-
-
-def _follow(geometry: Geometry, near: tuple[FloatArray, ...], end: FloatArray) -> tuple[FloatArray, ...]:
-    """Follow states R, o, b_i, c_i in {m} and readings (N, ...) to other readings (N, 6).
-
-    They are NaN where they meet a singularity.
-    """
-    legs, (lower, upper, start) = geometry.legs, near
-    parts = parts_of_turns((end - start)[:, [unit == "rad" for unit in legs.units]])
-    here, stages = _circles(geometry, start), halves(legs)
-    for part in range(1, parts + 1):
-        there = _circles(geometry, end if part == parts else start + part / parts * (end - start))
-        below, above = zip(stages, here, there, strict=True)
-        lower, upper = followed_balls(below[0], lower, *below[1:]), followed_balls(above[0], upper, *above[1:])
-        here = there
-    return _joined(geometry, *_in_working_mode(geometry, (lower, upper), end))
-
-
-def _physical(geometry: Geometry, readings: FloatArray) -> tuple[FloatArray, ...]:
-    """Return R, o and the b_i (N, ...) of the physical states with readings (N, 6), NaN where there is none."""
-    stages = zip(halves(geometry.legs), _circles(geometry, readings), strict=True)
-    lower, upper = (physical_balls(*stage) for stage in stages)
-    return _joined(geometry, *_in_working_mode(geometry, (lower, upper), readings))
 
 
 def _drawings(geometry: Geometry) -> tuple[Drawing, Drawing]:
@@ -286,22 +252,13 @@ def _continuous_families(below: Modes, above: Modes) -> IntArray:
     return np.asarray((free * (exists[0][:, :, None] & exists[1][:, None])).reshape(-1, 4))
 
 
-def _circles(geometry: Geometry, readings: FloatArray) -> tuple[Circles, Circles]:
-    """Return the circles of the lower stage and of the upper one."""
-    lower, upper = halves(geometry.legs)
-    return circles(lower, readings[:, :3]), circles(upper, readings[:, 3:])
+def _of_stages(readings: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return readings[:, :3], readings[:, 3:]
 
 
-def _joined(geometry: Geometry, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, ...]:
-    """Return R, o and the b_i (N, ...) of the balls of both stages, in {B} and in {m}."""
+def _joined(geometry: Geometry, shape: tuple[int, ...], balls: Sequence[FloatArray]) -> Configuration:
+    """Return the configurations (...) of the balls of both stages (N, 3, 3), in {B} and in {m}."""
     from spm_pin.kinematics.kernels.ball_circles import join_stages
 
-    return run_kernel(join_stages, (lower, upper), (geometry.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
-
-
-def _in_working_mode(
-    geometry: Geometry, balls: tuple[FloatArray, FloatArray], readings: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the balls of both stages (..., 3, 3), NaN where a leg of either is in another working mode."""
-    lower, upper = halves(geometry.legs)
-    return in_working_mode(lower, balls[0], readings[..., :3]), in_working_mode(upper, balls[1], readings[..., 3:])
+    states = run_kernel(join_stages, balls, (geometry.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    return Configuration.from_arrays(geometry, *with_batch_shape(states, shape))

@@ -55,19 +55,6 @@ Circles = tuple[FloatArray, FloatArray]
 """Centres (N, 3, 3) and radii (N, 3) [m]."""
 
 
-def circles(stage: StageHalf, readings: FloatArray) -> Circles:
-    """Return the circles that readings (N, 3) leave to the balls."""
-    from spm_pin.kinematics.kernels.ball_circles import circle_centres
-
-    own = readings - stage.offsets
-    if isinstance(stage.kind, RPS):
-        return np.broadcast_to(stage.pivots, (*own.shape, 3)), own
-    x, z, radii = (np.broadcast_to(x, own.shape) for x in stage.kind.on_arrays.circle(own, tuple(stage.kind.numbers.T)))
-    constants = stage.pivots, stage.planes
-    (centres,) = run_kernel(circle_centres, (x, z), constants, [_BALLS], _MIN_BATCH_PER_THREAD_PHYSICAL)
-    return centres, radii
-
-
 class Drawing(NamedTuple):
     """The drawn stage, whose modes have labels."""
 
@@ -94,45 +81,68 @@ class Modes(NamedTuple):
     """`Status` (N,) but for continuous families."""
 
 
-def all_modes(stage: StageHalf, locked: Circles, drawing: Drawing | None = None) -> Modes:
-    """Return all modes of stages, under the labels of the drawn one if that is given."""
-    from spm_pin.kinematics.kernels.circle_modes import modes_of_stages
-
-    axes, balls, up = stage[:3]
-    place, is_rps, is_drawn, *radii = drawing or (np.stack([axes, balls, balls]), False, False, 1.0, 1.0)
-    constants = axes, balls, place, is_rps, is_drawn, *radii, up
-    results = ((16, 3, 3), np.float64), ((16,), np.bool_), ((2,), np.bool_), ((), np.int8)
-    return Modes(*run_kernel(modes_of_stages, locked, constants, results, _MIN_BATCH_PER_THREAD))
+def all_modes(stage: StageHalf, readings: FloatArray, drawing: Drawing) -> Modes:
+    """Return all modes with readings (N, 3), under the labels of the drawn stage."""
+    modes = _modes(stage, _circles(stage, readings), drawing)
+    return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
 
 
-def physical_balls(stage: StageHalf, locked: Circles) -> FloatArray:
-    """Return the balls (N, 3, 3) [m] of a stage in its home's aspect, NaN where there is no such state."""
+def physical_balls(stage: StageHalf, readings: FloatArray) -> FloatArray:
+    """Return the balls (N, 3, 3) [m] in the home's aspect with readings (N, 3), NaN where there is no such state."""
     from spm_pin.kinematics.kernels.ball_circles import ELSEWHERE, home_states
 
-    results = _BALLS, ((), np.int8)
+    locked, results = _circles(stage, readings), (_BALLS, ((), np.int8))
     balls, aspect = run_kernel(home_states, locked, stage[:3], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
     elsewhere = np.flatnonzero(aspect == ELSEWHERE)
     if len(elsewhere):
         # Newton's method led elsewhere: the state is looked for among all modes.
         centres, radii = (x[elsewhere] for x in locked)
-        modes, none = all_modes(stage, (centres, radii)).balls, np.zeros(3)
+        unlabelled = Drawing(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
+        modes, none = _modes(stage, (centres, radii), unlabelled).balls, np.zeros(3)
         three: Any = formulas.Circles(rows_of(stage.axes), rows_of(centres[:, None]), none, none)  # type: ignore[arg-type]
         is_home = _is_home_state(three, rows_of(modes - centres[:, None]), rows_of(modes), stage.up)
         found = modes[np.arange(len(modes)), is_home.argmax(axis=-1)]
         balls[elsewhere] = np.where(is_home.any(axis=-1)[:, None, None], found, np.nan)
-    return np.asarray(balls)
+    return _in_working_mode(stage, balls, readings)
 
 
-def followed_balls(stage: StageHalf, balls: FloatArray, start: Circles, end: Circles) -> FloatArray:
-    """Return where balls (N, 3, 3) [m] are led from circles to others, NaN where they meet a singularity."""
+def followed_balls(stage: StageHalf, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return where balls (N, 3, 3) [m] are led from readings (N, 3) to others, NaN where they meet a singularity."""
     from spm_pin.kinematics.kernels.ball_circles import follow_states
 
-    inputs, constants = (balls, *start, *end), stage[:2]
-    (led,) = run_kernel(follow_states, inputs, constants, [_BALLS], _MIN_BATCH_PER_THREAD_FOLLOWED)
-    return np.asarray(led)
+    # Each crank is led along chords of its end's arc.
+    turns = np.nan_to_num(np.abs(end - start)).max(initial=0.0) if stage.kind.unit == "rad" else 0.0
+    parts, here = 1 + int(turns / _CHORD), _circles(stage, start)
+    for part in range(1, parts + 1):
+        there = _circles(stage, end if part == parts else start + part / parts * (end - start))
+        inputs = balls, *here, *there
+        (balls,) = run_kernel(follow_states, inputs, stage[:2], [_BALLS], _MIN_BATCH_PER_THREAD_FOLLOWED)
+        here = there
+    return _in_working_mode(stage, balls, end)
 
 
-def in_working_mode(stage: StageHalf, balls: FloatArray, readings: FloatArray) -> FloatArray:
+def _circles(stage: StageHalf, readings: FloatArray) -> Circles:
+    """Return the circles that readings (N, 3) leave to the balls."""
+    from spm_pin.kinematics.kernels.ball_circles import circle_centres
+
+    own = readings - stage.offsets
+    if isinstance(stage.kind, RPS):
+        return np.broadcast_to(stage.pivots, (*own.shape, 3)), own
+    x, z, radii = (np.broadcast_to(x, own.shape) for x in stage.kind.on_arrays.circle(own, tuple(stage.kind.numbers.T)))
+    constants = stage.pivots, stage.planes
+    (centres,) = run_kernel(circle_centres, (x, z), constants, [_BALLS], _MIN_BATCH_PER_THREAD_PHYSICAL)
+    return centres, radii
+
+
+def _modes(stage: StageHalf, locked: Circles, drawing: Drawing) -> Modes:
+    from spm_pin.kinematics.kernels.circle_modes import modes_of_stages
+
+    constants = stage.axes, stage.balls, *drawing, stage.up
+    results = ((16, 3, 3), np.float64), ((16,), np.bool_), ((2,), np.bool_), ((), np.int8)
+    return Modes(*run_kernel(modes_of_stages, locked, constants, results, _MIN_BATCH_PER_THREAD))
+
+
+def _in_working_mode(stage: StageHalf, balls: FloatArray, readings: FloatArray) -> FloatArray:
     """Return the balls (..., 3, 3) of states with readings (..., 3), NaN where a leg is in another working mode."""
     if isinstance(stage.kind, RPS):
         return balls
@@ -142,8 +152,3 @@ def in_working_mode(stage: StageHalf, balls: FloatArray, readings: FloatArray) -
     constants = stage.pivots, stage.planes, list(KINDS).index(stage.kind.name), stage.kind.numbers
     (is_own,) = run_kernel(working_modes, inputs, constants, [((), np.bool_)], _MIN_BATCH_PER_THREAD_PHYSICAL)
     return balls if is_own.all() else np.where(is_own.reshape(*balls.shape[:-2], 1, 1), balls, np.nan)
-
-
-def parts_of_turns(turns: FloatArray) -> int:
-    """Return in how many parts cranks are to be led through these turns [rad], each along the chord of its arc."""
-    return 1 + int(np.nan_to_num(np.abs(turns)).max(initial=0.0) / _CHORD)

@@ -9,19 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.batches import run_kernel, with_batch_shape
-from spm_pin.kinematics.forward_displacement import STAGE_MODES
-from spm_pin.kinematics.stage_balls import (
-    Drawing,
-    StageHalf,
-    all_modes,
-    circles,
-    followed_balls,
-    halves,
-    in_working_mode,
-    parts_of_turns,
-    physical_balls,
-)
+from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
+from spm_pin.kinematics.forward_displacement import STAGE_MODES, read_readings
+from spm_pin.kinematics.stage_balls import Drawing, StageHalf, all_modes, followed_balls, halves, physical_balls
 from spm_pin.mechanism.arguments import (
     LARGEST_RATIO,
     BoolArray,
@@ -31,7 +21,7 @@ from spm_pin.mechanism.arguments import (
     first_offender,
     real_array,
 )
-from spm_pin.mechanism.leg_kinds import KINDS, RPS, RRS
+from spm_pin.mechanism.leg_kinds import KINDS, RPS
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.stage import Stage
 from spm_pin.mechanism.stage_configuration import StageConfiguration, StageSolutions
@@ -180,14 +170,14 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     shape, flat, n = read.shape[:-1], read.reshape(-1, 3), len(STAGE_MODES)
     is_rps, drawn = isinstance(stage.kind, RPS), np.stack(stage.nominal.legs.arrays[:3])
     drawing = Drawing(drawn, is_rps, is_rps and stage.is_nominal, stage.platform_radius, stage.base_radius)
-    balls, _, continuous, status = all_modes(_half(stage), circles(_half(stage), flat), drawing)
-    states = _with_readings(stage, balls, flat[:, None])
-    status[continuous.any(axis=-1) & (status == Status.OK)] = Status.DEGENERATE
-    status[(status == Status.OK) & ~states.exists.any(axis=-1)] = Status.UNREACHABLE
-    modes = states.transformed(lambda array, inner: array.reshape(*shape, n, *array.shape[-inner:]))
-    if not shape and status[0] == Status.UNREACHABLE:
+    balls, _, continuous, status = all_modes(_half(stage), flat, drawing)
+    modes = _of_balls(stage, (*shape, n), balls, read[..., None, :])
+    status = status.reshape(shape)
+    status[continuous.any(axis=-1).reshape(shape) & (status == Status.OK)] = Status.DEGENERATE
+    status[(status == Status.OK) & ~modes.exists.any(axis=-1)] = Status.UNREACHABLE
+    if not shape and status == Status.UNREACHABLE:
         modes.missing_reason = _reading_hint(stage, flat)
-    return StageSolutions(modes, STAGE_MODES, status.reshape(shape))
+    return StageSolutions(modes, STAGE_MODES, status)
 
 
 def forward_physical(
@@ -224,26 +214,18 @@ def forward_physical(
     >>> spm.stages.forward_physical(balancer, [0.2, 0.4, 0.6])
     <StageConfiguration: tilt 7.75° towards -1.8°, height 0.1232 m, readings 0.2000, 0.4000, 0.6000 rad>
     """
-    read = _read_readings(stage, readings)
-    half = _half(stage)
+    read, half = _read_readings(stage, readings), _half(stage)
     if near is None:
-        shape, ends = read.shape[:-1], read.reshape(-1, 3)
-        balls = physical_balls(half, circles(half, ends))
+        shape, balls = read.shape[:-1], physical_balls(half, read.reshape(-1, 3))
     else:
         _check_near(stage, near)
         shape = broadcastable("near", near.shape, "readings", read.shape[:-1])
-        ends, starts = (np.broadcast_to(x, (*shape, 3)).reshape(-1, 3) for x in (read, near.readings))
-        balls = np.broadcast_to(near.balls, (*shape, 3, 3)).reshape(-1, 3, 3)
-        parts = parts_of_turns(ends - starts) if stage.unit == "rad" else 1
-        here = circles(half, starts)
-        for part in range(1, parts + 1):
-            there = circles(half, ends if part == parts else starts + part / parts * (ends - starts))
-            balls, here = followed_balls(half, balls, here, there), there
-    state = _with_readings(stage, balls, ends)
-    state = state.transformed(lambda array, inner: array.reshape(*shape, *array.shape[-inner:]))
+        start = [flat_batch(x, shape, inner) for x, inner in ((near.balls, 2), (near.readings, 1), (read, 1))]
+        balls = followed_balls(half, *start)
+    state = _of_balls(stage, shape, balls, read)
     if not shape and not state.exists:
         reason = "with these readings no state is reached from the level platform without a forward singularity"
-        state.missing_reason = f"{reason}. {_reading_hint(stage, ends)}".rstrip(". ")
+        state.missing_reason = f"{reason}. {_reading_hint(stage, read)}".rstrip(". ")
     return state
 
 
@@ -271,19 +253,15 @@ def _half(stage: Stage) -> StageHalf:
     return halves(stage.legs)[0]._replace(up=stage.up)
 
 
-def _with_readings(stage: Stage, balls: FloatArray, readings: FloatArray) -> StageConfiguration:
-    """Return the states with balls (..., 3, 3) and readings (..., 3), NaN where a leg is in another working mode."""
+def _of_balls(stage: Stage, shape: tuple[int, ...], balls: FloatArray, readings: FloatArray) -> StageConfiguration:
+    """Return the states of this shape with balls, NaN where there is none, and readings that broadcast."""
     from spm_pin.kinematics.kernels.ball_circles import platform_frames
 
-    shape, own = balls.shape[:-2], in_working_mode(_half(stage), balls, readings)
     results = ((3, 3), np.float64), ((3,), np.float64)
-    frames = run_kernel(platform_frames, [own.reshape(-1, 3, 3)], [stage.legs.balls], results, _MIN_BATCH_PER_THREAD)
+    frames = run_kernel(platform_frames, [balls.reshape(-1, 3, 3)], [stage.legs.balls], results, _MIN_BATCH_PER_THREAD)
     rotation, translation = with_batch_shape(frames, shape)
-    exists = np.isfinite(translation[..., 2])
-    known = np.broadcast_to(readings, (*shape, 3))
-    if not exists.all():
-        known = np.where(exists[..., None], known, np.nan)
-    return StageConfiguration.from_arrays(stage, rotation, translation, known.copy())
+    states = StageConfiguration.from_arrays(stage, rotation, translation, np.broadcast_to(readings, (*shape, 3)).copy())
+    return states if states.exists.all() else states.where(states.exists)
 
 
 def _read_request(
@@ -378,23 +356,7 @@ def _read_normal(normal: npt.ArrayLike) -> FloatArray:
 
 
 def _read_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:
-    """Read readings (..., 3) that this stage can be resolved beside."""
-    check_instance(stage, Stage, "stage")
-    names, legs = ", ".join(stage.legs.names), stage.legs
-    read = real_array(readings, "readings", (3,), f"{names} in {'metres' if stage.unit == 'm' else 'radians'}")
-    own = read - legs.offsets
-    if isinstance(stage.kind, RPS) and (short := own <= 0.0).any():
-        index = first_offender(short)
-        cause = "Strokes of the actuators instead of distances between joint centres?"
-        received = f"{own[index]:g} for {legs.names[index[-1]]}"
-        raise ArgumentError("readings", f"positive lengths {names} in metres", received, cause)
-    is_angle = isinstance(stage.kind, RRS)
-    farthest = _MOST_TURNS if is_angle else LARGEST_RATIO * stage.size
-    if (beyond := np.abs(own) > farthest).any():
-        expected = f"numbers of {stage.unit} within ±{farthest:.3g}"
-        cause = "In degrees?" if is_angle else "In another unit?"
-        raise ArgumentError("readings", expected, f"{own[first_offender(beyond)]:g}", cause)
-    return read
+    return read_readings(check_instance(stage, Stage, "stage").legs, stage.size, readings)
 
 
 def _check_near(stage: Stage, near: Any) -> None:

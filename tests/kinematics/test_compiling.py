@@ -158,7 +158,7 @@ def test_all_kernels_can_be_compiled_in_advance() -> None:
     # Tests have kernels of their own.
     found = [member for member in gc.get_objects() if type(member) is Kernel]
     kernels = [kernel for kernel in found if kernel.py_func.__module__.startswith("spm_pin.")]
-    assert {"all_branches", "all_modes", "as_built_branches"} <= {kernel.py_func.__name__ for kernel in kernels}
+    assert {"all_branches", "modes_of_stages", "as_built_branches"} <= {kernel.py_func.__name__ for kernel in kernels}
     assert all(kernel._compiled is not None for kernel in kernels)
 
 
