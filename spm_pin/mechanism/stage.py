@@ -179,6 +179,9 @@ class Stage:
         length = max(float(deviations.max()) for deviations in lengths)
         return f"{text}, legs off the drawing by up to {length:.3g} m, {float(angles.max()):.3g} rad)"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Stage, (self.base_radius, self.platform_radius, self.legs, self.limits)
+
     @property
     def kind(self) -> LegKind:
         """What the three legs are, with the numbers that are fixed in them."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import pickle
+
 import mpmath
 import numpy as np
 import pytest
@@ -250,6 +253,17 @@ def test_a_file_holds_every_digit(machine: str, tmp_path: object) -> None:
     assert again.is_nominal == stage.is_nominal
     np.testing.assert_array_equal(again.parameters, stage.parameters)
     assert limited.from_parameters(limited.parameters).limits == limited.limits
+
+
+def test_copies_and_other_dimensions_stay_drawn() -> None:
+    copy = pickle.loads(pickle.dumps(BALANCER))
+    assert copy == BALANCER
+    assert copy.is_nominal
+    wider = dataclasses.replace(BALANCER, base_radius=0.085)
+    np.testing.assert_allclose(np.linalg.norm(wider.legs.pivots, axis=-1), 0.085)
+    state = spm.stages.inverse_physical(BALANCER, [0.11, 0.12])
+    again = pickle.loads(pickle.dumps(state))
+    np.testing.assert_array_equal(again.readings, state.readings)
 
 
 def test_a_platform_turned_over_has_no_answer_under_ok() -> None:
