@@ -146,6 +146,23 @@ def pin() -> Mesh:
     return about_x(merged(shaft, *heads))
 
 
+def box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Mesh:
+    """Return the box between these coordinates."""
+    return extruded(np.array([[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]]), *z)
+
+
+def servo() -> Mesh:
+    """Return the motor beside the cheeks of a clevis, its shaft along x."""
+    case, flange = box((0.24, 0.52), (-0.15, 0.15), (-0.12, 0.2)), box((0.3, 0.34), (-0.22, 0.22), (-0.12, 0.2))
+    return merged(case, flange, about_x(turned([(0.1, 0.18), (0.1, 0.24)], sections=24)))
+
+
+def carriage() -> Mesh:
+    """Return the block that runs on a rail, with two cheeks for the knee about x."""
+    cheeks = [box(ends, (-0.09, 0.05), (-0.1, 0.1)) for ends in ((-0.16, -0.095), (0.095, 0.16))]
+    return merged(box((-0.17, 0.17), (0.05, 0.18), (-0.2, 0.2)), *cheeks)
+
+
 def meshes() -> dict[str, Mesh]:
     """Return the meshes by the names of their files."""
     base = lobes(0.96, 0.25, 0.44)
@@ -160,6 +177,10 @@ def meshes() -> dict[str, Mesh]:
         "terminal_plate": merged(plate(terminal, window(terminal, 0.25), 0.0, 1.0), turned(ring, ring=True)),
         "clevis": clevis(),
         "pin": pin(),
+        "servo": servo(),
+        "carriage": carriage(),
+        # From z = 0 to 1, behind the carriage.
+        "rail": merged(box((-0.08, 0.08), (0.1, 0.2), (0.0, 1.0)), box((-0.14, 0.14), (0.2, 0.25), (0.0, 1.0))),
         # Of a leg: z runs from the hip to the ball.
         "eye": merged(
             about_x(turned([(0.09, -0.13), (0.1, -0.12), (0.1, 0.12), (0.09, 0.13)])),

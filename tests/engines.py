@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,7 +20,7 @@ Forces = Callable[[float, Array, Array], Array]
 
 SHIPPED = Path(URDF_PATH)
 JOINTS = [joint.name for joint in read_robot().moving]
-"""The moving joints in the order of a chain."""
+"""The moving joints of the shipped robot in the order of a chain; engines of another take its own."""
 
 
 class Engine(Protocol):
@@ -111,7 +111,13 @@ class Mujoco:
     """
 
     def __init__(
-        self, path: Path = SHIPPED, *, step: float = 1e-3, integrator: str = "mjINT_EULER", locked: bool = False
+        self,
+        path: Path = SHIPPED,
+        joints: Sequence[str] = JOINTS,
+        *,
+        step: float = 1e-3,
+        integrator: str = "mjINT_EULER",
+        locked: bool = False,
     ) -> None:
         import mujoco
 
@@ -133,8 +139,8 @@ class Mujoco:
             spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self.order = np.array([int(self.model.joint(name).qposadr[0]) for name in JOINTS])
-        assert [int(self.model.joint(name).dofadr[0]) for name in JOINTS] == list(self.order)
+        self.order = np.array([int(self.model.joint(name).qposadr[0]) for name in joints])
+        assert [int(self.model.joint(name).dofadr[0]) for name in joints] == list(self.order)
         self.pairs = [[self.model.body(frame).id for frame in (c.frame_a, c.frame_b)] for c in closures]
 
     @property
@@ -199,7 +205,7 @@ class Mujoco:
 
 
 class Drake:
-    def __init__(self, path: Path = SHIPPED) -> None:
+    def __init__(self, path: Path = SHIPPED, joints: Sequence[str] = JOINTS) -> None:
         from pydrake.multibody.inverse_kinematics import InverseKinematics
         from pydrake.multibody.parsing import Parser
         from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
@@ -216,8 +222,8 @@ class Drake:
         self.equations = self.kinematics.prog().GetAllConstraints()
         moving = [self.plant.get_joint(i) for i in self.plant.GetJointIndices()]
         self.moving = sorted((j for j in moving if j.num_positions()), key=lambda joint: joint.position_start())
-        self.order = np.array([self.joints.index(name) for name in JOINTS])
-        assert [joint.velocity_start() for joint in self.moving] == list(range(len(JOINTS)))
+        self.order = np.array([self.joints.index(name) for name in joints])
+        assert [joint.velocity_start() for joint in self.moving] == list(range(len(joints)))
 
     @property
     def joints(self) -> list[str]:

@@ -13,6 +13,8 @@ from spm_pin.mechanism import PRS, RPS, RRS, Stage
 
 KINDS_OF_STAGES = {"RPS": RPS(), "PRS": PRS(rod=1.6, direction=1.3), "RRS": RRS(crank=1.1, rod=0.9)}
 PAIRS = list(itertools.product(KINDS_OF_STAGES, repeat=2))
+EACH_KIND = [("RPS", "PRS"), ("PRS", "RRS"), ("RRS", "RPS")]
+"""Each kind once below and once above."""
 
 
 def machine(lower: str, upper: str, *, built: bool = False) -> spm.Geometry:

@@ -172,12 +172,12 @@ def of_simulation(chain: Any) -> tuple[FloatArray, FloatArray, Callable[..., Flo
 def _simulation(section: Section, chain: Any, pace: Pace, progress: Progress, facts: Facts) -> None:
     """Time each simulator at its longest step, or largest tolerance, that is accurate enough."""
     q, v, forces = of_simulation(chain)
-    truth = chain.simulate(q, v, forces, [0.0, 1.0], tolerance=1e-12).leg_lengths[-1]
+    truth = chain.simulate(q, v, forces, [0.0, 1.0], tolerance=1e-12).readings[-1]
     legs = chain.leg_indices
     rows, fastest = [], np.inf
 
     def ours(tolerance: float) -> Callable[[], FloatArray]:
-        return lambda: np.asarray(chain.simulate(q, v, forces, [0.0, 1.0], tolerance=tolerance).leg_lengths[-1])
+        return lambda: np.asarray(chain.simulate(q, v, forces, [0.0, 1.0], tolerance=tolerance).readings[-1])
 
     def mujoco(step: float, integrator: str) -> Callable[[], FloatArray]:
         from engines import Mujoco

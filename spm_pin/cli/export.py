@@ -115,9 +115,9 @@ def _write_model(
     chosen: str, path: Path | None, machine: Geometry, masses: Masses | None, prefix: str, special: dict[str, Any]
 ) -> None:
     """Write a model; where it has meshes, these go into a folder beside its file."""
-    of_any_machine = {"srdf": description.srdf_text, "extended-urdf": description.extended_urdf_text}
-    if chosen in of_any_machine:
-        outputs.write_text(of_any_machine[chosen](prefix=prefix), path)
+    without_meshes: dict[str, Any] = {"srdf": description.srdf_text, "extended-urdf": description.extended_urdf_text}
+    if chosen in without_meshes:
+        outputs.write_text(without_meshes[chosen](geometry=machine, prefix=prefix), path)
         return
     write: Any = {"urdf": description.urdf_text, "mjcf": description.mjcf_text, "sdf": description.sdf_text}[chosen]
     # Beside a file go its meshes; a text on standard output has whole paths.

@@ -24,7 +24,7 @@ from spm_pin.description.source_files import (
 )
 from spm_pin.description.tree import SLIDES, extended_urdf_text, joint_values, srdf_text
 from spm_pin.description.write_xml import mjcf_text, sdf_text
-from spm_pin.mechanism.joint_angles import JOINTS
+from spm_pin.mechanism.joint_angles import JOINTS, actuated_joints, joint_names
 
 __all__ = [
     "CLOSURES_PATH",
@@ -39,7 +39,9 @@ __all__ = [
     "Closure",
     "Masses",
     "RigidBody",
+    "actuated_joints",
     "extended_urdf_text",
+    "joint_names",
     "joint_values",
     "mjcf_text",
     "read_closures",

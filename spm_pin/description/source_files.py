@@ -15,7 +15,8 @@ from spm_pin.errors import DescriptionError, raised_as
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import as_bool, check_instance
 from spm_pin.mechanism.files import writing
-from spm_pin.mechanism.geometry import check_rps, config_directory
+from spm_pin.mechanism.geometry import config_directory
+from spm_pin.mechanism.joint_angles import home_readings
 
 # Names of files; `spm_pin.description` says what each is.
 ENTRY = "spm.urdf.xacro"
@@ -121,7 +122,7 @@ def urdf_text(
     if meshes is not None and (not isinstance(meshes, str) or not meshes.isprintable()):
         raise DescriptionError("meshes", "the folder of the meshes as text, or None", repr(meshes))
     machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
-    check_rps(machine, "a description")
+    home_readings(machine)
     if masses is not None:
         check_instance(masses, Masses, "masses")
     with tempfile.TemporaryDirectory() as folder, _XACRO:

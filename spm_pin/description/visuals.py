@@ -19,8 +19,7 @@ from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.pose import homogeneous
 
 PLATFORMS = ("base", "middle_platform", "terminal_platform")
-BODIES = (*PLATFORMS, *(f"leg_{leg[2:]}_{half}" for half in ("cylinder", "rod") for leg in LEGS))
-"""The links that move against one another, as far as they are seen; all other links are fixed to them."""
+"""The links that move against one another, as far as they are seen, besides those of the legs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +27,9 @@ class VisualPart:
     """A closed surface of one colour, fixed to a body of the robot."""
 
     name: str  # its link in the URDF and its mesh: "base_a1 clevis", "leg_b1_rod tube"
-    body: str  # the body it moves with, one of `BODIES`
+    body: str  # the link it moves with: one of `PLATFORMS` or of `leg_links`
     colour: tuple[float, float, float]  # red, green and blue in sRGB, from 0 to 1
-    vertices: FloatArray  # in the frame of the body [m], shape (n, 3); of a leg as long as in the URDF at zero
+    vertices: FloatArray  # in the frame of the body [m], shape (n, 3); of an RPS leg as long as in the URDF at zero
     faces: npt.NDArray[np.int32]  # triangles, counter-clockwise seen from outside, shape (m, 3)
 
     @property
@@ -42,22 +41,42 @@ class VisualPart:
 @lru_cache(maxsize=16)
 def section_size(geometry: Geometry) -> float:
     """Return the length s that radii and thicknesses of the robot are fractions of [m]; see `inertials.yaml`."""
-    radii = (geometry.base_radius, geometry.platform_radius, geometry.middle_radius)
-    return float(min(*radii, *home_readings(geometry)))
+    sizes = [geometry.base_radius, geometry.platform_radius, geometry.middle_radius]
+    for kind, home in zip(geometry.legs.kinds, home_readings(geometry)[::3], strict=True):
+        # The shortest link: the whole of an RPS leg.
+        sizes += [getattr(kind.nominal, name) for name in ("crank", "rod") if hasattr(kind, name)] or [home]
+    return float(min(sizes))
+
+
+def leg_links(geometry: Geometry) -> tuple[tuple[str, str], ...]:
+    """Return the two links of each leg, in the order of `LEGS`: what its first joint moves, and the rod."""
+    bodies = [kind.body for kind in geometry.legs.kinds for _ in range(3)]
+    return tuple((f"leg_{leg[2:]}_{body}", f"leg_{leg[2:]}_rod") for leg, body in zip(LEGS, bodies, strict=True))
+
+
+def _turns_at_pivot(geometry: Geometry) -> list[bool]:
+    """Return whether the first link of each leg turns about its pivot; a carriage has its frame at the knee."""
+    return [kind.joints[0] == "hip" for kind in geometry.legs.kinds for _ in range(3)]
 
 
 @lru_cache(maxsize=16)
 def visual_parts(geometry: Geometry) -> tuple[VisualPart, ...]:
     """Return the solids that the URDF of a manipulator shows, in the order of its links."""
     robot = read_robot(geometry)
-    home = robot.frames()
-    carriers = {robot.carrier(body)[0]: body for body in BODIES}
+    home, links = robot.frames(), leg_links(geometry)
+    bodies = dict(home)
+    carriers = {robot.carrier(body)[0]: body for body in (*PLATFORMS, *(link for leg in links for link in leg))}
+    corners = [f"{corner}{i}" for corner in ("base_a", "terminal_c") for i in "123"]
+    for (body, rod), corner, is_at_pivot in zip(links, corners, _turns_at_pivot(geometry), strict=True):
+        # Where joints are reversed, the frames of links are at their other ends.
+        for own, origin in ((body, corner if is_at_pivot else body), (rod, rod.replace("rod", "tip"))):
+            bodies[own] = homogeneous(home[own][:3, :3], home[origin][:3, 3])
     parts = []
     for name, link in robot.links.items():
         for shape in link.visuals:
             body = carriers[robot.carrier(name)[0]]
             vertices, faces = read_obj(Path(shape.mesh))
-            pose = np.linalg.inv(home[body]) @ home[name] @ shape.placement.matrix
+            pose = np.linalg.inv(bodies[body]) @ home[name] @ shape.placement.matrix
             placed = (vertices * shape.size) @ pose[:3, :3].T + pose[:3, 3]
             placed.flags.writeable = False
             red, green, blue, _ = robot.materials[shape.material]
@@ -80,17 +99,18 @@ def part_placements(configuration: Configuration) -> FloatArray:
     """Return the poses of the solids of configurations (...), shape (..., n, 4, 4), in the order of `visual_parts`.
 
     The matrices go from the vertices of a part to {B}. A state may violate the mechanism's closure; what does not exist
-    is NaN. All are rigid, but for the tubes of barrels and rods, whose third column is longer or shorter than 1: a rod
-    is drawn from inside its barrel to its ball whatever the leg's length, and a barrel is shorter where the leg has no
-    room for it.
+    is NaN. All are rigid, but for the tubes of RPS legs, barrels and rods, whose third column is longer or shorter than
+    1: a rod is drawn from inside its barrel to its ball whatever the leg's length, and a barrel is shorter where the
+    leg has no room for it.
     """
     parts = visual_parts(configuration.geometry)
     poses = _body_poses(configuration)
     placements = np.stack([poses[part.body] for part in parts], axis=-3)
     size = section_size(configuration.geometry)
-    for i, leg in enumerate(LEGS):
+    for i, (cylinder, rod) in enumerate(leg_links(configuration.geometry)):
+        if not cylinder.endswith("cylinder"):
+            continue
         length = configuration.leg_lengths[..., i]
-        cylinder, rod = (f"leg_{leg[2:]}_{half}" for half in ("cylinder", "rod"))
         index = {part.name: k for k, part in enumerate(parts) if part.body in (cylinder, rod)}
         barrel = np.ptp(parts[index[f"{cylinder} tube"]].vertices[:, 2])
         shown = np.minimum(barrel, np.maximum(length - 0.4 * size, 0.5 * length))
@@ -103,17 +123,26 @@ def part_placements(configuration: Configuration) -> FloatArray:
 
 
 def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
-    """Return the pose (..., 4, 4) of each body in {B}: of platforms, barrels and rods as the URDF has their frames."""
+    """Return the pose (..., 4, 4) in {B} of each body: z along the link, the origin at pivot, knee or ball."""
+    geometry = configuration.geometry
     base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))
     terminal = homogeneous(configuration.rotation, configuration.translation)
     poses = dict(zip(PLATFORMS, (base, configuration.middle_pose.as_matrix(), terminal), strict=True))
-    bases, balls = configuration.leg_bases, configuration.balls
-    with np.errstate(invalid="ignore"):
-        z = (balls - bases) / configuration.leg_lengths[..., None]
+    pivots, knees, balls = configuration.leg_bases, configuration.circle_centres, configuration.balls
+    rods = balls - knees
+    bodies = rods.copy()
+    for legs, kind in zip((slice(3), slice(3, 6)), geometry.legs.kinds, strict=True):
+        if kind.body == "carriage":
+            bodies[..., legs, :] = configuration.centre_rates[..., legs, :]
+        elif kind.body == "crank":
+            bodies[..., legs, :] = (knees - pivots)[..., legs, :]
+    origins = np.where(np.array(_turns_at_pivot(geometry))[:, None], pivots, knees)
+    for half, (vectors, places) in enumerate(((bodies, origins), (rods, balls))):
+        with np.errstate(invalid="ignore"):
+            z = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
         y = np.cross(z, configuration.leg_axes)
         y /= np.linalg.norm(y, axis=-1, keepdims=True)
-    turns = np.stack([np.cross(y, z), y, z], axis=-1)
-    for half, origins in (("cylinder", bases), ("rod", balls)):
-        for i, leg in enumerate(LEGS):
-            poses[f"leg_{leg[2:]}_{half}"] = homogeneous(turns[..., i, :, :], origins[..., i, :])
+        turns = np.stack([np.cross(y, z), y, z], axis=-1)
+        for i, links in enumerate(leg_links(geometry)):
+            poses[links[half]] = homogeneous(turns[..., i, :, :], places[..., i, :])
     return poses

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from spm_pin.description.masses import Masses, Numbers, Placement
 from spm_pin.description.robot import Joint, Link, Robot, Shape, read_robot
 from spm_pin.description.source_files import Closure, check_prefix
-from spm_pin.description.tree import state_values
+from spm_pin.description.tree import machine_of, state_values
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, choice
@@ -55,11 +55,10 @@ def mjcf_text(
     which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints.
     """
     check_prefix(prefix)
-    values_by_state = state_values({} if states is None else states, prefix)
+    machine = machine_of({} if states is None else states, geometry or Geometry.paper())
+    values_by_state = state_values({} if states is None else states, machine, prefix)
     shapes = choice("exact" if collisions is None else collisions, "collisions", ("exact", "simple", "none"))
     robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
-    if states and next(iter(states.values())).geometry != (Geometry.paper() if geometry is None else geometry):
-        raise DescriptionError("states", "the robot's geometry in all states", "another one")
     by_sites = _closed_by(robot, anchors, "anchors", ("bodies", "sites")) == "sites"
     # Each scale of a file is a mesh of its own.
     files: dict[tuple[str, Numbers], str] = {}

@@ -167,7 +167,7 @@ def motion_figure(
     motion : JointTrajectory
         Times, rates, accelerations and forces.
     readings : ndarray, shape (n, 6), optional
-        At its times [m], of `ClosedChain.readings`; without them the slides are drawn, which are zero at home.
+        At its times [m], of `ClosedChain.readings`; without them the actuated joints are drawn, which are zero at home.
     limits : LegLimits, optional
         Drawn as lines.
     largest : dict, optional
@@ -178,15 +178,17 @@ def motion_figure(
 
     check_instance(motion, JointTrajectory, "motion")
     colours = (_BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE)
-    slides = motion.slides
+    columns, (unit, rate, acceleration, effort) = list(motion.actuated), motion.leg_units
     figure = new_figure(8.0, 8.4, layout="constrained")
     ends = np.empty(0) if limits is None else np.concatenate([limits.minimum, limits.maximum])
     bounds = {key: np.multiply.outer([-1.0, 1.0], bound) for key, bound in (largest or {}).items()}
     rows = (
-        ("slide [m]", motion.positions[:, slides], []) if readings is None else ("reading [m]", readings, ends),
-        ("rate [m/s]", motion.velocities[:, slides], bounds.get("leg_rates", [])),
-        ("acceleration [m/s²]", motion.accelerations[:, slides], bounds.get("leg_accelerations", [])),
-        ("force [N]", motion.efforts[:, slides], bounds.get("leg_forces", [])),
+        (f"joint [{unit}]", motion.positions[:, columns], [])
+        if readings is None
+        else (f"reading [{unit}]", readings, ends),
+        (f"rate [{rate}]", motion.velocities[:, columns], bounds.get("leg_rates", [])),
+        (f"acceleration [{acceleration}]", motion.accelerations[:, columns], bounds.get("leg_accelerations", [])),
+        (f"force [{effort}]", motion.efforts[:, columns], bounds.get("leg_forces", [])),
     )
     axes = figure.subplots(4, 1, sharex=True)
     for ax, (label, values, lines) in zip(axes, rows, strict=True):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from spm_pin.capability import Section
-from spm_pin.description.visuals import section_size, visual_parts
+from spm_pin.description.visuals import leg_links, section_size, visual_parts
 from spm_pin.display.rendering import (
     AXIS_COLOURS,
     TRIAD,
@@ -304,15 +304,16 @@ def _label(configuration: Configuration, placer: _LabelPlacer, camera: FloatArra
             dislike += distances.min(axis=-1) < np.linalg.norm(places - point, axis=-1) - 1e-9
             placer.put(f"${letter}_{i + 1}$", INK, places, dislike)
 
-    colours = {part.body: part.colour for part in visual_parts(configuration.geometry) if part.mesh == "tube"}
+    parts, links = visual_parts(configuration.geometry), leg_links(configuration.geometry)
+    colours = {part.body: part.colour for part in reversed(parts)}
     along = np.linspace(0.2, 0.8, 25)
     sides = np.array([-2.0, -1.5, 1.5, 2.0])
-    for leg, base, ball in zip(LEGS, bases @ flat, configuration.balls @ flat, strict=True):
+    for leg, (body, _), base, ball in zip(LEGS, links, bases @ flat, configuration.balls @ flat, strict=True):
         line = ball - base
         across = np.array([-line[1], line[0]]) / max(float(np.linalg.norm(line)), 1e-9)
         outward = np.sign(((base + ball) / 2.0 - flattened.mean(axis=(0, 1))) @ across)
         places = (base + along[:, None] * line)[:, None] + sides[:, None] * h * across
         dislike = np.add.outer(np.abs(along - 0.45), 0.6 * np.abs(sides) + 0.3 * (sides * outward < 0.0)).ravel()
-        red, green, blue = colours[f"leg_{leg[2:]}_cylinder"]
+        red, green, blue = colours[body]
         dark = (0.75 * red, 0.75 * green, 0.75 * blue)
         placer.put(f"$r_{{{leg[2:]}}}$", dark, places.reshape(-1, 2), dislike, 2.6)

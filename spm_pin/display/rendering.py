@@ -18,7 +18,6 @@ from spm_pin.description.visuals import part_placements, section_size, visual_pa
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import check_rps
 from spm_pin.mechanism.notebook import view_axes
 
 Colour = tuple[float, float, float]
@@ -53,9 +52,9 @@ class Solid:
 def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[Solid]:
     """Return the solids of a configuration, those of the URDF, and with `frames` arrows for the axes of {B} and {m}."""
     check_configuration(configuration, single=True, existing=True)
-    check_rps(configuration.geometry, "solids")
-    if not (configuration.leg_lengths > 0.0).all():
-        raise ArgumentError("configuration", "legs of positive length", configuration.leg_lengths)
+    lengths = np.linalg.norm(configuration.leg_vectors, axis=-1)
+    if not (lengths > 0.0).all():
+        raise ArgumentError("configuration", "legs of positive length that reach their balls", lengths)
     if not np.isfinite(configuration.middle_pose.as_matrix()).all():
         raise ArgumentError("configuration", "middle joints that span a plane", configuration.middle_joints.tolist())
     parts = visual_parts(configuration.geometry)

@@ -27,7 +27,7 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine
-from spm_pin.mechanism.joint_angles import home_readings
+from spm_pin.mechanism.joint_angles import homes
 from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import Legs
 from spm_pin.mechanism.solution_axis import Status
@@ -182,10 +182,11 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
 
 def starting_configuration(geometry: Geometry) -> Configuration:
     """Return a regular configuration of the manipulator: the paper's solution 3, in proportion to the home lengths."""
-    home = home_readings(geometry)
+    _, places = homes(geometry)
     for share in (1.0, 0.5, 0.2, 0.05):
-        state = forward_physical(geometry, home * (1.0 + share * (_START - 1.0)) + geometry.legs.offsets)
-        if state.exists:
+        # With the balls moved along the lines from their pivots, as far as the legs reach.
+        readings = geometry.legs.readings(places * (1.0 + share * (_START - 1.0))[:, None])
+        if np.isfinite(readings).all() and (state := forward_physical(geometry, readings)).exists:
             return state
     raise ArgumentError("geometry", "a manipulator that stands near its home", geometry, "Give a pose instead")
 

@@ -179,7 +179,7 @@ class Geometry:
             if not stage.is_nominal:
                 raise GeometryError(name, "a stage as drawn", repr(stage), "Give the six legs to Geometry(legs=…)")
         dimensions = lower.base_radius, upper.base_radius, math.sqrt(3.0) * lower.platform_radius
-        bounds = [x.limits or StageLimits(-math.inf, math.inf) for x in (lower, upper)]
+        bounds = [x.limits or StageLimits(x.kind.least_reading, math.inf) for x in (lower, upper)]
         limits = LegLimits(bounds[0].minimum + bounds[1].minimum, bounds[0].maximum + bounds[1].maximum)
         kinds = lower.kind, upper.kind
         return cls(*dimensions, limits if lower.limits or upper.limits else None, _drawn(*dimensions, kinds))
@@ -325,6 +325,10 @@ def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, ow
         received, wanted = getattr(geometry, name), getattr(expected, name)
         if abs(received - wanted) > _SAME * expected.middle_side:
             raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m", cause)
+    for kind, wanted in zip(geometry.legs.kinds, expected.legs.kinds, strict=True):
+        same = type(kind) is type(wanted) and np.allclose(kind.numbers, wanted.numbers, rtol=_SAME, atol=_SAME)
+        if not same:
+            raise GeometryError(argument, f"the kinds of {owner}, {wanted!r}", repr(kind), cause)
     for name in ("axes", "pivots", "balls", "offsets"):
         apart = np.abs(getattr(geometry.legs, name) - getattr(expected.legs, name))
         unit, scale = ("rad", 1.0) if name == "axes" else ("m", expected.middle_side)

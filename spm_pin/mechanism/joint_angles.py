@@ -86,13 +86,13 @@ def home_readings(geometry: Geometry) -> FloatArray:
     as high as the sum of its two radii together, carriages are at their pivots, and balls in the middle of the reach of
     crank and rod. A `GeometryError` is raised for a stage that does not stand there either.
     """
-    readings, _ = _homes(geometry)
+    readings, _ = homes(geometry)
     return readings
 
 
 @functools.lru_cache(maxsize=64)
-def _homes(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
-    """Return `home_readings`, and the balls' places there (6, 2) in the planes of the legs [m]."""
+def homes(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
+    """Return `home_readings`, and the balls' places there (6, 2), x and z in the planes of the legs [m]."""
     readings, places = np.empty(6), np.empty((6, 2))
     for stage, radius in enumerate((geometry.base_radius, geometry.platform_radius)):
         legs, kind, limits = slice(3 * stage, 3 * stage + 3), geometry.legs.kinds[stage].nominal, geometry.limits
@@ -148,7 +148,7 @@ class _Constants(NamedTuple):
 def _constants(geometry: Geometry) -> _Constants:
     axes, pivots, balls = map(_tuples, geometry.legs.arrays[:3])
     own_axes, legs, kinds = _ON_NUMBERS.triangle_axes(balls[:3]), [], []
-    readings, places = _homes(geometry)
+    readings, places = homes(geometry)
     for leg in range(6):
         kind, signs = geometry.legs.kinds[leg // 3], (TANGENT_SIGNS[leg % 3], (1.0, -1.0)[leg // 3])
         kinds.append(type(kind))

@@ -265,6 +265,11 @@ class Legs:
         """Units of the readings, "m" or "rad", in the order of `LEGS`."""
         return tuple(kind.unit for kind in self.kinds for _ in range(3))
 
+    @property
+    def least_readings(self) -> FloatArray:
+        """Bounds of the readings (6,), offsets aside: RPS legs have no negative length."""
+        return np.repeat([kind.least_reading for kind in self.kinds], 3)
+
     @functools.cached_property
     def planes(self) -> tuple[FloatArray, FloatArray]:
         """Unit vectors x, radially outwards, and z, towards the balls, of the legs' planes, (6, 3) or (3, 3) each.

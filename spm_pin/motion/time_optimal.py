@@ -184,7 +184,8 @@ def time_optimal(
     last, above = slower, slower * (1.0 + error) - 1.0
     joints, readings, poses = rows(along, speeds, accelerations)
     motion_at = lambda at: rows(*moved(at, last))  # noqa: E731
-    return TimedMotion(chain.joint_names, times, *joints, readings, poses, above, motion_at)
+    columns, units = tuple(chain.leg_indices.tolist()), chain.geometry.legs.units
+    return TimedMotion(chain.joint_names, times, *joints, readings, poses, columns, units, above, motion_at)
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:

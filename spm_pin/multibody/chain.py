@@ -22,16 +22,16 @@ from spm_pin.description.source_files import (
     read_closures,
     urdf_text,
 )
-from spm_pin.description.tree import ANGLES, SLIDES, srdf_text
+from spm_pin.description.tree import srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, check_instance, first_offender
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.files import file_path
-from spm_pin.mechanism.geometry import Geometry, check_same_machine
-from spm_pin.mechanism.joint_angles import joint_angles
-from spm_pin.mechanism.legs import check_path_readings
+from spm_pin.mechanism.geometry import Geometry, check_rps, check_same_machine
+from spm_pin.mechanism.joint_angles import joint_angles, value_names
+from spm_pin.mechanism.legs import LEGS, check_path_readings
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.multibody.chain_state import ChainState, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
@@ -39,7 +39,6 @@ from spm_pin.multibody.constrained_model import (
     AGREEMENT,
     ConstrainedModel,
     TreeKinematics,
-    check_leg_lengths,
     read_vectors,
 )
 from spm_pin.multibody.mounting import MountedChain, mount
@@ -58,7 +57,7 @@ class ClosedChain:
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
     of the batch says why. Joint values of a machine as built are zero at the home of its drawing, where its loops are
-    open by about its errors; leg lengths are distances from pivot to ball, and readings what its encoders show of them.
+    open by about its errors. The value of an actuated joint is its reading less the offset and the reading at home.
 
     Attributes
     ----------
@@ -73,7 +72,7 @@ class ClosedChain:
     joint_names : tuple of str
         Names of the joints in the order of q.
     leg_indices : ndarray, shape (6,)
-        Indices of the legs' prismatic joints in q.
+        Indices of the joints in q that the actuators move, in the order of the legs.
     """
 
     def __init__(self, urdf: str, geometry: Geometry, prefix: str = "") -> None:
@@ -83,7 +82,7 @@ class ClosedChain:
         self._constrained = ConstrainedModel(self.model, self.closures, geometry, prefix)
         self._of_thread = threading.local()
         self.joint_names, self.leg_indices = self._constrained.names, self._constrained.legs
-        self._order = np.argsort(self._constrained.joint_indices(*ANGLES, *SLIDES))
+        self._order = np.argsort(self._constrained.joint_indices(*value_names(geometry)))
 
     @classmethod
     def from_urdf(
@@ -154,7 +153,7 @@ class ClosedChain:
         """The collision shapes, a `pinocchio.GeometryModel`; the pairs leave out what touches by design."""
         shapes = pin.buildGeomFromUrdfString(self.model, self._urdf, pin.GeometryType.COLLISION)
         shapes.addAllCollisionPairs()
-        pin.removeCollisionPairsFromXML(self.model, shapes, srdf_text({}, prefix=self.prefix))
+        pin.removeCollisionPairsFromXML(self.model, shapes, srdf_text(geometry=self.geometry, prefix=self.prefix))
         return shapes
 
     def robot_wrapper(self) -> Any:
@@ -202,28 +201,33 @@ class ClosedChain:
             received = f"a closure residual of {angles.closure_residual[index]:.1e} m{where}"
             cause = "Rounded numbers? inverse_displacement closes the loops for a pose"
             raise ArgumentError("configuration", "a closed mechanism", received, cause)
+        missed = np.isnan(angles.actuated) & configuration.exists[..., None]
+        if missed.any():
+            leg = LEGS[first_offender(missed)[-1]]
+            raise ArgumentError("configuration", "balls within the reach of their legs", f"one out of reach of {leg}")
         return angles.values.take(self._order, axis=-1)
 
     def leg_lengths(self, q: npt.ArrayLike) -> FloatArray:
-        """Return the distances from pivot to ball [m] that the slides have in q (..., 18), shape (..., 6)."""
-        return self._constrained.leg_lengths(self._constrained.read_q(q))
+        """Return the distances from pivot to ball [m] that slides of RPS legs have in q (..., 18), shape (..., 6)."""
+        check_rps(self.geometry, "lengths of the legs in q")
+        return self._constrained.readings(self._constrained.read_q(q))
 
     def readings(self, q: npt.ArrayLike) -> FloatArray:
-        """Return what the encoders show in q (..., 18): the leg lengths and their offsets [m], shape (..., 6)."""
-        return np.asarray(self.leg_lengths(q) + self.geometry.legs.offsets)
+        """Return what the encoders show in q (..., 18), shape (..., 6): [m], of RRS legs [rad]."""
+        return np.asarray(self._constrained.readings(self._constrained.read_q(q)) + self.geometry.legs.offsets)
 
     def with_readings(self, q: npt.ArrayLike, readings: npt.ArrayLike) -> FloatArray:
-        """Return a copy of q (..., 18) with other readings (..., 6) [m], the other joints as they are: loops open."""
-        joints, lengths = self._constrained.read_q(q), self._lengths_of_readings(readings)
-        shape = broadcastable("readings", lengths.shape[:-1], "q", joints.shape[:-1])
+        """Return a copy of q (..., 18) with other readings (..., 6), the other joints as they are: loops open."""
+        joints, own = self._constrained.read_q(q), self._without_offsets(readings)
+        shape = broadcastable("readings", own.shape[:-1], "q", joints.shape[:-1])
         changed = np.broadcast_to(joints, (*shape, joints.shape[-1])).copy()
-        changed[..., self.leg_indices] = lengths - self._constrained.home_readings
+        changed[..., self.leg_indices] = own - self._constrained.home_readings
         return changed
 
-    def _lengths_of_readings(self, readings: npt.ArrayLike) -> FloatArray:
-        lengths = read_vectors(readings, "readings", 6) - self.geometry.legs.offsets
-        check_leg_lengths(lengths, "readings", "A leg length is the reading less the offset of its encoder")
-        return np.asarray(lengths)
+    def _without_offsets(self, readings: npt.ArrayLike) -> FloatArray:
+        own = np.asarray(read_vectors(readings, "readings", 6) - self.geometry.legs.offsets)
+        self._constrained.check_readings(own, "readings", "A leg length is the reading less the offset of its encoder")
+        return own
 
     def project(self, q: npt.ArrayLike) -> FloatArray:
         """Return closed joint values (..., 18) near q, by Newton's method; angles are not reduced to one turn.
@@ -235,21 +239,21 @@ class ClosedChain:
         return np.array(state._each_member(lambda: close_loops(state.kinematics, state.kinematics.q, most=50), (18,)))
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
-        """Return all joints (..., 18) of readings (..., 6) [m], of a drawn machine the leg lengths.
+        """Return all joints (..., 18) of readings (..., 6) [m], of RRS legs [rad].
 
         By default in the physical assembly mode of each member, in closed form, angles in [-π, π]; see
         `spm_pin.forward_physical`. With `near` (18,), a closed q, the mechanism goes from there to the first member by
-        changing all legs in proportion, and on to each from the one before, in C order, in the assembly mode that it
-        comes to, angles continuous and not reduced to one turn.
+        changing all readings in proportion, and on to each from the one before, in C order, in the assembly mode that
+        it comes to, angles continuous and not reduced to one turn.
 
-        Lengths that the physical mode cannot have are an `ArgumentError`, in a batch NaN. A path that does not lead to
+        Readings that the physical mode cannot have are an `ArgumentError`, in a batch NaN. A path that does not lead to
         a member, as one that ends at a forward or a constraint singularity, is an error for a batch as well.
         """
         if near is None:
-            expected = "lengths that the physical assembly mode can have"
+            expected = "readings that the physical assembly mode can have"
             state = forward_physical(self.geometry, readings)
-            return self._physical_values(state, "readings", expected, lambda: f"{_listed(readings)} m")
-        return self._follow(near, follow_legs, self._lengths_of_readings(readings), axes=(1,))
+            return self._physical_values(state, "readings", expected, lambda: _listed(readings))
+        return self._follow(near, follow_legs, self._without_offsets(readings), axes=(1,))
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joints (..., 18) of a pose (...) of the terminal platform, {m} in {B}.
@@ -330,7 +334,8 @@ class ClosedChain:
         positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
         check_path_readings(self.geometry.limits, readings, "path", t, "time")
         pose = RigidTransform.from_matrix(poses)
-        return JointTrajectory(self.joint_names, t, positions, v, a, efforts, readings, pose)
+        columns, units = tuple(self.leg_indices.tolist()), self.geometry.legs.units
+        return JointTrajectory(self.joint_names, t, positions, v, a, efforts, readings, pose, columns, units)
 
     def simulate(
         self,
@@ -355,7 +360,8 @@ class ClosedChain:
         q0, v0 : array_like, shape (18,)
             Joint values and velocities of a closed mechanism at the first time.
         forces : array_like (6,), callable, or None
-            Of the legs [N]: constant, or a function (t, q, v) → (6,); None lets the slides move freely. A function
+            Of the legs [N], of RRS legs torques [N m]: constant, or a function (t, q, v) → (6,); None lets them move
+            freely. A function
             without `period` is smooth in its arguments alone: it is called several times a step, and not in order.
         times : array_like, shape (n,)
             When to record [s], increasing; the motion begins at the first.

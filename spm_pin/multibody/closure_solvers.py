@@ -1,6 +1,6 @@
 """Closed joint values by Newton's method: from an open q nearby, and by continuation from another closed one.
 
-Continuation leads to six leg lengths, or to a pose of the platform: eighteen equations for eighteen joints. The first
+Continuation leads to six readings, or to a pose of the platform: eighteen equations for eighteen joints. The first
 Newton step from a point of the path is the path's tangent; where the corrections after it are no small part of it, the
 step is shortened. So it is, too, where the determinant of the equations changes its sign or too much over the step or
 half of it. The determinant is zero at a fold, where a path ends, and its sign is another on the other side: steps
@@ -22,7 +22,7 @@ from spm_pin.multibody.constrained_model import TreeKinematics, largest
 SHORTEST_NEWTON_SHARE = 2.0**-10
 """Share of a Newton step below which the projection ends without a solution."""
 LONGEST_STEP = 0.25
-"""Largest step of the continuation in any joint: angles [rad], slides in units of the middle platform's side."""
+"""Largest step of the continuation in any joint: angles [rad], lengths in units of the middle platform's side."""
 CORRECTION = 0.25
 """Largest sum of corrections, as a share of the step they correct."""
 DETERMINANT_CHANGE = 1.5
@@ -55,7 +55,7 @@ def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> Fl
         move = units * np.linalg.lstsq(kinematics.constraint_jacobian * units, -gap, rcond=None)[0]
         while True:
             tried = q + share * move
-            if (constrained.leg_lengths(tried) >= 0.0).all():
+            if (constrained.readings(tried) >= constrained.least_readings).all():
                 kinematics.evaluate(tried)
                 # To first order a share of the step shrinks the gaps by that share: a quarter of that is required.
                 if np.linalg.norm(kinematics.gap) <= (1.0 - 0.25 * share) * size:
@@ -67,16 +67,16 @@ def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> Fl
     raise ClosureError(widest, most, cause)
 
 
-def follow_legs(kinematics: TreeKinematics, q: FloatArray, leg_lengths: FloatArray) -> FloatArray:
-    """Return q of other leg lengths (6,), all six changed in proportion; raises at a forward singularity."""
+def follow_legs(kinematics: TreeKinematics, q: FloatArray, readings: FloatArray) -> FloatArray:
+    """Return q of other readings (6,), offsets aside, all changed in proportion; raises at a forward singularity."""
     constrained = kinematics.constrained
-    begin = constrained.leg_lengths(q)
+    begin = constrained.readings(q)
 
     def equations(share: float, q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
         kinematics.evaluate(q)
         # At the end the target itself, not what adding up makes of it.
-        target = leg_lengths if share == 1.0 else begin + share * (leg_lengths - begin)
-        missing, gap = target - constrained.leg_lengths(q), kinematics.gap.ravel()
+        target = readings if share == 1.0 else begin + share * (readings - begin)
+        missing, gap = target - constrained.readings(q), kinematics.gap.ravel()
         return np.concatenate([missing, gap]), lambda: kinematics.velocities_of_legs(missing, gap)
 
     cause = "a forward singularity, or the end of this assembly mode?"
@@ -151,7 +151,7 @@ def _step(
         else:
             allowed -= size
         q = q + move
-        if allowed < 0.0 or (constrained.leg_lengths(q) < 0.0).any():
+        if allowed < 0.0 or (constrained.readings(q) < constrained.least_readings).any():
             break
     return None, math.inf, first
 

@@ -9,9 +9,9 @@ of which N comes down to the columns of the passive joints in Jc.
 
 Singular values need one unit: lengths are in units of d, the middle platform's side. And they should not depend on
 how the tree describes a ball joint: its three rates are replaced by the angular velocity across it. Such velocities u
-are of order one together, v = C u, and the scaled matrices are
+are of order one together, v = C u, and the scaled matrices are, with Ŝ u the legs' rates, of lengths in units of d,
 
-    K̂ = [A Jm C; Jc C / d],    N̂ = [Ŝ; Jc C / d],    A = diag(1/d, 1/d, 1/d, 1, 1, 1),    S C = d Ŝ.
+    K̂ = [A Jm C; Jc C / d],    N̂ = [Ŝ; Jc C / d],    A = diag(1/d, 1/d, 1/d, 1, 1, 1).
 """
 
 from __future__ import annotations
@@ -27,11 +27,10 @@ import pinocchio as pin
 from scipy.linalg import lapack
 
 from spm_pin.description.source_files import Closure
-from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, IntArray, frozen, real_array
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.joint_angles import JOINTS, home_readings
+from spm_pin.mechanism.joint_angles import actuated_joints, home_readings, joint_names
 from spm_pin.mechanism.legs import LEGS
 
 AGREEMENT = 1e-9
@@ -51,9 +50,9 @@ _MEANINGS = {
     **dict.fromkeys(("q", "q0", "near"), "joint values in rad and m in Pinocchio's order"),
     **dict.fromkeys(("v", "v0", "a"), "rates of the joints in Pinocchio's order"),
     **dict.fromkeys(("other", "chain"), "in Pinocchio's order"),
-    "readings": "of r_b1 to r_c3 in m",
-    "leg_rates": "of r_b1 to r_c3 in m/s",
-    "leg_accelerations": "of r_b1 to r_c3 in m/s²",
+    "readings": "of r_b1 to r_c3 in m, of RRS legs in rad",
+    "leg_rates": "of r_b1 to r_c3 in m/s, of RRS legs in rad/s",
+    "leg_accelerations": "of r_b1 to r_c3 in m/s², of RRS legs in rad/s²",
     "forces": "of the actuators in N and N m",
     "twist": "(v, ω) at o in {B} in m/s and rad/s",
     "acceleration": "of o in m/s², angular in rad/s², in {B}",
@@ -76,14 +75,6 @@ def read_vectors(value: npt.ArrayLike, argument: str, size: int, *, single: bool
     if single and array.ndim != 1:
         raise ArgumentError(argument, f"shape ({size},), {_MEANINGS[argument]}", f"shape {array.shape}")
     return array
-
-
-def check_leg_lengths(leg_lengths: FloatArray, argument: str, cause: str) -> None:
-    """Raise `ArgumentError` where a leg length (..., 6) is negative."""
-    if (min(leg_lengths.tolist()) if leg_lengths.ndim == 1 else leg_lengths.min(initial=0.0)) < 0.0:
-        worst = np.unravel_index(int(leg_lengths.argmin()), leg_lengths.shape)
-        received = f"{leg_lengths[worst]:g} m in {LEGS[worst[-1]]}"
-        raise ArgumentError(argument, "legs of no negative length", received, cause)
 
 
 def largest(vector: FloatArray) -> float:
@@ -145,25 +136,30 @@ class ConstrainedModel:
 
     def __init__(self, model: Any, closures: tuple[Closure, ...], geometry: Geometry, prefix: str) -> None:
         self.model, self.closures, self.geometry = model, closures, geometry
-        joints = {name: model.joints[model.getJointId(prefix + name)] for name in JOINTS}
-        names = sorted(JOINTS, key=lambda name: joints[name].idx_q)
+        joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(geometry)}
+        names = sorted(joints, key=lambda name: joints[name].idx_q)
         self.names, self._prefix = tuple(prefix + name for name in names), prefix
         # Where the eighteen are in the model's q and v, and where all other degrees of freedom are in v.
         self.in_q = np.array([joints[name].idx_q for name in names], dtype=np.intp)
         self.in_v = np.array([joints[name].idx_v for name in names], dtype=np.intp)
         self.others = np.setdiff1d(np.arange(model.nv), self.in_v)
-        # Among the eighteen: the slides in the order of `LEGS`, the other joints, and those of each ball.
-        self.legs = frozen(self.joint_indices(*SLIDES))
-        self.passive = np.setdiff1d(np.arange(len(JOINTS)), self.legs)
+        # Among the eighteen: the actuated ones in the order of `LEGS`, the other joints, and those of each ball.
+        self.legs = frozen(self.joint_indices(*actuated_joints(geometry)))
+        self.passive = np.setdiff1d(np.arange(len(names)), self.legs)
         self.balls = tuple(self.joint_indices(*ball) for ball in BALLS)
         # Where the actuators are in v: all of another robot, then the six legs.
         self.actuated = frozen(np.concatenate([self.others, self.in_v[self.legs]]))
-        self._slides = self.in_q[self.legs]
+        self._actuated_in_q = self.in_q[self.legs]
+        # Offsets aside; RPS legs have no negative length.
         self.home_readings = home_readings(geometry)
-        # d, and the platforms' part in the length of a loop [m].
-        self.side, self._platform_sizes = geometry.middle_side, sum(geometry.dimensions)
+        self.least_readings = geometry.legs.least_readings
+        # d, and the part of platforms and links in the length of a loop [m].
+        self.side = geometry.middle_side
+        self._fixed_sizes = sum(geometry.dimensions) + sum(float(kind.links.sum()) for kind in geometry.legs.kinds)
         # Of a step of order one in each joint: 1 rad, or d.
-        self.units = frozen(np.where(np.isin(np.arange(len(JOINTS)), self.legs), self.side, 1.0))
+        self._are_lengths = np.array(geometry.legs.units) == "m"
+        self.units = np.ones(len(names))
+        self.units[self.legs[self._are_lengths]] = self.side
         self.platform_frame = int(model.getFrameId(f"{prefix}terminal_platform"))
         self.corner_frames = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
         # A frame that several closures share is evaluated once.
@@ -178,22 +174,31 @@ class ConstrainedModel:
         bare = [name.removeprefix(self._prefix) for name in names]
         unknown = [name for name in bare if name not in place]
         if unknown:
-            raise ArgumentError("names", f"joints: {', '.join(JOINTS)}", ", ".join(map(repr, unknown)))
+            raise ArgumentError("names", f"joints: {', '.join(place)}", ", ".join(map(repr, unknown)))
         return np.array([place[name] for name in bare], dtype=np.intp)
 
-    def leg_lengths(self, q: FloatArray) -> FloatArray:
-        """Return the distances of the balls from the pivots (..., 6) [m] in q (..., nq)."""
-        return np.asarray(self.home_readings + q.take(self._slides, axis=-1))
+    def readings(self, q: FloatArray) -> FloatArray:
+        """Return the readings of the legs (..., 6), offsets aside, in q (..., nq)."""
+        return np.asarray(self.home_readings + q.take(self._actuated_in_q, axis=-1))
+
+    def check_readings(self, readings: FloatArray, argument: str, cause: str) -> None:
+        """Raise `ArgumentError` where readings (..., 6), offsets aside, are of legs of negative length."""
+        short = readings - self.least_readings
+        if (min(short.tolist()) if short.ndim == 1 else short.min(initial=0.0)) < 0.0:
+            worst = np.unravel_index(int(short.argmin()), short.shape)
+            received = f"{readings[worst]:g} m in {LEGS[worst[-1]]}"
+            raise ArgumentError(argument, "legs of no negative length", received, cause)
 
     def rounding(self, q: FloatArray) -> float:
         """Return the size of a gap that rounding explains [m]: a few eps times the length of the loops."""
-        return 32.0 * float(np.finfo(np.float64).eps) * float(self._platform_sizes + self.leg_lengths(q).sum())
+        lengths = np.abs(self.readings(q)).sum(where=self._are_lengths)
+        return 32.0 * float(np.finfo(np.float64).eps) * float(self._fixed_sizes + lengths)
 
     def read_q(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
         """Return joint values (..., nq) as an array, or raise `ArgumentError`."""
         array = read_vectors(q, argument, self.model.nq, single=single)
         cause = "The value of a slide is the leg's length minus its length at home"
-        check_leg_lengths(self.leg_lengths(array), argument, cause)
+        self.check_readings(self.readings(array), argument, cause)
         return array
 
     def linear_differences(self, spatial: Sequence[FloatArray]) -> FloatArray:
@@ -222,7 +227,7 @@ class TreeKinematics:
         self._side = constrained.side
         # The diagonal of A.
         self._twist_scale = np.array([1.0 / self._side] * 3 + [1.0] * 3)
-        self._unit_twists = self.nondimensional(np.eye(6), np.zeros((len(JOINTS) - 6, 6)))
+        self._unit_twists = self.nondimensional(np.eye(6), np.zeros((len(constrained.names) - 6, 6)))
         # Where the balls' middle angles are in q.
         self._middles = [int(constrained.in_q[ball[1]]) for ball in constrained.balls]
         # Pinocchio updates these in place: no look-up at each q.
@@ -295,7 +300,7 @@ class TreeKinematics:
 
     def scaled_matrices(self) -> SingularValues:
         """Return K̂, N̂ and Jc C / d in place of their smallest singular values."""
-        scale, legs = self.velocity_scale, np.eye(len(JOINTS))[self.constrained.legs]
+        scale, legs = self.velocity_scale, np.eye(len(self.constrained.names))[self.constrained.legs]
         inverse = self.nondimensional(self.platform_jacobian @ scale, self.own_constraint_jacobian @ scale)
         closures = self.scaled_constraint_jacobian()
         return SingularValues(inverse, np.concatenate([legs, closures]), closures)
@@ -334,7 +339,7 @@ class TreeKinematics:
 
     def velocities_of_legs(self, leg_rates: FloatArray, closing: FloatArray | float = 0.0) -> FloatArray:
         """Return N⁻¹ (ṙ, -c): leg rates (6,), and c (3 n,) by which gaps close, to velocities of the joints (18,)."""
-        v = np.empty(len(JOINTS))
+        v = np.empty(len(self.constrained.names))
         v[self.constrained.legs] = leg_rates
         opening = self.own_constraint_jacobian[:, self.constrained.legs] @ leg_rates + closing
         v[self.constrained.passive] = -self.forward_factors.solve(opening)

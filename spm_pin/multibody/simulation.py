@@ -67,10 +67,10 @@ class Simulation:
     """Joint velocities, shape (n, 18)."""
     a: FloatArray
     """Joint accelerations, shape (n, 18)."""
-    leg_lengths: FloatArray
-    """Leg lengths [m], shape (n, 6)."""
+    readings: FloatArray
+    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, 6)."""
     leg_forces: FloatArray
-    """Forces of the actuators [N], shape (n, 6); positive pushes."""
+    """Forces of the actuators [N], of RRS legs torques [N m], shape (n, 6); positive increases the reading."""
     kinetic: FloatArray
     """Kinetic energy of all bodies [J], shape (n,)."""
     potential: FloatArray
@@ -84,7 +84,7 @@ class Simulation:
     detail: str
     """Which leg, or why no step was possible; empty if there is nothing to say."""
     limit_excess: FloatArray
-    """By how much readings are above their limits, or below them (negative) [m], shape (n, 6); 0 within."""
+    """By how much readings are above their limits, or below them (negative), shape (n, 6); 0 within."""
 
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
@@ -144,8 +144,7 @@ def run_simulation(
             integrator.record(stop.time, state, applied)
     end = (SimulationEnd.COMPLETE, "") if stop is None else stop[:2]
     values: list[Any] = [*map(np.array, zip(*integrator.rows, strict=True)), *end]
-    geometry, limits = constrained.geometry, constrained.geometry.limits
-    readings = values[4] + geometry.legs.offsets
+    limits, readings = constrained.geometry.limits, values[4]
     values.append(np.zeros(readings.shape) if limits is None else limits.excess(readings))
     return Simulation(*values)
 
@@ -192,6 +191,7 @@ class _Integrator:
         self._kinematics, self._constrained = kinematics, kinematics.constrained
         self._solver = AccelerationSolver(self._constrained)
         self._wrench, self._tolerance = wrench, tolerance
+        self._offsets = kinematics.constrained.geometry.legs.offsets
         self.rows: list[tuple[Any, ...]] = []  # what is recorded: the first fields of `Simulation`
 
     def closed(self, state: FloatArray) -> FloatArray:
@@ -222,16 +222,18 @@ class _Integrator:
         a, force, _ = self._motion(time, q, v, forces)
         self._kinematics.evaluate(q)
         energies, gap = self._kinematics.energies(v), self._kinematics.widest_gap
-        self.rows.append((time, q, v, a, self._constrained.leg_lengths(q), force, *energies, float(state[-1]), gap))
+        self.rows.append(
+            (time, q, v, a, self._constrained.readings(q) + self._offsets, force, *energies, float(state[-1]), gap)
+        )
 
     def _margins(self, state: FloatArray) -> FloatArray:
-        """Return how far a state is from ending a run, shape (7,): leg lengths [m], and σ of the closures."""
+        """Return how far a state is from ending a run, shape (7,): lengths of RPS legs [m], and σ of the closures."""
         kinematics, (q, _) = self._kinematics, _parts(state)
         kinematics.evaluate(q)
         kinematics.check_ball_angles()
         sigma = np.linalg.svd(kinematics.scaled_constraint_jacobian(), compute_uv=False)[-1]
-        lengths = self._constrained.leg_lengths(q) - SHORTEST_LEG * self._constrained.side
-        return np.append(lengths, sigma - LEAST_CONSTRAINED)
+        lengths = self._constrained.readings(q) - self._constrained.least_readings
+        return np.append(lengths - SHORTEST_LEG * self._constrained.side, sigma - LEAST_CONSTRAINED)
 
     def stop_event(
         self, state: FloatArray, time: float, until: float | None = None, dense: Any = None

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
-from spm_pin.description.tree import SLIDES
 from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import FloatArray, as_bool, frozen, real_array
@@ -111,35 +110,41 @@ class JointTrajectory:
     times: FloatArray
     """Times [s], shape (n,)."""
     positions: FloatArray
-    """Joint values [rad, m], shape (n, 18); a slide is its leg's length less that at home. Angles are continuous in
-    time, and not reduced to one turn."""
+    """Joint values [rad, m], shape (n, 18); an actuated joint's is its reading without offset less that at home. Angles
+    are continuous in time, and not reduced to one turn."""
     velocities: FloatArray
     """Joint velocities [rad/s, m/s], shape (n, 18)."""
     accelerations: FloatArray
     """Joint accelerations [rad/s², m/s²], shape (n, 18)."""
     efforts: FloatArray
-    """Forces of the actuators under gravity [N], shape (n, 18); zero in passive joints."""
+    """Forces of the actuators under gravity [N, N m], shape (n, 18); zero in passive joints."""
     readings: FloatArray
-    """Readings of the legs' encoders [m], shape (n, 6)."""
+    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, 6)."""
     pose: RigidTransform
     """Poses (n,) of the terminal platform, {m} in {B}."""
+    actuated: tuple[int, ...]
+    """Columns of the joints that the actuators move, in the order of the legs."""
+    units: tuple[str, ...]
+    """Units of the readings, "m" or "rad"."""
 
     def __repr__(self) -> str:
         return f"<JointTrajectory: {len(self.joint_names)} joints at {self.times.size} times>"
 
     @property
-    def slides(self) -> list[int]:
-        """Columns of the six legs' slides, in the order of the legs."""
-        # The chain may have a prefix.
-        return [next(k for k, name in enumerate(self.joint_names) if name.endswith(slide)) for slide in SLIDES]
+    def leg_units(self) -> tuple[str, str, str, str]:
+        """Units of readings, rates, accelerations and efforts of the legs, where stages differ both: "m/s, rad/s"."""
+        units, efforts = list(dict.fromkeys(self.units)), {"m": "N", "rad": "N m"}
+        position, rate, acceleration = (", ".join(unit + per for unit in units) for per in ("", "/s", "/s²"))
+        return position, rate, acceleration, ", ".join(efforts[unit] for unit in units)
 
     @property
     def _joints(self) -> tuple[FloatArray, ...]:
         return self.positions, self.velocities, self.accelerations, self.efforts
 
     def _repr_html_(self) -> str:
-        pictures = notebook.curves(self.times, self.velocities[:, self.slides], "rates of the legs [m/s] over time [s]")
-        pictures += notebook.curves(self.times, self.efforts[:, self.slides], "forces of the legs [N] over time [s]")
+        columns, (_, rate, _, effort) = list(self.actuated), self.leg_units
+        pictures = notebook.curves(self.times, self.velocities[:, columns], f"rates of the legs [{rate}] over time [s]")
+        pictures += notebook.curves(self.times, self.efforts[:, columns], f"forces of legs [{effort}] over time [s]")
         return notebook.table(repr(self), (), (), pictures)
 
     def to_dict(self) -> dict[str, Any]:

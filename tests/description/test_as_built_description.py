@@ -56,7 +56,7 @@ def test_a_state_named_in_the_description_is_of_its_machine() -> None:
     assert list(keys) == ["home", "measured"]
     values = joint_values(state)
     assert keys["measured"] == " ".join(repr(values[joint.name]) for joint in read_robot(machine).moving)
-    with pytest.raises(DescriptionError, match="the robot's geometry in all states"):
+    with pytest.raises(DescriptionError, match="one geometry in all states, the robot's"):
         mjcf_text(PAPER, states={"measured": state})
 
 

@@ -30,7 +30,7 @@ from spm_pin.description.source_files import (
     description_file,
     read_closures,
 )
-from spm_pin.description.tree import PASSIVE, SLIDES, srdf_text
+from spm_pin.description.tree import SLIDES, srdf_text
 from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
 
@@ -146,7 +146,7 @@ def test_srdf_names_what_the_urdf_has() -> None:
     assert root.get("name") == tree.root.get("name")
     groups = {g.get("name"): [j.get("name") for j in g.findall("joint")] for g in root.findall("group")}
     assert groups == {"legs": list(SLIDES), "mechanism": list(JOINTS)}
-    assert [j.get("name") for j in root.findall("passive_joint")] == list(PASSIVE)
+    assert [j.get("name") for j in root.findall("passive_joint")] == [name for name in JOINTS if name not in SLIDES]
     pairs = [(str(p.get("link1")), str(p.get("link2"))) for p in root.findall("disable_collisions")]
     assert len({frozenset(pair) for pair in pairs}) == len(pairs)
     assert {link for pair in pairs for link in pair} <= tree.links.keys()

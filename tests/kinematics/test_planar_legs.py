@@ -217,9 +217,7 @@ REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
     "certify_inverse": lambda g: spm.proofs.certify_inverse(g, spm.LegLimits(1.2, 1.3)),
     "crosscheck": lambda g: spm.crosscheck.compare_methods(g, poses=2),
     "leg lengths of the search": lambda g: spm.nlp.leg_lengths(g),
-    "pinocchio": lambda g: spm.ClosedChain.from_urdf(geometry=g),
     "plan": lambda g: spm.plan(g, np.full(6, 1.3), np.full(6, 1.4)),
-    "urdf": lambda g: spm.description.urdf_text(g),
     "the paper's Jacobian": lambda g: spm.paper.jacobian.J_f(states(g)[0]),
     "workspace": lambda g: spm.workspace.reachable_position(g, [0.1, 0.0, 2.0], spm.LegLimits(0.0, 2.0)),
 }

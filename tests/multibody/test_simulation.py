@@ -70,7 +70,7 @@ def test_equations_of_other_engines_integrated_by_another_method(engine: Any, la
     pytest.importorskip("mujoco" if engine is Mujoco else "pydrake")
     robot, (q, v) = chain(), start(law)
     run = robot.simulate(q, v, LAWS[law], [0.0, UNTIL], tolerance=1e-13)
-    assert np.abs(run.leg_lengths[-1] - run.leg_lengths[0]).max() > 0.01
+    assert np.abs(run.readings[-1] - run.readings[0]).max() > 0.01
     other, legs = engine(), robot.leg_indices
 
     def rate(t: float, state: Array) -> Array:
@@ -80,7 +80,7 @@ def test_equations_of_other_engines_integrated_by_another_method(engine: Any, la
     errors = []
     for steps in (16, 32, 64):
         end = rk4(rate, np.concatenate([q, v]), UNTIL, steps)[:18]
-        errors.append(np.abs(robot.leg_lengths(end) - run.leg_lengths[-1]).max())
+        errors.append(np.abs(robot.leg_lengths(end) - run.readings[-1]).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (np.abs(orders - 4.0) < 0.5).all()
     assert errors[-1] < 1e-8
@@ -101,12 +101,12 @@ def test_a_conservative_run_keeps_its_energy(name: str) -> None:
 
     run = robot.simulate(q, rest, springs, np.linspace(0.0, 2.0, 41))
     assert run.complete
-    assert np.ptp(run.leg_lengths, axis=0).max() > 1e-3 * robot.geometry.middle_side
+    assert np.ptp(run.readings, axis=0).max() > 1e-3 * robot.geometry.middle_side
     assert np.abs(run.energy_error).max() <= 1e-9 * np.abs(run.energy).max()
     assert run.closure_gap.max() <= 1e-13 * robot.geometry.middle_side * 10.0
     opening = np.einsum("nij,nj->ni", robot.state(run.q).constraint_jacobian(), run.v)
     assert np.abs(opening).max() <= 1e-12 * max(1.0, np.abs(run.v).max())
-    moved = run.leg_lengths - lengths
+    moved = run.readings - robot.readings(q)
     stored = 0.5 * stiffness * (moved**2).sum(axis=1) - 0.7 * moved @ held
     assert np.abs(run.energy + stored - run.energy[0] - stored[0]).max() <= 1e-9 * np.abs(run.energy).max()
 
@@ -171,7 +171,7 @@ def test_controller_is_called_once_per_period() -> None:
 def test_limits_and_singularities_are_passed_through(kind: str) -> None:
     robot, q = chain(), chain().forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 1.5, 151))
-    assert (run.leg_lengths < PAPER.limits.minimum).any()
+    assert (run.readings < PAPER.limits.minimum).any()
     values = [getattr(robot.state(place).kinematics, f"{kind}_determinant")() for place in run.q]
     crossed = int(np.flatnonzero(np.diff(np.sign(values)))[0])
     assert run.times.size > crossed + 2
@@ -192,7 +192,7 @@ def test_a_leg_of_no_length_ends_a_run() -> None:
     run = robot.simulate(rest, rest, np.full(6, -3000.0), np.linspace(0.0, 2.0, 21))
     assert run.end is SimulationEnd.COLLAPSE
     assert run.detail in spm.mechanism.LEGS
-    assert run.leg_lengths[-1].min() == pytest.approx(1e-6 * robot.geometry.middle_side, rel=1e-6)
+    assert run.readings[-1].min() == pytest.approx(1e-6 * robot.geometry.middle_side, rel=1e-6)
 
 
 def test_errors_of_callables_reach_the_caller() -> None:

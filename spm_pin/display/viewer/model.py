@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +39,6 @@ ANGLES: dict[str, Literal["XYX", "xyz"]] = {"X-Y-X": "XYX", "roll, pitch, yaw": 
 NEAR = 0.02
 """A singularity is near where legs moved by this share of d could reach it."""
 
-_UNLIMITED = LegLimits(0.0, np.inf)
 _REACHED = 1e-6  # of d: distance at which a pose counts as reached
 _SAME_BRANCH = 1e-4  # of d: closer joints are one solution
 _SAMPLES, _NEIGHBOURS = 4000, 400  # states drawn once, and how many of them span a slider of the pose
@@ -65,7 +65,7 @@ class SessionState:
 
     @cached_property
     def limit_excess(self) -> FloatArray:
-        """By how much each reading (6,) is above its largest (positive) or below its least (negative) [m]."""
+        """By how much each reading (6,) is above its largest (positive) or below its least (negative)."""
         return self.shown.limit_excess
 
     @cached_property
@@ -80,9 +80,12 @@ class SessionState:
 
     @cached_property
     def travel(self) -> FloatArray:
-        """Travel of the legs to each of `SINGULARITIES` to first order (3,) [m], NaN where that says nothing."""
+        """Travel of the legs to each of `SINGULARITIES` to first order (3,) [m], NaN where that says nothing.
+
+        The balls' along their rods, where the readings are others.
+        """
         try:
-            gradients = np.linalg.norm(determinant_gradients(self.shown), axis=-1)
+            gradients = np.linalg.norm(determinant_gradients(self.shown) / self.shown.slopes, axis=-1)
         except SingularConfigurationError:
             return np.where(self.singularities.rank < 6, 0.0, np.nan)
         return np.asarray(np.abs(self.singularities.determinants) / np.maximum(gradients, np.finfo(float).tiny))
@@ -114,7 +117,9 @@ class SessionState:
             if is_near:
                 how = f"{1e3 * travel:.1f} mm of leg travel away" if np.isfinite(travel) else "at hand"
                 warnings.append(f"Singularity ahead ({name}): about {how}.")
-        over = [f"{leg} by {1e3 * abs(x):.1f} mm" for leg, x in zip(LEGS, self.limit_excess, strict=True) if x]
+        units = reading_units(self.shown.geometry)
+        excess = zip(LEGS, self.limit_excess, units, strict=True)
+        over = [f"{leg} by {_amount(abs(x), unit, 1)}" for leg, x, unit in excess if x]
         if over:
             warnings.append(f"Beyond the leg limits: {', '.join(over)}.")
         if self.forces is None:
@@ -152,7 +157,7 @@ class ViewerModel:
         if limited:
             nearest = nearest_reachable_pose(geometry, target, near=before)
         else:
-            nearest = nearest_reachable_pose(geometry, target, _UNLIMITED, branch=label, near=before)
+            nearest = nearest_reachable_pose(geometry, target, _no_limits(geometry), branch=label, near=before)
         shown, distance = nearest.configuration, nearest.distance
         if not shown.exists:  # at the edge rounding may decide; what is shown is reachable in any case
             shown, distance = before, pose_distance(geometry, before.pose, target)
@@ -161,8 +166,8 @@ class ViewerModel:
         return self._show(target, shown, distance=distance, remarks=[_out_of_reach(solutions, label, distance)])
 
     def set_readings(self, readings: npt.ArrayLike) -> SessionState:
-        """Move to encoder readings (6,) [m] in the assembly mode, as far as it lasts."""
-        target = real_array(readings, "readings", (6,), "readings of the encoders in metres")
+        """Move to encoder readings (6,) in the assembly mode, as far as it lasts."""
+        target = real_array(readings, "readings", (6,), "readings of the encoders in metres, of RRS legs in radians")
         before = self.state.shown
         # The physical mode is solved for, without a path to follow.
         shown = forward_physical(before.geometry, target, near=None if physical(before) else before)
@@ -170,7 +175,7 @@ class ViewerModel:
         if not shown.exists:
             shown, share = last_on_line(before, target)
             if share < 1.0:
-                text = "These leg lengths are not reached: a forward singularity is in the way."
+                text = "These readings are not reached: a forward singularity is in the way."
                 remarks = [f"{text} Shown: the last on the way, at {100 * share:.0f} %."]
         return self._show(shown.pose, shown, remarks=remarks)
 
@@ -210,6 +215,29 @@ class ViewerModel:
         origin = None if jump else (before.label, before.singularities.scaled_determinants)
         self.state = SessionState(target, shown, label, solutions, distance, before.wrench, tuple(remarks), origin)
         return self.state
+
+
+class ReadingUnit(NamedTuple):
+    """The unit in which a reading is shown."""
+
+    name: str
+    factor: float  # times a reading
+    fine: str  # the unit of differences
+    fine_factor: float
+
+
+def reading_units(geometry: Geometry) -> list[ReadingUnit]:
+    """Return in which units the readings of the legs are shown: metres and millimetres, or degrees."""
+    units = {"m": ReadingUnit("m", 1.0, " mm", 1e3), "rad": ReadingUnit("°", math.degrees(1.0), "°", math.degrees(1.0))}
+    return [units[unit] for unit in geometry.legs.units]
+
+
+def _amount(difference: float, unit: ReadingUnit, digits: int) -> str:
+    return f"{unit.fine_factor * difference:.{digits}f}{unit.fine}"
+
+
+def _no_limits(geometry: Geometry) -> LegLimits:
+    return LegLimits(geometry.legs.least_readings.tolist(), np.inf)
 
 
 def _real_branches(solutions: SolutionSet) -> tuple[str, ...]:
@@ -261,15 +289,17 @@ def pose_ranges(configuration: Configuration, angles: str = "X-Y-X") -> FloatArr
 
 
 def reading_ranges(configuration: Configuration) -> FloatArray:
-    """Return the least and the largest reading of each leg (6, 2) [m]: its limits, or as far as the mode lasts."""
+    """Return the least and the largest reading of each leg (6, 2): its limits, or as far as the mode lasts."""
     geometry, now = configuration.geometry, np.array(configuration.readings)
     longest = 3.0 * (geometry.base_radius + geometry.platform_radius + geometry.middle_side)
-    low, high = np.full(6, 0.05 * geometry.middle_side), np.full(6, longest)
-    limits = geometry.limits
+    legs, limits = geometry.legs, geometry.limits
+    are_lengths = np.array(legs.units) == "m"
+    high, low = np.where(are_lengths, longest, 1.5 * np.pi), np.where(are_lengths, -longest, -0.5 * np.pi)
+    low = np.maximum(low, legs.least_readings + 0.05 * geometry.middle_side)
     if limits is not None:
         low, high = np.maximum(low, limits.minimum), np.minimum(high, limits.maximum)
     low, high = np.minimum(low, now), np.maximum(high, now)
-    if physical(configuration) and (limits is None or not np.isfinite(limits.maximum).all()):
+    if physical(configuration) and (limits is None or not np.isfinite([limits.minimum, limits.maximum]).all()):
         for ends in (low, high):
             shares = physical_mode_share(geometry, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
             ends[:] = now + shares * (ends - now)

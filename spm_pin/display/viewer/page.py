@@ -16,7 +16,13 @@ import numpy as np
 import rich
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.display.viewer.model import ViewerModel, pose_coordinates, pose_of_coordinates, state_data
+from spm_pin.display.viewer.model import (
+    ViewerModel,
+    pose_coordinates,
+    pose_of_coordinates,
+    reading_units,
+    state_data,
+)
 from spm_pin.display.viewer.panel import Panel
 from spm_pin.display.viewer.playback import Player, Recording, demo_motion
 from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, RobotScene, fit_camera, robot_points
@@ -326,7 +332,7 @@ class Session:
         self.show()
 
     def _on_leg(self, value: tuple[int, float]) -> None:
-        self._legs[value[0]] = value[1]
+        self._legs[value[0]] = value[1] / reading_units(self.viewer.start.geometry)[value[0]].factor
         self.model.set_readings(self._legs)
         self.show(("leg", value[0]))
 

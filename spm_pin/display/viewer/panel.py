@@ -16,6 +16,7 @@ from spm_pin.display.viewer.model import (
     pose_coordinates,
     pose_ranges,
     reading_ranges,
+    reading_units,
 )
 from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, Colour
 from spm_pin.display.writing import fixed
@@ -81,7 +82,10 @@ class Panel:
             if viewer.demo is not None:
                 self._add("button", "play", "Demo motion", icon="player-play")
         with tabs.add_tab("Legs"):
-            self.leg_sliders = self._add_sliders("leg", [f"{leg} [m]" for leg in LEGS])
+            units = reading_units(viewer.start.geometry)
+            self._factors = np.array([unit.factor for unit in units])
+            labels = [f"{leg} [{unit.name}]" for leg, unit in zip(LEGS, units, strict=True)]
+            self.leg_sliders = self._add_sliders("leg", labels)
         if narrow:
             with tabs.add_tab("Instruments"):
                 self.instruments = gui.add_html("")
@@ -150,9 +154,10 @@ class Panel:
         self.branch.value = state.label or labels[0]
         # Where angles are not unique, those of the state that is shown.
         pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose, self.angles)
+        readings = state.shown.readings
         kinds = (
             ("coordinate", self.pose_sliders, pose, pose_ranges(state.shown, self.angles)),
-            ("leg", self.leg_sliders, state.shown.readings, reading_ranges(state.shown)),
+            ("leg", self.leg_sliders, readings * self._factors, reading_ranges(state.shown) * self._factors[:, None]),
         )
         for kind, sliders, values, ranges in kinds:
             for k, (slider, value, (low, high)) in enumerate(zip(sliders, values, ranges, strict=True)):
@@ -236,19 +241,23 @@ def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str 
 
 def _legs(state: SessionState) -> str:
     readings, limits, cells = state.shown.readings, state.shown.geometry.limits, []
-    for k, (leg, reading, excess) in enumerate(zip(LEGS, readings, state.limit_excess, strict=True)):
+    units = reading_units(state.shown.geometry)
+    for k, (leg, reading, excess, unit) in enumerate(zip(LEGS, readings, state.limit_excess, units, strict=True)):
         # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
-        ticks = tuple(share for share, limit in ((0.1, low), (0.9, high)) if 0.0 < limit < np.inf)
-        high = high if np.isfinite(high) else low + 1.25 * float(readings.max())
+        ticks = tuple(share for share, limit in ((0.1, low), (0.9, high)) if limit != 0.0 and np.isfinite(limit))
+        if not np.isfinite([low, high]).all():
+            low, high = 0.0, 1.25 * float(np.abs(readings[3 * (k // 3) : 3 * (k // 3) + 3]).max())
         share = float(np.clip(0.1 + 0.8 * (reading - low) / max(high - low, 1e-12), 0.0, 1.0))
         colour = WARN if excess else (PUSH if k < 3 else _UPPER)
-        mark = f"⚠ {'+' if excess > 0.0 else '−'}{_length(abs(excess))}" if excess else ""
-        value = _cell(fixed(reading, 3), _RIGHT, leg)
+        beyond = _length(abs(excess)) if unit.name == "m" else f"{fixed(unit.factor * abs(excess), 1)}°"
+        mark = f"⚠ {'+' if excess > 0.0 else '−'}{beyond}" if excess else ""
+        value = _cell(fixed(reading, 3) if unit.name == "m" else f"{fixed(unit.factor * reading, 1)}°", _RIGHT, leg)
         cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:rgb{WARN};font-weight:600")]
-    name = "Encoder readings" if state.shown.geometry.legs.offsets.any() else "Leg lengths"
-    unit = "in m" + (", between limits" if limits is not None else "")
-    return f"<div><b>{name}</b> {unit}</div>" + _grid("max-content minmax(3em,1fr) max-content max-content", cells)
+    legs = state.shown.geometry.legs
+    name = "Leg lengths" if legs.are_rps and not legs.offsets.any() else "Encoder readings"
+    heading = f"in {' and '.join(dict.fromkeys(unit.name for unit in units))}{', between limits' if limits else ''}"
+    return f"<div><b>{name}</b> {heading}</div>" + _grid("max-content minmax(3em,1fr) max-content max-content", cells)
 
 
 def _singularities(state: SessionState) -> str:
@@ -282,5 +291,6 @@ def forces_table(state: SessionState) -> str:
         sign = "" if abs(force) < 5e-4 else ("▲" if pushes else "▼")
         shown = fixed(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
         cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
-    heading = "<div><b>Leg forces</b> in N: ▲ pushes, ▼ pulls</div>"
+    efforts = " and ".join(dict.fromkeys(kind.effort_unit for kind in state.shown.geometry.legs.kinds))
+    heading = f"<div><b>Leg forces</b> in {efforts}: ▲ pushes, ▼ pulls</div>"
     return f'<div style="{_BOX}">{heading}{_grid("max-content minmax(3em,1fr) max-content 1em", cells)}</div>'

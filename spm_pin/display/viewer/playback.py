@@ -106,7 +106,7 @@ class Playback:
 
 
 def demo_motion(start: Configuration) -> Playback | None:
-    """Return a small loop of leg lengths from a configuration and back, followed; None where there is no such path.
+    """Return a small loop of readings from a configuration and back, followed; None where there is no such path.
 
     Its size is halved until no singularity and no leg limit lies on it.
     """
@@ -114,11 +114,11 @@ def demo_motion(start: Configuration) -> Playback | None:
     swing = (1.0 - np.cos(angles)) * (_ALONG + 0.5 * np.sin(2.0 * angles) * _ACROSS)
     times = np.linspace(0.0, _SECONDS, _POINTS)
     for size in (0.1375, 0.07, 0.035):
-        lengths = start.readings + size * start.geometry.middle_side * swing
-        if lengths.min() <= 0.0:
+        readings = start.readings + size * start.geometry.middle_side * swing / start.slopes
+        if (readings <= start.geometry.legs.least_readings).any():
             continue
         try:
-            playback = Recording(lengths, times).follow(start.geometry, start)
+            playback = Recording(readings, times).follow(start.geometry, start)
         except SpmError:
             return None
         if playback.path.complete and not playback.path.events:
