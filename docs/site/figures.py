@@ -13,6 +13,7 @@ from uniqueness_figure import uniqueness
 
 import spm_pin as spm
 from spm_pin.display import draw, draw_capability, front_figure
+from spm_pin.mechanism import PRS, RPS, RRS, Stage
 
 IMAGES = Path(__file__).parents[1] / "images"
 GEOMETRY = spm.Geometry.paper()
@@ -22,7 +23,8 @@ EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.8
 
 def main() -> None:
     """Draw each figure into docs/images."""
-    for figure in (anatomy, number_of_branches, followed_path, condition_numbers, capability, design_front, uniqueness):
+    figures = anatomy, kinds_of_legs, number_of_branches, followed_path, condition_numbers, capability, design_front
+    for figure in (*figures, uniqueness):
         save(figure(), figure.__name__)
 
 
@@ -50,6 +52,25 @@ def anatomy() -> Figure:
     for text, (height, colour) in parts.items():
         figure.text(0.005, height, text.replace(", ", "\n"), color=colour, fontsize=9, va="center")
     _from_above(figure.add_axes((0.58, 0.10, 0.40, 0.80)), state)
+    return figure
+
+
+def kinds_of_legs() -> Figure:
+    """Draw a machine of cylinders, one of screws and one of servos."""
+    kinds = {
+        "RPS, cylinders": (RPS(), (0.28, 0.42), 0.02),
+        "PRS, screws and rods": (PRS(rod=0.30), (-0.05, 0.25), 0.02),
+        "RRS, servos, cranks and rods": (RRS(crank=0.15, rod=0.33), (-0.5, 1.5), 0.15),
+    }
+    figure = Figure(figsize=(8.5, 4.6))
+    for k, (title, (kind, limits, swing)) in enumerate(kinds.items()):
+        lower, upper = (Stage(radius, 0.25, kind, limits) for radius in (0.30, 0.20))
+        geometry = spm.Geometry.of_stages(lower, upper)
+        middle = np.full(6, np.mean(limits))
+        ax = figure.add_axes((0.01 + 0.33 * k, 0.02, 0.32, 0.88))
+        draw(spm.forward_physical(geometry, middle + swing * np.sin([1, 2, 4, 5, 1, 3])), ax=ax, labels=False)
+        ax.axis("off")
+        figure.text(0.17 + 0.33 * k, 0.95, title, fontsize=10, ha="center")
     return figure
 
 

@@ -69,7 +69,7 @@ class TimedMotion(JointTrajectory):
         if self.evaluate is None:
             raise ArgumentError("times", "a motion as time_optimal returned it", "a copy from a file", "Plan it again")
         joints, readings, poses = self.evaluate(at)
-        return JointTrajectory(self.joint_names, at, *joints, readings, poses)
+        return JointTrajectory(self.joint_names, at, *joints, readings, poses, self.actuated, self.units)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "evaluate": None}

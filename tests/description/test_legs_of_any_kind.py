@@ -153,7 +153,7 @@ def test_sdf_closes_its_loops_by_joints() -> None:
     assert kinds.count("revolute") + kinds.count("prismatic") == 18
 
 
-def test_a_stage_that_stands_nowhere_level_has_no_description() -> None:
-    short = spm.Geometry.of_stages(Stage(0.9, 0.3, RRS(crank=0.2, rod=0.3)), Stage(0.3, 0.3))
-    with pytest.raises(spm.GeometryError, match="A rod too short"):
-        urdf_text(short)
+def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
+    inwards = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(2.4, 3.4))
+    with pytest.raises(spm.GeometryError, match="A rod too short, another sign"):
+        urdf_text(spm.Geometry.of_stages(inwards, SCREWS))

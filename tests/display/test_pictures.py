@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
+import kinds_of_legs
 import numpy as np
 import problems
 import pytest
@@ -17,8 +19,9 @@ from PIL import Image
 import spm_pin as spm
 from spm_pin.capability import wrench_polytope
 from spm_pin.description import urdf_text
+from spm_pin.description.robot import read_robot
 from spm_pin.description.tree import joint_values
-from spm_pin.description.visuals import part_placements, section_size, visual_parts
+from spm_pin.description.visuals import part_placements, read_obj, section_size, visual_parts
 from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
 from spm_pin.display.rendering import AXIS_COLOURS, TRIAD, camera_axes, robot_solids
 from spm_pin.errors import ArgumentError, MissingExtraError
@@ -257,6 +260,26 @@ def test_pins_lie_on_the_revolute_axes_and_legs_go_from_pivots_to_balls(size):
         _, end, _ = along(built[f"leg_{leg[2:]}_rod tube"].vertices, pivot, state.balls[k])
         assert start == pytest.approx(0.0, abs=1e-9)
         assert end == pytest.approx(state.readings[k] - machine.legs.offsets[k], abs=1e-9)
+
+
+@pytest.mark.parametrize("built", [False, True])
+@pytest.mark.parametrize(("lower", "upper"), [("PRS", "RRS"), ("RRS", "PRS")])
+def test_solids_of_carriages_and_cranks_are_where_the_urdf_has_them(lower, upper, built):
+    state = kinds_of_legs.states(kinds_of_legs.machine(lower, upper, built=built))[0]
+    robot = read_robot(state.geometry)
+    frames, found = robot.frames(joint_values(state)), iter(robot_solids(state, frames=False))
+    seen = set()
+    for name, link in robot.links.items():
+        for shape in link.visuals:
+            solid, (vertices, _) = next(found), read_obj(Path(shape.mesh))
+            pose = frames[name] @ shape.placement.matrix
+            expected = (vertices * shape.size) @ pose[:3, :3].T + pose[:3, 3]
+            # The middle platform of a machine as built is where its lower balls are.
+            np.testing.assert_allclose(solid.vertices, expected, atol=1e-12, err_msg=solid.name)
+            seen.add(solid.name.partition(" ")[2])
+    assert next(found, None) is None
+    assert {"servo", "rail", "carriage", "eye", "clevis", "tube", "ball"} <= seen
+    assert draw(state).images
 
 
 def test_frames_are_arrows_along_their_axes_and_can_be_left_out():

@@ -24,6 +24,7 @@ from spm_pin.display.viewer.model import (
     pose_of_coordinates,
     pose_ranges,
     reading_ranges,
+    reading_units,
     sampled_states,
     state_data,
 )
@@ -39,6 +40,7 @@ from spm_pin.display.viewer.robot_scene import (
 )
 from spm_pin.display.writing import fixed, to_json
 from spm_pin.kinematics.forward_displacement import starting_configuration
+from spm_pin.mechanism import PRS, RRS, Stage
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
@@ -408,3 +410,26 @@ def test_the_motion_of_a_chain_is_read_back(tmp_path):
     measured, readings = spm.calibration.read_measurements(tmp_path / "new folder" / "motion.csv")
     np.testing.assert_allclose(measured.as_matrix(), poses.as_matrix(), atol=1e-12)
     np.testing.assert_array_equal(readings, recording.points)
+
+
+def test_servos_are_shown_in_degrees_and_screws_in_metres():
+    servos = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
+    screws = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))
+    machine = spm.Geometry.of_stages(servos, screws)
+    model = ViewerModel(spm.forward_physical(machine, [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]))
+    np.testing.assert_allclose(reading_ranges(model.state.shown), [[-0.5, 1.5]] * 3 + [[-0.05, 0.25]] * 3)
+    units = reading_units(machine)
+    assert [unit.name for unit in units] == ["°"] * 3 + ["m"] * 3
+    assert units[0].factor * np.pi == pytest.approx(180.0)
+    state = model.set_readings([-0.6, 0.5, 0.6, 0.10, 0.12, 0.26])
+    assert "Beyond the leg limits: r_b1 by 5.7°, r_c3 by 10.0 mm." in " ".join(state.warnings)
+    bars = instruments(state)
+    assert "in ° and m, between limits" in bars
+    assert "-34.4°" in bars
+    assert "in N m and N" in forces_table(model.load([0.0, 0.0, -50.0, 0.0, 0.0, 0.0]))
+    free = spm.Geometry.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35)), Stage(0.20, 0.25, PRS(rod=0.30)))
+    start = starting_configuration(free)
+    for k, ends in enumerate(reading_ranges(start)):
+        assert ends[0] < start.readings[k] < ends[1]
+        for end in ends:
+            assert spm.forward_physical(free, np.where(np.arange(6) == k, end, start.readings)).exists

@@ -94,10 +94,10 @@ def test_a_ball_out_of_reach_has_no_joint_values() -> None:
         assert np.isfinite(found.actuated[..., 3:]).all()
 
 
-def test_a_stage_that_stands_nowhere_level_is_refused() -> None:
-    short = Stage(0.9, 0.3, RRS(crank=0.2, rod=0.3))
-    with pytest.raises(spm.GeometryError, match="A rod too short"):
-        home_readings(spm.Geometry.of_stages(short, Stage(0.3, 0.3)))
+def test_a_stage_that_does_not_stand_level_at_the_middle_of_its_limits_is_refused() -> None:
+    inwards = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(2.4, 3.4))
+    with pytest.raises(spm.GeometryError, match=r"between 2\.4 and 3\.4 rad. A rod too short, another sign"):
+        home_readings(spm.Geometry.of_stages(inwards, Stage(0.20, 0.25)))
 
 
 @pytest.mark.parametrize("name", list(GEOMETRIES))

@@ -96,7 +96,9 @@ class Viewer:
         _ = model.state.warnings, model.state.notes
         progress("poses out of reach", 2, 4)
         model.set_readings(configuration.readings)
-        model.drag(RigidTransform.from_components(2.0 * configuration.translation, configuration.pose.rotation))
+        # Of legs whose nearest pose is not known, a page says so.
+        with contextlib.suppress(SpmError):
+            model.drag(RigidTransform.from_components(2.0 * configuration.translation, configuration.pose.rotation))
         progress("page", 3, 4)
         if demo is None:
             demo = not isinstance(start, Configuration)
