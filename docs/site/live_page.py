@@ -23,11 +23,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import spm_pin as spm
-from spm_pin.description.visuals import BODIES, read_obj, section_size, visual_parts
+from spm_pin.description.visuals import bodies, read_obj, section_size, visual_parts
 from spm_pin.display.rendering import AXIS_COLOURS, TRIAD
 
 SITE = Path(__file__).parent
 GEOMETRY = spm.Geometry.paper()
+BODIES = bodies(GEOMETRY)
 FLAGS = "--target=wasm32 -std=c99 -O2 -ffp-contract=off -fno-math-errno -ffreestanding -nostdlib -mbulk-memory"
 LINKED = "--no-entry --allow-undefined --strip-all --initial-memory=131072 --export=__heap_base"
 EXPORTED = ("spm_machine", "spm_all_branches", "spm_inverse", "spm_forward")

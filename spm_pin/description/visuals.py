@@ -19,7 +19,6 @@ from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.pose import homogeneous
 
 PLATFORMS = ("base", "middle_platform", "terminal_platform")
-"""The links that move against one another, as far as they are seen, besides those of the legs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +26,7 @@ class VisualPart:
     """A closed surface of one colour, fixed to a body of the robot."""
 
     name: str  # its link in the URDF and its mesh: "base_a1 clevis", "leg_b1_rod tube"
-    body: str  # the link it moves with: one of `PLATFORMS` or of `leg_links`
+    body: str  # the link it moves with, one of `bodies`
     colour: tuple[float, float, float]  # red, green and blue in sRGB, from 0 to 1
     vertices: FloatArray  # in the frame of the body [m], shape (n, 3); of an RPS leg as long as in the URDF at zero
     faces: npt.NDArray[np.int32]  # triangles, counter-clockwise seen from outside, shape (m, 3)
@@ -54,6 +53,11 @@ def leg_links(geometry: Geometry) -> tuple[tuple[str, str], ...]:
     return tuple((f"leg_{leg[2:]}_{body}", f"leg_{leg[2:]}_rod") for leg, body in zip(LEGS, bodies, strict=True))
 
 
+def bodies(geometry: Geometry) -> tuple[str, ...]:
+    """Return the links that move against one another, as far as they are seen; all others are fixed to them."""
+    return (*PLATFORMS, *(link for half in zip(*leg_links(geometry), strict=True) for link in half))
+
+
 def _turns_at_pivot(geometry: Geometry) -> list[bool]:
     """Return whether the first link of each leg turns about its pivot; a carriage has its frame at the knee."""
     return [kind.joints[0] == "hip" for kind in geometry.legs.kinds for _ in range(3)]
@@ -64,19 +68,19 @@ def visual_parts(geometry: Geometry) -> tuple[VisualPart, ...]:
     """Return the solids that the URDF of a manipulator shows, in the order of its links."""
     robot = read_robot(geometry)
     home, links = robot.frames(), leg_links(geometry)
-    bodies = dict(home)
-    carriers = {robot.carrier(body)[0]: body for body in (*PLATFORMS, *(link for leg in links for link in leg))}
+    frames = dict(home)
+    carriers = {robot.carrier(body)[0]: body for body in bodies(geometry)}
     corners = [f"{corner}{i}" for corner in ("base_a", "terminal_c") for i in "123"]
     for (body, rod), corner, is_at_pivot in zip(links, corners, _turns_at_pivot(geometry), strict=True):
         # Where joints are reversed, the frames of links are at their other ends.
         for own, origin in ((body, corner if is_at_pivot else body), (rod, rod.replace("rod", "tip"))):
-            bodies[own] = homogeneous(home[own][:3, :3], home[origin][:3, 3])
+            frames[own] = homogeneous(home[own][:3, :3], home[origin][:3, 3])
     parts = []
     for name, link in robot.links.items():
         for shape in link.visuals:
             body = carriers[robot.carrier(name)[0]]
             vertices, faces = read_obj(Path(shape.mesh))
-            pose = np.linalg.inv(bodies[body]) @ home[name] @ shape.placement.matrix
+            pose = np.linalg.inv(frames[body]) @ home[name] @ shape.placement.matrix
             placed = (vertices * shape.size) @ pose[:3, :3].T + pose[:3, 3]
             placed.flags.writeable = False
             red, green, blue, _ = robot.materials[shape.material]
@@ -130,14 +134,14 @@ def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
     poses = dict(zip(PLATFORMS, (base, configuration.middle_pose.as_matrix(), terminal), strict=True))
     pivots, knees, balls = configuration.leg_bases, configuration.circle_centres, configuration.balls
     rods = balls - knees
-    bodies = rods.copy()
+    first = rods.copy()
     for legs, kind in zip((slice(3), slice(3, 6)), geometry.legs.kinds, strict=True):
         if kind.body == "carriage":
-            bodies[..., legs, :] = configuration.centre_rates[..., legs, :]
+            first[..., legs, :] = configuration.centre_rates[..., legs, :]
         elif kind.body == "crank":
-            bodies[..., legs, :] = (knees - pivots)[..., legs, :]
+            first[..., legs, :] = (knees - pivots)[..., legs, :]
     origins = np.where(np.array(_turns_at_pivot(geometry))[:, None], pivots, knees)
-    for half, (vectors, places) in enumerate(((bodies, origins), (rods, balls))):
+    for half, (vectors, places) in enumerate(((first, origins), (rods, balls))):
         with np.errstate(invalid="ignore"):
             z = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
         y = np.cross(z, configuration.leg_axes)

@@ -26,7 +26,7 @@ from spm_pin.description import (
     urdf_text,
 )
 from spm_pin.description.robot import read_robot
-from spm_pin.mechanism import PRS, RPS, RRS, Stage
+from spm_pin.mechanism import PRS, RPS, RRS, Legs, Stage
 from spm_pin.mechanism.joint_angles import home_readings
 
 SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
@@ -36,7 +36,6 @@ STATE = [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]
 STAGES = {
     "without limits": Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35)),
     "knees inside": Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35, sign=1), limits=(1.2, 2.6)),
-    "one knee inside": Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35, sign=(-1, 1, -1)), limits=(-0.5, 1.5)),
     "a long way round": Stage(0.10, 0.25, RRS(crank=0.15, rod=0.20, sign=1)),
     "screws without limits": SCREWS,
     "carriages above": Stage(0.20, 0.25, PRS(rod=0.30, sign=1), limits=(0.4, 0.6)),
@@ -78,8 +77,9 @@ def test_the_robot_stands_assembled_at_the_home_of_its_stages(name: str) -> None
     geometry = spm.Geometry.of_stages(*stages)
     robot, home = read_robot(geometry), home_readings(geometry)
     assert robot.is_assembled()
-    if STAGES[name].limits and "one" not in name:
-        np.testing.assert_allclose(home, np.repeat([np.mean(stage.limits or ()) for stage in stages], 3))
+    if STAGES[name].limits:
+        limits = geometry.limits
+        np.testing.assert_allclose(home, 0.5 * np.add(limits.minimum, limits.maximum))
     frames = robot.frames()
     np.testing.assert_allclose(frames["terminal_platform"][:3, :3], np.eye(3), atol=1e-14)
     pose = spm.pose(frames["terminal_platform"][:3, 3], rpy=[0.0, 0.0, 0.0])
@@ -87,6 +87,14 @@ def test_the_robot_stands_assembled_at_the_home_of_its_stages(name: str) -> None
     assert state.closure_residual < 1e-13
     np.testing.assert_allclose(state.readings, home, atol=1e-12)
     np.testing.assert_allclose(list(joint_values(state).values()), 0.0, atol=1e-12)
+
+
+def test_a_leg_of_the_other_working_mode_has_its_own_reading_at_home() -> None:
+    kinds = RRS(crank=0.15, rod=0.35, sign=(-1, 1, -1)), PRS(rod=0.30)
+    mixed = spm.Geometry(*ROBOT.dimensions, legs=Legs(*ROBOT.legs.arrays, kinds))
+    home = home_readings(mixed)
+    assert home[0] == home[2] != home[1]
+    assert read_robot(mixed).is_assembled()
 
 
 def test_limits_and_efforts_of_actuated_joints_are_those_of_the_readings() -> None:
@@ -154,6 +162,6 @@ def test_sdf_closes_its_loops_by_joints() -> None:
 
 
 def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
-    inwards = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(2.4, 3.4))
+    level = Stage(0.20, 0.25, PRS(rod=0.30, direction=np.pi))
     with pytest.raises(spm.GeometryError, match="A rod too short, another sign"):
-        urdf_text(spm.Geometry.of_stages(inwards, SCREWS))
+        urdf_text(spm.Geometry.of_stages(level, SCREWS))

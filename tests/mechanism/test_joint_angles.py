@@ -94,10 +94,11 @@ def test_a_ball_out_of_reach_has_no_joint_values() -> None:
         assert np.isfinite(found.actuated[..., 3:]).all()
 
 
-def test_a_stage_that_does_not_stand_level_at_the_middle_of_its_limits_is_refused() -> None:
-    inwards = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(2.4, 3.4))
-    with pytest.raises(spm.GeometryError, match=r"between 2\.4 and 3\.4 rad. A rod too short, another sign"):
-        home_readings(spm.Geometry.of_stages(inwards, Stage(0.20, 0.25)))
+def test_a_stage_that_stands_level_neither_at_its_limits_nor_without_is_refused() -> None:
+    """With carriages on level slides at the pivots the balls would be behind them, in the other working mode."""
+    level = Stage(0.20, 0.25, PRS(rod=0.30, direction=np.pi))
+    with pytest.raises(spm.GeometryError, match=r"level at the middle of its limits.* A rod too short, another sign"):
+        home_readings(spm.Geometry.of_stages(level, Stage(0.20, 0.25)))
 
 
 @pytest.mark.parametrize("name", list(GEOMETRIES))
