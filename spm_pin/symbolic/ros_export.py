@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from spm_pin.description import SLIDES, srdf_text, urdf_text
+from spm_pin.description import srdf_text, urdf_text
 from spm_pin.description.masses import Masses
 from spm_pin.description.source_files import MESHES, description_directory
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.joint_angles import JOINTS, home_readings
+from spm_pin.mechanism.joint_angles import actuated_joints, home_readings, homes, joint_names
 from spm_pin.symbolic.c_export import c_sources, filled, write_files
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
@@ -48,7 +48,8 @@ def ros_package(geometry: Geometry, *, prefix: str = "", masses: Masses | None =
     package = f"{name}robot"
     sources = c_sources(geometry, prefix=name, masses=masses)
     urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses)
-    slides, joints = ([f"{prefix}{joint}" for joint in names] for names in (SLIDES, JOINTS))
+    names = actuated_joints(geometry), joint_names(geometry)
+    slides, joints = ([f"{prefix}{joint}" for joint in each] for each in names)
     zeros = (home_readings(geometry) + geometry.legs.offsets).tolist()
     readings, goal = start_readings(geometry)
     position, quaternion = goal.translation, goal.pose.rotation.as_quat()
@@ -74,7 +75,7 @@ def ros_package(geometry: Geometry, *, prefix: str = "", masses: Masses | None =
     }
     hardware = _hardware(geometry, package, slides, zeros, readings)
     package_files["urdf/spm.urdf"] = urdf.replace("</robot>", f"{hardware}</robot>")
-    package_files["urdf/spm.srdf"] = srdf_text(prefix=prefix)
+    package_files["urdf/spm.srdf"] = srdf_text(geometry=geometry, prefix=prefix)
     package_files |= {
         f"src/{name}": sources[name] for name in sources if name.endswith(("kinematics.c", "kinematics.h"))
     }
@@ -99,16 +100,27 @@ def write_ros(
 
 
 def travel(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
-    """Return the least and largest readings, where there is no limit one leg's length at home above home."""
-    limits, home = geometry.limits or LegLimits(0.0, float("inf")), home_readings(geometry)
-    low = np.array(limits.minimum)
-    return low, np.minimum(limits.maximum, np.maximum(low, home + geometry.legs.offsets) + home)
+    """Return the least and largest readings, where there is no limit those of a `_stroke` from the home."""
+    limits, home = _limits(geometry), home_readings(geometry) + geometry.legs.offsets
+    stroke, low = _stroke(geometry), np.array(limits.minimum)
+    low = np.where(np.isfinite(low), low, home - stroke)
+    return low, np.minimum(limits.maximum, np.maximum(low, home) + stroke)
+
+
+def _limits(geometry: Geometry) -> LegLimits:
+    return geometry.limits or LegLimits(geometry.legs.least_readings.tolist(), np.inf)
+
+
+def _stroke(geometry: Geometry) -> FloatArray:
+    """Return the change of each reading (6,) that moves a ball by its distance from the pivot at home, at most."""
+    _, places = homes(geometry)
+    return np.asarray(np.hypot(*places.T) / np.abs(geometry.legs.largest_slopes))
 
 
 def start_readings(geometry: Geometry) -> tuple[list[float], Configuration]:
     """Return readings to start from, away from the ends of the limits and from a level platform, and a state nearby."""
-    (low, high), home = travel(geometry), home_readings(geometry)
-    middle, reach = 0.5 * (low + high), np.minimum(0.25 * (high - low), _SHARE * home)
+    low, high = travel(geometry)
+    middle, reach = 0.5 * (low + high), np.minimum(0.25 * (high - low), _SHARE * _stroke(geometry))
     for share in (1.0, 0.5, 0.2):
         readings = (middle + share * reach * _PATTERN).round(12)  # 1.2, not 1.2000000000000002
         states = forward_physical(geometry, [readings, 0.5 * (middle + readings)])
@@ -118,15 +130,14 @@ def start_readings(geometry: Geometry) -> tuple[list[float], Configuration]:
 
 
 def _hardware(geometry: Geometry, name: str, slides: list[str], zeros: list[float], readings: list[float]) -> str:
-    """Return the description's `<ros2_control>`: six slides, their zeros and units those of the description."""
-    limits = geometry.limits or LegLimits(0.0, float("inf"))
+    """Return the description's `<ros2_control>`: six actuated joints, their zeros and units the description's."""
+    limits = _limits(geometry)
     lines = [f'  <ros2_control name="{name}" type="system">', "    <hardware>"]
     lines += ["      <plugin>mock_components/GenericSystem</plugin>", "    </hardware>"]
     for leg, (slide, zero, reading) in enumerate(zip(slides, zeros, readings, strict=True)):
         lines += [f'    <joint name="{slide}">', '      <command_interface name="position">']
-        lines += [f'        <param name="min">{limits.minimum[leg] - zero!r}</param>']
-        if limits.maximum[leg] < float("inf"):
-            lines += [f'        <param name="max">{limits.maximum[leg] - zero!r}</param>']
+        ends = (("min", limits.minimum[leg]), ("max", limits.maximum[leg]))
+        lines += [f'        <param name="{end}">{x - zero!r}</param>' for end, x in ends if np.isfinite(x)]
         lines += ["      </command_interface>", '      <state_interface name="position">']
         lines += [f'        <param name="initial_value">{reading - zero!r}</param>', "      </state_interface>"]
         lines += ["    </joint>"]

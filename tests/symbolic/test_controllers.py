@@ -20,6 +20,8 @@ from symbolic.c_library import STRICT, compile_c, compilers, run_cmake
 
 import spm_pin as spm
 from spm_pin.description import joint_values
+from spm_pin.mechanism import PRS, RRS, Stage
+from spm_pin.symbolic.ros_export import start_readings, travel
 
 PAPER = GEOMETRIES["paper"]
 STAND_INS = Path(__file__).parent / "stand_ins"
@@ -30,6 +32,19 @@ def worst_error(program: Path, *arguments: Path) -> float:
     done = subprocess.run([program, *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"exit code {done.returncode} says which check failed"
     return float(done.stdout)
+
+
+def test_packages_start_servos_and_screws_in_a_state_off_the_level_within_their_limits() -> None:
+    servos, screws = RRS(crank=0.15, rod=0.35), PRS(rod=0.30)
+    limited = spm.Geometry.of_stages(Stage(0.30, 0.25, servos, (-0.5, 1.5)), Stage(0.20, 0.25, screws, (-0.05, 0.25)))
+    for machine in (limited, spm.Geometry.of_stages(Stage(0.30, 0.25, servos), Stage(0.20, 0.25, screws))):
+        readings, goal = start_readings(machine)
+        low, high = travel(machine)
+        assert (low < readings).all()
+        assert (readings < high).all()
+        assert spm.forward_physical(machine, readings).exists
+        assert abs(goal.rotation[2, 2]) < 1.0 - 1e-4
+        assert machine is not limited or (low == limited.limits.minimum).all()
 
 
 def test_the_axes_of_linuxcnc_move_the_legs_at_half_their_rate() -> None:
