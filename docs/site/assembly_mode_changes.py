@@ -185,7 +185,7 @@ def stage_region(epsilon: float) -> StageRegion:
 
 def squared_lengths(epsilon: float, states: Array) -> Array:
     """Return the squared leg lengths (..., 3) of states (..., 3), in units of r²."""
-    squares, _ = stage_region(epsilon).evaluate(*(Interval.from_numbers(states[..., i]) for i in range(3)))
+    squares = stage_region(epsilon).evaluate(*(Interval.from_numbers(states[..., i]) for i in range(3))).squares
     return np.stack([0.5 * (square.low + square.high) for square in squares], axis=-1)
 
 
@@ -212,7 +212,7 @@ def certificate(epsilon: float, path: Array, most: int = 100_000) -> tuple[int, 
         if boxes > most:
             raise ValueError("the sign of the determinant is not proved along the path")
         low, high = pairs.min(axis=0), pairs.max(axis=0)
-        _, found = region.evaluate(*(Interval(low[:, i], high[:, i]) for i in range(3)))
+        found = region.evaluate(*(Interval(low[:, i], high[:, i]) for i in range(3))).determinant
         bounds += [*found.low[found.low > 0.0], *found.high[found.high < 0.0]]
         start, end = pairs[:, (found.low <= 0.0) & (found.high >= 0.0)]
         middle = 0.5 * (start + end)

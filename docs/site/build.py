@@ -40,6 +40,7 @@ PUBLIC = {
     "spm_pin": "the names of everyday use",
     "spm_pin.mechanism": "dimensions, poses, configurations, sets of solutions",
     "spm_pin.kinematics": "branches, assembly modes, rates, forces, singularities and paths in closed form",
+    "spm_pin.stages": "a stage as a machine of its own: displacements, rates, forces, singularities, reach",
     "spm_pin.workspace": "what the terminal platform reaches: the paper's shell, and the reachable set",
     "spm_pin.capability": "what limits of the legs allow: polytopes of wrenches, twists, accelerations; reactions",
     "spm_pin.design": "many designs in one call, and Pareto fronts of dimensions",
@@ -66,6 +67,7 @@ INTERNAL = {
     "nlp": "the search",
     "description": "the robot of the URDF as data, and its writers",
     "multibody": "the robot in Pinocchio, its loops closed by constraints",
+    "stages": "a stage alone",
     "workspace": "the shell of Table 6, and the reachable set",
     "calibration": "the error model, identification, the choice of poses",
     "sweeps": "domains, metrics, store and runs",
@@ -160,7 +162,8 @@ def _contents(found: dict[str, str]) -> str:
     """Return the tables of contents: what stands first, and then whatever else a folder holds."""
     kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
     theory = ("README", *kinematics, "literature_checks", "workspace", "reachable_set", "proofs", "as_built")
-    guides = ("batches", "paths", "motion", "workspace", "viewer", "pipelines", "load_elsewhere", "controller", "sweep")
+    guides = ("ball_balancer", "batches", "paths", "motion", "workspace", "viewer", "pipelines", "load_elsewhere")
+    guides += ("controller", "sweep")
     chapters = {
         "How to": _ordered(found, "howto", guides),
         "Notebooks": [f"notebooks/{name}" for name in CHAPTERS],
