@@ -23,7 +23,8 @@ from spm_pin.formulas import ball_motions, circles, leg_constants, leg_planes, v
 from spm_pin.formulas import branches as formulas
 from spm_pin.formulas import joint_values as values
 from spm_pin.mechanism import BRANCHES, Geometry
-from spm_pin.mechanism.arguments import FloatArray, as_bool, choice
+from spm_pin.mechanism.arguments import FloatArray, as_bool, check_instance, choice
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.mechanism.joint_angles import JOINTS
 from spm_pin.symbolic.machine import Drawn, Machine, State, all_of, columns, in_casadi, parts, stages_of
 
@@ -192,7 +193,9 @@ def bodies(geometry: Geometry | None = None, masses: Masses | None = None) -> Fl
         in {m}; then for each leg the mass of its cylinder, and times the distance of its centre from the pivot, and the
         mass of its rod, and times the distance of its centre from the ball.
     """
-    robot = read_robot(geometry, masses=masses)
+    machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
+    check_rps(machine, "weights of the bodies in CasADi and C")
+    robot = read_robot(machine, masses=masses)
     moments: dict[str, Any] = {}
     bodies_of_carriers = {robot.carrier(name)[0]: name for name in ("middle_platform", "terminal_platform")}
     for name, link in robot.links.items():
@@ -201,8 +204,7 @@ def bodies(geometry: Geometry | None = None, masses: Masses | None = None) -> Fl
         centre = np.linalg.solve(robot.carrier(body)[1], pose @ [*link.inertial.xyz, 1.0])[:3]
         if name.startswith("ball_"):
             # Its centre is that of a ball, which the middle platform carries.
-            body, balls = "middle_platform", (Geometry.paper() if geometry is None else geometry).legs.balls
-            centre = balls[_LEG_NAMES.index(name[5:7])]
+            body, centre = "middle_platform", machine.legs.balls[_LEG_NAMES.index(name[5:7])]
         moments[body] = moments.get(body, 0.0) + link.mass * np.array([1.0, *centre])
     rows = [moments["middle_platform"], moments["terminal_platform"]]
     for leg in _LEG_NAMES:

@@ -219,6 +219,7 @@ REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
     "leg lengths of the search": lambda g: spm.nlp.leg_lengths(g),
     "plan": lambda g: spm.plan(g, np.full(6, 1.3), np.full(6, 1.4)),
     "the paper's Jacobian": lambda g: spm.paper.jacobian.J_f(states(g)[0]),
+    "weights in C": lambda g: spm.symbolic.bodies(g),
     "workspace": lambda g: spm.workspace.reachable_position(g, [0.1, 0.0, 2.0], spm.LegLimits(0.0, 2.0)),
 }
 
