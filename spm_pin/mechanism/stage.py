@@ -34,7 +34,7 @@ from spm_pin.mechanism.machine_files import (
 from spm_pin.mechanism.units import likely_unit
 
 _LENGTHS = RPS()
-_LARGEST = 20.0
+_LARGEST = 5.0
 """A stage with a larger dimension [m] is read as one in another unit."""
 _PROPORTION = 100.0
 """Lengths of one stage that are this many times another are read as being in another unit."""
@@ -50,7 +50,7 @@ class Stage:
     Parameters
     ----------
     base_radius, platform_radius : float
-        From the centre of the base to the legs' pivots, and from that of the platform to its balls [m]; to 20 m.
+        From the centre of the base to the legs' pivots, and from that of the platform to its balls [m]; to 5 m.
     legs : LegKind or Legs
         Of a machine as drawn `RPS()`, `PRS(rod=…)` or `RRS(crank=…, rod=…)`; of one as built `Legs` of three, with
         their axes, pivots, balls and offsets.
@@ -114,7 +114,7 @@ class Stage:
         longest = max(lengths, key=lambda name: lengths[name])
         if lengths[longest] > _LARGEST:
             value, shorter = lengths[longest], min(lengths.values())
-            cause = f"Lengths are in metres: {value:g} mm are {1e-3 * value:g}"
+            cause = f"Lengths are in metres: {value:g} mm are {1e-3 * value:g}, {value:g} cm {1e-2 * value:g}"
             expected = f"a length in metres, to {_LARGEST:g}"
             if value > _PROPORTION * shorter:
                 expected += f", in proportion to the others, of which one is {shorter:g} m"

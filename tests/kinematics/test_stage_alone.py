@@ -221,6 +221,7 @@ def test_why_there_is_no_solution_is_said() -> None:
     ("make", "cause"),
     {
         "millimetres": (lambda: Stage(80, 90, spm.RRS(crank=50, rod=110)), "110 mm are 0.11"),
+        "centimetres": (lambda: Stage(8, 9, spm.RRS(crank=5, rod=11)), "11 cm 0.11"),
         "a rod in millimetres": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=110)), "110 mm are 0.11"),
         "one in centimetres": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.0005, rod=0.11)), "In another unit"),
         "a rod too short": (
