@@ -90,6 +90,15 @@ long ticks(long count, const double *readings, const double *wrench, spm_state *
     }
     return failed;
 }
+long completions(long count, const double *readings, spm_state *state, double *values)
+{
+    long n, failed = 0;
+    for (n = 0; n < count; ++n) {
+        failed += spm_forward(&spm_machine, readings + 6 * n, state, state) != SPM_OK;
+        failed += spm_joint_values(&spm_machine, state, values + 18 * n) != SPM_OK;
+    }
+    return failed;
+}
 """
 
 
@@ -143,6 +152,18 @@ def ticks(start: Configuration, readings: FloatArray, wrench: FloatArray) -> Cal
         if loaded.ticks(ctypes.c_long(len(readings)), *arrays):
             raise RuntimeError("a tick of the exported C found no state")
         return jacobian, forces
+
+    return call
+
+
+def completions(start: Configuration, readings: FloatArray) -> Callable[[], FloatArray]:
+    """Return a call that computes all joints (n, 18) of readings (n, 6), each from the last; `start` as for `ticks`."""
+    loaded, rows, values = _library(start.geometry), _rows(start), np.empty((len(readings), 18))
+
+    def call() -> FloatArray:
+        if loaded.completions(ctypes.c_long(len(readings)), *map(address, (readings, rows.copy(), values))):
+            raise RuntimeError("a completion by the exported C found no state")
+        return values
 
     return call
 

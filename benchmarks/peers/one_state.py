@@ -49,6 +49,13 @@ class PlainPinocchio:
         rows = [pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3] for frame in self.frames]
         return np.concatenate([rows[b] - rows[a] for a, b in self.pairs])
 
+    def gaps(self, q: FloatArray) -> FloatArray:
+        """Return by how much the closures are open at q (12,)."""
+        pin, model, data = self.pin, self.model, self.data
+        pin.framesForwardKinematics(model, data, q)
+        places = [data.oMf[frame].translation for frame in self.frames]
+        return np.concatenate([places[b] - places[a] for a, b in self.pairs])
+
     def forward(self, q: FloatArray, v: FloatArray, forces: FloatArray) -> FloatArray:
         """Return joint accelerations (18,) under leg forces (6,)."""
         lapack.dgetrf(self.closures(q)[:, self.passive])

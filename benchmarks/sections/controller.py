@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 import spm_pin as spm
-from benchmarks.peers.exported import CALLS, call_times, ticks
+from benchmarks.peers import completion
+from benchmarks.peers.exported import CALLS, call_times, completions, ticks
 from benchmarks.peers.one_state import PlainPinocchio
 from benchmarks.peers.peer import FloatArray, Unavailable
 from benchmarks.poses import GEOMETRY, leg_space
@@ -15,6 +16,7 @@ from benchmarks.report import Facts, Section, count, seconds, spread_of_seconds,
 from benchmarks.sections.jobs import walk
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, TimedCall, time_in_turns
+from spm_pin.mechanism.joint_angles import JOINTS
 
 _CHANGE = 1e-3
 _STATES = 10_000
@@ -56,6 +58,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     del facts
     section = Section("Controllers")
     _ticks(section, pace, progress)
+    _completions(section, pace, progress)
     _calls(section, pace, progress)
     return section
 
@@ -87,6 +90,41 @@ def _ticks(section: Section, pace: Pace, progress: Progress) -> None:
         "which a step of Newton's method there needs one:"
     )
     section.add(table(["", "a tick", "quartiles", "× the first", "quartiles"], rows))
+
+
+def _completions(section: Section, pace: Pace, progress: Progress) -> None:
+    """Time all eighteen joints of six slides, by the closed form and by an iteration on the closures."""
+    readings, chain = walk(1_000), spm.ClosedChain.from_urdf()
+    try:
+        complete = completions(spm.forward_physical(GEOMETRY, readings[:1]), readings)
+    except Unavailable as reason:
+        section.add(f"*Completion of joints by the exported C: {reason}*")
+        return
+    iterate = completion.completions(chain, readings)
+    calls = [
+        TimedCall("the exported C", complete, len(readings)),
+        TimedCall(f"Levenberg and Marquardt, tolerance {completion.TOLERANCE:g}", iterate, len(readings)),
+    ]
+    timings = time_in_turns(calls, pace, progress)
+    exact = chain.joint_values(spm.forward_physical(GEOMETRY, readings))
+    first, (joints, evaluations) = timings[calls[0].name], iterate()
+    of_tree = chain.joint_indices(*JOINTS)
+    errors = [np.abs(found - exact[:, of_tree]).max() for found in (complete(), joints[:, of_tree])]
+    rows = [
+        [
+            call.name,
+            *spread_of_seconds(timings[call.name].spread),
+            *times(timings[call.name].over(first)),
+            f"{error:.0e}",
+        ]
+        for call, error in zip(calls, errors, strict=True)
+    ]
+    section.add(
+        "**All joints of six slides**, a millisecond apart, as publishers of joint states need them: `spm_forward` and "
+        "`spm_joint_values`, and MINPACK on the gaps of the four closures in Pinocchio from the last joints, "
+        f"{evaluations / len(readings):.1f} evaluations of gaps or their Jacobian a completion:"
+    )
+    section.add(table(["", "a completion", "quartiles", "× the first", "quartiles", "largest error [rad, m]"], rows))
 
 
 def _calls(section: Section, pace: Pace, progress: Progress) -> None:

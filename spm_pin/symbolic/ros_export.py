@@ -16,13 +16,15 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.joint_angles import actuated_joints, home_readings, homes, joint_names
-from spm_pin.symbolic.c_export import c_sources, filled, write_files
+from spm_pin.symbolic.c_export import c_sources, filled, machine_fields, write_files
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
 ASSUMED_RATE, ASSUMED_ACCELERATION = 0.1, 1.0
 """Largest rate [m/s] and acceleration [m/s²] of a leg that exported files begin with; a geometry knows none."""
 _PATTERN = np.array([-1.0, 0.0, 1.0, -1.0, 0.0, 1.0])
 """How the readings at the start lie about the middle of the limits: of three steps each those of the smallest J_f."""
+_STEP = 0.1
+"""The largest step of a reading between two set-points that exported files begin with, in strokes, see `_stroke`."""
 _SHARE = 0.1
 """The largest deviation of these readings from the middle, in lengths of the legs at home."""
 
@@ -64,6 +66,13 @@ def ros_package(geometry: Geometry, *, prefix: str = "", masses: Masses | None =
         "SLIDE_NAMES": repr(slides),
         "JOINTS": repr(joints),
         "ZEROS": ", ".join(map(repr, zeros)),
+        "RATES": ", ".join(6 * [repr(ASSUMED_RATE)]),
+        "ACCELERATIONS": ", ".join(6 * [repr(ASSUMED_ACCELERATION)]),
+        "STEP": repr(round(_STEP * float(_stroke(geometry).min()), 4)),
+        "MACHINE": "\n".join(
+            f"      {name}: [{', '.join(map(repr, numbers.tolist())).replace('inf', '.inf')}]"
+            for name, numbers in machine_fields(geometry).items()
+        ),
         "READINGS": ", ".join(map(repr, readings)),
         "POSITION": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyz", position, strict=True)),
         "ORIENTATION": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyzw", quaternion, strict=True)),

@@ -9,11 +9,13 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from unittest.mock import MagicMock
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import yaml
 from cli.running import run
 from problems import GEOMETRIES, as_built
 from symbolic.c_library import STRICT, compile_c, compilers, run_cmake
@@ -27,11 +29,19 @@ PAPER = GEOMETRIES["paper"]
 STAND_INS = Path(__file__).parent / "stand_ins"
 
 
-def worst_error(program: Path, *arguments: Path) -> float:
-    """Run a driver; return the largest difference it found."""
-    done = subprocess.run([program, *arguments], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"exit code {done.returncode} says which check failed"
-    return float(done.stdout)
+def run_cpp(package: Path, source: Path, folder: Path, *arguments: object) -> str:
+    """Compile a program around the package's sources, and run it."""
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("no C++ compiler: neither g++ nor clang++")
+    sources, kinematics = package / "src", folder / "kinematics.o"
+    compile_c(compilers()[0], *STRICT, "-O2", "-c", sources / "spm_kinematics.c", "-o", kinematics)
+    include = ("-I", sources, "-I", STAND_INS / "ros2_control")
+    flags = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
+    compile_c(compiler, *flags, *include, source, kinematics, "-lm", "-o", folder / "program")
+    done = subprocess.run([folder / "program", *map(str, arguments)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    return done.stdout
 
 
 def test_packages_start_servos_and_screws_in_a_state_off_the_level_within_their_limits() -> None:
@@ -77,34 +87,51 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "package"
 
 
-def test_the_controller_for_ros2_control_comes_back_and_keeps_its_commands_out_of_reach(
-    package: Path, tmp_path: Path
-) -> None:
-    compiler = shutil.which("g++") or shutil.which("clang++")
-    if compiler is None:
-        pytest.skip("no C++ compiler: neither g++ nor clang++")
-    sources = package / "src"
-    compile_c(compilers()[0], *STRICT, "-O1", "-c", sources / "spm_kinematics.c", "-o", tmp_path / "kinematics.o")
-    include = ("-I", sources, "-I", STAND_INS / "ros2_control")
-    flags = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1")
-    inputs = (STAND_INS / "ros2_control/drive.cpp", tmp_path / "kinematics.o")
-    compile_c(compiler, *flags, *include, *inputs, "-lm", "-o", tmp_path / "program")
-    assert worst_error(tmp_path / "program") < 1e-9  # m
+def parameters_of(package: Path) -> dict[str, Any]:
+    """Return the parameters of the controller by their names in ROS."""
+    text = (package / "config/spm_controller.yaml").read_text(encoding="utf-8")
+    values = yaml.safe_load(text)["spm_controller"]["ros__parameters"]
+    return values | {f"machine.{name}": numbers for name, numbers in values.pop("machine").items()}
+
+
+def test_the_controller_for_ros2_control_follows_set_points_and_refuses_bad_ones(package: Path, tmp_path: Path) -> None:
+    lines = [
+        f"{name} {' '.join(map(str, x)) if isinstance(x, list) else x}\n" for name, x in parameters_of(package).items()
+    ]
+    (tmp_path / "parameters.txt").write_text("".join(lines), encoding="utf-8")
+    state = spm.forward_physical(
+        spm.Geometry.from_yaml(package.parent / "machine.yaml"), [1.22, 1.3, 1.38, 1.21, 1.3, 1.39]
+    )
+    np.savetxt(tmp_path / "pose.txt", [[*state.translation, *state.pose.rotation.as_quat(), *state.readings]])
+    run_cpp(package, STAND_INS / "ros2_control/drive.cpp", tmp_path, tmp_path / "parameters.txt", tmp_path / "pose.txt")
+
+
+@pytest.mark.parametrize("ticks", [300_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
+def test_bad_set_points_never_break_a_limit(package: Path, tmp_path: Path, ticks: int) -> None:
+    printed = run_cpp(package, Path(__file__).parent / "follow_set_points.cpp", tmp_path, ticks)
+    found = {name: float(value) for name, value in re.findall(r"(\w+) ([\d.]+)", printed)}
+    assert found["wrong"] == 0  # no rate, acceleration or limit of a leg was broken, and nothing was allocated
+    assert found["off"] == 0  # where the commands rest they are those of the last set-point taken
+    assert found["taken"] > ticks / 100
+    assert found["refused"] > ticks / 400
+    assert found["rests"] > ticks / 20
+    assert found["moved"] > ticks / 5
 
 
 def test_the_hardware_of_the_description_has_the_joints_of_the_controller(package: Path) -> None:
     robot = ElementTree.parse(package / "urdf/spm.urdf").getroot()
     (control,) = robot.findall("ros2_control")
     kinds = {joint.get("name"): joint.get("type") for joint in robot.findall("joint")}
-    controller = (package / "src/spm_controller.cpp").read_text(encoding="utf-8")
-    names, zeros = (re.search(rf"{x} = {{([^}}]*)}};", controller)[1].split(", ") for x in ("SLIDES", "ZEROS"))
-    assert [f'"{joint.get("name")}"' for joint in control.findall("joint")] == names
-    assert all(kinds[name.strip('"')] == "prismatic" for name in names)
+    parameters = parameters_of(package)
+    names, zeros = parameters["joints"], parameters["zeros"]
+    assert [joint.get("name") for joint in control.findall("joint")] == names
+    assert all(kinds[name] == "prismatic" for name in names)
+    assert robot.find(f"link[@name='{parameters['frame_id']}']") is not None
     # The start is the state whose slides are these.
     machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
     slides = [float(x.text) for x in control.iter("param") if x.get("name") == "initial_value"]
-    state = spm.forward_physical(machine, np.add(slides, [float(zero) for zero in zeros]))
-    expected = [joint_values(state)[name.strip('"')] for name in names]
+    state = spm.forward_physical(machine, np.add(slides, zeros))
+    expected = [joint_values(state)[name] for name in names]
     np.testing.assert_allclose(slides, expected, rtol=0, atol=1e-12)
     for mesh in robot.iter("mesh"):
         place = mesh.get("filename").removeprefix("package://spm_robot/")
@@ -169,6 +196,8 @@ def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_start
     assert [each.executable for each in started] == [
         *("robot_state_publisher", "joint_states.py", "ros2_control_node", "spawner", "spawner", "rviz2")
     ]
+    (given,) = [each.arguments for each in started if "spm_controller" in (getattr(each, "arguments", None) or ())]
+    assert given == ["spm_controller", "--param-file", str(package / "config/spm_controller.yaml")]
     for each in (started[0], started[2]):
         # A text that is not marked as one is read as YAML by launch_ros.
         assert each.parameters[0]["robot_description"] == [(package / "urdf/spm.urdf").read_text(encoding="utf-8")]

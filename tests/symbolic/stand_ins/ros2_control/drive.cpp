@@ -1,53 +1,116 @@
-// Run the controller for some ticks around a machine that follows its commands at once.
-#include <cmath>
-#include <cstdio>
+// Configure, activate and run the controller. The first file has its parameters, a name and numbers or texts in a line; the
+// second a set-point near the start: position, quaternion, and the readings it leads to.
 #include <cstring>
+#include <fstream>
+#include <iostream>
+#include <sstream>
 #include "spm_controller.cpp"
-int main()
+using controller_interface::CallbackReturn;
+
+static int failures = 0;
+
+static void expect(bool holds, const char * what)
+{
+  if (!holds) {++failures; std::cout << "not so: " << what << "\n";}
+}
+
+static bool says(spm_robot::SpmController & controller, const char * text)
+{
+  const bool is_said = std::strstr(controller.node->said, text) != nullptr;
+  if (!is_said) {std::cout << "said: " << controller.node->said << "\n";}
+  controller.node->said[0] = '\0';
+  return is_said;
+}
+
+int main(int, char ** names)
 {
   spm_robot::SpmController controller;
-  using controller_interface::return_type;
   controller.on_init();
-  controller.on_configure({});
-  controller.on_activate({});
-  const auto names = controller.command_interface_configuration().names;
-  if (names.size() != 6 || names[3] != "leg_c1_slide/position") {return 1;}
+  expect(controller.on_configure({}) == CallbackReturn::ERROR && says(controller, "spm_controller.yaml"), "no parameters");
+  auto & parameters = controller.node->parameters;
+  std::ifstream file(names[1]);
+  std::string line;
+  while (std::getline(file, line)) {
+    std::istringstream words(line);
+    std::string name, word;
+    words >> name;
+    expect(parameters.count(name) == 1, "the controller declares what the file gives");
+    rclcpp::Parameter & parameter = parameters[name];
+    std::vector<std::string> texts;
+    while (words >> word) {texts.push_back(word);}
+    std::vector<double> numbers;
+    if (name != "frame_id" && name != "joints") {
+      for (const auto & text : texts) {numbers.push_back(std::stod(text));}
+    }
+    if (name == "frame_id") {parameter.value = texts[0];} else if (name == "joints") {parameter.value = texts;} else if (
+      std::holds_alternative<double>(parameter.value)) {parameter.value = numbers[0];} else {parameter.value = numbers;}
+  }
+  auto & axes = parameters["machine.axes"].value;
+  const auto kept = axes;
+  axes = std::vector<double>(17);
+  expect(controller.on_configure({}) == CallbackReturn::ERROR, "17 numbers of axes");
+  axes = kept;
+  expect(controller.on_configure({}) == CallbackReturn::SUCCESS, "the parameters are taken");
+  const auto interfaces = controller.command_interface_configuration().names;
+  expect(interfaces.size() == 6 && interfaces[3] == "leg_c1_slide/position", "six interfaces of positions");
   controller.command_interfaces_.resize(6);
   controller.state_interfaces_.resize(6);
-  double worst = 0.0;
-  int solved = 0;
-  geometry_msgs::msg::Pose pose{};
-  for (int k = 0; k < 1000; ++k) {
-    std::array<double, 6> slides{};
-    for (int i = 0; i < 6; ++i) {slides[i] = 0.1 * std::sin(0.01 * (k + 50) * (i + 1));}
-    for (int i = 0; i < 6; ++i) {controller.state_interfaces_[i].value = slides[i];}
-    if (controller.update({}, {}) != return_type::OK) {return 2;}
-    const auto & r = controller.measured.rotation;
-    const double w = 0.5 * std::sqrt(1.0 + r[0] + r[4] + r[8]), scale = 3.0 * 0.25 / w;  // a quaternion of length 3
-    pose.orientation = {scale * (r[7] - r[5]), scale * (r[2] - r[6]), scale * (r[3] - r[1]), 3.0 * w};
-    const auto & o = controller.measured.position;
-    pose.position = {o[0], o[1], o[2]};
-    controller.node->publish(pose);
-    if (controller.update({}, {}) != return_type::OK) {return 3;}
-    if (controller.status != SPM_OK) {continue;}
-    ++solved;
-    for (int i = 0; i < 6; ++i) {worst = std::fmax(worst, std::fabs(controller.command_interfaces_[i].value - slides[i]));}
+  for (auto & slide : controller.state_interfaces_) {slide.value = -2.0;}
+  expect(controller.on_activate({}) == CallbackReturn::ERROR && says(controller, "out of range"), "no state");
+
+  const auto zeros = parameters["zeros"].as_double_array();
+  const double start[6] = {1.2, 1.3, 1.4, 1.2, 1.3, 1.4};
+  for (int i = 0; i < 6; ++i) {controller.state_interfaces_[i].value = start[i] - zeros[i];}
+  expect(controller.on_activate({}) == CallbackReturn::SUCCESS, "it begins where the machine is");
+  controller.update({}, {});
+  for (int i = 0; i < 6; ++i) {
+    expect(std::fabs(controller.command_interfaces_[i].value + zeros[i] - start[i]) < 1e-12, "it stays there");
   }
-  if (solved < 900) {return 4;}
-  std::strcpy(controller.node->warned, "");
-  const double kept = controller.command_interfaces_[0].value;
+  std::ifstream poses(names[2]);
+  geometry_msgs::msg::PoseStamped message{};
+  auto & pose = message.pose;
+  double readings[6];
+  poses >> pose.position.x >> pose.position.y >> pose.position.z;
+  poses >> pose.orientation.x >> pose.orientation.y >> pose.orientation.z >> pose.orientation.w;
+  for (double & reading : readings) {poses >> reading;}
+  const auto worst = [&] {
+      double error = 0.0;
+      for (int k = 0; k < 2000; ++k) {controller.update({}, {});}
+      for (int i = 0; i < 6; ++i) {
+        error = std::fmax(error, std::fabs(controller.command_interfaces_[i].value + zeros[i] - readings[i]));
+      }
+      return error;
+    };
+  message.header.frame_id = "map";
+  controller.node->publish(message);
+  expect(says(controller, "its frame is \"map\", not \"base\""), "another frame is refused");
+  message.header.frame_id = "base";
+  message.header.stamp.sec = 999999998;
+  controller.node->publish(message);
+  expect(says(controller, "stale"), "an old stamp is refused");
+  expect(worst() > 1e-3, "what is refused is not followed");
+  message.header.stamp.sec = 1000000000;
+  controller.node->publish(message);
+  expect(worst() < 1e-9, "it goes to the pose");
+  controller.node->publish(message);
+  expect(says(controller, "older than the last one"), "the same message again is refused");
+  message.header.stamp.sec = 0;
+  controller.node->clock.value += 1.0;
+  controller.node->publish(message);
+  expect(controller.node->said[0] == '\0', "no stamp is the time of arrival");
+  controller.node->clock.value += 1.0;
   pose.position.z += 5.0;
-  controller.node->publish(pose);
-  controller.update({}, {});
-  if (controller.status == SPM_OK || controller.command_interfaces_[0].value != kept) {return 5;}
-  if (!std::strstr(controller.node->warned, spm_status_name(controller.status))) {return 8;}
-  pose.orientation.w = NAN;
-  controller.node->publish(pose);
-  controller.update({}, {});
-  if (controller.status != SPM_NOT_FINITE) {return 7;}
-  controller.state_interfaces_[2].value = -2.0;
-  if (controller.update({}, {}) != return_type::ERROR) {return 6;}
-  if (!std::strstr(controller.node->warned, spm_status_name(controller.measured_status))) {return 9;}
-  std::printf("%.3e\n", worst);
-  return 0;
+  controller.node->publish(message);
+  expect(says(controller, "the set-point is refused, the last one is held"), "a pose out of reach is refused");
+  pose.position.z = NAN;
+  controller.node->publish(message);
+  expect(says(controller, "not finite"), "NaN is refused");
+  pose.orientation.w = 3.0;
+  controller.node->publish(message);
+  expect(says(controller, "no unit quaternion"), "a quaternion off unit length is refused");
+  expect(worst() < 1e-9, "the last one is held");
+  controller.on_deactivate({});
+  controller.node->publish(message);
+  expect(controller.node->said[0] == '\0', "nothing is taken while it is not active");
+  return failures;
 }

@@ -1,17 +1,17 @@
-// A ros2_control controller for the 3RPS-3SPR manipulator: each tick turns a reference pose into six slides, and the
-// measured slides into a pose. Nothing in `update` allocates, locks or iterates without a bound, but for a warning where a
-// reference is refused or the measured slides have no state, once a second at most.
+// A ros2_control controller for the 3RPS-3SPR manipulator: stamped poses of the platform become commands of six slides,
+// within limits of rate and acceleration. `update` neither allocates nor waits; poses are solved where they arrive.
 //
 // SPDX-License-Identifier: BSD-2-Clause
 
-#include <array>
+#include <algorithm>
 #include <cmath>
-#include <cstddef>
 #include <limits>
+#include <mutex>
 #include <string>
+#include <vector>
 
 #include "controller_interface/controller_interface.hpp"
-#include "geometry_msgs/msg/pose.hpp"
+#include "geometry_msgs/msg/pose_stamped.hpp"
 #include "pluginlib/class_list_macros.hpp"
 #include "rclcpp/rclcpp.hpp"
 #if __has_include("realtime_tools/realtime_buffer.hpp")
@@ -19,14 +19,10 @@
 #else
 #include "realtime_tools/realtime_buffer.h"
 #endif
-#include "@PREFIX@kinematics.h"
+#include "spm_set_points.hpp"
 
 namespace @PACKAGE@
 {
-
-constexpr std::array<const char *, 6> SLIDES = {@SLIDES@};
-// What the encoders read where the slides of the description are at zero [m].
-constexpr std::array<double, 6> ZEROS = {@ZEROS@};
 
 // From Jazzy on an interface is read by `get_optional`, before by `get_value`.
 template<typename Interface>
@@ -41,37 +37,73 @@ double value_of(const Interface & interface, long) {return interface.get_value()
 class SpmController : public controller_interface::ControllerInterface
 {
 public:
-  // A pose of {m} in {B}, the rotation row by row.
-  struct Pose
+  controller_interface::CallbackReturn on_init() override
   {
-    std::array<double, 9> rotation{};
-    std::array<double, 3> position{};
-    bool is_given = false;
-  };
-  // The topic `~/reference` writes it; `update` reads it without waiting.
-  realtime_tools::RealtimeBuffer<Pose> reference;
-
-  // Where the platform is, from the measured slides; NaN and a status if that is not known.
-  @PREFIX@state measured{};
-  int measured_status = @PREFIX_UPPER@NOT_FINITE;
-  // What became of the reference; commands are kept where it is not `@PREFIX_UPPER@OK`.
-  int status = @PREFIX_UPPER@OK;
-
-  controller_interface::CallbackReturn on_init() override {return controller_interface::CallbackReturn::SUCCESS;}
+    auto_declare<std::string>("frame_id", "@BASE@");
+    auto_declare<std::vector<std::string>>("joints", {});
+    for (const char * name : {"max_step", "timeout"}) {auto_declare<double>(name, 0.0);}
+    for (const char * name :
+      {"zeros", "max_velocity", "max_acceleration", "machine.dimensions", "machine.axes", "machine.pivots",
+        "machine.balls", "machine.offsets", "machine.minimum", "machine.maximum"})
+    {
+      auto_declare<std::vector<double>>(name, {});
+    }
+    return controller_interface::CallbackReturn::SUCCESS;
+  }
 
   controller_interface::CallbackReturn on_configure(const rclcpp_lifecycle::State &) override
   {
-    subscription_ = get_node()->create_subscription<geometry_msgs::msg::Pose>(
+    const std::lock_guard<std::mutex> lock(mutex_);
+    Readings rate{}, acceleration{};
+    @PREFIX@geometry & machine = set_points_.machine;
+    joints_ = get_node()->get_parameter("joints").as_string_array();
+    set_points_.frame = get_node()->get_parameter("frame_id").as_string();
+    set_points_.largest_step = get_node()->get_parameter("max_step").as_double();
+    set_points_.timeout = get_node()->get_parameter("timeout").as_double();
+    const bool are_whole = read("zeros", zeros_.data(), 6) && read("max_velocity", rate.data(), 6) &&
+      read("max_acceleration", acceleration.data(), 6) && read("machine.dimensions", machine.dimensions, 3) &&
+      read("machine.axes", machine.axes, 18) && read("machine.pivots", machine.pivots, 18) &&
+      read("machine.balls", machine.balls, 18) && read("machine.offsets", machine.offsets, 6) &&
+      read("machine.minimum", machine.minimum, 6) && read("machine.maximum", machine.maximum, 6);
+    const auto is_positive = [](double x) {return x > 0.0 && std::isfinite(x);};
+    if (!are_whole || joints_.size() != 6 || get_update_rate() == 0 || !is_positive(set_points_.largest_step) ||
+      !is_positive(set_points_.timeout) || !std::all_of(rate.begin(), rate.end(), is_positive) ||
+      !std::all_of(acceleration.begin(), acceleration.end(), is_positive))
+    {
+      RCLCPP_ERROR(
+        get_node()->get_logger(), "expected a rate of updates, six joints, and a positive max_step, timeout, max_velocity and "
+        "max_acceleration: is config/spm_controller.yaml given?");
+      return controller_interface::CallbackReturn::ERROR;
+    }
+    set_points_.period = 1.0 / get_update_rate();
+    limiter_.configure(rate, acceleration, set_points_.period);
+    subscription_ = get_node()->create_subscription<geometry_msgs::msg::PoseStamped>(
       "~/reference", rclcpp::SystemDefaultsQoS(),
-      [this](const geometry_msgs::msg::Pose & message) {reference.writeFromNonRT(pose_of(message));});
+      [this](const geometry_msgs::msg::PoseStamped & message) {take(message);});
     return controller_interface::CallbackReturn::SUCCESS;
   }
 
   controller_interface::CallbackReturn on_activate(const rclcpp_lifecycle::State &) override
   {
-    // A reference of before is not followed, and where the machine is now is found anew.
-    reference.writeFromNonRT(Pose{});
-    measured_status = @PREFIX_UPPER@NOT_FINITE;
+    // A set-point of before is not followed: the machine stays where it is.
+    const std::lock_guard<std::mutex> lock(mutex_);
+    Readings readings{};
+    for (std::size_t i = 0; i < 6; ++i) {readings[i] = value_of(state_interfaces_[i], 0) + zeros_[i];}
+    const int status = set_points_.begin(readings);
+    if (status != @PREFIX_UPPER@OK) {
+      RCLCPP_ERROR(
+        get_node()->get_logger(), "no state with the measured slides: %s", @PREFIX@status_name(status));
+      return controller_interface::CallbackReturn::ERROR;
+    }
+    limiter_.begin(readings, target_.serial);
+    is_active_ = true;
+    return controller_interface::CallbackReturn::SUCCESS;
+  }
+
+  controller_interface::CallbackReturn on_deactivate(const rclcpp_lifecycle::State &) override
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    is_active_ = false;
     return controller_interface::CallbackReturn::SUCCESS;
   }
 
@@ -81,69 +113,57 @@ public:
 
   controller_interface::return_type update(const rclcpp::Time &, const rclcpp::Duration &) override
   {
-    std::array<double, 6> readings{};
-    for (std::size_t i = 0; i < SLIDES.size(); ++i) {
-      readings[i] = value_of(state_interfaces_[i], 0) + ZEROS[i];
-    }
-    // From where it was, so that the assembly mode never changes unnoticed; anew where that is not known.
-    const @PREFIX@state * near = measured_status == @PREFIX_UPPER@OK ? &measured : nullptr;
-    measured_status = @PREFIX@forward(&@PREFIX@machine, readings.data(), near, &measured);
-
-    const Pose & wanted = *reference.readFromRT();
-    if (wanted.is_given && measured_status == @PREFIX_UPPER@OK) {
-      // On the branch that the machine is in: a pose may be held in two, and a jump from one to the other breaks it.
-      @PREFIX@state state{};
-      status = @PREFIX@inverse(
-        &@PREFIX@machine, wanted.rotation.data(), wanted.position.data(), &measured, &state);
-      for (std::size_t i = 0; i < SLIDES.size() && status == @PREFIX_UPPER@OK; ++i) {
-        if (state.readings[i] < @PREFIX@machine.minimum[i] || state.readings[i] > @PREFIX@machine.maximum[i]) {
-          status = @PREFIX_UPPER@UNREACHABLE;
-        }
-      }
-      if (status != @PREFIX_UPPER@OK) {
-        RCLCPP_WARN_THROTTLE(
-          get_node()->get_logger(), *get_node()->get_clock(), 1000, "the reference is refused, commands are kept: %s",
-          @PREFIX@status_name(status));
-      }
-      for (std::size_t i = 0; i < SLIDES.size() && status == @PREFIX_UPPER@OK; ++i) {
-        (void)command_interfaces_[i].set_value(state.readings[i] - ZEROS[i]);
-      }
-    }
-    if (measured_status != @PREFIX_UPPER@OK) {
-      RCLCPP_WARN_THROTTLE(
-        get_node()->get_logger(), *get_node()->get_clock(), 1000, "no state with the measured slides: %s",
-        @PREFIX@status_name(measured_status));
-    }
-    return measured_status == @PREFIX_UPPER@OK ? controller_interface::return_type::OK :
-           controller_interface::return_type::ERROR;
-  }
-
-  static Pose pose_of(const geometry_msgs::msg::Pose & message)
-  {
-    const auto & p = message.position;
-    const auto & q = message.orientation;
-    const double size = std::sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
-    const double x = q.x / size, y = q.y / size, z = q.z / size, w = q.w / size;
-    Pose pose;
-    pose.rotation = {
-      1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w),
-      2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w),
-      2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)};
-    pose.position = {p.x, p.y, p.z};
-    pose.is_given = true;
-    return pose;
+    const Readings commands = limiter_.tick(*for_update_.readFromRT());
+    for (std::size_t i = 0; i < 6; ++i) {(void)command_interfaces_[i].set_value(commands[i] - zeros_[i]);}
+    return controller_interface::return_type::OK;
   }
 
 private:
-  rclcpp::Subscription<geometry_msgs::msg::Pose>::SharedPtr subscription_;
+  std::mutex mutex_;  // of all that `update` does not touch
+  SetPoints set_points_;
+  Target target_;
+  bool is_active_ = false;
+  realtime_tools::RealtimeBuffer<Target> for_update_;
+  Limiter limiter_;
+  std::vector<std::string> joints_;
+  Readings zeros_{};  // what the encoders read where the slides of the description are at zero [m]
+  rclcpp::Subscription<geometry_msgs::msg::PoseStamped>::SharedPtr subscription_;
 
-  static controller_interface::InterfaceConfiguration interfaces()
+  void take(const geometry_msgs::msg::PoseStamped & message)
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!is_active_) {return;}
+    const auto & p = message.pose.position;
+    const auto & q = message.pose.orientation;
+    const double stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec;
+    const SetPoint wanted{message.header.frame_id, stamp, {p.x, p.y, p.z}, {q.x, q.y, q.z, q.w}};
+    const std::string reason = set_points_.take(wanted, get_node()->now().seconds(), target_);
+    if (reason.empty()) {
+      for_update_.writeFromNonRT(target_);
+      return;
+    }
+    RCLCPP_WARN_THROTTLE(
+      get_node()->get_logger(), *get_node()->get_clock(), 1000, "the set-point is refused, the last one is held: %s",
+      reason.c_str());
+  }
+
+  bool read(const std::string & name, double * numbers, std::size_t count)
+  {
+    const std::vector<double> values = get_node()->get_parameter(name).as_double_array();
+    if (values.size() != count) {
+      RCLCPP_ERROR(
+        get_node()->get_logger(), "%s: expected %zu numbers, got %zu", name.c_str(), count, values.size());
+      return false;
+    }
+    std::copy(values.begin(), values.end(), numbers);
+    return true;
+  }
+
+  controller_interface::InterfaceConfiguration interfaces() const
   {
     controller_interface::InterfaceConfiguration configuration{
       controller_interface::interface_configuration_type::INDIVIDUAL, {}};
-    for (const char * slide : SLIDES) {
-      configuration.names.push_back(std::string(slide) + "/position");
-    }
+    for (const std::string & joint : joints_) {configuration.names.push_back(joint + "/position");}
     return configuration;
   }
 };

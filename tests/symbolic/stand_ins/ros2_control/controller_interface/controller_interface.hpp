@@ -1,17 +1,24 @@
 // What a controller uses of ros2_control, rclcpp, realtime_tools, geometry_msgs and pluginlib (Humble to Jazzy), written
 // anew for the tests.
 #pragma once
+#include <cstdint>
 #include <cstdio>
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
+#include <variant>
 #include <vector>
 namespace geometry_msgs::msg
 {
-struct Pose
+struct PoseStamped
 {
-  struct {double x, y, z;} position;
-  struct {double x, y, z, w;} orientation;
+  struct {struct {std::int32_t sec; std::uint32_t nanosec;} stamp; std::string frame_id;} header;
+  struct
+  {
+    struct {double x, y, z;} position;
+    struct {double x, y, z, w;} orientation;
+  } pose;
 };
 }  // namespace geometry_msgs::msg
 namespace rclcpp_lifecycle
@@ -20,7 +27,11 @@ struct State {};
 }  // namespace rclcpp_lifecycle
 namespace rclcpp
 {
-struct Time {};
+struct Time
+{
+  double value = 0.0;
+  double seconds() const {return value;}
+};
 struct Duration {};
 struct SystemDefaultsQoS {};
 template<typename Message>
@@ -28,6 +39,14 @@ struct Subscription
 {
   using SharedPtr = std::shared_ptr<Subscription>;
   std::function<void(const Message &)> callback;
+};
+struct Parameter
+{
+  std::variant<double, std::string, std::vector<double>, std::vector<std::string>> value;
+  double as_double() const {return std::get<double>(value);}
+  std::string as_string() const {return std::get<std::string>(value);}
+  std::vector<double> as_double_array() const {return std::get<std::vector<double>>(value);}
+  std::vector<std::string> as_string_array() const {return std::get<std::vector<std::string>>(value);}
 };
 struct Node
 {
@@ -41,10 +60,14 @@ struct Node
   }
   struct Logger {char * text;};
   struct Clock {int ticks;};
-  Logger get_logger() {return {warned};}
+  Logger get_logger() {return {said};}
   std::shared_ptr<Clock> get_clock() {return std::make_shared<Clock>();}
-  char warned[200] = "";
-  std::function<void(const geometry_msgs::msg::Pose &)> publish;
+  Time now() {return clock;}
+  Parameter get_parameter(const std::string & name) {return parameters.at(name);}
+  char said[300] = "";
+  Time clock{1e9};
+  std::map<std::string, Parameter> parameters{{"update_rate", {0.0}}};
+  std::function<void(const geometry_msgs::msg::PoseStamped &)> publish;
 };
 }  // namespace rclcpp
 namespace realtime_tools
@@ -82,15 +105,20 @@ public:
   virtual CallbackReturn on_init() = 0;
   virtual CallbackReturn on_configure(const rclcpp_lifecycle::State &) = 0;
   virtual CallbackReturn on_activate(const rclcpp_lifecycle::State &) = 0;
+  virtual CallbackReturn on_deactivate(const rclcpp_lifecycle::State &) = 0;
   virtual InterfaceConfiguration command_interface_configuration() const = 0;
   virtual InterfaceConfiguration state_interface_configuration() const = 0;
   virtual return_type update(const rclcpp::Time & time, const rclcpp::Duration & period) = 0;
   std::shared_ptr<rclcpp::Node> get_node() {return node;}
+  unsigned int get_update_rate() const {return static_cast<unsigned int>(node->get_parameter("update_rate").as_double());}
+  template<typename T>
+  void auto_declare(const std::string & name, const T & value) {node->parameters.try_emplace(name, rclcpp::Parameter{value});}
   std::vector<LoanedInterface> command_interfaces_, state_interfaces_;
   std::shared_ptr<rclcpp::Node> node = std::make_shared<rclcpp::Node>();
 };
 }  // namespace controller_interface
 #define PLUGINLIB_EXPORT_CLASS(derived, base) \
   std::unique_ptr<base> made_by_pluginlib() {return std::make_unique<derived>();}
+#define RCLCPP_ERROR(logger, ...) std::snprintf((logger).text, 300, __VA_ARGS__)
 #define RCLCPP_WARN_THROTTLE(logger, clock, milliseconds, ...) \
-  ((void)(clock).ticks, (void)(milliseconds), std::snprintf((logger).text, 200, __VA_ARGS__))
+  ((void)(clock).ticks, (void)(milliseconds), std::snprintf((logger).text, 300, __VA_ARGS__))

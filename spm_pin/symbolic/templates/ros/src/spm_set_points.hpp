@@ -1,0 +1,181 @@
+// What the controller does, without ROS: `SetPoints` checks set-points where they arrive, and `Limiter` leads the legs to
+// them, tick by tick.
+//
+// SPDX-License-Identifier: BSD-2-Clause
+
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "@PREFIX@kinematics.h"
+
+namespace @PACKAGE@
+{
+
+using Readings = std::array<double, 6>;  // what the encoders show [m]
+
+// Readings to go to, from the first to the last tick of a number of them.
+struct Target
+{
+  Readings readings{};
+  std::int64_t ticks = 0;
+  std::uint64_t serial = 0;  // larger with every target
+};
+
+// A stamped pose of {m}, seen from a frame.
+struct SetPoint
+{
+  std::string frame;
+  double stamp = 0.0;  // [s], zero for the time of arrival
+  std::array<double, 3> position{};
+  std::array<double, 4> quaternion{};  // x, y, z, w
+};
+
+// Takes the set-points that are safe to follow. Not for the control loop: it compares strings, and the way to a pose beside a
+// singularity takes milliseconds.
+class SetPoints
+{
+public:
+  std::string frame;
+  double largest_step = 0.0;  // of a reading, from the last set-point taken [m]
+  double timeout = 0.0;       // the largest age of a set-point that arrives [s]
+  double period = 0.0;        // of the control loop [s]
+  @PREFIX@geometry machine{};
+
+  // Begin where the machine is; returns the status of its state.
+  int begin(const Readings & readings)
+  {
+    last_stamp_ = -std::numeric_limits<double>::infinity();
+    status_ = @PREFIX@forward(&machine, readings.data(), nullptr, &state_);
+    return status_;
+  }
+
+  // Return why a set-point is refused, or nothing and the target that it becomes.
+  std::string take(const SetPoint & wanted, double now, Target & target)
+  {
+    if (status_ != @PREFIX_UPPER@OK) {return "the state of the machine is not known";}
+    if (wanted.frame != frame) {return "its frame is \"" + wanted.frame + "\", not \"" + frame + "\"";}
+    const double stamp = wanted.stamp == 0.0 ? now : wanted.stamp;
+    if (!(std::fabs(now - stamp) <= timeout)) {return "it is stale, by " + std::to_string(now - stamp) + " s";}
+    if (!(stamp > last_stamp_)) {return "it is older than the last one";}
+
+    const auto & [x, y, z, w] = wanted.quaternion;
+    if (!(std::fabs(x * x + y * y + z * z + w * w - 1.0) <= 1e-3)) {return "its orientation is no unit quaternion";}
+    const double s = 2.0 / (x * x + y * y + z * z + w * w);
+    const std::array<double, 9> rotation = {
+      1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w),
+      s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
+      s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)};
+    // On the branch that the machine is in: a pose may be held in two, and a jump from one to the other breaks it.
+    @PREFIX@state next{}, reached{};
+    const int status = @PREFIX@inverse(&machine, rotation.data(), wanted.position.data(), &state_, &next);
+    if (status != @PREFIX_UPPER@OK) {return @PREFIX@status_name(status);}
+    for (std::size_t i = 0; i < 6; ++i) {
+      const double reading = next.readings[i];
+      if (!(reading >= machine.minimum[i] && reading <= machine.maximum[i])) {return "a leg is beyond its limits";}
+      if (!(std::fabs(reading - state_.readings[i]) <= largest_step)) {return "it jumps";}
+    }
+    // The legs go another way than the platform would; it must end in the same state.
+    if (@PREFIX@forward(&machine, next.readings, &state_, &reached) != @PREFIX_UPPER@OK || !is_near(reached, next)) {
+      return "a singularity is on the way of the legs";
+    }
+    state_ = next;
+    std::copy_n(next.readings, 6, target.readings.begin());
+    target.ticks = stamp - last_stamp_ <= timeout ? std::llround((stamp - last_stamp_) / period) : 1;
+    ++target.serial;
+    last_stamp_ = stamp;
+    return "";
+  }
+
+private:
+  @PREFIX@state state_{};  // of the last set-point taken
+  int status_ = @PREFIX_UPPER@BAD_NEAR;
+  double last_stamp_ = 0.0;
+
+  bool is_near(const @PREFIX@state & a, const @PREFIX@state & b) const
+  {
+    double error = 0.0;
+    for (std::size_t i = 0; i < 9; ++i) {error = std::max(error, std::fabs(a.joints[i] - b.joints[i]));}
+    return error <= 1e-6 * machine.dimensions[2];
+  }
+};
+
+// Leads six readings to targets, within limits of rate and acceleration. Between two targets the readings change in proportion:
+// linearly in the time between the set-points, or longer where a leg would be too fast. The commands are the means
+// of the last ticks, in number such that twice the largest rate is gained in them at the largest acceleration. A mean of
+// readings within limits is within them, is never faster than they are, and never goes beyond the end.
+//
+// Readings are counted in units of 2^-40 m, so that sums of them are exact however long the controller runs.
+class Limiter
+{
+public:
+  // Allocates, as nothing below does.
+  void configure(const Readings & rate, const Readings & acceleration, double period)
+  {
+    double ticks = 1.0;
+    for (std::size_t i = 0; i < 6; ++i) {
+      step_[i] = rate[i] * period * UNITS - 1.0;  // one unit less, for rounding
+      ticks = std::max(ticks, std::ceil(2.0 * rate[i] / (acceleration[i] * period)));
+    }
+    past_.resize(static_cast<std::size_t>(ticks));
+  }
+
+  // Stay at readings, until a target comes with a larger serial number than this.
+  void begin(const Readings & readings, std::uint64_t serial)
+  {
+    for (std::size_t i = 0; i < 6; ++i) {
+      from_[i] = to_[i] = now_[i] = std::llround(readings[i] * UNITS);
+      sum_[i] = now_[i] * static_cast<std::int64_t>(past_.size());
+    }
+    std::fill(past_.begin(), past_.end(), now_);
+    tick_ = ticks_ = 0;
+    serial_ = serial;
+  }
+
+  // The commands of the next tick.
+  Readings tick(const Target & target)
+  {
+    if (target.serial > serial_) {
+      serial_ = target.serial;
+      tick_ = 0;
+      ticks_ = std::max<std::int64_t>(target.ticks, 1);
+      from_ = now_;
+      for (std::size_t i = 0; i < 6; ++i) {
+        to_[i] = std::llround(target.readings[i] * UNITS);
+        const double least = std::ceil(static_cast<double>(std::llabs(to_[i] - from_[i])) / step_[i]);
+        ticks_ = std::max(ticks_, static_cast<std::int64_t>(least));
+      }
+    }
+    tick_ = std::min(tick_ + 1, ticks_);
+    const double share = ticks_ > 0 ? static_cast<double>(tick_) / static_cast<double>(ticks_) : 1.0;
+    next_ = next_ + 1 < past_.size() ? next_ + 1 : 0;
+    Readings commands{};
+    for (std::size_t i = 0; i < 6; ++i) {
+      now_[i] = from_[i] + std::llround(share * static_cast<double>(to_[i] - from_[i]));
+      sum_[i] += now_[i] - past_[next_][i];
+      past_[next_][i] = now_[i];
+      commands[i] = static_cast<double>(sum_[i]) / (UNITS * static_cast<double>(past_.size()));
+    }
+    return commands;
+  }
+
+private:
+  using Counts = std::array<std::int64_t, 6>;
+  static constexpr double UNITS = 1099511627776.0;  // to a metre
+
+  Readings step_{};                       // the most in a tick
+  Counts from_{}, to_{}, now_{}, sum_{};  // the way to the target, and the sum of `past_`
+  std::vector<Counts> past_ = std::vector<Counts>(1);
+  std::size_t next_ = 0;
+  std::int64_t tick_ = 0, ticks_ = 0;
+  std::uint64_t serial_ = 0;
+};
+
+}  // namespace @PACKAGE@
