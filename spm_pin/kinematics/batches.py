@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +35,43 @@ _CACHE_LINE, _LONG = 64, 1 << 14
 """Bytes of a cache line, and of a result that begins at one: a store across two lines takes twice as long."""
 Result = tuple[tuple[int, ...], npt.DTypeLike]
 """Trailing shape and type of one result of a kernel."""
+
+
+class DrawnBranches(NamedTuple):
+    """Results of the kernel `all_branches`, of N poses."""
+
+    rotation: Any
+    position: Any
+    joints: Any
+    lengths: Any
+    discriminants: Any
+    certain: Any
+    at_home: Any
+    status: Any
+    flagged: Any
+
+
+class BuiltBranches(NamedTuple):
+    """Results of the kernel `as_built_branches`, of N poses."""
+
+    rotation: Any
+    position: Any
+    joints: Any
+    lengths: Any
+    roots: Any
+    carried: Any
+    status: Any
+
+
+_BRANCHES: tuple[Result, Result, Result, Result] = (
+    ((3, 3), np.float64),
+    ((3,), np.float64),
+    ((8, 3, 3), np.float64),
+    ((8, 6), np.float64),
+)
+_SIGNS: tuple[Result, Result, Result] = (((4,), np.float64), ((4,), np.bool_), ((8,), np.bool_))
+DRAWN_BRANCHES = DrawnBranches(*_BRANCHES, *_SIGNS, ((), np.int8), ((), np.uint8))
+BUILT_BRANCHES = BuiltBranches(*_BRANCHES, np.empty((0, 8, 3, 3), np.complex128), ((8,), np.uint8), ((), np.int8))
 
 
 def new_result(count: int, result: Result) -> npt.NDArray[Any]:

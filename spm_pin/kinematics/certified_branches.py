@@ -25,8 +25,8 @@ from spm_pin.formulas.leg_planes import upper_ball_weights, upper_balls
 from spm_pin.formulas.operations import bind
 from spm_pin.formulas.stages import cartesian
 from spm_pin.formulas.vectors import combined, cross, dot, minus, rotation_of, scaled, times
+from spm_pin.kinematics.batches import BuiltBranches, DrawnBranches
 from spm_pin.kinematics.intervals import SQRT_3, Interval
-from spm_pin.kinematics.inverse_displacement import BuiltBranches, DrawnBranches
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration

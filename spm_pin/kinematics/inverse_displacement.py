@@ -16,7 +16,17 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.branches import ROUNDING
-from spm_pin.kinematics.batches import Result, new_result, radii, read_pose, run_kernel, with_batch_shape
+from spm_pin.kinematics.batches import (
+    BUILT_BRANCHES,
+    DRAWN_BRANCHES,
+    BuiltBranches,
+    DrawnBranches,
+    new_result,
+    radii,
+    read_pose,
+    run_kernel,
+    with_batch_shape,
+)
 from spm_pin.mechanism.arguments import FloatArray, as_bool, check_instance, whole_number
 from spm_pin.mechanism.branch_of_state import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
@@ -123,43 +133,6 @@ def _within_reach(branches: SolutionSet) -> SolutionSet:
     return replace(left, status=np.where(lost, Status.UNREACHABLE, branches.status), at_home=None)
 
 
-class DrawnBranches(NamedTuple):
-    """Results of the kernel `all_branches`, of N poses."""
-
-    rotation: Any
-    position: Any
-    joints: Any
-    lengths: Any
-    discriminants: Any
-    certain: Any
-    at_home: Any
-    status: Any
-    flagged: Any
-
-
-class BuiltBranches(NamedTuple):
-    """Results of the kernel `as_built_branches`, of N poses."""
-
-    rotation: Any
-    position: Any
-    joints: Any
-    lengths: Any
-    roots: Any
-    carried: Any
-    status: Any
-
-
-_BRANCHES: tuple[Result, Result, Result, Result] = (
-    ((3, 3), np.float64),
-    ((3,), np.float64),
-    ((8, 3, 3), np.float64),
-    ((8, 6), np.float64),
-)
-_SIGNS: tuple[Result, Result, Result] = (((4,), np.float64), ((4,), np.bool_), ((8,), np.bool_))
-_DRAWN = DrawnBranches(*_BRANCHES, *_SIGNS, ((), np.int8), ((), np.uint8))
-_BUILT = BuiltBranches(*_BRANCHES, np.empty((0, 8, 3, 3), np.complex128), ((8,), np.uint8), ((), np.int8))
-
-
 class BranchMemory:
     """Memory into which `inverse_displacement` writes the branches of one batch after another.
 
@@ -200,13 +173,15 @@ def _method(geometry: Geometry) -> _Method:
     if geometry.is_nominal:
         from spm_pin.kinematics.kernels.branch_kernels import all_branches, physical_branch
 
-        return _Method(all_branches, physical_branch, radii(geometry), _DRAWN, _MIN_BATCH_PER_THREAD)
+        return _Method(all_branches, physical_branch, radii(geometry), DRAWN_BRANCHES, _MIN_BATCH_PER_THREAD)
     from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches, as_built_physical_branch
 
     unit = geometry.middle_radius
     machines = [(x.axes, x.pivots / unit, x.balls / unit) for x in (geometry.nominal.legs, geometry.legs)]
     constants = np.stack(machines), unit
-    return _Method(as_built_branches, as_built_physical_branch, constants, _BUILT, _MIN_BATCH_PER_THREAD_AS_BUILT)
+    return _Method(
+        as_built_branches, as_built_physical_branch, constants, BUILT_BRANCHES, _MIN_BATCH_PER_THREAD_AS_BUILT
+    )
 
 
 def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
