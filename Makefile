@@ -43,6 +43,7 @@ figures: $(VENV)/.test
 	$(BIN)/python docs/site/example_figures.py
 	$(BIN)/python docs/site/moving_picture.py
 	$(BIN)/python docs/site/live_page.py docs/live.html
+	$(BIN)/python docs/site/balancer_page.py docs/balancer.html
 
 # Rewrites urdf/meshes, and spm.urdf, spm.srdf, spm.xml, spm.sdf and spm_closures.yaml from their sources.
 description: $(VENV)/.demo

@@ -97,7 +97,8 @@ def main(folder: Path) -> int:
         options = ["-q", "-W", "--keep-going", "-E", "-b", "html", "-c", settings, "-d", f"{name}.doctrees"]
         try:
             code = build_main([*options, name, str(folder)])
-            shutil.copy(ROOT / "docs/live.html", folder)
+            for name in ("live.html", "balancer.html"):
+                shutil.copy(ROOT / "docs" / name, folder)
             return code
         finally:
             shutil.rmtree(f"{name}.doctrees", ignore_errors=True)
@@ -163,7 +164,7 @@ def _contents(found: dict[str, str]) -> str:
     kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
     theory = ("README", *kinematics, "literature_checks", "workspace", "reachable_set", "proofs", "as_built")
     guides = ("ball_balancer", "batches", "paths", "motion", "workspace", "viewer", "pipelines", "load_elsewhere")
-    guides += ("controller", "sweep")
+    guides += ("controller", "microcontroller", "sweep")
     chapters = {
         "How to": _ordered(found, "howto", guides),
         "Notebooks": [f"notebooks/{name}" for name in CHAPTERS],

@@ -39,7 +39,7 @@ PAGE = """<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>3RPS-3SPR: all branches, live</title>
+<title>{title}</title>
 <style>
 :root {{ color-scheme: light dark; }}
 body {{
@@ -62,14 +62,19 @@ h1 {{ font-size: 1.4rem; margin: 0 0 0.5rem; }}
 .live:not([hidden]) ~ .needs {{ display: none; }}
 </style>
 <body>
-<h1>The 3RPS-3SPR manipulator: one pose, all its branches</h1>
+<h1>{heading}</h1>
 {machine}
-<p class="needs">Nothing is shown here: the machine needs a browser with JavaScript, WebAssembly and WebGL 2.</p>
+<p class="needs">Nothing is shown here: the machine needs a browser with JavaScript, {needs}.</p>
 <p>A page of <b>spm_pin</b>, closed-chain kinematics of this machine. All of it is in this file.</p>
 </body>
 </html>
 """
-"""A page around the machine, in the colours that the site's theme gives it."""
+"""A page around a machine, in the colours that the site's theme gives it."""
+WORDS = {
+    "title": "3RPS-3SPR: all branches, live",
+    "heading": "The 3RPS-3SPR manipulator: one pose, all its branches",
+    "needs": "WebAssembly and WebGL 2",
+}
 
 
 def main(file: Path) -> None:
@@ -77,7 +82,7 @@ def main(file: Path) -> None:
     module = webassembly()
     if module is None:
         sys.exit("Needs clang with the target wasm32, and wasm-ld")
-    file.write_text(PAGE.format(machine=fragment(module)), encoding="utf-8")
+    file.write_text(PAGE.format(machine=fragment(module), **WORDS), encoding="utf-8")
     print(f"{file}: {file.stat().st_size // 1024} kB")
 
 
@@ -96,8 +101,8 @@ def fragment(module: bytes) -> str:
     """Return the HTML of the machine, all that it needs within."""
     meshes, ranges = _meshes()
     data = {
-        "module": _packed(module),
-        "meshes": _packed(meshes),
+        "module": packed(module),
+        "meshes": packed(meshes),
         "parts": _parts(ranges),
         "bodies": BODIES,
         "axes": np.vstack([GEOMETRY.revolute_axes, GEOMETRY.revolute_axes]).tolist(),
@@ -106,7 +111,12 @@ def fragment(module: bytes) -> str:
         "triad": TRIAD * section_size(GEOMETRY),
         "limits": [GEOMETRY.limits.minimum, GEOMETRY.limits.maximum] if GEOMETRY.limits else None,
     }
-    texts = {path.suffix[1:]: path.read_text(encoding="utf-8") for path in (SITE / "live").iterdir()}
+    return assembled(SITE / "live", data)
+
+
+def assembled(folder: Path, data: dict[str, object]) -> str:
+    """Return the HTML of a folder with its style, its script and the data for it within."""
+    texts = {path.suffix[1:]: path.read_text(encoding="utf-8") for path in folder.iterdir()}
     parts = {"CSS": texts["css"], "JS": texts["js"], "DATA": json.dumps(data, separators=(",", ":"))}
     page = texts["html"]
     for name, text in parts.items():
@@ -116,22 +126,28 @@ def fragment(module: bytes) -> str:
 
 def webassembly() -> bytes | None:
     """Return the exported C of the paper's machine as a WebAssembly module, None where it cannot be compiled."""
+    with TemporaryDirectory() as folder:
+        spm.symbolic.write_c(GEOMETRY, folder)
+        return compiled(Path(folder, "spm_kinematics.c"), EXPORTED)
+
+
+def compiled(source: Path, exported: tuple[str, ...]) -> bytes | None:
+    """Return a C file, whose headers are beside it, as a WebAssembly module; None where it cannot be compiled."""
     compiler = shutil.which("clang")
     if compiler is None or shutil.which("wasm-ld") is None:
         return None
     targets = subprocess.run([compiler, "--print-targets"], capture_output=True, text=True, check=True).stdout
     if "wasm32" not in targets:
         return None
-    with TemporaryDirectory() as folder:
-        spm.symbolic.write_c(GEOMETRY, folder)
-        options = [*LINKED.split(), *(f"--export={name}" for name in EXPORTED)]
-        output = Path(folder) / "spm.wasm"
-        command = [compiler, *FLAGS.split(), f"-I{SITE / 'live'}", *(f"-Wl,{option}" for option in options)]
-        subprocess.run([*command, f"{folder}/spm_kinematics.c", "-o", str(output)], check=True)
-        return output.read_bytes()
+    options = [*LINKED.split(), *(f"--export={name}" for name in exported)]
+    output = source.with_suffix(".wasm")
+    command = [compiler, *FLAGS.split(), f"-I{SITE / 'live'}", *(f"-Wl,{option}" for option in options)]
+    subprocess.run([*command, str(source), "-o", str(output)], check=True)
+    return output.read_bytes()
 
 
-def _packed(data: bytes) -> str:
+def packed(data: bytes) -> str:
+    """Return bytes as text of a page."""
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 

@@ -1,4 +1,4 @@
-"""`spm-pin export` and `urdf`: the robot in the format of another engine, or its kinematics in C."""
+"""`spm-pin export` and `urdf`: the robot in the format of another engine, or kinematics in C."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from spm_pin import description
 from spm_pin.cli import options, outputs
 from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import Geometry
+from spm_pin.mechanism import Geometry, Stage
 
-Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "linuxcnc", "ros"]
+Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "c-stage", "linuxcnc", "ros"]
 _OWN_OPTIONS: dict[str, set[str]] = {
     "urdf": {"ros_constraints", "masses"},
     "mjcf": {"anchors", "collisions", "masses"},
     "sdf": {"loops", "masses"},
     "c": {"masses"},
     "ros": {"masses"},
+    "c-stage": {"stage"},
 }
 """Options that not every format takes, by the formats that do."""
 
@@ -34,6 +35,9 @@ def export(
     ] = None,
     prefix: Annotated[str | None, options.PREFIX] = None,
     geometry: options.GeometryFile = None,
+    stage: Annotated[
+        Path | None, Option(metavar="FILE", parser=outputs.file_name, help="c-stage: the YAML file of a stage.")
+    ] = None,
     masses: options.MassesFile = None,
     ros_constraints: Annotated[
         bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
@@ -58,6 +62,7 @@ def export(
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
     program. linuxcnc: a configuration that simulates the machine, and the source of its kinematics module. ros: a ROS 2
     package with the description, a node for joint states, a launch file and a controller.
+    c-stage: of a stage alone, a ball balancer say, one header in C99 for a microcontroller.
     """
     if (format_ is None) == (option is None):
         received = "none" if format_ is None else "two"
@@ -65,9 +70,12 @@ def export(
     chosen = str(format_ or option)
     special = {"ros_constraints": ros_constraints, "anchors": anchors, "collisions": collisions, "loops": loops}
     own = _OWN_OPTIONS.get(chosen, set())
-    for name, value in (special | {"masses": masses}).items():
+    for name, value in (special | {"masses": masses, "stage": stage}).items():
         if value and name not in own:
             raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {chosen}", value)
+    if chosen == "c-stage":
+        _write_stage(stage, geometry, out, prefix)
+        return
     machine = options.read_geometry(geometry)
     bodies = options.read_masses(masses, "written") if "masses" in own else None
     if chosen not in ("c", "linuxcnc", "ros"):
@@ -109,6 +117,20 @@ def urdf(
     """
     machine, bodies = options.read_geometry(geometry), options.read_masses(masses, "written")
     _write_model("urdf", out, machine, bodies, prefix, {})
+
+
+def _write_stage(stage: Path | None, geometry: Path | None, out: Path | None, prefix: str | None) -> None:
+    """Write the C of a stage."""
+    if geometry is not None:
+        raise ArgumentError("--geometry", "to be left out with --format c-stage", geometry, "The file of a --stage?")
+    if stage is None:
+        raise ArgumentError("--stage", "the YAML file of a stage", "none")
+    if out is None:
+        raise ArgumentError("--out", "the directory to write into", "none")
+    from spm_pin.symbolic import write_stage_c
+
+    for path in write_stage_c(Stage.from_yaml(stage), out, prefix="stage_" if prefix is None else prefix):
+        outputs.note(f"wrote {path}")
 
 
 def _write_model(

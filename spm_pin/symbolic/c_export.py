@@ -139,8 +139,7 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
     if largest > _SPREAD * smallest:
         expected = f"dimensions within a factor of {_SPREAD:g}, for the answers of the test program to keep ten digits"
         raise ArgumentError("geometry", expected, f"{smallest:g} to {largest:g} m", "Another unit in one of them?")
-    if not isinstance(prefix, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix, re.ASCII):
-        raise ArgumentError("prefix", "letters, digits and underscores that can begin a name in C", repr(prefix))
+    prefix = checked_prefix(prefix)
     version = import_module("spm_pin").__version__
     values = {
         "PREFIX": prefix,
@@ -166,11 +165,6 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
         "FORMULAS": "\n".join(_c_text(function) for function in _formulas()),
         **_known_answers(geometry),
     }
-    folder = files("spm_pin.symbolic") / "templates"
-
-    def template(name: str) -> str:
-        return (folder / name).read_text(encoding="utf-8")
-
     snippets = [values | _snippets(function) for function in STATE_FUNCTIONS]
     for key, of_one in (
         ("STATE_FUNCTIONS", template("state_function.c")),
@@ -219,6 +213,18 @@ def write_files(directory: str | Path, texts: dict[str, str]) -> list[Path]:
         if not existed and folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
     return [folder / name for name in texts]
+
+
+def checked_prefix(prefix: str) -> str:
+    """Return what names in C are to begin with, if they can."""
+    if not isinstance(prefix, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix, re.ASCII):
+        raise ArgumentError("prefix", "letters, digits and underscores that can begin a name in C", repr(prefix))
+    return prefix
+
+
+def template(name: str) -> str:
+    """Return the text of a template, its marks not filled in."""
+    return (files("spm_pin.symbolic") / "templates" / name).read_text(encoding="utf-8")
 
 
 def filled(text: str, known: dict[str, str]) -> str:
