@@ -51,8 +51,10 @@ def _degrees(help_text: str) -> Any:
     limits="--min, --max", boxes="--boxes", length_error="--length-error", angle_error="--angle-error"
 )
 def certify(
-    minimum: Annotated[float | None, Option("--min", help="Shortest length of all six legs, in --unit.")] = None,
-    maximum: Annotated[float | None, Option("--max", help="Longest length of all six legs, in --unit.")] = None,
+    minimum: Annotated[
+        float | None, Option("--min", help="Least reading of all six legs, in --unit, of cranks in degrees.")
+    ] = None,
+    maximum: Annotated[float | None, Option("--max", help="Largest reading of all six legs, as --min.")] = None,
     boxes: Annotated[int, Option(min=1, help="Boxes to look at in each stage, at most.")] = 300_000,
     length_error: Annotated[float, Option(help="Errors of pivots, balls, readings to prove it for, in --unit.")] = 0.0,
     angle_error: Annotated[float, Option(help="Errors of the revolute axes to prove it for, in radians.")] = 0.0,
@@ -60,11 +62,13 @@ def certify(
         bool, Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
     ] = False,
     out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
-    unit: Annotated[LengthUnit, Option(help="Unit of the lengths typed; the answer is in metres.")] = LengthUnit.M,
+    unit: Annotated[
+        LengthUnit, Option(help="Unit of the lengths typed; the answer is in metres and radians.")
+    ] = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Prove that leg limits hold no forward singularity, so that six lengths mean one configuration.
+    """Prove that leg limits hold no forward singularity, so that six readings mean one configuration.
 
     Example: spm-pin certify --min 1.1 --max 1.5
 
@@ -80,8 +84,10 @@ def certify(
         raise GeometryError("--inverse", "no errors of the machine", "errors as well", cause)
     limits = other = None
     if minimum is not None and maximum is not None:
-        limits = LegLimits(minimum / unit.per_metre, maximum / unit.per_metre)
-        options.note_unit("--max", maximum, unit, dimensions)
+        typed = options.Readings.of(dimensions, unit)
+        limits = LegLimits(typed.read(minimum).tolist(), typed.read(maximum).tolist())
+        if hint := typed.hint("--max", maximum, dimensions):
+            outputs.note(hint, "yellow")
     errors = {"length_error": length_error / unit.per_metre, "angle_error": angle_error}
     with outputs.stderr.status("dividing the states of both stages"):
         certificate = prove(dimensions, limits, boxes=boxes, **errors)
@@ -99,7 +105,7 @@ def certify(
 
 def _content(certificate: Certificate, other: InverseCertificate | None) -> dict[str, Any]:
     def state(witness: Configuration | None) -> dict[str, Any] | None:
-        return None if witness is None else {"leg_lengths": witness.leg_lengths, "pose": witness.pose.as_matrix()}
+        return None if witness is None else {"readings": witness.readings, "pose": witness.pose.as_matrix()}
 
     lower, upper = certificate.bounds
     content = {
@@ -123,19 +129,21 @@ def _content(certificate: Certificate, other: InverseCertificate | None) -> dict
 @options.takes_pose("start_pose", "from-", required=False)
 @options.takes_pose("goal_pose", "to-", required=False)
 def move(
-    start: Annotated[SixLegs | None, leg_option("--from", "Leg lengths at the start, in --unit.")] = None,
-    goal: Annotated[SixLegs | None, leg_option("--to", "Leg lengths at the end, in --unit.")] = None,
+    start: Annotated[
+        SixLegs | None, leg_option("--from", "Readings at the start, in --unit, of cranks in degrees.")
+    ] = None,
+    goal: Annotated[SixLegs | None, leg_option("--to", "Readings at the end, as --from.")] = None,
     start_pose: RigidTransform | None = None,
     goal_pose: RigidTransform | None = None,
     via: Annotated[
         list[str] | None,
-        Option(
-            metavar="B1,B2,B3,C1,C2,C3", help="Leg lengths to pass on the way, in --unit; may be repeated, in order."
-        ),
+        Option(metavar="B1,B2,B3,C1,C2,C3", help="Readings to pass on the way, as --from; may be repeated, in order."),
     ] = None,
     limits: Annotated[
         tuple[str, str] | None,
-        Option(metavar="MIN MAX", help="Leg lengths, each one number or six, in --unit; the geometry's if not given."),
+        Option(
+            metavar="MIN MAX", help="Of the readings, each one number or six, as --from; the geometry's if not given."
+        ),
     ] = None,
     leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s].")] = None,
     leg_acceleration: Annotated[str | None, _largest("acceleration of a leg \\[m/s²].")] = None,
@@ -164,7 +172,7 @@ def move(
     --leg-rate 0.5 --out motion.csv --plot motion.png
 
     A limit of force or of acceleration is needed; X is one number for all legs, or six separated by commas. The CSV has
-    the time, leg lengths, pose and all joints in SI units; spm-pin view --path plays it. Exit code 3 if there is no
+    the time, readings, pose and all joints in SI units; spm-pin view --path plays it. Exit code 3 if there is no
     path, or an end that the machine does not reach. --plot needs the extra "plots".
     """
     from spm_pin.motion import Payload, plan, time_optimal
@@ -172,13 +180,15 @@ def move(
     from spm_pin.multibody.chain import ClosedChain
 
     dimensions = options.read_geometry(geometry)
-    first, last = _end_state(start, start_pose, "--from", unit), _end_state(goal, goal_pose, "--to", unit)
+    readings = options.Readings.of(dimensions, unit)
+    first, last = (_end_state(*end, readings) for end in ((start, start_pose, "--from"), (goal, goal_pose, "--to")))
     allowed = dimensions.limits
     if limits is not None:
         shortest, longest = (_each_leg(text, "--limits") for text in limits)
-        options.note_unit("--limits", float(np.max(longest)), unit, dimensions)
-        allowed = LegLimits(*((ends / unit.per_metre).tolist() for ends in (shortest, longest)))
-    passed = [_each_leg(text, "--via", single=False) / unit.per_metre for text in via or ()]
+        if hint := readings.hint("--limits", longest, dimensions):
+            outputs.note(hint, "yellow")
+        allowed = LegLimits(*(readings.read(ends).tolist() for ends in (shortest, longest)))
+    passed = [_each_leg(text, "--via", single=False) / readings.scale for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
     angles = {name: (math.radians(pair[0]), math.radians(pair[1])) for name, pair in pairs.items() if pair is not None}
     joint_limits = JointLimits(**angles, clearance=None if clearance is None else clearance / unit.per_metre)
@@ -204,7 +214,7 @@ def move(
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
         outputs.write_json({**content, **motion.columns()})
     else:
-        _report(planned, motion, chain.leg_indices, unit)
+        _report(planned, motion, chain.leg_indices, readings)
 
 
 def _each_leg(text: str, option: str, *, single: bool = True) -> FloatArray:
@@ -220,26 +230,27 @@ def _each_leg(text: str, option: str, *, single: bool = True) -> FloatArray:
 
 
 def _end_state(
-    lengths: SixLegs | None, pose: RigidTransform | None, option: str, unit: LengthUnit
+    typed: SixLegs | None, pose: RigidTransform | None, option: str, readings: options.Readings
 ) -> FloatArray | RigidTransform:
-    """Return the state at one end of the motion as `plan` takes it: leg lengths (6,) [m], or a pose."""
-    if (lengths is None) == (pose is None):
+    """Return the state at one end of the motion as `plan` takes it: readings (6,) in SI, or a pose."""
+    if (typed is None) == (pose is None):
         received = "neither" if pose is None else "both"
-        raise ArgumentError(
-            option, f"either leg lengths, or a pose by {option}-translation and an orientation", received
-        )
-    return pose if pose is not None else np.array(lengths) / unit.per_metre
+        raise ArgumentError(option, f"either readings, or a pose by {option}-translation and an orientation", received)
+    return pose if pose is not None else readings.read(typed)
 
 
-def _report(planned: MotionPlan, motion: JointTrajectory, legs: IntArray, unit: LengthUnit) -> None:
+def _report(planned: MotionPlan, motion: JointTrajectory, legs: IntArray, readings: options.Readings) -> None:
     proved = ", proved to be free of forward singularities" if planned.certified else ""
     outputs.print_lines([f"{motion.times[-1]:.4g} s, {planned.method}{proved}"])
-    lengths = motion.readings * unit.per_metre
-    ends = {f"{name} [{unit}]": lambda leg, k=k: unit.text(lengths[k, leg]) for name, k in (("from", 0), ("to", -1))}
+    shown, length, effort = motion.readings * readings.scale, readings.stages("m", "rad"), readings.stages("N", "N m")
+    ends = {
+        f"{name} [{readings.heading}]": lambda leg, k=k: readings.text(shown[k, leg], leg)
+        for name, k in (("from", 0), ("to", -1))
+    }
     kinds = {
-        "rate [m/s]": (motion.velocities, 3),
-        "acceleration [m/s²]": (motion.accelerations, 2),
-        "force [N]": (motion.efforts, 1),
+        f"rate [{length}/s]": (motion.velocities, 3),
+        f"acceleration [{length}/s²]": (motion.accelerations, 2),
+        f"{readings.stages('force', 'torque')} [{effort}]": (motion.efforts, 1),
     }
     largest = {
         name: lambda leg, values=values, digits=digits: fixed(np.abs(values[:, legs[leg]]).max(), digits)

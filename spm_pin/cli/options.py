@@ -8,6 +8,7 @@ import functools
 import inspect
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -22,6 +23,7 @@ from spm_pin.errors import ArgumentError, GeometryError, PoseError
 from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Status, pose
+from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branch_of_state import branch_sign, family
 from spm_pin.mechanism.units import PER_METRE, likely_unit
 
@@ -43,17 +45,63 @@ class LengthUnit(enum.StrEnum):
         return fixed(length, {"m": 5, "cm": 3, "mm": 2}[self.value] + more)
 
 
+@dataclass(frozen=True)
+class Readings:
+    """What a command takes and shows readings in: lengths in --unit, and angles in degrees as those of a pose."""
+
+    unit: LengthUnit
+    are_angles: BoolArray  # of which of the six legs
+
+    @classmethod
+    def of(cls, geometry: Geometry, unit: LengthUnit) -> Readings:
+        """Return those of a machine."""
+        return cls(unit, np.array(geometry.legs.units) == "rad")
+
+    @property
+    def scale(self) -> FloatArray:
+        """How many units are a metre, or a radian, (6,)."""
+        return np.where(self.are_angles, 180.0 / np.pi, self.unit.per_metre)
+
+    @property
+    def units(self) -> list[str]:
+        """Units of the six, "deg" for degrees."""
+        return ["deg" if is_angle else str(self.unit) for is_angle in self.are_angles]
+
+    @property
+    def heading(self) -> str:
+        """The unit of all legs, or those of the stages."""
+        return self.stages(str(self.unit), "degrees")
+
+    def stages(self, length: str, angle: str) -> str:
+        """Return the name of what all legs have, by whether they show lengths or angles, or of both stages."""
+        lower, upper = (angle if is_angle else length for is_angle in self.are_angles[::3])
+        return lower if lower == upper else f"{lower} (r_b1 to r_b3) and {upper} (r_c1 to r_c3)"
+
+    def read(self, typed: Any) -> FloatArray:
+        """Return readings typed [m, rad], one for all legs or six."""
+        return np.asarray(np.array(typed) / self.scale)
+
+    def text(self, reading: float, leg: int) -> str:
+        """Return a reading, in its unit, for a table."""
+        return fixed(reading, 3) if self.are_angles[leg] else self.unit.text(reading)
+
+    def hint(self, option: str, typed: Any, geometry: Geometry) -> str:
+        """Return `unit_hint` of the lengths among readings typed."""
+        lengths = np.abs(np.broadcast_to(typed, 6)[~self.are_angles])
+        return unit_hint(option, lengths.max(), self.unit, geometry) if lengths.size else ""
+
+
 Triple = tuple[float, float, float]
 SixLegs = tuple[float, float, float, float, float, float]
 
 
 def leg_option(name: str, help_text: str) -> Any:
-    """Return an option of six leg lengths."""
+    """Return an option of six readings."""
     return typer.Option(name, metavar="B1 B2 B3 C1 C2 C3", help=help_text)
 
 
 AnyLegs = Annotated[
-    SixLegs | None, leg_option("--legs", "Leg lengths as encoders show them, in --unit, instead of a pose.")
+    SixLegs | None, leg_option("--legs", "Readings of the legs in --unit, of cranks in degrees, instead of a pose.")
 ]
 Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")]
 GeometryFile = Annotated[
@@ -66,7 +114,11 @@ MassesFile = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Limits = Annotated[
     tuple[float, float] | None,
-    typer.Option("--limits", metavar="MIN MAX", help="Limits of all six legs, in --unit; the geometry's if not given."),
+    typer.Option(
+        "--limits",
+        metavar="MIN MAX",
+        help="Limits of all six readings, in --unit or degrees; the geometry's if not given.",
+    ),
 ]
 PREFIX = typer.Option("--prefix", help="Put before every name, such as left_.")
 Branches = Annotated[
@@ -221,17 +273,18 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
     if len(legs) == 3:
         remarks.append(
             "The platform is level, as in the symmetric home, where the pose alone does not determine the middle "
-            "platform. Give leg lengths instead (spm-pin forward, or --legs of draw and view), or a tilted pose; "
+            "platform. Give readings instead (spm-pin forward, or --legs of draw and view), or a tilted pose; "
             "nearly level ones have branches, but far beyond usual leg limits."
         )
     return remarks
 
 
 def status_content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
-    """Return what `--json` says of all solutions: their unit, the status, and any continuous family."""
+    """Return what `--json` says of all solutions: their units, the status, and any continuous family."""
     degeneracy = solutions.degeneracy
+    units = Readings.of(solutions.geometry, unit).units
     family = degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")}
-    return {"unit": unit, "status": str(solutions.status), "degeneracy": family}
+    return {"unit": unit, "reading_units": units, "status": str(solutions.status), "degeneracy": family}
 
 
 def status_line(solutions: SolutionSet, what: str, unit: LengthUnit) -> str:
@@ -279,7 +332,7 @@ def solve_pose(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> tu
     hint = unit_hint("--translation", pose.translation * unit.per_metre, unit, geometry)
     remarks = [hint] if hint else pose_remarks(solutions)
     if solutions.status is Status.UNREACHABLE and not remarks:
-        remarks.append("No configuration holds this pose, whatever the leg lengths.")
+        remarks.append("No configuration holds this pose, whatever the readings.")
     return solutions, remarks
 
 
@@ -290,15 +343,16 @@ def solve_request(
     if pose is not None and legs is None:
         return solve_pose(geometry, pose, unit)
     if legs is None or pose is not None:
-        raise ArgumentError("--legs", "leg lengths or a pose", "neither" if legs is None else "both")
-    state = forward_physical(geometry, np.array(legs) / unit.per_metre)
+        raise ArgumentError("--legs", "readings or a pose", "neither" if legs is None else "both")
+    state = forward_physical(geometry, Readings.of(geometry, unit).read(legs))
     label = FAMILIES[int(family(state))] + "+-"[int(branch_sign(state) < 0.0)]
     return set_of_one(state, label), [] if state.exists else legs_remarks(geometry, legs, unit)
 
 
 def legs_remarks(geometry: Geometry, legs: SixLegs, unit: LengthUnit) -> list[str]:
-    """Return a sentence on why leg lengths have no physical state."""
-    return [unit_hint("--legs", max(legs), unit, geometry) or "A stage cannot be closed with these leg lengths."]
+    """Return a sentence on why readings have no physical state."""
+    hint = Readings.of(geometry, unit).hint("--legs", legs, geometry)
+    return [hint or "A stage cannot be closed with these readings."]
 
 
 def requested_solutions(
@@ -310,7 +364,7 @@ def requested_solutions(
     configuration near the home.
     """
     if legs is not None and pose is not None:
-        raise ArgumentError("--legs", "leg lengths or a pose", "both")
+        raise ArgumentError("--legs", "readings or a pose", "both")
     if pose is not None:
         solutions, remarks = solve_pose(geometry, pose, unit)
         if not solutions.count:
@@ -324,10 +378,11 @@ def requested_solutions(
     if legs is None:
         state = starting_configuration(geometry)
     else:
-        state = forward_physical(geometry, np.array(legs) / unit.per_metre)
+        readings = Readings.of(geometry, unit)
+        state = forward_physical(geometry, readings.read(legs))
         if not state.exists:
-            cause = unit_hint("--legs", max(legs), unit, geometry)
-            raise ArgumentError("--legs", "lengths with which the machine can be assembled", "none such", cause)
+            cause = readings.hint("--legs", legs, geometry)
+            raise ArgumentError("--legs", "readings with which the machine can be assembled", "none such", cause)
     return inverse_displacement(geometry, state.pose), state
 
 

@@ -1,4 +1,4 @@
-"""`spm-pin inverse`, `nearest`, `forward`, `singularities` and `statics`: states of one pose or of six leg lengths.
+"""`spm-pin inverse`, `nearest`, `forward`, `singularities` and `statics`: states of one pose or of six readings.
 
 Each builds one record per state, which is the JSON, and prints a table of columns of these records.
 """
@@ -14,7 +14,7 @@ import typer
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.cli import options, outputs
-from spm_pin.cli.options import LengthUnit, SixLegs, Triple, leg_option
+from spm_pin.cli.options import LengthUnit, Readings, SixLegs, Triple, leg_option
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
@@ -49,7 +49,8 @@ def inverse(
     The exit code is 5 if no physical branch is within the leg limits.
     """
     solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
-    branches = _records(solutions, None, lambda state: _lengths(state, unit))
+    shown = Readings.of(solutions.geometry, unit)
+    branches = _records(solutions, None, lambda state: _lengths(state, shown))
     physical = solutions.physical()
     code = options.exit_code(solutions, physical)
     reach = _nearest(solutions.geometry, pose, unit) if code in (3, 5) else None
@@ -60,13 +61,13 @@ def inverse(
 
     # The space stands for the mark of a leg beyond its limits.
     legs = {
-        f"{name} ": lambda record, leg=leg: unit.text(record["readings"][leg]) + " *"[leg in record["beyond_limits"]]
+        f"{name} ": lambda record, leg=leg: (
+            shown.text(record["readings"][leg], leg) + " *"[leg in record["beyond_limits"]]
+        )
         for leg, name in enumerate(LEGS)
     }
     columns: dict[str, Any] = {"branch": itemgetter("label"), **legs, "": lambda row: "physical" * row["physical"]}
-    outputs.print_table(
-        f"Real branches: leg lengths in {unit}, as the encoders show them", columns, branches, left=[""]
-    )
+    outputs.print_table(f"Real branches: readings in {shown.heading}", columns, branches, left=[""])
     lines = [options.status_line(solutions, "branches", unit), *remarks]
     lines += options.state_remarks(branches, physical, "branch")
     if solutions.ambiguous:
@@ -98,10 +99,11 @@ def nearest(
     if reach is None:
         raise ArgumentError("--geometry", "a machine with leg limits", "none", "Its file has them as leg_limits")
     if json:
-        outputs.write_json({"unit": unit, **reach})
+        outputs.write_json({"unit": unit, "reading_units": Readings.of(machine, unit).units, **reach})
         return
-    columns = {name: lambda row, leg=leg: unit.text(row["readings"][leg]) for leg, name in enumerate(LEGS)}
-    outputs.print_table(f"Leg lengths in {unit}, as the encoders show them", columns, [reach])
+    shown = Readings.of(machine, unit)
+    columns = {name: lambda row, leg=leg: shown.text(row["readings"][leg], leg) for leg, name in enumerate(LEGS)}
+    outputs.print_table(f"Readings in {shown.heading}", columns, [reach])
     outputs.print_lines([f"distance: {unit.text(reach['distance'], 1)} {unit}", f"pose: {_pose_options(reach, unit)}"])
 
 
@@ -113,9 +115,13 @@ def _nearest(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> Reco
 
     found = nearest_reachable_pose(geometry, pose)
     state = found.configuration
-    lengths = {"translation": state.translation, "readings": state.readings, "distance": found.distance}
-    rpy = state.pose.rotation.as_euler("xyz", degrees=True, suppress_warnings=True)
-    return {name: x * unit.per_metre for name, x in lengths.items()} | {"rpy": rpy, "rotation": state.rotation}
+    lengths = {"translation": state.translation, "distance": found.distance}
+    turn = {
+        "rpy": state.pose.rotation.as_euler("xyz", degrees=True, suppress_warnings=True),
+        "rotation": state.rotation,
+    }
+    readings = state.readings * Readings.of(geometry, unit).scale
+    return {name: x * unit.per_metre for name, x in lengths.items()} | {"readings": readings, **turn}
 
 
 def _pose_options(reach: Record, unit: LengthUnit) -> str:
@@ -136,16 +142,20 @@ def _records(
     return records
 
 
-def _lengths(state: Configuration, unit: LengthUnit) -> Record:
-    names = "leg_lengths", "readings", "middle_joints"
-    lengths: Record = {name: getattr(state, name) * unit.per_metre for name in names}
-    return lengths | {"residual": state.closure_residual * unit.per_metre}
+def _lengths(state: Configuration, shown: Readings) -> Record:
+    lengths = {
+        "leg_lengths": state.leg_lengths,
+        "middle_joints": state.middle_joints,
+        "residual": state.closure_residual,
+    }
+    scaled: Record = {name: x * shown.unit.per_metre for name, x in lengths.items()}
+    return scaled | {"readings": state.readings * shown.scale}
 
 
 @outputs.name_options(leg_lengths="--legs", readings="--legs")
 def forward(
     legs: Annotated[
-        SixLegs, leg_option("--legs", "Leg lengths r_b1 to r_b3, r_c1 to r_c3 as encoders show them, in --unit.")
+        SixLegs, leg_option("--legs", "Readings r_b1 to r_b3, r_c1 to r_c3 in --unit, of cranks in degrees.")
     ],
     every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
     xyx: Annotated[
@@ -157,7 +167,7 @@ def forward(
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Find the pose of the platform from the leg lengths.
+    """Find the pose of the platform from the readings of the legs, lengths or angles.
 
     Example, the paper's: spm-pin forward --legs 120 120 140 125 120 150 --unit cm
 
@@ -166,10 +176,10 @@ def forward(
     chosen = [name for name, wanted in (("xyx", xyx), ("rpy", rpy), ("quat", quat)) if wanted] or ["xyx"]
     if len(chosen) > 1:
         raise ArgumentError(" and ".join(f"--{name}" for name in chosen), "one orientation", f"{len(chosen)} of them")
-    lengths = np.array(legs) / unit.per_metre
     dimensions = options.read_geometry(geometry)
-    physical = forward_physical(dimensions, lengths)
-    modes = forward_displacement(dimensions, lengths)
+    readings = Readings.of(dimensions, unit).read(legs)
+    physical = forward_physical(dimensions, readings)
+    modes = forward_displacement(dimensions, readings)
     home = modes.labels[int(modes.is_physical.argmax())] if physical.exists else ""
     shown = {home: physical} if home else {}
     if every:
@@ -223,7 +233,7 @@ def singularities(
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Compute how near each branch of a pose, or the state of leg lengths, is to a singularity.
+    """Compute how near each branch of a pose, or the state of readings, is to a singularity.
 
     Determinants are divided by d³, the distance is the smallest singular value; both are dimensionless and zero at a
     singularity, which is named: forward for J_b and J_c, the lower and the upper stage, inverse for K.
@@ -288,9 +298,10 @@ def statics(
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Find the leg forces that hold a wrench on the platform, and the leg rates of its twist.
+    """Find the efforts of the actuators that hold a wrench on the platform, and the rates of the readings of its twist.
 
-    A positive force pushes, to extend its leg. At an inverse singularity the forces are still there; the rates are not.
+    Efforts are forces in N, or torques in N m of cranks; a positive one increases the reading: a cylinder pushes. At
+    an inverse singularity the efforts are still there; the rates are not.
 
     The exit code is 5 if no physical branch is within the leg limits.
     """
@@ -299,23 +310,27 @@ def statics(
     if not (json or wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
     solutions, remarks = options.solve_request(options.read_geometry(geometry), pose, legs, unit)
-    branches = _records(solutions, branch, lambda state: _leg_loads(state, wrench, twist, unit))
+    shown = Readings.of(solutions.geometry, unit)
+    branches = _records(solutions, branch, lambda state: _leg_loads(state, wrench, twist, shown))
     if json:
         by_label = {record["label"]: record for record in branches}
-        outputs.write_json({"unit": unit, "status": str(solutions.status), "branches": by_label})
+        outputs.write_json(
+            {"unit": unit, "reading_units": shown.units, "status": str(solutions.status), "branches": by_label}
+        )
     else:
         if wrench.any():
-            _print_loads("Leg forces in N: positive extends the leg", branches, "forces")
+            efforts = shown.stages("N", "N m")
+            _print_loads(f"Efforts in {efforts}: positive increases the reading", branches, "forces")
         if twist.any():
-            _print_loads(f"Leg rates in {unit}/s", branches, "rates")
+            _print_loads(f"Rates of the readings per second, in {shown.heading}", branches, "rates")
     _end(solutions, branches, remarks, json)
 
 
-def _leg_loads(state: Configuration, wrench: np.ndarray, twist: np.ndarray, unit: LengthUnit) -> Record:
+def _leg_loads(state: Configuration, wrench: np.ndarray, twist: np.ndarray, shown: Readings) -> Record:
     record: Record = {"forces": None, "rates": None, "singular": []}
     for name, solve, vector in (("forces", leg_forces, wrench), ("rates", leg_rates, twist)):
         try:
-            record[name] = solve(state, vector) * (1.0 if name == "forces" else unit.per_metre)
+            record[name] = solve(state, vector) * (1.0 if name == "forces" else shown.scale)
         except SingularConfigurationError as error:
             record["singular"].append(error.kind)
     return record

@@ -91,7 +91,8 @@ def path_figure(path: FollowedPath) -> Figure:
     for leg, column in enumerate(path.configurations.readings.T):
         colour, style = (_BLUE if leg < 3 else _ORANGE), ("-", "--", ":")[leg % 3]
         top.plot(path.parameters, column, color=colour, ls=style, label=f"$r_{{{LEGS[leg][2:]}}}$")
-    top.set(ylabel="leg reading [m]")
+    units = dict.fromkeys(path.configurations.geometry.legs.units)
+    top.set(ylabel=f"leg reading [{', '.join(units)}]")
     sigma = singularities(path.configurations).sigma
     matrices = {"$J_b$": (_GREEN, "-"), "$J_c$": (_SKY, "-."), "$K$": ("black", "-")}
     for column, (name, (colour, style)) in zip(sigma.T, matrices.items(), strict=True):

@@ -26,9 +26,6 @@ from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LEGS, triangle_frames, triangle_sides
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, unchecked_transform
 
-_COLUMNS = ("o in {B} [m]", "roll, pitch, yaw [°]", *(f"{leg} [m]" for leg in LEGS))
-"""Heading of a notebook's table."""
-
 
 class Configuration(Batched):
     """One state of the manipulator, or a batch of states; read-only.
@@ -116,9 +113,15 @@ class Configuration(Batched):
     def _repr_html_(self) -> str:
         if not self.shape:
             picture = notebook.stick_figure(self.leg_bases, self.balls) if self.exists else ""
-            return notebook.table(repr(self), _COLUMNS, [self._cells()] if self.exists else [], picture)
+            return notebook.table(repr(self), self._columns, [self._cells()] if self.exists else [], picture)
         rows = notebook.first_rows(self.shape, lambda index: self[index]._cells())
-        return notebook.table(repr(self), ("index", *_COLUMNS), rows)
+        return notebook.table(repr(self), ("index", *self._columns), rows)
+
+    @property
+    def _columns(self) -> tuple[str, ...]:
+        """Heading of a notebook's table."""
+        readings = (f"{leg} [{unit}]" for leg, unit in zip(LEGS, self._geometry.legs.units, strict=True))
+        return "o in {B} [m]", "roll, pitch, yaw [°]", *readings
 
     def _cells(self) -> tuple[str, ...]:
         """Return the cells of a single state in a notebook's table."""
@@ -271,7 +274,7 @@ class Configuration(Batched):
 
     @cached_property
     def limit_excess(self) -> FloatArray:
-        """By how much readings are above their limits, or below them (negative), shape (..., 6) [m]; 0 within."""
+        """By how much readings are above their limits, or below (negative), in their units, (..., 6); 0 within."""
         limits, readings = self._geometry.limits, self.readings
         return frozen(np.zeros(readings.shape) if limits is None else limits.excess(readings))
 

@@ -57,7 +57,7 @@ _LARGEST_MACHINE = 100.0
 
 _DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
 _KIND_KEYS = "lower_legs", "upper_legs"
-_HEADING = "# A 3RPS-3SPR manipulator, lengths in metres: see Geometry of spm_pin.\n"
+_HEADING = "# A manipulator of two stages, lengths in metres and angles in radians: see Geometry of spm_pin.\n"
 
 
 def config_directory() -> Path:
@@ -143,8 +143,9 @@ class Geometry:
     def _repr_html_(self) -> str:
         dimensions = zip(("E, base radius", "C, platform radius", "d, middle side"), self.dimensions, strict=True)
         rows = [(name, f"{value:.6g} m") for name, value in dimensions]
-        ends = () if self.limits is None else (self.limits.minimum, self.limits.maximum)
-        pairs = [f"{low:.6g} to {high:.6g} m" for low, high in zip(*ends, strict=True)]
+        limits = self.limits or LegLimits(-math.inf, math.inf)
+        ends = zip(limits.minimum, limits.maximum, self.legs.units, strict=True)
+        pairs = [f"{low:.6g} to {high:.6g} {unit}" for low, high, unit in ends if self.limits is not None]
         if len(set(pairs)) <= 1:
             rows.append(("leg limits", pairs[0] if pairs else "none"))
         else:
@@ -153,7 +154,8 @@ class Geometry:
             for name, deviations in zip(
                 ("axes", "pivots", "balls", "offsets"), self.legs.deviations(self.nominal.legs), strict=True
             ):
-                unit, leg = "mrad" if name == "axes" else "mm", int(deviations.argmax())
+                leg = int(deviations.argmax())
+                unit = "m" + {"axes": "rad", "offsets": self.legs.units[leg]}.get(name, "m")
                 rows.append((f"{name} off the drawing", f"up to {1e3 * deviations[leg]:.3g} {unit}, {LEGS[leg]}"))
         title = "Geometry as drawn" if self.is_nominal else "Geometry as built"
         return notebook.table(title, ("dimension", ""), rows)

@@ -57,6 +57,7 @@ _LARGEST_ANGLE = 4.0 * math.pi
 _planes_axes = on_arrays(planar_legs.plane_axes)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
+_UNITS = "metres, of RRS legs in radians"
 _STEP = 1e-100
 """Imaginary step of a derivative."""
 _FLAT = 1e-6
@@ -94,8 +95,8 @@ class LegLimits:
     @classmethod
     @raised_as(GeometryError)
     def stages(cls, lower: Sequence[float], upper: Sequence[float]) -> LegLimits:
-        """Make limits from one (minimum, maximum) pair [m] for the lower legs and one for the upper."""
-        pairs = [number_pair(lower, "lower", "metres")] * 3 + [number_pair(upper, "upper", "metres")] * 3
+        """Make limits from (minimum, maximum) of the lower legs and of the upper ones [m], of RRS legs [rad]."""
+        pairs = [number_pair(lower, "lower", _UNITS)] * 3 + [number_pair(upper, "upper", _UNITS)] * 3
         return LegLimits(*zip(*pairs, strict=True))
 
     def __repr__(self) -> str:
@@ -119,25 +120,28 @@ class LegLimits:
         return np.asarray(_limit_rounding(np.array(self.minimum), np.array(self.maximum)))
 
     def contains(self, readings: npt.ArrayLike) -> BoolArray:
-        """Return which sets of readings (..., 6) [m] respect all limits, to rounding; NaN does not."""
+        """Return which sets of readings (..., 6) respect all limits, to rounding; NaN does not."""
         lengths, (low, high) = self._read(readings), self.admitted
         return np.asarray(_least(np.minimum(lengths - low, high - lengths)) >= 0.0)
 
     def excess(self, readings: npt.ArrayLike) -> FloatArray:
-        """Return by how much each leg of (..., 6) [m] is too long, or too short (negative); 0 within its limits."""
+        """Return by how much each of (..., 6) is above its limits, or below (negative), in its unit; 0 within them."""
         lengths, (low, high) = self._read(readings), self.admitted
         beyond = np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0)
         return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
 
     def margin(self, readings: npt.ArrayLike) -> FloatArray:
-        """Return the distance [m] of the worst leg of (..., 6) [m] to its limits; negative outside, NaN for NaN."""
+        """Return the distance of the worst of (..., 6) to its limits; negative outside, NaN for NaN.
+
+        In the unit of the readings, where all six have the same.
+        """
         lengths, (low, high) = self._read(readings), self.admitted
         room = np.minimum(lengths - self.minimum, self.maximum - lengths)
         return _least(np.where((lengths >= low) & (lengths <= high), np.maximum(room, 0.0), room))
 
     def _read(self, readings: npt.ArrayLike) -> FloatArray:
         shape = (len(self.legs),)
-        return real_array(readings, "readings", shape, "what the encoders show, in metres", allow_nan=True)
+        return real_array(readings, "readings", shape, f"what the encoders show, in {_UNITS}", allow_nan=True)
 
 
 class StageLimits(LegLimits):
@@ -147,15 +151,15 @@ class StageLimits(LegLimits):
 
 
 def check_path_readings(
-    limits: LegLimits | None, readings: FloatArray, argument: str, places: FloatArray, what: str
+    limits: LegLimits | None, units: Sequence[str], readings: FloatArray, argument: str, places: FloatArray, what: str
 ) -> None:
     """Raise `UnreachableError` at the first of `places` (n,) where readings (n, 6) are beyond the limits, if any."""
     excess = np.zeros(readings.shape) if limits is None else limits.excess(readings)
     if excess.any():
         k = int(excess.any(axis=-1).argmax())
         leg = int(np.abs(excess[k]).argmax())
-        received = f"{LEGS[leg]} of {readings[k, leg]:.6g} m at {what} {places[k]:.4g}"
-        raise UnreachableError(argument, f"leg lengths within the machine's {limits}", received)
+        received = f"{LEGS[leg]} of {readings[k, leg]:.6g} {units[leg]} at {what} {places[k]:.4g}"
+        raise UnreachableError(argument, f"readings within the machine's {limits}", received)
 
 
 def _least(of_legs: FloatArray) -> FloatArray:
@@ -165,14 +169,14 @@ def _least(of_legs: FloatArray) -> FloatArray:
 
 def _of_legs(value: float | Sequence[float], argument: str, legs: tuple[str, ...]) -> tuple[float, ...]:
     count = {6: "six", 3: "three"}[len(legs)]
-    expected = f"one length or {count} in the order {', '.join(legs)}, in metres"
+    expected = f"one reading or {count} in the order {', '.join(legs)}, in {_UNITS}"
     array = as_array(value)
     if array is None or array.dtype.kind not in "fiu":
         raise GeometryError(argument, expected, type_and_value(value))
     if array.shape not in ((), (len(legs),)):
         raise GeometryError(argument, expected, f"shape {array.shape}")
     if np.isnan(array).any():
-        raise GeometryError(argument, expected, "NaN", "Use 0 and infinity where there is no limit")
+        raise GeometryError(argument, expected, "NaN", "Use infinity, or 0 for a least length, where there is no limit")
     return tuple(float(x) for x in np.broadcast_to(array, len(legs)))
 
 
@@ -240,7 +244,7 @@ class Legs:
             if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
                 expected = "three ball centres of each stage that form a triangle"
                 raise ArgumentError("balls", expected, f"those of the {stage} legs on one line")
-        offsets = bounded_array(self.offsets, "offsets", (count,), "offsets of the readings in metres")
+        offsets = bounded_array(self.offsets, "offsets", (count,), f"offsets of the readings in {_UNITS}")
         arrays = axes / np.where(exact, 1.0, sizes)[:, None], pivots, balls, offsets
         for name, array in zip(("axes", "pivots", "balls", "offsets"), arrays, strict=True):
             object.__setattr__(self, name, frozen(array.copy()))

@@ -207,8 +207,8 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
     A path of leg lengths may cross inverse singularities: the legs lead through.
     """
     if not planned:
-        limits, readings = chain.geometry.limits, along.states.readings
-        check_path_readings(limits, readings, "path", along.parameters, "parameter")
+        geometry, readings = chain.geometry, along.states.readings
+        check_path_readings(geometry.limits, geometry.legs.units, readings, "path", along.parameters, "parameter")
     values = determinants(along.states)[:, : 2 if isinstance(path, LegPath) else 3]
     crossed = (values[1:] * values[:-1] < 0.0).any(axis=-1)
     if crossed.any():

@@ -332,7 +332,7 @@ class ClosedChain:
                 raise at_index(error, (k,)) from error
             rows.append((q, v, a, efforts, self.readings(q), pose.as_matrix()))
         positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
-        check_path_readings(self.geometry.limits, readings, "path", t, "time")
+        check_path_readings(self.geometry.limits, self.geometry.legs.units, readings, "path", t, "time")
         pose = RigidTransform.from_matrix(poses)
         columns, units = tuple(self.leg_indices.tolist()), self.geometry.legs.units
         return JointTrajectory(self.joint_names, t, positions, v, a, efforts, readings, pose, columns, units)

@@ -167,7 +167,7 @@ def test_a_tracker_s_frame_and_target_are_estimated_with_the_machine(positions_o
 
 
 def test_a_tracker_s_own_frame_is_named_as_a_cause() -> None:
-    poses, readings = measure(PAPER.perturbed(3), 1)
+    poses, readings = measure(PAPER.perturbed(3), 1, states=elsewhere()[:18])
     found = identify(PAPER, (TRACKER.as_matrix() @ poses @ TARGET.as_matrix())[:, :3, 3], readings)
     with pytest.raises(MeasurementError, match=r"Poses of a target in a tracker's own frame\? With frames=True"):
         _ = found.geometry

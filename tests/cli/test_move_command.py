@@ -52,7 +52,7 @@ def test_inverse_singularities_are_shown_where_they_are() -> None:
     content = json.loads(run("certify", *LIMITS, "--inverse", "--json").stdout)
     assert content["holds"] is True
     assert content["inverse"]["holds"] is False
-    assert len(content["inverse"]["witness"]["leg_lengths"]) == 6
+    assert len(content["inverse"]["witness"]["readings"]) == 6
 
 
 START, GOAL = ["120", "120", "140", "125", "120", "150"], ["140", "120", "120", "120", "150", "125"]

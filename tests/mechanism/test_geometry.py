@@ -78,7 +78,7 @@ def test_limits_in_another_unit_than_the_dimensions_are_refused(
         (1.1, 1.1, "minimum < maximum"),
         ([1, 1, 1], 2, "six in the order r_b1"),
         (float("nan"), 2, "NaN"),
-        (True, 2, "minimum: expected one length or six"),
+        (True, 2, "minimum: expected one reading or six"),
     ],
 )
 def test_wrong_limits_are_refused(minimum: object, maximum: object, words: str) -> None:
