@@ -48,7 +48,7 @@ void inverse_of_all(long count, const double *poses, double *joints, double *len
         status[n] = (signed char)spm_all_branches(&spm_machine, rotation, position, &found);
         for (i = 0; i < 8; ++i) {
             for (j = 0; j < 9; ++j) joints[72 * n + 9 * i + j] = found.joints[i][j];
-            for (j = 0; j < 6; ++j) lengths[48 * n + 6 * i + j] = found.lengths[i][j];
+            for (j = 0; j < 6; ++j) lengths[48 * n + 6 * i + j] = found.readings[i][j];
         }
     }
 }

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from spm_pin.arrays.library import Array, Library, Machine, library_of, quietly, read_machine, state_arrays
@@ -40,18 +40,25 @@ _REGULAR_MOTIONS = bind(ball_motions.ball_motions, sqrt=math.sqrt)(_REGULAR, (UP
 
 
 class Branches(NamedTuple):
-    """The eight branches of poses (...), in the order of `spm_pin.mechanism.BRANCHES`."""
+    """The eight branches of poses (...), in the order of `spm_pin.mechanism.BRANCHES`; an index is one of the poses."""
 
     middle_joints: Array
     """b_i in {B} [m], shape (..., 8, 3, 3)."""
-    leg_lengths: Array
-    """[m], shape (..., 8, 6)."""
+    readings: Array
+    """Readings of the encoders, shape (..., 8, 6): [m], of RRS legs [rad]."""
     exists: Array
-    """Which branches are real, shape (..., 8). The numbers of the others are finite and mean nothing."""
+    """Which branches are real and in reach, shape (..., 8). The numbers of others are finite and mean nothing."""
+
+    def __getitem__(self, index: Any) -> Branches:
+        """Index the batch, all fields alike."""
+        return Branches._make(_indexed(self, (3, 2, 1), index))
 
 
 class State(NamedTuple):
-    """States (...) of a machine."""
+    """States (...) of a machine, with fields that are read by name: an index is one of the batch, `state[k]`.
+
+    To JAX and PyTorch it is a named tuple of its fields, in this order.
+    """
 
     rotation: Array
     """From {m} to {B}, shape (..., 3, 3)."""
@@ -60,9 +67,20 @@ class State(NamedTuple):
     middle_joints: Array
     """b_i in {B} [m], shape (..., 3, 3)."""
     readings: Array
-    """Readings of the encoders [m], shape (..., 6): leg lengths of a drawn machine."""
+    """Readings of the encoders, shape (..., 6): [m], of RRS legs [rad]."""
     exists: Array
     """Where there is such a state, shape (...). Elsewhere all is finite, and all derivatives with it."""
+
+    def __getitem__(self, index: Any) -> State:
+        """Index the batch, all fields alike."""
+        return State._make(_indexed(self, (2, 1, 2, 1, 0), index))
+
+
+def _indexed(fields: Iterable[Array], inner: tuple[int, ...], index: Any) -> list[Array]:
+    """Index the batch axes of arrays that have these numbers of inner axes."""
+    batch = index if isinstance(index, tuple) else (index,)
+    batch = batch if any(part is Ellipsis for part in batch) else (*batch, Ellipsis)
+    return [x[(*batch, *(slice(None),) * n)] for x, n in zip(fields, inner, strict=True)]
 
 
 @quietly
@@ -82,11 +100,11 @@ def inverse_displacement(geometry: Geometry | Array, rotation: Array, translatio
     library = problem.library
     if not problem.machine.is_drawn:
         cause = "Its eight roots have no closed form: inverse_physical takes it. Pass dimensions E, C, d of a drawn one"
-        raise ArgumentError("geometry", "a machine as drawn", "one as built, as 54 parameters always count", cause)
+        raise ArgumentError("geometry", "a machine as drawn", "one as built, as parameters always count", cause)
     b, exists = problem.drawn_branches(range(len(FAMILIES)), 0.0)
     b = problem.with_derivatives(b, exists)
-    zero, lengths = library.zeros(b[0][0]), _readings(library, problem.machine, problem.legs, b)
-    arrays = library.stacked(b, zero), library.stacked(lengths, zero), exists
+    zero, (readings, reach) = library.zeros(b[0][0]), _readings(library, problem.machine, problem.pose, b)
+    arrays = library.stacked(b, zero), library.stacked(readings, zero), exists & (reach >= 0.0)
     return Branches(*(library.xp.moveaxis(x, 0, problem.zero.ndim) for x in arrays))
 
 
@@ -98,8 +116,10 @@ def inverse_physical(
 
     Parameters
     ----------
-    geometry : Geometry or array, shape (..., 3) or (..., 54)
-        A machine, its dimensions E, C, d [m], or the parameters of its legs, see `spm_pin.Geometry.parameters`.
+    geometry : Geometry, array of shape (..., 3) or (..., 54), or pair
+        A machine; dimensions E, C, d [m] of a drawn one with RPS legs, or the parameters of RPS legs, see
+        `spm_pin.Geometry.parameters`; or a pair of a `Geometry` and of parameters (..., n): its kinds of legs, working
+        modes and leg limits, and other numbers.
     rotation, translation
         As for `inverse_displacement`.
     near : State, optional
@@ -126,8 +146,9 @@ def inverse_physical(
         b, exists = problem.preferred(*problem.closed(starts))
     b = problem.with_derivatives(b, exists)
     library = problem.library
-    values = *problem.pose, b, _readings(library, problem.machine, problem.legs, b)
-    return State._make([*(library.stacked(x, problem.zero) for x in values), exists])
+    readings, reach = _readings(library, problem.machine, problem.pose, b)
+    values = *problem.pose, b, readings
+    return State._make([*(library.stacked(x, problem.zero) for x in values), exists & (reach >= 0.0)])
 
 
 @quietly
@@ -136,13 +157,14 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
 
     Parameters
     ----------
-    geometry : Geometry or array, shape (..., 3) or (..., 54)
+    geometry : Geometry, array of shape (..., 3) or (..., 54), or pair
         As for `inverse_physical`.
     readings : array, shape (..., 6)
-        Readings of the encoders [m]: leg lengths of a drawn machine.
+        Readings of the encoders [m], of RRS legs [rad].
     near : State, optional
         From where Newton's method begins: the state to which it leads, if both stages keep the signs of their
-        determinants. No proof is given that it has not left the assembly mode where the state is far away.
+        determinants, and all legs are in their working modes. No proof is given that it has not left the assembly mode
+        where the state is far away.
 
     Returns
     -------
@@ -151,13 +173,14 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     """
     library = library_of(geometry=geometry, readings=readings, **state_arrays(near, "near"))
     machine, run = read_machine(library, geometry), library.run
-    shown, valid = library.checked(tuple(readings[..., i] for i in range(6)), machine.farthest, (machine.r,) * 6)
-    lengths = [x - offset for x, offset in zip(shown, machine.offsets, strict=True)]
-    zero = library.zeros(*lengths, machine.r, *([] if near is None else [near.translation[..., 0]]))
-    halves = tuple(lengths[:3]), tuple(lengths[3:])
+    shown, valid = machine.checked_readings(library, [readings[..., i] for i in range(6)])
+    without_offsets = [x - offset for x, offset in zip(shown, machine.offsets, strict=True)]
+    zero = library.zeros(*without_offsets, machine.r, *([] if near is None else [near.translation[..., 0]]))
+    centres, radii = zip(*machine.circles(library, without_offsets), strict=True)
     # Both stages are solved together, each seen from its own platform.
     stages = [
-        Circles(*legs, half, squares) for legs, half, squares in zip(machine.legs, halves, machine.squares, strict=True)
+        Circles(machine.legs[k].axes, centres[3 * k : 3 * k + 3], radii[3 * k : 3 * k + 3], machine.squares[k])
+        for k in range(2)
     ]
     if near is None:
         starts = [run(circles.level_balls, *x) for x in zip(stages, machine.balls, (1.0, -1.0), strict=True)]
@@ -193,6 +216,9 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     first, second = (mapped(lambda x, i=i: x[i, ...], (turns, places)) for i in range(2))
     pose = run(ball_motions.pose_of_frames, *first, *second)
     exists, joints = exists[0, ...] & exists[1, ...] & valid & machine.valid, mapped(lambda x: x[0, ...], b)
+    places = machine.places(library, [*joints, *mapped(lambda x: x[1, ...], b)])
+    for slope in machine.relative_slopes(library, machine.of_places(library, "slope", places, without_offsets)):
+        exists = exists & (slope > 0.0)
     if near is None:
         exists = exists & _physical(library, *library.constant((machine, pose, joints)))[0]
     else:
@@ -254,11 +280,12 @@ class _Inverse:
         library, machine = self.library, self._machine
         physical, tilts = _physical(library, machine, self._pose, b)
         inside = []
-        for reading, *limits in zip(_readings(library, machine, self._legs, b), *machine.limits, strict=True):
+        readings, reach = _readings(library, machine, self._pose, b)
+        for reading, *limits in zip(readings, *machine.limits, strict=True):
             low, high = library.run(leg_constants.admitted_readings, *limits)
             inside.append((low <= reading) & (reading <= high))
         inside = functools.reduce(operator.and_, inside)
-        rank = library.where(physical & closed, library.where(inside, 2.0, 1.0) + tilts * 0.0, 0.0)
+        rank = library.where(physical & closed & (reach >= 0.0), library.where(inside, 2.0, 1.0) + tilts * 0.0, 0.0)
         best = mapped(lambda x: x[0, ...], (b, rank, tilts))
         for k in range(1, rank.shape[0]):
             other = mapped(lambda x, k=k: x[k, ...], (b, rank, tilts))
@@ -301,14 +328,34 @@ def _with_derivatives(
 
 
 def _physical(library: Library, machine: Machine, pose: Any, b: Any) -> tuple[Any, Any]:
-    lower, upper = machine.legs[0], library.run(leg_planes.carried, machine.legs[1], *pose)
-    c = machine.upper_balls(library, b)
-    legs = library.run(vectors.differences, b, lower.pivots), library.run(vectors.differences, upper.pivots, c)
-    physical = library.run(branches.is_physical, b, c, *legs, lower.axes, upper.axes, *pose)
+    c, rods = machine.upper_balls(library, b), rods_of(library, machine, pose, b)
+    upper_axes = library.run(vectors.turned, pose[0], machine.legs[1].axes)
+    physical = library.run(branches.is_physical, b, c, *rods.vectors, machine.legs[0].axes, upper_axes, *pose)
     return physical, library.run(branches.tilt_cosine_sum, b, pose[0])
 
 
-def _readings(library: Library, machine: Machine, legs: Any, b: Any) -> list[Any]:
-    _, lower = library.run(ball_motions.leg_vectors, b, legs[0].pivots)
-    _, upper = library.run(ball_motions.leg_vectors, machine.upper_balls(library, b), legs[1].pivots)
-    return [length + offset for length, offset in zip((*lower, *upper), machine.offsets, strict=True)]
+def _readings(library: Library, machine: Machine, pose: Any, b: Any) -> tuple[list[Any], Any]:
+    """Return the readings of balls, and a number that is negative where one is out of reach of its leg."""
+    rods = rods_of(library, machine, pose, b)
+    reach = functools.reduce(functools.partial(library.run, vectors.larger), (-x for x in rods.reach))
+    return [x + offset for x, offset in zip(rods.readings, machine.offsets, strict=True)], -reach
+
+
+class Rods(NamedTuple):
+    """The six legs of a state, without their offsets."""
+
+    readings: list[Any]
+    reach: list[Any]
+    slopes: list[Any]
+    vectors: tuple[Any, Any]  # from circles to lower balls, and from upper balls to circles, in {B}
+
+
+def rods_of(library: Library, machine: Machine, pose: Any, b: Any) -> Rods:
+    """Return what the legs are at balls b_i in {B} and a pose."""
+    run, c = library.run, machine.upper_balls(library, b)
+    places = machine.places(library, [*b, *run(ball_motions.points_from_platform, c, *pose)])
+    readings, reach = (machine.of_places(library, name, places) for name in ("reading", "reach"))
+    slopes, centres = machine.of_places(library, "slope", places, readings), machine.circles(library, readings)
+    lower, upper = (tuple(centre for centre, _ in half) for half in (centres[:3], centres[3:]))
+    upper = run(vectors.shifted, run(vectors.turned, pose[0], upper), pose[1])
+    return Rods(readings, reach, slopes, (run(vectors.differences, b, lower), run(vectors.differences, upper, c)))

@@ -12,13 +12,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.formulas import circles, leg_constants, leg_planes
-from spm_pin.formulas.leg_constants import AXES
+from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
+from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
 from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind, mapped, vector_of
-from spm_pin.mechanism import Geometry
+from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.mechanism import Geometry, LegKind
 from spm_pin.mechanism.arguments import LARGEST, LARGEST_RATIO, SMALLEST, check_shapes, type_and_value
-from spm_pin.mechanism.geometry import check_rps
+from spm_pin.mechanism.joint_angles import joint_names
+from spm_pin.mechanism.leg_kinds import BOUNDS
 
 try:
     import array_api_compat as compat
@@ -32,7 +34,9 @@ _TRAILING |= {"normal": (3,)}
 """The last axes of arrays by their names."""
 quietly = np.errstate(all="ignore")
 """Decorates functions in which numbers of what does not exist are no reason for NumPy's warnings."""
-_UNLIMITED = (0.0,) * 6, (math.inf,) * 6
+_UNLIMITED = (-math.inf,) * 6, (math.inf,) * 6
+_RPS = Geometry(1.0, 1.0, 1.0)
+"""Of the kinds of dimensions and parameters that come without a geometry."""
 
 
 class Library:
@@ -43,20 +47,35 @@ class Library:
         self.eps = float(namespace.finfo(dtype).eps)
         self.is_jax = compat.is_jax_namespace(namespace)
         self.has_derivatives = self.is_jax or compat.is_torch_namespace(namespace)
-        self.least = self.eps**2.5
+        self.least, self.normal = self.eps**2.5, float(namespace.finfo(dtype).smallest_normal)
         self._bound: dict[Any, Callable[..., Any]] = {}
 
     def run(self, formula: Callable[..., Any], *arguments: Any) -> Any:
         """Run a formula of `spm_pin.formulas` on numbers, arrays, and tuples of them."""
         if formula not in self._bound:
-            self._bound[formula] = bind(formula, sqrt=self.sqrt, where=self.where, cos=self.xp.cos, sin=self.xp.sin)
+            operations = {"sqrt": self.sqrt, "where": self.where, "arctan2": self.arctan2}
+            self._bound[formula] = bind(formula, cos=self.cos, sin=self.sin, **operations)
         return self._bound[formula](*arguments)
 
     def sqrt(self, x: Any) -> Any:
         """Return the square root, of zero and less a tiny number: derivatives stay finite."""
         if type(x) is float:
-            return math.sqrt(x)
+            return math.sqrt(x) if x >= 0.0 else math.nan
         return self.xp.sqrt(self.xp.where(x > self.least, x, self.least))
+
+    def cos(self, x: Any) -> Any:
+        """Return the cosine."""
+        return math.cos(x) if type(x) is float else self.xp.cos(x)
+
+    def sin(self, x: Any) -> Any:
+        """Return the sine."""
+        return math.sin(x) if type(x) is float else self.xp.sin(x)
+
+    def arctan2(self, y: Any, x: Any) -> Any:
+        """Return the angle of a vector, zero of that of no length, where derivatives are finite too."""
+        if type(x) is float and type(y) is float:
+            return math.atan2(y, x)
+        return self.xp.atan2(y, self.xp.where(x * x + y * y > self.normal, x, 1.0))
 
     def where(self, condition: Any, yes: Any, no: Any) -> Any:
         """Select entry by entry."""
@@ -114,10 +133,13 @@ _library = functools.cache(Library)
 
 def library_of(**arguments: Array | Geometry) -> Library:
     """Return the library of arguments, arrays of floats of one library whose shapes fit their names."""
-    arrays = {name: x for name, x in arguments.items() if not isinstance(x, Geometry)}
+    given = ((name, x[1] if name == "geometry" and isinstance(x, tuple) else x) for name, x in arguments.items())
+    arrays: dict[str, Array] = {name: x for name, x in given if not isinstance(x, Geometry)}
     for name, x in arrays.items():
         if not compat.is_array_api_obj(x):
-            raise ArgumentError(name, "an array of a library that follows the Array API standard", type_and_value(x))
+            expected = "an array of a library that follows the Array API standard"
+            cause = "Make it one, as by jax.numpy.asarray or numpy.asarray with the dtype float"
+            raise ArgumentError(name, expected, type_and_value(x), cause)
     spaces = {name: compat.array_namespace(x) for name, x in arrays.items()}
     kinds = {name: space.__name__.removeprefix("array_api_compat.") for name, space in spaces.items()}
     if len(set(kinds.values())) > 1:
@@ -142,6 +164,10 @@ class Machine(NamedTuple):
     squares: tuple[Any, Any]  # of the sides of the balls' triangles
     weights: Any  # see `leg_planes.upper_balls`
     offsets: tuple[Any, ...]
+    planes: tuple[planar_legs.LegPlane, ...]  # of the six legs, in {B} or {m}
+    kinds: tuple[LegKind, ...]  # of each leg
+    numbers: tuple[tuple[Any, ...], ...]  # that are fixed in each leg
+    joint_names: tuple[str, ...]  # of the URDF
     limits: tuple[tuple[float, ...], tuple[float, ...]]
     is_drawn: bool
     valid: Any  # where its numbers are those of a machine, see `Geometry`
@@ -155,11 +181,48 @@ class Machine(NamedTuple):
         """Return the upper legs' balls from the lower ones'."""
         return b if self.is_drawn else library.run(leg_planes.upper_balls, b, self.weights)
 
+    def places(self, library: Library, balls: Sequence[Any]) -> list[Any]:
+        """Return x and z of the six balls, seen from the plates that the legs stand on, in the planes of their legs."""
+        return [library.run(planar_legs.place_in_plane, *pair) for pair in zip(balls, self.planes, strict=True)]
+
+    def of_places(self, library: Library, name: str, places: Sequence[Any], *further: Sequence[Any]) -> list[Any]:
+        """Return what a formula of the legs' kinds makes of `places`, and of further numbers of each leg."""
+        legs = zip(self.kinds, places, self.numbers, *further, strict=True)
+        return [library.run(getattr(kind.formulas, name), *xz, *more, numbers) for kind, xz, numbers, *more in legs]
+
+    def circles(self, library: Library, readings: Sequence[Any]) -> list[tuple[Any, Any]]:
+        """Return centres, in {B} or {m}, and radii of the circles that readings without offsets leave to the balls."""
+        found = []
+        for kind, reading, numbers, plane in zip(self.kinds, readings, self.numbers, self.planes, strict=True):
+            x, z, radius = library.run(kind.formulas.circle, reading, numbers)
+            found.append((library.run(planar_legs.point_of_plane, x, z, plane), radius))
+        return found
+
+    def relative_slopes(self, library: Library, slopes: Sequence[Any]) -> list[Any]:
+        """Return κ of the legs over the largest of their working modes: at most 1, negative in another mode."""
+        legs = zip(slopes, self.kinds, self.numbers, strict=True)
+        return [slope / library.run(kind.formulas.largest_slope, numbers) for slope, kind, numbers in legs]
+
+    def checked_readings(self, library: Library, readings: Sequence[Any]) -> tuple[list[Any], Any]:
+        """Return readings, and where they are numbers that a leg may have; others where not."""
+        checked, valid = [], True
+        for reading, kind in zip(readings, self.kinds, strict=True):
+            most = MOST_TURNED if kind.unit == "rad" else self.farthest
+            x, is_valid = library.checked(reading, most, self.r)
+            checked.append(x)
+            valid = valid & is_valid
+        return checked, valid
+
 
 def read_machine(library: Library, geometry: Any) -> Machine:
-    """Return a machine of a `Geometry`, of dimensions (..., 3) E, C, d, or of the parameters (..., 54) of its legs."""
+    """Return a machine of a `Geometry`, of dimensions (..., 3) E, C, d, or of the parameters of its legs.
+
+    Parameters are an array (..., 54), of RPS legs, or a pair of a geometry and of its parameters (..., n).
+    """
     if isinstance(geometry, Geometry):
         return _machine_of(geometry)
+    if isinstance(geometry, tuple):
+        return _machine_of_parameters(library, *geometry)
     size = geometry.shape[-1] if geometry.ndim else 0
     if size == 3:
         dimensions = mapped(lambda x: library.where(x >= SMALLEST, x, math.nan), vector_of(geometry))
@@ -168,39 +231,80 @@ def read_machine(library: Library, geometry: Any) -> Machine:
         corners = library.run(leg_constants.drawn_triangle, r)
         pivots = [x for radius in (base, platform) for x in library.run(leg_constants.drawn_triangle, radius)]
         legs = (*AXES, *AXES), tuple(pivots), (*corners, *corners), (0.0,) * 6
-        return _completed(library, (base, platform), r, legs, _UNLIMITED, True, valid)
+        return _completed(library, (base, platform), r, legs, _RPS, None, _UNLIMITED, True, valid)
     if size != 54:
-        expected = "a Geometry, dimensions (..., 3) E, C, d, or the parameters (..., 54) of the legs"
-        raise ArgumentError("geometry", expected, f"shape {tuple(geometry.shape)}")
-    numbers = tuple(tuple(geometry[..., 9 * i + k] for k in range(9)) for i in range(6))
-    drawn = tuple(map(tuple, Geometry(1.0, 1.0, 1.0).parameters.reshape(6, 9).tolist()))
+        expected = "a Geometry, dimensions (..., 3) E, C, d, or the parameters (..., 54) of RPS legs"
+        cause = "Of other legs, or with leg limits, pass a pair of a Geometry and of its parameters"
+        raise ArgumentError("geometry", expected, f"shape {tuple(geometry.shape)}", cause)
+    return _machine_of_parameters(library, _RPS, geometry)
+
+
+def _machine_of_parameters(library: Library, geometry: Geometry, parameters: Array) -> Machine:
+    """Return a machine with the kinds, working modes and leg limits of a geometry and these parameters (..., n)."""
+    count, drawing = len(geometry.parameters), geometry.nominal
+    if parameters.ndim == 0 or parameters.shape[-1] != count:
+        expected = f"the parameters (..., {count}) of its legs beside a geometry"
+        raise ArgumentError("geometry", expected, f"shape {tuple(parameters.shape)}")
+    numbers = tuple(tuple(parameters[..., 9 * i + k] for k in range(9)) for i in range(6))
+    drawn = tuple(map(tuple, drawing.parameters[:54].reshape(6, 9).tolist()))
     rows, valid = library.checked(numbers, LARGEST, drawn)
+    fixed, place = [], 54
+    for kind in geometry.legs.kinds:
+        for row in kind.numbers.tolist():
+            own = list(row)
+            for k, name in enumerate(kind.identified):
+                low, high = BOUNDS[name]
+                x = parameters[..., place]
+                is_valid = (x >= low) & (x <= high)
+                own[k], place, valid = library.where(is_valid, x, row[k]), place + 1, valid & is_valid
+            fixed.append(tuple(own))
     axes = [library.run(leg_constants.turned_axis, AXES[i % 3], *rows[i][:2]) for i in range(6)]
     points, balls = tuple(row[2:5] for row in rows), tuple(row[5:8] for row in rows)
-    # The drawing beside it has the means of its radii.
-    halves = points[:3], points[3:], balls[:3], balls[3:]
-    base, platform, *middle = (library.run(leg_constants.mean_radius, x) for x in halves)
-    legs = tuple(axes), points, balls, tuple(row[8] for row in rows)
-    return _completed(library, (base, platform), 0.5 * sum(middle), legs, _UNLIMITED, False, valid)
+    radii: Any = geometry.base_radius, geometry.platform_radius
+    r: Any = geometry.middle_radius
+    if geometry is _RPS:
+        # The drawing beside parameters alone has the means of their radii.
+        halves = points[:3], points[3:], balls[:3], balls[3:]
+        *radii, first, second = (library.run(leg_constants.mean_radius, x) for x in halves)
+        r = 0.5 * (first + second)
+    legs, limits = (tuple(axes), points, balls, tuple(row[8] for row in rows)), _bounds(geometry)
+    return _completed(library, tuple(radii), r, legs, geometry, tuple(fixed), limits, False, valid)
 
 
-def _completed(library: Library, radii: Any, r: Any, legs: Any, *further: Any) -> Machine:
-    """Return the machine of axes, pivots, balls and offsets of six legs."""
-    axes, pivots, balls, offsets = legs
+def _completed(
+    library: Library, radii: Any, r: Any, legs: Any, drawing: Geometry, numbers: Any, *further: Any
+) -> Machine:
+    """Return the machine of axes, pivots, balls and offsets of six legs, which have the kinds of a drawing's.
+
+    `numbers` None are the drawing's.
+    """
+    (axes, pivots, balls, offsets), kinds = legs, drawing.legs.kinds
+    planes = []
+    for i, (axis, pivot) in enumerate(zip(axes, pivots, strict=True)):
+        directions = library.run(planar_legs.plane_axes, axis, TANGENT_SIGNS[i % 3], 1.0 - 2.0 * (i // 3))
+        planes.append(planar_legs.LegPlane(pivot, *directions))
+    if numbers is None:
+        numbers = tuple(tuple(row) for kind in kinds for row in kind.numbers.tolist())
+    of_legs = tuple(planes), (kinds[0],) * 3 + (kinds[1],) * 3, numbers, joint_names(drawing)
     stages, halves = (StageLegs(axes[:3], pivots[:3]), StageLegs(axes[3:], pivots[3:])), (balls[:3], balls[3:])
     lower, upper = (library.run(circles.squared_sides, b) for b in halves)
     weights = library.run(leg_planes.upper_ball_weights, *halves)
-    return Machine(radii, r, stages, halves, (lower, upper), weights, offsets, *further)
+    return Machine(radii, r, stages, halves, (lower, upper), weights, offsets, *of_legs, *further)
 
 
 @functools.lru_cache(maxsize=32)
 def _machine_of(geometry: Geometry) -> Machine:
-    check_rps(geometry, "arrays")
     *vectors, offsets = (x.tolist() for x in geometry.legs.arrays)
-    legs, limits = (*(tuple(map(tuple, x)) for x in vectors), tuple(offsets)), geometry.limits
-    bounds = _UNLIMITED if limits is None else (tuple(limits.minimum), tuple(limits.maximum))
+    legs = *(tuple(map(tuple, x)) for x in vectors), tuple(offsets)
     library, radii = library_of(numbers=np.zeros(1)), (geometry.base_radius, geometry.platform_radius)
-    return _completed(library, radii, geometry.middle_radius, legs, bounds, geometry.is_nominal, True)
+    further = geometry, None, _bounds(geometry), geometry.is_nominal, True
+    return _completed(library, radii, geometry.middle_radius, legs, *further)
+
+
+def _bounds(geometry: Geometry) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the ends of the leg limits."""
+    limits = geometry.limits
+    return _UNLIMITED if limits is None else (tuple(limits.minimum), tuple(limits.maximum))
 
 
 def state_arrays(state: Any, name: str) -> dict[str, Any]:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from array_api_compat import is_array_api_obj
 
-from spm_pin.arrays.library import Array, Library, library_of, quietly
+from spm_pin.arrays.library import Array, library_of, quietly
 from spm_pin.formulas import planar_legs, stage_poses
-from spm_pin.formulas.operations import bind, vector_of
+from spm_pin.formulas.operations import vector_of
 from spm_pin.formulas.planar_legs import LegPlane
 from spm_pin.mechanism import Stage
 from spm_pin.mechanism.arguments import check_instance
-
-_ON_ITS_CIRCLE = 1e-6
-"""Error of a ball's distance from its circle's centre, relative to the radius, from which on it is out of reach."""
 
 
 class StageState(NamedTuple):
@@ -51,28 +48,17 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     check_instance(stage, Stage, "stage")
     library = library_of(normal=normal, height=height[..., None] if is_array_api_obj(height) else height)
     legs, numbers = stage.legs, [tuple(row) for row in stage.kind.numbers.tolist()]
-    run = _binder(library)
+    run, formulas = library.run, stage.kind.formulas
     rows = [tuple(map(tuple, x.tolist())) for x in (*legs.arrays[:3], *legs.planes)]
-    constants = library.run(stage_poses.stage_constants, *rows[:3])
+    constants = run(stage_poses.stage_constants, *rows[:3])
     turn = run(stage_poses.shortest_turn, vector_of(normal))
     equation = run(stage_poses.torsion_equation, turn, height, constants)
     rotation, position = run(stage_poses.pose_in_mode, 1.0, turn, height, equation, constants)
     exists, readings = run(stage_poses.discriminant, equation) >= 0.0, []
     for leg, ball in enumerate(run(stage_poses.platform_balls, rotation, position, constants.balls)):
         x, z = run(planar_legs.place_in_plane, ball, LegPlane(rows[1][leg], rows[3][leg], rows[4][leg]))
-        reading = run(stage.kind.formulas.reading, x, z, numbers[leg])
-        centre_x, centre_z, radius = run(stage.kind.formulas.circle, reading, numbers[leg])
-        # Of a ball out of reach the root is that of zero: the reading then leaves the ball elsewhere.
-        distance = (x - centre_x) ** 2 + (z - centre_z) ** 2
-        exists = exists & (library.xp.abs(distance - radius**2) <= _ON_ITS_CIRCLE * radius**2)
-        readings.append(reading + float(legs.offsets[leg]))
+        exists = exists & (run(formulas.reach, x, z, numbers[leg]) >= 0.0)
+        readings.append(run(formulas.reading, x, z, numbers[leg]) + float(legs.offsets[leg]))
     zero = library.zeros(readings[0])
     rotation, position, readings = (library.stacked(x, zero) for x in (rotation, position, readings))
     return StageState(rotation, position, readings, exists)
-
-
-def _binder(library: Library) -> Any:
-    """Return a function that runs a formula, arc tangents too."""
-    xp = library.xp
-    operations = {"sqrt": library.sqrt, "where": library.where, "cos": xp.cos, "sin": xp.sin, "arctan2": xp.atan2}
-    return lambda formula, *arguments: bind(formula, **operations)(*arguments)

@@ -5,15 +5,14 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from spm_pin.arrays.displacement import State
+from spm_pin.arrays.displacement import State, rods_of
 from spm_pin.arrays.library import Array, library_of, quietly, read_machine, state_arrays
 from spm_pin.formulas import ball_motions, leg_constants, leg_planes, vectors, wrenches
 from spm_pin.formulas import joint_values as values
-from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS, UP
+from spm_pin.formulas.leg_constants import AXES, UP
 from spm_pin.formulas.operations import mapped, rows_of, vector_of
 from spm_pin.mechanism import Configuration, Geometry
-from spm_pin.mechanism.joint_angles import JOINTS
-from spm_pin.mechanism.leg_kinds import RPS
+from spm_pin.mechanism.leg_kinds import drawn_numbers
 
 
 class _Legs:
@@ -31,9 +30,11 @@ class _Legs:
         self.lower = self.machine.legs[0]
         self.upper = self.library.run(leg_planes.carried, self.machine.legs[1], *self.pose)
         self.c = self.machine.upper_balls(self.library, self.b)
-        self.lower_directions, _ = self.library.run(ball_motions.leg_vectors, self.b, self.lower.pivots)
-        towards, _ = self.library.run(ball_motions.leg_vectors, self.c, self.upper.pivots)
-        self.upper_directions = mapped(lambda x: -x, towards)
+        rods = rods_of(self.library, self.machine, self.pose, self.b)
+        self.slopes, run = rods.slopes, self.library.run
+        (self.lower_directions, _), (self.upper_directions, _) = (
+            run(vectors.directions_and_lengths, x) for x in rods.vectors
+        )
 
     def regular(self, stage: Any, *determinants: Any) -> Any:
         """Return balls and six forces; regular ones where nothing exists, or a determinant is zero to rounding."""
@@ -42,12 +43,21 @@ class _Legs:
             is_regular = is_regular & (run(vectors.magnitude, determinant) > self.library.least * r**3)
         return self.library.select(is_regular, stage, (run(leg_constants.drawn_triangle, r), (UP, UP, UP), AXES))
 
+    def rates(self) -> list[Any]:
+        """Return κ of the legs, 1 of a leg that is singular."""
+        run, rates = self.library.run, []
+        for slope, relative in zip(self.slopes, self.machine.relative_slopes(self.library, self.slopes), strict=True):
+            is_singular = run(vectors.magnitude, relative) <= self.library.least
+            rates.append(self.library.where(is_singular, 1.0, slope))
+        return rates
+
 
 @quietly
 def inverse_jacobian(geometry: Geometry | Array, state: State | Configuration) -> Array:
     """Compute J_f (..., 6, 6), which maps the twist (v, ω) at o to the leg rates; arguments as for `leg_forces`.
 
-    At an inverse singularity, as the level home is, there is none: the numbers are finite and mean nothing.
+    At an inverse singularity, as the level home is, or a leg's own, there is none: the numbers are finite and mean
+    nothing.
     """
     legs = _Legs(geometry, state)
     library, run = legs.library, legs.library.run
@@ -61,16 +71,17 @@ def inverse_jacobian(geometry: Geometry | Array, state: State | Configuration) -
         b, a_m, a = legs.regular(stage, determinant, side)
         c = legs.machine.upper_balls(library, b)
         stages = run(wrenches.inverse_jacobian, b, c, *directions, a, a_m, legs.pose[1])
-    return library.stacked([(*force, *moment) for stage in stages for force, moment in stage], legs.zero)
+    rows = [(*force, *moment) for stage in stages for force, moment in stage]
+    return library.stacked([tuple(x / s for x in row) for row, s in zip(rows, legs.rates(), strict=True)], legs.zero)
 
 
 @quietly
 def leg_forces(geometry: Geometry | Array, state: State | Configuration, wrench: Array) -> Array:
-    """Compute the leg forces (..., 6) [N], positive pushes, that hold a wrench.
+    """Compute what actuators exert (..., 6) to hold a wrench [N], of RRS legs [N m]; positive increases readings.
 
     Parameters
     ----------
-    geometry : Geometry or array, shape (..., 3) or (..., 54)
+    geometry : Geometry, array of shape (..., 3) or (..., 54), or pair
         As for `inverse_physical`.
     state : State or Configuration
         Of shape (...).
@@ -84,12 +95,15 @@ def leg_forces(geometry: Geometry | Array, state: State | Configuration, wrench:
     stage = legs.regular(stage, library.run(wrenches.determinant, *stage))
     twists = library.run(wrenches.stage_twists, *stage, legs.pose[1])
     forces = library.run(wrenches.stage_forces, twists, (vector_of(wrench[..., :3]), vector_of(wrench[..., 3:])))
-    return library.stacked([x[i, ...] for i in range(2) for x in forces], zero)
+    along = [x[i, ...] for i in range(2) for x in forces]
+    return library.stacked([x * slope for x, slope in zip(along, legs.slopes, strict=True)], zero)
 
 
 @quietly
 def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Array:
-    """Compute the values of the eighteen joints of the URDF, shape (..., 18), in the order of `JOINTS`.
+    """Compute the values of the eighteen joints of the URDF, shape (..., 18), in the order of its tree.
+
+    Of RPS legs that is `JOINTS`, of others `spm_pin.mechanism.joint_angles.joint_names`.
 
     Angles in radians, slides in metres: with these a simulator of the open tree is reset to a closed state. Leg limits
     decide where the joints are at zero; dimensions and parameters have none. Arguments are as for `leg_forces`.
@@ -99,25 +113,25 @@ def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Ar
     triangle, columns = run(values.triangle_axes, legs.b), run(vectors.transposed, legs.pose[0])
     own = run(values.triangle_axes, machine.balls[0])
     upper_balls = run(ball_motions.points_from_platform, legs.c, *legs.pose)
-    shortest, longest = machine.limits
-    constants, kind = [], RPS.bound(lambda formula: functools.partial(run, formula))
-    for k, radius, stage, up in zip((0, 3), machine.radii, machine.legs, (1.0, -1.0), strict=True):
-        ends = max(shortest[k : k + 3]), min(longest[k : k + 3])
-        home = run(values.leg_home, machine.r - radius, machine.r + radius, ends, 1.0, (), kind)
-        for axis, pivot, drawn, sign in zip(*stage, AXES, TANGENT_SIGNS, strict=True):
-            signs = sign, up
-            constants.append(run(values.leg_frame, (axis, pivot), drawn, own, signs, home, ((), ()), kind))
-    balls, frames = library.together([*legs.b, *upper_balls], legs.zero), library.together(constants, legs.zero)
-    of_legs = run(values.leg_values, balls, frames, kind)
-    seen = tuple(run(vectors.times, columns, axis) for axis in triangle)
-    first = mapped(lambda x: library.xp.stack([x[0, ...], x[3, ...]]), (of_legs, frames))
-    signs, axes = library.together([1.0, -1.0], legs.zero), library.together([triangle, seen], legs.zero)
-    angles = [*run(values.ball_angles, *first, axes, signs), of_legs.passive]
-    turns = [library.xp.atan2(sine, cosine) for sine, cosine in angles]
-    named = {f"ball_{leg}_{x}": turns[k][i, ...] for i, leg in enumerate(("b1", "c1")) for k, x in enumerate("xyz")}
-    for i, leg in enumerate(("b1", "b2", "b3", "c1", "c2", "c3")):
-        named |= {f"leg_{leg}_hip": turns[3][i, ...], f"leg_{leg}_slide": of_legs.actuated[i, ...]}
-    return library.stacked([named[name] for name in JOINTS], legs.zero)
+    named, seen = {}, tuple(run(vectors.times, columns, axis) for axis in triangle)
+    stages = zip((0, 3), machine.radii, machine.legs, (legs.b, upper_balls), (triangle, seen), (1.0, -1.0), strict=True)
+    for k, radius, stage, balls, axes, up in stages:
+        kind, names = machine.kinds[k], ("b1", "b2", "b3", "c1", "c2", "c3")[k : k + 3]
+        formulas, numbers = kind.bound(lambda x: functools.partial(run, x)), machine.numbers[k : k + 3]
+        ends = max(kind.least_reading, *machine.limits[0][k : k + 3]), min(machine.limits[1][k : k + 3])
+        pair, triangles = (drawn_numbers(numbers, len(kind.identified)), numbers), (radius, machine.r)
+        frames = library.together(run(values.stage_frames, stage, own, triangles, ends, pair, up, formulas), legs.zero)
+        of_legs = run(values.leg_values, library.together(balls, legs.zero), frames, formulas)
+        first = mapped(lambda x: x[0, ...], (of_legs, frames))
+        for x, (sine, cosine) in zip("xyz", run(values.ball_angles, *first, axes, up), strict=True):
+            named[f"ball_{names[0]}_{x}"] = library.xp.atan2(sine, cosine)
+        passive = library.xp.atan2(*of_legs.passive)
+        for i, leg in enumerate(names):
+            named |= {
+                f"leg_{leg}_{kind.passive}": passive[i, ...],
+                f"leg_{leg}_{kind.actuated}": of_legs.actuated[i, ...],
+            }
+    return library.stacked([named[name] for name in machine.joint_names], legs.zero)
 
 
 @quietly

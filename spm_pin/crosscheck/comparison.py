@@ -26,7 +26,6 @@ from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, check_instance, whole_number
-from spm_pin.mechanism.geometry import check_rps
 from spm_pin.mechanism.pose import inverse_command
 
 LEG_SPACE = 0.8
@@ -208,7 +207,7 @@ def compare_in_batches(
     """
     poses = whole_number(poses, "poses", "a whole number, at least 1", least=1)
     seed = whole_number(seed, "seed", "a whole number, at least 0", most=1 << 128)
-    check_rps(check_instance(geometry, Geometry, "geometry"), "cross-checks")
+    check_instance(geometry, Geometry, "geometry")
     rng = np.random.default_rng(seed)
     inner = max(1, round(LEG_SPACE * poses))
     drawn = [in_leg_space(geometry, inner, rng), on_all_rotations(geometry, poses - inner, rng)]
@@ -400,6 +399,8 @@ class _Comparison:
         `place` (m,) is 8 times the number of the pose in the batch, plus the number of the branch.
         """
         count, side = len(place), self._geometry.middle_side
+        # Rates and forces of the actuators in units of those of rods.
+        slopes = self._geometry.legs.largest_slopes
         conditioning = Conditioning.from_configuration(states)
         rounding = {method.name: method.rounding(states) for method in self._methods}
         wrench = _FORCE * rng.uniform(-1.0, 1.0, (count, 6)) * np.repeat([1.0, side], 3)
@@ -411,9 +412,9 @@ class _Comparison:
             jacobian, force = method.inverse_jacobian(states), method.leg_forces(states, wrench)
             built = method.assembled(states)
             if jacobian is not None:
-                rates[method.name] = (jacobian / np.repeat([1.0, side], 3)).reshape(-1, 36)
+                rates[method.name] = (slopes[:, None] * jacobian / np.repeat([1.0, side], 3)).reshape(-1, 36)
             if force is not None:
-                forces[method.name] = force
+                forces[method.name] = force / slopes
             if built is not None:
                 assembled[method.name] = built.compared_points.reshape(-1, 18)
         size = np.nanmax([np.zeros(count), *(np.linalg.norm(force, axis=-1) for force in forces.values())], axis=0)

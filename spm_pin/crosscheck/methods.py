@@ -19,6 +19,7 @@ from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 from spm_pin.mechanism import Configuration, Geometry, SolutionSet
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.paper import resultant
 from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
 
@@ -103,6 +104,7 @@ class Paper(Method):
     """Mistakes of the paper's Table 5 to repeat; none by default."""
 
     def __post_init__(self) -> None:
+        check_rps(self.geometry, "the paper's equations")
         if not self.geometry.is_nominal:
             expected = "a machine as drawn, whose equations are those of the paper"
             cause = "Leave this method out, or compare its drawing, geometry.nominal"

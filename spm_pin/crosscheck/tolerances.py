@@ -6,8 +6,10 @@ their Jacobian F_b has the smallest singular value s; then
 
 - a point with |F| <= δ has a true branch within e = 2δ/(s + √(s² - 4qδ)), if s² > 4qδ (Kantorovich); otherwise
   two branches cannot be resolved, and they are √(δ/q) away at most;
-- J_f = l_x - l_b F_b⁻¹ F_x, so entries wrong by ε = δ/l, l the shortest length in them, make it wrong by
-  ε (1 + |l_b|/s)(1 + |F_b⁻¹ F_x|) to first order, each norm over nine rows or columns;
+- J_f = q_x - q_b F_b⁻¹ F_x with the readings q, in lengths, times the largest slopes of the legs, so entries wrong by
+  ε = δ/l, l the shortest length in them, make it wrong by ε (|q_b|² + |q_b|/s)(1 + |F_b⁻¹ F_x|) to first order, each
+  norm over nine rows or columns, but for the first |q_b|, the largest of its rows: one over the slope κ, which is wrong
+  by ε itself, and 1 of RPS legs;
 - forces f = -J_f⁻ᵀ w are then wrong by |J_f⁻¹| |ΔJ_f| |f|.
 
 In a machine as built the upper legs' balls are u_i = b_i + α p + β q + γ p x q with p = b_2 - b_1, q = b_3 - b_1 and
@@ -53,7 +55,7 @@ class Conditioning:
         sides, weights = configuration.geometry.legs.sides, configuration.geometry.legs.upper_ball_weights
         curvature = 1.5 * (1.0 / sides.min() + np.abs(weights[:, 2]).sum())
         exists = configuration.exists[:, None, None]
-        closure_b, closure_x, lengths_b, lengths_x = (
+        closure_b, closure_x, readings_b, readings_x = (
             np.where(exists, part, np.eye(*part.shape[-2:])) for part in _derivatives(configuration)
         )
         values = np.linalg.svd(closure_b, compute_uv=False)[..., -1]
@@ -62,10 +64,15 @@ class Conditioning:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             regular = np.where(singular[:, None, None], np.eye(9), closure_b)
             motion = np.linalg.solve(regular, closure_x)
-            rates = lengths_x - lengths_b @ motion
-            shortest = np.minimum(configuration.leg_lengths.min(axis=-1), sides.min())
-            legs = np.linalg.norm(lengths_b, axis=(-1, -2)) / values
-            spread = ROWS * (1.0 + legs) * (1.0 + np.linalg.norm(motion, axis=(-1, -2))) / shortest
+            rates = readings_x - readings_b @ motion
+            lengths = [
+                np.linalg.norm(configuration.leg_vectors, axis=-1).min(axis=-1),
+                configuration.leg_lengths.min(axis=-1),
+            ]
+            shortest = np.minimum(np.minimum(*lengths), sides.min())
+            own = (readings_b**2).sum(axis=-1).max(axis=-1)
+            legs = np.linalg.norm(readings_b, axis=(-1, -2)) / values
+            spread = ROWS * (own + legs) * (1.0 + np.linalg.norm(motion, axis=(-1, -2))) / shortest
             spread = np.where(singular, np.inf, spread)
             inverse = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
         absent = ~configuration.exists
@@ -93,7 +100,7 @@ class Conditioning:
 
 
 def _derivatives(configuration: Configuration) -> list[FloatArray]:
-    """Return F_b (N, 9, 9), F_x (N, 9, 6), l_b (N, 6, 9) and l_x (N, 6, 6), angles times d."""
+    """Return F_b (N, 9, 9), F_x (N, 9, 6), q_b (N, 6, 9) and q_x (N, 6, 6), angles times d."""
     count = len(configuration)
     places = configuration.middle_joints.reshape(count, 9), configuration.translation
     # CasADi is column-major.

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from spm_pin.formulas.leg_constants import INFINITY, UP, leg_axes
+from spm_pin.formulas.leg_constants import AXES, INFINITY, TANGENT_SIGNS, UP, leg_axes
+from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import both, sqrt, where
 from spm_pin.formulas.planar_legs import Circle, Numbers
 from spm_pin.formulas.vectors import Rows, Vector, combined, cross, direction, dot, minus, times, weighted
@@ -97,6 +98,38 @@ def leg_frame(
     rod = (at_home.x - circle.x) / circle.radius, (at_home.z - circle.z) / circle.radius
     passive = kind.passive(*rod, at_home.reading)
     return LegFrame(rows, times(rows, pivot), corner, -tangent_sign, up, rod, passive, at_home.reading, own_numbers)
+
+
+def stage_frames(
+    legs: StageLegs,
+    own_axes: Rows,
+    triangles: tuple[float, float],
+    limits: tuple[float, float],
+    numbers: tuple[tuple[Numbers, Numbers, Numbers], tuple[Numbers, Numbers, Numbers]],
+    up: float,
+    kind: Any,
+) -> tuple[LegFrame, LegFrame, LegFrame]:
+    """Return the constants of a stage's legs.
+
+    `triangles` are the radii of the platform of the legs and of the balls, and `limits` those that the legs share;
+    `numbers` are those of the drawing, in the legs' own working modes, and the legs' own.
+    """
+    radius, r = triangles
+    home = leg_home(r - radius, r + radius, limits, kind.largest_slope(numbers[0][0]), numbers[0][0], kind)
+    return (
+        _frame_at(home, 0, legs, own_axes, numbers, up, kind),
+        _frame_at(home, 1, legs, own_axes, numbers, up, kind),
+        _frame_at(home, 2, legs, own_axes, numbers, up, kind),
+    )
+
+
+def _frame_at(home: LegHome, leg: int, legs: StageLegs, own_axes: Rows, numbers: Any, up: float, kind: Any) -> LegFrame:
+    """Return the constants of a leg; one of the other working mode has another reading in the same place."""
+    drawn, own = numbers[0][leg], numbers[1][leg]
+    has_mode = kind.largest_slope(drawn) * kind.largest_slope(numbers[0][0]) > 0.0
+    at_home = LegHome(where(has_mode, home.reading, kind.reading(home.x, home.z, drawn)), home.x, home.z)
+    signs = TANGENT_SIGNS[leg], up
+    return leg_frame((legs.axes[leg], legs.pivots[leg]), AXES[leg], own_axes, signs, at_home, (drawn, own), kind)
 
 
 def leg_values(ball: Vector, leg: LegFrame, kind: Any) -> LegValues:

@@ -5,12 +5,12 @@ in that plane from the leg's pivot, radially outwards and towards the middle pla
 is on a circle, see `Circle`. The slope κ is the speed of the ball away from the circle's centre per unit rate of the
 reading; where it is zero the leg itself is singular: `docs/theory/planar_legs.md`.
 
-Each kind has the same five formulas, of the numbers that are fixed in a leg: of RPS none; of PRS the rod's length, the
+Each kind has the same formulas, of the numbers that are fixed in a leg: of RPS none; of PRS the rod's length, the
 direction of the slide, an angle from x towards z, and the working mode; of RRS the lengths of crank and rod, and the
-working mode. The working mode is the sign, +1 or -1, of the root in the reading. The last two serve the values of the
-joints, `spm_pin.formulas.joint_values`: the reading at home where no limits say, from x there, the height of a stage
-that is as high as its two radii together, and the least reading; and a direction as the body sees it that carries the
-passive joint.
+working mode. The working mode is the sign, +1 or -1, of the root in the reading; its radicand, the reach, is negative
+for a ball out of the leg's reach. Two formulas serve the values of the joints, `spm_pin.formulas.joint_values`: the
+reading at home where no limits say, from x there, the height of a stage that is as high as its two radii together, and
+the least reading; and a direction as the body sees it that carries the passive joint.
 """
 
 from __future__ import annotations
@@ -22,6 +22,11 @@ from spm_pin.formulas.operations import RIGHT_ANGLE, arctan2, cos, sin, sqrt
 from spm_pin.formulas.vectors import Vector, combined, cross, direction, dot, larger, magnitude, minus, scaled
 
 Numbers = tuple[float, ...]
+
+LONGEST_CHORD = 0.1
+"""Turn of a crank [rad] over which the arc of its end is replaced by the chord where a state is followed."""
+MOST_TURNED = 16.0 * RIGHT_ANGLE
+"""Largest reading of a crank, offset aside [rad]: more than four turns are taken for degrees."""
 
 
 class Circle(NamedTuple):
@@ -60,6 +65,11 @@ def point_of_plane(x: float, z: float, plane: LegPlane) -> Vector:
     return combined(combined(plane.pivot, x, plane.outward), z, plane.forward)
 
 
+def rps_reach(x: float, z: float, numbers: Numbers) -> float:
+    """Return a positive number: an RPS leg reaches every ball."""
+    return 1.0
+
+
 def rps_reading(x: float, z: float, numbers: Numbers) -> float:
     """Return the length of an RPS leg."""
     return sqrt(x * x + z * z)
@@ -85,12 +95,22 @@ def rps_passive(x: float, z: float, reading: float) -> tuple[float, float]:
     return x, z
 
 
+def rps_largest_slope(numbers: Numbers) -> float:
+    """Return the κ of an RPS leg that is largest in magnitude, with the sign of its working mode."""
+    return 1.0
+
+
+def prs_reach(x: float, z: float, numbers: Numbers) -> float:
+    """Return the square of what is left of a PRS leg's rod along the slide, negative where the rod is too short."""
+    rod, direction, _ = numbers
+    across = cos(direction) * z - sin(direction) * x
+    return (rod - across) * (rod + across)
+
+
 def prs_reading(x: float, z: float, numbers: Numbers) -> float:
     """Return the place of a PRS leg's carriage along its slide, not a number where the rod is too short."""
-    rod, direction, sign = numbers
-    cosine, sine = cos(direction), sin(direction)
-    along, across = cosine * x + sine * z, cosine * z - sine * x
-    return along + sign * sqrt((rod - across) * (rod + across))
+    _, direction, sign = numbers
+    return cos(direction) * x + sin(direction) * z + sign * sqrt(prs_reach(x, z, numbers))
 
 
 def prs_circle(reading: float, numbers: Numbers) -> Circle:
@@ -115,14 +135,25 @@ def prs_passive(x: float, z: float, reading: float) -> tuple[float, float]:
     return x, z
 
 
+def prs_largest_slope(numbers: Numbers) -> float:
+    """Return the κ of a PRS leg that is largest in magnitude, with the sign of its working mode."""
+    _, _, sign = numbers
+    return -sign
+
+
+def rrs_reach(x: float, z: float, numbers: Numbers) -> float:
+    """Return 16 times the square of the area between crank, rod and ball, negative where these make no triangle."""
+    crank, rod, _ = numbers
+    square, longest, shortest = x * x + z * z, crank + rod, crank - rod
+    return (longest * longest - square) * (square - shortest * shortest)
+
+
 def rrs_crank(x: float, z: float, numbers: Numbers) -> tuple[float, float]:
     """Return x² + z² times cosine and sine of the angle of an RRS leg's crank; not numbers out of its reach."""
     crank, rod, sign = numbers
-    square = x * x + z * z
     # The knee along the line from pivot to ball, and beside it, times that line's length.
-    longest, shortest = crank + rod, crank - rod
-    along = (square + longest * shortest) / (2.0 * crank)
-    beside = sign * sqrt((longest * longest - square) * (square - shortest * shortest)) / (2.0 * crank)
+    along = (x * x + z * z + (crank + rod) * (crank - rod)) / (2.0 * crank)
+    beside = sign * sqrt(rrs_reach(x, z, numbers)) / (2.0 * crank)
     return x * along - z * beside, z * along + x * beside
 
 
@@ -155,3 +186,9 @@ def rrs_passive(x: float, z: float, reading: float) -> tuple[float, float]:
     """Return a direction as the crank of an RRS leg sees it."""
     cosine, sine = cos(reading), sin(reading)
     return cosine * x + sine * z, cosine * z - sine * x
+
+
+def rrs_largest_slope(numbers: Numbers) -> float:
+    """Return the κ of an RRS leg [m/rad] that is largest in magnitude, with the sign of its working mode."""
+    crank, _, sign = numbers
+    return -sign * crank

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
+from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
 from spm_pin.kinematics.stage_balls import Drawing, Modes, all_modes, followed_balls, halves, physical_balls
 from spm_pin.mechanism.arguments import (
@@ -39,8 +40,6 @@ STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in ra
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
 
-_MOST_TURNS = 8.0 * np.pi
-"""Largest angle of a crank [rad]."""
 _OPEN = 1e-6
 """Closure residual of a state, relative to d, from which on it is no configuration."""
 _START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
@@ -214,11 +213,11 @@ def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArra
         cause = "Strokes of the actuators instead of distances between joint centres?"
         expected = f"positive lengths {', '.join(legs.names)} {meaning}"
         raise ArgumentError("readings", expected, f"{own[index]:g}{where}", cause)
-    farthest = np.where([unit == "m" for unit in legs.units], LARGEST_RATIO * size, _MOST_TURNS)
+    farthest = np.where([unit == "m" for unit in legs.units], LARGEST_RATIO * size, MOST_TURNED)
     if (np.abs(own) > farthest).any():
         index = first_offender(np.abs(own) > farthest)
         if legs.units[index[-1]] == "rad":
-            expected, cause = f"angles in radians within ±{_MOST_TURNS:.3g} for {legs.names[index[-1]]}", "In degrees?"
+            expected, cause = f"angles in radians within ±{MOST_TURNED:.3g} for {legs.names[index[-1]]}", "In degrees?"
         else:
             expected = f"lengths in metres up to {LARGEST_RATIO:.0e} times the machine's own {size:.3g} m"
             cause = "Lengths in another unit?"

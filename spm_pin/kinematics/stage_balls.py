@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from spm_pin.formulas import circles as formulas
 from spm_pin.formulas.operations import on_arrays, rows_of
+from spm_pin.formulas.planar_legs import LONGEST_CHORD
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.leg_kinds import KINDS, RPS, LegKind
@@ -20,8 +21,6 @@ from spm_pin.mechanism.legs import Legs
 _is_home_state = on_arrays(formulas.is_home_state)
 
 _BALLS = ((3, 3), np.float64)
-_CHORD = 0.1
-"""Turn of a crank [rad] over which the arc of its end is replaced by the chord."""
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_FOLLOWED, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 10, 1 << 12
 
 
@@ -112,7 +111,7 @@ def followed_balls(stage: StageHalf, balls: FloatArray, start: FloatArray, end: 
 
     # Each crank is led along chords of its end's arc.
     turns = np.nan_to_num(np.abs(end - start)).max(initial=0.0) if stage.kind.unit == "rad" else 0.0
-    parts, here = 1 + int(turns / _CHORD), _circles(stage, start)
+    parts, here = 1 + int(turns / LONGEST_CHORD), _circles(stage, start)
     for part in range(1, parts + 1):
         there = _circles(stage, end if part == parts else start + part / parts * (end - start))
         inputs = balls, *here, *there

@@ -267,7 +267,8 @@ def shaped_array(value: npt.ArrayLike, argument: str, trailing: tuple[int, ...],
 
 def _in_order(value: Any, argument: str, trailing: tuple[int, ...]) -> Any:
     """Return a table whose columns have names, such as a DataFrame of pandas or polars, in the order of `COLUMNS`."""
-    names = [name for name in getattr(value, "columns", ()) if isinstance(name, str)]
+    columns = getattr(value, "columns", ())  # of CasADi's matrices a method
+    names = [] if callable(columns) else [name for name in columns if isinstance(name, str)]
     order = COLUMNS.get(trailing[-1], ()) if trailing else ()
     if not names or tuple(names) == order:
         return value

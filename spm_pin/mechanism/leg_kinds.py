@@ -17,12 +17,20 @@ import numpy as np
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.formulas import planar_legs
 from spm_pin.formulas.operations import on_arrays
-from spm_pin.mechanism.arguments import FloatArray, as_array, dimension, real_number, type_and_value
+from spm_pin.mechanism.arguments import (
+    LARGEST,
+    SMALLEST,
+    FloatArray,
+    as_array,
+    dimension,
+    real_number,
+    type_and_value,
+)
 
 Number = float | Sequence[float]
 """One number of all three legs, or one for each."""
 
-FORMULAS = "reading", "circle", "slope", "home", "passive"
+FORMULAS = "reading", "reach", "circle", "slope", "largest_slope", "home", "passive"
 """What every kind has a formula for."""
 _ANGLE = 2.0 * math.pi
 _STEP = 1e-100
@@ -36,6 +44,8 @@ class LegKind:
     name: ClassVar[str]
     unit: ClassVar[str]
     """Of readings: "m" or "rad"."""
+    meaning: ClassVar[str]
+    """What a reading is, offset aside."""
     effort_unit: ClassVar[str]
     """Of what the actuator exerts: "N" or "N m"."""
     joints: ClassVar[tuple[str, str]]
@@ -145,12 +155,18 @@ class LegKind:
         numbers = tuple(self.numbers.T)
         return np.asarray(self.on_arrays.slope(places[..., 0], places[..., 1], readings, numbers) + 0.0 * readings)
 
+    @property
+    def largest_slopes(self) -> FloatArray:
+        """The κ of each leg that is largest in magnitude, with the sign of its working mode, (3,)."""
+        return np.broadcast_to(self.on_arrays.largest_slope(tuple(self.numbers.T)), 3)
+
 
 @dataclass(frozen=True)
 class RPS(LegKind):
     """Legs of a revolute joint, an actuated prismatic one, and a ball: cylinders. A reading is a length [m]."""
 
     unit = "m"
+    meaning = "the distance from pivot to ball"
     effort_unit = "N"
     joints = ("hip", "slide")
     actuated = "slide"
@@ -180,6 +196,7 @@ class PRS(LegKind):
     sign: int | Sequence[int] = -1
 
     unit = "m"
+    meaning = "the place of the carriage along its slide, from the pivot"
     effort_unit = "N"
     joints = ("slide", "knee")
     actuated = "slide"
@@ -208,6 +225,7 @@ class RRS(LegKind):
     sign: int | Sequence[int] = -1
 
     unit = "rad"
+    meaning = "the angle of the crank, 0 radially outwards and pi/2 towards the middle platform"
     effort_unit = "N m"
     joints = ("hip", "knee")
     actuated = "hip"
@@ -234,8 +252,16 @@ _READERS: dict[str, Callable[[Any, str], float]] = {
     "direction": _direction,
     "sign": _sign,
 }
+BOUNDS = {"rod": (SMALLEST, LARGEST), "crank": (SMALLEST, LARGEST), "direction": (-_ANGLE, _ANGLE), "sign": (-1.0, 1.0)}
+"""Between which the numbers fixed in a leg are; a sign is one of its bounds."""
 KINDS: dict[str, type[LegKind]] = {kind.__name__: kind for kind in (RPS, PRS, RRS)}
 """The kinds of legs by their names."""
+
+
+def drawn_numbers(numbers: Sequence[Any], identified: int) -> Any:
+    """Return the numbers of three legs as drawn, with the means of the first ones, which a calibration identifies."""
+    means = tuple((numbers[0][k] + numbers[1][k] + numbers[2][k]) / 3.0 for k in range(identified))
+    return tuple((*means, *x[identified:]) for x in numbers)
 
 
 def _three(value: Any, argument: str, read: Callable[[Any, str], float]) -> tuple[float, ...]:

@@ -381,12 +381,12 @@ class Legs:
     @functools.cached_property
     def slope_signs(self) -> FloatArray:
         """Signs of κ in the working modes of the legs, (6,)."""
-        return frozen(np.concatenate([-np.broadcast_to(getattr(kind, "sign", -1.0), 3) for kind in self.kinds]))
+        return frozen(np.sign(np.concatenate([kind.largest_slopes for kind in self.kinds])))
 
-    @property
+    @functools.cached_property
     def largest_slopes(self) -> FloatArray:
         """The largest κ of each leg, (6,): 1, of RRS legs the crank's length [m]."""
-        return np.concatenate([np.broadcast_to(getattr(kind, "crank", 1.0), 3) for kind in self.kinds])
+        return frozen(np.abs(np.concatenate([kind.largest_slopes for kind in self.kinds])))
 
     def circles(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the centres (..., 6, 3), in {B} or {m}, and radii (..., 6) [m] of the circles that readings leave."""

@@ -125,6 +125,10 @@ class Solutions(ABC, Generic[State]):
             raise TypeError("a batch of problems is indexed, not iterated over: solutions[i] is problem i")
         return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
 
+    def __len__(self) -> int:
+        """Return the number of real solutions, which an iteration is over; of a batch, that of its first axis."""
+        return self.shape[0] if self.shape else int(self.count)
+
     def __repr__(self) -> str:
         name = type(self).__name__
         if self.shape:

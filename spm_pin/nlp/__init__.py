@@ -1,11 +1,11 @@
 """Loop equations of the manipulator in CasADi, and a numerical inverse displacement by certified multi-start.
 
-`closure`, `leg_lengths` and `leg_jacobian` make symbolic functions, for optimal control problems of one's own and for
+`closure`, `readings` and `leg_jacobian` make symbolic functions, for optimal control problems of one's own and for
 generated C code. `search` finds the branches of a pose without the mechanism's algebra.
 """
 
 from spm_pin.nlp.branch_search import SOLVERS, Search, search
-from spm_pin.nlp.loop_equations import closure, inverse_jacobian, leg_jacobian, leg_lengths
+from spm_pin.nlp.loop_equations import closure, inverse_jacobian, leg_jacobian, readings
 
 __all__ = [
     "SOLVERS",
@@ -13,6 +13,6 @@ __all__ = [
     "closure",
     "inverse_jacobian",
     "leg_jacobian",
-    "leg_lengths",
+    "readings",
     "search",
 ]

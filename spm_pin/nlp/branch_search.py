@@ -265,6 +265,11 @@ def _collect(geometry: Geometry, transform: Any, runs: list[Multistart]) -> Sear
         for place, k in enumerate(run.kept):
             joints[n, place] = run.certificates[k].b
     by_place, status = joints.reshape(*shape, MOST_BRANCHES, 3, 3), status.reshape(shape)
+    # The equations do not know how far the legs reach.
+    readings = Configuration(geometry, transform.as_matrix()[..., None, :, :], by_place).readings
+    by_place[~np.isfinite(readings).all(axis=-1)] = np.nan
+    is_lost = (status == Status.OK) & np.isnan(by_place[..., 0, 0]).all(axis=-1)
+    status = np.where(is_lost, Status.UNREACHABLE, status)
     if geometry.is_nominal:
         ordered = SolutionSet.from_unordered(geometry, transform, by_place, status != Status.UNSOLVED)
         status = np.where(status == Status.DEGENERATE, status, ordered.status)

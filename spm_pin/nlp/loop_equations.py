@@ -10,7 +10,7 @@ A `casadi.Function` can be called with numbers or symbols, saved with `Function.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, type_and_value
-from spm_pin.mechanism.geometry import Geometry, check_rps
+from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
 
 _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 """Shapes of the derivatives that `leg_jacobian` returns."""
@@ -56,10 +57,39 @@ def equations(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX)
     return ca.vertcat(*planes, *sides)
 
 
-def lengths_of_legs(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
-    """Return the leg lengths r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m] as an expression (6,). Eq. (20)."""
-    check_rps(geometry, "leg lengths")
-    return ca.vertcat(*(ca.norm_2(vector) for _, vector in legs(geometry, b, rotation, translation)))
+def readings_of_legs(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
+    """Return the readings of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 as an expression (6,): leg lengths by Eq. (20)."""
+    planes, shown = geometry.legs.planes, list[ca.SX]()
+    for leg, (_, vector) in enumerate(legs(geometry, b, rotation, translation)):
+        kind, turn = geometry.legs.kinds[leg // 3], (ca.SX.eye(3), rotation)[leg // 3]
+        x, z = (ca.dot(turn @ ca.SX(direction[leg]), vector) for direction in planes)
+        shown.append(_READINGS[type(kind)](x, z, *kind.numbers[leg % 3].tolist()) + geometry.legs.offsets[leg])
+    readings: ca.SX = ca.vertcat(*shown)
+    return readings
+
+
+def _carriage(x: ca.SX, z: ca.SX, rod: float, direction: float, sign: float) -> ca.SX:
+    """Return the place of a PRS leg's carriage, by the theorem of Pythagoras."""
+    along: ca.SX = np.cos(direction) * x + np.sin(direction) * z
+    place: ca.SX = along + sign * ca.sqrt(rod**2 - (x**2 + z**2 - along**2))
+    return place
+
+
+def _crank(x: ca.SX, z: ca.SX, crank: float, rod: float, sign: float) -> ca.SX:
+    """Return the angle of an RRS leg's crank, by the law of cosines."""
+    distance = ca.sqrt(x**2 + z**2)
+    angle = ca.atan2(z, x) + sign * ca.acos((distance**2 + crank**2 - rod**2) / (2.0 * crank * distance))
+    turns: ca.SX = ca.floor((angle + 0.5 * np.pi) / (2.0 * np.pi))
+    reading: ca.SX = angle - 2.0 * np.pi * turns
+    return reading
+
+
+_READINGS: dict[type[LegKind], Callable[..., ca.SX]] = {
+    RPS: lambda x, z: ca.sqrt(x**2 + z**2),
+    PRS: _carriage,
+    RRS: _crank,
+}
+"""Readings of balls in the planes of the legs, written here again: methods share no code."""
 
 
 def closure(geometry: Geometry) -> ca.Function:
@@ -73,22 +103,25 @@ def closure(geometry: Geometry) -> ca.Function:
     return _function("closure", state, residual=residual, jacobian=ca.densify(ca.jacobian(residual, b)))
 
 
-def leg_lengths(geometry: Geometry) -> ca.Function:
-    """Make ``leg_lengths(b, rotation, translation) -> lengths``: r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]. Eq. (20)."""
+def readings(geometry: Geometry) -> ca.Function:
+    """Make ``readings(b, rotation, translation) -> readings``: those of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3.
+
+    In metres, of RRS legs in radians; not a number for a ball out of a leg's reach.
+    """
     state = _symbols(geometry)
-    return _function("leg_lengths", state, lengths=lengths_of_legs(geometry, *state))
+    return _function("readings", state, readings=readings_of_legs(geometry, *state))
 
 
 def leg_jacobian(geometry: Geometry) -> ca.Function:
     """Make the derivatives from which the inverse Jacobian follows by the implicit function theorem.
 
-    With F the loop equations, l the leg lengths and x a small motion of the platform, (v, ω) at o in {B}, the
-    inverse Jacobian is l_x - l_b F_b⁻¹ F_x. F_b is singular at inverse singularities.
+    With F the loop equations, q the readings and x a small motion of the platform, (v, ω) at o in {B}, the inverse
+    Jacobian is q_x - q_b F_b⁻¹ F_x. F_b is singular at inverse singularities.
 
     Returns
     -------
     casadi.Function
-        ``leg_jacobian(b, rotation, translation) -> closure_b, closure_x, lengths_b, lengths_x`` of shapes (9, 9),
+        ``leg_jacobian(b, rotation, translation) -> closure_b, closure_x, readings_b, readings_x`` of shapes (9, 9),
         (9, 6), (6, 9) and (6, 6); derivatives with respect to an angle are in metres.
     """
     b, rotation, translation = state = _symbols(geometry)
@@ -100,7 +133,7 @@ def leg_jacobian(geometry: Geometry) -> ca.Function:
         f"{name}_{variable}": ca.densify(ca.substitute(ca.jacobian(value, by), motion, ca.SX.zeros(6)))
         for name, value in (
             ("closure", equations(geometry, b, moved, position)),
-            ("lengths", lengths_of_legs(geometry, b, moved, position)),
+            ("readings", readings_of_legs(geometry, b, moved, position)),
         )
         for variable, by in (("b", b), ("x", motion))
     }
@@ -108,15 +141,15 @@ def leg_jacobian(geometry: Geometry) -> ca.Function:
 
 
 def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray:
-    """Return the inverse Jacobian (6, 6), l_x - l_b F_b⁻¹ F_x, from the four outputs of `leg_jacobian`.
+    """Return the inverse Jacobian (6, 6), q_x - q_b F_b⁻¹ F_x, from the four outputs of `leg_jacobian`.
 
-    It takes the twist (v, ω) at o in {B} [m/s, rad/s] to the leg rates [m/s]. Where F_b is singular, it raises
+    It takes the twist (v, ω) at o in {B} [m/s, rad/s] to the leg rates. Where F_b is singular, it raises
     `SingularConfigurationError` as "inverse".
     """
     expected = "the four outputs of leg_jacobian, of shapes (9, 9), (9, 6), (6, 9), (6, 6)"
     if not isinstance(derivatives, Sequence) or len(derivatives) != len(_SHAPES):
         raise ArgumentError("derivatives", expected, type_and_value(derivatives))
-    closure_b, closure_x, lengths_b, lengths_x = (
+    closure_b, closure_x, readings_b, readings_x = (
         real_array(part, "derivatives", shape, "an output of leg_jacobian")
         for part, shape in zip(derivatives, _SHAPES, strict=True)
     )
@@ -124,7 +157,7 @@ def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray
         motion = np.linalg.solve(closure_b, closure_x)
     except np.linalg.LinAlgError:
         raise SingularConfigurationError("inverse", 0.0) from None
-    return np.asarray(lengths_x - lengths_b @ motion)
+    return np.asarray(readings_x - readings_b @ motion)
 
 
 def _symbols(geometry: Geometry) -> tuple[ca.SX, ca.SX, ca.SX]:

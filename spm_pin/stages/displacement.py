@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
+from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_displacement import STAGE_MODES, read_readings
 from spm_pin.kinematics.stage_balls import Drawing, StageHalf, all_modes, followed_balls, halves, physical_balls
@@ -33,8 +34,6 @@ OPERATION_MODES = ("T", "F")
 _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6
 """Largest error of the length of a normal that is taken for rounding."""
-_MOST_TURNS = 8.0 * math.pi
-"""Largest angle of a crank, and largest azimuth [rad]."""
 
 
 def inverse(
@@ -322,7 +321,7 @@ def normals_of_tilt(tilt: FloatArray, azimuth: FloatArray) -> FloatArray:
 
 
 def _read_tilt(tilt: npt.ArrayLike, azimuth: npt.ArrayLike) -> FloatArray:
-    angles = _angles(tilt, "tilt", math.pi), _angles(azimuth, "azimuth", _MOST_TURNS)
+    angles = _angles(tilt, "tilt", math.pi), _angles(azimuth, "azimuth", MOST_TURNED)
     broadcastable("azimuth", angles[1].shape, "tilt", angles[0].shape)
     tilts, azimuths = angles
     if (wrong := (tilts < 0.0) | (tilts >= math.pi)).any():

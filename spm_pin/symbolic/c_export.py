@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
@@ -21,10 +21,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.description.masses import Masses
-from spm_pin.description.tree import joint_values
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas import circles, vectors
-from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
+from spm_pin.formulas.planar_legs import LONGEST_CHORD, MOST_TURNED
 from spm_pin.kinematics import (
     forward_physical,
     inverse_displacement,
@@ -33,23 +32,24 @@ from spm_pin.kinematics import (
     leg_forces,
     leg_rates,
 )
+from spm_pin.kinematics.random_states import random_states
 from spm_pin.kinematics.rates_and_forces import SINGULAR
 from spm_pin.mechanism import BRANCHES, FAMILIES, Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray, check_instance
 from spm_pin.mechanism.files import file_path
-from spm_pin.mechanism.joint_angles import JOINTS
+from spm_pin.mechanism.joint_angles import joint_angles, joint_names, value_names
 from spm_pin.symbolic import functions
-from spm_pin.symbolic.machine import FIELDS, Drawn, Machine, State, all_of, in_casadi, parts, rows
+from spm_pin.symbolic.machine import Drawn, Machine, State, all_of, fields_of, in_casadi, parts, rows
 
 STATUSES = {
     "OK": (0, "the result is whole and finite"),
-    "UNREACHABLE": (1, "no real solution, or none that is physical"),
+    "UNREACHABLE": (1, "no real solution, none that is physical, or a ball is out of reach of its leg"),
     "DEGENERATE": (2, "the Z axes are parallel, or a family is continuous: the pose leaves the legs undetermined"),
     "SINGULAR": (3, "the state or the way to it is singular to rounding, or branches of a pose cannot be told apart"),
     "NOT_FINITE": (-1, "an argument is NaN or infinite"),
     "NOT_A_ROTATION": (-2, "an entry of R^T R - I is above 1e-6, or R is a reflection"),
     "OUT_OF_RANGE": (-3, "a length is not positive, a place farther than 1e5 (E + C + d), or a result infinite"),
-    "BAD_GEOMETRY": (-4, "numbers that are no machine; of `all_branches` one as built"),
+    "BAD_GEOMETRY": (-4, "numbers that are no machine; of `all_branches` legs elsewhere than drawn"),
     "BAD_NEAR": (-5, "the state to begin from does not close to 1e-6 d"),
 }
 """Value and meaning of what each function returns; negative ones are errors of the caller."""
@@ -67,6 +67,7 @@ class StateFunction:
     singular: str  # the singularities it is refused at: "forward", "inverse" or none
     answer: Callable[..., npt.ArrayLike]  # from a `Configuration` and the arguments
     meaning: str
+    is_of_rps: bool = False  # whether machines of RPS legs alone have it
 
 
 _WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
@@ -81,6 +82,11 @@ _WEIGHTS = {
 def _weight_forces(state: Configuration, *weights: FloatArray) -> FloatArray:
     forces = functions.gravity(state.geometry)(state.middle_joints, state.rotation, state.translation, *weights)
     return np.asarray(forces)[:, 0]
+
+
+def _joint_values(state: Configuration) -> FloatArray:
+    named = dict(zip(value_names(state.geometry), joint_angles(state, corners=(0,)).values, strict=True))
+    return np.array([named[name] for name in joint_names(state.geometry)])
 
 
 STATE_FUNCTIONS = (
@@ -99,17 +105,28 @@ STATE_FUNCTIONS = (
     StateFunction(
         *("gravity", functions.gravity_of, _WEIGHTS, "forces", 6, "forward", _weight_forces),
         "the leg forces that hold the weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
+        is_of_rps=True,
     ),
     StateFunction(
         *("joint_values", functions.values_of, {}, "values", 18, ""),
-        lambda state: [joint_values(state)[name] for name in JOINTS],
+        _joint_values,
         "the values of the description's eighteen joints [rad, m], in the order of its tree",
     ),
 )
 
+_BODIES = """\
+/* Masses for `@PREFIX@gravity` [kg, kg m], assumed ones unless the export was given others: mass and first moments of
+   the middle platform in {n}, with all balls, and of the terminal platform in {m}; then of each leg the mass of the
+   cylinder, and times the distance of its centre from the pivot, and the mass of the rod, and times the distance of its
+   centre from the ball. */
+extern const double @PREFIX@bodies[32];
+
+"""
 _NAMES = "kinematics.h", "kinematics.c", "kinematics_test.c", "read_machine.h"
 _CASES = 12
 _SPREAD = 1e3
+_LEAST_SLOPE, _LARGEST_RATE = 0.1, 1e3
+"""Least slopes of legs over the largest ones, and largest entries of J_f in units of d, of states with ten digits."""
 MOST_STEPS, SHORTEST = 2_000, 1e-7
 """Steps along a way at most, those tried in vain counted; and the shortest, as a part of it: before a singularity."""
 ROOT_STEPS = 400
@@ -141,13 +158,17 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
         raise ArgumentError("geometry", expected, f"{smallest:g} to {largest:g} m", "Another unit in one of them?")
     prefix = checked_prefix(prefix)
     version = import_module("spm_pin").__version__
+    available = state_functions(geometry)
     values = {
         "PREFIX": prefix,
         "PREFIX_UPPER": prefix.upper(),
         "VERSION": version,
         "ORIGIN": f"Generated by spm_pin {version} for {geometry!r}.",
         "SINGULAR": repr(SINGULAR),
-        "LIMIT_ROUNDING": repr(LIMIT_ROUNDING),
+        "LEAST": _row([kind.least_reading for kind in geometry.legs.kinds for _ in range(3)]),
+        "TURNS": _row([float(unit == "rad") for unit in geometry.legs.units]),
+        "CHORD": repr(LONGEST_CHORD),
+        "MOST_TURNED": repr(MOST_TURNED),
         "MOST_STEPS": str(MOST_STEPS),
         "NEWTON_STEPS": str(circles.MOST_STEPS),
         "SEARCH_STEPS": str(circles.SEARCH_STEPS),
@@ -155,17 +176,17 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
         "SHORTEST": repr(SHORTEST),
         "ROOT_STEPS": str(ROOT_STEPS),
         "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(geometry).values()),
-        "BODIES": _row(functions.bodies(geometry, masses)),
+        **_legs_texts(geometry, masses),
         "STATUSES": ",\n".join(
             f"    /* {meaning} */\n    @PREFIX_UPPER@{name} = {value}" for name, (value, meaning) in STATUSES.items()
         ),
         "STATUS_NAMES": "\n".join(
             f'    case @PREFIX_UPPER@{name}: return "{name.lower().replace("_", " ")}";' for name in STATUSES
         ),
-        "FORMULAS": "\n".join(_c_text(function) for function in _formulas()),
-        **_known_answers(geometry),
+        "FORMULAS": "\n".join(_c_text(function) for function in _formulas(geometry, available)),
+        **_known_answers(geometry, available),
     }
-    snippets = [values | _snippets(function) for function in STATE_FUNCTIONS]
+    snippets = [values | _snippets(function) for function in available]
     for key, of_one in (
         ("STATE_FUNCTIONS", template("state_function.c")),
         ("PROTOTYPES", "/* @COMMENT@. */\nint @PREFIX@@NAME@(@PARAMETERS@);\n\n"),
@@ -236,24 +257,54 @@ def filled(text: str, known: dict[str, str]) -> str:
 
 def machine_fields(geometry: Geometry) -> dict[str, FloatArray]:
     """Return the numbers of an `spm_geometry` by the names of its fields."""
-    limits = geometry.limits or LegLimits(0.0, np.inf)
-    arrays: tuple[npt.ArrayLike, ...] = geometry.dimensions, *geometry.legs.arrays, limits.minimum, limits.maximum
-    return {name: np.asarray(x, dtype=float).ravel() for name, x in zip(FIELDS, arrays, strict=True)}
+    kinds = geometry.legs.kinds
+    limits = geometry.limits or LegLimits([kind.least_reading for kind in kinds for _ in range(3)], np.inf)
+    arrays: list[npt.ArrayLike] = [geometry.dimensions, *geometry.legs.arrays, limits.minimum, limits.maximum]
+    arrays += [kind.numbers for kind in kinds if kind.numbers.size]
+    return {name: np.asarray(x, dtype=float).ravel() for name, x in zip(fields_of(kinds), arrays, strict=True)}
 
 
-def _formulas() -> list[ca.Function]:
+def state_functions(geometry: Geometry) -> list[StateFunction]:
+    """Return the functions of the table that machines with these kinds of legs have."""
+    return [x for x in STATE_FUNCTIONS if geometry.legs.are_rps or not x.is_of_rps]
+
+
+def _legs_texts(geometry: Geometry, masses: Masses | None) -> dict[str, str]:
+    """Return what depends on the kinds of the legs in the texts of header and source."""
+    kinds = geometry.legs.kinds
+    stages = [(stage, kind) for stage, kind in zip(("lower", "upper"), kinds, strict=True)]
+    shown = [f"of the {stage} legs, {kind.name}, {kind.meaning} [{kind.unit}]" for stage, kind in stages]
+    members = [
+        f"    double {stage}_{kind.name.lower()}[{kind.numbers.size}]; /* {', '.join(x.name for x in fields(kind))} of"
+        f" each {stage} leg in turn; the sign is the working mode, +1 or -1 */\n"
+        for stage, kind in stages
+        if kind.numbers.size
+    ]
+    bodies, declared = "", ""
+    if geometry.legs.are_rps:
+        bodies = f"const double @PREFIX@bodies[32] = {{{_row(functions.bodies(geometry, masses))}}};\n\n"
+        declared = _BODIES
+    return {
+        "LEGS": ", ".join(f"(g)->{name}" for name in fields_of(kinds)),
+        "FIELDS": ", ".join(f'{{"{name}", {count}}}' for name, count in fields_of(kinds).items()),
+        "MEMBERS": "".join(members),
+        "READINGS": f"{kinds[0].meaning} [m]" if geometry.legs.are_rps else "; ".join(shown),
+        "BODIES": bodies,
+        "BODIES_DECLARED": declared,
+    }
+
+
+def _formulas(geometry: Geometry, available: list[StateFunction]) -> list[ca.Function]:
     """Return the functions that the C calls, of flat arrays, matrices row by row."""
-    machine = Machine.of_symbols()
+    machine = Machine.of_symbols(geometry)
     flat, position, balls = (ca.SX.sym(name, n) for name, n in (("r", 9), ("o", 3), ("balls", 6)))
     joints, rotation = ca.SX.sym("joints", 9), _matrix(flat)
     state, pose = State(machine, _matrix(joints), rotation, position), [flat, position]
-    drawing = Machine.of_symbols()
-    drawing._draw(machine.base, machine.platform, machine.side)
-    drawing.is_drawn = True
+    drawing = machine.drawing()
     drawn = Drawn(drawing, rotation, position)
 
     def made(name: str, inputs: list[Any], *outputs: Any) -> ca.Function:
-        dense = [_flat(x) for x in outputs]
+        dense = ca.cse([_flat(x) for x in outputs])
         return ca.Function(name, [*inputs, *machine.inputs], dense)
 
     made_functions = _stage_formulas()
@@ -281,7 +332,10 @@ def _formulas() -> list[ca.Function]:
     gap = ca.mmax(ca.fabs(functions.residual_of(state)["residual"])) / machine.side
     seen = ca.vertcat(*state.own_balls()[1])
     made_functions.append(made("own_places", [joints, *pose], state.in_planes(), seen, gap))
-    made_functions.append(made("describe", [joints, *pose], state.readings, *state.is_physical()))
+    made_functions.append(made("describe", [joints, *pose], state.readings, *functions.preference(machine, state)))
+    made_functions.append(made("own_limits", [joints, *pose], state.reach, state.least_slope(state.slopes)))
+    slopes = state.slopes_at(ca.vertsplit(readings - machine.offsets))
+    made_functions.append(made("working_mode", [joints, *pose, readings], state.least_slope(slopes)))
     forces = [state.force_rows(x) for x in (state.directions, state.axes)]
     made_functions.append(made("force_rows", [joints, *pose], *forces))
 
@@ -292,25 +346,26 @@ def _formulas() -> list[ca.Function]:
     made_functions.append(made("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms))))
     made_functions.append(made("balls_of_root", [quaternion, *pose], coordinates))
     branches = [drawn.branch(label[:2], 1.0 if label[2] == "+" else -1.0) for label in BRANCHES]
-    lengths = ca.vertcat(*(State(drawing, b, rotation, position).lengths for b in branches))
-    discriminants = ca.vertcat(*map(drawn.discriminant, FAMILIES))
-    real = ca.vertcat(*(drawn.is_real(label[:2]) for label in BRANCHES))
+    states = [State(drawing, b, rotation, position) for b in branches]
+    shown, discriminants = ca.vertcat(*(x.readings for x in states)), ca.vertcat(*map(drawn.discriminant, FAMILIES))
+    real = [drawn.is_real(label[:2]) for label in BRANCHES]
+    real = ca.vertcat(*(ca.logic_and(x, branch.reach >= 0.0) for x, branch in zip(real, states, strict=True)))
     continuous = 1.0 - all_of([ca.logic_not(drawn.is_continuous(family)) for family in FAMILIES])
     every = ca.vertcat(*(_flat(b) for b in branches))
-    made_functions.append(made("all_drawn_branches", pose, every, lengths, discriminants, real, continuous))
+    made_functions.append(made("all_drawn_branches", pose, every, shown, discriminants, real, continuous))
 
     areas = []
     for b in (machine.balls[:3], machine.balls[3:]):
         sides = in_casadi(circles.squared_sides)([parts(x) for x in b])
         areas.append(ca.norm_2(ca.cross(b[1] - b[0], b[2] - b[0])) / ca.mmax(ca.vertcat(*sides)))
-    made_functions.append(made("triangle_areas", [], ca.vertcat(*areas)))
+    made_functions.append(made("numbers_of_machine", [], ca.vertcat(*areas), machine.valid))
     size, pairs = machine.base + machine.platform + machine.side, []
     for name, unit in (("axes", 1.0), ("pivots", size), ("balls", size)):
         pairs += [(a - b) / unit for a, b in zip(getattr(machine, name), getattr(drawing, name), strict=True)]
-    error = ca.mmax(ca.fabs(ca.vertcat(*pairs, machine.offsets / size)))
+    error = ca.mmax(ca.fabs(ca.vertcat(*pairs)))
     made_functions.append(made("drawing_error", [], error))
 
-    for function in STATE_FUNCTIONS:
+    for function in available:
         further = [ca.SX.sym(name, len(numbers)) for name, numbers in function.arguments.items()]
         (result,) = function.compute(state, *further).values()
         made_functions.append(made(f"{function.name}_of", [joints, *pose, *further], result))
@@ -340,7 +395,7 @@ def _stage_formulas() -> list[ca.Function]:
         ("is_stalled", [size, last], in_casadi(circles.is_stalled)(size, last)),
         ("is_closed", [e, axes, *ends[1]], in_casadi(circles.is_closed)(end, _rows(e))),
     )
-    return [ca.Function(name, inputs, [_column(x) for x in outputs]) for name, inputs, *outputs in table]
+    return [ca.Function(name, inputs, ca.cse([_column(x) for x in outputs])) for name, inputs, *outputs in table]
 
 
 def _rows(numbers: Any) -> Any:
@@ -396,6 +451,7 @@ def _snippets(function: StateFunction) -> dict[str, str]:
         "PARAMETERS": ", ".join([*head, f"double {function.result}[{function.count}]"]),
         "CHECKS": checks,
         "SINGULAR_CALL": singular,
+        "MOVES": str(int(function.singular == "inverse")),
         "ARGUMENTS": "".join(f", {name}" for name in function.arguments),
         "CALL": ", ".join(["machine", "&state", *(f"{function.name}_{x}" for x in function.arguments), "numbers"]),
         "RESULT": function.result,
@@ -403,46 +459,60 @@ def _snippets(function: StateFunction) -> dict[str, str]:
     }
 
 
-def _known_answers(geometry: Geometry) -> dict[str, str]:
+def _known_answers(geometry: Geometry, available: list[StateFunction]) -> dict[str, str]:
     """Return the tables of the test program."""
-    rng, nominal = np.random.default_rng(17), geometry.nominal
-    rise = sum(geometry.dimensions)
+    rng, rise = np.random.default_rng(17), sum(geometry.dimensions)
     # In the home's aspect; then poses anywhere, and one out of reach.
-    aside = np.repeat([nominal.base_radius, nominal.platform_radius], 3) - nominal.middle_radius
-    heights = rise * rng.uniform(0.6, 0.9, (256, 2)).repeat(3, axis=-1)
-    spread = nominal.middle_radius * rng.uniform(-0.3, 0.3, (256, 6))
-    held = forward_physical(geometry, np.hypot(aside, heights) + spread)
-    held = held[np.flatnonzero(held.exists)[: _CASES - 4]]
+    held = _held_states(geometry, rng)[: _CASES - 4]
     turned = Rotation.random(3, rng=rng)
     far = RigidTransform.from_components(rise * rng.uniform(-1.0, 1.0, (3, 3)), turned)
     away = RigidTransform.from_components([100.0 * rise, 0.0, 0.0], Rotation.from_euler("x", 0.3))
     pose = RigidTransform.concatenate([held.pose, far, away])
-    lengths = np.nan_to_num(inverse_displacement(nominal, pose).leg_lengths)
+    branches = inverse_displacement(geometry, pose).readings
     states = [inverse_physical(geometry, pose[n]) for n in range(len(pose))]
 
     def padded(count: int, compute: Callable[..., npt.ArrayLike], *arguments: FloatArray) -> str:
         return _table([np.ravel(compute(s, *arguments)) if s.exists else np.zeros(count) for s in states])
 
     answers = []
-    for f in STATE_FUNCTIONS:
+    for f in available:
         answers += [f"static const double {f.name}_{x}[{len(n)}] = {{{_row(n)}}};" for x, n in f.arguments.items()]
         known = padded(f.count, f.answer, *f.arguments.values())
         answers.append(f"static const double {f.name}_answers[CASES][{f.count}] = {{\n{known}\n}};")
     return {
         "CASES": str(len(pose)),
         "HEIGHT": repr(rise),
-        "DRAWN": str(int(geometry.is_nominal)),
+        "DRAWN": str(int(_is_drawn(geometry))),
         "ROTATIONS": _table(pose.rotation.as_matrix().reshape(-1, 9)),
         "POSITIONS": _table(pose.translation),
-        "BRANCH_LENGTHS": _table(lengths.reshape(len(pose), -1)),
+        "BRANCH_READINGS": _table(branches.reshape(len(pose), -1)),
         "JOINTS": padded(9, lambda state: state.middle_joints),
         "ANSWERS": "\n".join(answers),
     }
 
 
+def _held_states(geometry: Geometry, rng: np.random.Generator) -> Configuration:
+    """Return physical states with ten digits."""
+    drawn = random_states(replace(geometry, limits=None), 64, rng)
+    states = inverse_physical(geometry, drawn.pose)
+    again = forward_physical(geometry, states.readings[states.exists])
+    states = states[states.exists]
+    largest, unit = geometry.legs.largest_slopes, np.repeat([1.0, geometry.middle_side], 3)
+    rates = np.abs(inverse_jacobian(states) * largest[:, None] / unit).max(axis=(-1, -2))
+    regular = (rates < _LARGEST_RATE) & (np.abs(states.slopes) / largest > _LEAST_SLOPE).all(axis=-1)
+    apart = np.abs(again.middle_joints - states.middle_joints).max(axis=(-1, -2))
+    return states[regular & (apart < 1e-9 * geometry.middle_side)]
+
+
+def _is_drawn(geometry: Geometry) -> bool:
+    """Return whether axes, pivots and balls are those of the drawing."""
+    legs = zip(geometry.legs.arrays[:3], geometry.nominal.legs.arrays[:3], strict=True)
+    return all(np.array_equal(own, drawn) for own, drawn in legs)
+
+
 def _row(numbers: npt.ArrayLike) -> str:
     texts = (repr(float(x)) for x in np.ravel(numbers))
-    return ", ".join(text.replace("inf", "INFINITY") for text in texts)
+    return ", ".join(text.replace("inf", "INFINITY").replace("nan", "NAN") for text in texts)
 
 
 def _table(rows: Any) -> str:

@@ -1,8 +1,9 @@
 """The kinematics as CasADi functions, for optimisation and optimal control, with derivatives of any order.
 
-Arguments of all: `geometry` is the machine that is built in, drawn or as built; None is the paper's machine, and
-`"symbolic"` a drawn one whose `dimensions` (3,) = E, C, d [m] are one more input. With `parameters` the 54 parameters
-of the legs, see `spm_pin.Geometry.parameters`, are one more input instead, and `geometry` is the drawing.
+Arguments of all: `geometry` is the machine that is built in, drawn or as built, of legs of any kind; None is the
+paper's machine, and `"symbolic"` a drawn one of RPS legs whose `dimensions` (3,) = E, C, d [m] are one more input. With
+`parameters` the parameters of the legs, see `spm_pin.Geometry.parameters`, are one more input instead, and `geometry`
+is the drawing. Readings are in metres, of RRS legs in radians; so are rates, and forces are then torques [N m].
 
 Functions of a state have the inputs `joints` (3, 3), rows b_i in {B} [m], `rotation` (3, 3) from {m} to {B} and
 `position` (3,) of o in {B} [m], and then what they say.
@@ -25,7 +26,6 @@ from spm_pin.formulas import joint_values as values
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import FloatArray, as_bool, check_instance, choice
 from spm_pin.mechanism.geometry import check_rps
-from spm_pin.mechanism.joint_angles import JOINTS
 from spm_pin.symbolic.machine import Drawn, Machine, State, all_of, columns, in_casadi, parts, stages_of
 
 Dimensions = Geometry | Literal["symbolic"] | None
@@ -42,18 +42,19 @@ def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -
     Returns
     -------
     casadi.Function
-        Inputs: `rotation` and `position`. Outputs: `lengths` (6,) [m], of a machine as built the readings; `joints`;
-        `discriminant` (1,), dimensionless, not negative where the branches TT of the drawn machine are real; and
-        `exists` (1,), 1 where the physical branch does and 0 where not.
+        Inputs: `rotation` and `position`. Outputs: `readings` (6,) of the encoders; `joints`; `discriminant` (1,),
+        dimensionless, not negative where the branches TT of the drawn machine are real; and `exists` (1,), 1 where the
+        physical branch does and 0 where not.
 
     Notes
     -----
     The leg limits of `geometry` decide between two physical branches, as in `spm_pin.inverse_physical`. Where none is
     physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. A negative
-    `discriminant` is taken for zero, so lengths are those of a machine that does not close, and their derivatives
-    finite: constrain it to be positive. At a level platform they are finite and mean nothing; `exists` is 0. Of a drawn
-    machine nothing is NaN for finite arguments. One as built is solved by Newton's method from the branches TT of the
-    drawing, and then by `casadi.rootfinder`, through which CasADi differentiates implicitly.
+    `discriminant` is taken for zero, and so is what a rod is too short by, so readings are those of a machine that does
+    not close, and their derivatives finite: constrain the first to be positive. At a level platform they are finite and
+    mean nothing; `exists` is 0. Of a drawn machine nothing is NaN for finite arguments. One as built is solved by
+    Newton's method from the branches TT of the drawing, and then by `casadi.rootfinder`, through which CasADi
+    differentiates implicitly.
 
     `exists` is 0 as well for what is no pose, an entry of RᵀR - I being above 1e-6, and for dimensions not within 1e-9
     to 1e9 m. A rotation is not repaired: up to there its error is one of the other outputs too.
@@ -64,10 +65,10 @@ def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -
     drawn = Drawn(machine, rotation, position)
     joints = [drawn.branch("TT", sign) for sign in (1.0, -1.0)]
     states = [State(machine, b, rotation, position) for b in joints]
-    (plus, plus_tilts), (minus, minus_tilts) = (_preference(machine, state) for state in states)
+    (plus, plus_tilts), (minus, minus_tilts) = (preference(machine, state) for state in states)
     other = in_casadi(formulas.is_other_preferred)(plus, plus_tilts, minus, minus_tilts)
     outputs = {
-        "lengths": ca.if_else(other, states[1].readings, states[0].readings),
+        "readings": ca.if_else(other, states[1].readings, states[0].readings),
         "joints": ca.if_else(other, joints[1], joints[0]),
         "discriminant": drawn.discriminant("TT"),
         "exists": all_of([plus + minus > 0.0, drawn.is_real("TT"), machine.takes(rotation, position)]),
@@ -86,7 +87,8 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
     Returns
     -------
     casadi.Function
-        As `inverse_physical`; `discriminant` is that of the branch's family, and `exists` 1 where the branch is real.
+        As `inverse_physical`; `discriminant` is that of the branch's family, and `exists` 1 where the branch is real
+        and all balls are in reach.
 
     Raises
     ------
@@ -100,11 +102,12 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
         raise ArgumentError("geometry", "a machine as drawn", "one as built", cause)
     drawn, family = Drawn(machine, rotation, position), branch[:2]
     joints = drawn.branch(family, 1.0 if branch[2] == "+" else -1.0)
+    state = State(machine, joints, rotation, position)
     outputs = {
-        "lengths": State(machine, joints, rotation, position).readings,
+        "readings": state.readings,
         "joints": joints,
         "discriminant": drawn.discriminant(family),
-        "exists": ca.logic_and(drawn.is_real(family), machine.takes(rotation, position)),
+        "exists": all_of([drawn.is_real(family), state.reach >= 0.0, machine.takes(rotation, position)]),
     }
     return machine.function("inverse_branch", [rotation, position], outputs)
 
@@ -121,14 +124,14 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
     Returns
     -------
     casadi.Function
-        Input: `lengths` (6,) [m], of a machine as built the readings. Outputs: `rotation`, `position`, `joints`;
-        `residual` (1,), the largest error of the stages' equations in units of d, below 1e-12 at a solution; and
-        `exists` (1,), 1 where that is so and both stages are in the aspect of the symmetric home. Where it is 0 the
-        others are where 14 steps of Newton's method and `casadi.rootfinder` ended.
+        Input: `readings` (6,). Outputs: `rotation`, `position`, `joints`; `residual` (1,), the largest error of the
+        stages' equations in units of d, below 1e-12 at a solution; and `exists` (1,), 1 where that is so, both stages
+        are in the aspect of the symmetric home, and all legs in their working mode. Where it is 0 the others are where
+        14 steps of Newton's method and `casadi.rootfinder` ended.
     """
-    machine, lengths = Machine(geometry, parameters), ca.SX.sym("lengths", 6)
-    unknowns, stages = ca.SX.sym("unknowns", 6), [machine.circles(k, lengths) for k in (0, 1)]
-    inputs, starts = [lengths], [level_balls(machine, k, stage) for k, stage in enumerate(stages)]
+    machine, readings = Machine(geometry, parameters), ca.SX.sym("readings", 6)
+    unknowns, stages = ca.SX.sym("unknowns", 6), [machine.circles(k, readings) for k in (0, 1)]
+    inputs, starts = [readings], [level_balls(machine, k, stage) for k, stage in enumerate(stages)]
     if as_bool(near, "near"):
         inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
         starts = [list(map(parts, balls)) for balls in State(machine, *inputs[1:]).own_balls()]
@@ -140,11 +143,13 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
         steps += in_casadi(circles.limited)(in_casadi(circles.newton_step)(stage, e))
         angles.append(machine.angles(k, in_casadi(circles.directions_to)(stage, start)))
     rotation, position, joints = placed(machine, *balls)
+    own = ca.vertsplit(readings - machine.offsets)
     # Half the squares of the distances, over d.
     error = ca.vertcat(*errors) / machine.side
     residual, state = ca.mmax(ca.fabs(error)) / machine.side, State(machine, joints, rotation, position)
-    exists = [machine.valid, state.is_physical()[0], residual < 1e-12]
-    exists += [ca.logic_and(x > 0.0, x < np.inf) for x in ca.vertsplit(lengths - machine.offsets)]
+    exists = [machine.valid, state.is_physical()[0], residual < 1e-12, state.least_slope(state.slopes_at(own)) > 0.0]
+    exists += [radius > 0.0 for stage in stages for radius in stage.radii]
+    exists += [ca.fabs(reading) < np.inf for reading in ca.vertsplit(readings)]
     outputs = {"rotation": rotation, "position": position, "joints": joints}
     outputs |= {"residual": residual, "exists": all_of(exists)}
     problem = unknowns, error, outputs, unknowns - ca.vertcat(*steps)
@@ -154,18 +159,18 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
 def inverse_jacobian(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make J_f, of a state: `jacobian` (6, 6), which maps the platform's twist (v, ω) at o in {B} to the leg rates.
 
-    It grows without bound towards an inverse singularity, and is not a number at one.
+    It grows without bound towards an inverse singularity, or a leg's own, and is not a number at one.
     """
     return _of_state("inverse_jacobian", Machine(geometry, parameters), {}, jacobian_of)
 
 
 def leg_rates(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the leg rates `rates` (6,) [m/s] of a state for a `twist` (6,), (v, ω) at o in {B}."""
+    """Make the leg rates `rates` (6,) of a state for a `twist` (6,), (v, ω) at o in {B}."""
     return _of_state("leg_rates", Machine(geometry, parameters), {"twist": 6}, rates_of)
 
 
 def leg_forces(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
-    """Make the leg forces `forces` (6,) [N], positive pushes, that hold a `wrench` on the platform in a state.
+    """Make the leg forces `forces` (6,) that hold a `wrench` on the platform in a state; positive increases readings.
 
     `wrench` (6,) is the force [N] and moment [N m] at o in {B}, applied from outside. The forces grow without bound
     towards a forward singularity.
@@ -179,8 +184,10 @@ def gravity(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Func
     Further inputs: `bodies` (32,), see `bodies`; `payload` (4,), a mass [kg] and its centre in {m} [m]; `acceleration`
     (3,), of gravity in {B} [m/s²].
     """
-    arguments = {"bodies": 32, "payload": 4, "acceleration": 3}
-    return _of_state("gravity", Machine(geometry, parameters), arguments, gravity_of)
+    machine, arguments = Machine(geometry, parameters), {"bodies": 32, "payload": 4, "acceleration": 3}
+    if isinstance(geometry, Geometry):
+        check_rps(geometry, "weights of the legs")
+    return _of_state("gravity", machine, arguments, gravity_of)
 
 
 def bodies(geometry: Geometry | None = None, masses: Masses | None = None) -> FloatArray:
@@ -249,7 +256,8 @@ def jacobian_of(state: State) -> dict[str, Any]:
         rows = in_casadi(wrenches.drawn_inverse_jacobian)(b, lower, upper, *axes, parts(state.position))
     else:
         rows = in_casadi(wrenches.inverse_jacobian)(b, c, lower, upper, *axes, parts(state.position))
-    return {"jacobian": ca.vertcat(*(ca.horzcat(*force, *moment) for stage in rows for force, moment in stage))}
+    along = [ca.horzcat(*force, *moment) for stage in rows for force, moment in stage]
+    return {"jacobian": ca.vertcat(*(x / slope for x, slope in zip(along, state.slopes, strict=True)))}
 
 
 def rates_of(state: State, twist: Any) -> dict[str, Any]:
@@ -263,13 +271,13 @@ def forces_of(state: State, wrench: Any) -> dict[str, Any]:
 
 
 def _forces(state: State, *wrenches_of_stages: Any) -> Any:
-    """Return the forces of the lower legs that hold a wrench at o, and of the upper legs that hold another."""
+    """Return what the lower legs' actuators exert to hold a wrench at o, and the upper legs' to hold another."""
     forces: list[Any] = []
     vectors = map(stages_of, (state.balls, state.directions, state.axes))
     for b, f, axes, wrench in zip(*vectors, wrenches_of_stages, strict=True):
         twists = in_casadi(wrenches.stage_twists)(b, f, axes, parts(state.position))
         forces += in_casadi(wrenches.stage_forces)(twists, (parts(wrench[:3]), parts(wrench[3:])))
-    return ca.vertcat(*forces)
+    return ca.vertcat(*(x * slope for x, slope in zip(forces, state.slopes, strict=True)))
 
 
 def gravity_of(state: State, bodies: Any, payload: Any, acceleration: Any) -> dict[str, Any]:
@@ -308,18 +316,17 @@ def values_of(state: State) -> dict[str, Any]:
     triangle, own = (in_casadi(values.triangle_axes)([parts(b) for b in x]) for x in (state.joints, machine.balls[:3]))
     seen = [parts(turned @ ca.vertcat(*x)) for x in triangle]
     by_joint: dict[str, Any] = {}
-    for k, name in enumerate(_LEG_NAMES):
-        (at_home, kind), up = machine.at_home(k // 3), 1.0 - 2.0 * (k // 3)
-        placement, signs = (parts(machine.axes[k]), parts(machine.pivots[k])), (leg_constants.TANGENT_SIGNS[k % 3], up)
-        drawn_axis, numbers = leg_constants.AXES[k % 3], ((), ())
-        leg = in_casadi(values.leg_frame)(placement, drawn_axis, own, signs, at_home, numbers, kind)
+    frames = [frame for stage in (0, 1) for frame in machine.leg_frames(stage, own)]
+    for k, (name, leg) in enumerate(zip(_LEG_NAMES, frames, strict=True)):
+        kind, up = machine.kinds[k // 3], 1.0 - 2.0 * (k // 3)
         ball = state.balls[k] if k < 3 else turned @ (state.balls[k] - state.position)
-        of_leg = in_casadi(values.leg_values)(parts(ball), leg, kind)
-        by_joint |= {f"leg_{name}_hip": ca.atan2(*of_leg.passive), f"leg_{name}_slide": of_leg.actuated}
+        of_leg = in_casadi(values.leg_values)(parts(ball), leg, machine.formulas[k // 3])
+        by_joint[f"leg_{name}_{kind.passive}"] = ca.atan2(*of_leg.passive)
+        by_joint[f"leg_{name}_{kind.actuated}"] = of_leg.actuated
         if k % 3 == 0:
             angles = in_casadi(values.ball_angles)(of_leg, leg, triangle if k < 3 else seen, up)
             by_joint |= {f"ball_{name}_{x}": ca.atan2(*angle) for x, angle in zip("xyz", angles, strict=True)}
-    return {"values": ca.vertcat(*(by_joint[name] for name in JOINTS))}
+    return {"values": ca.vertcat(*(by_joint[name] for name in machine.joint_names))}
 
 
 def residual_of(state: State) -> dict[str, Any]:
@@ -333,14 +340,15 @@ def residual_of(state: State) -> dict[str, Any]:
 
 
 def loop_derivatives(geometry: Geometry) -> ca.Function:
-    """Make F_b (9, 9), F_x (9, 6), l_b (6, 9) and l_x (6, 6), of the closure equations F and the leg lengths l.
+    """Make F_b (9, 9), F_x (9, 6), q_b (6, 9) and q_x (6, 6), of the closure equations F and the readings q.
 
-    They are derivatives by the b_i, and by a small motion (v, dω) of {m} at o. Inputs: the b_i (9,), and a pose.
+    They are derivatives by the b_i, and by a small motion (v, dω) of {m} at o. Readings are in lengths, times the
+    largest slopes of the legs. Inputs: the b_i (9,), and a pose.
     """
     b, motion, pose = ca.SX.sym("b", 9), ca.SX.sym("x", 6), _pose()
     turned = pose[0] + ca.skew(motion[3:] / geometry.middle_side) @ pose[0]
     state = State(Machine(geometry), ca.reshape(b, 3, 3).T, turned, pose[1] + motion[:3])
-    values = residual_of(state)["residual"], state.lengths
+    values = residual_of(state)["residual"], state.readings * geometry.legs.largest_slopes
     slopes = [ca.substitute(ca.jacobian(value, by), motion, ca.SX.zeros(6)) for value in values for by in (b, motion)]
     return ca.Function("loop_derivatives", [b, *pose], [ca.densify(x) for x in slopes])
 
@@ -423,7 +431,7 @@ def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
     return [ca.vertcat(*(machine.planes[i].coordinates(b[i, :].T) for i in range(3))) for b in joints]
 
 
-def _preference(machine: Machine, state: State) -> tuple[Any, Any]:
+def preference(machine: Machine, state: State) -> tuple[Any, Any]:
     """Return 0 where a state is not physical, 1 where it is, 2 where within leg limits too; and how straight it is."""
     is_physical, tilts = state.is_physical()
     inside = []
@@ -440,9 +448,9 @@ def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Func
     error = closure_equations(machine, unknowns, rotation, position)
     joints = ca.horzcat(*(machine.planes[i].point(unknowns[2 * i : 2 * i + 2]) for i in range(3))).T
     state = State(machine, joints, rotation, position)
-    (rank, tilts), size = _preference(machine, state), machine.side + ca.norm_1(position)
+    (rank, tilts), size = preference(machine, state), machine.side + ca.norm_1(position)
     closed = ca.mmax(ca.fabs(error)) <= 1e-13 * size
-    outputs = {"lengths": state.readings, "joints": joints, "discriminant": drawn.discriminant("TT")}
+    outputs = {"readings": state.readings, "joints": joints, "discriminant": drawn.discriminant("TT")}
     outputs["exists"] = all_of([rank > 0.0, closed, machine.takes(rotation, position)])
     step = -ca.solve(ca.jacobian(error, unknowns), error)
     step = step / ca.fmax(1.0, ca.norm_inf(step) / (_LONGEST_STEP * machine.side))

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.kinematics import forward_physical, inverse_jacobian
 from spm_pin.mechanism import Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.arguments import FloatArray, check_instance
+from spm_pin.mechanism.geometry import check_rps
 from spm_pin.symbolic.c_export import c_sources, filled, write_files
 from spm_pin.symbolic.ros_export import ASSUMED_ACCELERATION, ASSUMED_RATE, start_readings, travel
 
@@ -33,6 +34,7 @@ def linuxcnc_configuration(geometry: Geometry) -> dict[str, str]:
         of the machine `spm_machine.txt`, which it reads when LinuxCNC starts, a program `demo.ngc` and a tool table.
         Lengths are in millimetres, angles in degrees.
     """
+    check_rps(check_instance(geometry, Geometry, "geometry"), "a configuration of LinuxCNC")
     sources = c_sources(geometry)
     readings, _ = start_readings(geometry)
     home = forward_physical(geometry, readings)

@@ -7,6 +7,8 @@ with two coordinates, see `LegPlane`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import fields
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -20,27 +22,33 @@ from spm_pin.formulas import (
     joint_values,
     leg_constants,
     leg_planes,
+    planar_legs,
     stages,
     vectors,
     wrenches,
 )
 from spm_pin.formulas.operations import bind
-from spm_pin.mechanism import FAMILIES, Geometry
+from spm_pin.mechanism import FAMILIES, Geometry, LegKind
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
-from spm_pin.mechanism.geometry import check_rps
-from spm_pin.mechanism.leg_kinds import RPS
+from spm_pin.mechanism.joint_angles import joint_names
+from spm_pin.mechanism.leg_kinds import BOUNDS, drawn_numbers
 from spm_pin.mechanism.legs import AXES, RADIAL
 from spm_pin.mechanism.pose import ORTHONORMALITY_TOLERANCE
 
 FLOOR = 1e-40
 """Least radicand of a square root: its root is far below rounding, and its powers in derivatives are finite."""
 FIELDS = {"dimensions": 3, "axes": 18, "pivots": 18, "balls": 18, "offsets": 6, "minimum": 6, "maximum": 6}
-"""How many numbers describe a machine: E, C, d, the six legs and the limits of their readings."""
+"""How many numbers describe a machine of RPS legs: E, C, d, the six legs and the limits of their readings."""
 
 
 def sqrt(x: Any) -> Any:
     """Return the square root, that of zero for negative numbers."""
     return ca.sqrt(ca.fmax(x, FLOOR))
+
+
+def _arctan2(y: Any, x: Any) -> Any:
+    """Return the angle of a vector, zero of that of no length, where derivatives are finite too."""
+    return ca.atan2(y, ca.if_else(x * x + y * y > 0.0, x, 1.0))
 
 
 def _where(condition: Any, yes: Any, no: Any) -> Any:
@@ -49,7 +57,15 @@ def _where(condition: Any, yes: Any, no: Any) -> Any:
 
 def in_casadi(formula: Any) -> Any:
     """Return a formula of `spm_pin.formulas` as a function of CasADi's expressions."""
-    return bind(formula, sqrt=sqrt, cos=ca.cos, sin=ca.sin, where=_where, both=ca.logic_and, either=ca.logic_or)
+    operations = {"sqrt": sqrt, "cos": ca.cos, "sin": ca.sin, "arctan2": _arctan2, "where": _where}
+    return bind(formula, both=ca.logic_and, either=ca.logic_or, **operations)
+
+
+def fields_of(kinds: Sequence[LegKind]) -> dict[str, int]:
+    """Return how many numbers describe a machine of these legs: `FIELDS`, and those that are fixed in the legs."""
+    stages = zip(("lower", "upper"), kinds, strict=True)
+    numbers = {f"{stage}_{kind.name.lower()}": kind.numbers.size for stage, kind in stages}
+    return FIELDS | {name: count for name, count in numbers.items() if count}
 
 
 def parts(vector: Any) -> tuple[Any, Any, Any]:
@@ -105,44 +121,84 @@ class Machine:
     geometry : Geometry, "symbolic" or None
         As for `spm_pin.symbolic.inverse_physical`.
     parameters : bool
-        Whether the 54 parameters of the legs are an input.
+        Whether the parameters of the legs are an input.
     """
 
     def __init__(self, geometry: Geometry | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
         self.inputs: list[Any] = []
+        self.valid: Any = 1
+        self._set_kinds(Geometry.paper())
         parameters = as_bool(parameters, "parameters")
         self.is_drawn = not parameters
-        self.minimum, self.maximum = ca.SX.zeros(6), ca.SX(6 * [np.inf])
         if isinstance(geometry, str) and geometry == "symbolic" and not parameters:
             self.inputs = [ca.SX.sym("dimensions", 3)]
             self._draw(*ca.vertsplit(self.inputs[0]))
             return
         if not isinstance(geometry, Geometry | None):
             raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))
-        machine = Geometry.paper() if geometry is None else geometry
-        check_rps(machine, "functions of CasADi and C")
+        machine = geometry or Geometry.paper()
+        self._set_kinds(machine)
         if machine.limits is not None:
             self.minimum, self.maximum = ca.SX(machine.limits.minimum), ca.SX(machine.limits.maximum)
         self._draw(*machine.nominal.dimensions)
         if parameters:
-            self.inputs = [ca.SX.sym("parameters", 54)]
-            self._set_legs(*_legs_of_parameters(self.inputs[0]))
+            self.inputs = [ca.SX.sym("parameters", len(machine.parameters))]
+            self._set_legs(*_legs_of_parameters(self.inputs[0][:54]))
+            further = ca.vertsplit(self.inputs[0][54:])
+            for kind, legs in zip(self.kinds, (range(3), range(3, 6)), strict=True):
+                for leg in legs:
+                    own, further = further[: len(kind.identified)], further[len(kind.identified) :]
+                    self.numbers[leg] = (*own, *self.numbers[leg][len(own) :])
+            self._check_numbers()
         elif not machine.is_nominal:
             self.is_drawn = False
             axes, pivots, balls = ([ca.SX(v) for v in array] for array in machine.legs.arrays[:3])
             self._set_legs(axes, pivots, balls, ca.SX(machine.legs.offsets))
 
     @classmethod
-    def of_symbols(cls) -> Machine:
-        """Return a machine whose `FIELDS` are the inputs, vectors leg by leg; axes may be off unit length."""
-        machine, fields = cls(), {name: ca.SX.sym(name, count) for name, count in FIELDS.items()}
-        machine.inputs, machine.is_drawn = list(fields.values()), False
-        machine._draw(*ca.vertsplit(fields["dimensions"]))
-        axes, pivots, balls = (ca.vertsplit(fields[name], 3) for name in ("axes", "pivots", "balls"))
+    def of_symbols(cls, geometry: Geometry) -> Machine:
+        """Return a machine whose `fields_of` are the inputs, vectors leg by leg; axes may be off unit length.
+
+        It has the kinds of legs of `geometry`.
+        """
+        machine, kinds = cls(), geometry.legs.kinds
+        symbols = {name: ca.SX.sym(name, count) for name, count in fields_of(kinds).items()}
+        machine.inputs, machine.is_drawn = list(symbols.values()), False
+        machine._set_kinds(geometry)
+        numbers = ca.vertsplit(ca.vertcat(*machine.inputs[len(FIELDS) :]))
+        for leg, fixed in enumerate(machine.numbers):
+            machine.numbers[leg], numbers = tuple(numbers[: len(fixed)]), numbers[len(fixed) :]
+        machine._draw(*ca.vertsplit(symbols["dimensions"]))
+        machine._check_numbers()
+        axes, pivots, balls = (ca.vertsplit(symbols[name], 3) for name in ("axes", "pivots", "balls"))
         units = [ca.vertcat(*in_casadi(vectors.direction)(parts(x))) for x in axes]
-        machine._set_legs(units, pivots, balls, fields["offsets"])
-        machine.minimum, machine.maximum = fields["minimum"], fields["maximum"]
+        machine._set_legs(units, pivots, balls, symbols["offsets"])
+        machine.minimum, machine.maximum = symbols["minimum"], symbols["maximum"]
         return machine
+
+    def drawing(self) -> Machine:
+        """Return a machine whose axes, pivots and balls are those of the drawing, and all else this one's."""
+        drawn = copy(self)
+        drawn.is_drawn = True
+        drawn._draw(self.base, self.platform, self.side)
+        drawn.offsets, drawn.valid = self.offsets, self.valid
+        return drawn
+
+    def _set_kinds(self, geometry: Geometry) -> None:
+        self.kinds = kinds = geometry.legs.kinds
+        self.joint_names = joint_names(geometry)
+        self.minimum = ca.SX([kind.least_reading for kind in kinds for _ in range(3)])
+        self.maximum = ca.SX(6 * [np.inf])
+        self.formulas = [kind.bound(in_casadi) for kind in kinds]
+        self.numbers = [tuple(row) for kind in kinds for row in kind.numbers.tolist()]
+
+    def _check_numbers(self) -> None:
+        """Let the machine be none where a number that is fixed in a leg is none of its kind."""
+        for leg, numbers in enumerate(self.numbers):
+            for name, x in zip(fields(self.kinds[leg // 3]), numbers, strict=True):
+                low, high = BOUNDS[name.name]
+                within = x * x == 1.0 if name.name == "sign" else ca.logic_and(x >= low, x <= high)
+                self.valid = ca.logic_and(self.valid, within)
 
     def _draw(self, base: Any, platform: Any, side: Any) -> None:
         self.base, self.platform, self.side, self.r = base, platform, side, side / np.sqrt(3.0)
@@ -153,10 +209,13 @@ class Machine:
 
     def _set_legs(self, axes: list[Any], pivots: list[Any], balls: list[Any], offsets: Any) -> None:
         self.axes, self.pivots, self.balls, self.offsets = axes, pivots, balls, offsets
-        self.planes = []
-        for axis, pivot in zip(axes, pivots, strict=True):
+        self.planes, self._own_planes = [], []
+        for leg, (axis, pivot) in enumerate(zip(axes, pivots, strict=True)):
             x, y, z = columns(in_casadi(leg_constants.leg_axes)(parts(axis)))
             self.planes.append(LegPlane(x, y, z, pivot))
+            # Radially outwards, and towards the middle platform: see `planar_legs.plane_axes`.
+            outward, forward = -leg_constants.TANGENT_SIGNS[leg % 3] * y, (1.0, -1.0)[leg // 3] * z
+            self._own_planes.append(planar_legs.LegPlane(parts(pivot), parts(outward), parts(forward)))
 
     def function(self, name: str, inputs: list[Any], outputs: dict[str, Any]) -> ca.Function:
         """Make a function; inputs are named as their symbols are."""
@@ -189,10 +248,19 @@ class Machine:
     def circles(self, stage: int, readings: Any) -> circles.Circles:
         """Return the circles of the balls of the lower stage, 0, or of the upper, 1, for the readings (6,)."""
         legs = slice(3 * stage, 3 * stage + 3)
-        radii = (readings - self.offsets)[legs]
         squares = in_casadi(circles.squared_sides)(stages_of(self.balls)[stage])
-        axes, centres = rows(self.axes[legs]), rows(self.pivots[legs])
-        return circles.Circles(axes, centres, parts(radii), squares)
+        centres, radii = zip(*(self.circle(leg, (readings - self.offsets)[leg]) for leg in range(6)[legs]), strict=True)
+        return circles.Circles(rows(self.axes[legs]), rows(centres), radii, squares)
+
+    def circle(self, leg: int, reading: Any) -> tuple[Any, Any]:
+        """Return the centre and the radius of a ball's circle for a reading without its offset."""
+        x, z, radius = self.formulas[leg // 3].circle(reading, self.numbers[leg])
+        return ca.vertcat(*in_casadi(planar_legs.point_of_plane)(x, z, self._own_planes[leg])), radius
+
+    def of_ball(self, name: str, leg: int, ball: Any, *further: Any) -> Any:
+        """Return what a formula of the leg's kind makes of its ball, seen from the plate that the leg stands on."""
+        place = in_casadi(planar_legs.place_in_plane)(parts(ball), self._own_planes[leg])
+        return getattr(self.formulas[leg // 3], name)(*place, *further, self.numbers[leg])
 
     def angles(self, stage: int, e: Sequence[Any]) -> Any:
         """Return the angles (3,) of directions in the planes of a stage's legs, from their axes y towards z."""
@@ -204,12 +272,16 @@ class Machine:
         planes = self.planes[3 * stage : 3 * stage + 3]
         return [parts(ca.cos(angles[i]) * plane.y + ca.sin(angles[i]) * plane.z) for i, plane in enumerate(planes)]
 
-    def at_home(self, stage: int) -> Any:
-        """Return a leg of a stage at home, and its kind's formulas."""
+    def leg_frames(self, stage: int, own_axes: Any) -> Sequence[joint_values.LegFrame]:
+        """Return the constants of a stage's legs; `own_axes` are the axes of the lower balls' triangle in {n}."""
         legs, radius = slice(3 * stage, 3 * stage + 3), (self.base, self.platform)[stage]
         limits = ca.mmax(self.minimum[legs]), ca.mmin(self.maximum[legs])
-        kind = RPS.bound(in_casadi)
-        return in_casadi(joint_values.leg_home)(self.r - radius, self.r + radius, limits, 1.0, (), kind), kind
+        numbers = drawn_numbers(self.numbers[legs], len(self.kinds[stage].identified)), self.numbers[legs]
+        placed = leg_planes.StageLegs(rows(self.axes[legs]), rows(self.pivots[legs]))
+        triangles, up = (radius, self.r), (1.0, -1.0)[stage]
+        formula, kind = in_casadi(joint_values.stage_frames), self.formulas[stage]
+        frames: Sequence[joint_values.LegFrame] = formula(placed, own_axes, triangles, limits, numbers, up, kind)
+        return frames
 
 
 def _legs_of_parameters(parameters: Any) -> tuple[list[Any], list[Any], list[Any], Any]:
@@ -221,22 +293,48 @@ def _legs_of_parameters(parameters: Any) -> tuple[list[Any], list[Any], list[Any
 
 
 class State:
-    """The six legs in {B} of a state: b_i, the rows of `joints` (3, 3), with the rotation and the position of {m}."""
+    """The six legs in {B} of a state: b_i, the rows of `joints` (3, 3), with the rotation and the position of {m}.
+
+    The legs' `vectors` and `directions` are those of their rods, from the centres of the balls' circles.
+    """
 
     def __init__(self, machine: Machine, joints: Any, rotation: Any, position: Any) -> None:
         self.machine, self.rotation, self.position = machine, rotation, position
         self.joints = [joints[i, :].T for i in range(3)]
         self.balls = machine.all_balls(self.joints)
-        self.bases = [*machine.pivots[:3], *(position + rotation @ p for p in machine.pivots[3:])]
+        self.bases = self._in_base(machine.pivots)
         self.axes = [*machine.axes[:3], *(rotation @ a for a in machine.axes[3:])]
-        self.vectors = [self.balls[i] - self.bases[i] for i in range(3)]
-        self.vectors += [self.bases[i] - self.balls[i] for i in range(3, 6)]
+        self._own = [x for stage in self.own_balls() for x in stage]
+        own = [machine.of_ball("reading", leg, ball) for leg, ball in enumerate(self._own)]
+        self.readings, self.slopes = ca.vertcat(*own) + machine.offsets, self.slopes_at(own)
+        centres = self._in_base([machine.circle(leg, reading)[0] for leg, reading in enumerate(own)])
+        self.vectors = [self.balls[i] - centres[i] for i in range(3)]
+        self.vectors += [centres[i] - self.balls[i] for i in range(3, 6)]
         (lower, lower_lengths), (upper, upper_lengths) = map(
             in_casadi(vectors.directions_and_lengths), stages_of(self.vectors)
         )
         self.directions = columns([*lower, *upper])
         self.lengths = ca.vertcat(*lower_lengths, *upper_lengths)
-        self.readings = self.lengths + machine.offsets
+
+    def _in_base(self, points: Sequence[Any]) -> list[Any]:
+        """Return points of the lower legs' base and of {m} in {B}."""
+        return [*points[:3], *(self.position + self.rotation @ p for p in points[3:])]
+
+    @property
+    def reach(self) -> Any:
+        """The least of the legs' reaches, negative where a ball is out of reach."""
+        return ca.mmin(ca.vertcat(*(self.machine.of_ball("reach", leg, ball) for leg, ball in enumerate(self._own))))
+
+    def slopes_at(self, readings: Sequence[Any]) -> list[Any]:
+        """Return κ of the legs with these readings, without their offsets."""
+        balls = enumerate(zip(self._own, readings, strict=True))
+        return [self.machine.of_ball("slope", leg, ball, reading) for leg, (ball, reading) in balls]
+
+    def least_slope(self, slopes: Sequence[Any]) -> Any:
+        """Return the least κ over the largest of the working mode: zero where a leg is singular, below in another."""
+        machine = self.machine
+        largest = [machine.formulas[leg // 3].largest_slope(machine.numbers[leg]) for leg in range(6)]
+        return ca.mmin(ca.vertcat(*(slope / most for slope, most in zip(slopes, largest, strict=True))))
 
     def own_balls(self) -> tuple[list[Any], list[Any]]:
         """Return the lower balls in {B} and the upper ones in {m}."""
@@ -261,7 +359,7 @@ class State:
         turn, (b, c) = [parts(self.rotation[i, :]) for i in range(3)], stages_of(self.balls)
         legs = *stages_of(self.vectors), *stages_of(self.axes)
         physical = in_casadi(branches.is_physical)(b, c, *legs, turn, parts(self.position))
-        return physical, in_casadi(branches.tilt_cosine_sum)(b, turn)
+        return ca.logic_and(physical, self.reach >= 0.0), in_casadi(branches.tilt_cosine_sum)(b, turn)
 
 
 class Drawn:

@@ -15,6 +15,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.mechanism import Configuration, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.joint_angles import actuated_joints, home_readings, homes, joint_names
 from spm_pin.symbolic.c_export import c_sources, filled, machine_fields, write_files
 
@@ -29,17 +30,21 @@ _SHARE = 0.1
 """The largest deviation of these readings from the middle, in lengths of the legs at home."""
 
 
-def ros_package(geometry: Geometry, *, prefix: str = "", masses: Masses | None = None) -> dict[str, str]:
-    """Return a ROS 2 package, `spm_robot`, that shows a machine and controls the pose of its platform.
+def ros_package(
+    geometry: Geometry, *, prefix: str = "", masses: Masses | None = None, package: str | None = None
+) -> dict[str, str]:
+    """Return a ROS 2 package that shows a machine and controls the pose of its platform.
 
     Parameters
     ----------
     geometry : Geometry
         The machine, drawn or as built.
     prefix : str
-        Put before the name of the package, in lower case, and of every link, joint and function in C.
+        Put before the name of every link, joint and function in C.
     masses : Masses, optional
         Of the bodies; assumed ones by default, see `urdf_text`.
+    package : str, optional
+        Name of the package; by default `spm_robot`, with the prefix in lower case before it.
 
     Returns
     -------
@@ -47,7 +52,7 @@ def ros_package(geometry: Geometry, *, prefix: str = "", masses: Masses | None =
         The texts of the files by their places in the package.
     """
     name = re.sub(r"[^a-z0-9]+", "_", f"{prefix}spm_".lower()).lstrip("_")
-    package = f"{name}robot"
+    package = f"{name}robot" if package is None else _checked_name(package, "package")
     sources = c_sources(geometry, prefix=name, masses=masses)
     urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses)
     names = actuated_joints(geometry), joint_names(geometry)
@@ -99,13 +104,22 @@ def write_ros(
 ) -> list[Path]:
     """Write what `ros_package` returns into a directory, made if need be; all of it or nothing. Returns the paths.
 
-    Files of the same names are replaced.
+    The package has the name of the directory. Files of the same names are replaced.
     """
-    paths = write_files(directory, ros_package(geometry, prefix=prefix, masses=masses))
+    path = file_path(directory, "directory", expected="the name of a directory")
+    package = _checked_name(path.resolve().name, "directory")
+    paths = write_files(directory, ros_package(geometry, prefix=prefix, masses=masses, package=package))
     for path in paths:
         if path.parent.name == "scripts":
             path.chmod(0o755)
     return paths
+
+
+def _checked_name(name: str, argument: str) -> str:
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name):
+        expected = "a name of a ROS 2 package: lower-case letters, digits and single underscores, a letter first"
+        raise ArgumentError(argument, expected, repr(name))
+    return name
 
 
 def travel(geometry: Geometry) -> tuple[FloatArray, FloatArray]:

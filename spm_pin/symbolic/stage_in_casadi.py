@@ -5,14 +5,10 @@ from __future__ import annotations
 import casadi as ca
 
 from spm_pin.formulas import planar_legs, stage_poses
-from spm_pin.formulas.operations import bind
 from spm_pin.formulas.planar_legs import LegPlane
 from spm_pin.mechanism import Stage
 from spm_pin.mechanism.arguments import check_instance
 from spm_pin.symbolic.machine import in_casadi, parts
-
-_ON_ITS_CIRCLE = 1e-6
-"""Error of a ball's distance from its circle's centre, relative to the radius, from which on it is out of reach."""
 
 
 def stage_inverse(stage: Stage) -> ca.Function:
@@ -32,6 +28,7 @@ def stage_inverse(stage: Stage) -> ca.Function:
     """
     check_instance(stage, Stage, "stage")
     normal, height, legs = ca.SX.sym("normal", 3), ca.SX.sym("height"), stage.legs
+    formulas = stage.kind.bound(in_casadi)
     axes, pivots, balls, outward, forward = (tuple(map(tuple, x.tolist())) for x in (*legs.arrays[:3], *legs.planes))
     constants = in_casadi(stage_poses.stage_constants)(axes, pivots, balls)
     turn = in_casadi(stage_poses.shortest_turn)(parts(normal))
@@ -41,12 +38,8 @@ def stage_inverse(stage: Stage) -> ca.Function:
     for leg, ball in enumerate(stage_poses.platform_balls(rotation, position, constants.balls)):
         numbers = tuple(stage.kind.numbers[leg].tolist())
         x, z = planar_legs.place_in_plane(ball, LegPlane(pivots[leg], outward[leg], forward[leg]))
-        reading = bind(in_casadi(stage.kind.formulas.reading), arctan2=ca.atan2)(x, z, numbers)
-        centre = in_casadi(stage.kind.formulas.circle)(reading, numbers)
-        # Of a ball out of reach the root is that of zero: the reading then leaves the ball elsewhere.
-        distance, square = (x - centre.x) ** 2 + (z - centre.z) ** 2, centre.radius**2
-        exists = ca.logic_and(exists, ca.fabs(distance - square) <= _ON_ITS_CIRCLE * square)
-        readings.append(reading + float(legs.offsets[leg]))
+        exists = ca.logic_and(exists, formulas.reach(x, z, numbers) >= 0.0)
+        readings.append(formulas.reading(x, z, numbers) + float(legs.offsets[leg]))
     matrix = ca.vertcat(*(ca.horzcat(*row) for row in rotation))
     outputs = [ca.vertcat(*readings), matrix, ca.vertcat(*position), exists]
     names = ["readings", "rotation", "position", "exists"]

@@ -9,10 +9,14 @@ import array_api_strict as strict
 import numpy as np
 import pytest
 from arrays.array_problems import BUILT, PAPER, random_poses, random_readings
+from kinds_of_legs import PAIRS, states
+from kinds_of_legs import machine as machine_of
 from problems import at_end_stops
 
 import spm_pin as spm
 from spm_pin import arrays
+from spm_pin.mechanism import RRS
+from spm_pin.mechanism.joint_angles import joint_names, value_names
 
 MACHINES = {"drawn": PAPER, "as built": BUILT}
 COUNTS = (3000, pytest.param(100_000, marks=pytest.mark.slow))
@@ -36,7 +40,7 @@ def test_all_branches_are_those_of_the_kernels(count: int) -> None:
     assert 0.2 < expected.exists.mean() < 0.8
     real = clear & expected.exists
     np.testing.assert_allclose(found.middle_joints[real], expected.middle_joints[real], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.leg_lengths[real], expected.leg_lengths[real], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.readings[real], expected.leg_lengths[real], rtol=0, atol=1e-9)
     assert np.isfinite(found.middle_joints).all()
 
 
@@ -55,6 +59,58 @@ def test_the_physical_states_of_poses_and_of_readings_are_those_of_the_kernels(n
         for field in ("rotation", "translation", "middle_joints", "readings"):
             error = np.abs(getattr(found, field) - getattr(expected, field))[both].reshape(both.sum(), -1).max(axis=-1)
             assert (error <= bound).all(), field
+
+
+@pytest.mark.parametrize("built", [False, True])
+@pytest.mark.parametrize(("lower", "upper"), PAIRS)
+def test_legs_of_any_kind_are_those_of_the_kernels(lower: str, upper: str, built: bool) -> None:
+    geometry = machine_of(lower, upper, built=built)
+    known = states(geometry)
+    sigma = spm.singularities(known).sigma.min(axis=-1)[:, None]
+    wrench, names = np.random.default_rng(1).normal(size=(len(known), 6)), value_names(geometry)
+    values = spm.mechanism.joint_angles(known, (0,)).values
+    values = values[:, [names.index(name) for name in joint_names(geometry)]]
+    for given in (geometry, (geometry, geometry.parameters)):
+        state = arrays.forward_physical(given, known.readings)
+        assert state.exists.all()
+        near = arrays.forward_physical(given, known.readings + 1e-6, near=state)
+        back = arrays.inverse_physical(given, known.rotation, known.translation, near=state)
+        assert (near.exists & back.exists).all()
+        for found in (state, near, back):
+            np.testing.assert_allclose(found.middle_joints, known.middle_joints, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(state.translation, known.translation, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(back.readings, known.readings, rtol=0, atol=1e-11)
+        rates, expected = arrays.inverse_jacobian(given, state), spm.inverse_jacobian(known)
+        assert (np.abs(rates - expected).max(axis=-1) <= 1e-11 * np.abs(expected).max() / sigma).all()
+        forces, expected = arrays.leg_forces(given, state, wrench), spm.leg_forces(known, wrench)
+        assert (np.abs(forces - expected) <= 1e-13 / sigma**3).all()
+        np.testing.assert_allclose(arrays.joint_values(given, state), values, rtol=0, atol=1e-12)
+    if not built:
+        found = arrays.inverse_displacement(geometry, known.rotation, known.translation)
+        expected = spm.inverse_displacement(geometry, known.pose)
+        np.testing.assert_array_equal(found.exists, expected.exists)
+        real = expected.exists
+        np.testing.assert_allclose(found.readings[real], expected.readings[real], rtol=0, atol=1e-11)
+
+
+def test_balls_out_of_reach_and_other_working_modes_are_no_states() -> None:
+    geometry = machine_of("RRS", "PRS")
+    known = states(geometry)
+    up = known.translation + np.array([0.0, 0.0, 1.5])
+    assert not arrays.inverse_physical(geometry, known.rotation, up).exists.any()
+    assert not arrays.inverse_displacement(geometry, known.rotation, up).exists[:, :2].any()
+    # The same circles, on whose other side crank and rod would be.
+    places = known.places[:, :3]
+    angle = np.arctan2(places[..., 1], places[..., 0])
+    mirrored = np.concatenate([2.0 * angle - known.readings[:, :3], known.readings[:, 3:]], axis=-1)
+    other = spm.Geometry.of_stages(
+        spm.mechanism.Stage(geometry.base_radius, geometry.middle_radius, RRS(crank=1.1, rod=0.9, sign=1)),
+        spm.mechanism.Stage(geometry.platform_radius, geometry.middle_radius, geometry.legs.kinds[1]),
+    )
+    both = spm.forward_physical(other, mirrored)
+    assert both.exists.any()
+    assert not (arrays.forward_physical(geometry, mirrored).exists & both.exists).any()
+    np.testing.assert_array_equal(arrays.forward_physical(other, mirrored).exists, both.exists)
 
 
 @pytest.mark.parametrize("name", MACHINES)
@@ -115,6 +171,17 @@ def test_numbers_that_are_none_or_too_large_have_no_state_and_finite_results() -
         assert all(np.isfinite(function(PAPER, state)).all() for state in states)
 
 
+def test_an_index_is_one_of_the_batch() -> None:
+    states = arrays.forward_physical(PAPER, random_readings(12).reshape(3, 4, 6))
+    for index in (1, (slice(None), 2), states.exists):
+        chosen = states[index]
+        assert isinstance(chosen, arrays.State)
+        for x, y in zip(chosen, states, strict=True):
+            np.testing.assert_array_equal(x, y[index])
+    rotation, *_ = states
+    assert rotation.shape == (3, 4, 3, 3)
+
+
 def test_one_problem_is_a_batch_without_axes() -> None:
     readings = random_readings(4)
     one, batch = arrays.forward_physical(PAPER, readings[1]), arrays.forward_physical(PAPER, readings)
@@ -122,7 +189,7 @@ def test_one_problem_is_a_batch_without_axes() -> None:
         assert np.array_equal(x, y[1])
     branches = arrays.inverse_displacement(PAPER, one.rotation, one.translation)
     assert branches.middle_joints.shape == (8, 3, 3)
-    assert branches.leg_lengths.shape == (8, 6)
+    assert branches.readings.shape == (8, 6)
     assert branches.exists.shape == (8,)
 
 
@@ -133,10 +200,15 @@ def test_the_kind_of_array_that_comes_in_goes_out(name: str, dtype: str) -> None
     readings = strict.asarray(random_readings(5), dtype=getattr(strict, dtype))
     state = arrays.forward_physical(machine, readings)
     again = arrays.inverse_physical(machine, state.rotation, state.translation)
-    results = [*state[:4], *again[:4], arrays.joint_values(machine, state), arrays.inverse_jacobian(machine, state)]
+    results = [
+        *list(state)[:4],
+        *list(again)[:4],
+        arrays.joint_values(machine, state),
+        arrays.inverse_jacobian(machine, state),
+    ]
     results += [arrays.leg_forces(machine, state, readings), arrays.singularity_distance(machine, state)]
     if machine is PAPER:
-        results += arrays.inverse_displacement(machine, state.rotation, state.translation)[:2]
+        results += list(arrays.inverse_displacement(machine, state.rotation, state.translation))[:2]
     for array in results:
         assert isinstance(array, type(readings))
         assert array.dtype == readings.dtype
@@ -167,7 +239,11 @@ TORN = STATE._replace(middle_joints=np.ones((2, 3)))
         (arrays.inverse_physical, (PAPER, STATE.rotation, strict.asarray(STATE.translation)), "arrays of one library"),
         (arrays.inverse_physical, (PAPER, STATE.rotation, np.ones((3, 3))), "those of rotation, (2,), got (3,)"),
         (arrays.inverse_displacement, (BUILT, STATE.rotation, STATE.translation), "a machine as drawn"),
-        (arrays.inverse_displacement, (BUILT.parameters, *STATE[:2]), "as 54 parameters always count"),
+        (
+            arrays.inverse_displacement,
+            (BUILT.parameters, STATE.rotation, STATE.translation),
+            "as parameters always count",
+        ),
         (arrays.forward_physical, (PAPER, np.ones(6, dtype=int)), "floating-point"),
         (arrays.forward_physical, (PAPER, np.ones(6, dtype=np.float16)), "dtype float16"),
         (arrays.forward_physical, (PAPER, np.ones(6, dtype=np.longdouble)), "dtype float128"),
@@ -179,6 +255,8 @@ TORN = STATE._replace(middle_joints=np.ones((2, 3)))
             "readings is array_api_strict. Convert",
         ),
         (arrays.forward_physical, (PAPER, np.ones(6), np.ones(6)), "near"),
+        (arrays.forward_physical, (PAPER, [1.2] * 6), "Make it one, as by jax.numpy.asarray"),
+        (arrays.forward_physical, ((PAPER, np.ones(60)), np.ones(6)), "the parameters (..., 54) of its legs"),
     ],
 )
 def test_what_is_wrong_is_named(function: Any, arguments: tuple[Any, ...], says: str) -> None:

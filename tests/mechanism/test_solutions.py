@@ -36,7 +36,7 @@ def test_a_single_problem_is_indexed_by_its_solutions(branches: spm.SolutionSet)
         np.testing.assert_array_equal(branches[k].middle_joints, branches[label].middle_joints)
         assert branches[k].exists == branches.exists[k]
     real = list(branches)
-    assert len(real) == 6
+    assert len(real) == len(branches) == 6
     assert all(state.exists for state in real)
     np.testing.assert_array_equal(real[4].leg_lengths, branches["FF+"].leg_lengths)
     with pytest.raises(SelectionError, match=r"index: expected a label: TT\+, .*, got 'TT'"):

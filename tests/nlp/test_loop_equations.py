@@ -7,6 +7,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from kinds_of_legs import machine, states
 from problems import PAPER, random_branches
 
 import spm_pin as spm
@@ -34,8 +35,8 @@ def test_residuals_are_distances_from_planes_and_errors_of_sides_and_lengths_tho
         assert residual[3 + i] == pytest.approx(step, rel=1e-9)
     sides = np.asarray(closure(1.5 * b, np.eye(3), np.zeros(3))[0]).ravel()[6:]
     np.testing.assert_allclose(sides, (1.5**2 - 1.0) * geometry.middle_side / 2.0, rtol=1e-12)
-    lengths = np.asarray(nlp.leg_lengths(geometry)(b, rotation, translation)).ravel()
-    np.testing.assert_allclose(lengths, state.leg_lengths, rtol=1e-13)
+    lengths = np.asarray(nlp.readings(geometry)(b, rotation, translation)).ravel()
+    np.testing.assert_allclose(lengths, state.readings, rtol=1e-13)
 
 
 def test_equations_and_their_jacobian_in_a_machine_as_built() -> None:
@@ -45,8 +46,8 @@ def test_equations_and_their_jacobian_in_a_machine_as_built() -> None:
     b, rotation, translation = arguments(state)
     residual, jacobian = (np.asarray(part) for part in closure(b, rotation, translation))
     assert np.abs(residual).max() < 1e-14
-    lengths = np.asarray(nlp.leg_lengths(built)(b, rotation, translation)).ravel()
-    np.testing.assert_allclose(lengths, state.leg_lengths, rtol=1e-13)
+    lengths = np.asarray(nlp.readings(built)(b, rotation, translation)).ravel()
+    np.testing.assert_allclose(lengths, state.readings, rtol=1e-13)
     rates = nlp.inverse_jacobian(nlp.leg_jacobian(built)(b, rotation, translation))
     np.testing.assert_allclose(rates, spm.inverse_jacobian(state), atol=1e-9)
     # The equations are quadratic: central differences have no truncation error.
@@ -57,6 +58,17 @@ def test_equations_and_their_jacobian_in_a_machine_as_built() -> None:
         down[k] -= step
         values = [np.asarray(closure(point, rotation, translation)[0]).ravel() for point in (up, down)]
         np.testing.assert_allclose((values[0] - values[1]) / (2 * step), jacobian[:, k], atol=1e-12)
+
+
+@pytest.mark.parametrize("built", [False, True])
+@pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS"), ("RPS", "RRS")])
+def test_readings_and_rates_of_legs_of_any_kind(lower: str, upper: str, built: bool) -> None:
+    geometry = machine(lower, upper, built=built)
+    shown, derivatives = nlp.readings(geometry), nlp.leg_jacobian(geometry)
+    for state in states(geometry)[:10]:
+        np.testing.assert_allclose(np.asarray(shown(*arguments(state))).ravel(), state.readings, rtol=0, atol=1e-13)
+        rates, expected = nlp.inverse_jacobian(derivatives(*arguments(state))), spm.inverse_jacobian(state)
+        np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-11 * np.abs(expected).max() ** 2)
 
 
 def test_functions_can_be_saved_loaded_and_compiled_from_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import spm_pin as spm
-from spm_pin.symbolic.c_export import STATE_FUNCTIONS, machine_fields
+from spm_pin.symbolic.c_export import STATE_FUNCTIONS, machine_fields, state_functions
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 STATE = 9 + 3 + 9 + 6
@@ -37,7 +37,7 @@ void branches_all(const spm_geometry *g, long n, const double *r, const double *
 }
 """
 BRANCHES = np.dtype(
-    [("joints", "f8", (8, 3, 3)), ("lengths", "f8", (8, 6)), ("discriminants", "f8", 4), ("real", "i4", 8)]
+    [("joints", "f8", (8, 3, 3)), ("readings", "f8", (8, 6)), ("discriminants", "f8", 4), ("real", "i4", 8)]
 )
 
 
@@ -93,7 +93,7 @@ class CLibrary:
     def build(cls, geometry: spm.Geometry, folder: Path, *flags: str) -> CLibrary:
         """Export, compile and load; `flags` such as ``-O2``."""
         spm.symbolic.write_c(geometry, folder)
-        loops = [_batch_of(f.name, [len(x) for x in f.arguments.values()], f.count) for f in STATE_FUNCTIONS]
+        loops = [_batch_of(f.name, [len(x) for x in f.arguments.values()], f.count) for f in state_functions(geometry)]
         (folder / "batches.c").write_text(_BATCHES + "".join(loops), encoding="utf-8")
         library = folder / "library.so"
         inputs = folder / "batches.c", folder / "spm_kinematics.c"

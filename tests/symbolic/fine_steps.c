@@ -78,6 +78,6 @@ void follow_readings(long count, int parts, const spm_geometry *g, const spm_sta
                 }
             }
         }
-        (void)join(g, balls[0], balls[1], ends + n);
+        (void)join(g, balls[0], balls[1], readings, ends + n);
     }
 }

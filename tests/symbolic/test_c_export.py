@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli.running import run
+from kinds_of_legs import machine, states
 from problems import GEOMETRIES, as_built, at_end_stops
 from scipy.spatial.transform import Rotation
 from symbolic.c_library import STRICT, CLibrary, as_states, compile_c, compilers, run_cmake
@@ -20,6 +21,7 @@ from symbolic.c_poses import hard_poses, held_states, possible_lengths, spread_p
 import spm_pin as spm
 from spm_pin.description.tree import joint_values
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.joint_angles import joint_names, value_names
 from spm_pin.symbolic.c_export import STATE_FUNCTIONS, STATUSES
 
 PAPER = GEOMETRIES["paper"]
@@ -134,6 +136,84 @@ def test_states_at_end_stops_keep_their_branch_as_in_the_package(library: CLibra
     np.testing.assert_allclose(found[solved, 21:], expected.readings[solved], rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("lower", "upper"),
+    [("RRS", "PRS"), *(pytest.param(lower, "RRS", marks=pytest.mark.slow) for lower in ("RPS", "PRS", "RRS"))],
+)
+def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str, tmp_path: Path) -> None:
+    """One build for the drawn machine and for machines as built, at thousands of states each."""
+    compiled = CLibrary.build(machine(lower, upper), tmp_path, "-O2")
+    for built in (False, True):
+        geometry = machine(lower, upper, built=built)
+        own, state = compiled.of(geometry), states(geometry, 4_000 if not built else 400)
+        known, largest = as_states(state), geometry.legs.largest_slopes
+        rates = spm.inverse_jacobian(state)
+        size = np.abs(largest[:, None] * rates).max(axis=(-1, -2))
+        away = size < 1e3
+        bound = 1e-12 + 256.0 * EPS * size**2
+        for found, status in (
+            own.forward(state.readings),
+            own.forward(state.readings, known),
+            own.inverse(state.rotation, state.translation, known),
+        ):
+            assert (status[away] == 0).all()
+            assert (np.abs(found - known).max(axis=-1) <= bound)[away].all()
+        expected, (found, status) = (
+            spm.inverse_physical(geometry, state.pose),
+            own.inverse(state.rotation, state.translation),
+        )
+        np.testing.assert_array_equal(status[away] == 0, expected.exists[away])
+        same = away & (status == 0)
+        assert (np.abs(found[:, 21:] - expected.readings).max(axis=-1) <= bound)[same].mean() > 0.99
+        matrices, status = own.of_states("inverse_jacobian", known)
+        assert (status == 0).all()
+        error = np.abs(largest[:, None] * (matrices.reshape(-1, 6, 6) - rates)).max(axis=(-1, -2))
+        assert (error <= 1e-12 + 1e3 * EPS * size**2)[away].all()
+        wrench = np.tile(WRENCH, (len(known), 1))
+        forces, status = own.of_states("leg_forces", known, wrench)
+        assert (status == 0).all()
+        np.testing.assert_allclose(forces, spm.leg_forces(state, wrench), rtol=0, atol=1e-10 * np.abs(forces).max())
+        values = spm.mechanism.joint_angles(state, (0,)).values
+        order = [value_names(geometry).index(name) for name in joint_names(geometry)]
+        found, status = own.of_states("joint_values", known)
+        assert (status == 0).all()
+        np.testing.assert_allclose(found, values[:, order], rtol=0, atol=1e-12)
+        # Ways to other states, which turn cranks by up to half a radian; and balls out of reach.
+        moved, arrived = own.forward(np.roll(state.readings, 1, axis=0), known)
+        followed = spm.forward_physical(geometry, np.roll(state.readings, 1, axis=0), state)
+        both = followed.exists & (arrived == 0)
+        assert both.mean() > 0.8
+        assert ((arrived == 0) == followed.exists).mean() > 0.99
+        assert (np.abs(moved[:, :21] - as_states(followed)[:, :21]).max(axis=-1) <= 1e-9)[both].all()
+        up = state.translation + np.array([0.0, 0.0, 9.0])
+        for found, status in (own.inverse(state.rotation, up), own.inverse(state.rotation, up, known)):
+            assert lower == "RPS" or not (status == 0).any()  # slides lead outwards, and cranks have an end
+            np.testing.assert_array_equal(np.isnan(found).all(axis=-1), status != 0)
+    # A crank and a rod that just do not reach, of a state that is passed in, and numbers that are none.
+    place = 75  # of the first number that is fixed in a leg
+    for number, name in (
+        (1e-3, "UNREACHABLE"),
+        (0.0, "BAD_GEOMETRY"),
+        (np.nan, "BAD_GEOMETRY"),
+        (-1.0, "BAD_GEOMETRY"),
+    ):
+        numbers = own.machine.copy()
+        numbers[place] = number
+        found, status = CLibrary(own.library, numbers).of_states("leg_forces", known, wrench)
+        assert (status == STATUS[name]).all(), name
+        assert np.isnan(found).all()
+
+
+def test_files_of_a_machine_name_the_kinds_of_its_legs() -> None:
+    geometry = machine("RRS", "PRS")
+    assert "lower_rrs 1.1 0.9 -1.0 1.1 0.9 -1.0 1.1 0.9 -1.0\n" in spm.symbolic.c_sources(geometry)["spm_machine.txt"]
+    header = spm.symbolic.c_sources(geometry)["spm_kinematics.h"]
+    assert "double upper_prs[9]; /* rod, direction, sign" in header
+    assert "spm_bodies" not in header
+    names = list(spm.symbolic.c_export.machine_fields(PAPER))
+    assert names == ["dimensions", "axes", "pivots", "balls", "offsets", "minimum", "maximum"]
+
+
 @pytest.mark.slow
 def test_a_thousand_random_machines_are_computed_as_by_the_package(library: CLibrary) -> None:
     rng = np.random.default_rng(5)
@@ -152,7 +232,7 @@ def test_all_branches_of_a_drawn_machine_are_those_of_the_package(library: CLibr
     assert clear.mean() > 0.99
     np.testing.assert_array_equal(status[clear], branches.status[clear])
     np.testing.assert_array_equal(found["real"][clear] == 1, branches.exists[clear])
-    error = np.abs(found["lengths"] - branches.leg_lengths)[clear]
+    error = np.abs(found["readings"] - branches.leg_lengths)[clear]
     size = np.abs(branches.leg_lengths[clear]).max(axis=-1, where=branches.exists[clear][..., None], initial=1e-3)
     near = np.sqrt(np.abs(branches.discriminants[clear]).min(axis=-1))
     assert (np.nanmax(error, axis=(-1, -2), initial=0.0) <= 1e3 * EPS * size.max(axis=-1) / near**2).all()
@@ -163,7 +243,7 @@ def test_hard_poses_have_a_status_and_no_infinite_number(library: CLibrary) -> N
     rotation, position = hard_poses(PAPER, 6000, 2)
     found, status = library.all_branches(rotation, position)
     assert {int(s) for s in status} == {0, 1, 2}
-    assert not np.isinf(found["lengths"]).any()
+    assert not np.isinf(found["readings"]).any()
     assert (library.of(as_built(PAPER, 1e-6)).all_branches(rotation, position)[1] == STATUS["BAD_GEOMETRY"]).all()
     for geometry in (PAPER, as_built(PAPER, 1e-3)):
         states, status = library.of(geometry).inverse(rotation, position)
@@ -312,7 +392,7 @@ def test_errors_are_statuses_and_results_are_nan(library: CLibrary) -> None:
         assert np.isnan(result).all(), number
     found, status = library.all_branches(rotation, [[0.0, 0.0, 1e160]])
     assert status.tolist() == [STATUS["OUT_OF_RANGE"]]
-    assert all(np.isnan(found[x]).all() for x in ("joints", "lengths", "discriminants"))
+    assert all(np.isnan(found[x]).all() for x in ("joints", "readings", "discriminants"))
 
 
 def _rows(function: object) -> list[np.ndarray]:

@@ -82,9 +82,9 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ROS 2 package of a machine as built."""
     folder = tmp_path_factory.mktemp("ros")
     as_built(GEOMETRIES["paper"], 1e-3).to_yaml(folder / "machine.yaml")
-    done = run("export", "ros", "--out", folder / "package", "--geometry", folder / "machine.yaml")
+    done = run("export", "ros", "--out", folder / "spm_robot", "--geometry", folder / "machine.yaml")
     assert done.returncode == 0, done.message
-    return folder / "package"
+    return folder / "spm_robot"
 
 
 def parameters_of(package: Path) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from as_built_oracle import root_near
 from flint import arb, arb_mat, ctx
+from kinds_of_legs import PAIRS, machine, states
 from oracle import dot
 from problems import GEOMETRIES, as_built, conditioning, random_branches
 from symbolic.c_library import compile_c, compilers
@@ -105,7 +106,7 @@ def test_symbolic_dimensions_give_what_built_in_ones_give() -> None:
         for a, b in zip(numbers(make(PAPER), *arguments), numbers(make(), *arguments), strict=True):
             np.testing.assert_array_equal(a, b)
     assert spm.symbolic.inverse_physical().name_in() == ["rotation", "position"]
-    assert spm.symbolic.inverse_physical().name_out() == ["lengths", "joints", "discriminant", "exists"]
+    assert spm.symbolic.inverse_physical().name_out() == ["readings", "joints", "discriminant", "exists"]
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
@@ -387,6 +388,58 @@ def test_derivatives_by_the_54_parameters_are_differences() -> None:
     here, found = geometry.parameters, np.asarray(slope(geometry.parameters))
     for k, step in enumerate(1e-6 * np.eye(54)):
         ends = [spm.inverse_physical(PAPER.from_parameters(here + s), state.pose).readings for s in (step, -step)]
+        np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("built", [False, True])
+@pytest.mark.parametrize(("lower", "upper"), PAIRS)
+def test_legs_of_any_kind_are_those_of_the_package(lower: str, upper: str, built: bool) -> None:
+    geometry = machine(lower, upper, built=built)
+    state, wrench = states(geometry), np.ones(6)
+    arrays, pose = as_columns(state), (state.rotation, state.translation)
+    rates = spm.inverse_jacobian(state)
+    for parameters in (False, True):
+        further = [np.tile(geometry.parameters, (len(state), 1))] if parameters else []
+
+        def of(name: str, *arguments: np.ndarray, further=further, **options: bool) -> list:
+            function = getattr(spm.symbolic, name)(geometry, parameters=bool(further), **options)
+            return called(function, *arguments, *further)
+
+        for found in (
+            of("forward_physical", state.readings),
+            of("forward_physical", state.readings, *arrays, near=True),
+        ):
+            assert found[4].all()
+            np.testing.assert_allclose(found[1], state.translation, rtol=0, atol=1e-12)
+        readings, _, _, exists = of("inverse_physical", *pose)
+        expected = spm.inverse_physical(geometry, state.pose)
+        assert exists.all()
+        # With errors of a hundredth another root may be passed over.
+        assert (np.abs(readings - expected.readings).max(axis=-1) < 1e-11).mean() > (0.97 if built else 0.999)
+        (found,) = of("inverse_jacobian", *arrays)
+        np.testing.assert_allclose(found, rates, rtol=0, atol=1e-11 * np.abs(rates).max())
+        (forces,) = of("leg_forces", *arrays, np.tile(wrench, (len(state), 1)))
+        np.testing.assert_allclose(forces, spm.leg_forces(state, wrench), rtol=0, atol=1e-11 * np.abs(forces).max())
+        up = state.translation + np.array([0.0, 0.0, 9.0])
+        out_of_reach = of("inverse_physical", state.rotation, up)
+        # Cylinders may be as long as that; slides lead outwards, and cranks have an end.
+        assert lower == "RPS" or not out_of_reach[3].any()
+        assert all(np.isfinite(x).all() for x in out_of_reach)
+
+
+@pytest.mark.parametrize("built", [False, True])
+def test_derivatives_by_the_numbers_of_servos_and_screws_are_differences(built: bool) -> None:
+    geometry = machine("RRS", "PRS", built=built)
+    state, parameters = states(geometry)[0], ca.MX.sym("p", 66)
+    readings = spm.symbolic.inverse_physical(geometry, parameters=True)(state.rotation, state.translation, parameters)[
+        0
+    ]
+    slope = ca.Function("slope", [parameters], [ca.jacobian(readings, parameters)])
+    here = geometry.parameters
+    found = np.asarray(slope(here))
+    for k in range(8, 66, 2):
+        step = 1e-6 * (np.arange(66) == k)
+        ends = [spm.inverse_physical(geometry.from_parameters(here + s), state.pose).readings for s in (step, -step)]
         np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-6)
 
 

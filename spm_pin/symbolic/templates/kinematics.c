@@ -35,16 +35,18 @@ static double casadi_fmin(double x, double y)
 #define ROUNDED 1e-6            /* largest error of R^T R, and of a state to begin from in units of d */
 #define FARTHEST 1e5            /* largest length in units of E + C + d */
 #define SINGULAR_RATIO @SINGULAR@
-#define LIMIT_ROUNDING @LIMIT_ROUNDING@ /* how far a reading may be beyond a limit, over its larger finite limit */
-#define LEGS(g) (g)->dimensions, (g)->axes, (g)->pivots, (g)->balls, (g)->offsets, (g)->minimum, (g)->maximum
+#define CHORD @CHORD@ /* rad; a crank turns by no more while the end of it is taken for its chord's */
+#define MOST_TURNED @MOST_TURNED@ /* rad */
+#define LEGS(g) @LEGS@
+
+/* Of each leg: what every reading without its offset is beyond, and whether it is an angle. */
+static const double least[6] = {@LEAST@}, turns[6] = {@TURNS@};
 
 const @PREFIX@geometry @PREFIX@machine = {
 @MACHINE@
 };
 
-const double @PREFIX@bodies[32] = {@BODIES@};
-
-const char *const @PREFIX@branch_names[8] = {"TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-"};
+@BODIES@const char *const @PREFIX@branch_names[8] = {"TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-"};
 
 const char *@PREFIX@status_name(int status)
 {
@@ -95,18 +97,13 @@ static int check_numbers(const double *numbers, int count, double most)
 
 static int check_geometry(const @PREFIX@geometry *g)
 {
-    double areas[2];
+    double areas[2], is_valid;
     const double *const in[] = {LEGS(g)};
-    double *const out[] = {areas};
+    double *const out[] = {areas, &is_valid};
     int i;
-    for (i = 0; i < 3; ++i) {
-        if (!(g->dimensions[i] >= 1e-9 && g->dimensions[i] <= 1e9)) {
-            return @PREFIX_UPPER@BAD_GEOMETRY;
-        }
-    }
     for (i = 0; i < 6; ++i) {
         const double *axis = g->axes + 3 * i;
-        if (!(g->minimum[i] >= 0.0 && g->minimum[i] < g->maximum[i]) || !(fabs(axis[2]) <= 0.9)
+        if (!(g->minimum[i] >= least[i] && g->minimum[i] < g->maximum[i]) || !(fabs(axis[2]) <= 0.9)
                 || !(fabs(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] - 1.0) <= 2e-6)) {
             return @PREFIX_UPPER@BAD_GEOMETRY;
         }
@@ -114,8 +111,8 @@ static int check_geometry(const @PREFIX@geometry *g)
     if (!are_within(g->pivots, 18, 1e9) || !are_within(g->balls, 18, 1e9) || !are_within(g->offsets, 6, 1e9)) {
         return @PREFIX_UPPER@BAD_GEOMETRY;
     }
-    triangle_areas(in, out);
-    return areas[0] > 1e-6 && areas[1] > 1e-6 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_GEOMETRY;
+    numbers_of_machine(in, out);
+    return areas[0] > 1e-6 && areas[1] > 1e-6 && is_valid > 0.0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_GEOMETRY;
 }
 
 /* Return whether the legs are those of the drawing, to rounding. */
@@ -486,17 +483,22 @@ static void put_state_nan(@PREFIX@state *state)
 /* Write the readings of a state; return 0 where it is not physical, 1 where it is, 2 where within the limits too. */
 static int complete(const @PREFIX@geometry *g, @PREFIX@state *s, double *tilts)
 {
-    double is_physical;
+    double rank;
     const double *const in[] = {s->joints, s->rotation, s->position, LEGS(g)};
-    double *const out[] = {s->readings, &is_physical, tilts};
-    int i, rank = 2;
+    double *const out[] = {s->readings, &rank, tilts};
     describe(in, out);
-    for (i = 0; i < 6; ++i) {
-        const double low = g->minimum[i], high = g->maximum[i];
-        const double rounding = LIMIT_ROUNDING * (high < INFINITY ? casadi_fmax(high, -low) : low);
-        rank = s->readings[i] >= low - rounding && s->readings[i] <= high + rounding ? rank : 1;
-    }
-    return is_physical > 0.0 ? rank : 0;
+    return (int)rank;
+}
+
+/* Return whether the legs of a state reach their balls, and with `moves` whether their actuators move them. */
+static int check_legs(const @PREFIX@geometry *g, const @PREFIX@state *s, int moves)
+{
+    double reach, slope;
+    const double *const in[] = {s->joints, s->rotation, s->position, LEGS(g)};
+    double *const out[] = {&reach, &slope};
+    own_limits(in, out);
+    return !(reach >= 0.0) ? @PREFIX_UPPER@UNREACHABLE
+            : moves && !(slope > SINGULAR_RATIO) ? @PREFIX_UPPER@SINGULAR : @PREFIX_UPPER@OK;
 }
 
 /* Write where the lower balls of a state are in the planes of their legs, and the upper balls in {m}. */
@@ -764,25 +766,34 @@ int @PREFIX@inverse(const @PREFIX@geometry *geometry, const double rotation[9], 
     if (status == @PREFIX_UPPER@OK) {
         status = set_out(&w, near, o) && follow(&w, lower) ? @PREFIX_UPPER@OK : @PREFIX_UPPER@SINGULAR;
     }
-    put_state_nan(state);
     if (status == @PREFIX_UPPER@OK) {
         copy(w.end, state->rotation, 9);
         copy(o, state->position, 3);
         put_lower_balls(geometry, lower, state->joints);
         (void)complete(geometry, state, &tilts);
+        status = check_legs(geometry, state, 0);
+    }
+    if (status != @PREFIX_UPPER@OK) {
+        put_state_nan(state);
     }
     return status;
 }
 
-/* Write the state of two stages, and what `complete` returns. */
-static int join(const @PREFIX@geometry *g, const double *lower, const double *upper, @PREFIX@state *state)
+/* Write the state of two stages with these readings, and return what `complete` does, or -1 where a leg is in another
+   working mode. */
+static int join(const @PREFIX@geometry *g, const double *lower, const double *upper, const double *readings,
+        @PREFIX@state *state)
 {
-    double tilts;
+    double tilts, slope;
     const double *const in[] = {lower, upper, LEGS(g)};
-    double *const out[] = {state->rotation, state->position};
+    const double *const known[] = {state->joints, state->rotation, state->position, readings, LEGS(g)};
+    double *const out[] = {state->rotation, state->position}, *const slopes[] = {&slope};
+    int rank;
     placed_platform(in, out);
     copy(lower, state->joints, 9);
-    return complete(g, state, &tilts);
+    rank = complete(g, state, &tilts);
+    working_mode(known, slopes);
+    return slope > 0.0 ? rank : -1;
 }
 
 static void put_circles(const @PREFIX@geometry *g, const double *readings, circles *stages)
@@ -804,41 +815,51 @@ int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], 
         @PREFIX@state *state)
 {
     circles start, first[2], last[2];
-    double coordinates[6], balls[2][9], tried[2][9];
+    double coordinates[6], balls[2][9], tried[2][9], from[6], here[6], turn = 0.0;
     const double *const in[] = {readings, LEGS(geometry)};
     double *const out[] = {balls[0], balls[1]};
-    int i, k, converged = 1, status = check_geometry(geometry);
-    status = status != @PREFIX_UPPER@OK ? status : check_numbers(readings, 6, farthest(geometry));
+    int i, k, part, parts, converged = 1, status = check_geometry(geometry);
+    copy(near ? near->readings : readings, from, 6);
+    status = status != @PREFIX_UPPER@OK ? status : check_numbers(readings, 6, DBL_MAX);
     for (i = 0; i < 6 && status == @PREFIX_UPPER@OK; ++i) {
-        status = readings[i] > geometry->offsets[i] ? @PREFIX_UPPER@OK : @PREFIX_UPPER@OUT_OF_RANGE;
+        const double own = readings[i] - geometry->offsets[i];
+        const double most = turns[i] > 0.0 ? MOST_TURNED : farthest(geometry);
+        status = own > least[i] && fabs(own) <= most ? @PREFIX_UPPER@OK : @PREFIX_UPPER@OUT_OF_RANGE;
+        turn = casadi_fmax(turns[i] * fabs(readings[i] - from[i]), turn);
     }
     status = status != @PREFIX_UPPER@OK || !near ? status : read_near(geometry, near, coordinates, balls[1]);
     if (status != @PREFIX_UPPER@OK) {
         put_state_nan(state);
         return status;
     }
-    put_circles(geometry, readings, last);
+    put_circles(geometry, from, first);
     if (near) {
         copy(near->joints, balls[0], 9);
-        put_circles(geometry, near->readings, first);
     } else {
         level_stages(in, out);
-        put_circles(geometry, readings, first);
         for (k = 0; k < 2; ++k) {
             copy(balls[k], tried[k], 9);
-            converged = solve_stage(&last[k], tried[k]) && converged;
+            converged = solve_stage(&first[k], tried[k]) && converged;
         }
-        if (converged && join(geometry, tried[0], tried[1], state) > 0) {
+        if (converged && join(geometry, tried[0], tried[1], readings, state) > 0) {
             return @PREFIX_UPPER@OK;
         }
     }
-    /* Circles change in proportion from those that the balls are on at the start; where Newton's method has converged
-       nowhere there is no state. */
-    for (k = 0; k < 2; ++k) {
-        start_at(&first[k], balls[k], &start);
-        converged = converged && follow_stage(&start, &last[k], balls[k]);
+    /* Circles change in proportion from those that the balls are on at the start, centres on the chords of their arcs;
+       where Newton's method has converged nowhere there is no state. */
+    parts = turn < 4.0 * MOST_TURNED ? 1 + (int)(turn / CHORD) : 1;
+    for (part = 1; part <= parts; ++part) {
+        for (i = 0; i < 6; ++i) {
+            here[i] = part < parts ? from[i] + part * (readings[i] - from[i]) / parts : readings[i];
+        }
+        put_circles(geometry, here, last);
+        for (k = 0; k < 2; ++k) {
+            start_at(&first[k], balls[k], &start);
+            converged = converged && follow_stage(&start, &last[k], balls[k]);
+            first[k] = last[k];
+        }
     }
-    if (converged && (join(geometry, balls[0], balls[1], state) > 0 || near)) {
+    if (converged && join(geometry, balls[0], balls[1], readings, state) >= (near ? 0 : 1)) {
         return @PREFIX_UPPER@OK;
     }
     put_state_nan(state);
@@ -850,7 +871,7 @@ int @PREFIX@all_branches(const @PREFIX@geometry *geometry, const double rotation
 {
     double r[9], o[3], real[8], is_degenerate = 0.0;
     const double *const in[] = {r, o, LEGS(geometry)};
-    double *const out[] = {branches->joints[0], branches->lengths[0], branches->discriminants, real, &is_degenerate};
+    double *const out[] = {branches->joints[0], branches->readings[0], branches->discriminants, real, &is_degenerate};
     int k, count = 0, status = read_pose(geometry, rotation, position, r, o);
     if (status == @PREFIX_UPPER@OK && !is_drawn(geometry)) {
         status = @PREFIX_UPPER@BAD_GEOMETRY;
@@ -865,7 +886,7 @@ int @PREFIX@all_branches(const @PREFIX@geometry *geometry, const double rotation
         count += branches->real[k];
         if (!branches->real[k]) {
             put_nan(branches->joints[k], 9);
-            put_nan(branches->lengths[k], 6);
+            put_nan(branches->readings[k], 6);
         }
     }
     return status != @PREFIX_UPPER@OK ? status : is_degenerate > 0.0 ? @PREFIX_UPPER@DEGENERATE

@@ -28,8 +28,8 @@ enum @PREFIX@status {
 @STATUSES@
 };
 
-/* A machine. Leg i turns about an axis, along which nothing moves: its line starts at the pivot and ends at the centre
-   of a ball of the middle platform. The encoder reads the distance of both, and the offset. */
+/* A machine. Leg i moves in the plane through its pivot that is normal to its axis, and holds the centre of a ball of the
+   middle platform there. Its encoder reads the offset and @READINGS@. */
 typedef struct {
     double dimensions[3]; /* of the drawing: E, from O to a lower revolute joint; C, from o to an upper one; d */
     double axes[18];      /* unit vectors: of the lower legs in {B}, of the upper legs in {m} */
@@ -38,7 +38,10 @@ typedef struct {
     double offsets[6];
     double minimum[6];    /* limits of the readings, which only decide between two physical branches */
     double maximum[6];    /* INFINITY where there is no limit */
-} @PREFIX@geometry;
+@MEMBERS@} @PREFIX@geometry;
+
+/* Names of the members of a geometry and how many numbers each has, in their order, which is that of its file. */
+#define @PREFIX_UPPER@FIELDS @FIELDS@
 
 /* A state of the machine. */
 typedef struct {
@@ -52,7 +55,7 @@ typedef struct {
    upper stage: T without torsion, F turned half round. */
 typedef struct {
     double joints[8][9];     /* NaN where a branch is not real */
-    double lengths[8][6];
+    double readings[8][6];
     double discriminants[4]; /* of the families TT, TF, FT, FF, dimensionless: real where not negative, a fold at zero */
     int real[8];
 } @PREFIX@branches;
@@ -60,12 +63,7 @@ typedef struct {
 /* The machine that this file was generated for. Others may be passed as well. */
 extern const @PREFIX@geometry @PREFIX@machine;
 
-/* Masses for `@PREFIX@gravity` [kg, kg m], assumed ones unless the export was given others: mass and first moments of the middle platform in {n},
-   with all balls, and of the terminal platform in {m}; then of each leg the mass of the cylinder, and times the distance
-   of its centre from the pivot, and the mass of the rod, and times the distance of its centre from the ball. */
-extern const double @PREFIX@bodies[32];
-
-extern const char *const @PREFIX@branch_names[8];
+@BODIES_DECLARED@extern const char *const @PREFIX@branch_names[8];
 
 /* Return the name of a status, such as "unreachable". */
 const char *@PREFIX@status_name(int status);

@@ -18,9 +18,9 @@ static const double rotations[CASES][9] = {
 static const double positions[CASES][3] = {
 @POSITIONS@
 };
-/* Of all branches of the drawing; 0 where one is not real. */
-static const double branch_lengths[CASES][48] = {
-@BRANCH_LENGTHS@
+/* Readings of all branches; NAN where one is not real. */
+static const double branch_readings[CASES][48] = {
+@BRANCH_READINGS@
 };
 /* Of the physical branch, as all that follows; 0 where there is none. */
 static const double physical_joints[CASES][9] = {
@@ -65,15 +65,15 @@ static void check_branches(int n)
         return;
     }
     for (branch = 0; branch < 8; ++branch) {
-        const double *lengths = branch_lengths[n] + 6 * branch;
-        int is_real = lengths[0] > 0.0;
+        const double *readings = branch_readings[n] + 6 * branch;
+        int is_real = !isnan(readings[0]);
         some = some || is_real;
         ++compared;
         if (branches.real[branch] != is_real) {
             printf("wrong: branch %s of case %d is %s\n", @PREFIX@branch_names[branch], n, is_real ? "real" : "not real");
             ++wrong;
         } else if (is_real) {
-            compare(@PREFIX@branch_names[branch], n, branches.lengths[branch], lengths, 6);
+            compare(@PREFIX@branch_names[branch], n, branches.readings[branch], readings, 6);
         }
     }
     expect("all branches", n, status, some ? @PREFIX_UPPER@OK : @PREFIX_UPPER@UNREACHABLE);
@@ -107,7 +107,7 @@ static void check_errors(void)
     const double level[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
     const double mirror[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0};
     const double high[3] = {0.0, 0.0, @HEIGHT@}, beyond[3] = {0.0, 0.0, 1e160};
-    const double unknown[3] = {0.0, 0.0, NAN}, readings[6] = {-1.0, 1.0, 1.0, 1.0, 1.0, 1.0};
+    const double unknown[3] = {0.0, 0.0, NAN}, readings[6] = {1e300, 1.0, 1.0, 1.0, 1.0, 1.0};
     @PREFIX@branches branches;
     @PREFIX@state state;
     none.dimensions[2] = 0.0;
@@ -117,7 +117,7 @@ static void check_errors(void)
     expect("NaN", -1, @PREFIX@inverse(machine, level, unknown, 0, &state), @PREFIX_UPPER@NOT_FINITE);
     expect("reflection", -1, @PREFIX@inverse(machine, mirror, high, 0, &state), @PREFIX_UPPER@NOT_A_ROTATION);
     expect("no geometry", -1, @PREFIX@inverse(&none, level, high, 0, &state), @PREFIX_UPPER@BAD_GEOMETRY);
-    expect("negative length", -1, @PREFIX@forward(machine, readings, 0, &state), @PREFIX_UPPER@OUT_OF_RANGE);
+    expect("far reading", -1, @PREFIX@forward(machine, readings, 0, &state), @PREFIX_UPPER@OUT_OF_RANGE);
 }
 
 int main(void)

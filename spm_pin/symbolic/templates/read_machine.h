@@ -11,25 +11,26 @@
 #include <stdio.h>
 #include <string.h>
 
-/* Read a file of seven lines, each with its name first, in this order; returns whether it describes a machine. */
+/* Read a file with a line for each member of a geometry, its name first; returns whether it describes a machine with legs
+   of the kinds that the export was for. */
 static int @PREFIX@read_machine(const char *path, @PREFIX@geometry *geometry)
 {
-    double *const fields[7] = {
-        geometry->dimensions, geometry->axes, geometry->pivots, geometry->balls, geometry->offsets, geometry->minimum,
-        geometry->maximum
-    };
-    const char *const names[7] = {"dimensions", "axes", "pivots", "balls", "offsets", "minimum", "maximum"};
-    const int counts[7] = {3, 18, 18, 18, 6, 6, 6};
+    static const struct { const char *name; size_t count; } fields[] = {@PREFIX_UPPER@FIELDS};
     const double level[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, origin[3] = {0.0, 0.0, 0.0};
     FILE *file = fopen(path, "r");
+    double *to = (double *)geometry; /* its members are numbers alone */
     @PREFIX@state state;
     char name[16];
-    int k, i, is_whole = file != NULL;
-    for (k = 0; k < 7 && is_whole; ++k) {
-        is_whole = fscanf(file, "%15s", name) == 1 && strcmp(name, names[k]) == 0;
-        for (i = 0; i < counts[k] && is_whole; ++i) {
-            is_whole = fscanf(file, "%lf", fields[k] + i) == 1;
+    size_t k, i;
+    int is_whole = file != NULL;
+    for (k = 0; k < sizeof fields / sizeof fields[0] && is_whole; ++k) {
+        is_whole = fscanf(file, "%15s", name) == 1 && strcmp(name, fields[k].name) == 0;
+        for (i = 0; i < fields[k].count && is_whole; ++i) {
+            is_whole = fscanf(file, "%lf", to++) == 1;
         }
+    }
+    if (is_whole) {
+        is_whole = fscanf(file, "%15s", name) == EOF;
     }
     if (file) {
         fclose(file);

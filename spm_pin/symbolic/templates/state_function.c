@@ -2,7 +2,8 @@
 int @PREFIX@@NAME@(@PARAMETERS@)
 {
     int status = check_state(geometry, state);
-@CHECKS@    if (status == @PREFIX_UPPER@OK && @SINGULAR_CALL@) {
+@CHECKS@    status = status != @PREFIX_UPPER@OK ? status : check_legs(geometry, state, @MOVES@);
+    if (status == @PREFIX_UPPER@OK && @SINGULAR_CALL@) {
         status = @PREFIX_UPPER@SINGULAR;
     }
     if (status == @PREFIX_UPPER@OK) {
