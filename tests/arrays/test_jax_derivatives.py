@@ -10,7 +10,6 @@ import mpmath
 import numpy as np
 import pytest
 from arrays.array_problems import BUILT, LEVEL, NOWHERE, PAPER, random_poses, random_readings
-from kinds_of_legs import machine, states
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -115,31 +114,6 @@ def test_rates_of_the_readings_by_the_pose_are_the_inverse_jacobian() -> None:
     expected = spm.inverse_jacobian(states)
     size = np.abs(expected).max(axis=(-1, -2), keepdims=True)
     assert (np.abs(found - expected) <= 1e-9 * size).all()
-
-
-def test_derivatives_by_poses_and_parameters_of_servos_and_screws_are_differences_and_finite_out_of_reach() -> None:
-    geometry = machine("RRS", "PRS", built=True)
-    state = states(geometry)[0]
-    rotation, places = jnp.asarray(state.rotation), jnp.asarray(state.translation) + jnp.array([[0, 0, 0], [0, 0, 9.0]])
-
-    def readings(parameters: Any, rotation: Any, places: Any) -> Any:
-        return arrays.inverse_physical((geometry, parameters), rotation, places)
-
-    def cost(*arguments: Any) -> Any:
-        found = readings(*arguments)
-        return jnp.where(found.exists[:, None], found.readings, 0.0).sum()
-
-    here = geometry.parameters
-    assert readings(jnp.asarray(here), rotation, places).exists.tolist() == [True, False]
-    slopes = jax.jit(jax.grad(cost, argnums=(0, 1, 2)))(jnp.asarray(here), rotation, places)
-    assert all(jnp.isfinite(x).all() for x in slopes)
-    assert (slopes[2][1] == 0.0).all()
-    rates = spm.inverse_jacobian(state).sum(axis=0)
-    np.testing.assert_allclose(slopes[2][0], rates[:3], rtol=1e-9)
-    for k in (0, 2, 8, 9, 27, 33, 35, 54, 55, 60, 61):
-        step = 1e-6 * (np.arange(len(here)) == k)
-        ends = [spm.inverse_physical(geometry.from_parameters(here + s), state.pose).readings for s in (step, -step)]
-        np.testing.assert_allclose(slopes[0][k], (ends[0] - ends[1]).sum() / 2e-6, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.slow
