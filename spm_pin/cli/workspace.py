@@ -1,4 +1,4 @@
-"""`spm-pin workspace`, the paper's workspace; `sweep`, metrics over many points; `design`, dimensions searched."""
+"""`spm-pin workspace`, what a machine reaches; `sweep`, metrics over many points; `design`, dimensions searched."""
 
 from __future__ import annotations
 
@@ -12,21 +12,25 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from scipy.spatial.transform import RigidTransform
 from typer import Argument, Option
 
 from spm_pin import sweeps
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit
-from spm_pin.design import VARIABLES, DesignProblem, Front, pareto_front
-from spm_pin.design.designs import leg_ranges
+from spm_pin.design import VARIABLES, DesignProblem, Front, Task, pareto_front
 from spm_pin.display.figures import front_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, sections_figure, shell_figure
 from spm_pin.display.writing import FORMATS, save_figure
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism import LEGS, LegLimits
+from spm_pin.mechanism import LEGS, Geometry, LegLimits
+from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.motion_table import MotionTable
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
+from spm_pin.workspace.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.paper_shell import ERRATA, Shell, sample_positions_near_limits, workspace_shell
+from spm_pin.workspace.positions import Estimate
 
 _NAMES = {"store": "--out", "count": "--samples", "metrics": "--metric", "push": "--leg-force"}
 _NAMES |= {"leg_stiffness": "--leg-stiffness", **dict.fromkeys(LEGS, "--legs")}
@@ -34,54 +38,72 @@ _NAMES |= dict.fromkeys(("alpha", "beta", "lambda_"), "--xyx")
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 _LEGS = (
-    "Leg lengths as encoders show them, instead of poses: once for all six, twice for lower and upper, or six times."
+    "Leg lengths as encoders show them, of RRS legs radians, instead of poses: once for all six, twice for lower and "
+    "upper, or six times."
 )
 _SAMPLES = "Draw so many points instead; ranges are then START:STOP."
 _METRICS = f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}."
 _LENGTH = "Characteristic length of conditioning and isotropy, in --unit; the platform's radius."
-_COLUMNS = "volume, footprint, assembled, certified, or a metric with _mean or _low, such as payload_low"
+_COLUMNS = (
+    "volume, footprint, assembled, certified, task_margin or task_effort with --task, or a metric with _mean or _low, "
+    "such as payload_low"
+)
 _NONE = "no machine keeps the bounds"
 
 
-@outputs.name_options(limits="--limits")
+@outputs.name_options(limits="--limits", spacing="--spacing")
 def workspace(
     limits: options.Limits = None,
-    resolution: Annotated[int, Option(help="Increments of a varying leg, at least 2.")] = 40,
+    spacing: Annotated[
+        float | None, Option(help="Of the grid, in --unit; a twentieth of what is reached if not given.")
+    ] = None,
     out: Annotated[
         Path | None,
         Option(metavar="FILE", help="Picture (.png, .svg, .pdf) or mesh in metres (.stl, .ply, .obj, .glb)."),
     ] = None,
-    sections: Annotated[bool, Option("--sections", help="Draw sections, with what is reached, instead.")] = False,
+    paper: Annotated[
+        bool, Option("--paper", help="The 24 surfaces of the paper's Table 6 instead, of RPS legs as drawn.")
+    ] = False,
+    resolution: Annotated[int, Option(help="Increments of a varying leg for --paper, at least 2.")] = 40,
+    sections: Annotated[bool, Option("--sections", help="Draw sections of --paper, with what is reached.")] = False,
     samples: Annotated[int, Option(min=1, help="Random sets of leg lengths for --sections.")] = 2_000_000,
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Construct the workspace of the paper: the 24 surfaces of Table 6, joined to a closed shell.
+    """Find where the platform's centre can be, in some orientation: the boundary and the volume of what is reached.
 
-    Example: spm-pin workspace --limits 110 150 --unit cm --out fig2.png
+    Example: spm-pin workspace --limits 110 150 --unit cm --out reached.png
 
-    The shell is not the whole boundary of what can be reached; --sections shows where it is not. With --out a summary
-    is printed, else the tables of all surfaces. --out needs the extra "plots".
+    For the file of a calibrated machine it is that machine's. The volume is from two meshes, of the spacing and of half
+    of it. --paper gives the paper's shell, which is not the whole boundary: --sections shows where it is not. It needs
+    the extra "workspace", and --out "plots".
     """
-    if out is None and sections:
-        raise ArgumentError("--sections", "a picture to draw them in", "no --out FILE")
+    if sections and (out is None or not paper):
+        lacking = "no --out FILE" if paper else "no --paper"
+        raise ArgumentError("--sections", "--paper and a picture to draw them in", lacking)
     if out is not None:
         cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
         outputs.check_output(out, "--out", FORMATS if sections else (*FORMATS, *MESH_FORMATS), cause)
         require_extra("plots")
-    dimensions = options.read_geometry(geometry)
-    box = None if limits is None else LegLimits(*(length / unit.per_metre for length in limits))
+    machine = options.read_geometry(geometry)
+    shell: Shell | Boundary
     try:
-        shell = workspace_shell(dimensions, box, resolution=resolution)
+        if limits is not None:
+            machine = dataclasses.replace(machine, limits=_limits(limits, unit, machine))
+        if paper:
+            shell = workspace_shell(machine, resolution=resolution)
+        else:
+            require_extra("workspace")
+            shell, volume = _reached(machine, None if spacing is None else spacing / unit.per_metre)
     except ArgumentError as error:
-        hint = "" if limits is None else options.unit_hint("--limits", limits[1], unit, dimensions)
+        hint = "" if limits is None else options.unit_hint("--limits", limits[1], unit, machine)
         if not hint:
             raise
         raise ArgumentError("--limits", error.expected, error.received, hint) from error
     if out is not None and out.suffix.lower() in MESH_FORMATS:
         save_mesh(shell, out)
-    elif out is not None and sections:
+    elif isinstance(shell, Shell) and sections and out is not None:
         with outputs.stderr.status("drawing leg lengths"):
             reached, aspect = sample_positions_near_limits(shell.geometry, shell.limits, count=samples)
         save_figure(sections_figure(shell, reached, aspect), out)
@@ -89,12 +111,76 @@ def workspace(
         save_figure(shell_figure(shell), out)
     if out is not None:
         outputs.note(f"wrote {out}")
-    if json:
+    if isinstance(shell, Boundary):
+        _print_reached(shell, volume, unit, json)
+    elif json:
         outputs.write_json(_content(shell, unit))
+    else:
+        if out is None:
+            _print_tables(shell, unit)
+        outputs.print_lines(_remarks(shell, unit))
+
+
+def _metres(machine: Geometry, unit: LengthUnit) -> FloatArray:
+    """Return what a unit of each reading that was typed is (6,) [m], of RRS legs [rad], which are typed in radians."""
+    return np.array([1.0 / unit.per_metre if name == "m" else 1.0 for name in machine.legs.units])
+
+
+def _limits(limits: tuple[float, float], unit: LengthUnit, machine: Geometry) -> LegLimits:
+    return LegLimits(*((end * _metres(machine, unit)).tolist() for end in limits))
+
+
+def _reached(machine: Geometry, spacing: float | None) -> tuple[Boundary, Estimate]:
+    """Return the boundary of what is reached, of half the spacing, and its volume."""
+    with outputs.progress_bar() as progress:
+        coarse = reachable_boundary(machine, spacing=spacing, progress=progress)
+        fine = reachable_boundary(machine, spacing=0.5 * coarse.spacing, progress=progress)
+    return fine, Estimate.from_meshes(coarse, fine)
+
+
+def _print_reached(boundary: Boundary, volume: Estimate, unit: LengthUnit, json: bool) -> None:
+    length, scale = unit.per_metre, unit.per_metre**3
+    low, high = boundary.vertices.min(axis=0) * length, boundary.vertices.max(axis=0) * length
+    error = volume.high - volume.value
+    if json:
+        ends = {end: getattr(boundary.limits, end) / _metres(boundary.geometry, unit) for end in ("minimum", "maximum")}
+        outputs.write_json(
+            {
+                "unit": str(unit),
+                "limits": ends,
+                "spacing": boundary.spacing * length,
+                "volume": volume.value * scale,
+                "volume_error": error * scale,
+                "area": boundary.area * length**2,
+                "extent": {"minimum": low, "maximum": high},
+                "vertices": len(boundary.vertices),
+                "faces": len(boundary.faces),
+            }
+        )
         return
-    if out is None:
-        _print_tables(shell, unit)
-    outputs.print_lines(_remarks(shell, unit))
+    digits = max(0, 1 - math.floor(math.log10(error * scale))) if error else 0
+    outputs.print_lines(
+        [
+            *_limit_lines(boundary.limits, boundary.geometry, unit),
+            f"volume {volume.value * scale:.{digits}f} ± {error * scale:.1g} {unit}³",
+            *(f"{axis} from {a:.4g} to {b:.4g} {unit}" for axis, a, b in zip("XYZ", low, high, strict=True)),
+            f"mesh of {len(boundary.vertices)} vertices, spacing {boundary.spacing * length:.3g} {unit}",
+        ]
+    )
+
+
+def _limit_lines(limits: LegLimits, machine: Geometry, unit: LengthUnit) -> list[str]:
+    """Return the limits in words, in a line where those of all legs are in one unit."""
+    metres, lines = _metres(machine, unit), []
+    stages = [slice(0, 6)] if len(set(machine.legs.units)) == 1 else [slice(0, 3), slice(3, 6)]
+    for legs, place in zip(stages, ("legs",) if len(stages) == 1 else ("lower legs", "upper legs"), strict=True):
+        name = unit if machine.legs.units[legs.start] == "m" else "rad"
+        ends = [
+            ", ".join(f"{x:g}" for x in (end[:1] if len(set(end)) == 1 else end))
+            for end in ((np.array(end)[legs] / metres[legs]).tolist() for end in (limits.minimum, limits.maximum))
+        ]
+        lines.append(f"{place} from {ends[0]} to {ends[1]} {name}")
+    return lines
 
 
 def _print_tables(shell: Shell, unit: LengthUnit) -> None:
@@ -114,16 +200,13 @@ def _print_tables(shell: Shell, unit: LengthUnit) -> None:
 
 
 def _remarks(shell: Shell, unit: LengthUnit) -> list[str]:
-    def lengths(ends: tuple[float, ...]) -> str:
-        return ", ".join(f"{end * unit.per_metre:g}" for end in (ends[:1] if len(set(ends)) == 1 else ends))
-
     vertices, faces = len(shell.vertices), len(shell.faces)
     edges = vertices + faces - shell.euler_characteristic
     volume, error = shell.volume * unit.per_metre**3, shell.volume_error * unit.per_metre**3
     # As many digits as the error leaves, and one more.
     digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
     return [
-        f"legs from {lengths(shell.limits.minimum)} to {lengths(shell.limits.maximum)} {unit}",
+        *_limit_lines(shell.limits, shell.geometry, unit),
         f"volume {volume:.{digits}f} ± {error:.1g} {unit}³",
         f"order of convergence {shell.convergence.order:.3f}",
         f"V - E + F = {vertices} - {edges} + {faces} = {shell.euler_characteristic}",
@@ -193,15 +276,17 @@ def sweep(
     poses = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
     drawn: dict[str, Any] = {} if samples is None else {"count": samples, "seed": seed}
     run: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
-    domain = None if status else _domain(poses, legs, drawn, 1.0 / unit.per_metre)
+    machine = options.read_geometry(geometry)
+    domain = None if status else _domain(poses, legs, drawn, _metres(machine, unit), 1.0 / unit.per_metre)
     if domain is not None:
         require_extra("cluster")
-        machine = options.read_geometry(geometry)
-        longest = max(abs(end) for axis in domain.axes if axis.unit == "m" for end in (axis.start, axis.stop))
+        lengths = machine.legs.units if legs else ("m", "m", "m", *("rad",) * 3)
+        ends = [axis.start if axis.is_fixed else axis.stop for axis in domain.axes]
+        longest = max((abs(end) for end, name in zip(ends, lengths, strict=True) if name == "m"), default=0.0)
         options.note_unit("--legs" if legs else "--x, --y, --z", longest * unit.per_metre, unit, machine)
         if limits is not None:
             options.note_unit("--limits", limits[1], unit, machine)
-            machine = dataclasses.replace(machine, limits=LegLimits(*(end / unit.per_metre for end in limits)))
+            machine = dataclasses.replace(machine, limits=_limits(limits, unit, machine))
         parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}
         if length is not None:
             parameters["length"] = length / unit.per_metre
@@ -224,19 +309,26 @@ def sweep(
     shape = ", ".join(f"{name} {size}" for name, size in stored.shape.items())
     lines = [f"{stored.points} points: {shape}", f"metrics: {', '.join(stored.metrics)}"]
     lines.append(f"{stored.done} of {stored.total} chunks complete")
-    outputs.print_lines([*lines, f'open with: xarray.open_zarr("{out}")' if stored.complete else _go_on(out)])
+    outputs.print_lines(
+        [*lines, f'open with: xarray.open_zarr("{out}")' if stored.complete else _go_on(out, stored.own_metrics)]
+    )
 
 
-def _domain(poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], scale: float) -> Domain | None:
-    """Return the domain that the options describe; None where there is none of them."""
+def _domain(
+    poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], metres: FloatArray, scale: float
+) -> Domain | None:
+    """Return the domain that the options describe; None where there is none of them.
+
+    What is typed is times `metres` (6,) for readings, and times `scale` for positions.
+    """
     missing = [option for option, value in poses.items() if value is None]
     if legs and len(missing) < len(poses):
         raise ArgumentError("--legs", "poses or leg lengths, not both", "both")
     if legs:
         if len(legs) not in (1, 2, 6):
             raise ArgumentError("--legs", "one range, two, or six", f"{len(legs)}")
-        ranges = [_range("--legs", text, scale) for text in legs]
-        six = [interval for interval in ranges for _ in range(6 // len(ranges))]
+        texts = [text for text in legs for _ in range(6 // len(legs))]
+        six = [_range("--legs", text, factor) for text, factor in zip(texts, metres.tolist(), strict=True)]
         return (sweeps.leg_sample if drawn else sweeps.leg_grid)(lower=six[:3], upper=six[3:], **drawn)
     if len(missing) == len(poses):
         return None
@@ -266,7 +358,10 @@ def _with_parameters(name: str, parameters: dict[str, float]) -> str | sweeps.Me
     return metric(**{key: value for key, value in parameters.items() if key in metric.parameters})
 
 
-def _go_on(out: Path) -> str:
+def _go_on(out: Path, own_metrics: tuple[str, ...] = ()) -> str:
+    if own_metrics:
+        names = ", ".join(own_metrics)
+        return f"go on in Python: run_sweep with the same arguments, and {names} of your own, continues {out}"
     return f"go on with: spm-pin sweep --out {out}"
 
 
@@ -287,7 +382,10 @@ def design(
     store: Annotated[Path, Argument(metavar="STORE", help="JSON file of the search; one that exists is continued.")],
     free: Annotated[
         list[str],
-        Option(metavar="NAME:LOW:HIGH", help=f"A free dimension in metres: {', '.join(VARIABLES)}. May be repeated."),
+        Option(
+            metavar="NAME:LOW:HIGH",
+            help=f"A free dimension in metres, angles in radians: {', '.join(VARIABLES)}. May be repeated.",
+        ),
     ],
     maximise: Annotated[list[str] | None, Option(metavar="COLUMN", help=f"To be large: {_COLUMNS}.")] = None,
     minimise: Annotated[list[str] | None, Option(metavar="COLUMN", help="To be small, likewise.")] = None,
@@ -297,6 +395,16 @@ def design(
     at_most: Annotated[
         list[str] | None,
         Option(metavar="COLUMN:VALUE", help="A largest value, such as footprint:1.2. May be repeated."),
+    ] = None,
+    task: Annotated[
+        Path | None,
+        Option(metavar="CSV", help="Poses to be reached, columns x y z \\[m], qx qy qz qw: task_margin, task_effort."),
+    ] = None,
+    wrench: Annotated[
+        str | None,
+        Option(
+            metavar="F,M", help="Force [N] and moment [N m] at o in {B} for task_effort, six numbers; 0,0,-1,0,0,0."
+        ),
     ] = None,
     population: Annotated[int, Option(min=2, help="Machines of a generation.")] = 40,
     generations: Annotated[int, Option(min=2, help="Number of generations.")] = 25,
@@ -331,11 +439,16 @@ def design(
     least = _by_name("--at-least", [_numbers("--at-least", text, 1) for text in at_least or []])
     most = _by_name("--at-most", [_numbers("--at-most", text, 1) for text in at_most or []])
     aims = [(name, "max") for name in maximise or []] + [(name, "min") for name in minimise or []]
+    if wrench is not None and task is None:
+        raise ArgumentError("--wrench", "poses at which it acts", "no --task CSV")
+    functions = {} if task is None else _task_functions(task, wrench)
     problem = DesignProblem(
         options.read_geometry(geometry),
         {name: (low, high) for name, (low, high) in ends.items()},
         _by_name("--maximise, --minimise", aims),
-        *({name: value for name, (value,) in bounds.items()} for bounds in (least, most)),
+        at_least={name: value for name, (value,) in least.items()},
+        at_most={name: value for name, (value,) in most.items()},
+        functions=functions,
     )
     search = {"population": population, "generations": generations, "states": states, "seed": seed}
     with outputs.progress_bar() as progress:
@@ -356,6 +469,23 @@ def design(
     if not len(front.designs):
         outputs.note(_NONE)
         raise typer.Exit(3)
+
+
+def _task_functions(path: Path, wrench: str | None) -> dict[str, Any]:
+    """Return the columns of a task by their names, functions of a machine."""
+    poses = MotionTable(path).poses()
+    if not isinstance(poses, RigidTransform):
+        raise ArgumentError(
+            "--task", "poses, columns x y z qx qy qz qw", "positions alone" if poses is not None else "none"
+        )
+    try:
+        load = [float(x) for x in (wrench or "0,0,-1,0,0,0").split(",")]
+    except ValueError:
+        load = []
+    if len(load) != 6:
+        raise ArgumentError("--wrench", "six numbers with commas between: a force and a moment", repr(wrench))
+    task = Task(poses, load)
+    return {"task_margin": task.margin, "task_effort": task.effort}
 
 
 def _numbers(option: str, text: str, count: int) -> tuple[str, list[float]]:
@@ -382,12 +512,8 @@ def _print_front(front: Front) -> None:
     designs, problem = front.designs, front.problem
     rows: list[int | None] = [None, *range(len(designs))]
 
-    def size(name: str, row: int | None) -> str:
-        machine = problem.geometry if row is None else designs.geometries[row]
-        ends = dict(zip(("minimum", "stroke"), leg_ranges(machine), strict=True))
-        stage, _, end = name.rpartition("_")
-        leg = 3 if stage == "upper" else 0
-        return f"{ends[end][leg] if end in ends else getattr(machine, name):.4f}"
+    def size(k: int, row: int | None) -> str:
+        return f"{problem.values(problem.geometry if row is None else designs.geometries[row])[k]:.4f}"
 
     def value(name: str, row: int | None) -> str:
         part = front.reference if row is None else designs
@@ -397,7 +523,7 @@ def _print_front(front: Front) -> None:
         return "began with" if row is None else f"{row}{' better' if front.better[row] else ''}"
 
     columns: dict[str, Callable[[int | None], str]] = {"row": title}
-    columns |= {f"{name} [m]": partial(size, name) for name in problem.free}
+    columns |= {f"{name} [{problem.unit(name)}]": partial(size, k) for k, name in enumerate(problem.free)}
     columns |= {name: partial(value, name) for name in problem.columns}
     outputs.print_table("Machines that no other beats in all aims", columns, rows)
     better = int(front.better.sum())

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spm_pin.design.task import Task
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import Geometry, LegLimits
 from spm_pin.mechanism.arguments import (
@@ -25,7 +27,6 @@ from spm_pin.mechanism.arguments import (
     FloatArray,
     Progress,
     check_instance,
-    check_progress,
     choice,
     number_pair,
     real_number,
@@ -33,6 +34,9 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.mechanism.files import file_path, writing
+from spm_pin.mechanism.leg_kinds import KINDS
+from spm_pin.mechanism.legs import drawn_legs
+from spm_pin.mechanism.progress import shown_progress
 from spm_pin.proofs.certificate import free_of_singularities
 from spm_pin.sweeps.domains import Sample, definition_differences, package_version
 from spm_pin.sweeps.metrics import METRICS, Metric, prepare_metrics, resolve_metrics
@@ -42,23 +46,25 @@ from spm_pin.sweeps.runner import check_workers, processes, run_tasks
 if TYPE_CHECKING:
     from distributed import Client
 
-Task = tuple[int, tuple[Geometry, ...]]
+Some = tuple[int, tuple[Geometry, ...]]
 Rows = tuple[int, FloatArray]
 
 _TOGETHER = 16
 """Machines in a task, at most: some tenths of a second for 10⁴ states each."""
 SIZES = ("assembled", "volume", "footprint")
-"""Columns that are no statistics of metrics, besides "certified"."""
+"""Columns that are no statistics of metrics, besides "certified" and those of functions."""
+Function = Callable[[Geometry], float]
+"""A number of a machine."""
 _STAGES = ("", "lower_", "upper_")
-VARIABLES = (
-    *("base_radius", "platform_radius", "middle_side"),
-    *(f"{stage}{end}" for stage in _STAGES for end in ("minimum", "stroke")),
-)
-"""Names of variables that may be free [m]: E, C, d, the shortest length and the stroke of all legs, or of a stage's."""
+_DIMENSIONS = ("base_radius", "platform_radius", "middle_side")
+_OF_LEGS = ("minimum", "stroke", *dict.fromkeys(name for kind in KINDS.values() for name in kind.names_of_numbers()))
+VARIABLES = (*_DIMENSIONS, *(f"{stage}{name}" for stage in _STAGES for name in _OF_LEGS))
+"""Names of variables that may be free: E, C, d [m]; and of all legs, or of a stage's, the least reading, the stroke and
+the numbers that are fixed in PRS and RRS legs, such as "lower_crank" [m, rad]."""
 _NARROWEST = 1e-6
 """Least width of a free range, over its end: a search needs many distinct numbers."""
 _CHOICES = ("free", "aims", "at_least", "at_most")
-_FORMAT, _IMPOSSIBLE = 2, 1e30
+_FORMAT, _IMPOSSIBLE = 3, 1e30
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,7 @@ class Designs:
     - "footprint": area of the base circle π E² [m²].
     - "certified": 1 where the limits are proved free of forward singularities, 0 where they are not, or the proof takes
       more than the boxes allowed; if asked for.
+    - the names of functions that are given.
     - "<metric>_mean" and "<metric>_low": mean of a metric of `spm_pin.sweeps` and the value that it exceeds at all but
       the share `quantile` of the configurations.
     """
@@ -89,6 +96,7 @@ def evaluate_designs(
     geometries: Iterable[Geometry],
     metrics: str | Metric | Iterable[str | Metric] = ("conditioning", "payload"),
     *,
+    functions: dict[str, Function] | None = None,
     states: int = 10_000,
     quantile: float = 0.05,
     boxes: int = 0,
@@ -97,16 +105,19 @@ def evaluate_designs(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Designs:
-    """Evaluate many machines over one sample of leg lengths, drawn uniformly in shares of their limits.
+    """Evaluate many machines over one sample of readings, drawn uniformly in shares of their limits.
 
     Parameters
     ----------
     geometries : iterable of Geometry
         Machines with finite leg limits. One whose limits hold no configuration has NaN in its row, and stops nothing.
     metrics : metrics or their names
-        Of `spm_pin.sweeps`; those of a state.
+        Of `spm_pin.sweeps`, or your own; those of a state.
+    functions : dict of str to callable, optional
+        Columns by their names, each a function of a `Geometry` that returns a number: your own, or those of a `Task`,
+        `task.margin` and `task.effort`. They are sent to other processes where there are some.
     states : int
-        Sets of leg lengths for each machine: a Sobol sequence, the same shares of the strokes for all.
+        Sets of readings for each machine: a Sobol sequence, the same shares of the strokes for all.
     quantile : float
         Share of the configurations at which a metric may be below its "_low".
     boxes : int
@@ -138,43 +149,60 @@ def evaluate_designs(
     real_number(quantile, "quantile", "a share from 0 to 1", least=0.0, most=1.0)
     whole_number(boxes, "boxes")
     check_workers(scheduler, workers)
-    check_progress(progress)
+    report = shown_progress(progress)
     if scheduler is not None or workers not in (None, 1):
         require_extra("cluster")
-    task = partial(_evaluate_some, sample.draw(6, (0,), sample.count), chosen, quantile, boxes)
-    values = np.full((len(machines), len(column_names(chosen, boxes))), np.nan)
+    own = _checked_functions({} if functions is None else functions)
+    names = column_names(chosen, boxes, own)
+    work = partial(_evaluate_some, sample.draw(6, (0,), sample.count), chosen, quantile, boxes, tuple(own.values()))
+    values = np.full((len(machines), len(names)), np.nan)
     together = min(_TOGETHER, -(-len(machines) // 4))
     tasks, done = ((k, machines[k : k + together]) for k in range(0, len(machines), together)), 0
     low, stroke = leg_ranges(machines[0])
     prepare_metrics(chosen, Points(machines[0], "legs", np.tile(low + 0.3 * stroke, (2, 1))))
-    for first, rows in run_tasks(task, tasks, -(-len(machines) // together), scheduler, workers or 1):
+    for first, rows in run_tasks(work, tasks, -(-len(machines) // together), scheduler, workers or 1):
         values[first : first + len(rows)] = rows
         done += len(rows)
-        if progress is not None:
-            progress("machines", done, len(machines))
-    return Designs(machines, dict(zip(column_names(chosen, boxes), values.T, strict=True)))
+        report("machines", done, len(machines))
+    return Designs(machines, dict(zip(names, values.T, strict=True)))
+
+
+def _checked_functions(functions: dict[str, Function]) -> dict[str, Function]:
+    for name, function in check_instance(functions, dict, "functions").items():
+        if name in column_names(tuple(METRICS.values()), 1):
+            raise ArgumentError("functions", "names that are no columns of the package", repr(name))
+        if not callable(function):
+            raise ArgumentError(f"functions[{name!r}]", "a function of a Geometry", type_and_value(function))
+    return dict(functions)
 
 
 def _has_finite_limits(machine: Geometry) -> bool:
-    return machine.limits is not None and bool(np.isfinite(machine.limits.maximum).all())
+    return machine.limits is not None and bool(np.isfinite([machine.limits.minimum, machine.limits.maximum]).all())
 
 
 def leg_ranges(machine: Geometry) -> tuple[FloatArray, FloatArray]:
-    """Return the shortest lengths and the strokes of the legs, shapes (6,) [m]."""
+    """Return the least readings and the strokes of the legs, shapes (6,) [m], of RRS legs [rad]."""
     assert machine.limits is not None
     low = np.array(machine.limits.minimum)
     return low, np.array(machine.limits.maximum) - low
 
 
-def column_names(metrics: tuple[Metric, ...], boxes: int) -> list[str]:
+def column_names(metrics: tuple[Metric, ...], boxes: int, own: Iterable[str] = ()) -> list[str]:
     """Return the names of the columns of `Designs`, in their order."""
     statistics = [f"{metric.name}_{which}" for metric in metrics for which in ("mean", "low")]
-    return [*SIZES, *statistics, *(["certified"] if boxes else [])]
+    return [*SIZES, *statistics, *own, *(["certified"] if boxes else [])]
 
 
-def _evaluate_some(shares: FloatArray, metrics: tuple[Metric, ...], quantile: float, boxes: int, task: Task) -> Rows:
-    first, machines = task
-    rows = np.array([_evaluate(shares, metrics, quantile, machine) for machine in machines])
+def _evaluate_some(
+    shares: FloatArray, metrics: tuple[Metric, ...], quantile: float, boxes: int, own: tuple[Function, ...], some: Some
+) -> Rows:
+    first, machines = some
+    rows = np.array(
+        [
+            [*_evaluate(shares, metrics, quantile, machine), *(_number(function, machine) for function in own)]
+            for machine in machines
+        ]
+    )
     if boxes:
         whole = np.flatnonzero(rows[:, 0] == 1.0)
         certified = np.zeros(len(machines))
@@ -183,20 +211,37 @@ def _evaluate_some(shares: FloatArray, metrics: tuple[Metric, ...], quantile: fl
     return first, rows
 
 
+def _number(function: Function, machine: Geometry) -> float:
+    try:
+        return float(function(machine))
+    except (TypeError, ValueError) as error:
+        raise ArgumentError("functions", "functions that return a number", repr(error)) from error
+
+
 def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], quantile: float, machine: Geometry) -> list[float]:
     low, stroke = leg_ranges(machine)
     points = Points(machine, "legs", low + shares * stroke)
     assembled, area = float(points.reachable.mean()), np.pi * machine.base_radius**2
     if not assembled:
         return [0.0, 0.0, area] + [np.nan] * (2 * len(metrics))
-    # The determinant of G from what the conditioning needs as well: singular values of the twist (v, L ω).
+    # The determinant of G from what the conditioning needs as well: singular values of the twist (v, L ω) by rates of
+    # knees.
     determinants = np.nan_to_num(points.singular_values().prod(axis=-1)) / machine.platform_radius**3
+    determinants *= machine.legs.largest_slopes.prod()
     row = [assembled, float(determinants.sum()) / len(shares) * float(stroke.prod()), area]
     for metric in metrics:
         values = metric.evaluate(points).astype(np.float64)
         values = values[np.isfinite(values)]
         row += [float(values.mean()), float(np.quantile(values, quantile))] if len(values) else [np.nan, np.nan]
     return row
+
+
+def _stages_and_name(variable: str) -> tuple[range, str]:
+    """Return the stages that a variable concerns, and the name of what it is there."""
+    for stage, prefix in enumerate(_STAGES[1:]):
+        if variable.startswith(prefix):
+            return range(stage, stage + 1), variable.removeprefix(prefix)
+    return range(2), variable
 
 
 @dataclass(frozen=True)
@@ -208,12 +253,18 @@ class DesignProblem:
     geometry : Geometry
         A drawn machine with finite leg limits: what is not free is as in this one, and it is compared with the others.
     free : dict of str to (low, high)
-        Ranges of some of `VARIABLES` [m].
+        Ranges of some of `VARIABLES` [m, rad].
     aims : dict of str to "max" or "min"
-        Columns of `Designs`, such as "volume", "footprint" or "payload_low". Of one aim the front is one machine.
+        Columns of `Designs`, such as "volume" or "payload_low", or names of `functions`. Of one aim the front is one
+        machine.
     at_least, at_most : dict of str to float, optional
         Least and largest values of columns, such as {"certified": 1, "conditioning_low": 1 / 60} for condition numbers
         of at most 60, and {"footprint": 1.2}.
+    functions : dict of str to callable, optional
+        Columns for aims and bounds, see `evaluate_designs`. A store knows those of a task by its poses, your own by
+        their names alone.
+    metrics : iterable of Metric, optional
+        Metrics of your own, or the package's with other parameters, for their "_mean" and "_low".
     """
 
     geometry: Geometry
@@ -221,6 +272,8 @@ class DesignProblem:
     aims: dict[str, str]
     at_least: dict[str, float] = dataclasses.field(default_factory=dict)
     at_most: dict[str, float] = dataclasses.field(default_factory=dict)
+    functions: dict[str, Function] = dataclasses.field(default_factory=dict)
+    metrics: Iterable[Metric] = ()
 
     def __post_init__(self) -> None:
         geometry = check_instance(self.geometry, Geometry, "geometry")
@@ -228,21 +281,19 @@ class DesignProblem:
             raise ArgumentError("geometry", "a drawn machine with finite leg limits", repr(geometry))
         for name in _CHOICES:
             object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))
+        object.__setattr__(self, "functions", _checked_functions(self.functions))
+        is_empty = isinstance(self.metrics, tuple | list) and not self.metrics
+        object.__setattr__(self, "metrics", () if is_empty else resolve_metrics(self.metrics))
         for name, ends in self.free.items():
-            low, high = number_pair(ends, f"free[{choice(name, 'free', VARIABLES)!r}]", "metres")
-            if not (SMALLEST <= low < high <= LARGEST and high - low > _NARROWEST * high):
-                expected = (
-                    f"{SMALLEST:g} <= low < high <= {LARGEST:g}, in metres, a range of more than {_NARROWEST:g} of it"
-                )
-                raise ArgumentError(f"free[{name!r}]", expected, f"{low:g} and {high:g}")
-        for both, stage in (("minimum", "_minimum"), ("stroke", "_stroke")):
-            if both in self.free and any(name.endswith(stage) for name in self.free):
-                raise ArgumentError("free", f"{both} of all legs, or lower{stage} and upper{stage}", "both")
+            self._check_range(choice(name, "free", VARIABLES), ends)
+        for each in _OF_LEGS:
+            if each in self.free and {f"lower_{each}", f"upper_{each}"} & self.free.keys():
+                raise ArgumentError("free", f"{each} of all legs, or lower_{each} and upper_{each}", "both")
         for name, sense in self.aims.items():
-            choice(sense, f"aims[{_column(name, 'aims')!r}]", ("max", "min"))
+            choice(sense, f"aims[{self._column(name, 'aims')!r}]", ("max", "min"))
         for bounds in ("at_least", "at_most"):
             for name, value in getattr(self, bounds).items():
-                real_number(value, f"{bounds}[{_column(name, bounds)!r}]", "a number")
+                real_number(value, f"{bounds}[{self._column(name, bounds)!r}]", "a number")
         for name, expected in (("free", "a dimension that may change"), ("aims", "a column to be large or small")):
             if not getattr(self, name):
                 raise ArgumentError(name, f"at least one, {expected}", "none")
@@ -253,20 +304,75 @@ class DesignProblem:
         return tuple(dict.fromkeys([*self.aims, *self.at_least, *self.at_most]))
 
     @property
-    def metrics(self) -> tuple[str, ...]:
-        """Names of the metrics that aims and bounds need."""
-        names = (name.rpartition("_")[0] for name in self.columns if name not in (*SIZES, "certified"))
-        return tuple(dict.fromkeys(names)) or ("conditioning",)
+    def needed_metrics(self) -> tuple[str | Metric, ...]:
+        """The metrics that aims and bounds need."""
+        others = {*SIZES, "certified", *self.functions}
+        own = {metric.name: metric for metric in self.metrics}
+        names = (name.rpartition("_")[0] for name in self.columns if name not in others)
+        return tuple(own.get(name, name) for name in dict.fromkeys(names)) or ("conditioning",)
+
+    def _column(self, name: str, argument: str) -> str:
+        """Check the name of a column."""
+        known = {metric.name: metric for metric in (*METRICS.values(), *self.metrics)}
+        if name in known:
+            raise ArgumentError(argument, f"'{name}_mean' or '{name}_low'", repr(name))
+        return choice(name, argument, column_names(tuple(known.values()), 1, self.functions))
+
+    def _check_range(self, name: str, ends: tuple[float, float]) -> None:
+        """Raise `ArgumentError` unless this is a range of a variable that the machine has."""
+        low, high = number_pair(ends, f"free[{name!r}]", "metres, or radians of angles")
+        stages, of_legs = _stages_and_name(name)
+        own = of_legs not in (*_DIMENSIONS, "minimum", "stroke")
+        kinds = [self.geometry.legs.kinds[stage] for stage in stages]
+        lacking = [kind.name for kind in kinds if own and of_legs not in kind.identified]
+        if lacking:
+            raise ArgumentError("free", "a number that the machine's legs have", f"{name} of {lacking[0]} legs")
+        if of_legs in ("minimum", "direction"):
+            least = float(np.max(self.geometry.legs.free_limits.minimum)) if of_legs == "minimum" else -np.inf
+        else:
+            least = SMALLEST
+        if not (least <= low < high <= LARGEST and high - low > _NARROWEST * max(abs(low), abs(high))):
+            expected = f"{least:g} <= low < high <= {LARGEST:g}, a range of more than {_NARROWEST:g} of it"
+            raise ArgumentError(f"free[{name!r}]", expected, f"{low:g} and {high:g}")
 
     def machine(self, values: FloatArray) -> Geometry:
         """Return the machine of values (k,) of the free variables, in their order."""
-        of = dict(zip(self.free, map(float, values), strict=True))
-        low, stroke = leg_ranges(self.geometry)
-        for stage, legs in zip(_STAGES, (slice(6), slice(3), slice(3, 6)), strict=True):
-            low[legs] = of.get(f"{stage}minimum", low[legs])
-            stroke[legs] = of.get(f"{stage}stroke", stroke[legs])
-        base, platform, side = (of.get(name, getattr(self.geometry, name)) for name in VARIABLES[:3])
-        return Geometry(base, platform, side, LegLimits(low.tolist(), (low + stroke).tolist()))
+        machine, (low, stroke) = self.geometry, leg_ranges(self.geometry)
+        dimensions, kinds = dict(zip(_DIMENSIONS, machine.dimensions, strict=True)), list(machine.legs.kinds)
+        for name, value in zip(self.free, map(float, values), strict=True):
+            stages, of_legs = _stages_and_name(name)
+            rows = slice(3 * stages.start, 3 * stages.stop)
+            if of_legs in dimensions:
+                dimensions[of_legs] = value
+            elif of_legs in ("minimum", "stroke"):
+                (low if of_legs == "minimum" else stroke)[rows] = value
+            else:
+                for stage in stages:
+                    kinds[stage] = dataclasses.replace(kinds[stage], **{of_legs: value})
+        base, platform, side = dimensions.values()
+        limits, legs = (
+            LegLimits(low.tolist(), (low + stroke).tolist()),
+            drawn_legs((base, platform), side / math.sqrt(3.0), tuple(kinds)),
+        )
+        return Geometry(base, platform, side, limits, legs)
+
+    def values(self, machine: Geometry) -> FloatArray:
+        """Return the free variables (k,) of a machine as `machine` makes them, in their order."""
+        low, stroke = leg_ranges(machine)
+        values = []
+        for name in self.free:
+            stages, of_legs = _stages_and_name(name)
+            if of_legs in ("minimum", "stroke"):
+                values.append((low if of_legs == "minimum" else stroke)[3 * stages.start])
+            else:
+                values.append(getattr(machine if of_legs in _DIMENSIONS else machine.legs.kinds[stages.start], of_legs))
+        return np.array(values)
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a free variable, "m" or "rad"."""
+        stages, of_legs = _stages_and_name(name)
+        of_readings = of_legs in ("minimum", "stroke")
+        return self.geometry.legs.kinds[stages.start].unit if of_readings else "rad" if of_legs == "direction" else "m"
 
     def objectives(self, designs: Designs) -> tuple[FloatArray, FloatArray]:
         """Return what is to be small (N, m), and what must not be positive (N, c); the last is 1 where numbers lack."""
@@ -356,7 +462,7 @@ def pareto_front(
     real_number(quantile, "quantile", "a share from 0 to 1", least=0.0, most=1.0)
     whole_number(seed, "seed", most=2**32 - 1)
     check_workers(scheduler, workers)
-    check_progress(progress)
+    report = shown_progress(progress)
     whole_number(boxes, "boxes")
     needed = boxes if "certified" in problem.columns else 0
     options: dict[str, Any] = {"states": states, "quantile": quantile, "boxes": needed, "seed": seed}
@@ -365,11 +471,14 @@ def pareto_front(
         "versions": {"spm_pin": package_version(), "pymoo": metadata.version("pymoo"), "numpy": np.__version__},
         "geometry": problem.geometry.as_data(),
         **{name: list(getattr(problem, name).items()) for name in _CHOICES},
+        "functions": [[name, _identity(function)] for name, function in problem.functions.items()],
+        "metrics": [metric.definition() for metric in problem.metrics],
         "population": population,
         **options,
     }
     definition, parts = json.loads(json.dumps(given)), list[Designs]()
-    stored = _read(path, definition, column_names(resolve_metrics(problem.metrics), needed))
+    chosen, own = resolve_metrics(problem.needed_metrics), problem.functions
+    stored = _read(path, definition, column_names(chosen, needed, own))
 
     def evaluate(client: Client | None, values: FloatArray, generation: int) -> Designs:
         some = tuple(map(problem.machine, values))
@@ -379,7 +488,7 @@ def pareto_front(
                 raise ArgumentError("store", "the choices of this search", f"others in generation {generation}", cause)
             columns = {name: np.array(column, dtype=float) for name, column in stored[generation]["columns"].items()}
             return Designs(some, columns)
-        designs = evaluate_designs(some, problem.metrics, scheduler=client, **options)
+        designs = evaluate_designs(some, chosen, functions=own, scheduler=client, progress=_silent, **options)
         numbers = {name: [None if np.isnan(x) else x for x in column] for name, column in designs.columns.items()}
         stored.append({"values": values.tolist(), "columns": numbers})
         # What was there is lost only when the new file is complete, in a folder that is no one else's.
@@ -402,11 +511,10 @@ def pareto_front(
             values, bounds = problem.objectives(parts[-1])
             Evaluator().eval(StaticProblem(space, F=values, G=bounds), asked)
             algorithm.tell(infills=asked)
-            if progress is not None:
-                progress("generations", generation + 1, generations)
+            report("generations", generation + 1, generations)
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
     every = Designs(sum((part.geometries for part in parts), ()), columns)
-    reference = evaluate_designs([problem.geometry], problem.metrics, **options)
+    reference = evaluate_designs([problem.geometry], chosen, functions=own, **options)
     values, bounds = problem.objectives(every)
     feasible = np.flatnonzero((bounds <= 0.0).all(axis=-1))
     # In the order of the first aim, and of equal rows the first.
@@ -416,11 +524,14 @@ def pareto_front(
     return Front(problem, Designs(tuple(every.geometries[k] for k in kept), best), every, reference)
 
 
-def _column(name: str, argument: str) -> str:
-    """Check the name of a column of `Designs`."""
-    if name in METRICS:
-        raise ArgumentError(argument, f"'{name}_mean' or '{name}_low'", repr(name))
-    return choice(name, argument, column_names(tuple(METRICS.values()), 1))
+def _silent(what: str, done: int, total: int) -> None:
+    """Show nothing of the machines of a generation."""
+
+
+def _identity(function: Function) -> str | None:
+    """Return what tells a task's function from another's; None of other functions."""
+    task = getattr(function, "__self__", None)
+    return task.identity if isinstance(task, Task) else None
 
 
 def _read(path: Path, definition: dict[str, Any], names: list[str]) -> list[dict[str, Any]]:

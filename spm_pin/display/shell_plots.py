@@ -1,4 +1,4 @@
-"""The shell of the workspace: the paper's Fig. 2 with its 24 patches named, sections, and mesh files."""
+"""The workspace in pictures and meshes: what a machine reaches, and the paper's 24 surfaces, Fig. 2 and sections."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from spm_pin.display.plots import INK, draw_solids
 from spm_pin.display.rendering import Colour, Rendering, Solid, camera_axes
 from spm_pin.display.writing import legend_below, new_figure, write_name
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism.arguments import FloatArray, check_instance
+from spm_pin.mechanism.arguments import FloatArray, check_instance, type_and_value
 from spm_pin.mechanism.files import file_path, writing
 from spm_pin.mechanism.notebook import VIEW
+from spm_pin.workspace.boundary import Boundary
 from spm_pin.workspace.paper_shell import Patch, Shell
 
 if TYPE_CHECKING:
@@ -39,7 +40,10 @@ VIEWS: dict[str, tuple[float, float]] = {
 }
 """Azimuth and elevation [rad] of the panels of `shell_figure`."""
 MESH_FORMATS = (".stl", ".ply", ".obj", ".glb")
-"""File types that shells are written in."""
+"""File types that meshes are written in."""
+_REACHED: Colour = (0.337, 0.706, 0.914)
+"""Colour of the boundary of what is reached."""
+_MAKE = "Make one with workspace.reachable_boundary(geometry) or workspace.workspace_shell(geometry)"
 _EDGE = 0.6  # width of edges in points
 _FONT = 9.0
 _Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
@@ -48,23 +52,48 @@ _FILL = {"det K < 0": "#C9DCF0", "det K > 0": "#F3DCCB", "either sign": "#8681A8
 _GAP = 3  # cells: larger gaps in a sample are not filled
 
 
-def draw_shell(
-    shell: Shell, *, ax: Axes | None = None, view: tuple[float, float] = VIEW, labels: bool = True, dpi: float = 200.0
-) -> Axes:
-    """Draw a shell into a 2-D matplotlib Axes; every patch has the colour of its family.
+class _Part(NamedTuple):
+    """Faces of a mesh in one colour."""
 
-    Parameters are those of `spm_pin.display.draw`, with the shell for the configuration; `labels` names the patches
-    that are seen well enough.
-    """
-    check_instance(shell, Shell, "shell", "Make one with workspace.workspace_shell(geometry)")
-    camera = camera_axes(view)
-    solids = [
-        # The renderer shows what faces the viewer, and that is all one sees of a closed shell.
-        Solid(patch.name, FAMILY_COLOURS[patch.family], shell.vertices, shell.faces[patch.faces])
+    name: str
+    family: str
+    colour: Colour
+    faces: npt.NDArray[np.intp]
+
+
+def _parts(shell: Shell | Boundary) -> list[_Part]:
+    if isinstance(shell, Boundary):
+        return [_Part("boundary", "reached", _REACHED, shell.faces)]
+    return [
+        _Part(patch.name, patch.family, FAMILY_COLOURS[patch.family], shell.faces[patch.faces])
         for patch in shell.patches
     ]
+
+
+def _check_mesh(shell: Shell | Boundary) -> None:
+    if not isinstance(shell, Shell | Boundary):
+        raise ArgumentError("shell", "a Boundary or a Shell", type_and_value(shell), _MAKE)
+
+
+def draw_shell(
+    shell: Shell | Boundary,
+    *,
+    ax: Axes | None = None,
+    view: tuple[float, float] = VIEW,
+    labels: bool = True,
+    dpi: float = 200.0,
+) -> Axes:
+    """Draw the boundary of what is reached, or a shell, into a 2-D matplotlib Axes.
+
+    Every patch of a shell has the colour of its family. Parameters are those of `spm_pin.display.draw`, with the
+    `Boundary` or `Shell` for the configuration; `labels` names the patches that are seen well enough.
+    """
+    _check_mesh(shell)
+    camera = camera_axes(view)
+    # The renderer shows what faces the viewer, and that is all one sees of a closed mesh.
+    solids = [Solid(part.name, part.colour, shell.vertices, part.faces) for part in _parts(shell)]
     ax, _, rendering = draw_solids(solids, camera, (0.03, 0.03), ax=ax, dpi=dpi, edge=_EDGE)
-    if labels:
+    if labels and isinstance(shell, Shell):
         for patch, place in _places(shell, rendering, 0.6 * _FONT / 72.0 * dpi):
             write_name(ax, place, _as_tex(patch.name), _FONT, INK, 0.25)
     return ax
@@ -94,11 +123,12 @@ def _places(shell: Shell, seen: Rendering, room: float) -> list[tuple[Patch, tup
     return places
 
 
-def shell_figure(shell: Shell, *, dpi: float = 200.0) -> Figure:
-    """Draw a shell from all sides, after the paper's Fig. 2, and for what that hides from below.
+def shell_figure(shell: Shell | Boundary, *, dpi: float = 200.0) -> Figure:
+    """Draw the boundary of what is reached, or a shell, from all sides, after the paper's Fig. 2, and from below.
 
     Parameters are those of `draw_shell`.
     """
+    _check_mesh(shell)
     figure = new_figure(9.0, 7.4, layout="constrained")
     from matplotlib.patches import Patch as Swatch
 
@@ -110,6 +140,8 @@ def shell_figure(shell: Shell, *, dpi: float = 200.0) -> Figure:
             _style_axes(ax, "X [m]", f"{upwards[name]} [m]")
         else:
             ax.axis("off")
+    if isinstance(shell, Boundary):
+        return figure
     swatches = []
     for family, colour in FAMILY_COLOURS.items():
         members = [_as_tex(patch.name) for patch in shell.patches if patch.family == family]
@@ -118,31 +150,32 @@ def shell_figure(shell: Shell, *, dpi: float = 200.0) -> Figure:
     return figure
 
 
-def save_mesh(shell: Shell, path: str | Path) -> Path:
-    """Write a shell's mesh as .stl, .ply, .obj or .glb, lengths in metres.
+def save_mesh(shell: Shell | Boundary, path: str | Path) -> Path:
+    """Write the boundary of what is reached, or a shell, as .stl, .ply, .obj or .glb, lengths in metres.
 
-    STL and OBJ hold one closed mesh, PLY the same with the colours of the families. GLB holds each patch as a mesh of
-    its own, named and coloured, and has its y axis upward, as that format requires.
+    STL and OBJ hold one closed mesh, PLY the same with its colours. GLB holds each patch of a shell as a mesh of its
+    own, named and coloured, and has its y axis upward, as that format requires.
     """
+    _check_mesh(shell)
     path = file_path(path, suffixes=MESH_FORMATS)
     require_extra("plots", "trimesh")
     import trimesh
 
-    kind = path.suffix.lower()[1:]
-    colours = [[*(round(255 * channel) for channel in FAMILY_COLOURS[patch.family]), 255] for patch in shell.patches]
+    kind, parts = path.suffix.lower()[1:], _parts(shell)
+    colours = [[*(round(255 * channel) for channel in part.colour), 255] for part in parts]
     if kind == "glb":
         scene = trimesh.Scene()
-        for patch, colour in zip(shell.patches, colours, strict=True):
+        for part, colour in zip(parts, colours, strict=True):
             material = trimesh.visual.material.PBRMaterial(
-                name=patch.family, baseColorFactor=colour, metallicFactor=0.0, roughnessFactor=0.8
+                name=part.family, baseColorFactor=colour, metallicFactor=0.0, roughnessFactor=0.8
             )
-            mesh = trimesh.Trimesh(shell.vertices, shell.faces[patch.faces], process=False)
+            mesh = trimesh.Trimesh(shell.vertices, part.faces, process=False)
             mesh.remove_unreferenced_vertices()
             mesh.visual = trimesh.visual.TextureVisuals(material=material)
-            scene.add_geometry(mesh, node_name=patch.name, geom_name=patch.name, transform=_Y_UP)
+            scene.add_geometry(mesh, node_name=part.name, geom_name=part.name, transform=_Y_UP)
         content = scene.export(file_type=kind)
     else:
-        of_faces = np.repeat(colours, [len(patch.faces) for patch in shell.patches], axis=0) if kind == "ply" else None
+        of_faces = np.repeat(colours, [len(part.faces) for part in parts], axis=0) if kind == "ply" else None
         mesh = trimesh.Trimesh(shell.vertices, shell.faces, face_colors=of_faces, process=False)
         content = mesh.export(file_type=kind)
     with writing(path):
@@ -242,7 +275,7 @@ def sections_figure(shell: Shell, reached: FloatArray, aspect: npt.NDArray[np.in
 
     `reached` and `aspect` are those of `draw_section`.
     """
-    check_instance(shell, Shell, "shell", "Make one with workspace.workspace_shell(geometry)")
+    check_instance(shell, Shell, "shell", _MAKE)
     bottom, top = float(shell.vertices[:, 2].min()), float(shell.vertices[:, 2].max())
     heights = [float(f"{bottom + share * (top - bottom):.2g}") for share in (0.21, 0.36, 0.65)]
     planes = [*map(Plane.level, heights), Plane.upright(0.0), Plane.upright(0.5 * math.pi)]

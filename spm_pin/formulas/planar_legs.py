@@ -18,7 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from spm_pin.formulas.leg_constants import UP
-from spm_pin.formulas.operations import RIGHT_ANGLE, arctan2, cos, sin, sqrt
+from spm_pin.formulas.operations import RIGHT_ANGLE, arctan2, cos, sin, sqrt, where
 from spm_pin.formulas.vectors import Vector, combined, cross, direction, dot, larger, magnitude, minus, scaled
 
 Numbers = tuple[float, ...]
@@ -35,6 +35,42 @@ class Circle(NamedTuple):
     x: float  # of its centre
     z: float
     radius: float
+
+
+class Reach(NamedTuple):
+    """How far a ball is from where its leg is singular, negative out of the leg's reach, and the way back into it."""
+
+    room: float
+    x: float  # a unit vector, the gradient of the room
+    z: float
+
+
+class LegState(NamedTuple):
+    """What a leg is where its ball is at a place; of a ball out of its reach, at the nearest place within."""
+
+    reach: Reach
+    reading: float
+    direction: tuple[float, float]  # the unit vector from the circle's centre to the ball, x and z
+    curvature: float  # of the circle, one over its radius
+    gain: float  # 1/κ, bounded
+    centre_rate: tuple[float, float]  # of the circle's centre, x and z, per unit rate of the reading
+
+
+class LegRates(NamedTuple):
+    """Rates of a leg's state while its ball moves."""
+
+    reading: float
+    turn: float  # of the direction, from z towards x
+    room: float
+
+
+_WITHIN = 1e-10
+"""How far within its reach, over its length, a leg is evaluated whose ball is not: there κ is 1e-5 of its largest."""
+
+
+_LEAST_SLOPE = 0.01
+"""Down to which share of its largest κ is followed by the rates of a `LegState`: none is more than a hundred times as
+steep as at best. Nearer to its singularity a search that believed in them could hardly leave it."""
 
 
 class LegPlane(NamedTuple):
@@ -100,6 +136,18 @@ def rps_largest_slope(numbers: Numbers) -> float:
     return 1.0
 
 
+def rps_room(x: float, z: float, numbers: Numbers) -> Reach:
+    """Return the room of an RPS leg: its length."""
+    length = sqrt(x * x + z * z)
+    return Reach(length, x / length, z / length)
+
+
+def rps_state(x: float, z: float, numbers: Numbers) -> LegState:
+    """Return the state of an RPS leg."""
+    reach = rps_room(x, z, numbers)
+    return LegState(reach, reach.room, (reach.x, reach.z), 1.0 / reach.room, 1.0, (0.0, 0.0))
+
+
 def prs_reach(x: float, z: float, numbers: Numbers) -> float:
     """Return the square of what is left of a PRS leg's rod along the slide, negative where the rod is too short."""
     rod, direction, _ = numbers
@@ -141,6 +189,25 @@ def prs_largest_slope(numbers: Numbers) -> float:
     return -sign
 
 
+def prs_room(x: float, z: float, numbers: Numbers) -> Reach:
+    """Return the room of a PRS leg: how far the rod is longer than the ball is beside the slide."""
+    rod, direction, _ = numbers
+    cosine, sine = cos(direction), sin(direction)
+    across = cosine * z - sine * x
+    side = where(across < 0.0, -1.0, 1.0)
+    return Reach(rod - magnitude(across), side * sine, -side * cosine)
+
+
+def prs_state(x: float, z: float, numbers: Numbers) -> LegState:
+    """Return the state of a PRS leg."""
+    reach = prs_room(x, z, numbers)
+    x, z = _within(x, z, reach, numbers[0])
+    reading = prs_reading(x, z, numbers)
+    circle, gain = prs_circle(reading, numbers), _gain(prs_slope(x, z, reading, numbers), 1.0)
+    curvature, slide = 1.0 / circle.radius, (cos(numbers[1]), sin(numbers[1]))
+    return LegState(reach, reading, _direction(x, z, circle, curvature), curvature, gain, slide)
+
+
 def rrs_reach(x: float, z: float, numbers: Numbers) -> float:
     """Return 16 times the square of the area between crank, rod and ball, negative where these make no triangle."""
     crank, rod, _ = numbers
@@ -171,8 +238,20 @@ def rrs_circle(reading: float, numbers: Numbers) -> Circle:
 
 def rrs_slope(x: float, z: float, reading: float, numbers: Numbers) -> float:
     """Return κ of an RRS leg [m/rad]: the lever arm of the rod about the crank's axis."""
+    return _lever_arm(x, z, rrs_circle(reading, numbers))
+
+
+def _lever_arm(x: float, z: float, circle: Circle) -> float:
+    return (z * circle.x - x * circle.z) / circle.radius
+
+
+def rrs_room(x: float, z: float, numbers: Numbers) -> Reach:
+    """Return the room of an RRS leg: from the ball to where crank and rod are in line, stretched or folded."""
     crank, rod, _ = numbers
-    return crank * (z * cos(reading) - x * sin(reading)) / rod
+    distance = sqrt(x * x + z * z)
+    stretched, folded = crank + rod - distance, distance - magnitude(crank - rod)
+    way = where(stretched < folded, -1.0, 1.0) / distance
+    return Reach(where(stretched < folded, stretched, folded), way * x, way * z)
 
 
 def rrs_home(x: float, height: float, least: float, numbers: Numbers) -> float:
@@ -192,3 +271,41 @@ def rrs_largest_slope(numbers: Numbers) -> float:
     """Return the κ of an RRS leg [m/rad] that is largest in magnitude, with the sign of its working mode."""
     crank, _, sign = numbers
     return -sign * crank
+
+
+def rrs_state(x: float, z: float, numbers: Numbers) -> LegState:
+    """Return the state of an RRS leg."""
+    reach = rrs_room(x, z, numbers)
+    x, z = _within(x, z, reach, numbers[0] + numbers[1])
+    cosine, sine = rrs_crank(x, z, numbers)
+    scale = numbers[0] / (x * x + z * z)
+    circle = Circle(scale * cosine, scale * sine, numbers[1])
+    reading, curvature, gain = (
+        RIGHT_ANGLE + arctan2(-cosine, sine),
+        1.0 / circle.radius,
+        _gain(_lever_arm(x, z, circle), numbers[0]),
+    )
+    return LegState(reach, reading, _direction(x, z, circle, curvature), curvature, gain, (-circle.z, circle.x))
+
+
+def leg_rates(leg: LegState, x: float, z: float) -> LegRates:
+    """Return the rates of a leg whose ball moves with the velocity (x, z) in its plane."""
+    (ux, uz), (cx, cz) = leg.direction, leg.centre_rate
+    reading = leg.gain * (ux * x + uz * z)
+    turn = leg.curvature * (uz * (x - cx * reading) - ux * (z - cz * reading))
+    return LegRates(reading, turn, leg.reach.x * x + leg.reach.z * z)
+
+
+def _direction(x: float, z: float, circle: Circle, curvature: float) -> tuple[float, float]:
+    return curvature * (x - circle.x), curvature * (z - circle.z)
+
+
+def _gain(slope: float, largest_slope: float) -> float:
+    least = _LEAST_SLOPE * largest_slope
+    return slope / larger(slope * slope, least * least)
+
+
+def _within(x: float, z: float, reach: Reach, length: float) -> tuple[float, float]:
+    """Return a ball's place, or the nearest one within the reach of a leg of this length."""
+    lack = larger(_WITHIN * length - reach.room, 0.0)
+    return x + lack * reach.x, z + lack * reach.z

@@ -344,7 +344,7 @@ def check_rps(geometry: Geometry, what: str) -> None:
     """Raise a `GeometryError` unless all legs are RPS, which `what` is known for alone."""
     if not geometry.legs.are_rps:
         lower, upper = (kind.name for kind in geometry.legs.kinds)
-        cause = "Known for PRS and RRS legs are displacements, rates, forces, stiffness, singularities and paths"
+        cause = "Known for PRS and RRS legs are displacements, rates, forces, singularities, paths and workspaces"
         raise GeometryError("geometry", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)
 
 

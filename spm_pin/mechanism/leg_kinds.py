@@ -30,7 +30,7 @@ from spm_pin.mechanism.arguments import (
 Number = float | Sequence[float]
 """One number of all three legs, or one for each."""
 
-FORMULAS = "reading", "reach", "circle", "slope", "largest_slope", "home", "passive"
+FORMULAS = "reading", "reach", "room", "circle", "slope", "largest_slope", "home", "passive"
 """What every kind has a formula for."""
 _ANGLE = 2.0 * math.pi
 _STEP = 1e-100
@@ -58,6 +58,8 @@ class LegKind:
     """Beyond which every reading is, offset aside."""
     turned: ClassVar[tuple[float, ...]]
     """Changes of the offset, and of each of the `identified` numbers, that amount to a unit turn of the leg's links."""
+    number: ClassVar[int]
+    """Of the kind, in kernels."""
     formulas: ClassVar[SimpleNamespace]
     """The kind's formulas of `spm_pin.formulas.planar_legs`, see `FORMULAS`, for runners to bind."""
     on_arrays: ClassVar[SimpleNamespace]
@@ -80,6 +82,11 @@ class LegKind:
         """Return the kind's formulas as a function that binds one makes them."""
         return SimpleNamespace(**{name: bind(formula) for name, formula in vars(cls.formulas).items()})
 
+    @classmethod
+    def names_of_numbers(cls) -> tuple[str, ...]:
+        """Names of the numbers that a machine's maker chooses: all but the working mode."""
+        return tuple(field.name for field in fields(cls) if field.name != "sign")
+
     @property
     def passive(self) -> str:
         """Name of the joint that the actuator does not move, which is revolute."""
@@ -100,7 +107,7 @@ class LegKind:
     @property
     def identified(self) -> tuple[str, ...]:
         """Names of the numbers that a calibration identifies: all but the working mode."""
-        return tuple(field.name for field in fields(self) if field.name != "sign")
+        return self.names_of_numbers()
 
     @property
     def is_drawn(self) -> bool:
@@ -150,6 +157,13 @@ class LegKind:
             columns.append(np.stack(circle, axis=-1).imag / _STEP)
         return np.stack(columns, axis=-1)
 
+    def rooms(self, places: FloatArray) -> FloatArray:
+        """Return how far balls at x and z (..., 3, 2) are from where the legs are singular [m], (..., 3).
+
+        Negative out of a leg's reach.
+        """
+        return np.asarray(self.on_arrays.room(places[..., 0], places[..., 1], tuple(self.numbers.T)).room)
+
     def slopes(self, places: FloatArray, readings: FloatArray) -> FloatArray:
         """Return κ (..., 3) of balls at x and z (..., 3, 2) with these readings."""
         numbers = tuple(self.numbers.T)
@@ -165,6 +179,7 @@ class LegKind:
 class RPS(LegKind):
     """Legs of a revolute joint, an actuated prismatic one, and a ball: cylinders. A reading is a length [m]."""
 
+    number = 0
     unit = "m"
     meaning = "the distance from pivot to ball"
     effort_unit = "N"
@@ -195,6 +210,7 @@ class PRS(LegKind):
     direction: Number = math.pi / 2.0
     sign: int | Sequence[int] = -1
 
+    number = 1
     unit = "m"
     meaning = "the place of the carriage along its slide, from the pivot"
     effort_unit = "N"
@@ -224,6 +240,7 @@ class RRS(LegKind):
     rod: Number
     sign: int | Sequence[int] = -1
 
+    number = 2
     unit = "rad"
     meaning = "the angle of the crank, 0 radially outwards and pi/2 towards the middle platform"
     effort_unit = "N m"

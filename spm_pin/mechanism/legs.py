@@ -130,13 +130,13 @@ class LegLimits:
         beyond = np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0)
         return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
 
-    def margin(self, readings: npt.ArrayLike) -> FloatArray:
-        """Return the distance of the worst of (..., 6) to its limits; negative outside, NaN for NaN.
+    def margin(self, readings: npt.ArrayLike, scale: float | FloatArray = 1.0) -> FloatArray:
+        """Return the distance of the worst leg of (..., 6) to its limits; negative outside, NaN for NaN.
 
-        In the unit of the readings, where all six have the same.
+        `scale` (6,) is what a unit of each reading counts.
         """
         lengths, (low, high) = self._read(readings), self.admitted
-        room = np.minimum(lengths - self.minimum, self.maximum - lengths)
+        room = np.minimum(lengths - self.minimum, self.maximum - lengths) * scale
         return _least(np.where((lengths >= low) & (lengths <= high), np.maximum(room, 0.0), room))
 
     def _read(self, readings: npt.ArrayLike) -> FloatArray:
@@ -378,10 +378,22 @@ class Legs:
         _, forward = self.planes
         return frozen((np.stack(outward, axis=-1).imag / _STEP * forward[:, None]).sum(axis=-1))
 
+    def rooms(self, places: FloatArray) -> FloatArray:
+        """Return how far balls at x and z (..., 6, 2) are from where their legs are singular [m], (..., 6).
+
+        Negative out of a leg's reach.
+        """
+        return self._of_stages("rooms", places)
+
     @functools.cached_property
     def slope_signs(self) -> FloatArray:
         """Signs of κ in the working modes of the legs, (6,)."""
         return frozen(np.sign(np.concatenate([kind.largest_slopes for kind in self.kinds])))
+
+    @property
+    def free_limits(self) -> LegLimits:
+        """Limits that exclude nothing."""
+        return LegLimits([kind.least_reading for kind in self.kinds for _ in range(3)], math.inf)
 
     @functools.cached_property
     def largest_slopes(self) -> FloatArray:

@@ -29,7 +29,7 @@ from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 ROUNDING = 1e-9
 """Amount by which a rule of a path may be broken, in its unit: a state at its limit keeps it."""
 STEP = 0.005
-"""Largest distance of two samples of a path in the leg lengths, in units of d."""
+"""Largest distance of two samples of a path in the leg lengths, of RRS legs at the knees, in units of d."""
 _LARGEST = 1e12
 """Largest limit of a leg that is accepted, far from overflow."""
 
@@ -55,15 +55,13 @@ class LegPath:
     Parameters
     ----------
     lengths : array_like, shape (n, 6)
-        Where it passes [m], in order, at least two and no two in succession the same.
+        Readings where it passes [m], of RRS legs [rad], in order, at least two and no two in succession the same.
     """
 
     def __init__(self, lengths: npt.ArrayLike) -> None:
         points = real_array(lengths, "lengths", (6,), "leg lengths in metres, one row after another").copy()
         if points.ndim != 2 or len(points) < 2:
             raise ArgumentError("lengths", "shape (n, 6), at least two rows", f"shape {points.shape}")
-        if (points <= 0.0).any():
-            raise ArgumentError("lengths", "positive lengths in metres", f"{points.min():g} m")
         distances = np.linalg.norm(np.diff(points, axis=0), axis=-1)
         if (distances == 0.0).any():
             row = int(distances.argmin())
@@ -135,7 +133,7 @@ def line_states(geometry: Geometry, start: FloatArray, end: FloatArray) -> Confi
 
 def spaced_parameters(geometry: Geometry, lengths: FloatArray) -> FloatArray:
     """Return evenly spaced parameters from 0 to 1 for a path through leg lengths (n, 6), at most `STEP` apart."""
-    distance = float(np.linalg.norm(np.diff(lengths, axis=0), axis=-1).sum())
+    distance = float(np.linalg.norm(geometry.legs.largest_slopes * np.diff(lengths, axis=0), axis=-1).sum())
     return np.linspace(0.0, 1.0, max(int(np.ceil(distance / (STEP * geometry.middle_side))), 2) + 1)
 
 

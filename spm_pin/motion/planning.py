@@ -1,10 +1,10 @@
 """Paths from one state to another in the physical mode: a straight line where it is safe, else a way around.
 
-Leg lengths within limits are a box, and in the physical mode every point of it has one configuration. So a path is
-planned in the six leg lengths: a straight line first; where that breaks a rule, two trees grow towards each other
-(RRT-Connect: Kuffner and LaValle, IEEE International Conference on Robotics and Automation, 2000), and what they find
-is shortened and made smooth. The rules are checked at samples not farther apart than `paths.STEP`. A `Certificate`
-proves the rule about forward singularities in between as well.
+Readings within limits are a box, and in the physical mode every point of it has one configuration. So a path is
+planned in the six readings, the lengths of RPS legs: a straight line first; where that breaks a rule, two trees grow
+towards each other (RRT-Connect: Kuffner and LaValle, IEEE International Conference on Robotics and Automation, 2000),
+and what they find is shortened and made smooth. The rules are checked at samples not farther apart than `paths.STEP`.
+A `Certificate` proves the rule about forward singularities in between as well.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.geometry import check_rps, check_same_machine
+from spm_pin.mechanism.geometry import check_same_machine
 from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spaced_parameters, states_along
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
@@ -75,7 +75,7 @@ class MotionPlan:
     def _repr_html_(self) -> str:
         if self.path is None:
             return notebook.table(repr(self), (), ())
-        picture = notebook.curves(np.linspace(0.0, 1.0, 200), self.configurations().readings, "legs [m] over the path")
+        picture = notebook.curves(np.linspace(0.0, 1.0, 200), self.configurations().readings, "readings over the path")
         return notebook.table(repr(self), (), (), picture)
 
     @property
@@ -112,9 +112,10 @@ def plan(
     geometry : Geometry
         The manipulator.
     start, goal : Configuration, pose, or array_like of shape (6,)
-        The states: a configuration in the physical mode, a pose of {m} in {B}, or leg lengths [m].
+        The states: a configuration in the physical mode, a pose of {m} in {B}, or readings: leg lengths [m], of RRS
+        legs angles [rad].
     limits : LegLimits, optional
-        Of the leg lengths; by default those of `geometry`.
+        Of the readings; by default those of `geometry`.
     via : sequence of the same
         States to pass on the way, in order.
     joint_limits : JointLimits, optional
@@ -144,7 +145,6 @@ def plan(
     <MotionPlan: straight in leg lengths, least determinant 1.15 d³>
     """
     check_instance(geometry, Geometry, "geometry")
-    check_rps(geometry, "planning")
     allowed = geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
     joints = JointLimits() if joint_limits is None else check_instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
@@ -272,7 +272,7 @@ class _PathRules:
     margin: float  # least |det J_b| and |det J_c| over d³
 
     def margins(self, states: Configuration) -> FloatArray:
-        """Return how far states are inside: existence, legs [m], singularities, angles [rad], clearance [m], (..., 5).
+        """Return how far states are inside, (..., 5): existence, readings, singularities, angles [rad], clearance [m].
 
         Where a state does not exist, the first is -1 and the others are NaN.
         """
@@ -289,12 +289,13 @@ class _PathRules:
         """Return which rule a single state breaks, in words; empty if none."""
         exists, legs, least, angles, clearance = self.margins(state).tolist()
         if exists < 0.0:
-            return "the physical mode cannot have these lengths"
+            return "the physical mode cannot have these readings"
         if legs < -ROUNDING:
             assert self.limits is not None
             leg = int(np.abs(self.limits.excess(state.readings)).argmax())
-            limits = f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} m"
-            return f"{LEGS[leg]} of {state.readings[leg]:.4g} m is outside its limits, {limits}"
+            unit = self.geometry.legs.units[leg]
+            limits = f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} {unit}"
+            return f"{LEGS[leg]} of {state.readings[leg]:.4g} {unit} is outside its limits, {limits}"
         if least < -ROUNDING:
             determinant = f"|det J| of {least + self.margin:.3g} d³"
             return f"a forward singularity is near: {determinant}, less than the margin of {self.margin:g}"
@@ -319,7 +320,7 @@ def _least_determinant(states: Configuration) -> FloatArray:
 
 
 class _Node(NamedTuple):
-    """Leg lengths in a tree, joined to those of its parent by a straight line that keeps the rules."""
+    """Readings in a tree, joined to those of its parent by a straight line that keeps the rules."""
 
     point: FloatArray
     parent: _Node | None
@@ -342,7 +343,9 @@ def _find_corners(
     if not reason:
         return [start, goal], ""
     trees = [[_Node(start, None)], [_Node(goal, None)]]
-    low, high = 0.5 * np.minimum(start, goal), 1.5 * np.maximum(start, goal)
+    legs, low, high = rules.geometry.legs, np.minimum(start, goal), np.maximum(start, goal)
+    # Around both by half of what a leg or its rod is long.
+    low, high = (x + way * legs.circles(x)[1] / legs.largest_slopes for x, way in ((low, -0.5), (high, 0.5)))
     if rules.limits is not None:
         low, high = np.array(rules.limits.minimum), np.array(rules.limits.maximum)
     for k in range(tries):
@@ -357,9 +360,9 @@ def _find_corners(
 
 def _grow(rules: _PathRules, tree: list[_Node], target: FloatArray) -> _Node | None:
     """Add a step towards `target` to a tree; return the new node, None if the step breaks a rule."""
-    reach = _REACH * rules.geometry.middle_side
-    parent = tree[int(np.linalg.norm(np.array([node.point for node in tree]) - target, axis=-1).argmin())]
-    distance = float(np.linalg.norm(target - parent.point))
+    reach, metres = _REACH * rules.geometry.middle_side, rules.geometry.legs.largest_slopes
+    distances = np.linalg.norm(metres * (np.array([node.point for node in tree]) - target), axis=-1)
+    parent, distance = tree[int(distances.argmin())], float(distances.min())
     if distance == 0.0:
         return parent
     point = target if distance <= reach else parent.point + (reach / distance) * (target - parent.point)

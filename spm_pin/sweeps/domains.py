@@ -19,14 +19,14 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import LEGS, Geometry, LegLimits, Legs
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, whole_number
-from spm_pin.mechanism.geometry import check_rps
+from spm_pin.mechanism.leg_kinds import KINDS
 from spm_pin.sweeps.metrics import STATUS, Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points, Space
 
 AxisRange = float | Sequence[float]
 """One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
 
-_LENGTHS = {k.lower(): f"{k} of o in {{B}}" for k in "XYZ"} | {leg: f"length of leg {leg}" for leg in LEGS}
+_LENGTHS = {k.lower(): f"{k} of o in {{B}}" for k in "XYZ"} | {leg: f"reading of leg {leg}" for leg in LEGS}
 _ANGLES = {name: f"X-Y-X Euler angle {sign}" for name, sign in (("alpha", "α"), ("beta", "β"), ("lambda_", "λ"))}
 AXES: dict[Space, tuple[str, ...]] = {"pose": ("x", "y", "z", *_ANGLES), "legs": LEGS}
 """Names of the six coordinates of each space."""
@@ -42,7 +42,10 @@ FORMAT = 5
 
 @dataclass(frozen=True)
 class Axis:
-    """One coordinate of a domain, named as in `AXES`, and its values from `start` to `stop` [m or rad]."""
+    """One coordinate of a domain, named as in `AXES`, and its values from `start` to `stop` [m or rad].
+
+    A reading is a length or an angle as the machine's legs are: `SweepPlan.unit` knows.
+    """
 
     name: str
     start: float
@@ -54,6 +57,7 @@ class Axis:
     def from_range(name: str, value: AxisRange, sampled: bool) -> Axis:
         """Read an `AxisRange`."""
         unit, ends = "radians" if name in _ANGLES else "metres", "start, stop" if sampled else "start, stop, count"
+        unit += ", of RRS legs in radians" if name in LEGS else ""
         expected = f"one value or ({ends}), in {unit}"
         numbers = real_array(value, name, (), expected)
         if numbers.shape not in ((), (2 if sampled else 3,)):
@@ -61,8 +65,6 @@ class Axis:
         start, stop = map(float, numbers[:2] if numbers.ndim else (numbers, numbers))
         if name in _ANGLES and max(abs(start), abs(stop)) > 2.0 * math.pi:
             raise ArgumentError(name, "angles within ±2π radians", value, "Degrees instead of radians?")
-        if name in LEGS and start <= 0.0:
-            raise ArgumentError(name, "positive lengths in metres", value)
         if numbers.ndim == 0:
             return Axis(name, start, stop, 1)
         if not start < stop:
@@ -83,11 +85,6 @@ class Axis:
     def values(self) -> FloatArray:
         """All values, shape (count,)."""
         return np.linspace(self.start, self.stop, self.count)
-
-    @property
-    def unit(self) -> str:
-        """Unit, "rad" or "m"."""
-        return "rad" if self.name in _ANGLES else "m"
 
     @property
     def description(self) -> str:
@@ -180,7 +177,9 @@ class Domain:
         return np.stack(np.meshgrid(*values, indexing="ij", copy=False), axis=-1).reshape(-1, 6)
 
 
-def pose_grid(x: AxisRange, y: AxisRange, z: AxisRange, *, xyx: Sequence[AxisRange]) -> Domain:
+def pose_grid(
+    x: AxisRange, y: AxisRange, z: AxisRange, *others: AxisRange, xyx: Sequence[AxisRange] | None = None
+) -> Domain:
     """Describe a lattice of poses.
 
     Parameters
@@ -196,23 +195,32 @@ def pose_grid(x: AxisRange, y: AxisRange, z: AxisRange, *, xyx: Sequence[AxisRan
     >>> grid.dims, grid.size
     (('x', 'y'), 10201)
     """
-    return _domain("pose", [x, y, z, *_three(xyx, "xyx")])
+    return _domain("pose", [x, y, z, *_angles(xyx, others)])
 
 
-def leg_grid(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange]) -> Domain:
-    """Describe a lattice of leg lengths.
+def leg_grid(
+    lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange], *others: AxisRange
+) -> Domain:
+    """Describe a lattice of readings, which of RPS legs are lengths.
 
     Parameters
     ----------
     lower, upper : float, (start, stop, count), or three of these
-        Lengths of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m]: the same for the three,
-        or one after another in a list. A tuple of three numbers is a range.
+        Readings of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m], of RRS legs [rad]: the
+        same for the three, or one after another in a list. A tuple of three numbers is a range.
     """
+    _refuse(others, "lower, upper", "ranges of the lower and of the upper legs, each one or a list of three")
     return _domain("legs", [*_leg_ranges(lower, "lower"), *_leg_ranges(upper, "upper")])
 
 
 def pose_sample(
-    count: int, x: AxisRange, y: AxisRange, z: AxisRange, *, xyx: Sequence[AxisRange], seed: int = 0
+    count: int,
+    x: AxisRange,
+    y: AxisRange,
+    z: AxisRange,
+    *others: AxisRange,
+    xyx: Sequence[AxisRange] | None = None,
+    seed: int = 0,
 ) -> Domain:
     """Describe poses drawn from a box of positions and X-Y-X angles, by scrambled Sobol sequences.
 
@@ -224,21 +232,26 @@ def pose_sample(
         As for `pose_grid`, with ranges (start, stop). The distribution is uniform in these coordinates; one that is
         uniform over rotations has the weight ``|sin β|``.
     """
-    return _domain("pose", [x, y, z, *_three(xyx, "xyx")], Sample(count, seed))
+    return _domain("pose", [x, y, z, *_angles(xyx, others)], Sample(count, seed))
 
 
 def leg_sample(
-    count: int, lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange], *, seed: int = 0
+    count: int,
+    lower: AxisRange | Sequence[AxisRange],
+    upper: AxisRange | Sequence[AxisRange],
+    *others: AxisRange,
+    seed: int = 0,
 ) -> Domain:
-    """Describe leg lengths drawn from a box, by scrambled Sobol sequences.
+    """Describe readings drawn from a box, by scrambled Sobol sequences.
 
     Parameters
     ----------
     count, seed : int
-        Number of sets of six lengths, and seed of the random generator.
+        Number of sets of six readings, and seed of the random generator.
     lower, upper
         As for `leg_grid`, with ranges (start, stop).
     """
+    _refuse(others, "lower, upper", "ranges of the lower and of the upper legs, each one or a list of three")
     return _domain("legs", [*_leg_ranges(lower, "lower"), *_leg_ranges(upper, "upper")], Sample(count, seed))
 
 
@@ -248,6 +261,17 @@ def _domain(space: Space, ranges: list[AxisRange], sample: Sample | None = None)
     if all(axis.is_fixed for axis in axes):
         raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
     return Domain(space, axes, sample)
+
+
+def _angles(xyx: Sequence[AxisRange] | None, others: tuple[AxisRange, ...]) -> list[AxisRange]:
+    _refuse(others, "xyx", "the three angles as xyx=[α, β, λ]")
+    return _three(xyx, "xyx")
+
+
+def _refuse(others: tuple[AxisRange, ...], argument: str, expected: str) -> None:
+    """Raise `ArgumentError` where ranges are given one after another that belong together."""
+    if others:
+        raise ArgumentError(argument, expected, f"{len(others)} more ranges one after another")
 
 
 def _leg_ranges(stage: AxisRange | Sequence[AxisRange], argument: str) -> list[AxisRange]:
@@ -277,9 +301,11 @@ class SweepPlan:
     def make(cls, geometry: Geometry, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> SweepPlan:
         """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
         check_instance(geometry, Geometry, "geometry")
-        check_rps(geometry, "sweeps")
         check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
         # By name, so that their order makes no other sweep.
+        for axis, least in zip(domain.axes, geometry.legs.free_limits.minimum, strict=True):
+            if axis.name in LEGS and axis.start <= least:
+                raise ArgumentError(axis.name, "positive lengths in metres", f"{axis.start:g}")
         ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))
         reserved = [metric.name for metric in ordered if metric.name in _RESERVED]
         if reserved:
@@ -290,9 +316,11 @@ class SweepPlan:
     def from_definition(cls, content: dict[str, Any]) -> SweepPlan:
         """Make a plan from its `text` as JSON; metrics that are none of this package's are named, but not computed."""
         sizes, domain = dict(content["geometry"]), content["domain"]
-        limits, legs = sizes.pop("limits"), Legs(**sizes.pop("legs"))
+        lower, upper = (KINDS[kind.pop("kind")](**kind) for kind in map(dict, sizes.pop("kinds")))
+        limits, legs = sizes.pop("limits"), Legs(**sizes.pop("legs"), kinds=(lower, upper))
         if limits is not None:
-            limits = LegLimits(*([math.inf if x is None else x for x in end] for end in limits))
+            ends = zip(limits, (-math.inf, math.inf), strict=True)
+            limits = LegLimits(*([none if x is None else x for x in end] for end, none in ends))
         axes, sample = tuple(Axis(**axis) for axis in domain["axes"]), domain["sample"]
         domain = Domain(domain["space"], axes, sample and Sample(**sample))
         metrics = tuple(map(Metric.from_definition, content["metrics"]))
@@ -306,10 +334,11 @@ class SweepPlan:
         sizes = {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
         ends = limits and [[x if math.isfinite(x) else None for x in end] for end in (limits.minimum, limits.maximum)]
         legs = {name: getattr(geometry.legs, name).tolist() for name in ("axes", "pivots", "balls", "offsets")}
+        kinds = [kind.as_data() for kind in geometry.legs.kinds]
         definition = {
             "format": FORMAT,
             "spm_pin": self.version,
-            "geometry": {**sizes, "limits": ends, "legs": legs},
+            "geometry": {**sizes, "limits": ends, "legs": legs, "kinds": kinds},
             "domain": asdict(self.domain),
             "metrics": [metric.definition() for metric in self.metrics],
             "chunk": self.chunk,
@@ -320,11 +349,16 @@ class SweepPlan:
     def variables(self) -> tuple[Metric, ...]:
         """Variables stored for every point: coordinates of a sample, the status, and the metrics."""
         sampled = [
-            Metric(axis.name, axis.unit, axis.description, lambda points, k=k: points.coordinates[:, k])
+            Metric(axis.name, self.unit(axis), axis.description, lambda points, k=k: points.coordinates[:, k])
             for k, axis in enumerate(self.domain.axes)
             if axis.count == 0
         ]
         return (*sampled, STATUS, *self.metrics)
+
+    def unit(self, axis: Axis) -> str:
+        """Return the unit of a coordinate, "m" or "rad"."""
+        legs = dict(zip(LEGS, self.geometry.legs.units, strict=True))
+        return legs.get(axis.name, "rad" if axis.name in _ANGLES else "m")
 
     @property
     def chunks(self) -> tuple[int, ...]:

@@ -319,9 +319,10 @@ def _leg_margin(points: Points) -> npt.ArrayLike:
     """Return the margin of the worst leg; of the physical branches of a pose the one with the largest margin counts."""
     if points.geometry.limits is None:
         raise ArgumentError("geometry", "one with leg limits, of which a margin can be left", "none")
+    scale = points.geometry.legs.largest_slopes
     if points.space == "legs":
-        return np.where(points.assembled.exists, points.limits.margin(points.coordinates), np.nan)
-    margins = points.limits.margin(points.solutions.readings)
+        return np.where(points.assembled.exists, points.limits.margin(points.coordinates, scale), np.nan)
+    margins = points.limits.margin(points.solutions.readings, scale)
     largest = np.where(points.solutions.is_physical, margins, -np.inf).max(axis=-1)
     return np.where(np.isinf(largest), np.nan, largest)
 
@@ -340,7 +341,7 @@ def _isotropy(points: Points, *, length: float | None = None) -> npt.ArrayLike:
 
 
 def _payload(points: Points, *, push: float = 1.0, pull: float | None = None) -> npt.ArrayLike:
-    """Return the force held at o whatever its direction, without a moment, for leg forces of at most push and pull."""
+    """Return the force held at o whatever its direction, without a moment, for efforts of at most push and pull."""
     # f = -Gᵀ w: a unit force u takes -G_v[:, i] · u of leg i, at most |G_v[:, i]| in either sense.
     largest = np.linalg.norm(points.platform_jacobians[:, :3], axis=-2).max(axis=-1)
     return points.spread(np.nan_to_num(min(push, push if pull is None else pull) / largest))
@@ -362,7 +363,7 @@ def _least_stiffness(points: Points, rows: slice, leg_stiffness: float) -> npt.A
 
 _ABSENT = "NaN where not reachable"
 _HOMOGENEOUS = "of (v, L omega), L = length or the platform radius"
-_BY_LEGS = "with leg forces of at most push and pull"
+_BY_LEGS = "with efforts of the actuators of at most push and pull, forces or torques"
 
 
 # To add a metric, add a row: name, unit, description, function of the points; for whole numbers also their type, and
@@ -381,14 +382,14 @@ _ROWS = (
     Metric("branch", "1", "physical branch within the leg limits",
            _branch, "int8", {"none": -1} | {label: number for number, label in enumerate(BRANCHES)}),
     Metric("assembly_modes", "1",
-           "number of assembly modes that the leg lengths of the physical configuration allow; 0 where not reachable",
+           "number of assembly modes that the readings of the physical configuration allow; 0 where not reachable",
            _assembly_modes, "int16"),
     *(
         Metric(f"o_{axis.lower()}", "m", f"{axis} of o in the base frame; {_ABSENT}",
                lambda points, column=column: points.physical.translation[:, column])
         for column, axis in enumerate("XYZ")
     ),
-    Metric("leg_margin", "m", "how far the worst leg is inside its limits, negative outside; "
+    Metric("leg_margin", "m", "how far the worst leg is inside its limits, of RRS legs at the knee, negative outside; "
            "NaN where no physical configuration exists, leg limits aside", _leg_margin),
     Metric("conditioning", "1", f"inverse condition number of the Jacobian {_HOMOGENEOUS}; {_ABSENT}", _conditioning),
     Metric("isotropy", "1", f"geometric over arithmetic mean of the eigenvalues of G G^T {_HOMOGENEOUS}; {_ABSENT}",
@@ -405,10 +406,11 @@ _ROWS = (
            lambda points: points.spread(points.determinants[:, 2])),
     Metric("payload", "N", f"largest force at o held in every direction {_BY_LEGS}; {_ABSENT}", _payload),
     Metric("payload_down", "N", f"largest force at o held along -Z {_BY_LEGS}; {_ABSENT}", _payload_down),
-    Metric("least_stiffness", "N m-1", f"least translational stiffness at o, for a stiffness of each leg; {_ABSENT}",
+    Metric("least_stiffness", "N m-1",
+           f"least translational stiffness at o, for a stiffness of each actuator; {_ABSENT}",
            lambda points, *, leg_stiffness=1.0: _least_stiffness(points, slice(0, 3), leg_stiffness)),
     Metric("least_rotational_stiffness", "N m rad-1",
-           f"least rotational stiffness, for a stiffness of each leg; {_ABSENT}",
+           f"least rotational stiffness, for a stiffness of each actuator; {_ABSENT}",
            lambda points, *, leg_stiffness=1.0: _least_stiffness(points, slice(3, 6), leg_stiffness)),
 )
 # fmt: on

@@ -25,8 +25,6 @@ Space = Literal["pose", "legs"]
 """The coordinates of points: poses of the platform, or six leg lengths."""
 Array = TypeVar("Array", bound=npt.NDArray[Any])
 
-_SHORTEST = float(np.finfo(np.float64).tiny)
-
 
 class _Poses(NamedTuple):
     """Rotations (M, 3, 3) and positions (M, 3) [m]."""
@@ -45,7 +43,7 @@ class Points:
     space : {"pose", "legs"}
         Kind of the coordinates.
     coordinates : ndarray, shape (N, 6)
-        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m].
+        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], of RRS legs [rad].
     """
 
     def __init__(self, geometry: Geometry, space: Space, coordinates: FloatArray) -> None:
@@ -59,8 +57,8 @@ class Points:
 
     @cached_property
     def limits(self) -> LegLimits:
-        """The geometry's leg limits; without any, limits that exclude only legs without length."""
-        return self.geometry.limits or LegLimits(_SHORTEST, np.inf)
+        """The geometry's leg limits; without any, limits that exclude nothing."""
+        return self.geometry.limits or self.geometry.legs.free_limits
 
     @cached_property
     def status(self) -> npt.NDArray[np.int8]:
@@ -71,7 +69,7 @@ class Points:
 
     @cached_property
     def branch_readings(self) -> FloatArray:
-        """Readings of the legs in all branches of the pose [m], shape (N, 8, 6), NaN where one is not real."""
+        """Readings of the legs in all branches of the pose, shape (N, 8, 6), NaN where one is not real."""
         return self._branches[0]
 
     @cached_property
@@ -139,10 +137,14 @@ class Points:
         return _locked(platform_jacobian(self.reached))
 
     def singular_values(self, length: float | None = None) -> FloatArray:
-        """Return those of G for the twist (v, Lω), L = `length` [m] or C, shape (M, 6), falling; NaN as G is."""
+        """Return those of G for the twist (v, Lω), L = `length` [m] or C, shape (M, 6), falling; NaN as G is.
+
+        Rates of RRS legs are those of their knees [m/s].
+        """
         length = self.geometry.platform_radius if length is None else length
         if length not in self._singular_values:
-            scaled = self.platform_jacobians * np.repeat([1.0, length], 3)[:, None]
+            scales = np.repeat([1.0, length], 3)[:, None] / self.geometry.legs.largest_slopes
+            scaled = self.platform_jacobians * scales
             self._singular_values[length] = _locked(singular_values(scaled))
         return self._singular_values[length]
 
@@ -162,8 +164,12 @@ class Points:
     @cached_property
     def _branches(self) -> tuple[FloatArray, npt.NDArray[np.int8]]:
         """Readings of all branches, shape (N, 8, 6), and the status of the M `_poses`."""
-        lengths, status = branch_lengths(self.geometry, self._poses)
-        readings = lengths + self.geometry.legs.offsets
+        if self.geometry.legs.are_rps:
+            lengths, status = branch_lengths(self.geometry, self._poses)
+            readings = lengths + self.geometry.legs.offsets
+        else:
+            branches = inverse_displacement(self.geometry, self._poses)
+            readings, status = np.array(branches.readings), np.array(branches.status)
         if self.space == "legs":
             readings = _spread(readings, self.assembled.exists)
         return _locked(readings), _locked(status)

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from spm_pin.errors import ArgumentError, SpmError, require_extra
 from spm_pin.mechanism import Geometry
 from spm_pin.mechanism.arguments import check_instance, check_progress, whole_number
+from spm_pin.mechanism.progress import shown_progress
 from spm_pin.sweeps.domains import Domain, SweepPlan, package_version
 from spm_pin.sweeps.metrics import Metric
 from spm_pin.sweeps.store import (
@@ -76,6 +77,8 @@ class SweepStatus:
     """Dimensions of the results."""
     version: str
     """Version of the package that computes it."""
+    own_metrics: tuple[str, ...] = ()
+    """Names of those metrics that are not of this package: without their functions the sweep cannot go on."""
 
     @property
     def complete(self) -> bool:
@@ -115,7 +118,8 @@ def run_sweep(
     chunk : int
         Most points per chunk: the unit of work, of storage, and of loss when a worker is killed.
     progress : callable, optional
-        Called with the number of points done and of all points, after every chunk.
+        Called with the number of points done and of all points, after every chunk. If not given, a line on the terminal
+        shows them after some seconds.
 
     Returns
     -------
@@ -154,6 +158,7 @@ def sweep_status(store: str | os.PathLike[str]) -> SweepStatus:
         metrics=tuple(metric.name for metric in plan.metrics),
         shape=dict(zip(plan.domain.dims, plan.domain.shape, strict=True)),
         version=plan.version,
+        own_metrics=tuple(metric.name for metric in plan.metrics if not metric.is_of_package),
     )
 
 
@@ -163,7 +168,8 @@ def _run(
     require_extra("cluster")
     check_workers(scheduler, workers)
     check_progress(progress, "the points done and all points")
-    report = progress or (lambda done, total: None)
+    line = shown_progress(None)
+    report = progress or (lambda done, total: line("points", done, total))
     plan.prepare()
     Store.create(path, plan)
     with locked(path):

@@ -248,7 +248,7 @@ def _create(path: Path, plan: SweepPlan) -> None:
     for axis in axes:
         if axis.count:
             data, names = (np.asarray(axis.start), ()) if axis.is_fixed else (axis.values, (axis.name,))
-            meaning: dict[str, Any] = {"units": axis.unit, "long_name": axis.description}
+            meaning: dict[str, Any] = {"units": plan.unit(axis), "long_name": axis.description}
             group.create_array(axis.name, data=data, dimension_names=names, attributes=meaning)
     layout: dict[str, Any] = {
         "chunk_key_encoding": {"name": "default", "separator": "."},

@@ -30,6 +30,7 @@ from spm_pin.mechanism.arguments import (
     real_number,
     whole_number,
 )
+from spm_pin.mechanism.progress import shown_progress
 from spm_pin.workspace.search import (
     SINGULARITY_MARGIN,
     NearestPoints,
@@ -49,6 +50,8 @@ _OBLIQUE = Rotation.from_rotvec([0.37, -0.59, 0.83]).as_matrix()
 tell whether it is ahead of the point."""
 _TOGETHER = 256
 """Points of which winding numbers are counted together."""
+_STEPS = 20
+"""Steps of a grid along the longest side of what is reached, where no spacing is given."""
 _MOST_NODES = 5_000_000
 """Nodes of the grid at most."""
 _HALVINGS = 25
@@ -347,7 +350,7 @@ def reachable_boundary(
     geometry: Geometry,
     limits: LegLimits | None = None,
     *,
-    spacing: float = 0.1,
+    spacing: float | None = None,
     progress: Progress | None = None,
 ) -> Boundary:
     """Find the boundary of the positions that o can reach in the physical mode.
@@ -359,10 +362,11 @@ def reachable_boundary(
     limits : LegLimits, optional
         Leg limits; the geometry's own if not given.
     spacing : float
-        Of the grid [m]. What is smaller may be missed; the vertices lie on the boundary whatever it is. Half the
-        spacing takes eight times as long.
+        Of the grid [m]; about a twentieth of the longest side of what is reached if not given. What is smaller may be
+        missed; the vertices lie on the boundary whatever it is. Half the spacing takes eight times as long.
     progress : callable, optional
-        Called with what is being done, how many points are done, and of how many. What it raises ends the work.
+        Called with what is being done, how many points are done, and of how many; what it raises ends the work. If not
+        given, a line on the terminal shows it after some seconds.
 
     Returns
     -------
@@ -380,8 +384,10 @@ def reachable_boundary(
     measure: Any = import_module("skimage.measure")
     limits = finite_limits(geometry, limits)
     states = states_within(geometry, limits)
+    if spacing is None:
+        spacing = float(f"{np.ptp(start_table(states).extent, axis=0).max() / _STEPS:.2g}")
     spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
-    grid = _Grid(states, spacing, progress)
+    grid = _Grid(states, spacing, shown_progress(progress))
     if not grid.inside.any():
         low, high = start_table(states).extent
         smallest = float((high - low).min())

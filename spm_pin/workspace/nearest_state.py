@@ -16,6 +16,8 @@ from spm_pin.workspace.states import StateSet
 
 _LEAST_DETERMINANT = 3e-7
 """Of a stage, about 1 at home: nearer to a forward singularity rounding of the readings moves the platform farther."""
+_LEAST_ROOM = 1e-7
+"""Of a leg, over the machine's size, where legs have an end of their reach."""
 _RIM = 1e-9
 """Least of 1 - x² - y² of a stage."""
 _FAR = 1e6
@@ -52,11 +54,16 @@ class _Problem:
         rows = 3 * len(body)
         self._states, self._machine = states, states.machine(body)
         self._target, self._size = target / np.sqrt(len(body)), states.size
-        self._limited = np.isfinite(states.minimum), np.isfinite(states.maximum)
-        self._points, self._moved, self._readings, self._rates = (
-            np.empty(shape) for shape in ((rows,), (rows, 6), (6,), (6, 6))
-        )
-        self._determinants, self._slopes, self._places = np.empty(2), np.empty((2, 6)), np.empty(2, np.int64)
+        # Rows of what is limited, in units of the size: see `state_search.Machine`.
+        low, high, metres = np.asarray(self._machine[6])
+        low[6:8], low[8:] = _LEAST_DETERMINANT, _LEAST_ROOM * states.size
+        units = metres / states.size
+        below, above = np.isfinite(low), np.isfinite(high)
+        self._bounds = np.concatenate([(low * units)[below], -(high * units)[above]])
+        self._rows = np.concatenate([np.flatnonzero(below), np.flatnonzero(above)])
+        self._scale = np.concatenate([units[below], -units[above]])
+        self._points, self._moved = np.empty(rows), np.empty((rows, 6))
+        self._values, self._rates, self._places = np.empty(len(low)), np.empty((len(low), 6)), np.empty(2, np.int64)
         self._at: bytes = b""
 
     def search(self, start: FloatArray, options: dict[str, float]) -> Any:
@@ -74,14 +81,14 @@ class _Problem:
 
     def _evaluate(self, x: FloatArray) -> bool:
         """Compute what the state at x (6,) is; False where there is none."""
-        from spm_pin.kinematics.kernels.stage_states import NO_STATE
+        from spm_pin.kinematics.kernels.stage_states import BEYOND
         from spm_pin.kinematics.kernels.state_search import state_terms
 
         if x.tobytes() != self._at:
             self._at = x.tobytes()
-            results = self._points, self._moved, self._readings, self._rates, self._determinants, self._slopes
-            state_terms(x.reshape(2, 3).copy(), self._machine, *results, self._places)
-        return bool((self._places != NO_STATE).all())
+            results = self._points, self._moved, self._values, self._rates, self._places
+            state_terms(x.reshape(2, 3).copy(), self._machine, *results)
+        return bool((self._places >= BEYOND).all())
 
     def objective(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Return half the squared distance, and its gradient (6,)."""
@@ -91,17 +98,15 @@ class _Problem:
         return 0.5 * float(gap @ gap), gap @ self._moved / self._size
 
     def room(self, x: FloatArray) -> FloatArray:
-        """Return how far readings, determinants and coordinates are within their limits, (n,)."""
-        exists, (below, above), states = self._evaluate(x), self._limited, self._states
+        """Return how far all is within its limits, and x² + y² of each stage within 1, (n,)."""
+        exists = self._evaluate(x)
         rim = 1.0 - _RIM - (x.reshape(2, 3)[:, :2] ** 2).sum(axis=-1)
-        low, high = (self._readings - states.minimum)[below], (states.maximum - self._readings)[above]
-        room = np.concatenate([low / self._size, high / self._size, self._determinants - _LEAST_DETERMINANT, rim])
+        room = np.concatenate([self._scale * self._values[self._rows] - self._bounds, rim])
         return room if exists else np.full(len(room), -1.0)
 
     def room_slopes(self, x: FloatArray) -> FloatArray:
         """Return the derivatives of `room`, (n, 6)."""
         self._evaluate(x)
-        rim, (below, above) = np.zeros((2, 6)), self._limited
+        rim = np.zeros((2, 6))
         rim[0, :2], rim[1, 3:5] = -2.0 * x[:2], -2.0 * x[3:5]
-        rates = self._rates / self._size
-        return np.concatenate([rates[below], -rates[above], self._slopes, rim])
+        return np.concatenate([self._scale[:, None] * self._rates[self._rows], rim])

@@ -7,6 +7,7 @@ Distance is measured where the platform is held: the root of the mean squared di
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.geometry import check_rps, check_same_machine
+from spm_pin.mechanism.geometry import check_same_machine
 from spm_pin.workspace.nearest_state import nearest_state
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
@@ -116,16 +117,20 @@ class JointLimits:
 def leg_clearance(configuration: Configuration) -> FloatArray:
     """Return the least distance of the axes of two legs that have no joint in common, shape (...) [m].
 
-    An axis is the segment from the revolute joint to the ball joint's centre. Of the fifteen pairs of legs, the three
-    that meet at a corner of the middle platform are left out. NaN where a state does not exist.
+    An axis goes from the pivot to the ball joint's centre, of PRS and RRS legs by way of the carriage or the knee. Of
+    the fifteen pairs of legs, the three that meet at a corner of the middle platform are left out. NaN where a state
+    does not exist.
     """
     check_configuration(configuration)
-    check_rps(configuration.geometry, "distances of legs")
-    starts = np.concatenate([configuration.leg_bases[..., :3, :], configuration.balls[..., 3:, :]], axis=-2)
-    along = configuration.leg_vectors
+    # Of RPS legs the first segment has no length.
+    points = [configuration.leg_bases, configuration.circle_centres, configuration.balls]
+    segments = [*pairwise(points[configuration.geometry.legs.are_rps :])]
     i, j = _PAIRS.T
-    squares = _segment_distance2(starts[..., i, :], along[..., i, :], starts[..., j, :], along[..., j, :])
-    return np.asarray(np.sqrt(squares.min(axis=-1)))
+    squares = [
+        _segment_distance2(p[..., i, :], (q - p)[..., i, :], r[..., j, :], (s - r)[..., j, :]).min(axis=-1)
+        for (p, q), (r, s) in product(segments, repeat=2)
+    ]
+    return np.asarray(np.sqrt(np.minimum.reduce(squares)))
 
 
 def _segment_distance2(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArray) -> FloatArray:
@@ -157,8 +162,8 @@ class Reachability:
     allowed: BoolArray
     """Which of them count and respect all limits, shape (..., 8)."""
     leg_margin: FloatArray
-    """How far the worst leg of a branch is inside its limits [m], shape (..., 8); negative outside, infinite without
-    limits, NaN where the branch is not real."""
+    """How far the worst leg of a branch is inside its limits [m], of RRS legs at the knee, shape (..., 8); negative
+    outside, infinite without limits, NaN where the branch is not real."""
     angle_margin: FloatArray
     """How far the worst passive joint of a branch is inside its limits [rad], shape (..., 8)."""
     clearance_margin: FloatArray
@@ -239,7 +244,9 @@ def reachable(
     joints = JointLimits() if joints is None else check_instance(joints, JointLimits, "joints")
     branches = inverse_displacement(geometry, pose)
     states = branches.configurations
-    leg_margin = np.where(states.exists, np.inf, np.nan) if limits is None else limits.margin(states.readings)
+    leg_margin = np.where(states.exists, np.inf, np.nan)
+    if limits is not None:
+        leg_margin = limits.margin(states.readings, geometry.legs.largest_slopes)
     angle_margin, clearance_margin = joints.angle_margin(states), joints.clearance_margin(states)
     with np.errstate(invalid="ignore"):
         allowed = (leg_margin >= 0.0) & (angle_margin >= 0.0) & (clearance_margin >= 0.0)
@@ -327,9 +334,10 @@ def nearest_reachable_pose(
     >>> bool(geometry.limits.contains(nearest.configuration.readings)), round(nearest.distance, 3)
     (True, 0.141)
     """
-    limits = given_limits(geometry, limits) or LegLimits(0.0, np.inf)
-    target = as_rigid_transform(pose)
-    limited = max(limits.minimum) > 0.0 or min(limits.maximum) < np.inf
+    limits, target = given_limits(geometry, limits), as_rigid_transform(pose)
+    free = geometry.legs.free_limits
+    limits = limits or free
+    limited = bool(np.greater(limits.minimum, free.minimum).any()) or min(limits.maximum) < np.inf
     if near is not None:
         _check_near(geometry, near, limits)
     if branch is not None:

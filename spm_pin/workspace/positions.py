@@ -30,7 +30,8 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
-from spm_pin.workspace.boundary import reachable_boundary
+from spm_pin.mechanism.progress import shown_progress
+from spm_pin.workspace.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.search import Membership, nearest_points, search_states, start_table
 from spm_pin.workspace.states import StateSet, pose_densities, states_within
 
@@ -86,6 +87,15 @@ class Estimate:
     def times(self, factor: float, unit: str) -> Estimate:
         """Return the estimate of a positive multiple."""
         return replace(self, value=factor * self.value, low=factor * self.low, high=factor * self.high, unit=unit)
+
+    @classmethod
+    def from_meshes(cls, coarse: Boundary, fine: Boundary) -> Estimate:
+        """Return a volume from two meshes, the second of half the first's spacing, with the extrapolation's error."""
+        # A mesh with vertices on a surface is off by the square of its spacing.
+        added = (fine.volume - coarse.volume) / 3.0
+        value, error = fine.volume + added, abs(added)
+        how = f"meshes of spacing {coarse.spacing:g} and {fine.spacing:g} m, extrapolated"
+        return cls(value, value - error, value + error, float("nan"), how, "m³")
 
     @classmethod
     def from_hits(
@@ -186,7 +196,7 @@ def reachable_volume(
     method: Literal["sampling", "mesh"] = "sampling",
     where: Condition | None = None,
     samples: int = 20_000,
-    spacing: float = 0.1,
+    spacing: float | None = None,
     confidence: float = 0.95,
     rng: np.random.Generator | int | None = None,
     progress: Progress | None = None,
@@ -208,7 +218,7 @@ def reachable_volume(
     samples : int
         Points for "sampling".
     spacing : float
-        Of the coarser grid for "mesh" [m].
+        Of the coarser grid for "mesh" [m], see `reachable_boundary`.
     confidence : float
         Of the interval, for "sampling".
     rng : Generator or int, optional
@@ -219,16 +229,12 @@ def reachable_volume(
         if where is not None:
             raise ArgumentError("where", 'None with the method "mesh"', type_and_value(where))
         coarse = reachable_boundary(geometry, limits, spacing=spacing, progress=progress)
-        fine = reachable_boundary(geometry, limits, spacing=0.5 * spacing, progress=progress)
-        # A mesh with vertices on a surface is off by the square of its spacing.
-        added = (fine.volume - coarse.volume) / 3.0
-        value, error = fine.volume + added, abs(added)
-        how = f"meshes of spacing {spacing:g} and {0.5 * spacing:g} m, extrapolated"
-        return Estimate(value, value - error, value + error, float("nan"), how, "m³")
+        fine = reachable_boundary(geometry, limits, spacing=0.5 * coarse.spacing, progress=progress)
+        return Estimate.from_meshes(coarse, fine)
     count = whole_number(samples, "samples", least=2)
     states, rng = states_within(geometry, limits), generator(rng)
     points, region = start_table(states).draw_around(count, rng)
-    member = search_states(states, points, what="reachable points", progress=progress)
+    member = search_states(states, points, what="reachable points", progress=shown_progress(progress))
     hits, undecided = member.reached, member.undecided
     if where is not None:
         hits = _with_condition(states, points, member, where, rng)

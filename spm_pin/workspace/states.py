@@ -31,7 +31,7 @@ from spm_pin.mechanism.arguments import (
     whole_number,
 )
 from spm_pin.mechanism.branch_of_state import FAMILIES, family, physical, stage_coordinates
-from spm_pin.mechanism.geometry import check_rps
+from spm_pin.mechanism.progress import shown_progress
 
 CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""
@@ -59,9 +59,9 @@ class Stages:
 
     rotation: FloatArray  # of the middle platform, turned by half a turn in mode F, (N, 3, 3)
     centre: FloatArray  # its origin [m], (N, 3)
-    readings: FloatArray  # [m], (N, 3)
+    readings: FloatArray  # [m, rad], (N, 3)
     determinant: FloatArray  # about 1 at home, 0 at forward singularities, (N,)
-    in_aspect: BoolArray  # (N,)
+    in_aspect: BoolArray  # and all balls within reach, (N,)
     spins: FloatArray  # derivatives by the coordinates, which are last: the rotation's, as rotation vectors, (N, 3, 3)
     velocities: FloatArray  # the centre's, (N, 3, 3)
 
@@ -72,9 +72,9 @@ class StateSet:
 
     geometry: Geometry
     minimum: FloatArray
-    """Least readings (6,) [m]."""
+    """Least readings (6,) [m], of RRS legs [rad]."""
     maximum: FloatArray
-    """Largest readings (6,) [m]."""
+    """Largest readings (6,), likewise."""
     family: str = "TT"
     """The modes of the stages."""
     aspects: tuple[float, float] = (HOME_ASPECT, HOME_ASPECT)
@@ -87,9 +87,22 @@ class StateSet:
 
     @property
     def size(self) -> float:
-        """E + C + d + the longest legs [m]: what lengths are compared with."""
-        g, longest = self.geometry, float(self.maximum.max())
+        """E + C + d + how far legs reach [m]: what lengths are compared with."""
+        g, longest = self.geometry, float(self._longest.max())
         return float(g.base_radius + g.platform_radius + g.middle_side + (longest if np.isfinite(longest) else 0.0))
+
+    @cached_property
+    def _longest(self) -> FloatArray:
+        """How far each ball may be from its leg's pivot (6,) [m]; infinite without limits."""
+        with np.errstate(invalid="ignore"):
+            reached = [self._circle_of(ends) for ends in (self.minimum, self.maximum)]
+            longest = np.maximum(*(np.linalg.norm(centre, axis=-1) + radius for centre, radius in reached))
+        return np.where(np.isnan(longest), np.inf, longest)
+
+    def _circle_of(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the centres (6, 3) from the pivots, and the radii (6,) of the balls' circles at readings (6,) [m]."""
+        centres, radii = self.geometry.legs.circles(readings)
+        return centres - self.geometry.legs.pivots, radii
 
     @cached_property
     def _turns(self) -> FloatArray:
@@ -103,33 +116,43 @@ class StateSet:
 
     @cached_property
     def legs(self) -> FloatArray:
-        """Axis, pivot, ball and offset of the legs of both stages, (2, 3, 10); axes are tangents of the platforms."""
-        check_rps(self.geometry, "searches of the workspace")
+        """What `kernels.stage_states` knows of the legs of both stages, (2, 3, 20); axes are tangents of platforms."""
         legs = self.geometry.legs
         axes = np.tile(TANGENT_SIGNS, 2)[:, None] * legs.axes
         balls = legs.balls * np.repeat(self._turns, 3, axis=0)
-        return np.concatenate([axes, legs.pivots, balls, legs.offsets[:, None]], axis=-1).reshape(2, 3, 10)
+        numbers = np.zeros((6, 5))
+        for stage, kind in enumerate(legs.kinds):
+            rows, own = slice(3 * stage, 3 * stage + 3), kind.numbers
+            numbers[rows, : own.shape[1]], numbers[rows, 4] = own, kind.number
+        numbers[:, 3] = legs.offsets
+        return np.concatenate([axes, legs.pivots, balls, *legs.planes, numbers], axis=-1).reshape(2, 3, 20)
 
     def machine(self, body: FloatArray = CENTRE, margin: float = 0.0) -> tuple[object, ...]:
         """Return the constants of the searches of `state_search`, for points `body` (K, 3) of {m} [m].
 
-        Determinants are to be larger than `margin`, where the aspect matters.
+        Determinants are to be larger than `margin`, where the aspect matters, and rooms of legs than `margin` times
+        the size. RPS legs have an end of their reach where they have no length: their limits say enough.
         """
-        aspects = np.array(self.aspects)
-        least = np.where(aspects == ANY_ASPECT, -np.inf, margin * self.size)
-        limits = np.array([[*self.minimum, *least], [*self.maximum, np.inf, np.inf]])
+        legs, aspects = self.geometry.legs, np.array(self.aspects)
+        least = np.where(aspects == ANY_ASPECT, -np.inf, margin)
+        rooms = np.full(0 if legs.are_rps else 6, margin * self.size)
+        limits = [
+            [*self.minimum, *least, *rooms],
+            [*self.maximum, np.inf, np.inf, *np.full(len(rooms), np.inf)],
+            [*legs.largest_slopes, self.size, self.size, *np.ones(len(rooms))],
+        ]
         points = np.require(body, requirements=("C", "W"))
-        return self.legs, self.radius, self.size, aspects, points, self.between, limits
+        return self.legs, self.radius, self.size, aspects, points, self.between, np.array(limits)
 
     def stages(self, stage: int, coordinates: FloatArray) -> Stages:
         """Return the lower (0) or upper (1) stage at coordinates (N, 3), seen from {B} or {m}."""
-        from spm_pin.kinematics.kernels.stage_states import INSIDE, stage_states
+        from spm_pin.kinematics.kernels.stage_states import INSIDE, SLOPE_NUMBERS, STAGE_NUMBERS, stage_states
 
         constants = self.legs[stage], self.radius, float(_UPWARD[stage]), self.aspects[stage]
-        results = ((16,), np.float64), ((10, 3), np.float64), ((), np.int64)
+        results = ((STAGE_NUMBERS,), np.float64), ((SLOPE_NUMBERS, 3), np.float64), ((), np.int64)
         inputs = [np.require(coordinates, requirements=("C", "W"))]
         values, slopes, places = run_kernel(stage_states, inputs, constants, results, _MIN_BATCH)
-        rotation, centre, readings, determinant = np.split(values, [9, 12, 15], axis=1)
+        rotation, centre, readings, determinant, _ = np.split(values, [9, 12, 15, 16], axis=1)
         derivatives = slopes[:, :3], slopes[:, 3:6]
         return Stages(rotation.reshape(-1, 3, 3), centre, readings, determinant[:, 0], places == INSIDE, *derivatives)
 
@@ -139,7 +162,7 @@ class StateSet:
         return lower, upper, lower.rotation * self.between @ upper.rotation.mT
 
     def readings(self, coordinates: FloatArray) -> FloatArray:
-        """Return the readings (N, 6) [m] at coordinates (N, 2, 3)."""
+        """Return the readings (N, 6) at coordinates (N, 2, 3)."""
         return np.concatenate([self.stages(k, coordinates[:, k]).readings for k in range(2)], axis=-1)
 
     def coordinates(self, states: Configuration) -> FloatArray:
@@ -151,7 +174,8 @@ class StateSet:
         lower, upper, rotation = self._both(coordinates)
         translation = lower.centre - (rotation @ upper.centre[..., None])[..., 0]
         balls = self.legs[0, :, 6:9] @ lower.rotation.mT + lower.centre[:, None]
-        lengths = None if readings is None else readings - self.geometry.legs.offsets
+        legs = self.geometry.legs
+        lengths = None if readings is None or not legs.are_rps else readings - legs.offsets
         return Configuration.from_arrays(self.geometry, rotation, translation, balls, lengths)
 
     def positions(self, coordinates: FloatArray, body: FloatArray = CENTRE) -> FloatArray:
@@ -204,8 +228,8 @@ class StateSet:
         """The centres (n, 3) of equal boxes that cover the states of each stage, and their half sides (3,)."""
         covers, corners = [], 2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0
         for stage, legs in enumerate(self.legs):
-            # Z is the mean height of the balls, none of which is higher than its leg is long; pivots are nearly level.
-            top = (self.maximum[3 * stage : 3 * stage + 3] - legs[:, 9]).max() + np.abs(legs[:, 5]).max()
+            # Z is the mean height of the balls, none of which is higher than its leg reaches; pivots are nearly level.
+            top = self._longest[3 * stage : 3 * stage + 3].max() + np.abs(legs[:, 5]).max()
             top = (top + np.abs(legs[:, 8]).max()) / self.radius
             half, centres = np.array([1.0, 1.0, 0.5 * top]), np.array([[0.0, 0.0, 0.5 * _UPWARD[stage] * top]])
             for _ in range(_HALVINGS):
@@ -218,7 +242,7 @@ class StateSet:
 
     def _near(self, stage: int, centres: FloatArray, half: FloatArray) -> FloatArray:
         """Return the centres of those boxes (n, 3) in which readings within the limits cannot be excluded."""
-        r, legs = self.radius, slice(3 * stage, 3 * stage + 3)
+        r = self.radius
         across = np.abs(centres[:, :2])
         nearest, farthest = ((np.maximum(across + way * half[:2], 0.0) ** 2).sum(axis=-1) for way in (-1.0, 1.0))
         # Beyond the unit circle there are no states; readings are taken at a point inside.
@@ -232,9 +256,25 @@ class StateSet:
         chord = np.sqrt(shift**2 + np.maximum(ends[0] - x0, x0 - ends[1]) ** 2)
         # Quaternions q and q' turn a point at the distance r to places at most 2r |q - q'| apart.
         bound = 2.0 * r * np.minimum(chord, 1.0) + r * shift * (2.0 * inner + shift) + r * half[2]
-        readings = self.stages(stage, point).readings
-        outside = np.maximum(self.minimum[legs] - readings, readings - self.maximum[legs]).max(axis=-1)
+        outside = self._outside(stage, self.stages(stage, point))
         return np.asarray(centres[(nearest < 1.0) & ~(outside > _RESERVE * bound + 1e-12)])
+
+    def _outside(self, stage: int, stages: Stages) -> FloatArray:
+        """Return how far the farthest ball of stages (N,) at least is from where its leg is within limits, (N,) [m].
+
+        In a leg's plane that region ends at the circles of both limits, and where the leg is singular.
+        """
+        legs, own = slice(3 * stage, 3 * stage + 3), self.geometry.legs
+        arms = self.legs[stage, :, 6:9] @ stages.rotation.mT + stages.centre[:, None] - own.pivots[legs]
+        places = np.stack([(arms * axes[legs]).sum(axis=-1) for axes in own.planes], axis=-1)
+        distances = [np.abs(own.kinds[stage].rooms(places))]
+        for ends in (self.minimum, self.maximum):
+            centres, radii = (values[legs] for values in self._circle_of(ends))
+            distances.append(np.abs(np.linalg.norm(arms - centres, axis=-1) - radii))
+        with np.errstate(invalid="ignore"):
+            within = (stages.readings >= self.minimum[legs]) & (stages.readings <= self.maximum[legs])
+        within &= own.kinds[stage].rooms(places) > 0.0
+        return np.asarray(np.where(within, 0.0, np.minimum.reduce(distances)).max(axis=-1))
 
     def draw_stages(self, stage: int, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
         """Draw `count` states of a stage uniformly: coordinates (count, 3), and an estimate of the set's volume.
@@ -316,9 +356,9 @@ def finite_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:
     limits = given_limits(geometry, limits)
     if limits is None:
         raise ArgumentError("limits", "LegLimits(minimum, maximum) in metres", None, "The geometry has none of its own")
-    for leg, maximum in zip(LEGS, limits.maximum, strict=True):
-        if not np.isfinite(maximum):
-            expected = "a finite maximum for every leg"
+    for leg, ends in zip(LEGS, zip(limits.minimum, limits.maximum, strict=True), strict=True):
+        if not np.isfinite(ends).all():
+            expected = "a finite minimum and maximum for every leg"
             raise ArgumentError("limits", expected, f"infinity for {leg}", "The set has no end then")
     return limits
 
@@ -331,10 +371,10 @@ def states_within(geometry: Geometry, limits: LegLimits | None = None) -> StateS
 @lru_cache(maxsize=8)
 def _checked(geometry: Geometry, limits: LegLimits) -> StateSet:
     # A leg of no length has no direction.
-    maximum = np.array(limits.maximum)
-    states = StateSet(geometry, np.maximum(limits.minimum, 1e-6 * maximum), maximum)
+    maximum, least = np.array(limits.maximum), np.array(geometry.legs.free_limits.minimum)
+    states = StateSet(geometry, np.maximum(limits.minimum, least + 1e-6 * np.abs(maximum)), maximum)
     if not all(len(states.draw_stages(stage, 1, np.random.default_rng(_SEED))[0]) for stage in range(2)):
-        received = f"limits from {min(limits.minimum):g} to {max(limits.maximum):g} m, which reach no pose"
+        received = f"{limits!r}, which reach no pose"
         cause = "Too short to join the platforms, too different from each other, or in another unit?"
         raise ArgumentError("limits", "leg limits within which the machine can be assembled", received, cause)
     return states
@@ -401,11 +441,10 @@ def sample_reachable(
     """
     count = whole_number(count, "count")
     choice(space, "space", ("legs", "poses"))
-    states, rng = states_within(geometry, limits), generator(rng)
+    states, rng, report = states_within(geometry, limits), generator(rng), shown_progress(progress)
     parts, largest, kept = [np.empty((0, 2, 3))], 0.0, 0
     for _ in range(_MOST_CHUNKS):
-        if progress is not None:
-            progress("reachable states", min(kept, count), count)
+        report("reachable states", min(kept, count), count)
         if kept >= count:
             break
         number = min(max(4 * count, 64), _CHUNK)

@@ -57,7 +57,7 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
     assert content["rms"]["position"]["before"] < 0.03
 
 
-@pytest.mark.parametrize("command", [["workspace"]], ids=lambda command: command[0])
+@pytest.mark.parametrize("command", [["workspace", "--paper"]], ids=lambda command: command[0])
 def test_what_is_of_the_drawing_alone_refuses_a_machine_as_built(command: list[str], tmp_path: Path) -> None:
     file = tmp_path / "machine.yaml"
     MACHINE.to_yaml(file)

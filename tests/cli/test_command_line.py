@@ -217,7 +217,7 @@ def test_a_level_pose_is_explained_with_a_way_on() -> None:
         ["forward", *LEGS, "--unit", "cm", "--all"],
         ["statics", *EXAMPLE, "--unit", "mm", *LOAD],
         ["singularities", *EXAMPLE, "--unit", "cm"],
-        ["workspace", "--resolution", "2", "--unit", "mm"],
+        ["workspace", "--paper", "--resolution", "2", "--unit", "mm"],
         ["reproduce", "--table", "4", "--table", "5"],
     ],
     ids=lambda arguments: arguments[0],
@@ -322,7 +322,7 @@ def test_outputs_are_checked_before_the_work(
         ["export", "srdf", "--out", "{}/robot.srdf"],
         ["export", "c", "--out", "{}"],
         ["draw", "--width", "120", "--out", "{}/robot.png"],
-        ["workspace", "--resolution", "2", "--out", "{}/shell.stl"],
+        ["workspace", "--paper", "--resolution", "2", "--out", "{}/shell.stl"],
         ["sweep", "--legs", "1.2:1.3:2", "--metric", "reachable", "--workers", "1", "--out", "{}/map.zarr"],
     ],
     ids=lambda arguments: " ".join(arguments[:2]),
@@ -466,7 +466,7 @@ def test_a_reader_that_has_seen_enough_is_told_nothing(form: list[str]) -> None:
         ("crosscheck --poses 2 --method closed-form --method nlp --figure", "report.png"),
         ("certify --min 1.25 --max 1.35 --boxes 100 --out", "boxes.png"),
         ("move --from 1.2 1.2 1.4 1.25 1.2 1.5 --to 1.25 1.2 1.4 1.2 1.2 1.5 --leg-force 1500 --out", "motion.csv"),
-        ("workspace --resolution 2 --out", "shell.stl"),
+        ("workspace --paper --resolution 2 --out", "shell.stl"),
     ],
 )
 def test_files_are_written_even_if_the_reader_of_stdout_has_gone(

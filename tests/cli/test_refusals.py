@@ -127,15 +127,15 @@ REFUSED = [
     ("view --no-open --translation 0 0 2 --xyx 0 0 0", "Both planes of legs 1, 2, 3 coincide."),
     ("view --no-open --translation 0 0 2 --xyx 0 0 0", "(spm-pin forward, or --legs of draw and view)"),
     # workspace
-    ("workspace --resolution 1", "--resolution: expected a whole number of increments, at least 2, got 1"),
+    ("workspace --paper --resolution 1", "--resolution: expected a whole number of increments, at least 2, got 1"),
     ("workspace --limits 1.5 1.1", "exchanged"),
     ("workspace --limits 0.05 0.1", "Too short to join"),
     ("workspace --limits 110 150", "--limits was read in m: 150 m, on a machine of 2.64 m"),
     ("workspace --out fig.jpg", "--out: expected a file name ending in .png, .svg, .pdf, .stl"),
     ("workspace --out map.zarr", "Maps over many poses are for spm-pin sweep"),
     ("workspace --samples 0", "--samples"),
-    ("workspace --sections", "--sections: expected a picture"),
-    ("workspace --sections --out shell.stl", "ending in .png, .svg, .pdf, got shell.stl"),
+    ("workspace --paper --sections", "--sections: expected --paper and a picture"),
+    ("workspace --paper --sections --out shell.stl", "ending in .png, .svg, .pdf, got shell.stl"),
 ]
 
 

@@ -21,11 +21,11 @@ import spm_pin as spm
 from spm_pin.sweeps import METRICS, leg_sample, pose_grid
 from spm_pin.workspace.paper_shell import workspace_shell
 
-FEW = ["workspace", "--resolution", "6"]
+FEW = ["workspace", "--paper", "--resolution", "6"]
 
 
 def test_workspace_prints_the_patches_the_volume_and_its_convergence() -> None:
-    done = run("workspace", "--limits", "110", "150", "--unit", "cm", "--resolution", "20")
+    done = run("workspace", "--paper", "--limits", "110", "150", "--unit", "cm", "--resolution", "20")
     assert done.returncode == 0, done.stderr
     out = done.stdout
     rows = {line.split()[0]: line.split()[1:] for line in out.splitlines() if line.strip().startswith("S")}
@@ -55,6 +55,22 @@ def test_json_in_every_unit(unit: str, factor: float) -> None:
     assert content["area"] == pytest.approx(shell.area * factor**2, rel=1e-9)
     assert [step["resolution"] for step in content["convergence"]] == [2, 3, 6]
     assert content["patches"][1]["settings"]["r_b3"] == "min~max"
+
+
+def test_workspace_finds_what_this_machine_reaches(tmp_path: Path) -> None:
+    machine, path = spm.Geometry.paper().perturbed(1, length=5e-3, angle=5e-3), tmp_path / "built.yaml"
+    machine.to_yaml(path)
+    options = ["--geometry", str(path), "--unit", "cm", "--spacing", "40"]
+    done = run("workspace", *options, "--out", str(tmp_path / "reached.stl"), "--json")
+    assert done.returncode == 0, done.stderr
+    content = json.loads(done.stdout)
+    boundary = spm.workspace.reachable_boundary(machine, spacing=0.2)
+    mesh = trimesh.load_mesh(tmp_path / "reached.stl")
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(boundary.volume, rel=1e-5)
+    assert content["volume"] == pytest.approx(1e6 * boundary.volume, abs=1.1e6 * content["volume_error"] / 1e6 + 1.0)
+    assert content["limits"]["maximum"] == pytest.approx([150.0] * 6)
+    assert "misprints" not in done.stdout
 
 
 def test_the_ending_of_the_file_selects_the_mesh_format(tmp_path: Path) -> None:

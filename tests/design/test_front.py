@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,11 @@ from cli.running import run
 from distributed import LocalCluster
 
 import spm_pin as spm
-from spm_pin.design import DesignProblem, Front, evaluate_designs, pareto_front
+from spm_pin.design import DesignProblem, Front, Task, evaluate_designs, pareto_front
 from spm_pin.display.figures import front_figure
+from spm_pin.mechanism import PRS, RRS, Stage
+from spm_pin.multibody import PlatformPath
+from spm_pin.sweeps import METRICS
 
 pytest.importorskip("pymoo")
 
@@ -230,3 +234,72 @@ def test_a_file_beside_the_store_is_left_alone(tmp_path: Path) -> None:
 def test_ranges_without_choice_or_out_of_bounds_are_refused(ends: tuple[float, float]) -> None:
     with pytest.raises(spm.ArgumentError, match="low < high"):
         DesignProblem(spm.Geometry.paper(), {"stroke": ends}, {"volume": "max"})
+
+
+def test_a_task_has_the_margin_and_the_efforts_of_its_states() -> None:
+    machine = spm.Geometry.paper()
+    state = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+    here = state.pose.as_matrix()
+    there = here.copy()
+    there[2, 3] += 0.03
+    load = [10.0, -20.0, -300.0, 1.0, 2.0, 3.0]
+    one = Task([here], load)
+    assert one.margin(machine) == pytest.approx(0.05, abs=1e-12)
+    assert one.effort(machine) == pytest.approx(np.abs(spm.leg_forces(state, load)).max(), rel=1e-9)
+    path = PlatformPath([0.0, 2.0], [here, there])
+    task, poses = Task(path, load, samples=7), path(np.linspace(0.0, 2.0, 7)).pose
+    states = spm.inverse_physical(machine, poses, near=state)
+    assert machine.limits is not None
+    assert task.margin(machine) == pytest.approx(machine.limits.margin(states.readings).min())
+    assert task.effort(machine) == pytest.approx(np.abs(spm.leg_forces(states, load)).max())
+    there[0, 3] += 50.0  # where no branch is real
+    out_of_reach = Task([here, there])
+    assert np.isnan([out_of_reach.margin(machine), out_of_reach.effort(machine)]).all()
+    assert len({x.identity for x in (one, task, out_of_reach, Task([here]))}) == 4
+    with pytest.raises(spm.ArgumentError, match="one or more poses"):
+        Task(here)
+    with pytest.raises(spm.ArgumentError, match="wrench"):
+        Task([here], np.zeros((2, 6)))
+
+
+def test_aims_may_be_functions_and_metrics_of_ones_own_and_cranks_are_variables(tmp_path: Path) -> None:
+    servos = Stage(base_radius=0.30, platform_radius=0.25, legs=RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
+    screws = Stage(base_radius=0.20, platform_radius=0.25, legs=PRS(rod=0.30), limits=(-0.05, 0.25))
+    machine = spm.Geometry.of_stages(servos, screws)
+    here = spm.forward_physical(machine, [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]).pose.as_matrix()
+    task, payload = Task([here], [0.0, 0.0, -50.0, 0.0, 0.0, 0.0]), METRICS["payload"](push=20.0)
+    problem = DesignProblem(
+        machine,
+        free={"lower_crank": (0.1, 0.2), "upper_rod": (0.25, 0.35), "upper_minimum": (-0.1, 0.0)},
+        aims={"effort": "min", "payload_low": "max"},
+        at_least={"margin": -0.1},
+        at_most={"arms": 0.49},
+        functions={"effort": task.effort, "margin": task.margin, "arms": arms},
+        metrics=[payload],
+    )
+    np.testing.assert_allclose(problem.values(machine), [0.15, 0.30, -0.05])
+    changed = problem.machine(np.array([0.12, 0.33, -0.02]))
+    assert changed.legs.kinds == (RRS(crank=0.12, rod=0.35), PRS(rod=0.33))
+    assert changed.limits == spm.LegLimits.stages((-0.5, 1.5), (-0.02, -0.02 + 0.3))
+    np.testing.assert_allclose(problem.values(changed), [0.12, 0.33, -0.02])
+    assert [problem.unit(name) for name in ("lower_crank", "upper_minimum", "lower_stroke")] == ["m", "m", "rad"]
+    search: dict[str, Any] = {"population": 6, "generations": 2, "states": 32}
+    front = pareto_front(problem, tmp_path / "front.json", **search)
+    columns = front.evaluated.columns
+    for name, function in problem.functions.items():
+        np.testing.assert_array_equal(columns[name], [function(each) for each in front.evaluated.geometries])
+    assert (front.designs.columns["arms"] <= 0.49).all()
+    again = evaluate_designs(front.evaluated.geometries, METRICS["payload"], states=32)
+    np.testing.assert_allclose(columns["payload_low"], 20.0 * again.columns["payload_low"], rtol=1e-12)
+    other = dataclasses.replace(problem, functions={**problem.functions, "effort": Task([here]).effort})
+    with pytest.raises(spm.ArgumentError, match="functions"):
+        pareto_front(other, tmp_path / "front.json", **search)
+    for free in ({"crank": (0.1, 0.2)}, {"lower_crank": (-0.1, 0.2)}, {"rod": (0.3, 0.4), "upper_rod": (0.3, 0.4)}):
+        with pytest.raises(spm.ArgumentError, match="free"):
+            dataclasses.replace(problem, free=free)
+
+
+def arms(machine: spm.Geometry) -> float:
+    kind = machine.legs.kinds[0]
+    assert isinstance(kind, RRS)
+    return float(np.sum([kind.crank, kind.rod]))

@@ -213,12 +213,10 @@ def test_wrong_legs_are_refused_with_the_cause(name: str) -> None:
 
 REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
     "certify_inverse": lambda g: spm.proofs.certify_inverse(g, spm.LegLimits(1.2, 1.3)),
-    "plan": lambda g: spm.plan(g, np.full(6, 1.3), np.full(6, 1.4)),
     "weights in CasADi": lambda g: spm.symbolic.gravity(g),
     "the paper's method": lambda g: spm.crosscheck.compare_methods(g, poses=2, methods=["paper"]),
     "the paper's Jacobian": lambda g: spm.paper.jacobian.J_f(states(g)[0]),
     "weights in C": lambda g: spm.symbolic.bodies(g),
-    "workspace": lambda g: spm.workspace.reachable_position(g, [0.1, 0.0, 2.0], spm.LegLimits(0.0, 2.0)),
 }
 
 

@@ -13,7 +13,7 @@ from scipy.stats import kstest, qmc
 
 import spm_pin as spm
 from spm_pin.sweeps import leg_grid, leg_sample, pose_grid, pose_sample
-from spm_pin.sweeps.domains import Domain
+from spm_pin.sweeps.domains import Domain, SweepPlan
 
 lengths = st.lists(st.integers(2, 5), min_size=1, max_size=6)
 
@@ -69,7 +69,8 @@ def test_axes_and_names() -> None:
     assert (grid.dims, grid.shape) == (("x", "z", "beta"), (3, 2, 7))
     assert leg_grid((1.1, 1.5, 4), 1.2).dims == ("r_b1", "r_b2", "r_b3")
     assert leg_grid(1.2, [1.1, (1.1, 1.5, 4), 1.3]).dims == ("r_c2",)
-    assert [axis.unit for axis in grid.axes] == ["m"] * 3 + ["rad"] * 3
+    plan = SweepPlan.make(spm.Geometry.paper(), grid, ["branches"], 10)
+    assert [plan.unit(axis) for axis in grid.axes] == ["m"] * 3 + ["rad"] * 3
 
 
 def test_a_sample_fills_its_box_evenly() -> None:
@@ -117,7 +118,12 @@ XYX = [0.1, 0.2, 0.3]
         (lambda: pose_grid(0, 0, 2, xyx=XYX), "at least one coordinate"),
         (lambda: pose_grid((0, 1, 5), 0, 2, xyx=[0.1, 0.2]), "xyx: expected three values or ranges"),
         (lambda: pose_grid((0, 1, 5), 0, 2, xyx=[0.1, (-30, 30, 5), 0.2]), "Degrees"),
-        (lambda: leg_grid((0, 1, 5), 1), "r_b1: expected positive"),
+        (
+            lambda: SweepPlan.make(spm.Geometry.paper(), leg_grid((0, 1, 5), 1), ["branches"], 5),
+            "r_b1: expected positive",
+        ),
+        (lambda: pose_grid((0, 1, 5), 0, 2, 0.1, 0.2, 0.3), "xyx: expected the three angles as xyx"),
+        (lambda: leg_grid((1, 2, 5), 1, 1, 1, 1, 1), "lower, upper: expected ranges of the lower"),
         (lambda: leg_grid([1, 2], 1), "lower: expected three"),
         (lambda: leg_sample(0, (1, 2), 1), "count"),
         (lambda: leg_sample(10, (1, 2), 1, seed=-1), "seed"),

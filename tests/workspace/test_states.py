@@ -81,7 +81,7 @@ def test_derivatives_of_readings_and_determinants_are_those_by_differences() -> 
             coordinates = within.sample[:100, stage] + rng.normal(0.0, 0.1, (100, 3))
 
             def run(c: np.ndarray, within=within, stage=stage, upward=upward) -> tuple[np.ndarray, np.ndarray]:
-                values, slopes, places = np.empty((100, 16)), np.empty((100, 10, 3)), np.empty(100, dtype=np.int64)
+                values, slopes, places = np.empty((100, 19)), np.empty((100, 13, 3)), np.empty(100, dtype=np.int64)
                 stage_states(c, within.legs[stage], within.radius, upward, 2.0, values, slopes, places)
                 return values, slopes
 

@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from spm_pin.formulas.planar_legs import LegState, leg_rates, prs_state, rps_state, rrs_state
 from spm_pin.formulas.stages import (
     ANY_ASPECT,
     EPS,
@@ -34,6 +35,7 @@ from spm_pin.formulas.vectors import (
     differences,
     dots,
     largest,
+    least,
     multiples,
     shifted,
     transposed,
@@ -42,19 +44,24 @@ from spm_pin.formulas.vectors import (
 )
 from spm_pin.formulas.vectors import rotation_of as rotation_of_quaternion
 from spm_pin.formulas.wrenches import pairs
-from spm_pin.kinematics.kernels.compilation import jit, kernel
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel
 from spm_pin.mechanism.arguments import FloatArray
 
-AXIS, PIVOT, BALL, OFFSET = 0, 3, 6, 9
-"""Places of a leg's numbers in a row of `legs`."""
-ROTATION, CENTRE, READINGS, DETERMINANT, STAGE_NUMBERS = 0, 9, 12, 15, 16
-"""Places of a stage's rotation, centre [m], readings [m] and determinant in `values`, and their number."""
-SPIN, VELOCITY, RATES, SLOPE_NUMBERS = 0, 3, 6, 10
-"""Places in `slopes` of the derivatives: the rotation's, as a rotation vector, the centre's, the readings' and the
-determinant's; and their number."""
+AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND = 0, 3, 6, 9, 12, 15, 18, 19
+"""Places of a leg's numbers in a row of `legs`: see `mechanism.Legs`, and `LegKind.number`."""
+_PRS, _RRS = 1, 2
+ROTATION, CENTRE, READINGS, DETERMINANT, ROOMS, STAGE_NUMBERS = 0, 9, 12, 15, 16, 19
+"""Places of a stage's rotation, centre [m], readings, determinant, and rooms of the legs [m] in `values`, see
+`planar_legs.Reach`; and their number."""
+SPIN, VELOCITY, RATES, SLOPE_NUMBERS = 0, 3, 6, 13
+"""Places in `slopes` of the derivatives: the rotation's, as a rotation vector, the centre's, and those of the readings,
+the determinant and the rooms, in this order; and their number."""
 NO_STATE, OTHER_ASPECT, BEYOND, INSIDE = 0, 1, 2, 3
-"""Where a stage is: nowhere, in another aspect, slightly beyond a forward singularity, or in the wanted aspect."""
-_BEYOND = -0.05  # determinant down to which a search may step beyond a forward singularity; it is about 1 at home
+"""Where a stage is: nowhere, in another aspect, slightly beyond a singularity, forward or of a leg, or in the wanted
+aspect and within reach of its legs."""
+_BEYOND = -0.05
+"""Down to which a search may step beyond a singularity: of the determinant, about 1 at home, and of a leg's room over
+r."""
 _STEPS = 12  # Newton steps for x3 and the centre at most
 
 
@@ -82,6 +89,16 @@ def put(numbers: Vector, array: FloatArray, first: int) -> None:
     array[first], array[first + 1], array[first + 2] = numbers
 
 
+@jit_inline
+def _leg_state(leg: FloatArray, x: float, z: float) -> LegState:
+    """Return the state of a leg by its kind."""
+    if leg[KIND] == _PRS:
+        return prs_state(x, z, vector(leg, NUMBERS))
+    if leg[KIND] == _RRS:
+        return rrs_state(x, z, vector(leg, NUMBERS))
+    return rps_state(x, z, vector(leg, NUMBERS))
+
+
 @jit
 def evaluate_stage(
     coordinates: FloatArray,
@@ -92,9 +109,9 @@ def evaluate_stage(
     values: FloatArray,
     slopes: FloatArray,
 ) -> int:
-    """Write the `values` (16,) of a stage and their derivatives `slopes` (10, 3); return where the stage is.
+    """Write the `values` (19,) of a stage and their derivatives `slopes` (13, 3); return where the stage is.
 
-    `legs` (3, 10) are in the frame of the stage's end, `upward` is the sign of Z at home.
+    `legs` (3, 20) are in the frame of the stage's end, `upward` is the sign of Z at home.
     """
     x, y, z = coordinates[0], coordinates[1], radius * coordinates[2]
     axes, pivots, corners = vectors(legs, AXIS), vectors(legs, PIVOT), vectors(legs, BALL)
@@ -123,12 +140,14 @@ def evaluate_stage(
         centre = centre[0] - change[1], centre[1] - change[2], z
     if not gap <= 1e-9 * (radius + abs(z)):
         return NO_STATE
-    squares = dots(along, along)
-    lengths = math.sqrt(squares[0]), math.sqrt(squares[1]), math.sqrt(squares[2])
-    over_lengths = upward / lengths[0], upward / lengths[1], upward / lengths[2]
-    u = multiples(over_lengths, along)
-    normals = crosses(axes, u)
-    c = pairs(balls, normals)
+    outward, forward = vectors(legs, OUTWARD), vectors(legs, FORWARD)
+    p, q = dots(outward, along), dots(forward, along)
+    states = _leg_state(legs[0], p[0], q[0]), _leg_state(legs[1], p[1], q[1]), _leg_state(legs[2], p[2], q[2])
+    (p1, q1), (p2, q2), (p3, q3) = states[0].direction, states[1].direction, states[2].direction
+    # Directions from the circles' centres to the balls, and those in which the balls move with locked actuators.
+    u = combinations(multiples((p1, p2, p3), outward), (q1, q2, q3), forward)
+    normals = combinations(multiples((q1, q2, q3), outward), (-p1, -p2, -p3), forward)
+    c, along_u = pairs(balls, normals), pairs(balls, u)
     # At home all six c_ij are 3/2 r times the sine of the legs' slope.
     unit = 1.0 / (6.75 * radius * radius * radius)
     if aspect == 1.0 or aspect == -1.0:
@@ -136,7 +155,8 @@ def evaluate_stage(
     put(centre, values, CENTRE)
     for i in range(3):
         put(turn[i], values, ROTATION + 3 * i)
-        values[READINGS + i] = lengths[i] + legs[i, OFFSET]
+        values[READINGS + i] = states[i].reading + legs[i, OFFSET]
+        values[ROOMS + i] = states[i].reach.room
     values[DETERMINANT] = unit * pair_determinant(c)
 
     for k in range(3):
@@ -152,28 +172,40 @@ def evaluate_stage(
         turning = combined(direct, -change[0], spin)
         velocity = -change[1], -change[2], height
         moved = shifted(crosses((turning, turning, turning), arms), velocity)
-        rates = dots(u, moved)
-        across = combinations(moved, (-rates[0], -rates[1], -rates[2]), u)
-        tilted = crosses(axes, multiples(over_lengths, across))
-        slope = pair_determinant_slope(c, pairs(moved, normals)) + pair_determinant_slope(c, pairs(balls, tilted))
+        p, q = dots(outward, moved), dots(forward, moved)
+        rates = leg_rates(states[0], p[0], q[0]), leg_rates(states[1], p[1], q[1]), leg_rates(states[2], p[2], q[2])
+        turns = rates[0].turn, rates[1].turn, rates[2].turn
+        c12, c23, c31, c21, c32, c13 = pairs(moved, normals)
+        # A turn of u_i turns the normal by as much towards -u_i.
+        pair_slopes = (
+            c12 - turns[0] * along_u[0],
+            c23 - turns[1] * along_u[1],
+            c31 - turns[2] * along_u[2],
+            c21 - turns[1] * along_u[3],
+            c32 - turns[2] * along_u[4],
+            c13 - turns[0] * along_u[5],
+        )
         for i in range(3):
             slopes[SPIN + i, k], slopes[VELOCITY + i, k] = turning[i], velocity[i]
-            slopes[RATES + i, k] = upward * rates[i]
-        slopes[RATES + 3, k] = unit * slope
+            slopes[RATES + i, k], slopes[RATES + 4 + i, k] = rates[i].reading, rates[i].room
+        slopes[RATES + 3, k] = unit * pair_determinant_slope(c, pair_slopes)
 
+    room = least(vector(values, ROOMS)) / radius
+    if not room > _BEYOND:
+        return OTHER_ASPECT
     if aspect == ANY_ASPECT:
-        return INSIDE
+        return INSIDE if room > 0.0 else BEYOND
     # In the home's aspect at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
     if aspect == HOME_ASPECT and (negative_pairs(c) > 1.0 or not upward * z > 0.0):
         return OTHER_ASPECT
-    if values[DETERMINANT] > 0.0:
+    if values[DETERMINANT] > 0.0 and room > 0.0:
         return INSIDE
     return BEYOND if values[DETERMINANT] > _BEYOND else OTHER_ASPECT
 
 
 @kernel("void(f8[:, ::1], f8[:, ::1], f8, f8, f8, f8[:, ::1], f8[:, :, ::1], i8[::1])")
 def stage_states(coordinates, legs, radius, upward, aspect, values, slopes, places):
-    """Write the values (N, 16) of a stage, their derivatives (N, 10, 3), and where it is (N,), see `evaluate_stage`."""
+    """Write the values (N, 19) of a stage, their derivatives (N, 13, 3), and where it is (N,), see `evaluate_stage`."""
     for n in range(len(coordinates)):
         places[n] = evaluate_stage(coordinates[n], legs, radius, upward, aspect, values[n], slopes[n])
         if places[n] == NO_STATE:

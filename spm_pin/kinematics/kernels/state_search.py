@@ -1,7 +1,7 @@
 """Searches over the coordinates of both stages: damped least squares for one point of the platform or several.
 
-Residuals are the errors of the points, over the root of their number, and the violations of the limits of readings and
-determinants. See `docs/theory/reachable_set.md`.
+Residuals are the errors of the points, over the root of their number, and the violations of the limits of readings,
+determinants and, where legs have an end of their reach, of their rooms. See `docs/theory/reachable_set.md`.
 """
 
 from __future__ import annotations
@@ -60,20 +60,35 @@ _MULTIPLIER_TOLERANCE, _STALLED = 1e-13, 1e-9
 """Change of the shifts, over the size, at which the multipliers have converged; and at which they may do so slowly."""
 
 Machine = tuple[FloatArray, float, float, FloatArray, FloatArray, FloatArray, FloatArray]
-"""Legs (2, 3, 10) of both stages, r [m], the machine's size [m], the aspects wanted (2,), points of the body (K, 3)
-in {m} [m], the diagonal of the half turn between stages of different modes (3,), and limits (2, 8): of six readings [m]
-and of both determinants times the size."""
+"""Legs (2, 3, 20) of both stages, r [m], the machine's size [m], the aspects wanted (2,), points of the body (K, 3)
+in {m} [m], the diagonal of the half turn between stages of different modes (3,), and limits (3, L), L = 8 or 14: least
+and largest values of six readings, of both determinants and perhaps of six rooms, and the metres that a unit is."""
 _MACHINE = "Tuple((f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1]))"
 State = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Values (2, 16) and slopes (2, 10, 3) of both stages, residual (3K + 8,) and its Jacobian (3K + 8, 6)."""
+"""Values (2, 19) and slopes (2, 13, 3) of both stages, residual (3K + L,) and its Jacobian (3K + L, 6)."""
 Search = tuple[Machine, State, State, FloatArray, FloatArray]
 """The machine, the state at the coordinates, one on trial, and memory for a matrix (6, 6) and its factor."""
 
 
 @jit
-def _new_state(rows: int) -> State:
-    values, slopes = np.empty((2, STAGE_NUMBERS)), np.empty((2, SLOPE_NUMBERS, 3))
-    return values, slopes, np.empty(rows + 8), np.empty((rows + 8, 6))
+def _new_state(machine: Machine) -> State:
+    values, slopes, rows = np.empty((2, STAGE_NUMBERS)), np.empty((2, SLOPE_NUMBERS, 3)), _points_rows(machine)
+    rows += machine[6].shape[1]
+    return values, slopes, np.empty(rows), np.empty((rows, 6))
+
+
+@jit
+def _points_rows(machine: Machine) -> int:
+    """Return how many rows of a residual are errors of points."""
+    return 3 * len(machine[4])
+
+
+@jit
+def _limited(row: int) -> tuple[int, int]:
+    """Return the stage of a row of the limits, and the place of what is limited from `READINGS` and from `RATES` on."""
+    if row < 6:
+        return row // 3, row % 3
+    return (row - 6, 3) if row < 8 else ((row - 8) // 3, 4 + (row - 8) % 3)
 
 
 @jit
@@ -106,23 +121,28 @@ def _put_points(
                 jacobian[3 * n + i, k], jacobian[3 * n + i, 3 + k] = scale * moved[i], -scale * seen[i]
 
 
-@kernel(f"void(f8[:, ::1], {_MACHINE}, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])")
-def state_terms(coordinates, machine, points, moved, readings, rates, determinants, slopes, places):
+@jit
+def _evaluate_stage(machine: Machine, stage: int, coordinates: FloatArray, state: State) -> int:
+    legs, radius, aspects, upward = machine[0], machine[1], machine[3], 1.0 - 2.0 * stage
+    return evaluate_stage(coordinates, legs[stage], radius, upward, aspects[stage], state[0][stage], state[1][stage])
+
+
+@kernel(f"void(f8[:, ::1], {_MACHINE}, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])")
+def state_terms(coordinates, machine, points, moved, limited, rates, places):
     """Write what the state at coordinates (2, 3) is, and the derivatives of all by its six coordinates.
 
-    The points of the body (3K,) over √K, and (3K, 6); readings (6,) and (6, 6) [m]; determinants (2,) and (2, 6); and
-    where each stage is (2,), see `evaluate_stage`.
+    The points of the body (3K,) over √K, and (3K, 6); what is limited (L,), see `Machine`, and (L, 6); and where each
+    stage is (2,), see `evaluate_stage`.
     """
-    legs, radius, _, aspects, body, between, _ = machine
-    values, changes = np.empty((2, STAGE_NUMBERS)), np.empty((2, SLOPE_NUMBERS, 3))
-    rates[:], slopes[:] = 0.0, 0.0
-    for k in range(2):
-        upward = 1.0 - 2.0 * k
-        places[k] = evaluate_stage(coordinates[k], legs[k], radius, upward, aspects[k], values[k], changes[k])
-        determinants[k], slopes[k, 3 * k : 3 * k + 3] = values[k, DETERMINANT], changes[k, RATES + 3]
-        for i in range(3):
-            readings[3 * k + i] = values[k, READINGS + i]
-            rates[3 * k + i, 3 * k : 3 * k + 3] = changes[k, RATES + i]
+    _, _, _, _, body, between, limits = machine
+    state = _new_state(machine)
+    values, changes = state[0], state[1]
+    for stage in range(2):
+        places[stage] = _evaluate_stage(machine, stage, coordinates[stage], state)
+    rates[:] = 0.0
+    for row in range(limits.shape[1]):
+        stage, i = _limited(row)
+        limited[row], rates[row, 3 * stage : 3 * stage + 3] = values[stage, READINGS + i], changes[stage, RATES + i]
     _put_points(values, changes, body, between, points, moved)
 
 
@@ -136,17 +156,17 @@ def _put_limits(
     jacobian: FloatArray,
     fixed: bool,
 ) -> None:
-    """Write the violations (8,) of the limits of six readings and two determinants, and their derivatives (8, 6).
+    """Write the violations (L,) of the limits, in metres, and their derivatives (L, 6).
 
     With `fixed` the residual stays, and derivatives are those of the rows that are not zero.
     """
-    size, limits, values, slopes = machine[2], machine[6], state[0], state[1]
-    for row in range(8):
-        stage, i = (row // 3, row % 3) if row < 6 else (row - 6, 3)
-        unit = 1.0 if row < 6 else size
+    limits, values, slopes = machine[6], state[0], state[1]
+    for row in range(limits.shape[1]):
+        stage, i = _limited(row)
+        unit = limits[2, row]
         if not fixed:
             value = unit * values[stage, READINGS + i] + shifts[row]
-            residual[row] = weight * (value - min(max(value, limits[0, row]), limits[1, row]))
+            residual[row] = weight * (value - min(max(value, unit * limits[0, row]), unit * limits[1, row]))
         jacobian[row] = 0.0
         if residual[row] != 0.0:
             for k in range(3):
@@ -212,12 +232,6 @@ def _solve_damped(matrix: FloatArray, right: FloatArray, damping: float, step: F
 
 
 @jit
-def _evaluate_stage(machine: Machine, stage: int, coordinates: FloatArray, state: State) -> int:
-    legs, radius, aspects, upward = machine[0], machine[1], machine[3], 1.0 - 2.0 * stage
-    return evaluate_stage(coordinates, legs[stage], radius, upward, aspects[stage], state[0][stage], state[1][stage])
-
-
-@jit
 def _evaluate(
     machine: Machine, coordinates: FloatArray, target: FloatArray, weight: float, shifts: FloatArray, state: State
 ) -> int:
@@ -242,7 +256,7 @@ def _put_curvature(search: Search, coordinates: FloatArray, weight: float, shift
     Each of them changes one stage.
     """
     machine, state, trial, matrix, _ = search
-    residual, rows, gradient, place = state[2], len(state[2]) - 8, np.empty(6), np.empty(3)
+    residual, rows, gradient, place = state[2], _points_rows(machine), np.empty(6), np.empty(3)
     values, slopes, points, jacobian = trial
     for stage in range(2):
         values[:], slopes[:] = state[0], state[1]
@@ -332,7 +346,7 @@ def _settle(
     machine, state, _, matrix, factor = search
     values, slopes, residual, jacobian = state
     limits, rounding, rows, place = machine[6], _READING_ROUNDING * machine[2], len(target), INSIDE
-    gradient, step, zeros, gap = np.empty(6), np.empty(6), np.zeros(8), np.inf
+    gradient, step, zeros, gap = np.empty(6), np.empty(6), np.zeros(limits.shape[1]), np.inf
     for _ in range(_SETTLING):
         place = _evaluate(machine, coordinates, target, 1.0, zeros, state)
         if place < BEYOND:
@@ -344,8 +358,11 @@ def _settle(
             readings[row] = min(max(value, limits[0, row]), limits[1, row])
             if shifts[row] != 0.0:
                 readings[row] = limits[0 if shifts[row] < 0.0 else 1, row]
-                errors[row], slope[row, 3 * stage : 3 * stage + 3] = value - readings[row], slopes[stage, RATES + i]
-            gap = max(gap, abs(value - readings[row]))
+                unit = limits[2, row]
+                errors[row] = unit * (value - readings[row])
+                for k in range(3):
+                    slope[row, 3 * stage + k] = unit * slopes[stage, RATES + i, k]
+            gap = max(gap, limits[2, row] * abs(value - readings[row]))
         if gap <= rounding:
             break
         _put_gradient(slope, errors, gradient)
@@ -355,8 +372,8 @@ def _settle(
             return False
         for k in range(6):
             coordinates[k // 3, k % 3] -= step[k]
-    certain = place == INSIDE and min(values[0, DETERMINANT], values[1, DETERMINANT]) > _LEAST_DETERMINANT
-    return gap <= rounding and (certain or machine[3][0] == ANY_ASPECT)
+    certain = min(values[0, DETERMINANT], values[1, DETERMINANT]) > _LEAST_DETERMINANT
+    return gap <= rounding and place == INSIDE and (certain or machine[3][0] == ANY_ASPECT)
 
 
 @kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], f8[:, ::1], {_MACHINE}, f8[:, :, ::1], f8[:, ::1], i8[::1])")
@@ -368,9 +385,9 @@ def search_points(targets, starts, distances, machine, coordinates, readings, ou
     Writes the states, or those with the smallest residual, (N, 2, 3); their readings (N, 6); and the outcome (N,): 1
     with a state, 0 without, -1 if undecided, because a search left the aspect or stalled just short of a state.
     """
-    state, size = _new_state(3), machine[2]
-    search = machine, state, _new_state(3), np.empty((6, 6)), np.empty((6, 6))
-    shifts, place, nearest_readings = np.zeros(8), np.empty((2, 3)), np.empty(6)
+    state, size = _new_state(machine), machine[2]
+    search = machine, state, _new_state(machine), np.empty((6, 6)), np.empty((6, 6))
+    shifts, place, nearest_readings = np.zeros(machine[6].shape[1]), np.empty((2, 3)), np.empty(6)
     for n in range(len(targets)):
         least, target, most = np.inf, targets[n], _STEPS[GAUSS_NEWTON]
         coordinates[n], readings[n], outcome[n] = starts[n, 0], np.nan, 0
@@ -398,7 +415,7 @@ def _polish(
 ) -> tuple[float, int]:
     """Minimise the distance within the limits, by Newton's method and updates of the multipliers.
 
-    Writes the multipliers over the squared weight, `shifts` (8,); returns the weight and the steps that are left.
+    Writes the multipliers over the squared weight, `shifts` (L,); returns the weight and the steps that are left.
     """
     machine, state, _, _, _ = search
     size, rows, weight, left, change = machine[2], len(target), 1.0, most, np.inf
@@ -409,12 +426,12 @@ def _polish(
         before, farther, last = weight, distance, change
         weight = stiffness * _PENALTY_WEIGHTS[min(update % _RESTART, 2)]
         weight *= math.sqrt(max(1.0, _REMOTE_PENALTY * distance / size))
-        for row in range(8):
+        for row in range(len(shifts)):
             shifts[row] *= (before / weight) ** 2
         _evaluate(machine, coordinates, target, weight, shifts, state)
         stationary, steps = _minimise(search, coordinates, target, weight, shifts, NEWTON, left)
         left, change, distance = left - steps, 0.0, _norm(state[2][:rows])
-        for row in range(8):
+        for row in range(len(shifts)):
             shift = state[2][rows + row] / weight
             change = max(change, abs(shift - shifts[row]))
             shifts[row] = shift
@@ -452,9 +469,10 @@ def search_nearest(targets, starts, machine, most, coordinates, readings, multip
     distance [m] and the gradient of half its square (N, 2), infinite where the start has been taken.
     """
     rows, count, size = targets.shape[1], starts.shape[1], machine[2]
-    state = _new_state(rows)
-    search = machine, state, _new_state(rows), np.empty((6, 6)), np.empty((6, 6))
-    shifts, zeros, place, nearest_readings = np.zeros(8), np.zeros(8), np.empty((2, 3)), np.empty(6)
+    state = _new_state(machine)
+    search = machine, state, _new_state(machine), np.empty((6, 6)), np.empty((6, 6))
+    shifts, zeros = np.zeros(machine[6].shape[1]), np.zeros(machine[6].shape[1])
+    place, nearest_readings = np.empty((2, 3)), np.empty(6)
     ends, norms = np.empty((count, 2, 3)), np.empty(count)
     for n in range(len(targets)):
         target, left = targets[n], most

@@ -1,0 +1,157 @@
+"""The reachable set of PRS and RRS legs: against the forward displacement, differences, and random readings."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from kinds_of_legs import machine
+from scipy.spatial.transform import Rotation
+
+import spm_pin as spm
+from spm_pin.mechanism import LegLimits
+from spm_pin.mechanism.branch_of_state import physical
+from spm_pin.workspace import leg_clearance, nearest_reachable_pose, pose_distance, reachable, reachable_position
+from spm_pin.workspace.states import StateSet, states_within
+
+LIMITS = {"RPS": (1.1, 1.5), "PRS": (-0.5, 0.1), "RRS": (0.2, 1.2)}
+MACHINES = [("PRS", "PRS", False), ("RRS", "PRS", True), ("RPS", "RRS", True)]
+NAMES = [f"{lower} and {upper}{', as built' * built}" for lower, upper, built in MACHINES]
+
+
+def limited(lower: str, upper: str, built: bool) -> spm.Geometry:
+    return dataclasses.replace(
+        machine(lower, upper, built=built), limits=LegLimits.stages(LIMITS[lower], LIMITS[upper])
+    )
+
+
+@pytest.fixture(scope="module", params=MACHINES, ids=NAMES)
+def geometry(request: pytest.FixtureRequest) -> spm.Geometry:
+    return limited(*request.param)
+
+
+@pytest.fixture(scope="module")
+def within(geometry: spm.Geometry) -> StateSet:
+    return states_within(geometry)
+
+
+def random_states(geometry: spm.Geometry, count: int, seed: int) -> spm.Configuration:
+    """Return states at readings drawn uniformly, which no search has seen."""
+    assert geometry.limits is not None
+    rng = np.random.default_rng(seed)
+    readings = rng.uniform(geometry.limits.minimum, geometry.limits.maximum, (60 * count, 6))
+    found = spm.forward_physical(geometry, readings)
+    return found[found.exists][:count]
+
+
+def test_coordinates_are_those_of_the_forward_displacement(geometry: spm.Geometry, within: StateSet) -> None:
+    states = random_states(geometry, 50, 1)
+    coordinates = within.coordinates(states)
+    np.testing.assert_allclose(within.readings(coordinates), states.readings, atol=1e-9)
+    again = within.states(coordinates)
+    np.testing.assert_allclose(again.translation, states.translation, atol=1e-12)
+    np.testing.assert_allclose(again.rotation, states.rotation, atol=1e-12)
+
+
+def test_the_set_holds_what_is_physical_within_the_limits_and_within_reach(
+    geometry: spm.Geometry, within: StateSet
+) -> None:
+    assert geometry.limits is not None
+    rng = np.random.default_rng(2)
+    coordinates = within.sample[:3000] + rng.normal(0.0, 0.15, (3000, 2, 3))
+    coordinates = coordinates[(np.hypot(coordinates[..., 0], coordinates[..., 1]) < 0.99).all(axis=-1)]
+    states = within.states(coordinates)
+    expected = physical(states) & geometry.limits.contains(states.readings)
+    held = within.contains(0, coordinates[:, 0]) & within.contains(1, coordinates[:, 1])
+    assert 0.05 < held.mean() < 0.95
+    np.testing.assert_array_equal(held, expected)
+    slopes = states[held].slopes * geometry.legs.slope_signs
+    assert slopes.min() > 0.0
+
+
+def test_derivatives_are_those_by_differences(within: StateSet) -> None:
+    from spm_pin.kinematics.kernels.stage_states import SLOPE_NUMBERS, STAGE_NUMBERS, stage_states
+
+    for stage, upward in ((0, 1.0), (1, -1.0)):
+        coordinates = within.sample[:200, stage]
+        states = within.states(within.sample[:200])
+        # Nearer to its own singularity a leg's rates are bounded.
+        regular = np.abs(states.slopes) > 0.2 * within.geometry.legs.largest_slopes
+        coordinates = coordinates[regular[:, 3 * stage : 3 * stage + 3].all(axis=-1)]
+        assert len(coordinates) > 20
+        count = len(coordinates)
+
+        def run(c: np.ndarray, stage: int = stage, upward: float = upward, n: int = count) -> tuple[np.ndarray, ...]:
+            values, slopes = np.empty((n, STAGE_NUMBERS)), np.empty((n, SLOPE_NUMBERS, 3))
+            places = np.empty(n, dtype=np.int64)
+            stage_states(c, within.legs[stage], within.radius, upward, 2.0, values, slopes, places)
+            return values, slopes
+
+        for k in range(3):
+            step = 1e-6 * np.eye(3)[k]
+            change = (run(coordinates + step)[0] - run(coordinates - step)[0]) / 2e-6
+            np.testing.assert_allclose(run(coordinates)[1][:, 3:, k], change[:, 9:], rtol=1e-6, atol=1e-6)
+
+
+def test_positions_of_random_readings_are_reachable_and_the_readings_found_lead_there(
+    geometry: spm.Geometry,
+) -> None:
+    assert geometry.limits is not None
+    states = random_states(geometry, 60, 3)
+    away = states.translation + np.random.default_rng(4).normal(0.0, 0.3, (len(states), 3))
+    for points, all_reached in ((states.translation, True), (away, False)):
+        reach = reachable_position(geometry, points)
+        assert reach.reachable.all() or not all_reached
+        assert geometry.limits.contains(reach.readings).all()
+        # The nearest of the others may be beside a forward singularity, where rounding decides what is physical.
+        there = spm.forward_physical(geometry, reach.readings[reach.reachable]).translation
+        np.testing.assert_allclose(there, points[reach.reachable], atol=1e-6)
+
+
+def test_no_state_that_a_random_search_finds_is_nearer_than_the_nearest(geometry: spm.Geometry) -> None:
+    assert geometry.limits is not None
+    rng, states = np.random.default_rng(5), random_states(geometry, 4, 6)
+    for pose in states.pose:
+        turn = Rotation.from_rotvec(rng.normal(0.0, 0.3, 3)) * pose.rotation
+        target = spm.pose(pose.translation + rng.normal(0.0, 0.3, 3), rotation=turn)
+        found = nearest_reachable_pose(geometry, target)
+        state = found.configuration
+        assert geometry.limits.contains(state.readings)
+        assert physical(state)
+        assert (state.slopes * geometry.legs.slope_signs > 0.0).all()
+        steps = rng.normal(0.0, 1.0, (2000, 6)) * np.geomspace(1e-4, 0.4, 2000)[:, None]
+        readings = np.clip(state.readings + steps, geometry.limits.minimum, geometry.limits.maximum)
+        others = spm.forward_physical(geometry, readings)
+        others = others[others.exists]
+        assert found.distance < pose_distance(geometry, others.pose, target).min() + 2e-5
+
+
+def test_a_reachable_pose_is_said_to_be_one(geometry: spm.Geometry) -> None:
+    states = random_states(geometry, 20, 7)
+    answer = reachable(geometry, states.pose)
+    assert answer.reachable.all()
+    assert nearest_reachable_pose(geometry, states.pose[0]).distance < 1e-7
+
+
+def test_the_distance_of_legs_is_that_of_points_along_them(geometry: spm.Geometry) -> None:
+    states = random_states(geometry, 5, 8)
+    share = np.linspace(0.0, 1.0, 101)[:, None]
+    for state, least in zip(states, leg_clearance(states), strict=True):
+        corners = np.stack([state.leg_bases, state.circle_centres, state.balls])
+        lines = [
+            np.concatenate(
+                [(1.0 - share) * p + share * q for p, q in zip(corners[:-1, leg], corners[1:, leg], strict=True)]
+            )
+            for leg in range(6)
+        ]
+        pairs = [(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3]
+        apart = min(np.linalg.norm(lines[i][:, None] - lines[j], axis=-1).min() for i, j in pairs)
+        assert least <= apart + 1e-12
+        assert least == pytest.approx(apart, abs=0.03)
+
+
+def test_limits_of_angles_have_to_be_finite() -> None:
+    geometry = machine("RRS", "RRS")
+    with pytest.raises(spm.ArgumentError, match="finite minimum and maximum"):
+        reachable_position(geometry, [0.0, 0.0, 1.5], LegLimits(-np.inf, 1.0))
