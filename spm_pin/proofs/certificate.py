@@ -39,6 +39,7 @@ from spm_pin.proofs.stage_proof import (
     joined,
     prove_stage,
     region_coordinates,
+    rounded_down,
 )
 
 _ROUNDING = 1e-15
@@ -140,7 +141,7 @@ class Certificate:
             legs = "" if self.geometry.legs.are_rps else ", nor is a leg singular itself"
             lines += [
                 f"Proved: no configuration joined to the home within these limits is forward singular{legs},",
-                f"|det J_b| >= {lower:.3g} d³ and |det J_c| >= {upper:.3g} d³.",
+                f"|det J_b| >= {rounded_down(lower)} d³ and |det J_c| >= {rounded_down(upper)} d³.",
                 "So six readings within them have exactly one such configuration, and straight lines of readings are",
                 "free of forward singularities. Assembly modes that are not joined to the home are not part of this.",
             ]
@@ -187,7 +188,7 @@ class Certificate:
     def _repr_html_(self) -> str:
         names, least = ("lower", "upper"), (self.lower, self.upper)
         rows = [
-            (name, f"{proof.boxes:,}", f"{len(proof.undecided):,}", f"{bound:.3g} d³")
+            (name, f"{proof.boxes:,}", f"{len(proof.undecided):,}", f"{rounded_down(bound)} d³")
             for name, proof, bound in zip(names, least, self.bounds, strict=True)
         ]
         header = ("stage", "boxes", "undecided", "least |det J|, proved")

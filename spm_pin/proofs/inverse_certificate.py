@@ -32,7 +32,7 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry, check_rps
 from spm_pin.mechanism.legs import LegLimits
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
-from spm_pin.proofs.stage_proof import Int64Array, StageProof, StageRegion, columns
+from spm_pin.proofs.stage_proof import Int64Array, StageProof, StageRegion, columns, rounded_down
 
 Cells = tuple[Interval, Interval]
 """x and y of cells of one stage."""
@@ -82,7 +82,8 @@ class InverseCertificate:
             lines.append("Proved: there is no configuration without torsion in both stages.")
         elif self.holds:
             lines.append(
-                f"Proved: no inverse singularity, |det K| >= {self.bound:.3g} d³; sampled: {self.least:.3g} d³."
+                f"Proved: no inverse singularity, |det K| >= {rounded_down(self.bound)} d³; "
+                f"sampled: {self.least:.3g} d³."
             )
         elif self.witness is not None:
             lengths = ", ".join(f"{length:.6f}" for length in self.witness.leg_lengths)

@@ -26,6 +26,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from decimal import ROUND_FLOOR, Context
 from functools import cached_property, reduce
 from itertools import product
 from types import SimpleNamespace
@@ -265,6 +266,11 @@ _ON_INTERVALS = {
     for name, kind in KINDS.items()
 }
 """The formulas of each kind of legs on intervals."""
+
+
+def rounded_down(bound: float) -> str:
+    """Return a proved lower bound as a text of three digits that does not overstate it."""
+    return f"{float(Context(prec=3, rounding=ROUND_FLOOR).create_decimal(float(bound))):.3g}"
 
 
 def _interval(value: Interval | float) -> Interval:

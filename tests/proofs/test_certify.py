@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import product
 
 import mpmath
@@ -61,6 +62,9 @@ def test_the_papers_limits_are_proved(certificate: spm.Certificate) -> None:
     assert certificate.witness is None
     assert not any(len(boxes) for boxes in certificate.undecided)
     assert "Proved" in certificate.explain()
+    shown = re.findall(r">= ([\d.]+) d³", certificate.explain())
+    for text, bound in zip(shown, certificate.bounds, strict=True):
+        assert 0.99 * bound < float(text) <= bound
     assert "proved" in repr(certificate)
 
 
