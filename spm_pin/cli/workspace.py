@@ -17,7 +17,7 @@ from typer import Argument, Option
 
 from spm_pin import sweeps
 from spm_pin.cli import options, outputs
-from spm_pin.cli.options import LengthUnit
+from spm_pin.cli.options import LengthUnit, Readings
 from spm_pin.design import VARIABLES, DesignProblem, Front, Task, pareto_front
 from spm_pin.display.figures import front_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, sections_figure, shell_figure
@@ -38,7 +38,7 @@ _NAMES |= dict.fromkeys(("alpha", "beta", "lambda_"), "--xyx")
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 _LEGS = (
-    "Leg lengths as encoders show them, of RRS legs radians, instead of poses: once for all six, twice for lower and "
+    "Leg lengths as encoders show them, of RRS legs degrees, instead of poses: once for all six, twice for lower and "
     "upper, or six times."
 )
 _SAMPLES = "Draw so many points instead; ranges are then START:STOP."
@@ -121,13 +121,8 @@ def workspace(
         outputs.print_lines(_remarks(shell, unit))
 
 
-def _metres(machine: Geometry, unit: LengthUnit) -> FloatArray:
-    """Return what a unit of each reading that was typed is (6,) [m], of RRS legs [rad], which are typed in radians."""
-    return np.array([1.0 / unit.per_metre if name == "m" else 1.0 for name in machine.legs.units])
-
-
 def _limits(limits: tuple[float, float], unit: LengthUnit, machine: Geometry) -> LegLimits:
-    return LegLimits(*((end * _metres(machine, unit)).tolist() for end in limits))
+    return LegLimits(*(Readings.of(machine, unit).read([end] * 6).tolist() for end in limits))
 
 
 def _reached(machine: Geometry, spacing: float | None) -> tuple[Boundary, Estimate]:
@@ -143,7 +138,10 @@ def _print_reached(boundary: Boundary, volume: Estimate, unit: LengthUnit, json:
     low, high = boundary.vertices.min(axis=0) * length, boundary.vertices.max(axis=0) * length
     error = volume.high - volume.value
     if json:
-        ends = {end: getattr(boundary.limits, end) / _metres(boundary.geometry, unit) for end in ("minimum", "maximum")}
+        ends = {
+            end: getattr(boundary.limits, end) * Readings.of(boundary.geometry, unit).scale
+            for end in ("minimum", "maximum")
+        }
         outputs.write_json(
             {
                 "unit": str(unit),
@@ -171,13 +169,13 @@ def _print_reached(boundary: Boundary, volume: Estimate, unit: LengthUnit, json:
 
 def _limit_lines(limits: LegLimits, machine: Geometry, unit: LengthUnit) -> list[str]:
     """Return the limits in words, in a line where those of all legs are in one unit."""
-    metres, lines = _metres(machine, unit), []
+    shown, lines = Readings.of(machine, unit), []
     stages = [slice(0, 6)] if len(set(machine.legs.units)) == 1 else [slice(0, 3), slice(3, 6)]
     for legs, place in zip(stages, ("legs",) if len(stages) == 1 else ("lower legs", "upper legs"), strict=True):
-        name = unit if machine.legs.units[legs.start] == "m" else "rad"
+        name = shown.units[legs.start]
         ends = [
             ", ".join(f"{x:g}" for x in (end[:1] if len(set(end)) == 1 else end))
-            for end in ((np.array(end)[legs] / metres[legs]).tolist() for end in (limits.minimum, limits.maximum))
+            for end in ((np.array(end)[legs] * shown.scale[legs]).tolist() for end in (limits.minimum, limits.maximum))
         ]
         lines.append(f"{place} from {ends[0]} to {ends[1]} {name}")
     return lines
@@ -277,7 +275,9 @@ def sweep(
     drawn: dict[str, Any] = {} if samples is None else {"count": samples, "seed": seed}
     run: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
     machine = options.read_geometry(geometry)
-    domain = None if status else _domain(poses, legs, drawn, _metres(machine, unit), 1.0 / unit.per_metre)
+    domain = (
+        None if status else _domain(poses, legs, drawn, 1.0 / Readings.of(machine, unit).scale, 1.0 / unit.per_metre)
+    )
     if domain is not None:
         require_extra("cluster")
         lengths = machine.legs.units if legs else ("m", "m", "m", *("rad",) * 3)

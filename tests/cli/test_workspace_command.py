@@ -18,6 +18,7 @@ from PIL import Image
 from stores import contents, records
 
 import spm_pin as spm
+from spm_pin.mechanism import RRS, Stage
 from spm_pin.sweeps import METRICS, leg_sample, pose_grid
 from spm_pin.workspace.paper_shell import workspace_shell
 
@@ -110,6 +111,19 @@ def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
     assert "legs from 1.1, 1.1, 1.1, 1.2, 1.2, 1.2 to 1.5, 1.5, 1.5, 1.4, 1.4, 1.4 m" in run(
         *FEW, "--geometry", str(path)
     ).stdout.replace("\n", " ")
+
+
+def test_readings_of_cranks_are_typed_in_degrees_whatever_the_unit(tmp_path: Path) -> None:
+    stage = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(0.0, 1.0))
+    spm.Geometry.of_stages(stage, stage).to_yaml(tmp_path / "servos.yaml")
+    options = ["--geometry", tmp_path / "servos.yaml", "--unit", "mm", "--workers", 1, "--limits", 10, 60]
+    output("--legs", "20:40:3", "--legs", "30", *options, "--metric", "reachable", "--out", tmp_path / "map")
+    stored = xarray.open_zarr(tmp_path / "map")
+    np.testing.assert_allclose(stored.r_b1, np.deg2rad([20.0, 30.0, 40.0]), rtol=1e-15)
+    assert float(stored.r_c1) == pytest.approx(np.deg2rad(30.0))
+    assert stored.r_b1.attrs["units"] == "rad"
+    limits = json.loads(stored.attrs["spm_pin_sweep"])["geometry"]["limits"]
+    np.testing.assert_allclose(limits, [[np.deg2rad(10.0)] * 6, [np.deg2rad(60.0)] * 6])
 
 
 POSES = ["--x", "37:44:4", "--y", "-16:-12:3", "--z", "250", "--xyx", "1", "17:20:2", "6", "--unit", "cm"]
