@@ -262,18 +262,19 @@ class StateSet:
     def _outside(self, stage: int, stages: Stages) -> FloatArray:
         """Return how far the farthest ball of stages (N,) at least is from where its leg is within limits, (N,) [m].
 
-        In a leg's plane that region ends at the circles of both limits, and where the leg is singular.
+        In a leg's plane that region ends at the circles of both limits and, but of RPS legs, where the leg is singular.
         """
         legs, own = slice(3 * stage, 3 * stage + 3), self.geometry.legs
         arms = self.legs[stage, :, 6:9] @ stages.rotation.mT + stages.centre[:, None] - own.pivots[legs]
         places = np.stack([(arms * axes[legs]).sum(axis=-1) for axes in own.planes], axis=-1)
-        distances = [np.abs(own.kinds[stage].rooms(places))]
+        rooms = own.kinds[stage].rooms(places)
+        distances = [] if np.isfinite(own.kinds[stage].least_reading) else [np.abs(rooms)]
         for ends in (self.minimum, self.maximum):
             centres, radii = (values[legs] for values in self._circle_of(ends))
             distances.append(np.abs(np.linalg.norm(arms - centres, axis=-1) - radii))
         with np.errstate(invalid="ignore"):
             within = (stages.readings >= self.minimum[legs]) & (stages.readings <= self.maximum[legs])
-        within &= own.kinds[stage].rooms(places) > 0.0
+        within &= rooms > 0.0
         return np.asarray(np.where(within, 0.0, np.minimum.reduce(distances)).max(axis=-1))
 
     def draw_stages(self, stage: int, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
