@@ -149,7 +149,8 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
 
     Notes
     -----
-    The home's aspect holds one configuration at most. It is T1+/T1+ unless E or C is less than a twentieth of d.
+    Of RPS legs as drawn the home's aspect holds one configuration at most; `docs/theory/uniqueness.md` proves it. It
+    has been T1+/T1+ wherever E and C are a twentieth of d or more. Other legs may have two: give `near`.
     Newton's method finds it from the level stages, or it is looked for among all modes where that leads to another one.
     Where that leads nowhere there is none: so it was in a million sets of leg lengths, but it is not proved. The state
     `near` may be far, for each step of the path is so short that Newton's method provably stays on it.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,26 @@ def test_every_wrong_number_and_sign_is_found(part: int) -> None:
     assert [place for place, fails in found if not fails] == []
 
 
+def test_the_inequality_is_tried_in_all_its_domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    points, polynomial = [], uniqueness_check.second_polynomial
+
+    def recorded(*point: Fraction) -> Fraction:
+        value = polynomial(*point)
+        if value <= 0:
+            points.append([float(x) for x in point])
+        return value
+
+    monkeypatch.setattr(uniqueness_check, "second_polynomial", recorded)
+    uniqueness_check.results(points=1, trials=3_000)
+    p, e, f, k = np.array(points).T
+    assert e.min() < -1.9
+    assert e.max() > 0.9
+    assert (p < 0.0).any()
+    assert (p > 0.0).any()
+    assert (f < 1e-3 * k).any()
+    assert (f > 1e3 * k).any()
+
+
 def test_the_inequality_needs_its_assumption() -> None:
     # v < 0, that is ζ < 0, at this point.
     p, e, f, k = 47 / 10, -8 / 5, 9 / 5, 1
@@ -128,6 +149,15 @@ def test_a_stage_of_slides_has_two_states_in_one_aspect() -> None:
     radii, heights = on_arrays(corners)(x0, pair.real, pair.imag, 0.0, 0.0)
     readings = [prs_reading(x - epsilon, z, (rod, np.pi / 2.0, -1.0)) for x, z in zip(radii, heights, strict=True)]
     np.testing.assert_allclose(readings, slides, atol=1e-15)
+
+
+def test_a_ray_is_looked_at_all_along_and_boxes_are_as_wide_as_their_parts() -> None:
+    # D is negative on the way and positive at both ends; and few boxes are too wide to prove anything.
+    crossing = 0.3258956548241154, 1.7170644929433232, -0.8680098392074113 + 0.18254336812748898j
+    determinants = slide_stage(crossing[0], crossing[1], np.linspace(0.0, 1.0, 1001) * crossing[2])[1]
+    assert np.nanmin(determinants) < 0.0 < determinants[[0, -1]].min()
+    assert not slide_pair(*crossing).proved
+    assert not slide_pair(*SLIDES, boxes=5).proved
 
 
 @pytest.mark.parametrize(
