@@ -55,7 +55,7 @@ def mjcf_text(
     which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints.
     """
     check_prefix(prefix)
-    machine = machine_of({} if states is None else states, geometry or Geometry.paper())
+    machine = machine_of({} if states is None else states, Geometry.paper() if geometry is None else geometry)
     values_by_state = state_values({} if states is None else states, machine, prefix)
     shapes = choice("exact" if collisions is None else collisions, "collisions", ("exact", "simple", "none"))
     robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,10 +12,9 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_displacement, leg_forces
-from spm_pin.mechanism import Configuration, Geometry, PoseLike, as_rigid_transform
+from spm_pin.mechanism import Configuration, Geometry, as_rigid_transform
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, whole_number
 from spm_pin.mechanism.branch_of_state import physical
-from spm_pin.multibody.trajectory import PlatformPath
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +33,15 @@ class Task:
         Poses along a path.
     """
 
-    poses: PoseLike | PlatformPath
+    poses: Any
     wrench: npt.ArrayLike = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
     samples: int = 200
     _poses: RigidTransform = field(init=False, repr=False)
     _load: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        from spm_pin.multibody.trajectory import PlatformPath
+
         count = whole_number(self.samples, "samples", "at least two samples", least=2, most=10**6)
         if isinstance(self.poses, PlatformPath):
             transform = self.poses(np.linspace(self.poses.start, self.poses.end, count)).pose

@@ -26,7 +26,7 @@ from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
 from spm_pin.formulas.leg_planes import upper_balls
 from spm_pin.formulas.operations import ARRAYS, bind, on_arrays
 from spm_pin.formulas.vectors import dot, minus, times, transposed
-from spm_pin.mechanism.arguments import FloatArray, frozen, type_and_value, whole_number
+from spm_pin.mechanism.arguments import FloatArray, check_instance, frozen, type_and_value, whole_number
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.leg_kinds import KINDS, RPS, LegKind
@@ -38,12 +38,16 @@ _BLOCK = 2048
 
 def leg_joints(geometry: Geometry | None = None) -> dict[str, tuple[str, str]]:
     """Return the names of each leg's two joints, from its plate to its ball, by the names of `LEGS`."""
-    kinds = (RPS(), RPS()) if geometry is None else geometry.legs.kinds
+    kinds = _kinds(geometry)
     return {
         leg: (f"leg_{leg[2:]}_{first}", f"leg_{leg[2:]}_{second}")
         for k, leg in enumerate(LEGS)
         for first, second in [kinds[k // 3].joints]
     }
+
+
+def _kinds(geometry: Geometry | None) -> tuple[LegKind, LegKind]:
+    return (RPS(), RPS()) if geometry is None else check_instance(geometry, Geometry, "geometry").legs.kinds
 
 
 def joint_names(geometry: Geometry | None = None) -> tuple[str, ...]:
@@ -69,7 +73,7 @@ def value_names(geometry: Geometry | None = None) -> tuple[str, ...]:
 
 
 def _of_each_leg(geometry: Geometry | None, which: str) -> tuple[str, ...]:
-    kinds = (RPS(), RPS()) if geometry is None else geometry.legs.kinds
+    kinds = _kinds(geometry)
     return tuple(f"leg_{leg[2:]}_{getattr(kinds[k // 3], which)}" for k, leg in enumerate(LEGS))
 
 

@@ -130,13 +130,15 @@ class LegLimits:
         beyond = np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0)
         return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
 
-    def margin(self, readings: npt.ArrayLike, scale: float | FloatArray = 1.0) -> FloatArray:
+    def margin(self, readings: npt.ArrayLike, scale: npt.ArrayLike | None = None) -> FloatArray:
         """Return the distance of the worst leg of (..., 6) to its limits; negative outside, NaN for NaN.
 
-        `scale` (6,) is what a unit of each reading counts.
+        `scale` (6,) is what a unit of each reading counts, 1 if not given.
         """
         lengths, (low, high) = self._read(readings), self.admitted
-        room = np.minimum(lengths - self.minimum, self.maximum - lengths) * scale
+        room = np.minimum(lengths - self.minimum, self.maximum - lengths)
+        if scale is not None:
+            room = room * real_array(scale, "scale", (len(self.legs),), "what a unit of each reading counts")
         return _least(np.where((lengths >= low) & (lengths <= high), np.maximum(room, 0.0), room))
 
     def _read(self, readings: npt.ArrayLike) -> FloatArray:

@@ -407,7 +407,8 @@ def test_the_motion_of_a_chain_is_read_back(tmp_path):
     recording = read_recording(tmp_path / "new folder" / "motion.csv")
     np.testing.assert_allclose(recording.points, LEGS, atol=1e-12)
     np.testing.assert_array_equal(recording.times, TIMES - TIMES[0])
-    measured, readings = spm.calibration.read_measurements(tmp_path / "new folder" / "motion.csv")
+    with pytest.warns(UserWarning, match="columns that are not used: time, leg_b1_hip"):
+        measured, readings = spm.calibration.read_measurements(tmp_path / "new folder" / "motion.csv")
     np.testing.assert_allclose(measured.as_matrix(), poses.as_matrix(), atol=1e-12)
     np.testing.assert_array_equal(readings, recording.points)
 

@@ -248,7 +248,9 @@ def test_paths_that_cannot_be_gone_along_are_named() -> None:
     eased = spm.PlatformPath([0.0, 1.0], spm.forward_physical(PAPER, [START, GOAL]).pose, ease=True)
     with pytest.raises(spm.ArgumentError, match="ease"):
         spm.time_optimal(CHAIN, eased, leg_accelerations=1.0)
-    for rows in ([START], [START, START], [[-1.0] * 6, START], [[1.0] * 5] * 2):
+    with pytest.raises(spm.ArgumentError, match="positive lengths"):
+        spm.time_optimal(CHAIN, LegPath([[-1.0] * 6, START]), leg_accelerations=1.0)
+    for rows in ([START], [START, START], [[1.0] * 5] * 2):
         with pytest.raises(spm.ArgumentError, match="lengths"):
             LegPath(rows)
     with pytest.raises(spm.ArgumentError, match="parameters"):
