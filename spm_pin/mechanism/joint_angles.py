@@ -46,7 +46,7 @@ def leg_joints(geometry: Geometry | None = None) -> dict[str, tuple[str, str]]:
     }
 
 
-def _kinds(geometry: Geometry | None) -> tuple[LegKind, LegKind]:
+def _kinds(geometry: Geometry | None) -> tuple[LegKind, ...]:
     return (RPS(), RPS()) if geometry is None else check_instance(geometry, Geometry, "geometry").legs.kinds
 
 
