@@ -25,6 +25,7 @@ from spm_pin.formulas.vectors import (
     magnitude,
     minus,
     scaled,
+    times,
     transposed,
     turned,
 )
@@ -281,13 +282,17 @@ def stands_at_home(
     return both(upright, aspects), lower_sum + upper_sum
 
 
-def is_upright(b: Rows, rotation: Rows, position: Vector) -> bool:
-    """Return whether both stages of any machine are in mode T, each on the outer side of its platform."""
+def is_upright(b: Rows, lower: Rows, upper: Rows, rotation: Rows, position: Vector) -> bool:
+    """Return whether both stages of any machine are in mode T, the balls on the outer side of their circles' centres.
+
+    Arguments are as for `is_physical`.
+    """
     identity = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-    (p1, p2, p3), (z1, z2, z3) = seen_from_platform(b, identity, (0.0, 0.0, 0.0))
-    lower = both(p1 + p2 + p3 > 0.0, z1 + z2 + z3 < 0.0)
-    (p1, p2, p3), (z1, z2, z3) = seen_from_platform(b, rotation, position)
-    return both(lower, both(p1 + p2 + p3 > 0.0, z1 + z2 + z3 > 0.0))
+    (p1, p2, p3), _ = seen_from_platform(b, identity, (0.0, 0.0, 0.0))
+    (q1, q2, q3), _ = seen_from_platform(b, rotation, position)
+    z1, z2, z3 = times(upper, (rotation[0][2], rotation[1][2], rotation[2][2]))
+    outer = both(lower[0][2] + lower[1][2] + lower[2][2] > 0.0, z1 + z2 + z3 > 0.0)
+    return both(both(p1 + p2 + p3 > 0.0, q1 + q2 + q3 > 0.0), outer)
 
 
 def is_physical(
@@ -295,10 +300,11 @@ def is_physical(
 ) -> bool:
     """Return whether a state of any machine is physical, leg limits aside: upright, both stages in their home's aspect.
 
-    b and c are the balls of the lower and of the upper legs, `lower` and `upper` the legs' vectors upwards, all in {B}.
+    b and c are the balls of the lower and of the upper legs, `lower` and `upper` the vectors from the circles' centres
+    to the former and from the latter to theirs, all in {B}.
     """
     aspects = both(is_stage_at_home(b, lower, axes), is_stage_at_home(c, upper, upper_axes))
-    return both(is_upright(b, rotation, position), aspects)
+    return both(is_upright(b, lower, upper, rotation, position), aspects)
 
 
 def tilt_cosine_sum(b: Rows, rotation: Rows) -> float:

@@ -95,7 +95,8 @@ def physical(configuration: Configuration) -> BoolArray:
     nominal directions determine the mode, and the machine's own axes the aspect.
     """
     position = tuple(np.moveaxis(configuration.translation, -1, 0))
-    upright = np.asarray(_is_upright(rows_of(configuration.middle_joints), rows_of(configuration.rotation), position))
+    vectors = configuration.middle_joints, *_stages(configuration.leg_vectors), configuration.rotation
+    upright = np.asarray(_is_upright(*map(rows_of, vectors), position))
     # Of a batch few are upright, and the aspect takes longer.
     states = configuration[upright] if configuration.shape else configuration
     stages = zip(*map(_stages, (states.balls, states.leg_vectors, states.leg_axes)), strict=True)

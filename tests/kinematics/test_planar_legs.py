@@ -228,3 +228,17 @@ def test_what_is_known_for_rps_legs_alone_refuses_others_by_name(name: str) -> N
 
 def test_the_kinds_have_their_names() -> None:
     assert {name: kind.unit for name, kind in KINDS.items()} == {"RPS": "m", "PRS": "m", "RRS": "rad"}
+
+
+def test_where_slides_are_measured_from_does_not_matter() -> None:
+    """Rails measured from their upper end: balls below the pivots, and the robot as far down as the zero is up."""
+    geometry = spm.Geometry.of_stages(Stage(0.35, 0.25, PRS(rod=0.42)), Stage(0.30, 0.25, PRS(rod=0.40)))
+    readings = np.random.default_rng(0).uniform(0.05, 0.2, (50, 6))
+    down = np.concatenate([readings[:, :3] - 0.9, readings[:, 3:] - 0.7], axis=1)
+    above, below = spm.forward_physical(geometry, readings), spm.forward_physical(geometry, down)
+    assert above.exists.all()
+    shift = 0.9 * np.array([0.0, 0.0, 1.0]) + 0.7 * above.rotation[..., 2]
+    np.testing.assert_allclose(below.translation, above.translation - shift, atol=1e-12)
+    assert (below.middle_joints[..., 2] < 0.0).all()
+    np.testing.assert_allclose(spm.inverse_physical(geometry, below.pose, near=below).readings, down, atol=1e-9)
+    assert spm.inverse_displacement(geometry, below.pose).is_physical.any(axis=-1).all()
