@@ -148,7 +148,7 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
         elif parts[0] == "spm_pin" and len(parts) > 1 and parts[1] in INTERNAL:
             shown = f"reference/modules/{parts[1]}.md"
         elif parts == ("docs", "live"):
-            return f"[{text}]({'../' * page.count('/')}live.html)"
+            return f'<a href="{"../" * page.count("/")}live.html">{text}</a>'
         elif parts[:2] == ("docs", "images") or path.suffix == ".bib":
             shown = path.relative_to(ROOT / "docs").as_posix()
         else:

@@ -29,7 +29,10 @@ extensions = [
 nitpicky = True
 # Types of other projects: a link to them needs their inventories, and the build needs no network. And private ones,
 # and type variables.
-nitpick_ignore_regex = [(r"py:.*", r"(?!spm_pin\.).*"), (r"py:.*", r"spm_pin\..*\.(_\w+|[A-Z]|Kind|Scalar|State)")]
+nitpick_ignore_regex = [
+    (r"py:.*", r"(?!spm_pin\.).*"),
+    (r"py:.*", r"spm_pin\..*\.(_\w+|[A-Z]|Kind|Limits|Scalar|State)"),
+]
 suppress_warnings = ["misc.highlighting_failure"]
 
 myst_enable_extensions = ["dollarmath"]

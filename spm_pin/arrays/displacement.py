@@ -71,7 +71,7 @@ class State(NamedTuple):
     exists: Array
     """Where there is such a state, shape (...). Elsewhere all is finite, and all derivatives with it."""
 
-    def __getitem__(self, index: Any) -> State:
+    def __getitem__(self, index: Any) -> Any:
         """Index the batch, all fields alike."""
         return State._make(_indexed(self, (2, 1, 2, 1, 0), index))
 
