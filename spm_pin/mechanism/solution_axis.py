@@ -25,7 +25,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.batched import Batched, batch_index
 from spm_pin.mechanism.legs import LegLimits
 
-State = TypeVar("State", bound=Batched)
+S = TypeVar("S", bound=Batched)
 
 
 class Status(enum.IntEnum):
@@ -45,10 +45,10 @@ class Status(enum.IntEnum):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solutions(ABC, Generic[State]):
+class Solutions(ABC, Generic[S]):
     """States along one axis, their labels, and the status of each problem; see `SolutionSet`."""
 
-    configurations: State
+    configurations: S
     labels: tuple[str, ...]
     status: Status | npt.NDArray[np.int8]
 
@@ -100,9 +100,9 @@ class Solutions(ABC, Generic[State]):
         return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
 
     @overload
-    def __getitem__(self, index: str) -> State: ...
+    def __getitem__(self, index: str) -> S: ...
     @overload
-    def __getitem__(self, index: Any) -> State | Self: ...
+    def __getitem__(self, index: Any) -> S | Self: ...
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, str):
             if index not in self.labels:
@@ -120,7 +120,7 @@ class Solutions(ABC, Generic[State]):
             raise SelectionError("index", expected, type_and_value(index), error.cause) from error
         return replace(self, configurations=chosen, status=np.asarray(self.status)[index], **self._details(batch))
 
-    def __iter__(self) -> Iterator[State]:
+    def __iter__(self) -> Iterator[S]:
         if self.shape:
             raise TypeError("a batch of problems is indexed, not iterated over: solutions[i] is problem i")
         return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
@@ -139,7 +139,7 @@ class Solutions(ABC, Generic[State]):
         hint = self._hint(()) if self.status is Status.UNREACHABLE else ""
         return f"<{name}: {self.status}, {self.count} of {len(self.labels)} real: {shown}{hint}>"
 
-    def pick(self, index: IntArray, exists: BoolArray) -> State:
+    def pick(self, index: IntArray, exists: BoolArray) -> S:
         """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False."""
         everywhere = bool(exists.all())
         # For a single problem a slice, so that nothing shares memory with the others.
@@ -166,7 +166,7 @@ class Solutions(ABC, Generic[State]):
         limits = self.own_limits if limits is None else check_instance(limits, kind, "limits")
         return self if limits is None else self.where(limits.contains(self.readings))
 
-    def nearest(self, near: State | npt.ArrayLike) -> State:
+    def nearest(self, near: S | npt.ArrayLike) -> S:
         """Return the solution whose joints are nearest to those of `near`; NaN where none exists.
 
         The largest displacement of a joint is compared: of all `compared_points` of a state, or of the first three if
@@ -201,7 +201,7 @@ class Solutions(ABC, Generic[State]):
         several = np.count_nonzero(self.is_physical, axis=-1) > 1
         return several if self.shape else bool(several)
 
-    def physical(self, near: State | npt.ArrayLike | None = None) -> State:
+    def physical(self, near: S | npt.ArrayLike | None = None) -> S:
         """Return the physical solution; NaN where there is none.
 
         Of those in `is_physical`, the nearest to `near` if it is given. Without it two may be left, on
@@ -217,7 +217,7 @@ class Solutions(ABC, Generic[State]):
     def _preference(self, candidates: BoolArray) -> FloatArray:
         """Return a number for each solution (..., n), the largest for the one to take; -inf for no candidate."""
 
-    def one(self) -> State:
+    def one(self) -> S:
         """Return the only solution of every problem.
 
         Raises
