@@ -15,13 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import yaml
 
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import FloatArray, check_instance, dimension
-from spm_pin.mechanism.files import file_path, read_yaml, writing
+from spm_pin.mechanism.files import read_yaml
 from spm_pin.mechanism.leg_kinds import RPS, LegKind
 from spm_pin.mechanism.legs import (
     AXES,
@@ -44,6 +42,7 @@ from spm_pin.mechanism.machine_files import (
     read_mapping,
     warn_of_size,
 )
+from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.mechanism.stage import Stage
 from spm_pin.mechanism.units import unit_hint
 
@@ -57,7 +56,6 @@ _LARGEST_MACHINE = 100.0
 
 _DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
 _KIND_KEYS = "lower_legs", "upper_legs"
-_HEADING = "# A manipulator of two stages, lengths in metres and angles in radians: see Geometry of spm_pin.\n"
 
 
 def config_directory() -> Path:
@@ -68,7 +66,7 @@ def config_directory() -> Path:
 
 
 @dataclass(frozen=True, repr=False)
-class Geometry:
+class Geometry(Mechanism):
     """Dimensions of a manipulator, and its legs: those of the drawing, or those of one machine as built.
 
     Parameters
@@ -93,6 +91,8 @@ class Geometry:
     middle_side: float
     limits: LegLimits | None = None
     legs: Legs = None  # type: ignore[assignment]  # drawn below
+
+    _heading = "# A manipulator of two stages, lengths in metres and angles in radians: see Geometry of spm_pin.\n"
 
     @raised_as(GeometryError)
     def __post_init__(self) -> None:
@@ -203,14 +203,6 @@ class Geometry:
         """
         return _read(path)
 
-    def to_yaml(self, path: str | Path) -> None:
-        """Write the geometry to a YAML file that `from_yaml` reads, every number with all its digits."""
-        with raised_as(GeometryError):
-            path = file_path(path)
-            text = yaml.safe_dump(self.as_data(), sort_keys=False, default_flow_style=None, width=120)
-            with writing(path):
-                path.write_text(_HEADING + text, encoding="utf-8")
-
     def as_data(self) -> dict[str, Any]:
         """Return what `to_yaml` writes."""
         data: dict[str, Any] = dict(zip(_DIMENSIONS.values(), self.dimensions, strict=True))
@@ -221,11 +213,6 @@ class Geometry:
         if not self.is_nominal:
             data["legs"] = legs_as_data(self.legs)
         return data
-
-    @property
-    def is_nominal(self) -> bool:
-        """True if the legs are those of the drawing."""
-        return self.legs.is_drawn
 
     @functools.cached_property
     def nominal(self) -> Geometry:
@@ -267,39 +254,6 @@ class Geometry:
     def revolute_axes(self) -> FloatArray:
         """Unit revolute axes of the drawn legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
         return AXES.copy()
-
-    @property
-    def parameters(self) -> FloatArray:
-        """The parameters of the legs, named in `parameter_names`: per leg direction (2), pivot, ball (3 each), offset.
-
-        After these 54 follow the numbers that are fixed in PRS and RRS legs, leg by leg. The direction is the turn of
-        the axis from the drawn one about the two directions perpendicular to it [rad]: the tangent coordinates of the
-        shortest arc. Units are in `parameter_units`.
-        """
-        return self.legs.parameters
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the `parameters`: `PARAMETERS`, and for PRS and RRS legs such as `r_b1.rod`."""
-        return self.legs.parameter_names
-
-    @property
-    def parameter_units(self) -> tuple[str, ...]:
-        """Units of the `parameters`, "m" or "rad"."""
-        return self.legs.parameter_units
-
-    def from_parameters(self, parameters: npt.ArrayLike) -> Geometry:
-        """Return the machine of the same dimensions and limits whose legs have these `parameters`."""
-        return Geometry(*self.dimensions, self.limits, self.legs.from_parameters(parameters))
-
-    def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Geometry:
-        """Return a machine with independent normal errors added to all parameters of the legs.
-
-        Their standard deviations are `length`, of each coordinate of pivots and balls and of the offsets [m], up to
-        1e7, and `angle`, of the turn of each axis about either direction perpendicular to it [rad], up to 0.2.
-        """
-        legs = self.legs.perturbed(rng, length=length, angle=angle)
-        return Geometry(*self.dimensions, self.limits, legs)
 
     @property
     def axis_derivatives(self) -> FloatArray:

@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-import yaml
 
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.mechanism.arguments import dimension, type_and_value
-from spm_pin.mechanism.files import file_path, read_yaml, writing
+from spm_pin.mechanism.files import read_yaml
 from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.mechanism.legs import Legs, StageLimits, check_limits, drawn_legs
 from spm_pin.mechanism.machine_files import (
@@ -31,6 +29,7 @@ from spm_pin.mechanism.machine_files import (
     read_limits,
     read_mapping,
 )
+from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.mechanism.units import likely_unit
 
 _LENGTHS = RPS()
@@ -40,11 +39,10 @@ _PROPORTION = 100.0
 """Lengths of one stage that are this many times another are read as being in another unit."""
 _LEVEL = 1e-9
 """Sine of the rise of a slide up to which it is level."""
-_HEADING = "# A stage of three planar legs, lengths in metres and angles in radians: see Stage of spm_pin.\n"
 
 
 @dataclass(frozen=True, init=False, repr=False)
-class Stage:
+class Stage(Mechanism):
     """Three planar legs of one kind on a base, and a platform on their balls: as drawn, or one machine as built.
 
     Parameters
@@ -80,6 +78,8 @@ class Stage:
     platform_radius: float
     legs: Legs
     limits: StageLimits | None
+
+    _heading = "# A stage of three planar legs, lengths in metres and angles in radians: see Stage of spm_pin.\n"
 
     @raised_as(GeometryError)
     def __init__(
@@ -205,41 +205,12 @@ class Stage:
         own = [float(np.max(getattr(self.kind, name))) for name in ("crank", "rod") if hasattr(self.kind, name)]
         return self.base_radius + self.platform_radius + sum(own)
 
-    @property
-    def is_nominal(self) -> bool:
-        """True if the legs are those of the drawing."""
-        return self.legs.is_drawn
-
     @cached_property
     def nominal(self) -> Stage:
         """The stage as drawn, with the same dimensions and limits."""
         return (
             self if self.is_nominal else Stage(self.base_radius, self.platform_radius, self.kind.nominal, self.limits)
         )
-
-    @property
-    def parameters(self) -> npt.NDArray[np.float64]:
-        """The parameters of the legs: nine of each, and those fixed in PRS and RRS legs; see `Geometry.parameters`."""
-        return self.legs.parameters
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """Names of the `parameters`, such as `r_1.pivot_x` and `r_1.rod`."""
-        return self.legs.parameter_names
-
-    @property
-    def parameter_units(self) -> tuple[str, ...]:
-        """Units of the `parameters`, "m" or "rad"."""
-        return self.legs.parameter_units
-
-    def from_parameters(self, parameters: npt.ArrayLike) -> Stage:
-        """Return the stage of the same dimensions and limits whose legs have these `parameters`."""
-        return Stage(self.base_radius, self.platform_radius, self.legs.from_parameters(parameters), self.limits)
-
-    def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Stage:
-        """Return a stage with independent normal errors added to all parameters, as `Geometry.perturbed` does."""
-        legs = self.legs.perturbed(rng, length=length, angle=angle)
-        return Stage(self.base_radius, self.platform_radius, legs, self.limits)
 
     @classmethod
     @raised_as(GeometryError)
@@ -255,14 +226,6 @@ class Stage:
         limits = read_limits(data["limits"], f"limits in {path}", StageLimits) if "limits" in data else None
         with raised_as(GeometryError, str(path)):
             return cls(data["base_radius"], data["platform_radius"], legs, limits)
-
-    def to_yaml(self, path: str | Path) -> None:
-        """Write the stage to a YAML file that `from_yaml` reads, every number with all its digits."""
-        with raised_as(GeometryError):
-            path = file_path(path)
-            text = yaml.safe_dump(self.as_data(), sort_keys=False, default_flow_style=None, width=120)
-            with writing(path):
-                path.write_text(_HEADING + text, encoding="utf-8")
 
     def as_data(self) -> dict[str, Any]:
         """Return what `to_yaml` writes."""

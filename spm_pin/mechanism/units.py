@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from spm_pin.mechanism.mechanism import Mechanism
 
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """Units of length, and how many of them are a metre."""
@@ -14,15 +15,7 @@ _PROPORTION = 10.0
 """Lengths this many times the machine's size are read as a wrong unit."""
 
 
-class Machine(Protocol):
-    """A `Geometry` or a `Stage`."""
-
-    @property
-    def size(self) -> float:
-        """About its height [m]."""
-
-
-def likely_unit(machine: Machine, length: float, unit: str = "m") -> str | None:
+def likely_unit(machine: Mechanism, length: float, unit: str = "m") -> str | None:
     """Return the unit in which a length [m], if it was typed in `unit`, would be in proportion; None if it is."""
 
     def disproportion(tried: str) -> float:
@@ -34,7 +27,7 @@ def likely_unit(machine: Machine, length: float, unit: str = "m") -> str | None:
     return better if better != unit else None
 
 
-def unit_hint(machine: Machine, lengths: npt.ArrayLike) -> str:
+def unit_hint(machine: Mechanism, lengths: npt.ArrayLike) -> str:
     """Return a sentence on the unit that the largest of these lengths [m] may be in; empty if in proportion."""
     length = float(np.abs(lengths).max())
     unit = likely_unit(machine, length)
