@@ -7,10 +7,12 @@ reading; where it is zero the leg itself is singular: `docs/theory/planar_legs.m
 
 Each kind has the same formulas, of the numbers that are fixed in a leg: of RPS none; of PRS the rod's length, the
 direction of the slide, an angle from x towards z, and the working mode; of RRS the lengths of crank and rod, and the
-working mode. The working mode is the sign, +1 or -1, of the root in the reading; its radicand, the reach, is negative
-for a ball out of the leg's reach. Two formulas serve the values of the joints, `spm_pin.formulas.joint_values`: the
-reading at home where no limits say, from x there, the height of a stage that is as high as its two radii together, and
-the least reading; and a direction as the body sees it that carries the passive joint.
+working mode. The working mode is the sign, +1 or -1, of the root in the reading. Its radicand, the `reach`, is negative
+for a ball out of the leg's reach, and so is the `room`, which is a distance.
+
+Two formulas serve the values of the joints, `spm_pin.formulas.joint_values`. `home` is the reading at home where no
+limits say, from x there, the height of a stage that is as high as its two radii together, and the least reading;
+`passive` is a direction as the body sees it that carries the passive joint.
 """
 
 from __future__ import annotations
@@ -23,6 +25,8 @@ from spm_pin.formulas.vectors import Vector, combined, cross, direction, dot, la
 
 Numbers = tuple[float, ...]
 
+RPS_LEGS, PRS_LEGS, RRS_LEGS = 0, 1, 2
+"""Numbers of the kinds of legs, for those who choose their formulas by a number."""
 LONGEST_CHORD = 0.1
 """Turn of a crank [rad] over which the arc of its end is replaced by the chord where a state is followed."""
 MOST_TURNED = 16.0 * RIGHT_ANGLE
@@ -37,18 +41,18 @@ class Circle(NamedTuple):
     radius: float
 
 
-class Reach(NamedTuple):
-    """How far a ball is from where its leg is singular, negative out of the leg's reach, and the way back into it."""
+class Room(NamedTuple):
+    """Distance of a ball from where its leg is singular, negative out of the leg's reach, and its gradient."""
 
-    room: float
-    x: float  # a unit vector, the gradient of the room
+    distance: float
+    x: float
     z: float
 
 
 class LegState(NamedTuple):
-    """What a leg is where its ball is at a place; of a ball out of its reach, at the nearest place within."""
+    """The state of a leg, from its ball's place; of a ball out of reach, that of the nearest place within."""
 
-    reach: Reach
+    room: Room
     reading: float
     direction: tuple[float, float]  # the unit vector from the circle's centre to the ball, x and z
     curvature: float  # of the circle, one over its radius
@@ -136,16 +140,16 @@ def rps_largest_slope(numbers: Numbers) -> float:
     return 1.0
 
 
-def rps_room(x: float, z: float, numbers: Numbers) -> Reach:
+def rps_room(x: float, z: float, numbers: Numbers) -> Room:
     """Return the room of an RPS leg: its length."""
     length = sqrt(x * x + z * z)
-    return Reach(length, x / length, z / length)
+    return Room(length, x / length, z / length)
 
 
 def rps_state(x: float, z: float, numbers: Numbers) -> LegState:
     """Return the state of an RPS leg."""
-    reach = rps_room(x, z, numbers)
-    return LegState(reach, reach.room, (reach.x, reach.z), 1.0 / reach.room, 1.0, (0.0, 0.0))
+    room = rps_room(x, z, numbers)
+    return LegState(room, room.distance, (room.x, room.z), 1.0 / room.distance, 1.0, (0.0, 0.0))
 
 
 def prs_reach(x: float, z: float, numbers: Numbers) -> float:
@@ -189,23 +193,23 @@ def prs_largest_slope(numbers: Numbers) -> float:
     return -sign
 
 
-def prs_room(x: float, z: float, numbers: Numbers) -> Reach:
+def prs_room(x: float, z: float, numbers: Numbers) -> Room:
     """Return the room of a PRS leg: how far the rod is longer than the ball is beside the slide."""
     rod, direction, _ = numbers
     cosine, sine = cos(direction), sin(direction)
     across = cosine * z - sine * x
     side = where(across < 0.0, -1.0, 1.0)
-    return Reach(rod - magnitude(across), side * sine, -side * cosine)
+    return Room(rod - magnitude(across), side * sine, -side * cosine)
 
 
 def prs_state(x: float, z: float, numbers: Numbers) -> LegState:
     """Return the state of a PRS leg."""
-    reach = prs_room(x, z, numbers)
-    x, z = _within(x, z, reach, numbers[0])
+    room = prs_room(x, z, numbers)
+    x, z = _within(x, z, room, numbers[0])
     reading = prs_reading(x, z, numbers)
     circle, gain = prs_circle(reading, numbers), _gain(prs_slope(x, z, reading, numbers), 1.0)
     curvature, slide = 1.0 / circle.radius, (cos(numbers[1]), sin(numbers[1]))
-    return LegState(reach, reading, _direction(x, z, circle, curvature), curvature, gain, slide)
+    return LegState(room, reading, _direction(x, z, circle, curvature), curvature, gain, slide)
 
 
 def rrs_reach(x: float, z: float, numbers: Numbers) -> float:
@@ -245,13 +249,13 @@ def _lever_arm(x: float, z: float, circle: Circle) -> float:
     return (z * circle.x - x * circle.z) / circle.radius
 
 
-def rrs_room(x: float, z: float, numbers: Numbers) -> Reach:
+def rrs_room(x: float, z: float, numbers: Numbers) -> Room:
     """Return the room of an RRS leg: from the ball to where crank and rod are in line, stretched or folded."""
     crank, rod, _ = numbers
     distance = sqrt(x * x + z * z)
     stretched, folded = crank + rod - distance, distance - magnitude(crank - rod)
     way = where(stretched < folded, -1.0, 1.0) / distance
-    return Reach(where(stretched < folded, stretched, folded), way * x, way * z)
+    return Room(where(stretched < folded, stretched, folded), way * x, way * z)
 
 
 def rrs_home(x: float, height: float, least: float, numbers: Numbers) -> float:
@@ -275,8 +279,8 @@ def rrs_largest_slope(numbers: Numbers) -> float:
 
 def rrs_state(x: float, z: float, numbers: Numbers) -> LegState:
     """Return the state of an RRS leg."""
-    reach = rrs_room(x, z, numbers)
-    x, z = _within(x, z, reach, numbers[0] + numbers[1])
+    room = rrs_room(x, z, numbers)
+    x, z = _within(x, z, room, numbers[0] + numbers[1])
     cosine, sine = rrs_crank(x, z, numbers)
     scale = numbers[0] / (x * x + z * z)
     circle = Circle(scale * cosine, scale * sine, numbers[1])
@@ -285,7 +289,7 @@ def rrs_state(x: float, z: float, numbers: Numbers) -> LegState:
         1.0 / circle.radius,
         _gain(_lever_arm(x, z, circle), numbers[0]),
     )
-    return LegState(reach, reading, _direction(x, z, circle, curvature), curvature, gain, (-circle.z, circle.x))
+    return LegState(room, reading, _direction(x, z, circle, curvature), curvature, gain, (-circle.z, circle.x))
 
 
 def leg_rates(leg: LegState, x: float, z: float) -> LegRates:
@@ -293,7 +297,7 @@ def leg_rates(leg: LegState, x: float, z: float) -> LegRates:
     (ux, uz), (cx, cz) = leg.direction, leg.centre_rate
     reading = leg.gain * (ux * x + uz * z)
     turn = leg.curvature * (uz * (x - cx * reading) - ux * (z - cz * reading))
-    return LegRates(reading, turn, leg.reach.x * x + leg.reach.z * z)
+    return LegRates(reading, turn, leg.room.x * x + leg.room.z * z)
 
 
 def _direction(x: float, z: float, circle: Circle, curvature: float) -> tuple[float, float]:
@@ -305,7 +309,7 @@ def _gain(slope: float, largest_slope: float) -> float:
     return slope / larger(slope * slope, least * least)
 
 
-def _within(x: float, z: float, reach: Reach, length: float) -> tuple[float, float]:
+def _within(x: float, z: float, room: Room, length: float) -> tuple[float, float]:
     """Return a ball's place, or the nearest one within the reach of a leg of this length."""
-    lack = larger(_WITHIN * length - reach.room, 0.0)
-    return x + lack * reach.x, z + lack * reach.z
+    lack = larger(_WITHIN * length - room.distance, 0.0)
+    return x + lack * room.x, z + lack * room.z

@@ -15,7 +15,7 @@ from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.formulas.planar_legs import LONGEST_CHORD
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.leg_kinds import KINDS, RPS, LegKind
+from spm_pin.mechanism.leg_kinds import RPS, LegKind
 from spm_pin.mechanism.legs import Legs
 
 _is_home_state = on_arrays(formulas.is_home_state)
@@ -148,6 +148,6 @@ def _in_working_mode(stage: StageHalf, balls: FloatArray, readings: FloatArray) 
     from spm_pin.kinematics.kernels.one_stage import working_modes
 
     inputs = balls.reshape(-1, 3, 3), np.broadcast_to(readings - stage.offsets, balls.shape[:-1]).reshape(-1, 3)
-    constants = stage.pivots, stage.planes, list(KINDS).index(stage.kind.name), stage.kind.numbers
+    constants = stage.pivots, stage.planes, stage.kind.number, stage.kind.numbers
     (is_own,) = run_kernel(working_modes, inputs, constants, [((), np.bool_)], _MIN_BATCH_PER_THREAD_PHYSICAL)
     return balls if is_own.all() else np.where(is_own.reshape(*balls.shape[:-2], 1, 1), balls, np.nan)

@@ -59,7 +59,7 @@ class LegKind:
     turned: ClassVar[tuple[float, ...]]
     """Changes of the offset, and of each of the `identified` numbers, that amount to a unit turn of the leg's links."""
     number: ClassVar[int]
-    """Of the kind, in kernels."""
+    """The kind's number of `spm_pin.formulas.planar_legs`, for kernels."""
     formulas: ClassVar[SimpleNamespace]
     """The kind's formulas of `spm_pin.formulas.planar_legs`, see `FORMULAS`, for runners to bind."""
     on_arrays: ClassVar[SimpleNamespace]
@@ -162,7 +162,7 @@ class LegKind:
 
         Negative out of a leg's reach.
         """
-        return np.asarray(self.on_arrays.room(places[..., 0], places[..., 1], tuple(self.numbers.T)).room)
+        return np.asarray(self.on_arrays.room(places[..., 0], places[..., 1], tuple(self.numbers.T)).distance)
 
     def slopes(self, places: FloatArray, readings: FloatArray) -> FloatArray:
         """Return κ (..., 3) of balls at x and z (..., 3, 2) with these readings."""
@@ -179,7 +179,7 @@ class LegKind:
 class RPS(LegKind):
     """Legs of a revolute joint, an actuated prismatic one, and a ball: cylinders. A reading is a length [m]."""
 
-    number = 0
+    number = planar_legs.RPS_LEGS
     unit = "m"
     meaning = "the distance from pivot to ball"
     effort_unit = "N"
@@ -210,7 +210,7 @@ class PRS(LegKind):
     direction: Number = math.pi / 2.0
     sign: int | Sequence[int] = -1
 
-    number = 1
+    number = planar_legs.PRS_LEGS
     unit = "m"
     meaning = "the place of the carriage along its slide, from the pivot"
     effort_unit = "N"
@@ -240,7 +240,7 @@ class RRS(LegKind):
     rod: Number
     sign: int | Sequence[int] = -1
 
-    number = 2
+    number = planar_legs.RRS_LEGS
     unit = "rad"
     meaning = "the angle of the crank, 0 radially outwards and pi/2 towards the middle platform"
     effort_unit = "N m"

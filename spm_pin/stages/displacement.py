@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_displacement import STAGE_MODES, read_readings
 from spm_pin.kinematics.stage_balls import Drawing, StageHalf, all_modes, followed_balls, halves, physical_balls
@@ -22,7 +22,7 @@ from spm_pin.mechanism.arguments import (
     first_offender,
     real_array,
 )
-from spm_pin.mechanism.leg_kinds import KINDS, RPS
+from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.stage import Stage
 from spm_pin.mechanism.stage_configuration import StageConfiguration, StageSolutions
@@ -230,9 +230,9 @@ def forward_physical(
 
 def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) -> tuple[Any, ...]:
     """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and which are physical, of mode T, and of F if two."""
-    from spm_pin.kinematics.kernels.one_stage import RRS_LEGS, poses_of_stages
+    from spm_pin.kinematics.kernels.one_stage import poses_of_stages
 
-    legs, kind = stage.legs, list(KINDS).index(stage.kind.name)
+    legs, kind = stage.legs, stage.kind.number
     constants = np.stack(legs.arrays[:3]), np.stack(legs.planes), kind, stage.kind.numbers, stage.up
     triple = ((modes, 3), np.float64)
     cosines: Any = triple if kind == RRS_LEGS else np.empty((0, modes, 3))

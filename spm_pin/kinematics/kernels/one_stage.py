@@ -6,6 +6,8 @@ import numpy as np
 
 from spm_pin.formulas.circles import Circles, is_home_state
 from spm_pin.formulas.planar_legs import (
+    PRS_LEGS,
+    RPS_LEGS,
     LegPlane,
     place_in_plane,
     prs_circle,
@@ -19,8 +21,6 @@ from spm_pin.formulas.vectors import combinations, differences, direction, multi
 from spm_pin.kinematics.kernels.compilation import TILE, jit, kernel, matrix, readonly_array, rows_at, vector
 from spm_pin.mechanism.arguments import FloatArray
 
-RPS_LEGS, PRS_LEGS, RRS_LEGS = 0, 1, 2
-"""Kinds of legs, as the kernel takes them."""
 _NORMAL, _HEIGHT, _ROTATION, _POSITION, _X, _Z, _READING, _COSINE, _ROD_X, _ROD_Z, _HOME, _ROWS = (
     *(0, 3, 4, 13, 16, 19, 22, 25, 28, 31, 34, 35),
 )

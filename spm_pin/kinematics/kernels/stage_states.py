@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from spm_pin.formulas.planar_legs import LegState, leg_rates, prs_state, rps_state, rrs_state
+from spm_pin.formulas.planar_legs import PRS_LEGS, RRS_LEGS, LegState, leg_rates, prs_state, rps_state, rrs_state
 from spm_pin.formulas.stages import (
     ANY_ASPECT,
     EPS,
@@ -49,10 +49,9 @@ from spm_pin.mechanism.arguments import FloatArray
 
 AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND = 0, 3, 6, 9, 12, 15, 18, 19
 """Places of a leg's numbers in a row of `legs`: see `mechanism.Legs`, and `LegKind.number`."""
-_PRS, _RRS = 1, 2
 ROTATION, CENTRE, READINGS, DETERMINANT, ROOMS, STAGE_NUMBERS = 0, 9, 12, 15, 16, 19
 """Places of a stage's rotation, centre [m], readings, determinant, and rooms of the legs [m] in `values`, see
-`planar_legs.Reach`; and their number."""
+`planar_legs.Room`; and their number."""
 SPIN, VELOCITY, RATES, SLOPE_NUMBERS = 0, 3, 6, 13
 """Places in `slopes` of the derivatives: the rotation's, as a rotation vector, the centre's, and those of the readings,
 the determinant and the rooms, in this order; and their number."""
@@ -92,9 +91,9 @@ def put(numbers: Vector, array: FloatArray, first: int) -> None:
 @jit_inline
 def _leg_state(leg: FloatArray, x: float, z: float) -> LegState:
     """Return the state of a leg by its kind."""
-    if leg[KIND] == _PRS:
+    if leg[KIND] == PRS_LEGS:
         return prs_state(x, z, vector(leg, NUMBERS))
-    if leg[KIND] == _RRS:
+    if leg[KIND] == RRS_LEGS:
         return rrs_state(x, z, vector(leg, NUMBERS))
     return rps_state(x, z, vector(leg, NUMBERS))
 
@@ -156,7 +155,7 @@ def evaluate_stage(
     for i in range(3):
         put(turn[i], values, ROTATION + 3 * i)
         values[READINGS + i] = states[i].reading + legs[i, OFFSET]
-        values[ROOMS + i] = states[i].reach.room
+        values[ROOMS + i] = states[i].room.distance
     values[DETERMINANT] = unit * pair_determinant(c)
 
     for k in range(3):
