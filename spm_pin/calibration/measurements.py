@@ -103,15 +103,15 @@ class Measurements:
 
     def states(self, geometry: Geometry) -> Configuration:
         """Return the states (N,) of a machine with the readings; absent where it has none."""
-        impossible = self._impossible(geometry)
+        impossible = np.any(self._impossible(geometry), axis=-1)
         possible = np.where(impossible[:, None], geometry.legs.offsets + 1.0, self.readings)
         return forward_physical(geometry, possible).transformed(
             lambda array, inner: np.where(impossible.reshape(-1, *[1] * inner), np.nan, array)
         )
 
     def _impossible(self, geometry: Geometry) -> BoolArray:
-        """Return which rows have a reading that leaves its ball no circle."""
-        return np.asarray((geometry.legs.circles(self.readings)[1] <= 0.0).any(axis=-1))
+        """Return which readings (N, 6) leave their balls no circle."""
+        return np.asarray(geometry.legs.circles(self.readings)[1] <= 0.0)
 
     def errors(self, geometry: Geometry, frames: Frames | None = None) -> FloatArray:
         """Return the predicted less the measured poses (N, components) [m, rad]; NaN where there is no state."""
@@ -172,8 +172,8 @@ class Measurements:
 
     def _check_columns(self, geometry: Geometry) -> None:
         """Raise if there is no state, or if exchanged columns explain the positions much better."""
-        if self._impossible(geometry).any():
-            row, leg = first_offender(geometry.legs.circles(self.readings)[1] <= 0.0)
+        if (impossible := self._impossible(geometry)).any():
+            row, leg = first_offender(impossible)
             received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
             raise MeasurementError("readings", "readings that exceed the offsets", received, rows=(row,))
         errors = self.errors(geometry)

@@ -69,9 +69,19 @@ _BRANCHES: tuple[Result, Result, Result, Result] = (
     ((8, 3, 3), np.float64),
     ((8, 6), np.float64),
 )
-_SIGNS: tuple[Result, Result, Result] = (((4,), np.float64), ((4,), np.bool_), ((8,), np.bool_))
-DRAWN_BRANCHES = DrawnBranches(*_BRANCHES, *_SIGNS, ((), np.int8), ((), np.uint8))
-BUILT_BRANCHES = BuiltBranches(*_BRANCHES, np.empty((0, 8, 3, 3), np.complex128), ((8,), np.uint8), ((), np.int8))
+"""Of both kinds: rotation, position, joints and lengths."""
+DRAWN_BRANCHES = DrawnBranches(
+    *_BRANCHES,
+    discriminants=((4,), np.float64),
+    certain=((4,), np.bool_),
+    at_home=((8,), np.bool_),
+    status=((), np.int8),
+    flagged=((), np.uint8),
+)
+BUILT_BRANCHES = BuiltBranches(
+    *_BRANCHES, roots=np.empty((0, 8, 3, 3), np.complex128), carried=((8,), np.uint8), status=((), np.int8)
+)
+"""Shapes and types of the results. The roots are not asked for: no memory for them."""
 
 
 def new_result(count: int, result: Result) -> npt.NDArray[Any]:

@@ -51,20 +51,20 @@ class Interval:
         return cls(-array, array)
 
     def __add__(self, other: Interval | float) -> Interval:
-        other = _interval(other)
+        other = as_interval(other)
         return Interval(_below(self.low + other.low), _above(self.high + other.high))
 
     def __sub__(self, other: Interval | float) -> Interval:
-        return self + -_interval(other)
+        return self + -as_interval(other)
 
     def __rsub__(self, other: float) -> Interval:
-        return _interval(other) - self
+        return as_interval(other) - self
 
     def __neg__(self) -> Interval:
         return Interval(-self.high, -self.low)
 
     def __mul__(self, other: Interval | float) -> Interval:
-        other = _interval(other)
+        other = as_interval(other)
         products = (self.low * other.low, self.low * other.high, self.high * other.low, self.high * other.high)
         low = np.minimum(np.minimum(products[0], products[1]), np.minimum(products[2], products[3]))
         high = np.maximum(np.maximum(products[0], products[1]), np.maximum(products[2], products[3]))
@@ -106,7 +106,8 @@ class Interval:
         return np.asarray((self.low > other.high) | (self.high < other.low))
 
 
-def _interval(value: Interval | float) -> Interval:
+def as_interval(value: Interval | float) -> Interval:
+    """Return an interval as it is, and a number as the interval of it alone."""
     return value if isinstance(value, Interval) else Interval.from_numbers(value)
 
 
@@ -118,7 +119,7 @@ def real_root(x: Interval) -> Interval:
 
 def cosine(x: Interval | float) -> Interval:
     """Return the cosines."""
-    x = _interval(x)
+    x = as_interval(x)
     ends, width = np.cos(x.low), np.cos(x.high)
     low, high = np.minimum(ends, width) - _TRIGONOMETRIC, np.maximum(ends, width) + _TRIGONOMETRIC
     # Multiples of π within, or next to an end.
@@ -131,7 +132,7 @@ def cosine(x: Interval | float) -> Interval:
 
 def sine(x: Interval | float) -> Interval:
     """Return the sines."""
-    return cosine(_interval(x) - RIGHT_ANGLE)
+    return cosine(as_interval(x) - RIGHT_ANGLE)
 
 
 def angle(y: Interval, x: Interval) -> Interval:

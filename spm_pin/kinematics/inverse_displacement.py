@@ -7,7 +7,7 @@ three quadrics, all eight roots of which are found, and the labels of the drawn 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -89,10 +89,8 @@ def inverse_displacement(
     """
     certified = as_bool(certify, "certify")
     shape, rotation, position = read_pose(geometry, pose)
-    method = _method(geometry)
-    results = method.results if out is None else _memory_of(out, geometry, len(position))
-    constants, minimum = method.constants, method.min_batch
-    solved = type(method.results)(*run_kernel(method.all_branches, (rotation, position), constants, results, minimum))
+    results = None if out is None else _memory_of(out, geometry, len(position))
+    solved = _method(geometry).branches(rotation, position, results)
     details: dict[str, Any] = {}
     if isinstance(solved, DrawnBranches):
         details["degeneracy"] = _find_degeneracy(geometry, shape, solved)
@@ -167,6 +165,15 @@ class _Method(NamedTuple):
     constants: tuple[Any, ...]
     results: DrawnBranches | BuiltBranches
     min_batch: int
+
+    def branches(
+        self, rotation: FloatArray, position: FloatArray, results: Sequence[Any] | None = None
+    ) -> DrawnBranches | BuiltBranches:
+        """Return all branches of N poses, in memory of their own or in `results`, see `run_kernel`."""
+        wanted = self.results if results is None else results
+        return type(self.results)(
+            *run_kernel(self.all_branches, (rotation, position), self.constants, wanted, self.min_batch)
+        )
 
 
 def _method(geometry: Geometry) -> _Method:
@@ -252,9 +259,7 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
         # No memory for what is not asked for.
         nothing = {name: new_result(0, getattr(results, name)) for name in results._fields}
         results = results._replace(**{x: nothing[x] for x in nothing if x not in ("lengths", "status", "flagged")})
-    solved = type(results)(
-        *run_kernel(method.all_branches, (rotation, position), method.constants, results, method.min_batch)
-    )
+    solved = method.branches(rotation, position, results)
     if isinstance(solved, DrawnBranches):
         _find_degeneracy(geometry, shape, solved._replace(rotation=rotation, position=position))
     return solved.lengths.reshape(*shape, 8, 6), solved.status.reshape(shape)
@@ -275,18 +280,17 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
         in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. Of a machine as built
         real roots stand under their labels of `inverse_displacement`, the others under those left over.
     """
-    shape, *poses = read_pose(geometry, pose)
+    shape, rotation, position = read_pose(geometry, pose)
     method, roots = _method(geometry), ((8, 3, 3), np.complex128)
     if isinstance(method.results, DrawnBranches):
         from spm_pin.kinematics.kernels.branch_kernels import complex_branches
 
         radius = method.constants[:1]
-        (joints,) = run_kernel(complex_branches, poses, radius, [roots], _MIN_BATCH_PER_THREAD_AS_BUILT)
+        (joints,) = run_kernel(complex_branches, (rotation, position), radius, [roots], _MIN_BATCH_PER_THREAD_AS_BUILT)
     else:
-        results = method.results._replace(roots=roots)
-        joints = BuiltBranches(
-            *run_kernel(method.all_branches, poses, method.constants, results, method.min_batch)
-        ).roots
+        solved = method.branches(rotation, position, method.results._replace(roots=roots))
+        assert isinstance(solved, BuiltBranches)
+        joints = solved.roots
     return np.asarray(joints.reshape(*shape, 8, 3, 3))
 
 

@@ -126,12 +126,11 @@ class Certificate:
 
     def explain(self) -> str:
         """Return the statement proved, or the counterexample or doubt that is left, in a few lines."""
-        stages = zip(
-            *(np.reshape(ends, (2, 3)).tolist() for ends in (self.limits.minimum, self.limits.maximum)),
-            self.geometry.legs.kinds,
-            strict=True,
+        low, high, units = self.limits.minimum, self.limits.maximum, self.geometry.legs.units
+        ranges = dict.fromkeys(
+            f"{min(low[stage]):g} {units[stage][0]} to {max(high[stage]):g} {units[stage][0]}"
+            for stage in (slice(3), slice(3, 6))
         )
-        ranges = dict.fromkeys(f"{min(low):g} {kind.unit} to {max(high):g} {kind.unit}" for low, high, kind in stages)
         lines = [f"Readings from {' and '.join(ranges)}, {self.lower.boxes + self.upper.boxes:,} boxes."]
         if any(self.errors):
             errors = f"{1e3 * self.errors[0]:.3g} mm and {1e3 * self.errors[1]:.3g} mrad"
@@ -148,16 +147,13 @@ class Certificate:
         elif self.witness is not None:
             lines += [
                 "Not proved: a configuration of the nominal machine within the limits is forward singular, with",
-            ]
-            lines += [
                 f"({self._readings(self.witness)}), in a box that touches, box by box, that of the home.",
                 *self._whose(),
             ]
         else:
+            smaller = ", or smaller errors" if any(self.errors) else ""
             lines.append("Undecided: no singular configuration was found, and none was excluded. More boxes may help,")
-            lines.append(
-                "and narrower limits" + ", or smaller errors." * any(self.errors) + "." * (not any(self.errors))
-            )
+            lines.append(f"and narrower limits{smaller}.")
         for name, boxes in zip(("lower", "upper"), self.undecided, strict=True):
             if len(boxes):
                 half_sine = float(np.sqrt((boxes[:, :2] ** 2).max(axis=2).sum(axis=1).max()))
@@ -179,11 +175,8 @@ class Certificate:
             whose = f"As assembled it is in another one with these readings, a regular one: |det J| is {least:.2g} d³."
         else:
             whose = "The machine as assembled is there singular, or ends in it."
-        help_text = (
-            "Narrower limits help: largest_certified_limits finds the widest"
-            + ", and so do smaller errors" * any(self.errors)
-        )
-        return [whose, f"{help_text}."]
+        smaller = ", and so do smaller errors" if any(self.errors) else ""
+        return [whose, f"Narrower limits help: largest_certified_limits finds the widest{smaller}."]
 
     def _repr_html_(self) -> str:
         names, least = ("lower", "upper"), (self.lower, self.upper)
@@ -368,10 +361,8 @@ def _deviation(machine: Geometry, nominal: Geometry) -> tuple[float, float]:
     moved = turn.apply(balls - balls.mean(axis=0)) + drawn.mean(axis=0)
     offs = min(np.abs(points - drawn).max() for points in (balls, moved))
     # Directions of the axes are counted from the nominal ones, which are the same for all dimensions.
-    errors, are_angles = (
-        np.abs(machine.parameters - nominal.nominal.parameters),
-        np.array(machine.parameter_units) == "rad",
-    )
+    errors = np.abs(machine.parameters - nominal.nominal.parameters)
+    are_angles = np.array(machine.parameter_units) == "rad"
     are_balls = np.array([".ball" in name for name in machine.parameter_names])
     return float(max(offs, errors[~are_angles & ~are_balls].max())), float(errors[are_angles].max())
 

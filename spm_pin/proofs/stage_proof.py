@@ -27,9 +27,8 @@ import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from decimal import ROUND_FLOOR, Context
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from itertools import product
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,7 +41,7 @@ from spm_pin.formulas.operations import bind
 from spm_pin.formulas.planar_legs import Circle
 from spm_pin.formulas.stages import pair_determinant
 from spm_pin.formulas.vectors import combined, matrix_product, minus, times
-from spm_pin.kinematics.intervals import INTERVALS, SQRT_3, Interval
+from spm_pin.kinematics.intervals import INTERVALS, SQRT_3, Interval, as_interval
 from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branch_of_state import stage_coordinates
@@ -157,13 +156,13 @@ class StageRegion:
     @cached_property
     def circles(self) -> list[Circle]:
         """Circles of all balls with readings within the limits, as intervals."""
-        formula = _ON_INTERVALS[self.legs.name].circle
+        formula = _ON_INTERVALS[type(self.legs)].circle
         return [formula(*leg) for leg in zip(self.readings, self.numbers, strict=True)]
 
     @cached_property
     def radii(self) -> list[Interval]:
         """Distances from the circles' centres to the balls of legs whose readings are within the limits [m]."""
-        radii = [_interval(circle.radius) for circle in self.circles]
+        radii = [as_interval(circle.radius) for circle in self.circles]
         return [Interval(np.maximum(radius.low, 0.0), radius.high) for radius in radii]
 
     @cached_property
@@ -246,7 +245,7 @@ class StageRegion:
         """Return what is known of a leg whose ball is at x and z of its nominal plane."""
         if isinstance(self.legs, RPS):
             return LegValues((x.square() + z.square()).root(), ZERO, ZERO, np.asarray(False), np.asarray(1.0))
-        formulas, numbers, limits = _ON_INTERVALS[self.legs.name], self.numbers[leg], self.readings[leg]
+        formulas, numbers, limits = _ON_INTERVALS[type(self.legs)], self.numbers[leg], self.readings[leg]
         # By the turn of the leg's plane, see `docs/theory/proofs.md`.
         turned = Interval.within(_PLANE_TURN * self.angle_error * self.longest * _UP)
         x, z = x + turned, z + turned
@@ -261,20 +260,13 @@ class StageRegion:
         return LegValues(reading, circle.x + turned, circle.z + turned, beyond, slope.low)
 
 
-_ON_INTERVALS = {
-    name: SimpleNamespace(**{part: bind(formula, **INTERVALS) for part, formula in vars(kind.formulas).items()})
-    for name, kind in KINDS.items()
-}
+_ON_INTERVALS = {kind: kind.bound(partial(bind, **INTERVALS)) for kind in KINDS.values()}
 """The formulas of each kind of legs on intervals."""
 
 
 def rounded_down(bound: float) -> str:
     """Return a proved lower bound as a text of three digits that does not overstate it."""
     return f"{float(Context(prec=3, rounding=ROUND_FLOOR).create_decimal(float(bound))):.3g}"
-
-
-def _interval(value: Interval | float) -> Interval:
-    return value if isinstance(value, Interval) else Interval.from_numbers(value)
 
 
 def _less(value: Interval, other: Interval) -> Interval:
@@ -284,7 +276,7 @@ def _less(value: Interval, other: Interval) -> Interval:
 
 def _largest(value: Interval | float) -> FloatArray:
     """Return the largest magnitude."""
-    value = _interval(value)
+    value = as_interval(value)
     return np.maximum(np.abs(value.low), np.abs(value.high))
 
 

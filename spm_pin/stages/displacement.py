@@ -232,14 +232,14 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and which are physical, of mode T, and of F if two."""
     from spm_pin.kinematics.kernels.one_stage import poses_of_stages
 
-    legs, kind = stage.legs, stage.kind.number
-    constants = np.stack(legs.arrays[:3]), np.stack(legs.planes), kind, stage.kind.numbers, stage.up
+    legs, kind = stage.legs, stage.kind
+    constants = np.stack(legs.arrays[:3]), np.stack(legs.planes), kind.number, kind.numbers, stage.up
     triple = ((modes, 3), np.float64)
-    cosines: Any = triple if kind == RRS_LEGS else np.empty((0, modes, 3))
+    cosines: Any = triple if kind.number == RRS_LEGS else np.empty((0, modes, 3))
     results = ((modes, 3, 3), np.float64), triple, triple, cosines, ((modes,), np.uint8)
     solved = run_kernel(poses_of_stages, (normals, heights), constants, results, _MIN_BATCH_PER_THREAD)
     rotation, translation, readings, cosines, physical = solved
-    if kind == RRS_LEGS:
+    if kind.number == RRS_LEGS:
         # As `rrs_reading` does, on arrays: NumPy takes several arc tangents at a time.
         np.arctan2(np.negative(cosines, out=cosines), readings, out=readings)
         readings += 0.5 * math.pi

@@ -107,9 +107,9 @@ def height_range(stage: Stage) -> tuple[float, float]:
     first, last = edges[::2], edges[1::2] - 1
     widest = int((last - first).argmax())
     low, high = int(first[widest]), int(last[widest])
-    lowest = grid[low] if low == 0 else _between(counts, grid[low : low + 1], grid[low - 1 : low])[0]
+    lowest = grid[low] if low == 0 else _last_good(counts, grid[low : low + 1], grid[low - 1 : low])
     beyond = grid[high + 1 : high + 2]
-    highest = grid[high] if not len(beyond) else _between(counts, grid[high : high + 1], beyond)[0]
+    highest = grid[high] if not len(beyond) else _last_good(counts, grid[high : high + 1], beyond)
     return float(np.squeeze(lowest)), float(np.squeeze(highest))
 
 
@@ -207,15 +207,13 @@ def _counts(state: StageConfiguration) -> BoolArray:
     return np.asarray(state.exists & (state.limit_excess == 0.0).all(axis=-1))
 
 
-def _between(
-    counts: Callable[[FloatArray], BoolArray], good: FloatArray, bad: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the last numbers that count between some that do and others that do not, and the first that do not."""
+def _last_good(counts: Callable[[FloatArray], BoolArray], good: FloatArray, bad: FloatArray) -> FloatArray:
+    """Return the numbers, between some that count and others that do not, up to which they count, by bisection."""
     for _ in range(_BISECTIONS):
         middle = 0.5 * (good + bad)
         inside = counts(middle)
         good, bad = np.where(inside, middle, good), np.where(inside, bad, middle)
-    return good, bad
+    return good
 
 
 def _largest_tilts(stage: Stage, heights: FloatArray, azimuths: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int8]]:
@@ -224,15 +222,13 @@ def _largest_tilts(stage: Stage, heights: FloatArray, azimuths: FloatArray) -> t
     heights, azimuths = np.broadcast_to(heights, shape), np.broadcast_to(azimuths, shape)
 
     def counts(tilts: FloatArray) -> BoolArray:
-        places = np.broadcast_to(heights[..., None], tilts.shape) if tilts.ndim > heights.ndim else heights
-        ways = azimuths[..., None] if tilts.ndim > heights.ndim else azimuths
-        return _counts(inverse_physical(stage, places, tilt=tilts, azimuth=np.broadcast_to(ways, tilts.shape)))
+        return _counts(inverse_physical(stage, heights[..., None], tilt=tilts, azimuth=azimuths[..., None]))
 
     grid = np.linspace(0.0, _LARGEST_TILT, round(_LARGEST_TILT / _STEP) + 1)
-    good = counts(np.broadcast_to(grid, (*heights.shape, len(grid))))
+    good = counts(grid)
     last = np.where(good.all(axis=-1), len(grid), good.argmin(axis=-1)) - 1
-    inside = np.minimum(last, len(grid) - 2)
-    tilts, _ = _between(counts, grid[np.maximum(inside, 0)], grid[inside + 1])
+    inside = np.minimum(last, len(grid) - 2)[..., None]
+    tilts = _last_good(counts, grid[np.maximum(inside, 0)], grid[inside + 1])[..., 0]
     whole = last == len(grid) - 1
     tilts = np.where(whole, _LARGEST_TILT, np.where(last < 0, np.nan, tilts))
     beyond = np.where(np.isnan(tilts) | whole, 0.0, tilts + _BESIDE)
