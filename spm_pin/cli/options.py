@@ -22,7 +22,7 @@ from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError, PoseError
 from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Status, pose
+from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, StageConfiguration, Status, pose
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branch_of_state import branch_sign, family
 from spm_pin.mechanism.units import PER_METRE, likely_unit
@@ -184,20 +184,37 @@ def takes_pose(
                 annotation=Annotated[kind if needed else kind | None, option],
             )
 
-        @functools.wraps(command)
-        def run(**arguments: Any) -> None:
-            typed = {name: arguments.pop(parameter.name) for name, parameter in options.items()}
-            command(**arguments, **{argument: _read_pose(typed, prefix, arguments["unit"], required)})
+        def read(typed: dict[str, Any], unit: LengthUnit) -> RigidTransform | None:
+            return _read_pose(typed, prefix, unit, required)
 
-        parameters: list[inspect.Parameter] = []
-        for parameter in inspect.signature(command, eval_str=True).parameters.values():
-            whole = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-            parameters += options.values() if parameter.name == argument else [whole]
-        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        return run
+        return with_options(command, argument, options, read)
 
     return decorate
+
+
+def with_options(
+    command: Callable[..., None],
+    argument: str,
+    options: dict[str, inspect.Parameter],
+    read: Callable[[dict[str, Any], LengthUnit], Any],
+) -> Callable[..., None]:
+    """Return a command that takes options in place of one of its arguments.
+
+    `read` makes the argument from the values of the options, by their keys, and the command's argument `unit`.
+    """
+
+    @functools.wraps(command)
+    def run(**arguments: Any) -> None:
+        typed = {name: arguments.pop(parameter.name) for name, parameter in options.items()}
+        command(**arguments, **{argument: read(typed, arguments["unit"])})
+
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        whole = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        parameters += options.values() if parameter.name == argument else [whole]
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return run
 
 
 def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: bool) -> RigidTransform | None:
@@ -316,14 +333,14 @@ def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, require
     return chosen
 
 
-def exit_code(solutions: SolutionSet, physical: Configuration) -> int:
-    """Return the exit code of a command that solved a displacement, whose `physical` solution may not exist.
+def exit_code(status: Any, physical: Configuration | StageConfiguration) -> int:
+    """Return the exit code of a command whose displacement has a status and a `physical` solution, if that exists.
 
     3 if it is unreachable, 4 if degenerate, 5 if there is no physical solution within the limits, and else 0.
     """
     held = bool(physical.exists) and not physical.limit_excess.any()
     codes = {Status.OK: 0 if held else 5, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}
-    return codes.get(Status(int(solutions.status)), 1)
+    return codes.get(Status(int(status)), 1)
 
 
 def solve_pose(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> tuple[SolutionSet, list[str]]:
@@ -424,4 +441,4 @@ def end_command(solutions: SolutionSet, remarks: list[str], physical: Configurat
     if not solutions.count:
         for remark in (f"status: {solutions.status}, no real branch", *remarks):
             note(remark)
-    raise typer.Exit(exit_code(solutions, physical))
+    raise typer.Exit(exit_code(solutions.status, physical))

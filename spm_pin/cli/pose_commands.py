@@ -52,7 +52,7 @@ def inverse(
     shown = Readings.of(solutions.geometry, unit)
     branches = _records(solutions, None, lambda state: _lengths(state, shown))
     physical = solutions.physical()
-    code = options.exit_code(solutions, physical)
+    code = options.exit_code(solutions.status, physical)
     reach = _nearest(solutions.geometry, pose, unit) if code in (3, 5) else None
     if json:
         content = options.status_content(solutions, unit)
@@ -198,7 +198,7 @@ def forward(
         }
         for label, state in shown.items()
     ]
-    code = options.exit_code(modes, physical)
+    code = options.exit_code(modes.status, physical)
     if json:
         outputs.write_json(options.status_content(modes, unit) | {"count": modes.count, "modes": states})
         raise typer.Exit(code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 import math
 from collections.abc import Callable
@@ -47,24 +46,16 @@ Height = Annotated[float, Option(metavar="LENGTH", help="Of the platform's centr
 
 def takes_stage(command: Callable[..., None]) -> Callable[..., None]:
     """Decorate a command that has a `stage`, so that it takes the options of one instead; it has a `unit` too."""
-    parameters = []
-    for parameter in inspect.signature(command, eval_str=True).parameters.values():
-        whole = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        if parameter.name != "stage":
-            parameters.append(whole)
-            continue
-        for name, (kind, typed, metavar, text) in _STAGE.items():
-            annotation = Annotated.__class_getitem__((kind, Option(typed, metavar=metavar, help=text)))  # type: ignore[attr-defined]
-            parameters.append(whole.replace(name=name, annotation=annotation, default=None))
-
-    @functools.wraps(command)
-    def run(**arguments: Any) -> None:
-        typed = {name: arguments.pop(name) for name in _STAGE}
-        command(stage=_read_stage(typed, arguments["unit"]), **arguments)
-
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return run
+    parameters = {
+        name: inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[kind, Option(typed, metavar=metavar, help=text)],
+        )
+        for name, (kind, typed, metavar, text) in _STAGE.items()
+    }
+    return options.with_options(command, "stage", parameters, _read_stage)
 
 
 @takes_stage
@@ -95,7 +86,7 @@ def inverse(
     metres = height / unit.per_metre
     solutions = both_modes(stage, metres, **request)
     physical, nearest = solutions.physical(), None
-    code = _exit_code(solutions, physical)
+    code = options.exit_code(solutions.status, physical)
     if code:
         nearest = nearest_reachable(stage, metres, **request)
     records = _records(solutions, unit)
@@ -103,7 +94,7 @@ def inverse(
         found = None if nearest is None or not nearest.exists else _record("nearest", nearest, unit)
         outputs.write_json({**_units(stage, unit), "status": str(solutions.status), "modes": records, "nearest": found})
         raise typer.Exit(code)
-    _print_states(stage, records, "mode", unit)
+    _print_states(stage, records, unit)
     status = f"status: {solutions.status}{_why(solutions.configurations.missing_reason)}"
     lines = [status, *_remarks(records, physical)]
     if nearest is not None and nearest.exists:
@@ -137,13 +128,11 @@ def forward(
     else:
         records = [_record("", physical, unit) | {"physical": True}] if physical.exists else []
         status, reason = (Status.OK if physical.exists else Status.UNREACHABLE), physical.missing_reason
-    held = bool(physical.exists) and not physical.limit_excess.any()
-    codes = {Status.OK: 0 if held else 5, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}
-    code = codes.get(Status(int(status)), 1)
+    code = options.exit_code(status, physical)
     if json:
         outputs.write_json({**_units(stage, unit), "status": str(status), "modes": records})
         raise typer.Exit(code)
-    _print_states(stage, records, "mode", unit, pose=True)
+    _print_states(stage, records, unit, pose=True)
     outputs.print_lines([f"status: {status}" + _why(reason), *_remarks(records, physical)])
     raise typer.Exit(code)
 
@@ -292,9 +281,9 @@ def _records(solutions: StageSolutions, unit: LengthUnit) -> list[Record]:
     return [_record(solutions.labels[k], solutions.configurations[k], unit) for k in np.flatnonzero(solutions.exists)]
 
 
-def _print_states(stage: Stage, records: list[Record], what: str, unit: LengthUnit, *, pose: bool = False) -> None:
+def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, pose: bool = False) -> None:
     angle = "°" if stage.unit == "rad" else str(unit)
-    columns: dict[str, Any] = {what: lambda row: row["label"]} if len(records) > 1 or not pose else {}
+    columns: dict[str, Any] = {"mode": lambda row: row["label"]} if len(records) > 1 or not pose else {}
     if pose:
         for name in ("tilt", "azimuth", "roll", "pitch"):
             columns[f"{name} [°]"] = lambda row, name=name: fixed(row[name], 3)
@@ -321,9 +310,3 @@ def _remarks(records: list[Record], physical: StageConfiguration) -> list[str]:
 
 def _why(reason: str) -> str:
     return f": {reason}" if reason else ""
-
-
-def _exit_code(solutions: StageSolutions, physical: StageConfiguration) -> int:
-    if solutions.status is not Status.OK:
-        return 3
-    return 0 if physical.exists and not physical.limit_excess.any() else 5

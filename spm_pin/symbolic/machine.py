@@ -127,10 +127,10 @@ class Machine:
     def __init__(self, geometry: Geometry | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
         self.inputs: list[Any] = []
         self.valid: Any = 1
-        self._set_kinds(Geometry.paper())
         parameters = as_bool(parameters, "parameters")
         self.is_drawn = not parameters
         if isinstance(geometry, str) and geometry == "symbolic" and not parameters:
+            self._set_kinds(Geometry.paper())
             self.inputs = [ca.SX.sym("dimensions", 3)]
             self._draw(*ca.vertsplit(self.inputs[0]))
             return
@@ -187,7 +187,7 @@ class Machine:
     def _set_kinds(self, geometry: Geometry) -> None:
         self.kinds = kinds = geometry.legs.kinds
         self.joint_names = joint_names(geometry)
-        self.minimum = ca.SX([kind.least_reading for kind in kinds for _ in range(3)])
+        self.minimum = ca.SX(geometry.legs.least_readings)
         self.maximum = ca.SX(6 * [np.inf])
         self.formulas = [kind.bound(in_casadi) for kind in kinds]
         self.numbers = [tuple(row) for kind in kinds for row in kind.numbers.tolist()]

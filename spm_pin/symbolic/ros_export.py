@@ -13,7 +13,7 @@ from spm_pin.description.masses import Masses
 from spm_pin.description.source_files import MESHES, description_directory
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import Configuration, Geometry, LegLimits
+from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.joint_angles import actuated_joints, home_readings, homes, joint_names
@@ -124,14 +124,11 @@ def _checked_name(name: str, argument: str) -> str:
 
 def travel(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
     """Return the least and largest readings, where there is no limit those of a `_stroke` from the home."""
-    limits, home = _limits(geometry), home_readings(geometry) + geometry.legs.offsets
+    limits = geometry.limits or geometry.legs.free_limits
+    home = home_readings(geometry) + geometry.legs.offsets
     stroke, low = _stroke(geometry), np.array(limits.minimum)
     low = np.where(np.isfinite(low), low, home - stroke)
     return low, np.minimum(limits.maximum, np.maximum(low, home) + stroke)
-
-
-def _limits(geometry: Geometry) -> LegLimits:
-    return geometry.limits or LegLimits(geometry.legs.least_readings.tolist(), np.inf)
 
 
 def _stroke(geometry: Geometry) -> FloatArray:
@@ -154,7 +151,7 @@ def start_readings(geometry: Geometry) -> tuple[list[float], Configuration]:
 
 def _hardware(geometry: Geometry, name: str, slides: list[str], zeros: list[float], readings: list[float]) -> str:
     """Return the description's `<ros2_control>`: six actuated joints, their zeros and units the description's."""
-    limits = _limits(geometry)
+    limits = geometry.limits or geometry.legs.free_limits
     lines = [f'  <ros2_control name="{name}" type="system">', "    <hardware>"]
     lines += ["      <plugin>mock_components/GenericSystem</plugin>", "    </hardware>"]
     for leg, (slide, zero, reading) in enumerate(zip(slides, zeros, readings, strict=True)):

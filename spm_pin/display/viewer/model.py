@@ -25,7 +25,7 @@ from spm_pin.kinematics import (
 )
 from spm_pin.kinematics.path_following import last_on_line, physical_mode_share
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, LegLimits, SolutionSet, Status
+from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, real_array
 from spm_pin.mechanism.branch_of_state import family, physical
 from spm_pin.mechanism.pose import inverse_command
@@ -157,7 +157,7 @@ class ViewerModel:
         if limited:
             nearest = nearest_reachable_pose(geometry, target, near=before)
         else:
-            nearest = nearest_reachable_pose(geometry, target, _no_limits(geometry), branch=label, near=before)
+            nearest = nearest_reachable_pose(geometry, target, geometry.legs.free_limits, branch=label, near=before)
         shown, distance = nearest.configuration, nearest.distance
         if not shown.exists:  # at the edge rounding may decide; what is shown is reachable in any case
             shown, distance = before, pose_distance(geometry, before.pose, target)
@@ -234,10 +234,6 @@ def reading_units(geometry: Geometry) -> list[ReadingUnit]:
 
 def _amount(difference: float, unit: ReadingUnit, digits: int) -> str:
     return f"{unit.fine_factor * difference:.{digits}f}{unit.fine}"
-
-
-def _no_limits(geometry: Geometry) -> LegLimits:
-    return LegLimits(geometry.legs.least_readings.tolist(), np.inf)
 
 
 def _real_branches(solutions: SolutionSet) -> tuple[str, ...]:
