@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from uniqueness_figure import SLIDES, slide_pair
+from uniqueness_slides import SLIDES, slide_pair
 
 import spm_pin as spm
 from spm_pin.crosscheck import Verdict, reproduce

@@ -59,6 +59,9 @@ PUBLIC = {
 }
 """The public modules, each with a page of the reference."""
 
+LIVE_PAGES = "live.html", "balancer.html"
+"""Pages of docs/ that are finished files, and are copied."""
+
 INTERNAL = {
     "formulas": "each formula of the mechanism once, on numbers of any kind",
     "mechanism": "the same types, and the checks of arguments",
@@ -97,8 +100,8 @@ def main(folder: Path) -> int:
         options = ["-q", "-W", "--keep-going", "-E", "-b", "html", "-c", settings, "-d", f"{name}.doctrees"]
         try:
             code = build_main([*options, name, str(folder)])
-            for name in ("live.html", "balancer.html"):
-                shutil.copy(ROOT / "docs" / name, folder)
+            for page in LIVE_PAGES:
+                shutil.copy(ROOT / "docs" / page, folder)
             return code
         finally:
             shutil.rmtree(f"{name}.doctrees", ignore_errors=True)
@@ -147,8 +150,8 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
             return f"[{text}](#{'.'.join(parts)})"
         elif parts[0] == "spm_pin" and len(parts) > 1 and parts[1] in INTERNAL:
             shown = f"reference/modules/{parts[1]}.md"
-        elif parts == ("docs", "live"):
-            return f'<a href="{"../" * page.count("/")}live.html">{text}</a>'
+        elif path.name in LIVE_PAGES:
+            return f'<a href="{"../" * page.count("/")}{path.name}">{text}</a>'
         elif parts[:2] == ("docs", "images") or path.suffix == ".bib":
             shown = path.relative_to(ROOT / "docs").as_posix()
         else:

@@ -164,11 +164,11 @@ def _meshes() -> tuple[bytes, dict[str, tuple[float, int, int]]]:
         # Triangles that share corners and their normals are one smooth region; between regions an edge is drawn.
         sides = triangles[:, [0, 1, 1, 2]].reshape(-1, 2).T
         scale = float(np.abs(points).max())
-        packed = np.empty(len(pairs), VERTEX)
-        packed["position"] = np.round(32767.0 / scale * points[pairs[:, 0]])
-        packed["normal"] = np.round(127.0 * normals[pairs[:, 1]])
-        packed["region"] = connected_components(coo_array((np.ones(sides.shape[1]), sides), shape=(len(pairs),) * 2))[1]
-        vertices.append(packed.tobytes())
+        rows = np.empty(len(pairs), VERTEX)
+        rows["position"] = np.round(32767.0 / scale * points[pairs[:, 0]])
+        rows["normal"] = np.round(127.0 * normals[pairs[:, 1]])
+        rows["region"] = connected_components(coo_array((np.ones(sides.shape[1]), sides), shape=(len(pairs),) * 2))[1]
+        vertices.append(rows.tobytes())
         faces.append((triangles + count).astype(np.uint16).ravel())
         ranges[name] = scale, first, triangles.size
         count, first = count + len(pairs), first + triangles.size

@@ -46,11 +46,11 @@ from spm_pin.sweeps.runner import check_workers, processes, run_tasks
 if TYPE_CHECKING:
     from distributed import Client
 
-Some = tuple[int, tuple[Geometry, ...]]
+Batch = tuple[int, tuple[Geometry, ...]]
 Rows = tuple[int, FloatArray]
 
 _TOGETHER = 16
-"""Machines in a task, at most: some tenths of a second for 10⁴ states each."""
+"""Machines in a batch, at most: some tenths of a second for 10⁴ states each."""
 SIZES = ("assembled", "volume", "footprint")
 """Columns that are no statistics of metrics, besides "certified" and those of functions."""
 Function = Callable[[Geometry], float]
@@ -194,9 +194,14 @@ def column_names(metrics: tuple[Metric, ...], boxes: int, own: Iterable[str] = (
 
 
 def _evaluate_some(
-    shares: FloatArray, metrics: tuple[Metric, ...], quantile: float, boxes: int, own: tuple[Function, ...], some: Some
+    shares: FloatArray,
+    metrics: tuple[Metric, ...],
+    quantile: float,
+    boxes: int,
+    own: tuple[Function, ...],
+    batch: Batch,
 ) -> Rows:
-    first, machines = some
+    first, machines = batch
     rows = np.array(
         [
             [*_evaluate(shares, metrics, quantile, machine), *(_number(function, machine) for function in own)]

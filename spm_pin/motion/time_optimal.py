@@ -181,9 +181,11 @@ def time_optimal(
         velocities, joint_accelerations = along.first * rate, along.first * change + along.second * rate**2
         return (along.q, velocities, joint_accelerations, efforts), along.states.readings, along.states.pose
 
-    last, above = slower, slower * (1.0 + error) - 1.0
+    def motion_at(times: FloatArray) -> _Rows:
+        return rows(*moved(times, slower))
+
     joints, readings, poses = rows(along, speeds, accelerations)
-    motion_at = lambda at: rows(*moved(at, last))  # noqa: E731
+    above = slower * (1.0 + error) - 1.0
     columns, units = tuple(chain.leg_indices.tolist()), chain.geometry.legs.units
     return TimedMotion(chain.joint_names, times, *joints, readings, poses, columns, units, above, motion_at)
 

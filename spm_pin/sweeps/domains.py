@@ -302,10 +302,10 @@ class SweepPlan:
         """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
         check_instance(geometry, Geometry, "geometry")
         check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
-        # By name, so that their order makes no other sweep.
         for axis, least in zip(domain.axes, geometry.legs.free_limits.minimum, strict=True):
             if axis.name in LEGS and axis.start <= least:
                 raise ArgumentError(axis.name, "positive lengths in metres", f"{axis.start:g}")
+        # By name, so that their order makes no other sweep.
         ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))
         reserved = [metric.name for metric in ordered if metric.name in _RESERVED]
         if reserved:

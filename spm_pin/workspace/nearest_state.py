@@ -17,7 +17,7 @@ from spm_pin.workspace.states import StateSet
 _LEAST_DETERMINANT = 3e-7
 """Of a stage, about 1 at home: nearer to a forward singularity rounding of the readings moves the platform farther."""
 _LEAST_ROOM = 1e-7
-"""Of a leg, over the machine's size, where legs have an end of their reach."""
+"""Least room of a PRS or RRS leg over the machine's size: at the end of its reach a leg is singular."""
 _RIM = 1e-9
 """Least of 1 - x² - y² of a stage."""
 _FAR = 1e6

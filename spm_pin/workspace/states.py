@@ -116,7 +116,7 @@ class StateSet:
 
     @cached_property
     def legs(self) -> FloatArray:
-        """What `kernels.stage_states` knows of the legs of both stages, (2, 3, 20); axes are tangents of platforms."""
+        """Constants of both stages' legs for `kernels.stage_states`, (2, 3, 20); axes are tangents of the platforms."""
         legs = self.geometry.legs
         axes = np.tile(TANGENT_SIGNS, 2)[:, None] * legs.axes
         balls = legs.balls * np.repeat(self._turns, 3, axis=0)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import uniqueness_check
 import uniqueness_proof
-from uniqueness_figure import SLIDES, share_of_aspects, slide_pair, slide_stage, values
+from uniqueness_figure import share_of_aspects, values
+from uniqueness_slides import SLIDES, slide_pair, slide_stage
 
 from spm_pin.formulas.operations import on_arrays
 from spm_pin.formulas.planar_legs import prs_reading
