@@ -36,7 +36,7 @@ quietly = np.errstate(all="ignore")
 """Decorates functions in which numbers of what does not exist are no reason for NumPy's warnings."""
 _UNLIMITED = (-math.inf,) * 6, (math.inf,) * 6
 _RPS = Geometry(1.0, 1.0, 1.0)
-"""Of the kinds of dimensions and parameters that come without a geometry."""
+"""A machine of RPS legs: what dimensions and parameters that are given without a `Geometry` describe."""
 
 
 class Library:

@@ -18,11 +18,11 @@ class StageState(NamedTuple):
     """States (...) of a stage."""
 
     rotation: Array
-    """Of the platform in {B}, shape (..., 3, 3)."""
+    """Rotation of the platform in {B}, shape (..., 3, 3)."""
     translation: Array
-    """Of its origin in {B} [m], shape (..., 3)."""
+    """Position of the platform's origin in {B} [m], shape (..., 3)."""
     readings: Array
-    """Shape (..., 3): [m], of RRS legs [rad]."""
+    """Readings of the encoders, shape (..., 3): [m], of RRS legs [rad]."""
     exists: Array
     """Where there is such a state, shape (...). Elsewhere numbers and derivatives are finite and mean nothing."""
 

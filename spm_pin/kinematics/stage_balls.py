@@ -28,14 +28,14 @@ class StageHalf(NamedTuple):
     """The legs of one stage, a lower or an upper one, in the frame of the plate that carries them."""
 
     axes: FloatArray
-    """Of the legs (3, 3)."""
+    """Revolute axes of the legs, as rows (3, 3)."""
     balls: FloatArray
-    """In the platform's frame (3, 3) [m]."""
+    """Centres of the balls in the platform's frame, as rows (3, 3) [m]."""
     up: float
     """-1 where the platform is below the circles' centres at home."""
     pivots: FloatArray
     planes: FloatArray
-    """Directions of x and z of the legs' planes (2, 3, 3)."""
+    """Unit vectors x and z of the legs' planes (2, 3, 3)."""
     kind: LegKind
     offsets: FloatArray
 
@@ -63,8 +63,9 @@ class Drawing(NamedTuple):
     is_drawn: bool
     """Whether the stage itself is the drawn one, of RPS legs."""
     radius: float
-    """Of the platform [m]."""
+    """Radius of the platform, on which the balls are [m]."""
     base_radius: float
+    """Radius of the base, on which the pivots are [m]."""
 
 
 class Modes(NamedTuple):

@@ -1,4 +1,4 @@
-"""What the states of a robot and of a stage have in common: a pose each, and batch axes indexed as NumPy would."""
+"""The base class of `Configuration` and `StageConfiguration`: the platform's pose, and indexing of batches."""
 
 from __future__ import annotations
 

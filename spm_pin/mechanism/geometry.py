@@ -166,9 +166,10 @@ class Geometry(Mechanism):
     @classmethod
     @raised_as(GeometryError)
     def of_stages(cls, lower: Stage, upper: Stage) -> Geometry:
-        """Return the machine as drawn of two stages, of legs of either kind, whose platforms are one triangle of balls.
+        """Return the machine of two stages, of legs of either kind, whose platforms are one triangle of balls.
 
-        The upper stage stands on the same balls with its base for the terminal platform.
+        The upper stage is turned over about its y axis, with its base for the terminal platform, and so stands on the
+        same balls: its legs 3, 2, 1 are `r_c1` to `r_c3`. Of stages as built the platforms' frames become one, {n}.
         """
         check_instance(lower, Stage, "lower")
         check_instance(upper, Stage, "upper")
@@ -177,14 +178,16 @@ class Geometry(Mechanism):
                 f"the platform_radius of the lower stage, {lower.platform_radius:g} m: both stand on one triangle"
             )
             raise GeometryError("upper", expected, f"{upper.platform_radius:g} m")
-        for name, stage in (("lower", lower), ("upper", upper)):
-            if not stage.is_nominal:
-                raise GeometryError(name, "a stage as drawn", repr(stage), "Give the six legs to Geometry(legs=…)")
         dimensions = lower.base_radius, upper.base_radius, math.sqrt(3.0) * lower.platform_radius
-        bounds = [x.limits or StageLimits(x.kind.least_reading, math.inf) for x in (lower, upper)]
-        limits = LegLimits(bounds[0].minimum + bounds[1].minimum, bounds[0].maximum + bounds[1].maximum)
-        kinds = lower.kind, upper.kind
-        return cls(*dimensions, limits if lower.limits or upper.limits else None, _drawn(*dimensions, kinds))
+        low, high = (x.limits or StageLimits(x.kind.least_reading, math.inf) for x in (lower, upper))
+        limits = LegLimits(low.minimum + high.minimum[::-1], low.maximum + high.maximum[::-1])
+        kinds = lower.kind, upper.kind.turned_over
+        legs = _drawn(*dimensions, kinds)
+        if not (lower.is_nominal and upper.is_nominal):
+            pairs = zip(lower.legs.arrays, upper.legs.turned_over.arrays, strict=True)
+            axes, pivots, balls, offsets = map(np.concatenate, pairs)
+            legs = Legs(axes, pivots, balls, offsets, kinds)
+        return cls(*dimensions, limits if lower.limits or upper.limits else None, legs)
 
     @classmethod
     def paper(cls) -> Geometry:

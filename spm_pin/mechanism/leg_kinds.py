@@ -132,6 +132,11 @@ class LegKind:
         """Return legs with other identified numbers (3, n)."""
         return replace(self, **dict(zip(self.identified, map(tuple, identified.T.tolist()), strict=True)))
 
+    @property
+    def turned_over(self) -> LegKind:
+        """The legs in the order 3, 2, 1."""
+        return replace(self, **{name: x[::-1] for name, x in vars(self).items() if isinstance(x, tuple)})
+
     def readings(self, places: FloatArray) -> FloatArray:
         """Return the readings (..., 3) of balls at x and z (..., 3, 2), offsets aside; NaN out of a leg's reach."""
         with np.errstate(invalid="ignore"):

@@ -292,6 +292,15 @@ class Legs:
         return frozen(np.array(outward)), frozen(np.array(forward))
 
     @property
+    def turned_over(self) -> Legs:
+        """The three legs of a stage that is turned over about its y axis, as upper legs: in the order 3, 2, 1."""
+        (kind,), turn = self.kinds, np.array([-1.0, 1.0, -1.0])
+        # The axis of leg 2 then points backwards.
+        axes = (self.axes * turn * [[1.0], [-1.0], [1.0]])[::-1]
+        vectors = axes, (self.pivots * turn)[::-1], (self.balls * turn)[::-1]
+        return Legs(*vectors, self.offsets[::-1], (kind.turned_over,))
+
+    @property
     def parameters(self) -> FloatArray:
         """Nine numbers of each leg, then those fixed in PRS and RRS legs: see `Geometry.parameters`."""
         drawn, first, second = axis_directions(len(self.kinds))
