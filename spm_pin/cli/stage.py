@@ -105,53 +105,6 @@ def takes_stage(command: Callable[..., None]) -> Callable[..., None]:
     return options.with_options(command, "stage", parameters, _read_stage)
 
 
-def _read_stage(typed: Record, unit: LengthUnit) -> Stage:
-    given = [name for name, value in typed.items() if value is not None]
-    if typed["file"] is not None:
-        if len(given) > 1:
-            beside = ", ".join(_STAGE[name][1] for name in given if name != "file")
-            raise ArgumentError("--stage", "a file alone: its numbers are in metres and radians", f"also {beside}")
-        with raised_as(GeometryError, "--stage"):
-            return Stage.from_yaml(typed["file"])
-    for name in ("base", "platform"):
-        if typed[name] is None:
-            raise ArgumentError(_STAGE[name][1], "a radius, or --stage with a file", "neither")
-    lengths = {name: None if typed[name] is None else typed[name] / unit.per_metre for name in list(_STAGE)[1:5]}
-    names = {"base_radius": "--base", "platform_radius": "--platform", "legs": "--rod", "direction": "--slide"}
-    try:
-        kind = _read_kind(typed, lengths)
-        stage = Stage(lengths["base"], lengths["platform"], kind)  # type: ignore[arg-type]
-        limits = None if typed["limits"] is None else [x / _scale(stage, unit) for x in typed["limits"]]
-        return Stage(stage.base_radius, stage.platform_radius, kind, limits)
-    except GeometryError as error:
-        name = error.argument.partition(" of ")[0]
-        option = names.get(name, f"--{name}")
-        cause = (
-            f"Read in {unit}; is it {LengthUnit.MM}? --unit says so" if "are in metres" in error.cause else error.cause
-        )
-        raise GeometryError(option, error.expected, error.received, cause) from error
-
-
-def _read_kind(typed: Record, lengths: Record) -> LegKind:
-    sign: Record = {} if typed["sign"] is None else {"sign": typed["sign"]}
-    if lengths["crank"] is not None:
-        if lengths["rod"] is None:
-            raise ArgumentError("--rod", "the length of the rods beside --crank", "none")
-        _refuse(typed, "slide", "--crank")
-        return RRS(crank=lengths["crank"], rod=lengths["rod"], **sign)
-    if lengths["rod"] is not None:
-        slide: Record = {} if typed["slide"] is None else {"direction": math.radians(typed["slide"])}
-        return PRS(rod=lengths["rod"], **slide, **sign)
-    _refuse(typed, "slide", "legs without --rod")
-    _refuse(typed, "sign", "legs without --rod")
-    return RPS()
-
-
-def _refuse(typed: Record, name: str, beside: str) -> None:
-    if typed[name] is not None:
-        raise ArgumentError(_STAGE[name][1], f"not to be given with {beside}", f"{typed[name]:g}")
-
-
 @takes_stage
 @outputs.name_options(**{name: f"--{name}" for name in ("height", "tilt", "azimuth", "roll", "pitch", "normal")})
 def inverse(
