@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from live_page import PAGE, assembled, compiled, packed
+from live_page import assembled, compiled, packed, write_page
 
 import spm_pin as spm
 from spm_pin.symbolic import stage_c_sources
@@ -27,11 +27,7 @@ WORDS = {
 
 def main(file: Path) -> None:
     """Write the page."""
-    module = webassembly()
-    if module is None:
-        sys.exit("Needs clang with the target wasm32, and wasm-ld")
-    file.write_text(PAGE.format(machine=fragment(module), **WORDS), encoding="utf-8")
-    print(f"{file}: {file.stat().st_size // 1024} kB")
+    write_page(file, WORDS, webassembly(), fragment)
 
 
 def fragment(module: bytes) -> str:

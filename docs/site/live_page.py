@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -79,10 +80,14 @@ WORDS = {
 
 def main(file: Path) -> None:
     """Write the machine as a page of its own."""
-    module = webassembly()
+    write_page(file, WORDS, webassembly(), fragment)
+
+
+def write_page(file: Path, words: dict[str, str], module: bytes | None, fragment: Callable[[bytes], str]) -> None:
+    """Write a page around the HTML that a WebAssembly module is made part of."""
     if module is None:
         sys.exit("Needs clang with the target wasm32, and wasm-ld")
-    file.write_text(PAGE.format(machine=fragment(module), **WORDS), encoding="utf-8")
+    file.write_text(PAGE.format(machine=fragment(module), **words), encoding="utf-8")
     print(f"{file}: {file.stat().st_size // 1024} kB")
 
 
