@@ -16,7 +16,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
-from spm_pin.kinematics.stage_balls import Drawing, Modes, all_modes, followed_balls, halves, physical_balls
+from spm_pin.kinematics.stage_balls import Drawing, Modes, all_modes, followed_balls, physical_balls
 from spm_pin.mechanism.arguments import (
     LARGEST_RATIO,
     FloatArray,
@@ -29,7 +29,6 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine
 from spm_pin.mechanism.joint_angles import homes
-from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import Legs
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
@@ -93,7 +92,7 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     checked = read_readings(legs, sum(geometry.dimensions), readings)
     shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     is_drawn = geometry.is_nominal and legs.are_rps
-    stages = zip(halves(legs), _of_stages(readings), _drawings(geometry), strict=True)
+    stages = zip(legs.stages, _of_stages(readings), _drawings(geometry), strict=True)
     below, above = (all_modes(*stage) for stage in stages)
     # A stage that cannot be closed is enough to know that there is none.
     is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
@@ -170,9 +169,9 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
         upper = (near.balls[..., 3:, :] - near.translation[..., None, :]) @ near.rotation
         arrays = (near.middle_joints, 2), (upper, 2), (near.readings, 1), (checked, 1)
         *balls, start, end = [flat_batch(x, shape, inner) for x, inner in arrays]
-        stages = zip(halves(legs), balls, _of_stages(start), _of_stages(end), strict=True)
+        stages = zip(legs.stages, balls, _of_stages(start), _of_stages(end), strict=True)
         return _joined(geometry, shape, [followed_balls(*stage) for stage in stages])
-    own = zip(halves(legs), _of_stages(checked.reshape(-1, 6)), strict=True)
+    own = zip(legs.stages, _of_stages(checked.reshape(-1, 6)), strict=True)
     state = _joined(geometry, checked.shape[:-1], [physical_balls(*stage) for stage in own])
     if not state.shape and not state.exists:
         reason = "with these leg lengths no configuration is reached from the home without a forward singularity"
@@ -203,8 +202,7 @@ def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArra
     meaning = "in metres" if "rad" not in legs.units else "in metres, of RRS legs in radians"
     read = real_array(readings, "readings", (len(legs.names),), f"{', '.join(legs.names)} {meaning}")
     own = np.asarray(read - legs.offsets) if legs.offsets.any() else read
-    are_lengths = np.repeat([isinstance(kind, RPS) for kind in legs.kinds], 3)
-    short = are_lengths & (own <= 0.0)
+    short = own <= legs.least_readings
     if short.any():
         index = first_offender(short)
         where = f" for {legs.names[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")

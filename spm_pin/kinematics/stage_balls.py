@@ -15,40 +15,13 @@ from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.formulas.planar_legs import LONGEST_CHORD
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.leg_kinds import RPS, LegKind
-from spm_pin.mechanism.legs import Legs
+from spm_pin.mechanism.leg_kinds import RPS
+from spm_pin.mechanism.legs import StageLegs
 
 _is_home_state = on_arrays(formulas.is_home_state)
 
 _BALLS = ((3, 3), np.float64)
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_FOLLOWED, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 10, 1 << 12
-
-
-class StageHalf(NamedTuple):
-    """The legs of one stage, a lower or an upper one, in the frame of the plate that carries them."""
-
-    axes: FloatArray
-    """Revolute axes of the legs, as rows (3, 3)."""
-    balls: FloatArray
-    """Centres of the balls in the platform's frame, as rows (3, 3) [m]."""
-    up: float
-    """-1 where the platform is below the circles' centres at home."""
-    pivots: FloatArray
-    planes: FloatArray
-    """Unit vectors x and z of the legs' planes (2, 3, 3)."""
-    kind: LegKind
-    offsets: FloatArray
-
-
-def halves(legs: Legs) -> list[StageHalf]:
-    """Return the stages of a robot, or the only one."""
-    planes, stages = np.stack(legs.planes), []
-    for k, kind in enumerate(legs.kinds):
-        own = slice(3 * k, 3 * k + 3)
-        arrays = legs.axes[own], legs.balls[own], 1.0 - 2.0 * k, legs.pivots[own], planes[:, own]
-        stages.append(StageHalf(*arrays, kind, legs.offsets[own]))
-    return stages
-
 
 Circles = tuple[FloatArray, FloatArray]
 """Centres (N, 3, 3) and radii (N, 3) [m]."""
@@ -81,13 +54,13 @@ class Modes(NamedTuple):
     """`Status` (N,) but for continuous families."""
 
 
-def all_modes(stage: StageHalf, readings: FloatArray, drawing: Drawing) -> Modes:
+def all_modes(stage: StageLegs, readings: FloatArray, drawing: Drawing) -> Modes:
     """Return all modes with readings (N, 3), under the labels of the drawn stage."""
     modes = _modes(stage, _circles(stage, readings), drawing)
     return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
 
 
-def physical_balls(stage: StageHalf, readings: FloatArray) -> FloatArray:
+def physical_balls(stage: StageLegs, readings: FloatArray) -> FloatArray:
     """Return the balls (N, 3, 3) [m] in the home's aspect with readings (N, 3), NaN where there is no such state."""
     from spm_pin.kinematics.kernels.ball_circles import ELSEWHERE, home_states
 
@@ -106,7 +79,7 @@ def physical_balls(stage: StageHalf, readings: FloatArray) -> FloatArray:
     return _in_working_mode(stage, balls, readings)
 
 
-def followed_balls(stage: StageHalf, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+def followed_balls(stage: StageLegs, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
     """Return where balls (N, 3, 3) [m] are led from readings (N, 3) to others, NaN where they meet a singularity."""
     from spm_pin.kinematics.kernels.ball_circles import follow_states
 
@@ -121,7 +94,7 @@ def followed_balls(stage: StageHalf, balls: FloatArray, start: FloatArray, end: 
     return _in_working_mode(stage, balls, end)
 
 
-def _circles(stage: StageHalf, readings: FloatArray) -> Circles:
+def _circles(stage: StageLegs, readings: FloatArray) -> Circles:
     """Return the circles that readings (N, 3) leave to the balls."""
     from spm_pin.kinematics.kernels.ball_circles import circle_centres
 
@@ -134,7 +107,7 @@ def _circles(stage: StageHalf, readings: FloatArray) -> Circles:
     return centres, radii
 
 
-def _modes(stage: StageHalf, locked: Circles, drawing: Drawing) -> Modes:
+def _modes(stage: StageLegs, locked: Circles, drawing: Drawing) -> Modes:
     from spm_pin.kinematics.kernels.circle_modes import modes_of_stages
 
     constants = stage.axes, stage.balls, *drawing, stage.up
@@ -142,7 +115,7 @@ def _modes(stage: StageHalf, locked: Circles, drawing: Drawing) -> Modes:
     return Modes(*run_kernel(modes_of_stages, locked, constants, results, _MIN_BATCH_PER_THREAD))
 
 
-def _in_working_mode(stage: StageHalf, balls: FloatArray, readings: FloatArray) -> FloatArray:
+def _in_working_mode(stage: StageLegs, balls: FloatArray, readings: FloatArray) -> FloatArray:
     """Return the balls (..., 3, 3) of states with readings (..., 3), NaN where a leg is in another working mode."""
     if isinstance(stage.kind, RPS):
         return balls

@@ -285,8 +285,9 @@ def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, ow
         if abs(received - wanted) > _SAME * expected.middle_side:
             raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m", cause)
     for kind, wanted in zip(geometry.legs.kinds, expected.legs.kinds, strict=True):
-        same = type(kind) is type(wanted) and np.allclose(kind.numbers, wanted.numbers, rtol=_SAME, atol=_SAME)
-        if not same:
+        if kind == wanted:
+            continue
+        if type(kind) is not type(wanted) or not np.allclose(kind.numbers, wanted.numbers, rtol=_SAME, atol=_SAME):
             raise GeometryError(argument, f"the kinds of {owner}, {wanted!r}", repr(kind), cause)
     for name in ("axes", "pivots", "balls", "offsets"):
         apart = np.abs(getattr(geometry.legs, name) - getattr(expected.legs, name))

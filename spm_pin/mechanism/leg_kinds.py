@@ -6,6 +6,7 @@ ball on a circle when the actuator is locked: `spm_pin.formulas.planar_legs`.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -23,6 +24,7 @@ from spm_pin.mechanism.arguments import (
     FloatArray,
     as_array,
     dimension,
+    frozen,
     real_number,
     type_and_value,
 )
@@ -98,11 +100,11 @@ class LegKind:
         lengths = [getattr(self, field.name) for field in fields(self) if _READERS[field.name] is dimension]
         return np.asarray(sum((np.broadcast_to(length, 3) for length in lengths), np.zeros(3)))
 
-    @property
+    @functools.cached_property
     def numbers(self) -> FloatArray:
         """The fixed numbers as the formulas take them, (3, n)."""
         rows = [np.broadcast_to(getattr(self, field.name), 3) for field in fields(self)]
-        return np.array(rows, dtype=np.float64).reshape(len(rows), 3).T
+        return frozen(np.array(rows, dtype=np.float64).reshape(len(rows), 3).T)
 
     @property
     def identified(self) -> tuple[str, ...]:

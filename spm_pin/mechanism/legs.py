@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -182,6 +182,22 @@ def _of_legs(value: float | Sequence[float], argument: str, legs: tuple[str, ...
     return tuple(float(x) for x in np.broadcast_to(array, len(legs)))
 
 
+class StageLegs(NamedTuple):
+    """The legs of one stage, a lower or an upper one, in the frame of the plate that carries them."""
+
+    axes: FloatArray
+    """Revolute axes of the legs, as rows (3, 3)."""
+    balls: FloatArray
+    """Centres of the balls in the platform's frame, as rows (3, 3) [m]."""
+    up: float
+    """-1 where the platform is below the circles' centres at home."""
+    pivots: FloatArray
+    planes: FloatArray
+    """Unit vectors x and z of the legs' planes (2, 3, 3)."""
+    kind: LegKind
+    offsets: FloatArray
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Legs:
     """Kinds, axes, pivots, balls and encoder offsets of the six legs of a machine, or the three of a stage; read-only.
@@ -261,20 +277,30 @@ class Legs:
         """Axes, pivots, balls and offsets."""
         return self.axes, self.pivots, self.balls, self.offsets
 
-    @property
+    @functools.cached_property
     def are_rps(self) -> bool:
         """Whether all legs are RPS: their circles have the pivots for centres, and readings are lengths."""
         return all(isinstance(kind, RPS) for kind in self.kinds)
 
-    @property
+    @functools.cached_property
     def units(self) -> tuple[str, ...]:
         """Units of the readings, "m" or "rad", in the order of `LEGS`."""
         return tuple(kind.unit for kind in self.kinds for _ in range(3))
 
-    @property
+    @functools.cached_property
     def least_readings(self) -> FloatArray:
         """Bounds of the readings (6,), offsets aside: RPS legs have no negative length."""
-        return np.repeat([kind.least_reading for kind in self.kinds], 3)
+        return frozen(np.repeat([kind.least_reading for kind in self.kinds], 3))
+
+    @functools.cached_property
+    def stages(self) -> tuple[StageLegs, ...]:
+        """The legs of each stage: of a robot's lower and upper one, or of the only one."""
+        planes, stages = np.stack(self.planes), []
+        for k, kind in enumerate(self.kinds):
+            own = slice(3 * k, 3 * k + 3)
+            arrays = self.axes[own], self.balls[own], 1.0 - 2.0 * k, self.pivots[own], planes[:, own]
+            stages.append(StageLegs(*arrays, kind, self.offsets[own]))
+        return tuple(stages)
 
     @functools.cached_property
     def planes(self) -> tuple[FloatArray, FloatArray]:

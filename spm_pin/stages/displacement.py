@@ -12,7 +12,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_displacement import STAGE_MODES, read_readings
-from spm_pin.kinematics.stage_balls import Drawing, StageHalf, all_modes, followed_balls, halves, physical_balls
+from spm_pin.kinematics.stage_balls import Drawing, all_modes, followed_balls, physical_balls
 from spm_pin.mechanism.arguments import (
     LARGEST_RATIO,
     BoolArray,
@@ -23,6 +23,7 @@ from spm_pin.mechanism.arguments import (
     real_array,
 )
 from spm_pin.mechanism.leg_kinds import RPS
+from spm_pin.mechanism.legs import StageLegs
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.stage import Stage
 from spm_pin.mechanism.stage_configuration import StageConfiguration, StageSolutions
@@ -248,8 +249,8 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     return rotation, translation, readings, physical
 
 
-def _half(stage: Stage) -> StageHalf:
-    return halves(stage.legs)[0]._replace(up=stage.up)
+def _half(stage: Stage) -> StageLegs:
+    return stage.legs.stages[0]._replace(up=stage.up)
 
 
 def _of_balls(stage: Stage, shape: tuple[int, ...], balls: FloatArray, readings: FloatArray) -> StageConfiguration:
