@@ -271,7 +271,8 @@ def processes(count: int, scheduler: str | Client | None, workers: int | None) -
                 n_workers=min(workers or CPU_COUNT, count),
                 threads_per_worker=1,
                 dashboard_address="127.0.0.1:0",
-                silence_logs=logging.CRITICAL,
+                # What fails is raised here; of lines that close while a sweep is interrupted nothing need be said.
+                silence_logs=logging.CRITICAL + 1,
                 preload=[_IGNORE_INTERRUPTS],
                 env={"SPM_PIN_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
             )
