@@ -14,7 +14,6 @@ from browser import chromium, until, watched
 
 import spm_pin as spm
 from spm_pin.symbolic import stage_c_sources
-from spm_pin.symbolic.stage_export import home_height
 
 pytestmark = pytest.mark.slow  # a browser without a graphics card
 
@@ -154,7 +153,7 @@ def test_a_drag_tilts_the_plate_towards_where_it_goes_and_stops_where_the_machin
         stage = stage_in_python(page)
         azimuth = np.deg2rad(float(page.locator("#balancer input[aria-label=azimuth]").input_value()))
         tilts = tilt + np.array([-1e-3, 0.02])
-        held = spm.stages.inverse_physical(stage, home_height(stage), tilt=tilts, azimuth=azimuth)
+        held = spm.stages.inverse_physical(stage, spm.stages.home_height(stage), tilt=tilts, azimuth=azimuth)
         assert held.exists[0]
         assert stage.limits.contains(held.readings).tolist() == [True, False]
         before = page.locator("#balancer .floor").first.get_attribute("d")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -30,6 +31,7 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
+from spm_pin.mechanism.batched import Batched
 from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -183,10 +185,17 @@ def physical_mode_share(
 
     Each of `rounds` solves one part of every line at the ends of `parts` parts: a shorter gap may be missed.
     """
+    return existing_share(partial(forward_physical, geometry), start, ends, parts=parts, rounds=rounds)
+
+
+def existing_share(
+    solve: Callable[[FloatArray], Batched], start: FloatArray, ends: FloatArray, *, parts: int, rounds: int
+) -> FloatArray:
+    """Return the shares (n,) of lines between readings to which the states that `solve` finds exist."""
     low, high = np.zeros(len(ends)), np.ones(len(ends))
     for _ in range(rounds):
         shares = np.linspace(low, high, parts + 1)[1:]
-        exists = np.asarray(forward_physical(geometry, start + shares[..., None] * (ends - start)).exists)
+        exists = np.asarray(solve(start + shares[..., None] * (ends - start)).exists)
         count = np.where(exists.all(axis=0), parts, exists.argmin(axis=0))
         ends_of_parts, places = np.concatenate([low[None], shares]), (count, np.minimum(count + 1, parts))
         low, high = (np.take_along_axis(ends_of_parts, place[None], axis=0)[0] for place in places)

@@ -143,6 +143,11 @@ class Configuration(Batched):
         return self._geometry
 
     @property
+    def mechanism(self) -> Geometry:
+        """The same."""
+        return self._geometry
+
+    @property
     def compared_points(self) -> FloatArray:
         """The points by which states are compared, b_i and c_i as rows in {B} [m], shape (..., 6, 3)."""
         return np.concatenate([self._middle_joints, self.platform_joints], axis=-2)

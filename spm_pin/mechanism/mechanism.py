@@ -7,19 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
+import numpy as np
 import numpy.typing as npt
 import yaml
 
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.files import file_path, writing
-from spm_pin.mechanism.legs import Legs
+from spm_pin.mechanism.legs import LegLimits, Legs
 
 
 class Mechanism(ABC):
     """A `Geometry` or a `Stage`: dimensions and legs, as drawn or as built."""
 
     legs: Legs
+    limits: LegLimits | None
     _heading: ClassVar[str]
     """First line of its files."""
 
@@ -56,6 +58,13 @@ class Mechanism(ABC):
     def parameter_units(self) -> tuple[str, ...]:
         """Units of the `parameters`, "m" or "rad"."""
         return self.legs.parameter_units
+
+    @property
+    def reading_limits(self) -> FloatArray:
+        """Smallest and largest readings (2, legs), infinite where there is no limit."""
+        if self.limits is None:
+            return np.tile([[-np.inf], [np.inf]], len(self.legs.names))
+        return np.array([self.limits.minimum, self.limits.maximum])
 
     def from_parameters(self, parameters: npt.ArrayLike) -> Self:
         """Return the machine of the same dimensions and limits whose legs have these `parameters`."""

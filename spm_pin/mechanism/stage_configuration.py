@@ -86,6 +86,11 @@ class StageConfiguration(Batched):
         return self._stage
 
     @property
+    def mechanism(self) -> Stage:
+        """The same."""
+        return self._stage
+
+    @property
     def shape(self) -> tuple[int, ...]:
         """Batch shape."""
         return self._translation.shape[:-1]

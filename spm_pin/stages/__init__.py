@@ -17,7 +17,7 @@ from spm_pin.stages.rates_and_forces import (
     platform_jacobian,
     singularities,
 )
-from spm_pin.stages.reach import ReachEnd, StageReach, height_range, nearest_reachable, reach
+from spm_pin.stages.reach import ReachEnd, StageReach, height_range, home_height, nearest_reachable, reach
 
 __all__ = [
     "MOTION",
@@ -31,6 +31,7 @@ __all__ = [
     "forward",
     "forward_physical",
     "height_range",
+    "home_height",
     "inverse",
     "inverse_jacobian",
     "inverse_physical",

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError
+from spm_pin.errors import ArgumentError, UnreachableError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
 from spm_pin.mechanism.stage import Stage
 from spm_pin.mechanism.stage_configuration import StageConfiguration
 from spm_pin.stages.displacement import (
+    forward_physical,
     inverse,
     inverse_physical,
     normals_of_request,
@@ -91,8 +92,8 @@ def height_range(stage: Stage) -> tuple[float, float]:
     """
     check_instance(stage, Stage, "stage")
     top = (10.0 if stage.unit == "m" and stage.limits is None else 1.0) * stage.size
-    if stage.limits is not None and stage.unit == "m":
-        ends = np.abs(np.array([stage.limits.minimum, stage.limits.maximum]) - stage.legs.offsets)
+    if stage.unit == "m":
+        ends = np.abs(stage.reading_limits - stage.legs.offsets)
         top += float(ends.max(initial=0.0, where=np.isfinite(ends)))
     grid = np.linspace(-top, top, _HEIGHTS)
 
@@ -111,6 +112,38 @@ def height_range(stage: Stage) -> tuple[float, float]:
     beyond = grid[high + 1 : high + 2]
     highest = grid[high] if not len(beyond) else _last_good(counts, grid[high : high + 1], beyond)
     return float(np.squeeze(lowest)), float(np.squeeze(highest))
+
+
+def home_height(stage: Stage) -> float:
+    """Return a height [m] at which a stage holds its platform level within its limits.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage.
+
+    Returns
+    -------
+    float
+        There readings are in the middle of their limits, and where these have none cranks are level, carriages at their
+        pivots. If that is no state it is the middle of `height_range`; where that is empty an `UnreachableError` is
+        raised.
+    """
+    check_instance(stage, Stage, "stage")
+    limits = stage.reading_limits
+    is_limited = np.isfinite(limits).all(axis=0)
+    radii = stage.base_radius, stage.platform_radius
+    usual = math.hypot(radii[0] - radii[1], radii[0] + radii[1]) if stage.kind.name == "RPS" else 0.0
+    middle = 0.5 * np.where(is_limited, limits, 0.0).sum(axis=0)
+    state = forward_physical(stage, np.where(is_limited, middle, usual + stage.legs.offsets))
+    level = inverse_physical(stage, state.height if state.exists else stage.size, tilt=0.0, azimuth=0.0)
+    if state.exists and level.exists and not level.limit_excess.any():
+        return float(state.height)
+    height = sum(height_range(stage)) / 2.0
+    if math.isnan(height):
+        expected = "one that holds its platform level at some height within its limits"
+        raise UnreachableError("stage", expected, repr(stage), "Limits of other legs, or in degrees?")
+    return height
 
 
 def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int = 72) -> StageReach:

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin import stages
-from spm_pin.errors import UnreachableError
 from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
 from spm_pin.mechanism import Stage
 from spm_pin.mechanism.arguments import FloatArray, check_instance
@@ -73,43 +72,15 @@ def _renamed(text: str, prefix: str) -> str:
     return re.sub(r"\bSTAGE_", prefix.upper(), re.sub(r"\bstage_(?!test\.c)", prefix, text))
 
 
-def home_height(stage: Stage) -> float:
-    """Return a height [m] at which a stage holds its platform level within its limits.
-
-    There all readings are in the middle of their limits, and where these have none cranks are level, carriages at their
-    pivots. If that is no state it is the middle of the heights that are possible.
-    """
-    limits = _limits(stage)
-    is_limited = np.isfinite(limits).all(axis=0)
-    radii = stage.base_radius, stage.platform_radius
-    usual = math.hypot(radii[0] - radii[1], radii[0] + radii[1]) if stage.kind.name == "RPS" else 0.0
-    middle = 0.5 * np.where(is_limited, limits, 0.0).sum(axis=0)
-    state = stages.forward_physical(stage, np.where(is_limited, middle, usual + stage.legs.offsets))
-    level = stages.inverse_physical(stage, state.height if state.exists else stage.size, tilt=0.0, azimuth=0.0)
-    if state.exists and level.exists and not level.limit_excess.any():
-        return float(state.height)
-    height = sum(stages.height_range(stage)) / 2.0
-    if math.isnan(height):
-        expected = "one that holds its platform level at some height within its limits"
-        raise UnreachableError("stage", expected, repr(stage), "Limits of other legs, or in degrees?")
-    return height
-
-
-def _limits(stage: Stage) -> FloatArray:
-    """Return the smallest and the largest readings (2, 3)."""
-    none = np.array([[-np.inf] * 3, [np.inf] * 3])
-    return none if stage.limits is None else np.array([stage.limits.minimum, stage.limits.maximum])
-
-
 def stage_numbers(stage: Stage) -> FloatArray:
     """Return the numbers of a `stage_geometry` (63,): `up`, the height at home, and twenty of each leg."""
     legs, kind = stage.legs, stage.kind
     angle = np.broadcast_to(getattr(kind, "direction", np.nan), 3)
     fixed = [np.broadcast_to(getattr(kind, name, 0.0), 3) for name in ("crank", "rod")]
     fixed += [np.nan_to_num(np.cos(angle)), np.nan_to_num(np.sin(angle))]
-    fixed += [np.broadcast_to(getattr(kind, "sign", 0.0), 3), legs.offsets, *_limits(stage)]
+    fixed += [np.broadcast_to(getattr(kind, "sign", 0.0), 3), legs.offsets, *stage.reading_limits]
     numbers = np.concatenate([legs.pivots, *legs.planes, legs.balls, np.stack(fixed, axis=-1)], axis=-1)
-    return np.concatenate([[stage.up, home_height(stage)], numbers.ravel()])
+    return np.concatenate([[stage.up, stages.home_height(stage)], numbers.ravel()])
 
 
 def _machine(kind: str, numbers: FloatArray) -> str:
@@ -141,7 +112,7 @@ def _known_answers(stage: Stage, home: float) -> dict[str, str]:
     height = home + _LIFT * stage.platform_radius * share * rng.uniform(-1.0, 1.0, count)
     states = stages.inverse_physical(stage, height, tilt=tilt, azimuth=azimuth)
     slopes = np.abs(stage.legs.slopes(states.places, states.readings)) / stage.legs.largest_slopes
-    (low, high), readings = _limits(stage), states.readings
+    (low, high), readings = stage.reading_limits, states.readings
     good = states.exists & ((readings > low) & (readings < high) & (slopes > _CLEAR)).all(axis=-1)
     states = states[np.flatnonzero(good)[:_CASES]]
     readings, size = states.readings, stage.base_radius + stage.platform_radius

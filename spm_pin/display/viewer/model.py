@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics import (
     Singularities,
@@ -23,10 +24,11 @@ from spm_pin.kinematics import (
     leg_forces,
     singularities,
 )
-from spm_pin.kinematics.path_following import last_on_line, physical_mode_share
+from spm_pin.kinematics.path_following import existing_share, last_on_line
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Status
+from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Stage, StageConfiguration, Status
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, real_array
+from spm_pin.mechanism.batched import Batched
 from spm_pin.mechanism.branch_of_state import family, physical
 from spm_pin.mechanism.pose import inverse_command
 from spm_pin.multibody.chain import ClosedChain
@@ -36,6 +38,11 @@ SINGULARITIES = ("forward, lower", "forward, upper", "inverse")
 """The singularities that J_b, J_c and K have, in this order."""
 ANGLES: dict[str, Literal["XYX", "xyz"]] = {"X-Y-X": "XYX", "roll, pitch, yaw": "xyz"}
 """Conventions of a platform's three angles, and SciPy's names of them: the paper's, and the fixed axes of a URDF."""
+_COORDINATES: dict[str, tuple[str, ...]] = {
+    "X-Y-X": ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]"),
+    "roll, pitch, yaw": ("x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]"),
+}
+"""Labels of a pose's sliders, by the convention of its angles."""
 NEAR = 0.02
 """A singularity is near where legs moved by this share of d could reach it."""
 
@@ -95,6 +102,28 @@ class SessionState:
         """Which of `SINGULARITIES` are near (3,), see `NEAR`."""
         return np.asarray((self.travel < NEAR * self.shown.geometry.middle_side) | np.isnan(self.travel))
 
+    @property
+    def measures(self) -> list[Measure]:
+        """How far `SINGULARITIES` are."""
+        singular, measures = self.singularities, []
+        rows = zip(SINGULARITIES, self.is_near, self.travel, singular.sigma, singular.condition, strict=True)
+        for name, is_near, travel, *numbers in rows:
+            far = 10.0 * NEAR * self.shown.geometry.middle_side
+            share, away = (min(travel / far, 1.0), length_text(travel)) if np.isfinite(travel) else (0.0, "–")
+            measures.append(Measure(name, bool(is_near), share, away, *numbers))
+        return measures
+
+    @property
+    def title(self) -> str:
+        """Name of the branch."""
+        return self.label or "no isolated branch"
+
+    def pose_text(self, convention: str) -> str:
+        """Return the position, and the angles in a convention."""
+        values = pose_coordinates(self.shown.pose, convention)
+        o, angles = (", ".join(fixed(x, n) for x in part) for part, n in ((values[:3], 3), (values[3:], 1)))
+        return f"o = ({o}) m, {convention} = ({angles})\u2060°"
+
     @cached_property
     def forces(self) -> FloatArray | None:
         """Forces of the legs (6,) [N]; None where they cannot hold every load."""
@@ -117,13 +146,7 @@ class SessionState:
             if is_near:
                 how = f"{1e3 * travel:.1f} mm of leg travel away" if np.isfinite(travel) else "at hand"
                 warnings.append(f"Singularity ahead ({name}): about {how}.")
-        units = reading_units(self.shown.geometry)
-        excess = zip(LEGS, self.limit_excess, units, strict=True)
-        over = [f"{leg} by {_amount(abs(x), unit, 1)}" for leg, x, unit in excess if x]
-        if over:
-            warnings.append(f"Beyond the leg limits: {', '.join(over)}.")
-        if self.forces is None:
-            warnings.append("The legs cannot hold every load here.")
+        warnings += excess_warnings(self.shown, self.forces)
         return warnings
 
     @cached_property
@@ -138,9 +161,17 @@ class SessionState:
 
 
 class ViewerModel:
-    """A session's state and its transitions, from a configuration that exists. Not for several threads at once."""
+    """A session's state and its transitions, from a configuration that exists. Not for several threads at once.
 
-    def __init__(self, start: Configuration) -> None:
+    `chain` gives q, and `file` is where the geometry came from: for what is shared of a state.
+    """
+
+    conventions = _COORDINATES
+    hint = "The paper's X-Y-X, or about the fixed axes X, Y, Z as in a URDF"
+    values_name = "q"
+
+    def __init__(self, start: Configuration, chain: ClosedChain | None = None, file: Path | None = None) -> None:
+        self.chain, self.file = chain, file
         self.hold_limits = True  # whether a machine that is within its leg limits stays there
         solutions = inverse_displacement(start.geometry, start.pose)
         self.state = SessionState(start.pose, start, _label(solutions, start, ""), solutions, 0.0, np.zeros(6))
@@ -171,13 +202,10 @@ class ViewerModel:
         before = self.state.shown
         # The physical mode is solved for, without a path to follow.
         shown = forward_physical(before.geometry, target, near=None if physical(before) else before)
-        remarks = []
+        share = 1.0
         if not shown.exists:
             shown, share = last_on_line(before, target)
-            if share < 1.0:
-                text = "These readings are not reached: a forward singularity is in the way."
-                remarks = [f"{text} Shown: the last on the way, at {100 * share:.0f} %."]
-        return self._show(shown.pose, shown, remarks=remarks)
+        return self._show(shown.pose, shown, remarks=readings_remarks(share))
 
     def select(self, label: str) -> SessionState:
         """Take another branch of the shown pose; raises `ArgumentError` if it has no such branch."""
@@ -196,6 +224,36 @@ class ViewerModel:
     def place(self, configuration: Configuration) -> SessionState:
         """Show a configuration, as it is."""
         return self._show(configuration.pose, configuration, jump=True)
+
+    def coordinates(self, pose: RigidTransform, convention: str) -> FloatArray:
+        """Return the values of the pose's sliders."""
+        return pose_coordinates(pose, convention)
+
+    def pose_of(self, coordinates: FloatArray, convention: str) -> RigidTransform:
+        """Return the pose of such values."""
+        return pose_of_coordinates(coordinates, convention)
+
+    def pose_ranges(self, convention: str) -> FloatArray:
+        """Return the ends (6, 2) of the pose's sliders."""
+        return pose_ranges(self.state.shown, convention)
+
+    def reading_ranges(self) -> FloatArray:
+        """Return the ends (6, 2) of the legs' sliders, in the units of readings."""
+        return reading_ranges(self.state.shown)
+
+    def command(self) -> str:
+        """Return the command line that finds what is shown."""
+        return command_line(self.state.shown, self.file)
+
+    def values(self) -> FloatArray:
+        """Return q of what is shown, in Pinocchio's order [rad, m]."""
+        assert self.chain is not None
+        return self.chain.joint_values(self.state.shown)
+
+    def data(self) -> dict[str, Any]:
+        """Return what is shown as data for JSON."""
+        assert self.chain is not None
+        return state_data(self.state, self.chain, self.file)
 
     def _show(
         self,
@@ -222,18 +280,55 @@ class ReadingUnit(NamedTuple):
 
     name: str
     factor: float  # times a reading
-    fine: str  # the unit of differences
-    fine_factor: float
+    digits: int
+
+    def text(self, reading: float) -> str:
+        """Return a reading as it is shown."""
+        return fixed(self.factor * reading, self.digits) + "°" * (self.name == "°")
+
+    def difference(self, difference: float, digits: int) -> str:
+        """Return a difference of readings as it is shown."""
+        if self.name == "°":
+            return f"{fixed(self.factor * difference, digits)}°"
+        return length_text(difference, digits)
 
 
-def reading_units(geometry: Geometry) -> list[ReadingUnit]:
-    """Return in which units the readings of the legs are shown: metres and millimetres, or degrees."""
-    units = {"m": ReadingUnit("m", 1.0, " mm", 1e3), "rad": ReadingUnit("°", math.degrees(1.0), "°", math.degrees(1.0))}
-    return [units[unit] for unit in geometry.legs.units]
+def reading_units(machine: Geometry | Stage) -> list[ReadingUnit]:
+    """Return in which units the readings of the legs are shown: metres, those of a stage millimetres, or degrees."""
+    length = ReadingUnit("mm", 1e3, 1) if isinstance(machine, Stage) else ReadingUnit("m", 1.0, 3)
+    units = {"m": length, "rad": ReadingUnit("°", math.degrees(1.0), 1)}
+    return [units[unit] for unit in machine.legs.units]
 
 
-def _amount(difference: float, unit: ReadingUnit, digits: int) -> str:
-    return f"{unit.fine_factor * difference:.{digits}f}{unit.fine}"
+class Measure(NamedTuple):
+    """How far a singularity is."""
+
+    name: str
+    is_near: bool
+    share: float  # of the bar that shows it, from 0 to 1
+    away: str  # travel of the legs, if it is known
+    sigma: float  # smallest singular value
+    condition: float | None
+
+
+def excess_warnings(shown: Configuration | StageConfiguration, forces: FloatArray | None) -> list[str]:
+    """Return what to beware of where legs are beyond their limits, or hold no load."""
+    units = reading_units(shown.mechanism)
+    excess = zip(shown.mechanism.legs.names, shown.limit_excess, units, strict=True)
+    over = ", ".join(f"{leg} by {unit.difference(abs(x), 1)}" for leg, x, unit in excess if x)
+    warnings = [f"Beyond the leg limits: {over}."] if over else []
+    return warnings if forces is not None else [*warnings, "The legs cannot hold every load here."]
+
+
+def readings_remarks(share: float) -> list[str]:
+    """Return a warning where readings are reached only up to a share of the way."""
+    text = f"a forward singularity is in the way. Shown: the last on the way, at {100 * share:.0f} %."
+    return [f"These readings are not reached: {text}"] if share < 1.0 else []
+
+
+def length_text(value: float, digits: int = 0) -> str:
+    """Return a length in millimetres, or a long one in metres."""
+    return f"{fixed(1e3 * value, digits)} mm" if abs(value) < 9.9995 else f"{fixed(value, 1)} m"
 
 
 def _real_branches(solutions: SolutionSet) -> tuple[str, ...]:
@@ -286,18 +381,25 @@ def pose_ranges(configuration: Configuration, angles: str = "X-Y-X") -> FloatArr
 
 def reading_ranges(configuration: Configuration) -> FloatArray:
     """Return the least and the largest reading of each leg (6, 2): its limits, or as far as the mode lasts."""
-    geometry, now = configuration.geometry, np.array(configuration.readings)
-    longest = 3.0 * (geometry.base_radius + geometry.platform_radius + geometry.middle_side)
-    legs, limits = geometry.legs, geometry.limits
+    solve = partial(forward_physical, configuration.geometry) if physical(configuration) else None
+    return ranges_of_readings(configuration, solve)
+
+
+def ranges_of_readings(
+    configuration: Configuration | StageConfiguration, solve: Callable[[FloatArray], Batched] | None
+) -> FloatArray:
+    """Return the ranges of either machine; `solve` finds physical states, None where `configuration` is not."""
+    machine, now = configuration.mechanism, np.array(configuration.readings)
+    longest, legs, limits = 3.0 * machine.size, machine.legs, machine.limits
     are_lengths = np.array(legs.units) == "m"
     high, low = np.where(are_lengths, longest, 1.5 * np.pi), np.where(are_lengths, -longest, -0.5 * np.pi)
-    low = np.maximum(low, legs.least_readings + 0.05 * geometry.middle_side)
+    low = np.maximum(low, legs.least_readings + 0.02 * machine.size)
     if limits is not None:
         low, high = np.maximum(low, limits.minimum), np.minimum(high, limits.maximum)
     low, high = np.minimum(low, now), np.maximum(high, now)
-    if physical(configuration) and (limits is None or not np.isfinite([limits.minimum, limits.maximum]).all()):
+    if solve is not None and (limits is None or not np.isfinite([limits.minimum, limits.maximum]).all()):
         for ends in (low, high):
-            shares = physical_mode_share(geometry, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
+            shares = existing_share(solve, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
             ends[:] = now + shares * (ends - now)
     return np.stack([low, high], axis=-1)
 

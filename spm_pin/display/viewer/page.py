@@ -16,23 +16,19 @@ import numpy as np
 import rich
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.display.viewer.model import (
-    ViewerModel,
-    pose_coordinates,
-    pose_of_coordinates,
-    reading_units,
-    state_data,
-)
+from spm_pin.display.viewer.model import ViewerModel, reading_units
 from spm_pin.display.viewer.panel import Panel
 from spm_pin.display.viewer.playback import Player, Recording, demo_motion
 from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, RobotScene, fit_camera, robot_points
+from spm_pin.display.viewer.stage_model import StageModel
 from spm_pin.display.writing import to_json
 from spm_pin.errors import ArgumentError, SpmError, require_extra
 from spm_pin.kinematics.forward_displacement import starting_configuration
-from spm_pin.mechanism import Configuration, Geometry
+from spm_pin.mechanism import Configuration, Geometry, Stage, StageConfiguration
 from spm_pin.mechanism.arguments import Progress
 from spm_pin.mechanism.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
+from spm_pin.stages import home_height, inverse_physical
 
 _log = logging.getLogger(__name__)
 
@@ -44,34 +40,34 @@ _FARTHEST = 10.0  # distance from {B} over the machine's size, beyond which the 
 
 
 class Viewer:
-    """An interactive page of a manipulator, served until `stop`.
+    """An interactive page of a manipulator, or of a stage alone, served until `stop`.
 
     Every client has a session of its own, which ends with its connection.
 
     Parameters
     ----------
-    start : Configuration or Geometry, optional
-        What the page shows at first: a single configuration that exists; or the manipulator, in a regular
-        configuration near its home. By default the paper's.
+    start : Configuration, Geometry, StageConfiguration or Stage, optional
+        What the page shows at first: a single configuration that exists, of a stage a physical one; or the machine, in
+        a regular configuration near its home. By default the paper's manipulator.
     host : str
         Address to listen at; by default only this machine can reach it. There is no password.
     port : int
         First port to try; the next free one is taken, 0 lets the system choose.
     recording : Recording, optional
-        A path, which plays when a page is opened.
+        A path of a manipulator, which plays when a page is opened.
     dark : bool
         Whether pages are dark at first.
     geometry_file : Path, optional
         Where the geometry came from, for exported command lines.
     demo : bool, optional
-        Whether the robot moves until the user moves it; by default where no configuration and no path is given.
+        Whether a manipulator moves until the user moves it; by default where no configuration and no path is given.
     progress : callable, optional
         Called with what is made ready, how much is and of how much: kernels are compiled the first time, for a minute.
     """
 
     def __init__(
         self,
-        start: Configuration | Geometry | None = None,
+        start: Configuration | Geometry | StageConfiguration | Stage | None = None,
         *,
         host: str = "127.0.0.1",
         port: int = 8080,
@@ -83,27 +79,36 @@ class Viewer:
     ) -> None:
         progress = progress or (lambda step, done, total: None)
         progress("robot", 0, 4)
-        if start is None or isinstance(start, Geometry):
-            configuration = starting_configuration(start or Geometry.paper())
-        else:
-            configuration = check_configuration(start, "start", single=True, existing=True)
         free = free_port(host, port)
-        self.chain = ClosedChain.from_urdf(geometry=configuration.geometry)
-        self.chain.joint_values(configuration)  # raises where its loops do not close
+        self.new_model: Callable[[], ViewerModel | StageModel]
+        self.start: Configuration | StageConfiguration
+        self.demo, self.recording = None, recording
+        if isinstance(start, Stage | StageConfiguration):
+            if recording is not None:
+                raise ArgumentError("recording", "none of a stage alone", recording)
+            self.start = _stage_start(start)
+            self.new_model = partial(StageModel, self.start, geometry_file)
+        else:
+            if start is None or isinstance(start, Geometry):
+                self.start = starting_configuration(start or Geometry.paper())
+            else:
+                self.start = check_configuration(start, "start", single=True, existing=True)
+            chain = ClosedChain.from_urdf(geometry=self.start.geometry)
+            chain.joint_values(self.start)  # raises where its loops do not close
+            self.new_model = partial(ViewerModel, self.start, chain, geometry_file)
+            if (not isinstance(start, Configuration) if demo is None else demo) and recording is None:
+                self.demo = demo_motion(self.start)
         # Kernels are compiled when first called, also those for what is out of reach: now, so that no client waits.
         progress("branches and singularities", 1, 4)
-        model = ViewerModel(configuration)
+        model = self.new_model()
         _ = model.state.warnings, model.state.notes
         progress("poses out of reach", 2, 4)
-        model.set_readings(configuration.readings)
+        model.set_readings(self.start.readings)
         # Of legs whose nearest pose is not known, a page says so.
         with contextlib.suppress(SpmError):
-            model.drag(RigidTransform.from_components(2.0 * configuration.translation, configuration.pose.rotation))
+            model.drag(RigidTransform.from_components(2.0 * self.start.translation, self.start.pose.rotation))
         progress("page", 3, 4)
-        if demo is None:
-            demo = not isinstance(start, Configuration)
-        self.start, self.recording, self.geometry_file, self.dark = configuration, recording, geometry_file, dark
-        self.demo = demo_motion(configuration) if demo and recording is None else None
+        self.dark = dark
         self._sessions: dict[int, Session] = {}
         self._stopped = threading.Event()
         self.host = host
@@ -112,7 +117,8 @@ class Viewer:
 
         with _silence():
             self.server = viser.ViserServer(host=host, port=free, verbose=False)
-        self.server.gui.set_panel_label("3RPS-3SPR")
+        name = f"3-{self.start.stage.kind.name}" if isinstance(self.start, StageConfiguration) else "3RPS-3SPR"
+        self.server.gui.set_panel_label(name)
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._disconnected)
 
@@ -169,6 +175,15 @@ class Viewer:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+
+def _stage_start(start: Stage | StageConfiguration) -> StageConfiguration:
+    """Return the state that a page of a stage begins with."""
+    if isinstance(start, Stage):
+        return inverse_physical(start, home_height(start))
+    if start.shape or not start.is_at_home:
+        raise ArgumentError("start", "a single physical state of a stage", start)
+    return start
 
 
 def free_port(host: str, port: int) -> int:
@@ -247,8 +262,8 @@ class Session:
     def __init__(self, client: Any, viewer: Viewer, loop: asyncio.AbstractEventLoop) -> None:
         self.client, self.viewer, self._loop = client, viewer, loop
         self.queue = EventQueue(self._failed)
-        self.model = ViewerModel(viewer.start)
-        self._coordinates = pose_coordinates(viewer.start.pose)
+        self.model: Any = viewer.new_model()
+        self._coordinates = self.model.coordinates(viewer.start.pose, next(iter(self.model.conventions)))
         self._legs = np.array(viewer.start.readings)
         self._narrow = client.camera.image_width < _PHONE_ASPECT * client.camera.image_height
         self.playback = viewer.demo
@@ -256,8 +271,8 @@ class Session:
         path = viewer.recording or viewer.demo
         if path is not None:
             self.player = Player(self.queue.post, self._show_frame, float(path.times[-1]), repeat=path is viewer.demo)
-        self.scene = RobotScene(client.scene, viewer.start.geometry, partial(self.report, "branch"))
-        self.panel = Panel(client.gui, viewer, self.report, narrow=self._narrow)
+        self.scene = RobotScene(client.scene, viewer.start.mechanism, partial(self.report, "branch"))
+        self.panel = Panel(client.gui, viewer, self.model, self.report, narrow=self._narrow)
         self.gizmo = client.scene.add_transform_controls(
             "/gizmo", scale=1.1 * self.scene.size, line_width=3.0, depth_test=False, opacity=0.9
         )
@@ -311,7 +326,7 @@ class Session:
             self.scene.show_forces(state)
             self.panel.show(state, moved)
         if moved[0] != "coordinate":
-            self._coordinates = pose_coordinates(state.target, self.panel.angles)
+            self._coordinates = self.model.coordinates(state.target, self.panel.angles)
         if moved[0] != "leg":
             self._legs = np.array(state.shown.readings)
 
@@ -326,7 +341,7 @@ class Session:
 
     def _on_coordinate(self, value: tuple[int, float]) -> None:
         self._coordinates[value[0]] = value[1]
-        self.model.drag(pose_of_coordinates(self._coordinates, self.panel.angles))
+        self.model.drag(self.model.pose_of(self._coordinates, self.panel.angles))
         self.show(("coordinate", value[0]))
 
     def _on_angles(self, angles: str) -> None:
@@ -334,7 +349,7 @@ class Session:
         self.show()
 
     def _on_leg(self, value: tuple[int, float]) -> None:
-        self._legs[value[0]] = value[1] / reading_units(self.viewer.start.geometry)[value[0]].factor
+        self._legs[value[0]] = value[1] / reading_units(self.viewer.start.mechanism)[value[0]].factor
         self.model.set_readings(self._legs)
         self.show(("leg", value[0]))
 
@@ -357,7 +372,7 @@ class Session:
         self.scene.clear_trail()
         self._place(self.viewer.start)
 
-    def _place(self, configuration: Configuration) -> None:
+    def _place(self, configuration: Configuration | StageConfiguration) -> None:
         self.model.place(configuration)
         self.show()
 
@@ -445,5 +460,5 @@ class Session:
         self.client.send_file_download("spm_pin.png", content, save_immediately=True)
 
     def _on_json(self, _: None) -> None:
-        text = to_json(state_data(self.model.state, self.viewer.chain, self.viewer.geometry_file))
+        text = to_json(self.model.data())
         self.client.send_file_download("spm_pin_state.json", f"{text}\n".encode(), save_immediately=True)

@@ -8,25 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.display.viewer.model import (
-    NEAR,
-    SINGULARITIES,
-    SessionState,
-    command_line,
-    pose_coordinates,
-    pose_ranges,
-    reading_ranges,
-    reading_units,
-)
+from spm_pin.display.viewer.model import SessionState, ViewerModel, reading_units
 from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, Colour
+from spm_pin.display.viewer.stage_model import StageModel, StageState
 from spm_pin.display.writing import fixed
-from spm_pin.mechanism import LEGS
 
-_COORDINATES = {
-    "X-Y-X": ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]"),
-    "roll, pitch, yaw": ("x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]"),
-}
-"""Labels of a pose's sliders, by the convention of its angles."""
+State = SessionState | StageState
+"""A state of either machine."""
 _LAYERS = {
     "Other branches": ("ghosts", False),
     "Leg names": ("names", True),
@@ -36,6 +24,7 @@ _LAYERS = {
     "The paper's shell": ("shell", False),
     "Points reached": ("points", False),
 }
+_OF_ROBOTS = {"ghosts", "forces", "shell", "points"}
 """Layers of the scene by their labels: name of the layer, and whether it is shown at first."""
 _NONE = "–"
 # viser makes the colour of its buttons from these: light ones on a dark page, and white text on both.
@@ -53,38 +42,38 @@ Report = Callable[[str, Any], Coroutine[Any, Any, None]]
 class Panel:
     """The widgets of one client of a `Viewer`, added to a `viser.GuiApi`.
 
-    `report` takes the name and the value of every event. On the `narrow` page of a phone the instruments have a tab of
-    their own.
+    `report` takes the name and the value of every event, `model` is the session's. On the `narrow` page of a phone the
+    instruments have a tab of their own.
     """
 
-    def __init__(self, gui: Any, viewer: Any, report: Report, *, narrow: bool) -> None:
-        self.gui, self.viewer, self._report = gui, viewer, report
-        limits = viewer.start.geometry.limits
+    def __init__(self, gui: Any, viewer: Any, model: ViewerModel | StageModel, report: Report, *, narrow: bool) -> None:
+        self.gui, self.model, self._report = gui, model, report
+        machine, is_robot = viewer.start.mechanism, isinstance(model, ViewerModel)
+        limits = machine.limits
         self.theme(viewer.dark)
         gui.main_panel.dock_right()
         self.status = gui.add_html("")
         options: dict[str, Any] = {"visible": False, "color": (200, 16, 46), "icon": "arrow-back-up"}
         self.back = self._add("button", "back", "Back to the reachable pose", **options)
         hint = "Or show the other branches as ghosts and click one"
-        self.branch = self._add("dropdown", "branch", "Branch", [_NONE], hint=hint)
+        self.branch = self._add("dropdown", "branch", "Branch", [_NONE], hint=hint, visible=is_robot)
         self._add("button_group", "view", "View", tuple(VIEWS))
         if not narrow:
             self.instruments = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Pose"):
-            self.angles = next(iter(_COORDINATES))
-            self.pose_sliders = self._add_sliders("coordinate", _COORDINATES[self.angles])
-            hint = "The paper's X-Y-X, or about the fixed axes X, Y, Z as in a URDF"
-            self._add("dropdown", "angles", "Angles", list(_COORDINATES), hint=hint)
+            self.angles = next(iter(model.conventions))
+            self.pose_sliders = self._add_sliders("coordinate", model.conventions[self.angles])
+            self._add("dropdown", "angles", "Angles", list(model.conventions), hint=model.hint)
             hint = "A leg within its limits is kept within them"
             self._add("checkbox", "hold", "Hold leg limits", True, visible=limits is not None, hint=hint)
             self._add("button", "reset", "Start pose", icon="home")
             if viewer.demo is not None:
                 self._add("button", "play", "Demo motion", icon="player-play")
         with tabs.add_tab("Legs"):
-            units = reading_units(viewer.start.geometry)
+            units = reading_units(machine)
             self._factors = np.array([unit.factor for unit in units])
-            labels = [f"{leg} [{unit.name}]" for leg, unit in zip(LEGS, units, strict=True)]
+            labels = [f"{leg} [{unit.name}]" for leg, unit in zip(machine.legs.names, units, strict=True)]
             self.leg_sliders = self._add_sliders("leg", labels)
         if narrow:
             with tabs.add_tab("Instruments"):
@@ -96,9 +85,11 @@ class Panel:
             self.forces = gui.add_html("")
         with tabs.add_tab("Show"):
             is_bounded = limits is not None and bool(np.isfinite(limits.maximum).all())
-            has_shell = is_bounded and viewer.start.geometry.is_nominal
+            hidden = set() if is_robot else _OF_ROBOTS
+            if not (is_bounded and machine.is_nominal):
+                hidden = hidden | {"shell"}
             for label, (layer, shown) in _LAYERS.items():
-                self._add("checkbox", "layer", label, shown, key=layer, visible=has_shell or layer != "shell")
+                self._add("checkbox", "layer", label, shown, key=layer, visible=layer not in hidden)
             self._add("checkbox", "dark", "Dark page", viewer.dark)
         if viewer.recording is not None:
             duration = float(viewer.recording.times[-1])
@@ -110,7 +101,8 @@ class Panel:
             self._add("button", "png", "Save picture (PNG)", icon="photo")
             self._add("button", "json", "Save state (JSON)", icon="download")
             self.command = gui.add_text("Command", "", multiline=True)
-            self.q = gui.add_text("q", "", multiline=True, hint="Joint values in Pinocchio's order [rad, m]")
+            hint = "Joint values in Pinocchio's order [rad, m]" if is_robot else f"[{machine.legs.units[0]}]"
+            self.q = gui.add_text(model.values_name, "", multiline=True, hint=hint)
 
     def theme(self, dark: bool) -> None:
         """Make the page dark or light."""
@@ -135,10 +127,10 @@ class Panel:
         return widget
 
     def _add_sliders(self, event: str, labels: Sequence[str]) -> list[Any]:
-        steps = [0.1 if "°" in label else 0.001 for label in labels]
+        steps = [0.001 if "[m]" in label else 0.1 for label in labels]
         return [self._add("slider", event, labels[k], 0.0, 1.0, steps[k], 0.0, key=k) for k in range(len(labels))]
 
-    def show(self, state: SessionState, moved: tuple[str, int]) -> None:
+    def show(self, state: State, moved: tuple[str, int]) -> None:
         """Show a state.
 
         The slider that the user moves, "coordinate" or "leg" and which of them, is left alone, and so are the values
@@ -153,25 +145,24 @@ class Panel:
             self.branch.options = labels
         self.branch.value = state.label or labels[0]
         # Where angles are not unique, those of the state that is shown.
-        pose = pose_coordinates(state.target if state.distance > 0.0 else state.shown.pose, self.angles)
+        pose = self.model.coordinates(state.target if state.distance > 0.0 else state.shown.pose, self.angles)
         readings = state.shown.readings
         kinds = (
-            ("coordinate", self.pose_sliders, pose, pose_ranges(state.shown, self.angles)),
-            ("leg", self.leg_sliders, readings * self._factors, reading_ranges(state.shown) * self._factors[:, None]),
+            ("coordinate", self.pose_sliders, pose, self.model.pose_ranges(self.angles)),
+            ("leg", self.leg_sliders, readings * self._factors, self.model.reading_ranges() * self._factors[:, None]),
         )
         for kind, sliders, values, ranges in kinds:
             for k, (slider, value, (low, high)) in enumerate(zip(sliders, values, ranges, strict=True)):
                 if (kind, k) != moved:
                     value = slider.value if kind == moved[0] else float(value)
                     _set_slider(slider, value, min(low, value), max(high, value))
-        self.command.value = command_line(state.shown, self.viewer.geometry_file)
-        q = self.viewer.chain.joint_values(state.shown)
-        self.q.value = np.array2string(q + 0.0, precision=9, separator=", ", max_line_width=60)
+        self.command.value = self.model.command()
+        self.q.value = np.array2string(self.model.values() + 0.0, precision=9, separator=", ", max_line_width=60)
 
     def set_angles(self, angles: str) -> None:
         """Take another convention of the angles; `show` brings their values."""
         self.angles = angles
-        for slider, name in zip(self.pose_sliders, _COORDINATES[angles], strict=True):
+        for slider, name in zip(self.pose_sliders, self.model.conventions[angles], strict=True):
             slider.label = name
 
     def show_path(self, *lines: str) -> None:
@@ -188,21 +179,15 @@ def _set_slider(slider: Any, value: float, low: float, high: float) -> None:
     slider.value = round(value, digits) + 0.0
 
 
-def _length(value: float) -> str:
-    return f"{fixed(1e3 * value, 0)} mm" if abs(value) < 9.9995 else f"{fixed(value, 1)} m"
-
-
-def status(state: SessionState, convention: str = "X-Y-X") -> str:
+def status(state: State, convention: str = "X-Y-X") -> str:
     """Return the branch, the position with the angles in a convention, and the notices."""
-    values = pose_coordinates(state.shown.pose, convention)
-    o, angles = (", ".join(fixed(x, digits) for x in part) for part, digits in ((values[:3], 3), (values[3:], 1)))
-    name = escape(state.label) or "no isolated branch"
     tags = ["physical" if state.is_physical else "not physical"]
-    if state.shown.geometry.limits is not None:
+    if state.shown.mechanism.limits is not None:
         tags.append("within limits" if not state.limit_excess.any() else "beyond limits")
+    title = f'<b data-spm="branch">{escape(state.title)}</b> &nbsp;{escape(", ".join(tags))}'
     lines = [
-        f'<div style="font-size:0.95rem"><b data-spm="branch">{name}</b> &nbsp;{escape(", ".join(tags))}</div>',
-        f'<div data-spm="pose" style="opacity:0.75">o = ({o}) m, {convention} = ({angles})\u2060°</div>',
+        f'<div style="font-size:0.95rem">{title}</div>',
+        f'<div data-spm="pose" style="opacity:0.75">{state.pose_text(convention)}</div>',
     ]
     for kind, sign, colour, texts in (("warning", "⚠", WARN, state.warnings), ("info", "ℹ", _GREY, state.notes)):
         style = f"border-left:3px solid rgb{colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em"
@@ -210,7 +195,7 @@ def status(state: SessionState, convention: str = "X-Y-X") -> str:
     return f'<div style="{_BOX}">{"".join(lines)}</div>'
 
 
-def instruments(state: SessionState) -> str:
+def instruments(state: State) -> str:
     """Return the legs against their limits, and the distances from singularities."""
     return f'<div style="{_BOX}">{_legs(state)}{_singularities(state)}</div>'
 
@@ -239,10 +224,10 @@ def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str 
     return f'<div style="{_TRACK}"><div style="{filled};background:rgb{colour};opacity:0.85"></div>{marks}</div>'
 
 
-def _legs(state: SessionState) -> str:
-    readings, limits, cells = state.shown.readings, state.shown.geometry.limits, []
-    units = reading_units(state.shown.geometry)
-    for k, (leg, reading, excess, unit) in enumerate(zip(LEGS, readings, state.limit_excess, units, strict=True)):
+def _legs(state: State) -> str:
+    machine, readings, cells = state.shown.mechanism, state.shown.readings, []
+    legs, units, limits = machine.legs, reading_units(machine), machine.limits
+    for k, (leg, reading, excess, unit) in enumerate(zip(legs.names, readings, state.limit_excess, units, strict=True)):
         # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
         ticks = tuple(share for share, limit in ((0.1, low), (0.9, high)) if limit != 0.0 and np.isfinite(limit))
@@ -250,47 +235,47 @@ def _legs(state: SessionState) -> str:
             low, high = 0.0, 1.25 * float(np.abs(readings[3 * (k // 3) : 3 * (k // 3) + 3]).max())
         share = float(np.clip(0.1 + 0.8 * (reading - low) / max(high - low, 1e-12), 0.0, 1.0))
         colour = WARN if excess else (PUSH if k < 3 else _UPPER)
-        beyond = _length(abs(excess)) if unit.name == "m" else f"{fixed(unit.factor * abs(excess), 1)}°"
-        mark = f"⚠ {'+' if excess > 0.0 else '−'}{beyond}" if excess else ""
-        value = _cell(fixed(reading, 3) if unit.name == "m" else f"{fixed(unit.factor * reading, 1)}°", _RIGHT, leg)
+        digits = 1 if unit.name == "°" else 0
+        mark = f"⚠ {'+' if excess > 0.0 else '−'}{unit.difference(abs(excess), digits)}" if excess else ""
+        value = _cell(unit.text(reading), _RIGHT, leg)
         cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:rgb{WARN};font-weight:600")]
-    legs = state.shown.geometry.legs
     name = "Leg lengths" if legs.are_rps and not legs.offsets.any() else "Encoder readings"
     heading = f"in {' and '.join(dict.fromkeys(unit.name for unit in units))}{', between limits' if limits else ''}"
     return f"<div><b>{name}</b> {heading}</div>" + _grid("max-content minmax(3em,1fr) max-content max-content", cells)
 
 
-def _singularities(state: SessionState) -> str:
-    singular, side = state.singularities, state.shown.geometry.middle_side
-    cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in ("", "", "away", "σ", "cond")]
-    rows = zip(SINGULARITIES, state.is_near, state.travel, singular.sigma, singular.condition, strict=True)
-    for name, is_near, travel, sigma, condition in rows:
-        share = min(travel / (10.0 * NEAR * side), 1.0) if np.isfinite(travel) else 0.0
+def _singularities(state: State) -> str:
+    measures = state.measures
+    has_travel = any(measure.away for measure in measures)
+    texts = ("", "", "away", "σ", "cond") if has_travel else ("", "", "", "σ", "")
+    cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in texts]
+    for name, is_near, share, away, sigma, condition in measures:
+        large = "" if condition is None else f"{condition:.3g}" if condition < 1e5 else "&gt;10⁵"
         cells += [
             _cell(f"{'⚠ ' if is_near else ''}{name}"),
             _bar(max(share, 0.02), WARN if is_near else _CALM),
-            _cell(_length(travel) if np.isfinite(travel) else "–", _RIGHT),
+            _cell(away, _RIGHT),
             _cell(fixed(sigma, 3), _RIGHT),
-            _cell(f"{condition:.3g}" if np.isfinite(condition) and condition < 1e5 else "&gt;10⁵", _RIGHT),
+            _cell(large, _RIGHT),
         ]
-    heading = '<div style="margin-top:0.4em"><b>Singularities</b>, in leg travel</div>'
+    heading = f'<div style="margin-top:0.4em"><b>Singularities</b>{", in leg travel" * has_travel}</div>'
     return heading + _grid("max-content minmax(2em,1fr) max-content max-content max-content", cells)
 
 
-def forces_table(state: SessionState) -> str:
+def forces_table(state: State) -> str:
     """Return the leg forces that hold the load, as bars from the middle."""
     forces = state.forces
     if forces is None:
         return note("⚠ The legs cannot hold every load here.")
     largest = float(np.abs(forces).max())
     cells = []
-    for leg, force in zip(LEGS, forces, strict=True):
+    for leg, force in zip(state.shown.mechanism.legs.names, forces, strict=True):
         share = 0.5 * abs(force) / largest if largest > 0.0 else 0.0
         pushes = force >= 0.0
         bar = _bar(share, PUSH if pushes else PULL, side="left" if pushes else "right", start=0.5)
         sign = "" if abs(force) < 5e-4 else ("▲" if pushes else "▼")
         shown = fixed(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
         cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
-    efforts = " and ".join(dict.fromkeys(kind.effort_unit for kind in state.shown.geometry.legs.kinds))
+    efforts = " and ".join(dict.fromkeys(kind.effort_unit for kind in state.shown.mechanism.legs.kinds))
     heading = f"<div><b>Leg forces</b> in {efforts}: ▲ pushes, ▼ pulls</div>"
     return f'<div style="{_BOX}">{heading}{_grid("max-content minmax(3em,1fr) max-content 1em", cells)}</div>'

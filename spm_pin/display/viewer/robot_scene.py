@@ -1,4 +1,4 @@
-"""A state in a viser scene: the robot, other branches as ghosts, the load, the requested pose, the workspace."""
+"""A state of either machine in a viser scene: branches as ghosts, the load, the requested pose, the workspace."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.capability import wrench_polytope
-from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.display.rendering import camera_axes
+from spm_pin.display.stage_solids import machine_parts, solid_matrices
 from spm_pin.display.viewer.model import SessionState, sampled_states
+from spm_pin.display.viewer.stage_model import StageState
 from spm_pin.errors import SpmError
-from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry
+from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Stage, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.paper_shell import workspace_shell
 
@@ -42,13 +43,13 @@ _TRAIL_STEP = 2e-3  # of the base radius
 _SHELL_RESOLUTION = 14  # coarse enough to be sent to a page
 
 
-def solid_placements(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray]:
+def solid_placements(configuration: Configuration | StageConfiguration) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return where the solids of `visual_parts` are in configurations (...).
 
     The positions of their origins in {B} [m], shape (..., n, 3), their quaternions, scalar first, shape (..., n, 4),
     and the scales along their axes, shape (..., n, 3).
     """
-    matrices = part_placements(configuration)
+    matrices = solid_matrices(configuration)
     scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
     quaternions = Rotation.from_matrix(matrices[..., :3, :3] / scales[..., None, :]).as_quat(scalar_first=True)
     return matrices[..., :3, 3], quaternions, scales
@@ -68,16 +69,16 @@ def _linear(colour: Colour) -> Colour:
 class RobotScene:
     """The nodes of one session in a client's viser scene; `on_click` takes the label of a ghost that is clicked."""
 
-    def __init__(self, scene: Any, geometry: Geometry, on_click: OnClick) -> None:
+    def __init__(self, scene: Any, machine: Geometry | Stage, on_click: OnClick) -> None:
         self.scene = scene
-        self.geometry = geometry
+        self.machine = machine
+        self._legs = machine.legs.names
         # What `show` shows besides the robot.
         self.layers = {"ghosts": False, "names": True, "trail": True, "forces": False}
-        self.size = section_size(geometry)
-        self._parts = visual_parts(geometry)
+        self._parts, self.size, platform = machine_parts(machine)
         self._colours = [tuple(round(255.0 * channel) for channel in part.colour) for part in self._parts]
         scene.configure_default_lights(cast_shadow=False)
-        radius = 1.6 * geometry.base_radius
+        radius = 1.6 * machine.base_radius
         scene.add_grid(
             "/floor",
             width=2.0 * radius,
@@ -97,13 +98,13 @@ class RobotScene:
         # The terminal platform where it should be.
         self._wanted = scene.add_frame("/wanted", show_axes=False, visible=False)
         for k, part in enumerate(self._parts):
-            if part.body == "terminal_platform":
+            if part.body == platform:
                 self._mesh(f"/wanted/{k}", k, color=WARN, opacity=0.45)
         self._gap = self._lines("/wanted_gap", WARN)
         self._trail = self._lines("/trail", _TRAIL)
         self._trail_points: list[FloatArray] = []
         self._has_forces = False
-        self._names = [self._label(f"/names/{leg}", leg) for leg in LEGS]
+        self._names = [self._label(f"/names/{leg}", leg) for leg in self._legs]
         self._branches = {label: self._label(f"/branches/{label}", label) for label in BRANCHES}
         looks = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
         self._arrows = {name: self._arrow(name, *look) for name, look in looks.items()}
@@ -156,9 +157,10 @@ class RobotScene:
             visible=False,
         )
 
-    def show(self, state: SessionState) -> None:
+    def show(self, state: SessionState | StageState) -> None:
         """Show a state but for its forces; what viser has already is not sent again."""
-        beyond = {f"leg_{leg[2:]}" for leg, excess in zip(LEGS, state.limit_excess, strict=True) if excess}
+        bodies = (leg[2:] if len(self._legs) == 6 else f"b{leg[2:]}" for leg in self._legs)
+        beyond = {f"leg_{leg}" for leg, excess in zip(bodies, state.limit_excess, strict=True) if excess}
         nodes = zip(self._robot, self._parts, self._colours, *solid_placements(state.shown), strict=True)
         for handle, part, colour, position, quaternion, scale in nodes:
             handle.position, handle.wxyz, handle.scale = position, quaternion, tuple(scale.tolist())
@@ -170,7 +172,8 @@ class RobotScene:
             self._wanted.wxyz = state.target.rotation.as_quat(scalar_first=True)
             self._gap.points = _segments([state.shown.translation, state.target.translation])
         self._wanted.visible = self._gap.visible = state.distance > 0.0
-        self._show_ghosts(state)
+        if isinstance(state, SessionState):
+            self._show_ghosts(state)
         self._show_trail(state.shown.translation)
 
     def _show_ghosts(self, state: SessionState) -> None:
@@ -197,7 +200,7 @@ class RobotScene:
                 handle.position, handle.text = places[-1], f"{label} ◀" if label == state.label else label
             handle.visible = named
 
-    def show_forces(self, state: SessionState) -> None:
+    def show_forces(self, state: SessionState | StageState) -> None:
         """Show the load, the leg forces that hold it, and the forces that legs of equal strength hold."""
         o, wrench = state.shown.translation, state.wrench
         length = 1.1 * self.size
@@ -206,7 +209,7 @@ class RobotScene:
         axis = _onto(o, moment, length)
         # A moment has two heads.
         self._point("moment", [axis, np.stack([o, o + 0.82 * (axis[1] - o)])] if moment.any() else [])
-        forces = np.zeros(6) if state.forces is None else state.forces
+        forces = np.zeros(len(self._legs)) if state.forces is None else state.forces
         shares = forces / max(float(np.abs(forces).max()), 1e-300)
         middles = _beside_legs(state.shown, 0.2 * self.size)
         half = 0.45 * state.shown.leg_vectors * np.abs(shares)[:, None]
@@ -214,7 +217,8 @@ class RobotScene:
         outward = np.stack([[middles, middles + half], [middles, middles - half]]).transpose(2, 0, 1, 3)
         self._point("push", outward[shares > 0.02].reshape(-1, 2, 3))
         self._point("pull", outward[shares < -0.02][:, :, ::-1].reshape(-1, 2, 3))
-        self._show_held_forces(state.shown)
+        if isinstance(state, SessionState):
+            self._show_held_forces(state.shown)
 
     def _point(self, name: str, arrows: Sequence[FloatArray] | FloatArray) -> None:
         handle = self._arrows[name]
@@ -227,7 +231,7 @@ class RobotScene:
         step = float(np.linalg.norm(o - points[-1])) if points else np.inf
         if step > self.size:
             points.clear()  # the robot was put elsewhere
-        if step > _TRAIL_STEP * self.geometry.base_radius:
+        if step > _TRAIL_STEP * self.machine.base_radius:
             points.append(np.array(o))
             del points[:-_TRAIL_POINTS]
             if len(points) > 1 and self.layers["trail"]:
@@ -261,11 +265,11 @@ class RobotScene:
         if not shown:
             self.scene.remove_by_name(name)
         elif layer == "points":
-            points = np.asarray(sampled_states(self.geometry).translation, np.float32)
+            points = np.asarray(sampled_states(self.machine).translation, np.float32)
             self.scene.add_point_cloud(name, points, colors=_WORKSPACE, point_size=0.008, point_shape="circle")
         else:
             options = {"opacity": 0.25, "side": "double", "cast_shadow": False}
-            self.scene.add_mesh_simple(name, *_shell(self.geometry), color=_WORKSPACE, **options)
+            self.scene.add_mesh_simple(name, *_shell(self.machine), color=_WORKSPACE, **options)
 
     def show_path(self, points: FloatArray) -> None:
         """Draw a path of o (n, 3) [m]."""
@@ -285,11 +289,14 @@ def _free_place(joints: FloatArray, others: list[FloatArray]) -> FloatArray:
     return np.asarray(places[int(np.min(gaps, axis=0).argmax()) if gaps else 0])
 
 
-def _beside_legs(state: Configuration, distance: float) -> FloatArray:
-    """Return points (6, 3) beside the middles of the legs, away from the axis of their stage."""
-    axis = state.middle_pose.translation
-    centres = np.stack([0.5 * axis, 0.5 * (axis + state.translation)]).repeat(3, axis=0)
-    middles = 0.5 * (state.leg_bases + state.balls)
+def _beside_legs(state: Configuration | StageConfiguration, distance: float) -> FloatArray:
+    """Return points (legs, 3) beside the middles of the legs, away from the axis of their stage."""
+    platforms = [state.translation]
+    if isinstance(state, Configuration):
+        platforms.insert(0, state.middle_pose.translation)
+    ends = np.array([np.zeros(3), *platforms])
+    centres = (0.5 * (ends[:-1] + ends[1:])).repeat(3, axis=0)
+    middles = 0.5 * (_pivots(state) + state.balls)
     return np.asarray(middles + distance * _unit(middles - centres))
 
 
@@ -302,9 +309,18 @@ def _onto(point: FloatArray, vector: FloatArray, length: float) -> FloatArray:
     return np.stack([point, point + length * _unit(vector)])
 
 
-def robot_points(configuration: Configuration, margin: float) -> FloatArray:
+def _pivots(state: Configuration | StageConfiguration) -> FloatArray:
+    return state.leg_bases if isinstance(state, Configuration) else state.stage.legs.pivots
+
+
+def robot_points(configuration: Configuration | StageConfiguration, margin: float) -> FloatArray:
     """Return corners (n, 3) of boxes of half a side `margin` around the joints and o [m]; a picture shows them all."""
-    joints = [configuration.leg_bases, configuration.middle_joints, configuration.translation[None]]
+    joints = [
+        _pivots(configuration),
+        configuration.circle_centres,
+        configuration.balls,
+        configuration.translation[None],
+    ]
     corners = margin * (2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
     return np.asarray((np.concatenate(joints)[:, None] + corners).reshape(-1, 3))
 

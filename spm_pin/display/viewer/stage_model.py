@@ -1,0 +1,217 @@
+"""The state of a session of a stage alone: its platform is dragged in tilt and height, all else follows."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from spm_pin import stages
+from spm_pin.display.viewer.model import Measure, excess_warnings, ranges_of_readings, readings_remarks
+from spm_pin.display.writing import fixed
+from spm_pin.errors import SingularConfigurationError
+from spm_pin.kinematics.path_following import existing_share
+from spm_pin.mechanism import Stage, StageConfiguration
+from spm_pin.mechanism.arguments import FloatArray, real_array
+from spm_pin.stages.displacement import normals_of_request
+
+_NEAR = 0.1
+"""A singularity is near where its smallest singular value, or the slope of a leg over its largest, is below this."""
+_DIRECTIONS = 24
+"""In how many directions the largest tilt is sought."""
+_ROLL, _TILT = "height, roll, pitch", "height, tilt, azimuth"
+"""Conventions of the coordinates of the pose: names of properties of a state."""
+_NO_ANGLES = dict.fromkeys(("tilt", "azimuth", "roll", "pitch"))
+
+
+@dataclass(frozen=True)
+class StageState:
+    """The configuration shown, the pose requested and the load, as `SessionState` of the robot."""
+
+    target: RigidTransform  # the requested pose of the platform in {B}; that of `shown` where legs were moved
+    shown: StageConfiguration
+    distance: float  # root mean square distance of the balls from where they should be [m]; 0 where the pose is reached
+    wrench: FloatArray  # the load (f, m) on the platform at its origin in {B}, shape (6,) [N, N m]
+    remarks: tuple[str, ...] = ()
+
+    label: ClassVar[str] = ""
+    labels: ClassVar[tuple[str, ...]] = ()
+    notes: ClassVar[tuple[str, ...]] = ()
+    is_physical: ClassVar[bool] = True
+    title: ClassVar[str] = "Mode T"
+
+    @cached_property
+    def limit_excess(self) -> FloatArray:
+        """By how much each reading (3,) is above its largest (positive) or below its least (negative)."""
+        return self.shown.limit_excess
+
+    @cached_property
+    def measures(self) -> list[Measure]:
+        """How far the singularities of the platform, and that of the leg nearest to its own, are."""
+        found = stages.singularities(self.shown)
+        sigmas = {"forward": found.forward, "inverse": found.inverse, "leg's own": found.leg.min()}
+        rows = [(name, float(sigma)) for name, sigma in sigmas.items()]
+        return [Measure(name, sigma < _NEAR, min(sigma, 1.0), "", sigma, None) for name, sigma in rows]
+
+    @cached_property
+    def forces(self) -> FloatArray | None:
+        """Efforts of the actuators (3,); None where they cannot hold every load."""
+        try:
+            return stages.leg_forces(self.shown, self.wrench)
+        except SingularConfigurationError:
+            return None
+
+    @cached_property
+    def warnings(self) -> list[str]:
+        """What the user should beware of, most important first."""
+        near = [f"Singularity ahead ({measure.name})." for measure in self.measures if measure.is_near]
+        return [*self.remarks, *near, *excess_warnings(self.shown, self.forces)]
+
+    def pose_text(self, convention: str) -> str:
+        """Return tilt and height, and the parasitic motion."""
+        height, *angles = _coordinates(self.shown, convention)
+        names = zip(convention.split(", ")[1:], angles, strict=True)
+        shift = ", ".join(fixed(1e3 * x, 1) for x in self.shown.shift)
+        wanted = ", ".join(f"{name} {fixed(angle, 1)}°" for name, angle in names)
+        torsion = fixed(math.degrees(self.shown.torsion), 2)
+        return f"height {fixed(height, 1)} mm, {wanted}; shift ({shift}) mm, torsion {torsion}°"
+
+
+class StageModel:
+    """A session's state and its transitions, from a physical configuration, as `ViewerModel` of the robot."""
+
+    conventions: ClassVar[dict[str, tuple[str, ...]]] = {
+        _ROLL: ("height [mm]", "roll [°]", "pitch [°]"),
+        _TILT: ("height [mm]", "tilt [°]", "azimuth [°]"),
+    }
+    hint = "As an IMU on the platform shows them, or the direction in which it is lowest"
+    values_name = "Readings"
+
+    def __init__(self, start: StageConfiguration, file: Path | None = None) -> None:
+        self.hold_limits, self.file, self._stage = True, file, start.stage
+        self.state = StageState(start.pose, start, 0.0, np.zeros(6))
+
+    def drag(self, target: RigidTransform) -> StageState:
+        """Move to the normal and the height of a pose, or to the nearest reachable ones."""
+        stage, normal, height = self._stage, target.rotation.as_matrix()[:, 2], float(target.translation[2])
+        wanted = stages.inverse_physical(stage, height, normal=normal)
+        held = self.hold_limits and not self.state.limit_excess.any()
+        if wanted.exists and not (held and wanted.limit_excess.any()):
+            return self._show(wanted)
+        free = stage if held else Stage(stage.base_radius, stage.platform_radius, stage.legs)
+        shown = stages.nearest_reachable(free, height, normal=normal)
+        shown = StageConfiguration(stage, shown.pose) if shown.exists else self.state.shown
+        rotation, _ = Rotation.align_vectors(normal, shown.normal)
+        pose = RigidTransform.from_components([*shown.shift, height], rotation * shown.pose.rotation)
+        distance = float(np.linalg.norm(StageConfiguration(stage, pose).balls - shown.balls)) / math.sqrt(3.0)
+        why = wanted.missing_reason or "beyond the leg limits"
+        away = f"{fixed(1e3 * distance, 1)} mm away" if distance > 1e-4 else "less than 0.1 mm away"
+        return self._show(shown, pose, distance, [f"Out of reach: {why}. Shown: the nearest reachable tilt, {away}."])
+
+    def set_readings(self, readings: npt.ArrayLike) -> StageState:
+        """Move to encoder readings (3,) as far as the platform's mode lasts."""
+        wanted = real_array(readings, "readings", (3,), "readings of the encoders in metres, of RRS legs in radians")
+        before, solve = self.state.shown.readings, partial(stages.forward_physical, self._stage)
+        share, shown = 1.0, solve(wanted)
+        if not shown.exists:
+            share = float(existing_share(solve, before, wanted[None], parts=16, rounds=3)[0])
+            shown = solve(before + share * (wanted - before)) if share else self.state.shown
+        return self._show(shown, remarks=readings_remarks(share))
+
+    def load(self, wrench: npt.ArrayLike) -> StageState:
+        """Put a wrench (f, m) on the platform at its origin in {B} [N, N m]."""
+        load = real_array(wrench, "wrench", (6,), "(f, m) at the platform's origin in {B} in N and N m")
+        self.state = replace(self.state, wrench=load)
+        return self.state
+
+    def place(self, configuration: StageConfiguration) -> StageState:
+        """Show a configuration, as it is."""
+        return self._show(configuration)
+
+    def _show(
+        self,
+        shown: StageConfiguration,
+        target: RigidTransform | None = None,
+        distance: float = 0.0,
+        remarks: Sequence[str] = (),
+    ) -> StageState:
+        target = shown.pose if target is None else target
+        self.state = StageState(target, shown, distance, self.state.wrench, tuple(remarks))
+        return self.state
+
+    def coordinates(self, pose: RigidTransform, convention: str) -> FloatArray:
+        """Return the values of the pose's sliders."""
+        return _coordinates(StageConfiguration(self._stage, pose), convention)
+
+    def pose_of(self, coordinates: FloatArray, convention: str) -> RigidTransform:
+        """Return a pose with the normal and the height of such values."""
+        angles = dict(zip(convention.split(", ")[1:], np.radians(coordinates[1:]), strict=True))
+        turn, _ = Rotation.align_vectors(normals_of_request(**(_NO_ANGLES | angles), normal=None), [0.0, 0.0, 1.0])
+        return RigidTransform.from_components([0.0, 0.0, 1e-3 * coordinates[0]], turn)
+
+    def pose_ranges(self, convention: str) -> FloatArray:
+        """Return the ends (3, 2) of the pose's sliders: heights of the level platform, and tilts at its height."""
+        shown, heights = self.state.shown, stages.height_range(self._stage)
+        tilts = stages.reach(self._stage, shown.height, directions=_DIRECTIONS).tilts
+        largest = np.degrees(np.nanmax(tilts, initial=float(shown.tilt)))
+        ends = [(-largest, largest)] * 2 if convention == _ROLL else [(0.0, largest), (-180.0, 180.0)]
+        return np.array([1e3 * np.array(heights), *ends])
+
+    def reading_ranges(self) -> FloatArray:
+        """Return the ends (3, 2) of the legs' sliders, in the units of readings."""
+        return ranges_of_readings(self.state.shown, partial(stages.forward_physical, self._stage))
+
+    def command(self) -> str:
+        """Return the command line that finds what is shown, its stage in a file where numbers do not describe it."""
+        stage, (height, roll, pitch) = self._stage, _coordinates(self.state.shown, _ROLL)
+        lengths = {"base": stage.base_radius, "platform": stage.platform_radius, **stage.kind.as_data()}
+        typed = f"--stage {'FILE' if self.file is None else shlex.quote(str(self.file))}"
+        if self.file is None and stage.is_nominal:
+            lengths["slide"] = math.degrees(lengths.pop("direction", math.nan))
+            numbers = [f"--{name} {x!r}" for name, x in lengths.items() if name != "kind" and x == x]
+            typed = " ".join(numbers)
+        return f"spm-pin stage inverse {typed} --height {1e-3 * height!r} --roll {roll!r} --pitch {pitch!r}"
+
+    def values(self) -> FloatArray:
+        """Return the readings of what is shown [m], of RRS legs [rad]."""
+        return self.state.shown.readings
+
+    def data(self) -> dict[str, Any]:
+        """Return what is shown as data for JSON, in metres, radians and newtons."""
+        state, shown = self.state, self.state.shown
+        names = (
+            "tilt",
+            "azimuth",
+            "roll",
+            "pitch",
+            "height",
+            "shift",
+            "torsion",
+            "readings",
+            "balls",
+            "closure_residual",
+        )
+        return {
+            "stage": self._stage.as_data(),
+            "pose": shown.pose.as_matrix(),
+            "reached": state.distance == 0.0,
+            **{name: getattr(shown, name) for name in names},
+            "singularity": {measure.name: measure.sigma for measure in state.measures},
+            "wrench": state.wrench,
+            "leg_forces": state.forces,
+            "command": self.command(),
+        }
+
+
+def _coordinates(state: StageConfiguration, convention: str) -> FloatArray:
+    """Return the height [mm] and two angles [degrees] of a state, those that the convention names."""
+    angles = [math.degrees(getattr(state, name)) for name in convention.split(", ")[1:]]
+    return np.array([1e3 * float(state.height), *angles]) + 0.0
