@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 from figures import GEOMETRY, IMAGES
 from PIL import Image
 
@@ -15,7 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from browser import chromium, until
 
 DESKTOP, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
-PICTURES = {"desktop": (DESKTOP, False), "load": (DESKTOP, False), "phone": (PHONE, True)}
+PICTURES = {"desktop": (DESKTOP, False), "load": (DESKTOP, False), "phone": (PHONE, True), "stage": (DESKTOP, False)}
+BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=np.radians([-35, 70]))
 
 
 def main() -> None:
@@ -23,7 +25,8 @@ def main() -> None:
     state = spm.forward_physical(GEOMETRY, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     with chromium() as browser:
         for name, (size, dark) in PICTURES.items():
-            with Viewer(state, port=0, dark=dark) as viewer:
+            tilted = spm.stages.inverse_physical(BALANCER, 0.12, tilt=np.radians(12), azimuth=np.radians(60))
+            with Viewer(tilted if name == "stage" else state, port=0, dark=dark) as viewer:
                 page = browser.new_page(viewport=size)
                 page.goto(f"{viewer.url}?fixedDpr=1")
                 page.wait_for_selector('[data-spm="branch"]', state="attached", timeout=180_000)

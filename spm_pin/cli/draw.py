@@ -20,6 +20,11 @@ from spm_pin.display.writing import FORMATS
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS
 
+Host = Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")]
+Port = Annotated[int, Option(help="First port to try; 0 lets the system choose.")]
+Dark = Annotated[bool, Option("--dark", help="Begin with a dark page.")]
+Browser = Annotated[bool, Option("--open/--no-open", help="Open the page in a browser.")]
+
 
 @outputs.name_options(leg_lengths="--legs", readings="--legs")
 @options.takes_pose(required=False)
@@ -84,13 +89,13 @@ def view(
     unit: options.Unit = LengthUnit.M,
     geometry: options.GeometryFile = None,
     path: Annotated[Path | None, Option(metavar="FILE", help="A recorded path to play, a CSV file.")] = None,
-    host: Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")] = "127.0.0.1",
-    port: Annotated[int, Option(help="First port to try; 0 lets the system choose.")] = 8080,
+    host: Host = "127.0.0.1",
+    port: Port = 8080,
     demo: Annotated[
         bool | None, Option("--demo/--no-demo", help="Move until touched; by default if no pose is given.")
     ] = None,
-    dark: Annotated[bool, Option("--dark", help="Begin with a dark page.")] = False,
-    browser: Annotated[bool, Option("--open/--no-open", help="Open the page in a browser.")] = True,
+    dark: Dark = False,
+    browser: Browser = True,
 ) -> None:
     """Drag the platform and watch all branches, in a browser. Ends with Ctrl-C.
 
@@ -103,8 +108,7 @@ def view(
         raise ArgumentError("--path", "to be given alone: it begins in the physical branch", ", ".join(ignored))
     if path is not None and unit is not LengthUnit.M:
         raise ArgumentError("--unit", "m beside --path, whose columns are in metres", unit)
-    outputs.note("starting, the first time up to a minute: kernels are compiled")
-    from spm_pin.display.viewer import Viewer, read_recording
+    from spm_pin.display.viewer import read_recording
 
     dimensions = options.read_geometry(geometry)
     recording = read_recording(path) if path is not None else None
@@ -116,7 +120,15 @@ def view(
         start = solutions[label]
     if demo is None:
         demo = all(option is None for option in (pose, legs, branch, path))
-    page: dict[str, Any] = {"recording": recording, "dark": dark, "geometry_file": geometry, "demo": demo}
+    page = {"recording": recording, "geometry_file": geometry, "demo": demo}
+    serve(start, host=host, port=port, browser=browser, dark=dark, **page)
+
+
+def serve(start: Any, *, host: str, port: int, browser: bool, **page: Any) -> None:
+    """Serve the page of a machine until Ctrl-C."""
+    from spm_pin.display.viewer import Viewer
+
+    outputs.note("starting, the first time up to a minute: kernels are compiled")
     with outputs.progress_bar() as bar:
         viewer = Viewer(start, host=host, port=port, progress=bar, **page)
     with viewer:

@@ -13,12 +13,13 @@ import typer
 from typer import Option
 
 from spm_pin.cli import options, outputs
+from spm_pin.cli.draw import Browser, Dark, Host, Port, serve
 from spm_pin.cli.options import LengthUnit, Triple
 from spm_pin.display import reach_figure, save_figure, stage_figure
 from spm_pin.display.writing import FORMATS, fixed
-from spm_pin.errors import ArgumentError, GeometryError, raised_as
+from spm_pin.errors import ArgumentError, GeometryError, raised_as, require_extra
 from spm_pin.mechanism import PRS, RPS, RRS, LegKind, Stage, StageConfiguration, StageSolutions, Status
-from spm_pin.stages import ReachEnd, forward_physical, height_range, inverse_physical, nearest_reachable
+from spm_pin.stages import ReachEnd, forward_physical, height_range, home_height, inverse_physical, nearest_reachable
 from spm_pin.stages import forward as all_modes
 from spm_pin.stages import inverse as both_modes
 from spm_pin.stages import reach as largest_tilts
@@ -42,6 +43,9 @@ _STAGE: dict[str, tuple[Any, str, str, str]] = {
 }
 """Options that describe a stage: what they take, what is typed, and the help."""
 Height = Annotated[float, Option(metavar="LENGTH", help="Of the platform's centre above the pivots, in --unit.")]
+AnyHeight = Annotated[float | None, Option(metavar="LENGTH", help="In --unit; the middle if not given.")]
+Tilt = Annotated[float, Option(metavar="DEGREES", help="Of the platform.")]
+Azimuth = Annotated[float, Option(metavar="DEGREES", help="Where it is lowest.")]
 
 
 def _read_stage(typed: Record, unit: LengthUnit) -> Stage:
@@ -232,21 +236,49 @@ def reach(
 def draw(
     stage: Stage,
     out: Annotated[Path, outputs.picture_option(f"Picture to write: {', '.join(FORMATS)}.")],
-    height: Annotated[float | None, Option(metavar="LENGTH", help="In --unit; the middle if not given.")] = None,
-    tilt: Annotated[float, Option(metavar="DEGREES", help="Of the platform.")] = 0.0,
-    azimuth: Annotated[float, Option(metavar="DEGREES", help="Where it is lowest.")] = 0.0,
+    height: AnyHeight = None,
+    tilt: Tilt = 0.0,
+    azimuth: Azimuth = 0.0,
     unit: options.Unit = LengthUnit.M,
 ) -> None:
     """Draw a stage with its platform at a height and a tilt.
 
     Example: spm-pin stage draw --base 80 --platform 90 --crank 50 --rod 110 --unit mm --tilt 12 --out stage.png
     """
-    metres = sum(height_range(stage)) / 2.0 if height is None else height / unit.per_metre
+    save_figure(stage_figure(_state(stage, height, tilt, azimuth, unit)), out)
+    outputs.note(f"wrote {out}")
+
+
+@takes_stage
+@outputs.name_options()
+def view(
+    stage: Stage,
+    height: AnyHeight = None,
+    tilt: Tilt = 0.0,
+    azimuth: Azimuth = 0.0,
+    unit: options.Unit = LengthUnit.M,
+    host: Host = "127.0.0.1",
+    port: Port = 8080,
+    dark: Dark = False,
+    browser: Browser = True,
+) -> None:
+    """Drag the platform of a stage, or its servos and cylinders, in a browser. Ends with Ctrl-C.
+
+    Example: spm-pin stage view --base 80 --platform 90 --crank 50 --rod 110 --limits -35 70 --unit mm
+
+    Needs the extra "viewer".
+    """
+    require_extra("viewer")
+    start = _state(stage, height, tilt, azimuth, unit)
+    serve(start, host=host, port=port, browser=browser, dark=dark)
+
+
+def _state(stage: Stage, height: float | None, tilt: float, azimuth: float, unit: LengthUnit) -> StageConfiguration:
+    metres = home_height(stage) if height is None else height / unit.per_metre
     state = inverse_physical(stage, metres, tilt=math.radians(tilt), azimuth=math.radians(azimuth))
     if not state.exists:
         raise ArgumentError("--tilt", "a tilt and a height that the stage reaches", "none", state.missing_reason)
-    save_figure(stage_figure(state), out)
-    outputs.note(f"wrote {out}")
+    return state
 
 
 def _scale(stage: Stage, unit: LengthUnit) -> float:

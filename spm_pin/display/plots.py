@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 _SECTION: Colour = (0.0, 0.62, 0.451)
 INK: Colour = (0.13, 0.15, 0.18)
-_EDGE = 0.45  # width of edges in points
+EDGE = 0.45  # width of edges in points
 _WIDTH = 4.0  # of a new figure, in inches
 _WIDEST = 6000  # pixels: a picture takes 2 GB and a minute then
 _MARGINS = (0.049, 0.035)  # for labels
@@ -115,7 +115,7 @@ def draw(
     """
     solids, camera = robot_solids(configuration, frames=labels), camera_axes(view)
     margins = _MARGINS if labels else (0.014, 0.01)
-    ax, inch, (image, extent, _) = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=_EDGE)
+    ax, inch, (image, extent, _) = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=EDGE)
     ax.axis("off")
     if labels:
         size = max(float(np.ptp(ax.get_xlim())), float(np.ptp(ax.get_ylim())))
@@ -154,9 +154,9 @@ def draw_capability(
     # Each face by itself, so that all edges of the polyhedron are drawn.
     shape = Solid("section", _SECTION, place, section.faces)
     camera = camera_axes(view)
-    ax, inch, _ = draw_solids(solids, camera, _MARGINS, ax=ax, dpi=dpi, edge=_EDGE)
+    ax, inch, _ = draw_solids(solids, camera, _MARGINS, ax=ax, dpi=dpi, edge=EDGE)
     low, high = bounds([*solids, shape], camera, _MARGINS)
-    over = render([shape], camera, dpi / inch, _EDGE / 72.0 * dpi)
+    over = render([shape], camera, dpi / inch, EDGE / 72.0 * dpi)
     ax.imshow(over.image, extent=over.extent, interpolation_stage="rgba", alpha=0.6)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     ax.axis("off")

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.description.visuals import part_placements, section_size, visual_parts
+from spm_pin.display.stage_solids import machine_parts, solid_matrices
 from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.mechanism import StageConfiguration
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.notebook import view_axes
@@ -57,12 +58,7 @@ def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[S
         raise ArgumentError("configuration", "legs of positive length that reach their balls", lengths)
     if not np.isfinite(configuration.middle_pose.as_matrix()).all():
         raise ArgumentError("configuration", "middle joints that span a plane", configuration.middle_joints.tolist())
-    parts = visual_parts(configuration.geometry)
-    solids = [
-        Solid(part.name, part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces)
-        for part, pose in zip(parts, part_placements(configuration), strict=True)
-    ]
-    size = section_size(configuration.geometry)
+    solids, size = placed_solids(configuration)
     triads = (("{B}", np.eye(3), np.zeros(3)), ("{m}", configuration.rotation, configuration.translation))
     for name, rotation, origin in triads if frames else ():
         for k, (axis, colour) in enumerate(AXIS_COLOURS.items()):
@@ -70,6 +66,17 @@ def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[S
             turned = np.roll(rotation, 2 - k, axis=1)
             solids.append(arrow(f"{name} {axis}", colour, turned, origin, TRIAD * size, _NEARER * size))
     return solids
+
+
+def placed_solids(configuration: Configuration | StageConfiguration) -> tuple[list[Solid], float]:
+    """Return the solids of a state of a robot or of a stage, and the size of their sections [m]."""
+    parts, size, _ = machine_parts(configuration.mechanism)
+    poses = solid_matrices(configuration)
+    solids = [
+        Solid(part.name, part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces)
+        for part, pose in zip(parts, poses, strict=True)
+    ]
+    return solids, size
 
 
 def arrow(name: str, colour: Colour, axes: FloatArray, origin: FloatArray, length: float, nearer: float = 0.0) -> Solid:

@@ -12,7 +12,6 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import SelectionError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, type_and_value
-from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.mechanism.pose import unchecked_transform
 
 
@@ -23,11 +22,6 @@ class Batched(ABC):
     """Why a single state does not exist, where that is known; empty otherwise."""
     _rotation: FloatArray
     _translation: FloatArray
-
-    @property
-    @abstractmethod
-    def mechanism(self) -> Mechanism:
-        """The machine, a `Geometry` or a `Stage`."""
 
     @property
     @abstractmethod

@@ -10,6 +10,7 @@ import enum
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +32,9 @@ from spm_pin.stages.displacement import (
 _STEP = math.radians(0.5)
 """Tilts that are tried are this far apart [rad]: what is lost and won again in between is not seen."""
 _LARGEST_TILT = math.pi / 2.0
-_HEIGHTS, _BISECTIONS = 2000, 45
+_HEIGHTS = 2000
+_PARTS, _ROUNDS, _FEW = np.linspace(0.0, 1.0, 17), 11, 5
+"""An interval is divided into so many parts, so many times: to 6e-14 of it, or with few rounds to 1e-6."""
 _MOST_DIRECTIONS = 10_000
 _BESIDE = 1e-6
 """How far beyond the end of the reach its cause is looked at [rad]."""
@@ -90,7 +93,11 @@ def height_range(stage: Stage) -> tuple[float, float]:
     lowest, highest : float
         Heights of the platform's origin above the pivots: of several such ranges the widest, NaN where there is none.
     """
-    check_instance(stage, Stage, "stage")
+    return _height_range(check_instance(stage, Stage, "stage"))
+
+
+@lru_cache(maxsize=16)
+def _height_range(stage: Stage) -> tuple[float, float]:
     top = (10.0 if stage.unit == "m" and stage.limits is None else 1.0) * stage.size
     if stage.unit == "m":
         ends = np.abs(stage.reading_limits - stage.legs.offsets)
@@ -183,8 +190,8 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
     if levels.ndim > 1:
         raise ArgumentError("heights", "a height, or several of shape (n,)", f"shape {levels.shape}")
     azimuths = -math.pi + 2.0 * math.pi * np.arange(count) / count
-    tilts, ends = _largest_tilts(stage, levels[:, None], azimuths)
-    return StageReach(stage, levels, azimuths, tilts, ends)
+    tilts = _largest_tilts(stage, levels[:, None], azimuths)
+    return StageReach(stage, levels, azimuths, tilts, _ends(stage, levels[:, None], azimuths, tilts))
 
 
 def nearest_reachable(
@@ -222,9 +229,9 @@ def nearest_reachable(
     if math.isnan(low):
         return wanted
     level = float(np.clip(height, low, high)) if not _counts(inverse_physical(stage, height)) else float(height)
-    azimuths, width = np.linspace(-math.pi, math.pi, 361), math.pi / 180.0
-    for _ in range(4):
-        ends, _ = _largest_tilts(stage, np.array([level]), azimuths)
+    azimuths, width = np.linspace(-math.pi, math.pi, 91), math.pi / 45.0
+    for _ in range(5):
+        ends = _largest_tilts(stage, np.array([level]), azimuths, _FEW)
         # In each direction the tilt nearest to the one wanted is its projection, or the end.
         along = np.arctan2(np.cos(azimuths) * target[0] + np.sin(azimuths) * target[1], target[2])
         tilts = np.clip(along, 0.0, ends)
@@ -240,17 +247,21 @@ def _counts(state: StageConfiguration) -> BoolArray:
     return np.asarray(state.exists & (state.limit_excess == 0.0).all(axis=-1))
 
 
-def _last_good(counts: Callable[[FloatArray], BoolArray], good: FloatArray, bad: FloatArray) -> FloatArray:
-    """Return the numbers, between some that count and others that do not, up to which they count, by bisection."""
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (good + bad)
-        inside = counts(middle)
-        good, bad = np.where(inside, middle, good), np.where(inside, bad, middle)
+def _last_good(
+    counts: Callable[[FloatArray], BoolArray], good: FloatArray, bad: FloatArray, rounds: int = _ROUNDS
+) -> FloatArray:
+    """Return the numbers (..., 1), between some that count and others that do not, up to which they count."""
+    for _ in range(rounds):
+        parts = good + (bad - good) * _PARTS
+        inside = counts(parts)
+        inside[..., 0], inside[..., -1] = True, False
+        first_bad = inside.argmin(axis=-1)[..., None]
+        good, bad = (np.take_along_axis(parts, place, axis=-1) for place in (first_bad - 1, first_bad))
     return good
 
 
-def _largest_tilts(stage: Stage, heights: FloatArray, azimuths: FloatArray) -> tuple[FloatArray, npt.NDArray[np.int8]]:
-    """Return the largest tilts at heights and azimuths that broadcast, NaN where not even level, and their ends."""
+def _largest_tilts(stage: Stage, heights: FloatArray, azimuths: FloatArray, rounds: int = _ROUNDS) -> FloatArray:
+    """Return the largest tilts at heights and azimuths that broadcast, NaN where not even level."""
     shape = np.broadcast_shapes(heights.shape, azimuths.shape)
     heights, azimuths = np.broadcast_to(heights, shape), np.broadcast_to(azimuths, shape)
 
@@ -260,22 +271,26 @@ def _largest_tilts(stage: Stage, heights: FloatArray, azimuths: FloatArray) -> t
     grid = np.linspace(0.0, _LARGEST_TILT, round(_LARGEST_TILT / _STEP) + 1)
     good = counts(grid)
     last = np.where(good.all(axis=-1), len(grid), good.argmin(axis=-1)) - 1
-    inside = np.minimum(last, len(grid) - 2)[..., None]
-    tilts = _last_good(counts, grid[np.maximum(inside, 0)], grid[inside + 1])[..., 0]
-    whole = last == len(grid) - 1
-    tilts = np.where(whole, _LARGEST_TILT, np.where(last < 0, np.nan, tilts))
-    beyond = np.where(np.isnan(tilts) | whole, 0.0, tilts + _BESIDE)
-    ends = _causes(stage, heights, beyond, azimuths)
-    ends = np.where(whole, ReachEnd.NONE, np.where(last < 0, ReachEnd.NOT_LEVEL, ends))
-    return tilts, ends.astype(np.int8)
+    inside = np.clip(last, 0, len(grid) - 2)[..., None]
+    tilts = _last_good(counts, grid[inside], grid[inside + 1], rounds)[..., 0]
+    return np.where(last == len(grid) - 1, _LARGEST_TILT, np.where(last < 0, np.nan, tilts))
 
 
-def _causes(stage: Stage, heights: FloatArray, tilts: FloatArray, azimuths: FloatArray) -> npt.NDArray[np.int8]:
-    """Return why states do not count."""
-    both = inverse(stage, heights, tilt=tilts, azimuth=azimuths)
+def _ends(stage: Stage, heights: FloatArray, azimuths: FloatArray, tilts: FloatArray) -> npt.NDArray[np.int8]:
+    """Return what ends largest tilts."""
+    is_level, is_whole = np.isfinite(tilts), tilts == _LARGEST_TILT
+    beyond = np.where(is_level & ~is_whole, tilts + _BESIDE, 0.0)
+    both = inverse(stage, heights, tilt=beyond, azimuth=azimuths)
     state, physical = both["T"], both.is_physical[..., 0]
-    beyond = physical & (state.limit_excess != 0.0).any(axis=-1)
-    normals = normals_of_tilt(tilts, azimuths).reshape(-1, 3)
+    is_limited = physical & (state.limit_excess != 0.0).any(axis=-1)
+    normals, heights = normals_of_tilt(beyond, azimuths).reshape(-1, 3), np.broadcast_to(heights, tilts.shape)
     absent = np.isnan(poses(stage, normals, heights.reshape(-1), 1)[1][:, 0, 0]).reshape(tilts.shape)
-    choices = [beyond, absent, ~state.exists, ~physical]
-    return np.select(choices, [ReachEnd.LIMIT, ReachEnd.PLANES, ReachEnd.LEG, ReachEnd.FORWARD], ReachEnd.LIMIT)
+    choices = {
+        ReachEnd.NOT_LEVEL: ~is_level,
+        ReachEnd.NONE: is_whole,
+        ReachEnd.LIMIT: is_limited,
+        ReachEnd.PLANES: absent,
+        ReachEnd.LEG: ~state.exists,
+        ReachEnd.FORWARD: ~physical,
+    }
+    return np.select(list(choices.values()), list(choices), ReachEnd.LIMIT).astype(np.int8)

@@ -80,3 +80,9 @@ def test_what_is_wrong_is_named_as_it_was_typed(options: list[str], message: str
     done = run("stage", "inverse", *options, "--height", "120")
     assert done.returncode == 2
     assert message in done.message
+
+
+def test_a_view_of_what_is_not_reached_is_refused() -> None:
+    done = run("stage", "view", *SIZES, "--tilt", "80", "--no-open")
+    assert done.returncode == 2
+    assert "--tilt: expected a tilt and a height that the stage reaches" in done.message

@@ -13,9 +13,11 @@ import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
 from spm_pin.design import DesignProblem, Designs, Front
 from spm_pin.display.figures import agreement_figure, certificate_figure, front_figure, motion_figure, path_figure
+from spm_pin.display.rendering import camera_axes
 from spm_pin.display.stage_figures import reach_figure, stage_figure
 from spm_pin.display.writing import new_figure, save_figure
 from spm_pin.errors import ArgumentError
+from spm_pin.mechanism.notebook import VIEW
 from spm_pin.motion import plan, time_optimal
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.paper.jacobian import Table5Mistakes
@@ -110,9 +112,14 @@ def test_a_stage_and_its_reach_are_drawn(kind: spm.RPS | spm.PRS | spm.RRS) -> N
     stage = spm.Stage(0.35, 0.3, kind)
     state = spm.stages.inverse_physical(stage, 0.45, tilt=0.1, azimuth=0.0)
     ax = stage_figure(state).axes[0]
-    # Platform and base, and a line for each rod; another for a crank or a slide.
-    assert len(ax.patches) == 2
-    assert len(ax.lines) == (4 if isinstance(kind, spm.RPS) else 7)
+    (image,) = ax.images
+    left, right, low, high = image.get_extent()
+    # The balls are in the picture, which has something there.
+    for x, y in state.balls @ np.asarray(camera_axes(VIEW)[:2]).T:
+        row, column = (high - y) / (high - low), (x - left) / (right - left)
+        pixels = image.get_array()
+        assert pixels[int(row * pixels.shape[0]), int(column * pixels.shape[1]), 3] > 0.9
+    assert {text.get_text() for text in ax.texts} >= {"$r_1$", "$r_2$", "$r_3$"}
     with pytest.raises(spm.ArgumentError, match="a single state that exists"):
         stage_figure(spm.stages.inverse_physical(stage, [0.4, 0.5]))
     reach = spm.stages.reach(stage, [0.3, 0.45], directions=24)

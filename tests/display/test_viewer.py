@@ -9,6 +9,7 @@ from unittest.mock import MagicMock
 import numpy as np
 import problems
 import pytest
+from balancers import MACHINES, stage_and_height
 from cli.running import run
 from scipy.spatial.transform import Rotation
 from text_files import written
@@ -38,6 +39,7 @@ from spm_pin.display.viewer.robot_scene import (
     robot_points,
     solid_placements,
 )
+from spm_pin.display.viewer.stage_model import StageModel
 from spm_pin.display.writing import fixed, to_json
 from spm_pin.kinematics.forward_displacement import starting_configuration
 from spm_pin.mechanism import PRS, RRS, Stage
@@ -434,3 +436,90 @@ def test_servos_are_shown_in_degrees_and_screws_in_metres():
         assert ends[0] < start.readings[k] < ends[1]
         for end in ends:
             assert spm.forward_physical(free, np.where(np.arange(6) == k, end, start.readings)).exists
+
+
+BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=np.radians([-35, 70]))
+ROLL, TILT = StageModel.conventions
+
+
+def of_stage():
+    return StageModel(spm.stages.inverse_physical(BALANCER, spm.stages.home_height(BALANCER)))
+
+
+def test_the_platform_of_a_stage_is_dragged_in_tilt_and_height():
+    model = of_stage()
+    expected = spm.stages.inverse_physical(BALANCER, 0.12, roll=np.radians(8), pitch=np.radians(-5))
+    target = model.pose_of(np.array([120.0, 8.0, -5.0]), ROLL)
+    # Wherever it is dragged sideways, and however it is turned about its normal.
+    beside = moved(target, shift=(0.03, -0.02, 0.0), turn=0.5 * expected.normal)
+    for wanted in (target, beside):
+        state = model.drag(wanted)
+        assert state.distance == 0.0
+        assert not state.warnings
+        np.testing.assert_allclose(state.shown.readings, expected.readings, atol=1e-12)
+    np.testing.assert_allclose(model.coordinates(state.target, ROLL), [120.0, 8.0, -5.0], atol=1e-12)
+    angles = np.degrees([expected.tilt, expected.azimuth])
+    np.testing.assert_allclose(model.coordinates(state.target, TILT), [120.0, *angles], atol=1e-12)
+    for convention in (ROLL, TILT):
+        ranges, now = model.pose_ranges(convention), model.coordinates(state.target, convention)
+        assert ((ranges[:, 0] < now) & (now < ranges[:, 1])).all()
+    assert "height 120.0 mm, tilt 9.4°, azimuth" in status(state, TILT)
+
+
+def test_a_stage_dragged_out_of_reach_shows_the_nearest_tilt():
+    model = of_stage()
+    tilted = {"roll": np.radians(26), "pitch": np.radians(5)}
+    target = model.pose_of(np.array([120.0, 26.0, 5.0]), ROLL)
+    state = model.drag(target)
+    nearest = spm.stages.nearest_reachable(BALANCER, 0.12, **tilted)
+    np.testing.assert_allclose(state.shown.readings, nearest.readings, atol=1e-12)
+    np.testing.assert_allclose(state.target.rotation.as_matrix()[:, 2], target.rotation.as_matrix()[:, 2], atol=1e-12)
+    assert not state.limit_excess.any()
+    apart = np.linalg.norm(spm.mechanism.StageConfiguration(BALANCER, state.target).balls - nearest.balls, axis=-1)
+    assert state.distance == pytest.approx(np.sqrt((apart**2).mean()))
+    assert "Out of reach: beyond the leg limits. Shown: the nearest reachable tilt" in state.warnings[0]
+    model.hold_limits = False
+    state = model.drag(target)
+    assert state.distance == 0.0
+    assert "Beyond the leg limits: r_" in state.warnings[-1]
+    assert "⚠ −" in instruments(state) or "⚠ +" in instruments(state)
+
+
+def test_servos_drive_the_platform_of_a_stage_as_far_as_they_can():
+    model = of_stage()
+    ranges = np.degrees(model.reading_ranges())
+    np.testing.assert_allclose(ranges, [[-35.0, 70.0]] * 3, atol=1e-9)
+    state = model.set_readings([0.2, 0.4, 0.6])
+    expected = spm.stages.forward_physical(BALANCER, [0.2, 0.4, 0.6])
+    np.testing.assert_allclose(state.shown.balls, expected.balls, atol=1e-14)
+    np.testing.assert_array_equal(state.target.as_matrix(), state.shown.pose.as_matrix())
+    state = model.set_readings([2.6, 0.4, -1.5])
+    assert "These readings are not reached: a forward singularity is in the way" in state.warnings[0]
+    way = (state.shown.readings - [0.2, 0.4, 0.6]) / ([2.6, 0.4, -1.5] - np.array([0.2, 0.4, 0.6]) + 1e-300)
+    assert 0.05 < way[0] < 1.0
+    assert way[2] == pytest.approx(way[0])
+    torques = spm.stages.leg_forces(state.shown, [0, 0, -2.0, 0, 0, 0])
+    np.testing.assert_allclose(model.load([0, 0, -2.0, 0, 0, 0]).forces, torques)
+
+
+def test_what_is_shared_of_a_stage_finds_it_again():
+    model = of_stage()
+    state = model.drag(model.pose_of(np.array([115.0, -8.0, 5.0]), ROLL))
+    content = json.loads(to_json(model.data()))
+    np.testing.assert_array_equal(content["pose"], state.shown.pose.as_matrix())
+    words = shlex.split(content["command"])
+    (mode,) = json.loads(run(*words[1:], "--json").stdout)["modes"]
+    np.testing.assert_allclose(np.radians(mode["readings"]), state.shown.readings, atol=1e-12)
+
+
+@pytest.mark.parametrize("machine", [name for name in MACHINES if "hanging" not in name])
+def test_the_solids_of_a_stage_are_those_of_the_robot_that_stands_on_it(machine):
+    stage, height = stage_and_height(machine)
+    state = spm.stages.inverse_physical(stage, height, roll=0.1, pitch=-0.05)
+    above = spm.stages.inverse_physical(stage, height, roll=-0.05)
+    robot = spm.Geometry.of_stages(stage, stage)
+    both = spm.forward_physical(robot, [*state.readings, *above.readings[::-1]])
+    parts = visual_parts(robot)
+    lower = [k for k, part in enumerate(parts) if not part.body.startswith(("leg_c", "terminal"))]
+    for alone, whole in zip(solid_placements(state), solid_placements(both), strict=True):
+        np.testing.assert_allclose(np.abs(alone), np.abs(whole[lower]), atol=1e-9)

@@ -415,3 +415,39 @@ def test_the_demo_moves_until_it_is_touched(browser):
         assert not errors
     with Viewer(viewer.start, port=0) as viewer:
         assert viewer.demo is None
+
+
+def test_the_platform_of_a_stage_is_dragged_and_its_servos_are_moved(browser):
+    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=np.radians([-35, 70]))
+    with Viewer(stage, port=0) as viewer:
+        page = browser.new_page(viewport=SIZE)
+        page.set_default_timeout(90_000)
+        errors = watched(page)
+        page.goto(viewer.url + PIXELS, timeout=90_000)
+        until(lambda: viewer.sessions, "a session", page=page)
+        (session,) = viewer.sessions
+        settled(page, session)
+        assert page.inner_text('[data-spm="branch"]') == "Mode T"
+        assert page.inner_text('[data-spm="r_2"]') == f"{np.degrees(viewer.start.readings[1]):.1f}°"
+        drag_gizmo(page, session, 2, 0.012)
+        until(lambda: session.model.state.shown.height > viewer.start.height + 0.008, "a higher platform", page=page)
+        send(session, "coordinate", (1, 12.0))
+        shown = session.model.state.shown
+        assert np.degrees(shown.roll) == pytest.approx(12.0)
+        positions, _, _ = solid_placements(shown)
+        np.testing.assert_allclose([handle.position for handle in session.scene._robot], positions, atol=1e-9)
+        until(lambda: "roll 12.0°" in page.inner_text('[data-spm="pose"]'), "its numbers", page=page)
+        page.wait_for_timeout(500)
+        picture(page, "viewer_stage.png")
+        send(session, "leg", (0, 20.0))
+        assert np.degrees(session.model.state.shown.readings[0]) == pytest.approx(20.0)
+        send(session, "coordinate", (2, 40.0))
+        page.wait_for_selector('[data-spm="warning"]')
+        assert session.scene._wanted.visible
+        assert not session.model.state.limit_excess.any()
+        page.wait_for_timeout(500)
+        picture(page, "viewer_stage_out_of_reach.png")
+        page.get_by_role("button", name="Back to the reachable pose").click()
+        until(lambda: session.model.state.distance == 0.0, "the target where the platform is", page=page)
+        page.close()
+        assert not errors

@@ -289,7 +289,7 @@ class Session:
 
     async def _gizmo_moved(self, event: Any) -> None:
         if event.phase != "start":
-            await self.report("gizmo", None)
+            await self.report("gizmo", event.phase)
 
     async def report(self, name: str, value: Any) -> None:
         """Take an event of the page; on the event loop."""
@@ -332,12 +332,13 @@ class Session:
 
     # One method per event, named after it; they run in the session's worker.
 
-    def _on_gizmo(self, _: None) -> None:
+    def _on_gizmo(self, phase: str) -> None:
         farthest = _FARTHEST * (self.scene.size + float(self.viewer.start.translation[2]))
         position = np.clip(self.gizmo.position, -farthest, farthest)
         turn = Rotation.from_quat(self.gizmo.wxyz, scalar_first=True)
         self.model.drag(RigidTransform.from_components(position, turn))
-        self.show(("gizmo", 0))
+        # Let go, it goes back where a stage cannot follow: sideways, and about its normal.
+        self.show(("gizmo", 0) if phase != "end" else ("", 0))
 
     def _on_coordinate(self, value: tuple[int, float]) -> None:
         self._coordinates[value[0]] = value[1]

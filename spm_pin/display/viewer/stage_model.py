@@ -112,7 +112,7 @@ class StageModel:
         rotation, _ = Rotation.align_vectors(normal, shown.normal)
         pose = RigidTransform.from_components([*shown.shift, height], rotation * shown.pose.rotation)
         distance = float(np.linalg.norm(StageConfiguration(stage, pose).balls - shown.balls)) / math.sqrt(3.0)
-        why = wanted.missing_reason or "beyond the leg limits"
+        why = wanted.missing_reason.rpartition(". ")[2] or "beyond the leg limits"
         away = f"{fixed(1e3 * distance, 1)} mm away" if distance > 1e-4 else "less than 0.1 mm away"
         return self._show(shown, pose, distance, [f"Out of reach: {why}. Shown: the nearest reachable tilt, {away}."])
 
@@ -171,7 +171,7 @@ class StageModel:
 
     def command(self) -> str:
         """Return the command line that finds what is shown, its stage in a file where numbers do not describe it."""
-        stage, (height, roll, pitch) = self._stage, _coordinates(self.state.shown, _ROLL)
+        stage, (height, roll, pitch) = self._stage, _coordinates(self.state.shown, _ROLL).tolist()
         lengths = {"base": stage.base_radius, "platform": stage.platform_radius, **stage.kind.as_data()}
         typed = f"--stage {'FILE' if self.file is None else shlex.quote(str(self.file))}"
         if self.file is None and stage.is_nominal:
@@ -213,5 +213,5 @@ class StageModel:
 
 def _coordinates(state: StageConfiguration, convention: str) -> FloatArray:
     """Return the height [mm] and two angles [degrees] of a state, those that the convention names."""
-    angles = [math.degrees(getattr(state, name)) for name in convention.split(", ")[1:]]
-    return np.array([1e3 * float(state.height), *angles]) + 0.0
+    angles = [np.degrees(getattr(state, name)) for name in convention.split(", ")[1:]]
+    return np.array([1e3 * state.height, *angles]) + 0.0
