@@ -166,8 +166,8 @@ def _contents(found: dict[str, str]) -> str:
     """Return the tables of contents: what stands first, and then whatever else a folder holds."""
     kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
     theory = ("README", *kinematics, "literature_checks", "workspace", "reachable_set", "proofs", "as_built")
-    guides = ("ball_balancer", "batches", "paths", "motion", "workspace", "viewer", "pipelines", "load_elsewhere")
-    guides += ("controller", "microcontroller", "sweep")
+    guides = ("ball_balancer", "gallery", "batches", "paths", "motion", "workspace", "viewer", "pipelines")
+    guides += ("load_elsewhere", "controller", "microcontroller", "sweep")
     chapters = {
         "How to": _ordered(found, "howto", guides),
         "Notebooks": [f"notebooks/{name}" for name in CHAPTERS],

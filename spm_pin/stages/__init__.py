@@ -5,6 +5,7 @@ A stage has three readings, and its platform tilts and rises: what it does besid
 
 from spm_pin.mechanism.stage_configuration import StageConfiguration, StageSolutions
 from spm_pin.stages.displacement import OPERATION_MODES, forward, forward_physical, inverse, inverse_physical
+from spm_pin.stages.gallery import RealMachine, gallery
 from spm_pin.stages.rates_and_forces import (
     MOTION,
     JointLoads,
@@ -24,12 +25,14 @@ __all__ = [
     "OPERATION_MODES",
     "JointLoads",
     "ReachEnd",
+    "RealMachine",
     "StageConfiguration",
     "StageReach",
     "StageSingularities",
     "StageSolutions",
     "forward",
     "forward_physical",
+    "gallery",
     "height_range",
     "home_height",
     "inverse",
