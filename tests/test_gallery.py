@@ -50,13 +50,15 @@ def test_numbers_are_those_of_the_sources() -> None:
 
 
 def test_a_neck_brace_has_its_legs_in_a_t() -> None:
-    """Two balls stay in one plane, the third in the plane across; readings count from the centre."""
+    """Two balls stay in one plane, the third in the plane across; its inverse has slides from the centre."""
     state = states_of("3PRS neck brace", 0.05)
     np.testing.assert_allclose(state.balls[:, 0::2, 1], 0.0, atol=1e-16)
     np.testing.assert_allclose(state.balls[:, 1, 0], 0.0, atol=1e-16)
     level = spm.stages.inverse_physical(state.stage, 0.02).readings
-    expected = 0.055 + np.sqrt(np.array([0.158, 0.17088, 0.158]) ** 2 - 0.02**2)
-    np.testing.assert_allclose(level, expected, atol=1e-15)
+    # Roots b of b² - 2 b r + r² + z² = l².
+    for slide, rod in zip(0.055 + level, [0.158, 0.17088, 0.158], strict=True):
+        roots = np.roots([1.0, -2.0 * 0.055, 0.055**2 + 0.02**2 - rod**2])
+        assert roots.max() == pytest.approx(slide, abs=1e-15)
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -165,5 +167,4 @@ def test_the_page_is_as_new_as_the_machines() -> None:
     text = page.PAGE.read_text(encoding="utf-8")
     assert page.with_tables(text) == text
     assert all(f"| {name} |" in text for name in MACHINES)
-    with page.Image.open(page.PICTURE) as stored:
-        assert page.picture().size == stored.size
+    assert len(page.picture().axes) == len(MACHINES)

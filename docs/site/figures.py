@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import gallery
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
@@ -26,6 +27,7 @@ def main() -> None:
     figures = anatomy, kinds_of_legs, number_of_branches, followed_path, condition_numbers, capability, design_front
     for figure in (*figures, uniqueness):
         save(figure(), figure.__name__)
+    save(gallery.picture(), "gallery")
 
 
 def save(figure: Figure, name: str) -> None:

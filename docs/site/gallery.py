@@ -1,6 +1,6 @@
 """The gallery of real machines: its picture, and its tables of what they reach and how far their programs are off.
 
-`python docs/site/gallery.py` draws docs/images/gallery.png and writes the tables into docs/howto/gallery.md.
+`python docs/site/gallery.py` writes the tables into docs/howto/gallery.md; the picture is one of docs/site/figures.py.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from spm_pin.display import draw, stage_figure
 from spm_pin.mechanism import PRS, RRS
 from spm_pin.stages import ReachEnd, RealMachine, StageConfiguration, gallery
 
-DOCS = Path(__file__).parents[1]
-PAGE, PICTURE = DOCS / "howto/gallery.md", DOCS / "images/gallery.png"
+PAGE = Path(__file__).parents[1] / "howto/gallery.md"
 MOST_TILT, SHARE = np.radians(20.0), 0.9
 """Formulas are compared with the rigid plate up to this tilt, and this share of what is reached in every direction."""
 DIRECTIONS, TILTS = 72, 20
@@ -229,35 +228,28 @@ def with_tables(text: str) -> str:
     return re.sub(r"(<!-- tables -->\n\n).*", lambda match: match[1] + tables(), text, flags=re.DOTALL)
 
 
-def picture() -> Image.Image:
-    """Draw the machines side by side, tilted by a third of what they reach."""
-    tiles = [_tile(name, machine) for name, machine in gallery().items()]
-    width, height = tiles[0].size
-    sheet = Image.new("RGB", (5 * width, 2 * height), "white")
-    for k, tile in enumerate(tiles):
-        sheet.paste(tile, (k % 5 * width, k // 5 * height))
-    return sheet.quantize(64)
-
-
-def _tile(name: str, machine: RealMachine) -> Image.Image:
-    tilt = min(np.radians(10.0), spm.stages.reach(machine.stage, machine.height).all_round[0] / 2.0)
-    state = spm.stages.inverse_physical(machine.stage, machine.height, tilt=tilt, azimuth=0.5)
-    if len(machine.stages) == 2:
-        geometry = spm.Geometry.of_stages(*machine.stages)
-        figure = Figure(figsize=(5.0, 5.0))
-        draw(spm.forward_physical(geometry, [1.2, 1.25, 1.3, 1.3, 1.25, 1.2]), ax=figure.add_subplot(), labels=False)
-        figure.axes[0].axis("off")
-    else:
-        figure = stage_figure(state, names=False)
-        figure.legends.clear()
-    figure.axes[0].set_title(name.replace("-ball-", "-ball-\n"), fontsize=17)
-    figure.savefig(drawn := BytesIO(), dpi=56)
-    return Image.open(drawn).convert("RGB")
+def picture() -> Figure:
+    """Draw the machines side by side, tilted by 10° or half of what they reach."""
+    figure = Figure(figsize=(8.5, 4.2))
+    axes = figure.subplots(2, 5, gridspec_kw={"left": 0.0, "right": 1.0, "bottom": 0.0, "top": 0.9, "wspace": 0.05})
+    for ax, (name, machine) in zip(axes.flat, gallery().items(), strict=True):
+        if len(machine.stages) == 2:
+            geometry = spm.Geometry.of_stages(*machine.stages)
+            draw(spm.forward_physical(geometry, [1.2, 1.25, 1.3, 1.3, 1.25, 1.2]), ax=ax, labels=False)
+        else:
+            tilt = min(np.radians(10.0), spm.stages.reach(machine.stage, machine.height).all_round[0] / 2.0)
+            alone = stage_figure(spm.stages.inverse_physical(machine.stage, machine.height, tilt=tilt, azimuth=0.5))
+            for text in list(alone.axes[0].texts):
+                text.remove()
+            alone.savefig(drawn := BytesIO(), dpi=120)
+            ax.imshow(Image.open(drawn))
+        ax.axis("off")
+        ax.set_title(name.replace("-ball-", "-ball-\n"), fontsize=8)
+    return figure
 
 
 def main() -> None:
-    """Write picture and tables."""
-    picture().save(PICTURE, optimize=True)
+    """Write the tables."""
     PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
 
 

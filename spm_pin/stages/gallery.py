@@ -106,10 +106,10 @@ def gallery() -> dict[str, RealMachine]:
         ),
         "3PRS neck brace": RealMachine(
             "3-PRS",
-            (_with_legs_across(PRS(rod=(0.158, 0.17088, 0.158), direction=0.0, sign=1), 0.055),),
+            (_with_legs_across(PRS(rod=(0.158, 0.17088, 0.158), direction=0.0, sign=1), 0.055, (0.0, 0.18)),),
             0.02,
             "pranavs1911/TractionNeckBrace, limbkin3PRS.m, cb837a8",
-            "Rails that begin under the balls. No limits.",
+            "Rails of 180 mm that begin under the balls.",
         ),
         "3-SPR haptic device": RealMachine(
             "3-SPR",
@@ -135,11 +135,12 @@ def _degrees(minimum: list[float], maximum: list[float]) -> StageLimits:
     return StageLimits(np.radians(minimum).tolist(), np.radians(maximum).tolist())
 
 
-def _with_legs_across(kind: PRS, radius: float) -> Stage:
-    """Return a stage whose legs stand at 0, 90 and 180°, and whose readings count from the centre."""
+def _with_legs_across(kind: PRS, radius: float, limits: tuple[float, float]) -> Stage:
+    """Return a stage whose legs stand at 0, 90 and 180°."""
     cosine, sine = np.cos(turns := np.radians([30.0, 0.0, -30.0])), np.sin(turns)
     axes, radial = (
         np.stack([cosine * v[:, 0] - sine * v[:, 1], sine * v[:, 0] + cosine * v[:, 1], v[:, 2]], axis=-1)
         for v in (AXES, RADIAL)
     )
-    return Stage(radius, radius, Legs(axes, radius * radial, radius * radial, np.full(3, radius), (kind,)))
+    legs = Legs(axes, radius * radial, radius * radial, np.zeros(3), (kind,))
+    return Stage(radius, radius, legs, limits)
