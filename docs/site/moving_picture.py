@@ -24,9 +24,10 @@ from spm_pin.mechanism.notebook import VIEW
 
 FRAMES, SECONDS = 36, 4.0
 WIDTH, HEIGHT, DPI = 1200, 700, 100
-INK, PALE, LOAD = "#20262d", "#8a929a", (0.353, 0.247, 0.69)
+INK, PALE, LOAD = "#20262d", "#8a929a", (0.125, 0.149, 0.176)
 LARGEST = 700.0  # end of the scale of forces [N]
-FORCES = LinearSegmentedColormap.from_list("forces", ["#0072b2", "#7db7dc", "#eceae4", "#eda66f", "#d55e00"])
+# Blue and orange are the legs of the lower and of the upper stage.
+FORCES = LinearSegmentedColormap.from_list("forces", ["#1b7837", "#8fc49a", "#eceae4", "#b99bc6", "#762a83"])
 BODIES = "base", "terminal"
 GREY: Colour = (0.88, 0.89, 0.9)
 CAMERA = camera_axes(VIEW)

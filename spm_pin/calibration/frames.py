@@ -25,7 +25,7 @@ class Frames:
 
     @classmethod
     def as_defined(cls) -> Frames:
-        """Return the frames of who measures poses of {m} in {B}."""
+        """Return the frames of measurements that are poses of {m} in {B} already."""
         return cls(np.eye(4), np.eye(4))
 
     @classmethod

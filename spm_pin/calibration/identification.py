@@ -138,10 +138,10 @@ class Calibration:
 
     @property
     def standard_deviations(self) -> FloatArray:
-        """Of each parameter by itself [m, rad], shape (P,).
+        """Standard deviation of each parameter by itself [m, rad], shape (P,).
 
-        Some are large although the platform is known well, because the measurements show combinations: judge a machine
-        by its `accuracy`.
+        Some are large although the platform is known well, because measurements determine combinations of parameters
+        better than each of them. Judge a machine by its `accuracy`.
         """
         return np.asarray(np.sqrt(np.diagonal(self.covariance)))
 

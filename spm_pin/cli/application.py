@@ -44,6 +44,21 @@ class _Command(TyperCommand):
                 param.metavar = ""
         return params
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the options; an error about a value shows what was typed, and how many values were expected."""
+        typed = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except typer.BadParameter as error:
+            parameter: Any = error.param
+            places = [k for k, text in enumerate(typed) if parameter and text in parameter.opts]
+            if len(places) == 1:
+                count = parameter.nargs
+                received = " ".join(typed[places[0] + 1 :][:count])
+                wanted = f"expected {count} numbers, {parameter.metavar}" if count > 1 else error.message
+                error.message = wanted if received in wanted else f"{wanted}, got {received}"
+            raise
+
     def invoke(self, ctx: Any) -> Any:
         """Run the command; a closed pipe is 74, and not 1 as typer would have it, a comparison that failed."""
         try:

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -47,19 +47,20 @@ class LengthUnit(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Readings:
-    """What a command takes and shows readings in: lengths in --unit, and angles in degrees as those of a pose."""
+    """Units in which a command reads and prints readings: lengths in --unit, angles in degrees as those of a pose."""
 
     unit: LengthUnit
-    are_angles: BoolArray  # of which of the six legs
+    are_angles: BoolArray
+    """True for the legs whose readings are angles, (6,)."""
 
     @classmethod
     def of(cls, geometry: Geometry, unit: LengthUnit) -> Readings:
-        """Return those of a machine."""
+        """Return the units of a machine's readings."""
         return cls(unit, np.array(geometry.legs.units) == "rad")
 
     @property
     def scale(self) -> FloatArray:
-        """How many units are a metre, or a radian, (6,)."""
+        """Number of units in a metre, or in a radian, (6,)."""
         return np.where(self.are_angles, 180.0 / np.pi, self.unit.per_metre)
 
     @property
@@ -73,7 +74,7 @@ class Readings:
         return self.stages(str(self.unit), "degrees")
 
     def stages(self, length: str, angle: str) -> str:
-        """Return the name of what all legs have, by whether they show lengths or angles, or of both stages."""
+        """Return `length` or `angle`, as all legs have it, or one for each stage where the stages differ."""
         lower, upper = (angle if is_angle else length for is_angle in self.are_angles[::3])
         return lower if lower == upper else f"{lower} (r_b1 to r_b3) and {upper} (r_c1 to r_c3)"
 
@@ -124,6 +125,10 @@ PREFIX = typer.Option("--prefix", help="Put before every name, such as left_.")
 Branches = Annotated[
     list[str] | None, typer.Option("--branch", metavar="LABEL", help="Branch, such as TT+; may be repeated.")
 ]
+
+
+_SMALL_TURN = 1.5
+"""A pose turned by less may have been typed in radians [degrees]."""
 
 
 def read_geometry(path: Path | None) -> Geometry:
@@ -349,7 +354,9 @@ def solve_pose(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> tu
     hint = unit_hint("--translation", pose.translation * unit.per_metre, unit, geometry)
     remarks = [hint] if hint else pose_remarks(solutions)
     if solutions.status is Status.UNREACHABLE and not remarks:
-        remarks.append("No configuration holds this pose, whatever the readings.")
+        turn = np.rad2deg(pose.rotation.magnitude())
+        only = f" It is turned by {turn:.2g}° only: angles are in degrees." * bool(turn < _SMALL_TURN)
+        remarks.append(f"No configuration holds this pose, whatever the readings.{only}")
     return solutions, remarks
 
 
@@ -386,6 +393,8 @@ def requested_solutions(
         solutions, remarks = solve_pose(geometry, pose, unit)
         if not solutions.count:
             received = f"status {solutions.status}"
+            if solutions.status is Status.UNREACHABLE:
+                remarks = [*remarks, "spm-pin nearest finds the nearest pose that is reached."]
             raise ArgumentError("--translation", "a pose with a real branch", received, " ".join(remarks))
         physical = solutions.physical()
         if physical.exists:
@@ -434,11 +443,3 @@ def state_remarks(contents: Sequence[dict[str, Any]], physical: Configuration, w
     if contents and not physical.exists:
         remarks.append(f"No {what} is physical: none is reached from the home without a forward singularity.")
     return remarks
-
-
-def end_command(solutions: SolutionSet, remarks: list[str], physical: Configuration) -> NoReturn:
-    """End a command with the exit code of its pose; where no branch is real, with the remarks on stderr."""
-    if not solutions.count:
-        for remark in (f"status: {solutions.status}, no real branch", *remarks):
-            note(remark)
-    raise typer.Exit(exit_code(solutions.status, physical))

@@ -21,7 +21,7 @@ from spm_pin.kinematics.forward_displacement import forward_displacement, forwar
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
-from spm_pin.mechanism import LEGS, Configuration, Geometry, SolutionSet, Status
+from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits, SolutionSet, Status
 
 Record = dict[str, Any]
 _MATRICES = ("J_b", "J_c", "K")
@@ -72,10 +72,7 @@ def inverse(
     lines += options.state_remarks(branches, physical, "branch")
     if solutions.ambiguous:
         lines.append("Two branches are physical, on either side of an inverse singularity; the straighter is likelier.")
-    if reach is not None:
-        lines += [f"The nearest pose within the limits is {unit.text(reach['distance'], 1)} {unit} away:"]
-        lines += [f"  {_pose_options(reach, unit)}"]
-    outputs.print_lines(lines)
+    outputs.print_lines(lines + _nearest_lines(reach, unit))
     raise typer.Exit(code)
 
 
@@ -107,13 +104,23 @@ def nearest(
     outputs.print_lines([f"distance: {unit.text(reach['distance'], 1)} {unit}", f"pose: {_pose_options(reach, unit)}"])
 
 
-def _nearest(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> Record | None:
-    """Return the nearest reachable pose, its readings and how far it is; None of a machine without leg limits."""
-    if geometry.limits is None:
+_SAME_POSE, _INSET = 1e-6, 1e-4
+"""Up to this distance from a nearest pose, over the machine's size, a pose counts as reached itself; and how far a
+nearest pose stays from the leg limits, as a share of the strokes."""
+
+
+def _nearest(geometry: Geometry, pose: RigidTransform | None, unit: LengthUnit) -> Record | None:
+    """Return the nearest reachable pose, its readings and how far it is; None without leg limits or a pose."""
+    if geometry.limits is None or pose is None:
         return None
     from spm_pin.workspace.poses import nearest_reachable_pose
 
     found = nearest_reachable_pose(geometry, pose)
+    if found.distance > _SAME_POSE * geometry.size:
+        # A little within the limits, where the pose as it is printed still is.
+        ends = np.array([geometry.limits.minimum, geometry.limits.maximum])
+        inset = _INSET * np.where(np.isfinite(ends).all(axis=0), ends[1] - ends[0], geometry.size)
+        found = nearest_reachable_pose(geometry, pose, LegLimits(ends[0] + inset, ends[1] - inset))
     state = found.configuration
     lengths = {"translation": state.translation, "distance": found.distance}
     turn = {
@@ -124,11 +131,19 @@ def _nearest(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> Reco
     return {name: x * unit.per_metre for name, x in lengths.items()} | {"readings": readings, **turn}
 
 
+def _nearest_lines(reach: Record | None, unit: LengthUnit) -> list[str]:
+    """Return lines on the nearest pose, if there is one, with the options that enter it."""
+    if reach is None:
+        return []
+    distance = f"{unit.text(reach['distance'], 1)} {unit}"
+    return [f"The nearest pose within the limits is {distance} away:", f"  {_pose_options(reach, unit)}"]
+
+
 def _pose_options(reach: Record, unit: LengthUnit) -> str:
-    """Return the options that enter a nearest pose, to a micrometre and a thousandth of a degree."""
-    translation = " ".join(unit.text(x, 1) for x in reach["translation"])
+    """Return the options that enter a nearest pose, to a tenth of a micrometre and a millionth of a degree."""
+    translation = " ".join(unit.text(x, 2) for x in reach["translation"])
     named = "" if unit is LengthUnit.M else f" --unit {unit}"
-    return f"--translation {translation} --rpy {' '.join(fixed(x, 3) for x in reach['rpy'])}{named}"
+    return f"--translation {translation} --rpy {' '.join(fixed(x, 6) for x in reach['rpy'])}{named}"
 
 
 def _records(
@@ -254,7 +269,7 @@ def singularities(
         columns: dict[str, Any] = {"branch": itemgetter("label"), **numbers, "": _mark_and_kind}
         title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"
         outputs.print_table(title, columns, branches, left=[""])
-    _end(solutions, branches, remarks, json)
+    _end(solutions, branches, remarks, pose, unit, json)
 
 
 def _mark_and_kind(record: Record) -> str:
@@ -262,11 +277,27 @@ def _mark_and_kind(record: Record) -> str:
     return ", ".join(filter(None, [kind, options.state_mark(record)]))
 
 
-def _end(solutions: SolutionSet, branches: list[Record], remarks: list[str], json: bool) -> NoReturn:
+def _end(
+    solutions: SolutionSet,
+    branches: list[Record],
+    remarks: list[str],
+    pose: RigidTransform | None,
+    unit: LengthUnit,
+    json: bool,
+) -> NoReturn:
+    """End a command: its remarks, the nearest pose where that of a table is not reached, and the exit code."""
     physical = solutions.physical()
     if not json:
         outputs.print_lines(options.state_remarks(branches, physical, "branch"))
-    options.end_command(solutions, remarks, physical)
+    code = options.exit_code(solutions.status, physical)
+    sought = code in (3, 5) and not json
+    reach = _nearest_lines(_nearest(solutions.geometry, pose, unit) if sought else None, unit)
+    if not solutions.count:
+        for remark in (f"status: {solutions.status}, no real branch", *remarks, *reach):
+            outputs.note(remark)
+    else:
+        outputs.print_lines(reach)
+    raise typer.Exit(code)
 
 
 def _singularity(state: Configuration) -> Record:
@@ -323,7 +354,7 @@ def statics(
             _print_loads(f"Efforts in {efforts}: positive increases the reading", branches, "forces")
         if twist.any():
             _print_loads(f"Rates of the readings per second, in {shown.heading}", branches, "rates")
-    _end(solutions, branches, remarks, json)
+    _end(solutions, branches, remarks, pose, unit, json)
 
 
 def _leg_loads(state: Configuration, wrench: np.ndarray, twist: np.ndarray, shown: Readings) -> Record:

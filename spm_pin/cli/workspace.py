@@ -26,6 +26,7 @@ from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.motion_table import MotionTable
+from spm_pin.mechanism.units import unit_hint
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
 from spm_pin.workspace.boundary import Boundary, reachable_boundary
@@ -441,9 +442,10 @@ def design(
     aims = [(name, "max") for name in maximise or []] + [(name, "min") for name in minimise or []]
     if wrench is not None and task is None:
         raise ArgumentError("--wrench", "poses at which it acts", "no --task CSV")
-    functions = {} if task is None else _task_functions(task, wrench)
+    machine = options.read_geometry(geometry)
+    functions = {} if task is None else _task_functions(task, wrench, machine)
     problem = DesignProblem(
-        options.read_geometry(geometry),
+        machine,
         {name: (low, high) for name, (low, high) in ends.items()},
         _by_name("--maximise, --minimise", aims),
         at_least={name: value for name, (value,) in least.items()},
@@ -471,13 +473,16 @@ def design(
         raise typer.Exit(3)
 
 
-def _task_functions(path: Path, wrench: str | None) -> dict[str, Any]:
+def _task_functions(path: Path, wrench: str | None, machine: Geometry) -> dict[str, Any]:
     """Return the columns of a task by their names, functions of a machine."""
     poses = MotionTable(path).poses()
     if not isinstance(poses, RigidTransform):
         raise ArgumentError(
             "--task", "poses, columns x y z qx qy qz qw", "positions alone" if poses is not None else "none"
         )
+    if hint := unit_hint(machine, poses.translation):
+        received = f"values up to {np.abs(poses.translation).max():g}"
+        raise ArgumentError("--task", "positions in metres, in proportion to the machine", received, hint)
     try:
         load = [float(x) for x in (wrench or "0,0,-1,0,0,0").split(",")]
     except ValueError:

@@ -37,6 +37,7 @@ from spm_pin.mechanism.files import file_path, writing
 from spm_pin.mechanism.leg_kinds import KINDS
 from spm_pin.mechanism.legs import drawn_legs
 from spm_pin.mechanism.progress import shown_progress
+from spm_pin.mechanism.units import likely_unit
 from spm_pin.proofs.certificate import free_of_singularities
 from spm_pin.sweeps.domains import Sample, definition_differences, package_version
 from spm_pin.sweeps.metrics import METRICS, Metric, prepare_metrics, resolve_metrics
@@ -251,7 +252,7 @@ def _stages_and_name(variable: str) -> tuple[range, str]:
 
 @dataclass(frozen=True)
 class DesignProblem:
-    """Dimensions to choose, what to make large or small, and what has to be kept.
+    """A search for dimensions: the free ones, the aims to be made large or small, and the bounds to be kept.
 
     Parameters
     ----------
@@ -339,6 +340,9 @@ class DesignProblem:
         if not (least <= low < high <= LARGEST and high - low > _NARROWEST * max(abs(low), abs(high))):
             expected = f"{least:g} <= low < high <= {LARGEST:g}, a range of more than {_NARROWEST:g} of it"
             raise ArgumentError(f"free[{name!r}]", expected, f"{low:g} and {high:g}")
+        if self.unit(name) == "m" and likely_unit(self.geometry, low):
+            expected = f"lengths in metres, in proportion to a machine about {self.geometry.size:.3g} m high"
+            raise ArgumentError(f"free[{name!r}]", expected, f"{low:g} and {high:g}", "In mm or cm?")
 
     def machine(self, values: FloatArray) -> Geometry:
         """Return the machine of values (k,) of the free variables, in their order."""
@@ -392,7 +396,7 @@ class DesignProblem:
 
 @dataclass(frozen=True)
 class Front:
-    """The machines of a search of which none is better in all aims than another, in the order of the first aim."""
+    """The machines of a search that no other one beats in all aims, in the order of the first aim."""
 
     problem: DesignProblem
     """The free dimensions, aims and bounds of the search."""

@@ -1,4 +1,4 @@
-"""What a machine has to do: poses to be reached one after another, and the load that it carries there."""
+"""The task that dimensions are searched for: poses that a machine has to reach, and the load on it there."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Branches with proof: whether each family is real, and how far from the computed joints the exact ones can be.
 
 A discriminant above the bound of its rounding error has the computed sign. The others are computed by the same formulas
-in balls (python-flint), with more digits until the ball leaves zero, and the joints with them. Exact is the rotation of
-the quaternion that the kernels take from the doubles of a rotation matrix, which is orthogonal to rounding only; pose
-and legs of a machine as built are the exact numbers that they are stored as.
+in balls (python-flint), with more digits until the ball leaves zero, and the joints with them. The exact
+rotation is that of the quaternion that the kernels compute from a rotation matrix, because a matrix of doubles is
+orthogonal to rounding only; pose and legs of a machine as built are taken as the exact numbers that are stored.
 
 For the joints, the nine coordinates x of the lower legs' balls are unknown, and the equations, of degree two, are the
 six leg planes, the upper legs' balls being combinations of the lower ones, and the three distances. With A an

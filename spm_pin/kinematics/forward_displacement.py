@@ -198,7 +198,7 @@ def set_of_one(state: Configuration, label: str) -> SolutionSet:
 
 
 def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArray:
-    """Read readings (..., n) of these legs that a machine of this size [m] can be resolved beside."""
+    """Read readings (..., n) of these legs, none so large that a machine of this size [m] is lost in its rounding."""
     meaning = "in metres" if "rad" not in legs.units else "in metres, of RRS legs in radians"
     read = real_array(readings, "readings", (len(legs.names),), f"{', '.join(legs.names)} {meaning}")
     own = np.asarray(read - legs.offsets) if legs.offsets.any() else read

@@ -98,29 +98,26 @@ class Geometry(Mechanism):
     def __post_init__(self) -> None:
         for name in _DIMENSIONS.values():
             object.__setattr__(self, name, dimension(getattr(self, name), name))
-        if self.limits is not None:
-            check_instance(self.limits, LegLimits, "limits", "LegLimits(minimum, maximum), or None")
         legs: Legs | None = self.legs
         if legs is not None:
             check_instance(legs, Legs, "legs", "Legs(axes, pivots, balls, offsets), or None")
         drawn = _drawn(*self.dimensions, (RPS(), RPS()) if legs is None else legs.kinds)
-        if self.limits is not None:
-            check_limits(self.limits, drawn)
         # Drawn legs follow the dimensions when these are replaced.
         if legs is None or legs.is_drawn or legs == drawn:
             object.__setattr__(self, "legs", drawn)
         if self.limits is not None:
-            self._check_proportion(self.limits)
+            self.check_limits(self.limits)
 
-    def _check_proportion(self, limits: LegLimits) -> None:
-        """Raise `GeometryError` if limits and dimensions are in different units."""
+    def check_limits(self, limits: LegLimits) -> None:
+        """Raise `GeometryError` for limits that no readings of this machine have, or that are in another unit."""
+        check_limits(check_instance(limits, LegLimits, "limits", "LegLimits(minimum, maximum), or None"), self.legs)
         lengths = np.array(self.legs.units) == "m"
         ends, size = (np.array([limits.minimum, limits.maximum]) - self.legs.offsets)[:, lengths], self.size
         if not self.legs.are_rps:
             ends = np.abs(ends)
         longest = float(ends.max(initial=0.0, where=np.isfinite(ends)))
         cause = unit_hint(self, longest)
-        if 0.0 < longest < size / _LARGEST_MACHINE:
+        if np.isfinite(ends[1]).any() and 0.0 < longest < size / _LARGEST_MACHINE:
             cause = f"Lengths are in metres: is the middle side {self.middle_side:g} mm or cm?"
         if cause:
             expected = f"limits in proportion to a machine about {size:.3g} m high, or infinity for none"

@@ -1,10 +1,10 @@
-"""The solutions of one problem, or of a batch, along one axis, of a robot as of a stage."""
+"""The solutions of one problem, or of a batch of problems, along one axis: of a robot, or of a stage."""
 
 from __future__ import annotations
 
 import enum
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 
@@ -126,7 +126,7 @@ class Solutions(ABC, Generic[S]):
         return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
 
     def __len__(self) -> int:
-        """Return the number of real solutions, which an iteration is over; of a batch, that of its first axis."""
+        """Return the number of real solutions, which an iteration yields; of a batch, the length of its first axis."""
         return self.shape[0] if self.shape else int(self.count)
 
     def __repr__(self) -> str:
@@ -238,7 +238,8 @@ class Solutions(ABC, Generic[S]):
         if status is Status.DEGENERATE:
             return self._degenerate(index)
         if status is Status.OK:
-            return "none of the solutions is physical, or .within(limits) and .where(mask) excluded them"
+            none = "none of the solutions is physical, or .within(limits) and .where(mask) excluded them"
+            return none + self._hint(index)
         if status is Status.UNREACHABLE:
             return f"out of reach: no solution is real{self._hint(index)}"
         return "the method failed here"
@@ -247,10 +248,17 @@ class Solutions(ABC, Generic[S]):
         return "the problem is singular, its solutions are a continuous family"
 
     def _hint(self, index: tuple[int, ...]) -> str:
-        """Return why a problem has no solution, where that is known, as a sentence after a stop; empty if not."""
-        reason = self.configurations.missing_reason
-        return reason and f". {reason}"
+        """Return sentences, each after a stop, on why a problem has no solution, and where one is; empty if unknown."""
+        return following([self.configurations.missing_reason])
 
     def _details(self, batch: tuple[Any, ...]) -> dict[str, Any]:
         """Return the fields of the problems at an index of the batch axes, besides states and status."""
         return {}
+
+
+def following(sentences: Iterable[str]) -> str:
+    """Return sentences that are not empty as they follow another one, without its stop and theirs."""
+    text = ""
+    for sentence in filter(None, sentences):
+        text += f"{'' if text.endswith('?') else '.'} {sentence[0].upper()}{sentence[1:]}"
+    return text

@@ -25,8 +25,11 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LEGS, LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.solution_axis import Solutions, Status
+from spm_pin.mechanism.solution_axis import Solutions, Status, following
 from spm_pin.mechanism.units import unit_hint
+
+_FAR_TURN = 45.0
+"""A platform turned by more, which few states are, may have been given in another unit of angles [degrees]."""
 
 
 @dataclass(frozen=True)
@@ -216,8 +219,13 @@ class SolutionSet(Solutions[Configuration]):
         return "the pose or the leg lengths are singular, the solutions are a continuous family; see .degeneracy"
 
     def _hint(self, index: tuple[int, ...]) -> str:
-        hint = self.configurations.missing_reason or unit_hint(self.geometry, self.translation[index][0])
-        return hint and f". {hint}"
+        reasons = [self.configurations.missing_reason or unit_hint(self.geometry, self.translation[index][0])]
+        if self.labels == BRANCHES:
+            turn = np.degrees(np.arccos(np.clip((np.trace(self.rotation[index][0]) - 1.0) / 2.0, -1.0, 1.0)))
+            if turn > _FAR_TURN:
+                reasons.append(f"The platform is turned by {turn:.0f}° against the base: angles are in radians")
+            reasons.append("For the nearest pose that is reached see spm_pin.workspace.nearest_reachable_pose")
+        return following(reasons)
 
     def _details(self, batch: tuple[Any, ...]) -> dict[str, Any]:
         inner = (*batch, slice(None))

@@ -15,8 +15,11 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, f
 from spm_pin.mechanism.batched import Batched, masked
 from spm_pin.mechanism.legs import LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
-from spm_pin.mechanism.solution_axis import Solutions
+from spm_pin.mechanism.solution_axis import Solutions, following
 from spm_pin.mechanism.stage import Stage
+
+OPERATION_MODES = ("T", "F")
+"""The two solutions of an inverse displacement: without torsion, and turned half round."""
 
 _is_home_state = on_arrays(circles.is_home_state)
 
@@ -240,3 +243,7 @@ class StageSolutions(Solutions[StageConfiguration]):
 
     def _preference(self, candidates: BoolArray) -> FloatArray:
         return np.where(candidates, np.cos(self.configurations.tilt), -math.inf)
+
+    def _hint(self, index: tuple[int, ...]) -> str:
+        nearest = "For the nearest tilt that is reached see spm_pin.stages.nearest_reachable"
+        return following([self.configurations.missing_reason, nearest * (self.labels == OPERATION_MODES)])

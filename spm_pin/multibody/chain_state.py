@@ -428,7 +428,7 @@ def _wrench(wrench: npt.ArrayLike | None) -> dict[str, FloatArray]:
 
 
 def at_index(error: SpmError, index: tuple[int, ...]) -> SpmError:
-    """Return an error that says as well which member of a batch it is about; `()` for a single member."""
+    """Return an error that also says which member of a batch it is about; `()` for a single one."""
     if not index:
         return error
     if isinstance(error, SingularConfigurationError):

@@ -84,7 +84,7 @@ class Certificate:
 
     @property
     def verdict(self) -> str:
-        """In a word or two: "proved"; "not proved", with a `witness`; or "undecided"."""
+        """The result in a word or two: "proved"; "not proved", if there is a `witness`; or "undecided"."""
         return "proved" if self.holds else "undecided" if self.witness is None else "not proved"
 
     @property
@@ -103,7 +103,7 @@ class Certificate:
         return self.lower.undecided, self.upper.undecided
 
     def concerns(self, geometry: Geometry) -> bool:
-        """Return whether a machine, its limits aside, is one of those it was proved for, or looked for."""
+        """Return whether a machine, its limits aside, is one of those that the certificate is about."""
         errors = _deviation(check_instance(geometry, Geometry, "geometry"), self.geometry)
         most = _widened(self.geometry, self.errors)
         return errors[0] <= most[0] and errors[1] <= most[1]
@@ -147,7 +147,7 @@ class Certificate:
         elif self.witness is not None:
             lines += [
                 "Not proved: a configuration of the nominal machine within the limits is forward singular, with",
-                f"({self._readings(self.witness)}), in a box that touches, box by box, that of the home.",
+                f"({self._readings(self.witness)}), in a box that a chain of touching boxes joins to that of the home.",
                 *self._whose(),
             ]
         else:
@@ -228,7 +228,9 @@ def certify(
         It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
     nominal = check_instance(geometry, Geometry, "geometry").nominal
-    limits = nominal.limits if limits is None else check_instance(limits, LegLimits, "limits")
+    if limits is not None:
+        geometry.check_limits(limits)
+    limits = nominal.limits if limits is None else limits
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
     expected = f"metres from 0 to {most:g}, a quarter of the smallest dimension"

@@ -26,11 +26,8 @@ from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import StageLegs
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.stage import Stage
-from spm_pin.mechanism.stage_configuration import StageConfiguration, StageSolutions
+from spm_pin.mechanism.stage_configuration import OPERATION_MODES, StageConfiguration, StageSolutions
 from spm_pin.mechanism.units import unit_hint
-
-OPERATION_MODES = ("T", "F")
-"""The two solutions of an inverse displacement: without torsion, and turned half round."""
 
 _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6

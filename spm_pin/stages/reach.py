@@ -19,6 +19,7 @@ from spm_pin.errors import ArgumentError, UnreachableError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
 from spm_pin.mechanism.stage import Stage
 from spm_pin.mechanism.stage_configuration import StageConfiguration
+from spm_pin.mechanism.units import unit_hint
 from spm_pin.stages.displacement import (
     forward_physical,
     inverse,
@@ -81,7 +82,7 @@ class StageReach:
 
 
 def height_range(stage: Stage) -> tuple[float, float]:
-    """Return the lowest and the highest level platform [m] between which every height counts.
+    """Return the heights [m] between which a stage stands level, in its physical state and within its limits.
 
     Parameters
     ----------
@@ -189,6 +190,9 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
         levels = np.atleast_1d(read_heights(stage, heights, "heights"))
     if levels.ndim > 1:
         raise ArgumentError("heights", "a height, or several of shape (n,)", f"shape {levels.shape}")
+    if levels.size and (hint := unit_hint(stage, levels)):
+        expected = f"heights in metres, in proportion to a stage about {stage.size:.3g} m high"
+        raise ArgumentError("heights", expected, f"up to {np.abs(levels).max():g}", hint)
     azimuths = -math.pi + 2.0 * math.pi * np.arange(count) / count
     tilts = _largest_tilts(stage, levels[:, None], azimuths)
     return StageReach(stage, levels, azimuths, tilts, _ends(stage, levels[:, None], azimuths, tilts))
@@ -204,7 +208,7 @@ def nearest_reachable(
     pitch: float | None = None,
     normal: npt.ArrayLike | None = None,
 ) -> StageConfiguration:
-    """Find the state that counts whose normal is nearest to one, at the same height if the stage stands level there.
+    """Find the physical state within the limits whose normal is nearest to the one asked for.
 
     Parameters
     ----------
@@ -214,9 +218,9 @@ def nearest_reachable(
     Returns
     -------
     StageConfiguration
-        The physical state itself where it counts; else the one of those in `reach` whose normal is at the least angle
-        to the one wanted, to 1e-6 rad. Where the level platform is out of reach the height is the nearest of
-        `height_range`. It does not exist where that is empty.
+        The physical state asked for, if it is within the limits; else, of the states in `reach` at this height, the one
+        whose normal is at the least angle to the one wanted, to 1e-6 rad. If the stage does not stand level at this
+        height, the nearest height of `height_range` is taken; if there is none, the state does not exist.
     """
     wanted = inverse_physical(stage, height, tilt=tilt, azimuth=azimuth, roll=roll, pitch=pitch, normal=normal)
     if wanted.shape:
@@ -227,7 +231,9 @@ def nearest_reachable(
     target = normals_of_request(tilt, azimuth, roll, pitch, normal)
     low, high = height_range(stage)
     if math.isnan(low):
-        return wanted
+        nothing = wanted.where(np.array(False))
+        nothing.missing_reason = "no level platform is within the limits"
+        return nothing
     level = float(np.clip(height, low, high)) if not _counts(inverse_physical(stage, height)) else float(height)
     azimuths, width = np.linspace(-math.pi, math.pi, 91), math.pi / 45.0
     for _ in range(5):

@@ -250,7 +250,7 @@ def prepare_metrics(metrics: Iterable[Metric], points: Points) -> None:
 def condition(
     metric: str | Metric, *, least: float | None = None, most: float | None = None
 ) -> Callable[[Configuration], BoolArray]:
-    """Return the condition on states that a metric is from `least` to `most`, for volumes and the like.
+    """Return a condition on states, as volumes take it: that a metric is between `least` and `most`.
 
     Parameters
     ----------

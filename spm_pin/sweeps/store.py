@@ -36,7 +36,7 @@ _UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, At
 
 
 class SweepError(SpmError):
-    """A sweep that stopped, `reason` says why; `done` of `total` chunks are complete in `store`, and kept."""
+    """A sweep stopped, for the `reason` given; `done` of `total` chunks are complete and kept in `store`."""
 
     def __init__(self, store: str, reason: str, done: int, total: int) -> None:
         self.store, self.reason, self.done, self.total = store, reason, done, total

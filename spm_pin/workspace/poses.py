@@ -53,9 +53,9 @@ _CANDIDATES, _STARTS = 400, 8
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
 _FREE_SAMPLE, _FREE_STARTS, _SEED = 4096, 32, 20_140_131
-"""States looked through for starts without leg limits, how many of them are taken, and their seed."""
+"""Size of the sample from which starts are taken without leg limits, how many are taken, and its seed."""
 _SPREADS = 4 * (0.1, 0.3, 1.0)
-"""How far from where they ended searches without leg limits begin again, in the coordinates."""
+"""Without leg limits searches begin again at these distances from where they ended, in the coordinates."""
 _OFF_THE_EDGE = 1e-5
 """Step in the coordinates away from where two branches meet: there rounding decides whether they are real."""
 

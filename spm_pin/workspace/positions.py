@@ -212,9 +212,10 @@ def reachable_volume(
         counts undecided points as reachable. "mesh": the volume enclosed by `reachable_boundary` at `spacing` and half
         of it, extrapolated; the error is the extrapolated part, and the interval has no confidence.
     where : callable, optional
-        Takes states (n,) and returns which of them count, (n,): then a position does if one of its states does. A point
-        is a hit, and counts whole, where such a state was found; where none was, the upper end counts it all the same,
-        so that the interval is wide where few states count. For "sampling" only; see `pose_volume` for states.
+        Takes states (n,) and returns which of them meet a condition, (n,). A position is then counted if at least one
+        of its states does. Where no such state was found, the upper end of the interval counts the position all the
+        same, so that the interval is wide where few states meet the condition. For "sampling" only; see `pose_volume`
+        for states.
     samples : int
         Points for "sampling".
     spacing : float

@@ -27,18 +27,18 @@ rounding of the readings moves o farther than `RESOLUTION`."""
 _LEAST_DETERMINANT = 1e-8
 """The same in searches for a state with o at a point."""
 _LEVELS, _GROUP, _UPPER, _SEED = 5, 64, 200_000, 20_140_131
-"""Lower stages of the sample: 2^5 groups of 64 alike; upper stages of it, and its seed."""
+"""The sample: 2^5 groups of 64 lower stages that are alike, the number of upper stages, and its seed."""
 _VOXELS, _PAD = 64, 0.15
-"""Cells of the distance table along the longest side of S and its margin, and that margin over the size of S."""
+"""Cells of the distance table along the longest side of S with its margin, and the margin as a share of S."""
 _CELLS = 20
 """Cells along each axis of the grid that covers the reachable positions."""
 _REMOTE_STARTS, _MORE_STARTS = 6, 8
-"""States of the sample whose positions are nearest that are starts, besides those of the groups, of each search for a
-nearest point; and with which a point is searched again that the groups have not led to."""
+"""How many states of the sample that are nearest to a point are further starts of a search for the nearest reachable
+point, and of a second search for a state at a point after that from the groups has failed."""
 _MOST_STEPS, _PATIENT = 400, 3000
-"""Newton steps of a search for the nearest state at most: while a platform is dragged, and for the nearest point."""
+"""Most Newton steps of a search for the nearest state: while a platform is dragged, and for the nearest point."""
 _CHUNK, _MIN_BATCH = 4096, 256
-"""Points worked on together, and those that are worth a thread."""
+"""Points worked on together, and how many are worth a thread of their own."""
 
 
 class Membership(NamedTuple):

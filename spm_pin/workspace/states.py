@@ -349,7 +349,9 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
 def given_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits | None:
     """Return leg limits, or those of the geometry, which may have none."""
     check_instance(geometry, Geometry, "geometry")
-    return geometry.limits if limits is None else check_instance(limits, LegLimits, "limits")
+    if limits is not None:
+        geometry.check_limits(limits)
+    return geometry.limits if limits is None else limits
 
 
 def finite_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:

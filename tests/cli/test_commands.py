@@ -88,6 +88,17 @@ def test_every_answer_marks_the_physical_branch_and_those_beyond_the_limits(comm
     assert (far.returncode, "A stage cannot be closed" in far.stderr) == (3, True)
 
 
+@pytest.mark.parametrize("command", [["inverse"], ["statics", "--force", "0", "0", "-100"], ["singularities"]])
+def test_a_pose_that_is_not_reached_has_the_nearest_one_and_its_unit_of_angles(command: list[str]) -> None:
+    done = run(*command, "--translation", "0.1", "0", "2.4", "--rpy", "0.1", "0.2", "0")
+    text = done.stdout + done.stderr
+    assert done.returncode == 3
+    assert "It is turned by 0.22° only: angles are in degrees." in text
+    nearest = text[text.index("The nearest pose within the limits is") :].splitlines()[1].split()
+    there = run("inverse", *nearest, "--json")
+    assert (there.returncode, json.loads(there.stdout)["nearest"]) == (0, None)
+
+
 def test_leg_lengths_beyond_the_limits_are_marked_as_a_pose_is() -> None:
     legs = ["--legs", "1.2", "1.2", "1.4", "1.25", "1.2", "1.7"]
     out = forward(*legs, code=5)

@@ -20,6 +20,8 @@ REFUSED = [
     # Poses and files, the same in all commands.
     ("inverse", "Missing option '--translation'"),
     ("inverse --translation 1 2", "requires 3 arguments"),
+    ("inverse --translation 0 0 --rpy 0 0 0", "expected 3 numbers, X Y Z, got 0 0 --rpy"),
+    ("stage inverse --height high --base 1 --platform 1", "valid number, unable to parse string as a number, got high"),
     ("inverse --translation nan 0 2 --xyx 1 2 3", "error: --translation: expected finite"),
     (f"inverse {PLACE} --xyx -11.08 nan 0", "error: --xyx: expected finite"),
     (f"inverse {PLACE}", "error: --translation: expected one orientation, of --xyx, --rpy, --quat, --rotvec, --matrix"),

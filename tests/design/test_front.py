@@ -236,6 +236,11 @@ def test_ranges_without_choice_or_out_of_bounds_are_refused(ends: tuple[float, f
         DesignProblem(spm.Geometry.paper(), {"stroke": ends}, {"volume": "max"})
 
 
+def test_a_range_in_millimetres_is_refused() -> None:
+    with pytest.raises(spm.ArgumentError, match=r"middle_side.*In mm or cm\?"):
+        DesignProblem(spm.Geometry.paper(), {"middle_side": (500, 1100)}, {"volume": "max"})
+
+
 def test_a_task_has_the_margin_and_the_efforts_of_its_states() -> None:
     machine = spm.Geometry.paper()
     state = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])

@@ -124,5 +124,10 @@ def test_the_nearest_reachable_tilt_is_no_farther_than_any_of_a_grid() -> None:
     assert angle <= np.arccos((grid.normal @ target)[counts]).min() + 1e-6
     inside = spm.stages.nearest_reachable(BALANCER, 0.12, tilt=0.1, azimuth=0.9)
     np.testing.assert_allclose([inside.tilt, inside.azimuth], [0.1, 0.9])
+    nothing = spm.Stage(0.08, 0.09, BALANCER.kind, limits=(3.0, 3.1))
+    assert spm.stages.inverse_physical(nothing, 0.1).exists
+    assert not spm.stages.nearest_reachable(nothing, 0.1).exists
+    with pytest.raises(spm.ArgumentError, match=r"heights: .*is it 120 mm\?"):
+        spm.stages.reach(BALANCER, heights=120)
     low = spm.stages.nearest_reachable(BALANCER, 0.01, roll=0.1)
     np.testing.assert_allclose(low.height, spm.stages.height_range(BALANCER)[0])

@@ -244,6 +244,8 @@ def test_the_ways_on_from_a_level_pose_lead_to_it() -> None:
     ("absent", "words"),
     [
         (lambda: spm.inverse_displacement(PAPER, spm.pose([9, 9, 9], rotation=POSE.rotation)), "out of reach"),
+        (lambda: spm.inverse_displacement(PAPER, spm.pose([0.7, 0.5, 2.3], rpy=[5, 3, 0])), "turned by 174° against"),
+        (lambda: spm.inverse_displacement(PAPER, spm.pose([0.7, 0.5, 2.3], rpy=[5, 3, 0])), "nearest_reachable_pose"),
         (lambda: spm.inverse_displacement(PAPER, POSE).within(), r"\.within\(limits\)"),
         (lambda: spm.forward_displacement(PAPER, [0.1, 1, 9, 1, 1, 1]), "out of reach"),
     ],

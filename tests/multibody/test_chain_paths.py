@@ -260,7 +260,7 @@ def test_targets_that_no_physical_mode_has_are_refused_or_nan() -> None:
     turn = ", ".join(f"{angle:.9g}" for angle in away.rotation.as_rotvec())
     turned = "pose: expected poses that a physical branch has, got o at {} m, turned by the rotation vector [{}] rad. "
     level = turned.format("[0, 0, 2.3]", "0, 0, 0") + "A level platform over the axis of the base"
-    high = turned.format("[0.1, 0.2, 9]", turn) + f"Out of reach: no solution is real. {near}"
+    high = turned.format("[0.1, 0.2, 9]", turn) + "Out of reach: no solution is real. For the nearest pose"
     forward, inverse = chain().forward_kinematics, chain().inverse_kinematics
     for call, target, text in ((forward, readings[1], lengths), (inverse, home, level), (inverse, away, high)):
         with pytest.raises(ArgumentError) as caught:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -155,3 +157,16 @@ def test_a_search_from_one_side_alone_stops_in_a_bad_minimum() -> None:
     assert nearest.distance < 0.3323
     assert limits.contains(nearest.configuration.readings)
     assert spm.inverse_physical(PAPER, nearest.configuration.pose, near=nearest.configuration).exists
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda machine, limits: nearest_reachable_pose(machine, spm.pose([0.1, 0.0, 2.4], rpy=[0.0, 0.1, 0.0]), limits),
+        lambda machine, limits: spm.certify(machine, limits),
+        lambda machine, limits: spm.plan(machine, [1.2] * 6, [1.3] * 6, limits),
+    ],
+)
+def test_leg_limits_in_another_unit_are_refused(ask: Callable[[spm.Geometry, spm.LegLimits], object]) -> None:
+    with pytest.raises(spm.GeometryError, match=r"limits: .*is it 1500 mm\?"):
+        ask(spm.Geometry.paper(), spm.LegLimits(1100, 1500))

@@ -243,7 +243,7 @@ class ViewerModel:
 
     def command(self) -> str:
         """Return the command line that finds what is shown."""
-        return command_line(self.state.shown, self.file)
+        return command_line(self.state.shown, self.file, 7)
 
     def values(self) -> FloatArray:
         """Return q of what is shown, in Pinocchio's order [rad, m]."""
@@ -416,9 +416,10 @@ def pose_of_coordinates(coordinates: FloatArray, angles: str) -> RigidTransform:
     return RigidTransform.from_components(coordinates[:3], turn)
 
 
-def command_line(configuration: Configuration, geometry_file: Path | None = None) -> str:
-    """Return the `spm-pin inverse` that finds all branches of a single configuration's pose, to float64's digits."""
+def command_line(configuration: Configuration, geometry_file: Path | None = None, digits: int | None = None) -> str:
+    """Return the `spm-pin inverse` of a single state's pose, to float64's digits, or to so many decimals."""
     values = pose_coordinates(configuration.pose)
+    values = values if digits is None else values.round(digits)
     return inverse_command(values[:3], values[3:], None if geometry_file is None else str(geometry_file))
 
 
