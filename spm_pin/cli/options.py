@@ -22,9 +22,19 @@ from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError, PoseError
 from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, StageConfiguration, Status, pose
+from spm_pin.mechanism import (
+    FAMILIES,
+    LEGS,
+    Configuration,
+    Geometry,
+    SolutionSet,
+    StageConfiguration,
+    Status,
+    pose,
+)
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branch_of_state import branch_sign, family
+from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.mechanism.units import PER_METRE, likely_unit
 
 
@@ -259,7 +269,7 @@ def read_masses(path: Path | None, what: str) -> Masses | None:
     return None
 
 
-def unit_hint(option: str, typed: Any, unit: LengthUnit, geometry: Geometry) -> str:
+def unit_hint(option: str, typed: Any, unit: LengthUnit, geometry: Mechanism) -> str:
     """Return a hint at the unit where a length, or three in norm, is out of proportion to the machine, else nothing."""
     length = float(np.linalg.norm(typed))
     better = likely_unit(geometry, length / unit.per_metre, unit)

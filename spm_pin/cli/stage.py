@@ -146,16 +146,23 @@ def inverse(
         outputs.write_json({**_units(stage, unit), "status": str(solutions.status), "modes": records, "nearest": found})
         raise typer.Exit(code)
     _print_states(stage, records, unit)
-    status = f"status: {solutions.status}{_why(solutions.configurations.missing_reason)}"
-    lines = [status, *_remarks(records, physical)]
+    hint = "" if solutions.count else options.unit_hint("--height", height, unit, stage)
+    status = f"status: {solutions.status}{_why('' if hint else solutions.configurations.missing_reason)}"
+    lines = [status, *filter(None, [hint]), *_remarks(stage, records, physical)]
     if nearest is not None and nearest.exists:
-        found = _record("nearest", nearest, unit)
-        lines.append(
-            f"The nearest tilt that is reached is {fixed(found['tilt'], 3)}° towards {fixed(found['azimuth'], 2)}° at "
-            f"{unit.text(found['height'])} {unit}: {', '.join(_reading(stage, x, unit) for x in found['readings'])}"
-        )
+        lines += ["The nearest tilt that is reached:", f"  {_options_of(nearest, height, unit)}"]
     outputs.print_lines(lines)
     raise typer.Exit(code)
+
+
+def _options_of(nearest: StageConfiguration, height: float, unit: LengthUnit) -> str:
+    """Return the options that enter a nearest tilt, rounded towards less tilt, and heights towards those reached."""
+    tilt = max(math.floor(1e3 * math.degrees(nearest.tilt) - 0.1) / 1e3, 0.0)
+    level = float(nearest.height * unit.per_metre)
+    if not math.isclose(level, height):
+        level += math.copysign(1e-4 * level, level - height)
+    text = f"--height {unit.text(level, 1)} --tilt {fixed(tilt, 3)} --azimuth {fixed(math.degrees(nearest.azimuth), 5)}"
+    return text if unit is LengthUnit.M else f"{text} --unit {unit}"
 
 
 @takes_stage
@@ -184,7 +191,7 @@ def forward(
         outputs.write_json({**_units(stage, unit), "status": str(status), "modes": records})
         raise typer.Exit(code)
     _print_states(stage, records, unit, pose=True)
-    outputs.print_lines([f"status: {status}" + _why(reason), *_remarks(records, physical)])
+    outputs.print_lines([f"status: {status}" + _why(reason), *_remarks(stage, records, physical)])
     raise typer.Exit(code)
 
 
@@ -245,7 +252,10 @@ def draw(
 
     Example: spm-pin stage draw --base 80 --platform 90 --crank 50 --rod 110 --unit mm --tilt 12 --out stage.png
     """
-    save_figure(stage_figure(_state(stage, height, tilt, azimuth, unit)), out)
+    state = _state(stage, height, tilt, azimuth, unit)
+    save_figure(stage_figure(state), out)
+    for remark in _remarks(stage, [_record("", state, unit)], state):
+        outputs.note(remark.removeprefix("* "), "yellow")
     outputs.note(f"wrote {out}")
 
 
@@ -328,13 +338,14 @@ def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, pose
     for k, axis in enumerate("xy"):
         columns[f"shift {axis} [{unit}]"] = lambda row, k=k: unit.text(row["shift"][k])
     columns["torsion [°]"] = lambda row: fixed(row["torsion"], 3)
-    columns[""] = lambda row: "physical" * row["physical"]
+    columns[""] = lambda row: "physical" * row["physical"] + "*" * (pose and len(row["beyond_limits"]) > 0)
     title = "Tilt and height of the platform" if pose else f"Readings of the legs in {angle}"
     outputs.print_table(f"{title}, and its parasitic motion", columns, records, left=[""])
 
 
-def _remarks(records: list[Record], physical: StageConfiguration) -> list[str]:
-    remarks = ["* beyond the limits"] if any(len(record["beyond_limits"]) for record in records) else []
+def _remarks(stage: Stage, records: list[Record], physical: StageConfiguration) -> list[str]:
+    beyond = sorted({stage.legs.names[leg] for record in records for leg in record["beyond_limits"]})
+    remarks = [f"* {', '.join(beyond)} beyond the limits"] if beyond else []
     if records and not physical.exists:
         remarks.append("Neither is physical: none is reached from the level platform without a forward singularity.")
     return remarks

@@ -36,13 +36,18 @@ def test_what_is_not_reached_has_the_nearest_tilt() -> None:
     out = done.stdout
     assert done.returncode == 3
     assert "out of reach of r_3" in out
-    assert "The nearest tilt that is reached is 26.352° towards 30.00° at 120.00 mm" in out
+    words, tilt = out.splitlines()[-2:]
+    assert words == "The nearest tilt that is reached:"
+    assert tilt.startswith("  --height 120.000 --tilt 26.351 --azimuth 30.00")
     limits = ["--limits", "-20", "40"]
     done = run("stage", "inverse", *SIZES, *limits, "--height", "120", "--tilt", "20", "--azimuth", "30")
     out = done.stdout
     assert done.returncode == 5
     assert "59.904*" in out
-    assert "40.000" in out.splitlines()[-1]
+    assert "* r_3 beyond the limits" in out
+    nearest = run("stage", "inverse", *SIZES[:8], *limits, *out.splitlines()[-1].split(), "--json")
+    assert nearest.returncode == 0
+    assert max(json.loads(nearest.stdout)["modes"][0]["readings"]) == pytest.approx(40.0, abs=0.01)
 
 
 def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
