@@ -145,9 +145,12 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "height": lambda: 0.12,
     "arrays.stage_inverse.height": lambda: np.array(0.12),
     "arrays.stage_inverse.normal": lambda: np.array([0.0, 0.0, 1.0]),
+    "arrays.stage_forward.readings": lambda: STAGE_STATE.readings.copy(),
+    "arrays.stage_forward.near": lambda: STAGE_STATE,
     **{f"stages.{name}.readings": lambda: STAGE_STATE.readings for name in ("forward", "forward_physical")},
     **{f"StageSolutions.{name}.near": lambda: STAGE_STATE for name in ("nearest", "physical")},
     "stages.forward_physical.near": lambda: STAGE_STATE,
+    "stages.follow.readings": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
     **{
         f"stages.{name}.configuration": lambda: STAGE_STATE
         for name in ("inverse_jacobian", "joint_loads", "leg_forces", "leg_rates", "parasitic_jacobian")

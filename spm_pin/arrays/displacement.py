@@ -187,7 +187,28 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     else:
         b, pose = rows_of(near.middle_joints), (rows_of(near.rotation), vector_of(near.translation))
         starts = [b, run(ball_motions.points_from_platform, machine.upper_balls(library, b), *pose)]
-    both = library.together(stages, zero)
+    b, turns, places, exists = solved_stages(library, machine, stages, starts, zero, is_near=near is not None)
+    # The middle platform seen from {B} and from {m}.
+    first, second = (mapped(lambda x, i=i: x[i, ...], (turns, places)) for i in range(2))
+    pose = run(ball_motions.pose_of_frames, *first, *second)
+    exists, joints = exists[0, ...] & exists[1, ...] & valid & machine.valid, mapped(lambda x: x[0, ...], b)
+    exists = exists & machine.in_working_modes(library, [*joints, *mapped(lambda x: x[1, ...], b)], without_offsets)
+    if near is None:
+        exists = exists & _physical(library, *library.constant((machine, pose, joints)))[0]
+    else:
+        exists = exists & near.exists
+    return State._make([*(library.stacked(x, zero) for x in (*pose, joints, shown)), exists])
+
+
+def solved_stages(
+    library: Library, machine: Machine, stages: list[Circles], starts: list[Any], zero: Array, *, is_near: bool
+) -> tuple[Any, Any, Any, Any]:
+    """Return the balls of stages on circles, with derivatives, their platforms' frames, and which are solutions.
+
+    All have a first axis that counts the stages. Newton's method begins from balls; if `is_near`, a solution is on
+    their side of the forward singularities.
+    """
+    run, both = library.run, library.together(stages, zero)
     stage, r = library.constant(both), library.constant(machine.r)
     start = run(circles.directions_to, stage, library.constant(library.together(starts, zero)))
 
@@ -199,7 +220,7 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     error = run(vectors.largest, run(circles.errors, stage, b)) / r
     exists = error <= _CLOSED * library.eps * (r + run(vectors.largest, lengths))
     exists = exists & (run(vectors.least, lengths) > 0.0)
-    if near is not None:
+    if is_near:
         before = run(circles.balls_at, stage, start)
         sides = [run(wrenches.determinant, *x, stage.axes) for x in ((b, e), (before, start))]
         exists = exists & (sides[0] * sides[1] > 0.0)
@@ -209,21 +230,10 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
         return run(ball_motions.velocities, motions, run(ball_motions.stage_errors, b, both))
 
     b = _with_derivatives(library, b, exists, motions, correction)
-    # The middle platform seen from {B} and from {m}.
     own = library.together(machine.balls, zero)
     axes, own_axes = run(joint_values.triangle_axes, b), run(joint_values.triangle_axes, own)
     turns, places = run(ball_motions.frame_of_triangle, axes, own_axes, b, own)
-    first, second = (mapped(lambda x, i=i: x[i, ...], (turns, places)) for i in range(2))
-    pose = run(ball_motions.pose_of_frames, *first, *second)
-    exists, joints = exists[0, ...] & exists[1, ...] & valid & machine.valid, mapped(lambda x: x[0, ...], b)
-    places = machine.places(library, [*joints, *mapped(lambda x: x[1, ...], b)])
-    for slope in machine.relative_slopes(library, machine.of_places(library, "slope", places, without_offsets)):
-        exists = exists & (slope > 0.0)
-    if near is None:
-        exists = exists & _physical(library, *library.constant((machine, pose, joints)))[0]
-    else:
-        exists = exists & near.exists
-    return State._make([*(library.stacked(x, zero) for x in (*pose, joints, shown)), exists])
+    return b, turns, places, exists
 
 
 class _Inverse:

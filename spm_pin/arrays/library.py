@@ -17,7 +17,7 @@ from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
 from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind, mapped, vector_of
 from spm_pin.formulas.planar_legs import MOST_TURNED
-from spm_pin.mechanism import Geometry, LegKind
+from spm_pin.mechanism import Geometry, LegKind, Stage
 from spm_pin.mechanism.arguments import LARGEST, LARGEST_RATIO, SMALLEST, check_shapes, type_and_value
 from spm_pin.mechanism.joint_angles import joint_names
 from spm_pin.mechanism.leg_kinds import BOUNDS
@@ -29,7 +29,7 @@ except ImportError as error:
 
 Array = Any
 """An array of any library that follows the standard."""
-_TRAILING = {"rotation": (3, 3), "translation": (3,), "middle_joints": (3, 3), "readings": (6,), "wrench": (6,)}
+_TRAILING = {"rotation": (3, 3), "translation": (3,), "middle_joints": (3, 3), "wrench": (6,)}
 _TRAILING |= {"normal": (3,)}
 """The last axes of arrays by their names."""
 quietly = np.errstate(all="ignore")
@@ -131,7 +131,7 @@ class Library:
 _library = functools.cache(Library)
 
 
-def library_of(**arguments: Array | Geometry) -> Library:
+def library_of(*, legs: int = 6, **arguments: Array | Geometry) -> Library:
     """Return the library of arguments, arrays of floats of one library whose shapes fit their names."""
     given = ((name, x[1] if name == "geometry" and isinstance(x, tuple) else x) for name, x in arguments.items())
     arrays: dict[str, Array] = {name: x for name, x in given if not isinstance(x, Geometry)}
@@ -150,7 +150,7 @@ def library_of(**arguments: Array | Geometry) -> Library:
     for name, x in arrays.items():
         if not namespace.isdtype(x.dtype, "real floating") or namespace.finfo(x.dtype).bits not in (32, 64):
             raise ArgumentError(name, "an array of floating-point numbers of 32 or 64 bits", f"dtype {x.dtype}")
-    check_shapes({name: tuple(x.shape) for name, x in arrays.items()}, _TRAILING)
+    check_shapes({name: tuple(x.shape) for name, x in arrays.items()}, _TRAILING | {"readings": (legs,)})
     return _library(namespace, namespace.result_type(*arrays.values()))
 
 
@@ -175,7 +175,7 @@ class Machine(NamedTuple):
     @property
     def farthest(self) -> Any:
         """The largest length that is solved beside the machine's own [m]."""
-        return LARGEST_RATIO * (self.radii[0] + self.radii[1] + 3.0**0.5 * self.r)
+        return LARGEST_RATIO * (sum(self.radii) + 3.0**0.5 * self.r)
 
     def upper_balls(self, library: Library, b: Any) -> Any:
         """Return the upper legs' balls from the lower ones'."""
@@ -202,6 +202,11 @@ class Machine(NamedTuple):
         """Return κ of the legs over the largest of their working modes: at most 1, negative in another mode."""
         legs = zip(slopes, self.kinds, self.numbers, strict=True)
         return [slope / library.run(kind.formulas.largest_slope, numbers) for slope, kind, numbers in legs]
+
+    def in_working_modes(self, library: Library, balls: Sequence[Any], readings: Sequence[Any]) -> Any:
+        """Return where legs with these readings, without offsets, are in their working modes."""
+        slopes = self.of_places(library, "slope", self.places(library, balls), readings)
+        return functools.reduce(operator.and_, (slope > 0.0 for slope in self.relative_slopes(library, slopes)))
 
     def checked_readings(self, library: Library, readings: Sequence[Any]) -> tuple[list[Any], Any]:
         """Return readings, and where they are numbers that a leg may have; others where not."""
@@ -307,11 +312,21 @@ def _bounds(geometry: Geometry) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return _UNLIMITED if limits is None else (tuple(limits.minimum), tuple(limits.maximum))
 
 
-def state_arrays(state: Any, name: str) -> dict[str, Any]:
+def stage_machine(stage: Stage) -> Machine:
+    """Return a stage as the lower half of a robot of two, with three legs."""
+    both = _machine_of(Geometry.of_stages(stage, stage))
+    halves = {name: getattr(both, name)[:1] for name in ("radii", "legs", "balls", "squares")}
+    legs = {name: getattr(both, name)[:3] for name in ("offsets", "planes", "kinds", "numbers")}
+    return both._replace(**halves, **legs)
+
+
+def state_arrays(
+    state: Any, name: str, fields: Sequence[str] = ("rotation", "translation", "middle_joints")
+) -> dict[str, Any]:
     """Return the arrays of a state by their names in messages; none of None."""
     if state is None:
         return {}
-    fields = "rotation", "translation", "middle_joints"
     if not all(hasattr(state, field) for field in (*fields, "exists")):
-        raise ArgumentError(name, "a State or a Configuration", type_and_value(state))
+        of_stage = "Stage" * ("middle_joints" not in fields)
+        raise ArgumentError(name, f"a {of_stage}State or a {of_stage}Configuration", type_and_value(state))
     return {f"{name}.{field}": getattr(state, field) for field in fields}

@@ -1,15 +1,18 @@
-"""The inverse displacement of a stage alone on arrays: a straight line of arithmetic, through which derivatives go."""
+"""Displacements of a stage alone on arrays: the inverse in closed form, the forward one as that of the robot."""
 
 from __future__ import annotations
 
+import functools
+import operator
 from typing import NamedTuple
 
 from array_api_compat import is_array_api_obj
 
-from spm_pin.arrays.library import Array, library_of, quietly
-from spm_pin.formulas import planar_legs, stage_poses
-from spm_pin.formulas.operations import vector_of
-from spm_pin.formulas.planar_legs import LegPlane
+from spm_pin.arrays.displacement import solved_stages
+from spm_pin.arrays.library import Array, library_of, quietly, stage_machine, state_arrays
+from spm_pin.formulas import circles, stage_poses, vectors
+from spm_pin.formulas.circles import Circles
+from spm_pin.formulas.operations import mapped, rows_of, vector_of
 from spm_pin.mechanism import Stage
 from spm_pin.mechanism.arguments import check_instance
 
@@ -45,20 +48,61 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     StageState
         As mode T of `spm_pin.stages.inverse`: whether it is in the home's aspect is not asked.
     """
-    check_instance(stage, Stage, "stage")
+    machine = stage_machine(check_instance(stage, Stage, "stage"))
     library = library_of(normal=normal, height=height[..., None] if is_array_api_obj(height) else height)
-    legs, numbers = stage.legs, [tuple(row) for row in stage.kind.numbers.tolist()]
-    run, formulas = library.run, stage.kind.formulas
-    rows = [tuple(map(tuple, x.tolist())) for x in (*legs.arrays[:3], *legs.planes)]
-    constants = run(stage_poses.stage_constants, *rows[:3])
+    run, (axes, pivots) = library.run, machine.legs[0]
+    constants = run(stage_poses.stage_constants, axes, pivots, machine.balls[0])
     turn = run(stage_poses.shortest_turn, vector_of(normal))
     equation = run(stage_poses.torsion_equation, turn, height, constants)
     rotation, position = run(stage_poses.pose_in_mode, 1.0, turn, height, equation, constants)
-    exists, readings = run(stage_poses.discriminant, equation) >= 0.0, []
-    for leg, ball in enumerate(run(stage_poses.platform_balls, rotation, position, constants.balls)):
-        x, z = run(planar_legs.place_in_plane, ball, LegPlane(rows[1][leg], rows[3][leg], rows[4][leg]))
-        exists = exists & (run(formulas.reach, x, z, numbers[leg]) >= 0.0)
-        readings.append(run(formulas.reading, x, z, numbers[leg]) + float(legs.offsets[leg]))
+    places = machine.places(library, run(stage_poses.platform_balls, rotation, position, constants.balls))
+    reaches = (reach >= 0.0 for reach in machine.of_places(library, "reach", places))
+    exists = functools.reduce(operator.and_, reaches, run(stage_poses.discriminant, equation) >= 0.0)
+    own = zip(machine.of_places(library, "reading", places), machine.offsets, strict=True)
+    readings = [x + offset for x, offset in own]
     zero = library.zeros(readings[0])
-    rotation, position, readings = (library.stacked(x, zero) for x in (rotation, position, readings))
-    return StageState(rotation, position, readings, exists)
+    return StageState._make([*(library.stacked(x, zero) for x in (rotation, position, readings)), exists])
+
+
+@quietly
+def stage_forward(stage: Stage, readings: Array, near: StageState | None = None) -> StageState:
+    """Compute the physical state of a stage with these readings, or the state beside another.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage, drawn or as built.
+    readings : array, shape (..., 3)
+        Readings of the encoders [m], of RRS legs [rad].
+    near : StageState, optional
+        From where Newton's method begins: the state to which it leads, if it is on the same side of the forward
+        singularities and all legs are in their working modes. No proof is given that it has not left the assembly mode
+        where the state is far away.
+
+    Returns
+    -------
+    StageState
+        Without `near` that of `spm_pin.stages.forward_physical`, but for states that Newton's method from the level
+        platform does not find, as beside a forward singularity: these do not exist here.
+    """
+    machine = stage_machine(check_instance(stage, Stage, "stage"))
+    library = library_of(legs=3, readings=readings, **state_arrays(near, "near", ("rotation", "translation")))
+    shown, valid = machine.checked_readings(library, [readings[..., i] for i in range(3)])
+    without_offsets = [x - offset for x, offset in zip(shown, machine.offsets, strict=True)]
+    zero = library.zeros(*without_offsets, *([] if near is None else [near.translation[..., 0]]))
+    centres, radii = zip(*machine.circles(library, without_offsets), strict=True)
+    own = Circles(machine.legs[0].axes, centres, radii, machine.squares[0])
+    if near is None:
+        start = library.run(circles.level_balls, own, machine.balls[0], stage.up)
+    else:
+        pose = rows_of(near.rotation), vector_of(near.translation)
+        start = library.run(stage_poses.platform_balls, *pose, machine.balls[0])
+    solved = solved_stages(library, machine, [own], [start], zero, is_near=near is not None)
+    b, rotation, position, exists = mapped(lambda x: x[0, ...], solved)
+    exists = exists & valid & machine.in_working_modes(library, b, without_offsets)
+    if near is None:
+        rods = library.run(vectors.differences, b, centres)
+        exists = exists & library.run(circles.is_home_state, own, rods, b, stage.up)
+    else:
+        exists = exists & near.exists
+    return StageState._make([*(library.stacked(x, zero) for x in (rotation, position, shown)), exists])

@@ -16,7 +16,7 @@ from spm_pin.symbolic.functions import (
 from spm_pin.symbolic.linuxcnc_export import linuxcnc_configuration, write_linuxcnc
 from spm_pin.symbolic.ros_export import ros_package, write_ros
 from spm_pin.symbolic.stage_export import stage_c_sources, write_stage_c
-from spm_pin.symbolic.stage_in_casadi import stage_inverse
+from spm_pin.symbolic.stage_in_casadi import stage_forward, stage_inverse
 
 __all__ = [
     "bodies",
@@ -33,6 +33,7 @@ __all__ = [
     "linuxcnc_configuration",
     "ros_package",
     "stage_c_sources",
+    "stage_forward",
     "stage_inverse",
     "write_c",
     "write_linuxcnc",

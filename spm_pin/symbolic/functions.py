@@ -135,13 +135,9 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
     if as_bool(near, "near"):
         inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
         starts = [list(map(parts, balls)) for balls in State(machine, *inputs[1:]).own_balls()]
-    balls, errors, steps, angles = [], [], [], []
-    for k, (stage, start) in enumerate(zip(stages, starts, strict=True)):
-        e = machine.directions(k, unknowns[3 * k : 3 * k + 3])
-        balls.append(in_casadi(circles.balls_at)(stage, e))
-        errors += in_casadi(circles.errors)(stage, balls[k])
-        steps += in_casadi(circles.limited)(in_casadi(circles.newton_step)(stage, e))
-        angles.append(machine.angles(k, in_casadi(circles.directions_to)(stage, start)))
+    halves = unknowns[:3], unknowns[3:]
+    problems = [stage_problem(machine, k, *own) for k, own in enumerate(zip(stages, starts, halves, strict=True))]
+    balls, errors, stepped, angles = zip(*problems, strict=True)
     rotation, position, joints = placed(machine, *balls)
     own = ca.vertsplit(readings - machine.offsets)
     # Half the squares of the distances, over d.
@@ -152,8 +148,8 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
     exists += [ca.fabs(reading) < np.inf for reading in ca.vertsplit(readings)]
     outputs = {"rotation": rotation, "position": position, "joints": joints}
     outputs |= {"residual": residual, "exists": all_of(exists)}
-    problem = unknowns, error, outputs, unknowns - ca.vertcat(*steps)
-    return _implicit("forward_physical", machine, inputs, problem, [ca.vertcat(*angles)])
+    problem = unknowns, error, outputs, ca.vertcat(*stepped)
+    return implicit("forward_physical", [*inputs, *machine.inputs], problem, [ca.vertcat(*angles)])
 
 
 def inverse_jacobian(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
@@ -283,7 +279,7 @@ def _forces(state: State, *wrenches_of_stages: Any) -> Any:
 def gravity_of(state: State, bodies: Any, payload: Any, acceleration: Any) -> dict[str, Any]:
     """Return the leg forces that hold all weights in a state."""
     o = state.position
-    turn, origin = _frame_of(state.joints, state.machine.balls[:3])
+    turn, origin = frame_of(state.joints, state.machine.balls[:3])
 
     def wrench(mass: Any, moments: Any) -> Any:
         return ca.vertcat(mass * acceleration, ca.cross(moments - mass * o, acceleration))
@@ -408,13 +404,13 @@ def level_balls(machine: Machine, stage: int, of_readings: circles.Circles) -> A
 def placed(machine: Machine, lower: Sequence[Any], upper: Sequence[Any]) -> tuple[Any, Any, Any]:
     """Return R, o and the b_i (3, 3) of two stages, their balls as formulas take them, in {B} and in {m}."""
     (turn, origin), (turn_m, origin_m) = (
-        _frame_of(columns(b), own) for b, own in ((lower, machine.balls[:3]), (upper, machine.balls[3:]))
+        frame_of(columns(b), own) for b, own in ((lower, machine.balls[:3]), (upper, machine.balls[3:]))
     )
     rotation = turn @ turn_m.T
     return rotation, origin - rotation @ origin_m, ca.horzcat(*columns(lower)).T
 
 
-def _frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
+def frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
     """Return rotation and position of the frame in which the balls at b are `own`."""
     balls = [[parts(x) for x in points] for points in (b, own)]
     axes = map(in_casadi(values.triangle_axes), balls)
@@ -455,13 +451,25 @@ def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Func
     step = -ca.solve(ca.jacobian(error, unknowns), error)
     step = step / ca.fmax(1.0, ca.norm_inf(step) / (_LONGEST_STEP * machine.side))
     problem = unknowns, error, outputs, unknowns + step
-    return _implicit("inverse_physical", machine, [rotation, position], problem, starts, (rank * closed, tilts))
+    known = [rotation, position, *machine.inputs]
+    return implicit("inverse_physical", known, problem, starts, (rank * closed, tilts))
 
 
-def _implicit(
+def stage_problem(machine: Machine, k: int, own: circles.Circles, start: Any, unknowns: Any) -> tuple[Any, ...]:
+    """Return balls, errors of half their squared distances, and the unknowns after a step, of the lower stage, 0, or 1.
+
+    Unknown are the angles (3,) of the legs; the last of all is those of the balls to start from.
+    """
+    e = machine.directions(k, unknowns)
+    balls = in_casadi(circles.balls_at)(own, e)
+    step = in_casadi(circles.limited)(in_casadi(circles.newton_step)(own, e))
+    angles = machine.angles(k, in_casadi(circles.directions_to)(own, start))
+    return balls, ca.vertcat(*in_casadi(circles.errors)(own, balls)), unknowns - ca.vertcat(*step), angles
+
+
+def implicit(
     name: str,
-    machine: Machine,
-    inputs: list[Any],
+    known: list[Any],
     problem: tuple[Any, Any, dict[str, Any], Any],
     starts: list[Any],
     preference: tuple[Any, Any] | None = None,
@@ -473,7 +481,6 @@ def _implicit(
     `casadi.rootfinder`, through which CasADi differentiates implicitly, goes on from there.
     """
     unknowns, error, outputs, stepped = problem
-    known = [*inputs, *machine.inputs]
     names = [x[0].name().rsplit("_", 1)[0] for x in known]
     symbols = [ca.MX.sym(name, *x.shape) for name, x in zip(names, known, strict=True)]
     newton = ca.Function("newton", [unknowns, *known], [stepped])

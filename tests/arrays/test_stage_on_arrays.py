@@ -1,4 +1,4 @@
-"""The inverse of a stage alone on arrays and in CasADi, with derivatives, against the kernels."""
+"""The displacements of a stage alone on arrays and in CasADi, with derivatives, against the kernels."""
 
 from __future__ import annotations
 
@@ -66,3 +66,84 @@ def test_derivatives_are_the_rates_of_the_legs(machine: str) -> None:
     jacobian = ca.Function("j", [normal, z], [ca.jacobian(function(normal, z)[0], ca.vertcat(normal, z))])
     exact = np.concatenate([np.asarray(by_normal)[0], np.asarray(by_height)[0][:, None]], axis=1)
     np.testing.assert_allclose(np.array(jacobian(normals[0], heights[0])), exact, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_readings_lead_to_the_states_of_the_kernel(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    normals, heights = requests(height, 300)
+    states = spm.stages.inverse_physical(stage, heights, normal=normals)
+    states = states[states.exists]
+    shown = states.readings.copy()
+    before = spm.stages.inverse_physical(stage, states.height, normal=[0.0, 0.0, 1.0])
+    middle = spm.stages.forward_physical(stage, 0.9 * shown + 0.1 * before.readings)
+    near = arrays.StageState(middle.rotation, middle.translation, middle.readings, middle.exists)
+    assert near.exists.mean() > 0.99
+    for start, begins in ((None, True), (near, near.exists)):
+        found = arrays.stage_forward(stage, shown, near=start)
+        exists = found.exists
+        assert (exists == begins).all()
+        np.testing.assert_allclose(found.rotation[exists], states.rotation[exists], rtol=0, atol=1e-11)
+        np.testing.assert_allclose(found.translation[exists], states.translation[exists], rtol=0, atol=1e-11)
+    # Readings of which many have no state.
+    size = 1.0 if stage.unit == "rad" else stage.size
+    shown = np.abs(shown + 0.2 * size * np.random.default_rng(2).standard_normal(shown.shape))
+    shown[:2] = [[np.nan, 1.0, 1.0], [1e12, 1.0, 1.0]]
+    found = arrays.stage_forward(stage, shown)
+    assert not found.exists[:2].any()
+    expected = spm.stages.forward_physical(stage, shown[2:])
+    assert 0 < expected.exists.sum() < len(shown)
+    np.testing.assert_array_equal(found.exists[2:], expected.exists)
+    real = found.exists
+    np.testing.assert_allclose(found.rotation[real], expected.rotation[real[2:]], rtol=0, atol=1e-10)
+    for array in found[:2]:
+        assert np.isfinite(array).all()
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_readings_lead_to_the_states_of_the_kernel_in_casadi(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    normals, heights = requests(height, 8, seed=3)
+    states = spm.stages.inverse_physical(stage, heights, normal=normals)
+    states = states[states.exists]
+    forward, near = (spm.symbolic.stage_forward(stage, near=near) for near in (False, True))
+    jacobian = forward.jacobian()
+    for state in states:
+        beside = near(state.readings, state.rotation, np.add(state.translation, [0.0, 0.0, 0.01 * height]))
+        for rotation, position, residual, exists in (forward(state.readings), beside):
+            assert exists == 1.0
+            assert residual < 1e-14
+            np.testing.assert_allclose(rotation, state.rotation, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(np.array(position)[:, 0], state.translation, rtol=0, atol=1e-12)
+        derivatives = jacobian(state.readings, *forward(state.readings))
+        expected = spm.stages.platform_jacobian(state)
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(derivatives[1], expected[:3], rtol=0, atol=1e-9 * scale)
+        turns = np.array(derivatives[0]).reshape(3, 3, 3).swapaxes(0, 1)
+        spins = np.einsum("ijk,lj->ilk", turns, state.rotation)
+        found = np.stack([spins[2, 1], spins[0, 2], spins[1, 0]])
+        np.testing.assert_allclose(found, expected[3:], rtol=0, atol=1e-9 * scale)
+    without = 3.0 * states[0].readings + 2.0 * stage.size
+    assert forward(without)[3] == spm.stages.forward_physical(stage, without).exists
+
+
+@pytest.mark.usefixtures("double_precision")
+@pytest.mark.parametrize("machine", ["PRS as built", "RRS"])
+def test_derivatives_by_readings_are_the_motion_of_the_platform(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    normals, heights = requests(height, 8, seed=3)
+    states = spm.stages.inverse_physical(stage, heights, normal=normals)
+
+    def pose(readings: jax.Array) -> tuple[jax.Array, ...]:
+        return arrays.stage_forward(stage, readings)[:2]
+
+    turns, velocities = map(np.asarray, jax.jit(jax.vmap(jax.jacfwd(pose)))(jnp.asarray(states.readings)))
+    spins = np.einsum("nijk,nlj->nilk", turns, states.rotation)
+    found = np.stack([*np.moveaxis(velocities, 1, 0), spins[:, 2, 1], spins[:, 0, 2], spins[:, 1, 0]], axis=1)
+    expected = spm.stages.platform_jacobian(states)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    # And by finite differences of the compiled kernel.
+    step = 1e-6 * stage.size * np.eye(3)
+    ahead, behind = (spm.stages.forward_physical(stage, states.readings[:, None] + x) for x in (step, -step))
+    differences = (ahead.translation - behind.translation) / (2e-6 * stage.size)
+    np.testing.assert_allclose(velocities.swapaxes(1, 2), differences, rtol=1e-6, atol=1e-8)

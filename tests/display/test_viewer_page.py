@@ -76,6 +76,12 @@ def client(shared):
     assert not errors
 
 
+def drawn(page):
+    """Wait for five frames: seconds where the machine is slow and busy."""
+    page.evaluate("""() => new Promise(done => {
+        let frames = 5; const next = () => frames-- > 0 ? requestAnimationFrame(next) : done(); next(); })""")
+
+
 def settled(page, session):
     """Wait until the camera that the page reports stays where the session put it, while frames are drawn."""
     last = []
@@ -83,9 +89,7 @@ def settled(page, session):
     def still():
         camera = session.client.camera
         last.append((*camera.position, camera.image_width))
-        # Five frames: seconds where the machine is slow and busy.
-        page.evaluate("""() => new Promise(done => {
-            let frames = 5; const next = () => frames-- > 0 ? requestAnimationFrame(next) : done(); next(); })""")
+        drawn(page)
         page.wait_for_timeout(150)
         return len(last) > 4 and last[-1] == last[-4] and camera.image_width > 0
 
@@ -124,11 +128,14 @@ def drag_gizmo(page, session, axis, distance):
         start = pixel(session.client.camera, grip)
         end = pixel(session.client.camera, grip + distance * rotation[:, axis])
         page.mouse.move(*start)
+        drawn(page)
         page.wait_for_timeout(250)
         page.mouse.down()
         page.mouse.move(*end, steps=4)
+        drawn(page)
         page.wait_for_timeout(400)
         page.mouse.up()
+        drawn(page)
         page.wait_for_timeout(400)
         if np.linalg.norm(session.gizmo.position - before) > 0.2 * abs(distance):
             return
@@ -427,6 +434,9 @@ def test_the_platform_of_a_stage_is_dragged_and_its_servos_are_moved(browser):
         until(lambda: viewer.sessions, "a session", page=page)
         (session,) = viewer.sessions
         settled(page, session)
+        notice = page.locator(".mantine-Notification-closeButton")  # of software rendering, over the gizmo
+        until(notice.count, "the notice", page=page)
+        notice.first.click()
         assert page.inner_text('[data-spm="branch"]') == "Mode T"
         assert page.inner_text('[data-spm="r_2"]') == f"{np.degrees(viewer.start.readings[1]):.1f}°"
         drag_gizmo(page, session, 2, 0.012)
