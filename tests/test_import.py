@@ -82,6 +82,9 @@ class Foreign(type):
     def __getattr__(cls, name: str) -> Foreign:
         return Foreign(name, (), {})
 
+    def __getitem__(cls, parameter: object) -> Foreign:
+        return cls
+
 
 def hints(owner: Any) -> dict[str, Any]:
     """Return the annotations of a function or of a class, without its bases."""

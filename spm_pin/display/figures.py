@@ -81,7 +81,7 @@ def calibration_figure(calibration: Calibration) -> Figure:
     return figure
 
 
-def path_figure(path: FollowedPath) -> Figure:
+def path_figure(path: FollowedPath[Any]) -> Figure:
     """Draw the legs along a followed path, its distances to singularities, and its events as vertical lines."""
     from spm_pin.kinematics import EventKind, FollowedPath, singularities
 

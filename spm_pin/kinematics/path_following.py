@@ -1,4 +1,4 @@
-"""Following one solution along a path of poses or leg lengths.
+"""Following one solution of a robot, or of a stage, along a path of poses or readings.
 
 At every parameter all solutions are known, so there is nothing to integrate and nothing drifts: the solution nearest
 to where the last two lead is taken, and the step is halved until it is clearly the nearest. Singularities and leg
@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import scipy
@@ -31,16 +31,17 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
-from spm_pin.mechanism.batched import Batched
+from spm_pin.mechanism.batched import Batched, stacked
 from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import LEGS
+from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.mechanism.pose import as_rigid_transform, pose
-from spm_pin.mechanism.solutions import SolutionSet
+from spm_pin.mechanism.solution_axis import Solutions
 
-PathSolver = Callable[[float], SolutionSet]
-"""The solutions at a parameter of the path, those that go on from a state if one is given."""
+S = TypeVar("S", bound=Batched)
+Solver = Callable[[float], Solutions[S]]
+"""The solutions at a parameter of the path."""
 
 _LONGEST_MOVE = 0.1
 """A joint moves at most this share of d in a step, so that no turn is missed."""
@@ -87,13 +88,22 @@ class CertifiedLimits(Protocol):
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...)."""
 
 
+class Watch(NamedTuple):
+    """What of the states of a machine is watched on the way."""
+
+    length: float  # with which moves are compared [m]: a side of the balls' triangle
+    determinants: Callable[[Any], FloatArray]  # of states (...), dimensionless, (..., n): zero at singularities
+    singularities: tuple[tuple[EventKind, str], ...]  # what the n zeros are, and their details
+    has_labels: bool = True  # whether a solution keeps its label until it meets another; otherwise the first is kept
+
+
 @dataclass(frozen=True, repr=False)
-class FollowedPath:
+class FollowedPath(Generic[S]):
     """A solution along a path."""
 
     parameters: FloatArray
     """Where the path was solved, from 0 to 1, or to where the solution ends, shape (n,)."""
-    configurations: Configuration
+    configurations: S
     """The solution there, batch of shape (n,)."""
     labels: tuple[str, ...]
     """Label of the solution at each parameter, n of them."""
@@ -135,7 +145,7 @@ def follow(
     *,
     samples: int = 200,
     certificate: CertifiedLimits | None = None,
-) -> FollowedPath:
+) -> FollowedPath[Configuration]:
     """Follow one solution along a path of poses or of leg lengths.
 
     Parameters
@@ -165,17 +175,40 @@ def follow(
     if start is not None and not isinstance(start, str):
         check_configuration(start, "start", single=True, existing=True)
     solve, knots, has_legs = _solver(geometry, path)
+    path_followed = followed(watch_of(geometry), solve, knots, start, samples, has_legs=has_legs)
+    if certificate is None:
+        return path_followed
+    return replace(path_followed, certified=certificate.covers(path_followed.configurations))
+
+
+def followed(
+    watch: Watch,
+    solve: Solver[S],
+    knots: FloatArray,
+    start: S | str | None,
+    samples: int,
+    *,
+    has_legs: bool,
+) -> FollowedPath[S]:
+    """Follow the solution that `start` names, or the nearest to it; `solve` returns all at a parameter."""
     solutions = solve(0.0)
-    tracker = Tracker(solve, solutions, _start(solutions, start), has_legs=has_legs)
+    tracker = Tracker(watch, solve, solutions, _start(solutions, start), has_legs=has_legs)
     stops = np.unique(np.concatenate([np.linspace(0.0, 1.0, samples + 1), knots]))
     for stop in stops[1:]:
         if not tracker.advance(float(stop)):
             break
-    states = tracker.configurations()
-    events = find_events(geometry, tracker.parameters, states, tracker.state) + tracker.events
-    covered = None if certificate is None else certificate.covers(states)
+    states = stacked(tracker.states)
+    events = find_events(watch, tracker.parameters, states, tracker.state) + tracker.events
     ordered = tuple(sorted(events, key=lambda e: e.parameter))
-    return FollowedPath(np.array(tracker.parameters), states, tuple(tracker.labels), ordered, covered)
+    return FollowedPath(np.array(tracker.parameters), states, tuple(tracker.labels), ordered)
+
+
+def watch_of(geometry: Geometry) -> Watch:
+    """Return what of the states of a robot is watched: the determinants of J_b, J_c and K."""
+    side = geometry.middle_side
+    kinds = [(EventKind.FORWARD_SINGULARITY, f"{stage} stage") for stage in ("lower", "upper")]
+    kinds.append((EventKind.INVERSE_SINGULARITY, "det K changes sign"))
+    return Watch(side, lambda states: determinants(states) / side**3, tuple(kinds))
 
 
 def physical_mode_share(
@@ -212,7 +245,7 @@ def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configurat
     return forward_physical(geometry, first + share * (readings - first)) if share else start, share
 
 
-def _solver(geometry: Geometry, path: Any) -> tuple[PathSolver, FloatArray, bool]:
+def _solver(geometry: Geometry, path: Any) -> tuple[Solver[Configuration], FloatArray, bool]:
     """Return all solutions as a function of the parameter, the parameters of given points, and if those are legs."""
     point: Callable[[Any], Any] = path
     knots = np.array([0.0, 1.0])
@@ -241,7 +274,7 @@ def _matrices(value: Any) -> Any:
     return value.as_matrix() if isinstance(value, RigidTransform) else value
 
 
-def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
+def _start(solutions: Solutions[S], start: S | str | None) -> int:
     """Return the place of the solution to follow."""
     if isinstance(start, str):
         if start not in solutions.labels or not solutions[start].exists:
@@ -258,23 +291,25 @@ def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
     return int(np.where(solutions.exists, gap, np.inf).argmin())
 
 
-class Tracker:
+class Tracker(Generic[S]):
     """The solution followed so far."""
 
-    def __init__(self, solve: PathSolver, solutions: SolutionSet, place: int, *, has_legs: bool) -> None:
-        self.solve = solve
-        self.has_legs = has_legs
+    def __init__(
+        self,
+        watch: Watch,
+        solve: Callable[[float], Solutions[S]],
+        solutions: Solutions[S],
+        place: int,
+        *,
+        has_legs: bool,
+    ) -> None:
+        self.watch, self.solve, self.has_legs = watch, solve, has_legs
         self.parameters = [0.0]
-        self.states: list[Configuration] = [solutions.configurations[place]]
+        self.states: list[S] = [solutions.configurations[place]]
         self.labels = [solutions.labels[place]]
         self.events: list[Event] = []
         self._step = 1e-6
         self._unclear = 0  # shortest steps in a row that did not tell solutions apart
-
-    def configurations(self) -> Configuration:
-        """Return the states as one batch."""
-        arrays = zip(*((x.rotation, x.translation, x.middle_joints) for x in self.states), strict=True)
-        return Configuration.from_arrays(self.states[0].geometry, *map(np.stack, arrays))
 
     def advance(self, stop: float) -> bool:
         """Follow the solution to `stop`; False where it ends before."""
@@ -288,7 +323,7 @@ class Tracker:
             shortest = ahead - here <= _SHORTEST_STEP
             # Two solutions that nearly meet look like two that cross, except for their labels: labels are exchanged
             # only where the shortest step confirms it.
-            same = place is not None and solutions.labels[place] == self.labels[-1]
+            same = place is not None and self._is_same(solutions.labels[place])
             if place is not None and ((clear and same) or (shortest and self._unclear < _MOST_UNCLEAR)):
                 self._unclear = 0 if clear else self._unclear + 1
                 if not same:
@@ -296,7 +331,7 @@ class Tracker:
                     self.events.append(Event(EventKind.SWITCH, ahead, detail))
                 self.parameters.append(ahead)
                 self.states.append(solutions.configurations[place])
-                self.labels.append(solutions.labels[place])
+                self.labels.append(self.labels[-1] if same else solutions.labels[place])
                 self._step = 2.0 * (ahead - here)
             elif not shortest:
                 self._step = 0.5 * (ahead - here)
@@ -305,7 +340,10 @@ class Tracker:
                 return False
         return True
 
-    def _nearest(self, solutions: SolutionSet, ahead: float) -> tuple[int | None, bool]:
+    def _is_same(self, label: str) -> bool:
+        return label == self.labels[-1] or not self.watch.has_labels
+
+    def _nearest(self, solutions: Solutions[S], ahead: float) -> tuple[int | None, bool]:
         """Return the solution nearest to the predicted one, if any is near, and whether it clearly is."""
         here = self.states[-1].compared_points
         predicted = here
@@ -318,8 +356,8 @@ class Tracker:
         order = error.argsort()
         nearest, others = int(order[0]), error[order[1:]].min(initial=np.inf)
         move = float(np.linalg.norm(points[nearest] - here, axis=-1).max())
-        is_same = solutions.labels[nearest] == self.labels[-1]
-        longest = (_LONGEST_MOVE if is_same else _EXCHANGED) * solutions.geometry.middle_side
+        is_same = self._is_same(solutions.labels[nearest])
+        longest = (_LONGEST_MOVE if is_same else _EXCHANGED) * self.watch.length
         if not np.isfinite(error[nearest]) or move > longest:
             return None, False
         rounding = 1e-12 * float(np.abs(here).max())
@@ -329,17 +367,21 @@ class Tracker:
         reason = "which coincides with another solution"
         if self._unclear < _MOST_UNCLEAR:
             # Given leg lengths end at a forward singularity of a stage, given poses at an inverse one.
-            state = self.states[-1]
-            lower, upper, _ = np.abs(determinants(state)) / state.geometry.middle_side**3
-            stage = "lower" if lower < upper else "upper"
-            reason = f"at a singularity: {f'forward, {stage} stage' if self.has_legs else 'inverse'}"
-            legs = state.geometry.legs
+            state: Any = self.states[-1]
+            sizes, details = np.abs(self.watch.determinants(state)), []
+            for size, (kind, detail) in zip(sizes, self.watch.singularities, strict=True):
+                if kind is EventKind.FORWARD_SINGULARITY:
+                    details.append((float(size), f"forward, {detail}"))
+            size, forward = min(details)
+            reason = f"at a singularity: {forward if self.has_legs else 'inverse'}"
+            legs = state.mechanism.legs
             slopes = np.abs(state.slopes) / legs.largest_slopes
-            if not legs.are_rps and slopes.min() < (min(lower, upper) if self.has_legs else _AT_END):
-                reason = f"at a singularity: of {LEGS[int(slopes.argmin())]}, whose actuator no longer moves its ball"
+            if not legs.are_rps and slopes.min() < (size if self.has_legs else _AT_END):
+                leg = legs.names[int(slopes.argmin())]
+                reason = f"at a singularity: of {leg}, whose actuator no longer moves its ball"
         self.events.append(Event(EventKind.END, parameter, f"{self.labels[-1]}, {reason}"))
 
-    def state(self, parameter: float) -> Configuration:
+    def state(self, parameter: float) -> S:
         """Return the followed solution anywhere between two places where it is known."""
         k = int(np.clip(np.searchsorted(self.parameters, parameter), 1, len(self.parameters) - 1))
         low, high = self.parameters[k - 1], self.parameters[k]
@@ -347,62 +389,55 @@ class Tracker:
         between = (1.0 - share) * self.states[k - 1].compared_points + share * self.states[k].compared_points
         solutions = self.solve(parameter)
         error = np.linalg.norm(solutions.configurations.compared_points - between, axis=-1).max(axis=-1)
-        state: Configuration = solutions.configurations[int(np.where(solutions.exists, error, np.inf).argmin())]
-        return state
+        return solutions.configurations[int(np.where(solutions.exists, error, np.inf).argmin())]
 
 
-def find_events(
-    geometry: Geometry, parameters: list[float], states: Configuration, state_at: Callable[[float], Configuration]
-) -> list[Event]:
+def find_events(watch: Watch, parameters: list[float], states: Any, state_at: Callable[[float], Any]) -> list[Event]:
     """Find the singularities and leg limits that a solution, `states` (n,) at the n parameters, meets."""
-    values, events = _monitored(geometry, states), []
+    values, events, limits, first = _monitored(watch, states), [], states.mechanism.limits, len(watch.singularities)
     rounding = np.zeros(values.shape[-1])
-    if geometry.limits is not None:
-        rounding[3:] = np.tile(geometry.limits.rounding, 2)
+    if limits is not None:
+        rounding[first:] = np.tile(limits.rounding, 2)
     values[np.abs(values) <= rounding] = 0.0
     for which in range(values.shape[-1]):
         column = values[:, which]
 
         def value(s: float, which: int = which) -> float:
-            return float(_monitored(geometry, state_at(s))[which])
+            return float(_monitored(watch, state_at(s))[which])
 
         for k in range(len(parameters) - 1):
             low, high = parameters[k], parameters[k + 1]
             before, after = column[k : k + 2]
-            if which >= 3 and min(before, after) < 0.0 == max(before, after):
-                events.append(_event(geometry, which, high if before < 0.0 else low, after - before))
+            if which >= first and min(before, after) < 0.0 == max(before, after):
+                events.append(_event(watch, states.mechanism, which, high if before < 0.0 else low, after - before))
             brackets = [(low, high)]
             if before * after >= 0.0:
                 brackets = _dip(value, parameters, column, k, -float(rounding[which]))
             for left, right in brackets:
                 root = float(scipy.optimize.brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))
-                events.append(_event(geometry, which, root, value(right)))
+                events.append(_event(watch, states.mechanism, which, root, value(right)))
     return events
 
 
-def _monitored(geometry: Geometry, states: Configuration) -> FloatArray:
-    """Return the functions whose zeros are events, shape (..., 3) or with limits (..., 15)."""
-    scaled = determinants(states) / geometry.middle_side**3
-    if geometry.limits is None:
+def _monitored(watch: Watch, states: Any) -> FloatArray:
+    """Return the functions whose zeros are events: of singularities, and with limits two of each leg, (..., n)."""
+    scaled, limits = watch.determinants(states), states.mechanism.limits
+    if limits is None:
         return scaled
-    lengths = states.readings
-    minimum, maximum = np.array(geometry.limits.minimum), np.array(geometry.limits.maximum)
+    lengths, (minimum, maximum) = states.readings, states.mechanism.reading_limits
     # Where there is no limit, a number that is never zero.
     below = np.where(np.isfinite(minimum), lengths - minimum, 1.0)
     return np.concatenate([scaled, below, np.where(np.isfinite(maximum), maximum - lengths, 1.0)], axis=-1)
 
 
-def _event(geometry: Geometry, which: int, parameter: float, after: float) -> Event:
-    if which < 2:
-        return Event(EventKind.FORWARD_SINGULARITY, parameter, ("lower stage", "upper stage")[which])
-    if which == 2:
-        return Event(EventKind.INVERSE_SINGULARITY, parameter, "det K changes sign")
-    assert geometry.limits is not None
-    bound, values = ("minimum", geometry.limits.minimum) if which < 9 else ("maximum", geometry.limits.maximum)
-    leg = (which - 3) % 6
+def _event(watch: Watch, machine: Mechanism, which: int, parameter: float, after: float) -> Event:
+    if which < len(watch.singularities):
+        kind, detail = watch.singularities[which]
+        return Event(kind, parameter, detail)
+    bound, leg = divmod(which - len(watch.singularities), len(machine.legs.names))
     verb = "comes back within" if after > 0.0 else "goes beyond"
-    unit = geometry.legs.units[leg]
-    return Event(EventKind.LIMIT, parameter, f"{LEGS[leg]} {verb} its {bound}, {values[leg]:g} {unit}")
+    value = f"{('minimum', 'maximum')[bound]}, {machine.reading_limits[bound, leg]:g} {machine.legs.units[leg]}"
+    return Event(EventKind.LIMIT, parameter, f"{machine.legs.names[leg]} {verb} its {value}")
 
 
 def _dip(

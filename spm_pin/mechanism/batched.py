@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -13,6 +13,8 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.errors import SelectionError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, type_and_value
 from spm_pin.mechanism.pose import unchecked_transform
+
+S = TypeVar("S", bound="Batched")
 
 
 class Batched(ABC):
@@ -84,6 +86,22 @@ class Batched(ABC):
     def pose(self) -> RigidTransform:
         """Pose of the platform in {B}; NaN where a member has no pose."""
         return unchecked_transform(self._rotation, self._translation)
+
+
+def stacked(states: Sequence[S]) -> S:
+    """Return single states of one machine as a batch."""
+    collected = []
+    for state in states:
+        arrays: list[FloatArray] = []
+
+        def keep(array: FloatArray, inner: int, arrays: list[FloatArray] = arrays) -> FloatArray:
+            arrays.append(array)
+            return array
+
+        state.transformed(keep)
+        collected.append(arrays)
+    batches = map(np.stack, zip(*collected, strict=True))
+    return states[0].transformed(lambda array, inner: next(batches))
 
 
 def batch_index(index: object) -> tuple[Any, ...]:

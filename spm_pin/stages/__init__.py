@@ -6,6 +6,7 @@ A stage has three readings, and its platform tilts and rises: what it does besid
 from spm_pin.mechanism.stage_configuration import OPERATION_MODES, StageConfiguration, StageSolutions
 from spm_pin.stages.displacement import forward, forward_physical, inverse, inverse_physical
 from spm_pin.stages.gallery import RealMachine, gallery
+from spm_pin.stages.path import follow
 from spm_pin.stages.rates_and_forces import (
     MOTION,
     JointLoads,
@@ -30,6 +31,7 @@ __all__ = [
     "StageReach",
     "StageSingularities",
     "StageSolutions",
+    "follow",
     "forward",
     "forward_physical",
     "gallery",

@@ -163,7 +163,7 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     >>> spm.stages.forward(tripod, [1.2, 1.2, 1.4])
     <StageSolutions: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
     """
-    read = _read_readings(stage, readings)
+    read = read_stage_readings(stage, readings)
     shape, flat, n = read.shape[:-1], read.reshape(-1, 3), len(STAGE_MODES)
     is_rps, drawn = isinstance(stage.kind, RPS), np.stack(stage.nominal.legs.arrays[:3])
     drawing = Drawing(drawn, is_rps, is_rps and stage.is_nominal, stage.platform_radius, stage.base_radius)
@@ -211,7 +211,7 @@ def forward_physical(
     >>> spm.stages.forward_physical(balancer, [0.2, 0.4, 0.6])
     <StageConfiguration: tilt 7.75° towards -1.8°, height 0.1232 m, readings 0.2000, 0.4000, 0.6000 rad>
     """
-    read, half = _read_readings(stage, readings), _half(stage)
+    read, half = read_stage_readings(stage, readings), _half(stage)
     if near is None:
         shape, balls = read.shape[:-1], physical_balls(half, read.reshape(-1, 3))
     else:
@@ -352,7 +352,8 @@ def _read_normal(normal: npt.ArrayLike) -> FloatArray:
     return normals
 
 
-def _read_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:
+def read_stage_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:
+    """Read what encoders of this stage may show (..., 3)."""
     return read_readings(check_instance(stage, Stage, "stage").legs, stage.size, readings)
 
 

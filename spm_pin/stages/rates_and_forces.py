@@ -254,6 +254,11 @@ def singularities(configuration: StageConfiguration, tolerance: float = SINGULAR
     return StageSingularities(kind.astype(np.int8), forward, inverse, leg, gained)
 
 
+def determinants(state: StageConfiguration) -> FloatArray:
+    """Return what is zero at forward and at inverse singularities, dimensionless, (..., 2)."""
+    return np.stack([np.linalg.det(_six_forces(state)), np.linalg.det(_inverse_matrices(state))], axis=-1)
+
+
 def _read(configuration: Any) -> StageConfiguration:
     state = check_instance(configuration, StageConfiguration, "configuration")
     if not state.shape and not state.exists:

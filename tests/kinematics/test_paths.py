@@ -19,6 +19,7 @@ from spm_pin.kinematics.path_following import (
     follow,
     last_on_line,
     physical_mode_share,
+    watch_of,
 )
 
 FREE = replace(PAPER, limits=None)
@@ -200,7 +201,7 @@ def test_two_solutions_that_coincide_are_not_followed_forever() -> None:
         parameters.append(s)
         return spm.SolutionSet(twice, ("one", "other"), spm.Status.OK)
 
-    tracker = Tracker(solve, solve(0.0), 0, has_legs=False)
+    tracker = Tracker(watch_of(FREE), solve, solve(0.0), 0, has_legs=False)
     assert not tracker.advance(1.0)
     assert "coincides with another" in tracker.events[-1].detail
     assert len(parameters) < 1_000

@@ -77,7 +77,7 @@ def read_recording(path: str | Path) -> Recording:
 class Playback:
     """A followed path, to be shown at any time."""
 
-    path: FollowedPath
+    path: FollowedPath[Configuration]
     """The solution followed along the recorded points."""
     times: FloatArray
     """When the recorded points (n,) were reached [s]."""

@@ -1,0 +1,97 @@
+"""Following a state of a stage along a path of tilts and heights, or of readings, by the code that follows a robot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.path_following import EventKind, FollowedPath, Watch, followed
+from spm_pin.mechanism.arguments import check_instance, whole_number
+from spm_pin.mechanism.stage import Stage
+from spm_pin.mechanism.stage_configuration import StageConfiguration, StageSolutions
+from spm_pin.stages.displacement import forward, inverse, normals_of_request, read_heights, read_stage_readings
+from spm_pin.stages.rates_and_forces import determinants
+
+_KINDS = (
+    (EventKind.FORWARD_SINGULARITY, "the actuators do not hold the platform"),
+    (EventKind.INVERSE_SINGULARITY, "the modes T and F meet"),
+)
+
+
+def follow(
+    stage: Stage,
+    readings: npt.ArrayLike | None = None,
+    start: StageConfiguration | str | None = None,
+    *,
+    height: npt.ArrayLike | None = None,
+    tilt: npt.ArrayLike | None = None,
+    azimuth: npt.ArrayLike | None = None,
+    roll: npt.ArrayLike | None = None,
+    pitch: npt.ArrayLike | None = None,
+    normal: npt.ArrayLike | None = None,
+    samples: int = 200,
+) -> FollowedPath[StageConfiguration]:
+    """Follow one state of a stage along a path of readings, or of heights and tilts.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage. Where it has limits, crossing one is an event.
+    readings : array_like, shape (n, 3), optional
+        Readings of the encoders at points of the path [m], of RRS legs [rad], on a line in between.
+    start : StageConfiguration or str, optional
+        The state at the first point: the one nearest to it, or a label. By default the physical one.
+    height, tilt, azimuth, roll, pitch, normal
+        As for `inverse`, of shape (n,) together, instead of readings. Between two points the height and the components
+        of the normal are interpolated on a line, and the normal is then made one of unit length.
+    samples : int
+        The path is solved in at least so many steps.
+
+    Returns
+    -------
+    FollowedPath
+        With its events: singularities, limits, labels that change and the end of the state; see `spm_pin.follow`. Modes
+        of readings have labels in stages of RPS legs as drawn, in others that of the first point is kept.
+
+    Examples
+    --------
+    >>> import numpy as np, spm_pin as spm
+    >>> balancer = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
+    >>> spm.stages.follow(balancer, height=0.12, tilt=np.radians([0, 30]), azimuth=0.0)
+    <FollowedPath: complete, 214 states of T; leg limit at 0.8901>
+    """
+    check_instance(stage, Stage, "stage")
+    count = whole_number(samples, "samples", least=1, most=10**9)
+    if start is not None and not isinstance(start, str):
+        check_instance(start, StageConfiguration, "start")
+        if start.shape or not start.exists:
+            raise ArgumentError("start", "a single state that exists, or a label", start)
+    if (readings is None) == (height is None):
+        expected = "readings of a path, or its heights with tilts"
+        raise ArgumentError("readings", expected, "neither" if readings is None else "both")
+    if readings is not None:
+        points = read_stage_readings(stage, readings)
+    else:
+        assert height is not None
+        heights, normals = read_heights(stage, height), normals_of_request(tilt, azimuth, roll, pitch, normal)
+        heights = np.broadcast_to(heights, np.broadcast_shapes(heights.shape, normals.shape[:-1]))
+        points = np.concatenate([np.broadcast_to(normals, (*heights.shape, 3)), heights[..., None]], axis=-1)
+    if points.ndim != 2 or len(points) < 2:
+        raise ArgumentError("readings" if height is None else "height", "two points or more, (n,)", points.shape[:-1])
+    knots = np.linspace(0.0, 1.0, len(points))
+    point = scipy.interpolate.make_interp_spline(knots, points, k=1)
+
+    def solve(parameter: float) -> StageSolutions:
+        here = point(parameter)
+        if height is None:
+            return forward(stage, here)
+        return inverse(stage, here[3], normal=here[:3] / np.linalg.norm(here[:3]))
+
+    # The modes of readings have labels of their own in drawn stages of RPS legs alone.
+    has_labels = height is not None or (stage.is_nominal and stage.legs.are_rps)
+    watch = Watch(math.sqrt(3.0) * stage.platform_radius, determinants, _KINDS, has_labels)
+    return followed(watch, solve, knots, start, count, has_legs=height is None)
