@@ -15,7 +15,7 @@ from benchmarks.peers.one_state import PlainPinocchio
 from benchmarks.peers.peer import FloatArray
 
 TOLERANCE = 1e-5
-"""Of MINPACK's three: on the sum of squares, on the step and on the gradient."""
+"""All three tolerances of MINPACK: on the change of the sum of squares, on the step and on the gradient."""
 
 
 def completions(chain: Any, readings: FloatArray) -> Callable[[], tuple[FloatArray, int]]:

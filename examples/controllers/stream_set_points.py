@@ -28,7 +28,7 @@ STATUSES = {
     255: "bad input",
     16: "repeated",
 }
-"""What a board answers to a set-point."""
+"""Statuses with which a board answers set-points, by their numbers."""
 
 
 def frame(number: int, normal_x: float, normal_y: float, height: float) -> bytes:

@@ -21,6 +21,7 @@ _OWN_OPTIONS: dict[str, set[str]] = {
     "c": {"masses"},
     "ros": {"masses"},
     "c-stage": {"stage"},
+    "linuxcnc": {"stage"},
 }
 """Options that not every format takes, by the formats that do."""
 
@@ -36,7 +37,7 @@ def export(
     prefix: Annotated[str | None, options.PREFIX] = None,
     geometry: options.GeometryFile = None,
     stage: Annotated[
-        Path | None, Option(metavar="FILE", parser=outputs.file_name, help="c-stage: the YAML file of a stage.")
+        Path | None, Option(metavar="FILE", parser=outputs.file_name, help="c-stage, linuxcnc: YAML file of a stage.")
     ] = None,
     masses: options.MassesFile = None,
     ros_constraints: Annotated[
@@ -60,8 +61,8 @@ def export(
     file, into a folder `meshes`.
 
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
-    program. linuxcnc: a configuration that simulates the machine, and the source of its kinematics module. ros: a ROS 2
-    package with the description, a node for joint states, a launch file and a controller.
+    program. linuxcnc: a configuration that simulates the machine, or a --stage alone, and the source of its kinematics
+    module. ros: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
     c-stage: of a stage alone, a ball balancer say, one header in C99 for a microcontroller.
     """
     if (format_ is None) == (option is None):
@@ -73,31 +74,36 @@ def export(
     for name, value in (special | {"masses": masses, "stage": stage}).items():
         if value and name not in own:
             raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {chosen}", value)
-    if chosen == "c-stage":
-        _write_stage(stage, geometry, out, prefix)
-        return
+    if geometry is not None and (stage is not None or chosen == "c-stage"):
+        raise ArgumentError("--geometry", "to be left out with a --stage", geometry, "The file of a --stage?")
+    if stage is None and chosen == "c-stage":
+        raise ArgumentError("--stage", "the YAML file of a stage", "none")
     machine = options.read_geometry(geometry)
     bodies = options.read_masses(masses, "written") if "masses" in own else None
-    if chosen not in ("c", "linuxcnc", "ros"):
+    if chosen not in ("c", "c-stage", "linuxcnc", "ros"):
         if out is not None:
             outputs.check_output(out)
         _write_model(chosen, out, machine, bodies, prefix or "", {name: special[name] for name in own - {"masses"}})
         return
     if out is None:
         raise ArgumentError("--out", "the directory to write into", "none")
-    from spm_pin.symbolic import write_c, write_linuxcnc, write_ros
+    from spm_pin.symbolic import write_c, write_linuxcnc, write_ros, write_stage_c
 
     if chosen == "linuxcnc":
         if prefix:
             raise ArgumentError("--prefix", "to be left out with --format linuxcnc", prefix)
-        write_linuxcnc(machine, out)
+        write_linuxcnc(machine if stage is None else Stage.from_yaml(stage), out)
         outputs.note(f"wrote a configuration of LinuxCNC into {out}")
         return
     if chosen == "ros":
         write_ros(machine, out, prefix=prefix or "", masses=bodies)
         outputs.note(f"wrote a ROS 2 package into {out}")
         return
-    for path in write_c(machine, out, prefix="spm_" if prefix is None else prefix, masses=bodies):
+    if stage is not None:
+        paths = write_stage_c(Stage.from_yaml(stage), out, prefix="stage_" if prefix is None else prefix)
+    else:
+        paths = write_c(machine, out, prefix="spm_" if prefix is None else prefix, masses=bodies)
+    for path in paths:
         outputs.note(f"wrote {path}")
 
 
@@ -117,20 +123,6 @@ def urdf(
     """
     machine, bodies = options.read_geometry(geometry), options.read_masses(masses, "written")
     _write_model("urdf", out, machine, bodies, prefix, {})
-
-
-def _write_stage(stage: Path | None, geometry: Path | None, out: Path | None, prefix: str | None) -> None:
-    """Write the C of a stage."""
-    if geometry is not None:
-        raise ArgumentError("--geometry", "to be left out with --format c-stage", geometry, "The file of a --stage?")
-    if stage is None:
-        raise ArgumentError("--stage", "the YAML file of a stage", "none")
-    if out is None:
-        raise ArgumentError("--out", "the directory to write into", "none")
-    from spm_pin.symbolic import write_stage_c
-
-    for path in write_stage_c(Stage.from_yaml(stage), out, prefix="stage_" if prefix is None else prefix):
-        outputs.note(f"wrote {path}")
 
 
 def _write_model(

@@ -1,111 +1,232 @@
-"""A configuration of LinuxCNC for a machine: a kinematics module on the exported C, and six simulated joints."""
+"""A configuration of LinuxCNC for a robot or a stage: a kinematics module on the exported C, and simulated joints."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from spm_pin.kinematics import forward_physical, inverse_jacobian
-from spm_pin.mechanism import Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray, check_instance
-from spm_pin.mechanism.geometry import check_rps
+from spm_pin import stages
+from spm_pin.errors import ArgumentError
+from spm_pin.kinematics import forward_physical, inverse_physical
+from spm_pin.mechanism import Geometry, LegLimits, Stage, pose
+from spm_pin.mechanism.arguments import FloatArray, type_and_value
+from spm_pin.mechanism.legs import Legs
 from spm_pin.symbolic.c_export import c_sources, filled, write_files
-from spm_pin.symbolic.ros_export import ASSUMED_ACCELERATION, ASSUMED_RATE, start_readings, travel
+from spm_pin.symbolic.ros_export import ASSUMED, ends_of_travel, start_readings, travel
+from spm_pin.symbolic.stage_export import stage_c_sources, stage_machine_sources
 
 _TEMPLATES = Path(__file__).parent / "templates" / "linuxcnc"
+_FILES = {"kins.c": "@NAME@kins.c", "machine.ini": "@NAME@.ini", "machine.hal": "@NAME@.hal"}
+_UNITS = {"m": ("UNITS_PER_METRE", 1e3, "LINEAR"), "rad": ("1.0 / DEGREE", np.rad2deg(1.0), "ANGULAR")}
+"""How many units of a joint are one of a reading, in C and as a number, and the joint's type."""
 _SAMPLES = 4096
+_STEP = 1e-4
+"""Of finite differences [mm, degrees]."""
+_TURN = np.linspace(0.0, 2.0 * np.pi, 13)[:, None]
+"""Of the program's tilt, on a small circle."""
 
 
-def linuxcnc_configuration(geometry: Geometry) -> dict[str, str]:
+def linuxcnc_configuration(machine: Geometry | Stage) -> dict[str, str]:
     """Return a configuration of LinuxCNC 2.9 that simulates a machine, with the source of its kinematics module.
 
     Parameters
     ----------
-    geometry : Geometry
-        The machine, drawn or as built.
+    machine : Geometry or Stage
+        The robot or the stage alone, drawn or as built, with legs of any kind.
 
     Returns
     -------
     dict of str
         The texts of the files by their names: `spm.ini` and `spm.hal`, the sources of the module `spmkins`, the numbers
         of the machine `spm_machine.txt`, which it reads when LinuxCNC starts, a program `demo.ngc` and a tool table.
-        Lengths are in millimetres, angles in degrees.
+        Those of a stage are `stage.ini`, `stagekins.c` and so on. Lengths are in millimetres, angles in degrees. The
+        axes of a robot are X Y Z A B C, those of a stage Z A B: the height, roll and pitch of `stages.inverse`.
     """
-    check_rps(check_instance(geometry, Geometry, "geometry"), "a configuration of LinuxCNC")
-    sources = c_sources(geometry)
-    readings, _ = start_readings(geometry)
-    home = forward_physical(geometry, readings)
-    # At half of the rates of the legs, for a move along or about one axis at the home.
-    rates = 500.0 * ASSUMED_RATE / np.abs(_leg_rates_of_axes(home)).max(axis=0)
-    low, high = _reached_box(geometry)
+    if not isinstance(machine, Geometry | Stage):
+        raise ArgumentError("machine", "a Geometry or a Stage", type_and_value(machine))
+    known = _Robot(machine) if isinstance(machine, Geometry) else _StageAlone(machine)
+    joints, rates = range(len(known.home)), known.axis_rates()
+    home = dict(zip(known.axes, known.axis_values(known.home), strict=True))
     sections = [
-        f"[AXIS_{name}]\nMIN_LIMIT = {least:.0f}\nMAX_LIMIT = {most:.0f}\n"
-        f"MAX_VELOCITY = {rate:.4g}\nMAX_ACCELERATION = {rate * ASSUMED_ACCELERATION / ASSUMED_RATE:.4g}\n"
-        for name, least, most, rate in zip("XYZABC", low, high, rates, strict=True)
+        f"[AXIS_{axis}]\nMIN_LIMIT = {low:.0f}\nMAX_LIMIT = {high:.0f}\n"
+        f"MAX_VELOCITY = {rate:.4g}\nMAX_ACCELERATION = {acceleration:.4g}\n"
+        for axis, low, high, (rate, acceleration) in zip(known.axes, *known.reached_box(), rates, strict=True)
     ]
-    limits = geometry.limits
-    for joint, reading in enumerate(readings):
-        lines = [f"[JOINT_{joint}]", "TYPE = LINEAR"]
-        if limits is not None:
-            lines += [f"MIN_LIMIT = {1e3 * limits.minimum[joint]!r}"]
-        if limits is not None and limits.maximum[joint] < np.inf:
-            lines += [f"MAX_LIMIT = {1e3 * limits.maximum[joint]!r}"]
-        lines += [f"MAX_VELOCITY = {1e3 * ASSUMED_RATE!r}", f"MAX_ACCELERATION = {1e3 * ASSUMED_ACCELERATION!r}"]
-        lines += ["FERROR = 1.0", "MIN_FERROR = 0.1"]
-        lines += ["# Homed where it stands; with a home switch, see LinuxCNC's page on homing."]
-        lines += [f"HOME = {1e3 * reading!r}", f"HOME_OFFSET = {1e3 * reading!r}", "HOME_SEQUENCE = 0", ""]
-        sections.append("\n".join(lines))
+    is_angle = np.isin([*known.axes], [*"ABC"])
     values = {
-        "ORIGIN": f"Generated by spm_pin {import_module('spm_pin').__version__} for {geometry!r}.",
-        "HOME": " ".join(map(repr, _axis_values(home).tolist())),
-        "LINEAR_VELOCITY": f"{rates[:3].max():.4g}",
-        "ANGULAR_VELOCITY": f"{rates[3:].max():.4g}",
-        "SECTIONS": "\n".join(["", *sections]).rstrip("\n"),
-        "ACTUATORS": ",".join(f"actuator.{joint}" for joint in range(6)),
-        "LEGS": "".join(map(_actuator, range(6))),
+        "ORIGIN": f"Generated by spm_pin {import_module('spm_pin').__version__} for {machine!r}.",
+        "NAME": known.name,
+        "PREFIX": f"{known.name}_",
+        "PREFIX_UPPER": f"{known.name.upper()}_",
+        "TITLE": known.title,
+        "JOINTS_MEANING": f"0 to {joints[-1]} are the readings of the legs {', '.join(known.legs.names)}",
+        "AXES_MEANING": known.meaning,
+        "INCLUDES": known.includes,
+        "SOURCES": ", ".join(name for name in known.sources if name.endswith((".c", ".h"))),
+        "POSES": (_TEMPLATES / f"{known.name}_poses.c").read_text(encoding="utf-8"),
+        "JOINTS": str(len(joints)),
+        "UNITS": ", ".join(_UNITS[unit][0] for unit in known.legs.units),
+        "TURNS": known.turns,
+        "COORDINATES": " ".join(known.axes),
+        "HOME": " ".join(_number(home.get(axis, 0.0)) for axis in "XYZABC"),
+        "LINEAR_VELOCITY": f"{rates[~is_angle, 0].max():.4g}",
+        "ANGULAR_VELOCITY": f"{rates[is_angle, 0].max():.4g}",
+        "SECTIONS": "\n".join(["", *sections, *map(known.joint_section, joints)]).rstrip("\n"),
+        "ACTUATORS": ",".join(f"actuator.{joint}" for joint in joints),
+        "LEGS": "".join(map(_actuator, joints)),
     }
-    files = {path.name: filled(path.read_text(encoding="utf-8"), values) for path in sorted(_TEMPLATES.iterdir())}
-    files |= {f"spm_{name}": sources[f"spm_{name}"] for name in ("kinematics.c", "kinematics.h", "read_machine.h")}
-    files["spm_machine.txt"], files["tool.tbl"] = sources["spm_machine.txt"], ""
-    files["demo.ngc"] = _program(geometry, home.readings)
-    return files
+    files = {
+        filled(name, values): filled((_TEMPLATES / file).read_text(encoding="utf-8"), values)
+        for file, name in _FILES.items()
+    }
+    return files | known.sources | {"demo.ngc": known.program(), "tool.tbl": ""}
 
 
-def write_linuxcnc(geometry: Geometry, directory: str | Path) -> list[Path]:
+def write_linuxcnc(machine: Geometry | Stage, directory: str | Path) -> list[Path]:
     """Write what `linuxcnc_configuration` returns into a directory, made if need be; all of it or nothing.
 
     Files of the same names are replaced. Returns the paths.
     """
-    return write_files(directory, linuxcnc_configuration(geometry))
+    return write_files(directory, linuxcnc_configuration(machine))
 
 
-def _axis_values(state: Configuration) -> FloatArray:
-    """Return X Y Z [mm] and A B C [degrees] of states: (..., 6)."""
-    return np.concatenate([1e3 * state.translation, state.pose.rotation.as_euler("xyz", degrees=True)], axis=-1)
+class _Machine(ABC):
+    """What LinuxCNC has to know of a machine. Values of axes are in millimetres and degrees."""
+
+    name: str
+    """That files begin with."""
+    title: str
+    axes: str
+    meaning: str
+    """Of the axes."""
+    turns: str
+    """The axes in the order in which AXIS applies them, [DISPLAY]GEOMETRY: C before A for Rz(C) Ry(B) Rx(A)."""
+    includes: str
+    sources: dict[str, str]
+    legs: Legs
+    limits: LegLimits | None
+    home: FloatArray
+    """Readings that LinuxCNC homes at, shape (joints,)."""
+    ends: tuple[FloatArray, FloatArray]
+    """Least and largest readings, assumed where there is no limit."""
+    circle: FloatArray
+    """Values of the axes (n, axes) where the platform's tilt goes round a small circle."""
+
+    @abstractmethod
+    def axis_values(self, readings: FloatArray) -> FloatArray:
+        """Return the values of the axes (..., axes) of readings (..., joints), NaN where there is no state."""
+
+    @abstractmethod
+    def readings(self, values: FloatArray) -> FloatArray:
+        """Return the readings of values of the axes near the home."""
+
+    def axis_rates(self) -> FloatArray:
+        """Return rates and accelerations (axes, 2) at which no joint takes more than half of its own, at the home."""
+        home, steps = self.axis_values(self.home), _STEP * np.eye(len(self.axes))
+        changes = np.abs(self.readings(home + steps) - self.readings(home - steps)) / (2.0 * _STEP)
+        assumed = np.array([ASSUMED[unit] for unit in self.legs.units])
+        return np.asarray(0.5 / (changes[..., None] / assumed).max(axis=1))
+
+    def reached_box(self) -> tuple[FloatArray, FloatArray]:
+        """Return the smallest and largest values of the axes in states within the limits, with a margin."""
+        values = self.axis_values(np.random.default_rng(0).uniform(*self.ends, (_SAMPLES, len(self.home))))
+        low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
+        return np.floor(low - 0.1 * (high - low)), np.ceil(high + 0.1 * (high - low))
+
+    def joint_section(self, joint: int) -> str:
+        """Return the section of `machine.ini` about a joint."""
+        unit, limits = self.legs.units[joint], self.limits
+        (_, scale, joint_type), (rate, acceleration) = _UNITS[unit], ASSUMED[unit]
+        home = _number(scale * self.home[joint])
+        ends = [] if limits is None else [("MIN", limits.minimum[joint]), ("MAX", limits.maximum[joint])]
+        lines = [f"[JOINT_{joint}]", f"TYPE = {joint_type}"]
+        lines += [f"{end}_LIMIT = {_number(scale * x)}" for end, x in ends if np.isfinite(x)]
+        lines += [f"MAX_VELOCITY = {scale * rate:.6g}", f"MAX_ACCELERATION = {scale * acceleration:.6g}"]
+        lines += ["FERROR = 1.0", "MIN_FERROR = 0.1"]
+        lines += ["# Homed where it stands; with a home switch, see LinuxCNC's page on homing."]
+        lines += [f"HOME = {home}", f"HOME_OFFSET = {home}", "HOME_SEQUENCE = 0", ""]
+        return "\n".join(lines)
+
+    def program(self) -> str:
+        """Return a program in which the platform's tilt goes round a small circle, from the home and back."""
+        home = self.axis_values(self.home)
+        lines = ["(The platform's tilt goes round a small circle. Turn the machine on and home all joints first.)"]
+        lines += ["G21 G90 G94 F600"]
+        for row in [home, *self.circle, home]:
+            lines.append("G1 " + " ".join(f"{name}{_number(x)}" for name, x in zip(self.axes, row, strict=True)))
+        return "\n".join([*lines, "M2", ""])
 
 
-def _leg_rates_of_axes(state: Configuration) -> FloatArray:
-    """Return the leg rates [mm/s] of unit rates of the axes [mm/s, degrees/s], one axis a column (6, 6)."""
-    _, b, c = state.pose.rotation.as_euler("xyz")
-    turns = Rotation.from_euler("ZYX", [[c, b, 0.0], [c, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    axes, jacobian = turns.apply(np.eye(3)), inverse_jacobian(state)
-    return np.concatenate([jacobian[:, :3], 1e3 * np.deg2rad(jacobian[:, 3:] @ axes.T)], axis=-1)
+class _Robot(_Machine):
+    name, axes, turns = "spm", "XYZABC", "XYZCBA"
+    meaning = "X Y Z is the centre o of the platform in {B}, and R = Rz(C) Ry(B) Rx(A) its rotation."
+    includes = """\
+#include "spm_read_machine.h"
+
+/* halcompile makes a module of one source. The largest frame on the stack, 2.6 kB, is just above its warning. */
+#pragma GCC diagnostic ignored "-Wframe-larger-than="
+#include "spm_kinematics.c\""""
+
+    def __init__(self, geometry: Geometry) -> None:
+        lower, upper = (kind.name for kind in geometry.legs.kinds)
+        self.title = f"3{lower}-3{upper[::-1]} manipulator"
+        self.geometry, self.legs, self.limits, self.ends = geometry, geometry.legs, geometry.limits, travel(geometry)
+        readings, _ = start_readings(geometry)
+        self.home, self.state = np.array(readings), forward_physical(geometry, readings)
+        along, across = self.home - self.home.mean(), np.tile([1.0, -2.0, 1.0], 2) / np.sqrt(3.0)
+        turned = 0.2 * along * (np.cos(_TURN) - 1.0) + 0.1 * np.ptp(self.home) * np.sin(_TURN) * across
+        self.circle = self.axis_values(self.home + turned)[1:-1]
+        sources = c_sources(geometry)
+        names = "kinematics.c", "kinematics.h", "read_machine.h", "machine.txt"
+        self.sources = {f"spm_{name}": sources[f"spm_{name}"] for name in names}
+
+    def axis_values(self, readings: FloatArray) -> FloatArray:
+        state = forward_physical(self.geometry, readings)
+        (r11, _, _), (r21, _, _), (r31, r32, r33) = np.moveaxis(state.rotation, (-2, -1), (0, 1))
+        angles = np.arctan2(r32, r33), np.arctan2(-r31, np.hypot(r32, r33)), np.arctan2(r21, r11)
+        return np.concatenate([1e3 * state.translation, np.rad2deg(np.stack(angles, axis=-1))], axis=-1)
+
+    def readings(self, values: FloatArray) -> FloatArray:
+        wanted = pose(1e-3 * values[..., :3], rpy=np.deg2rad(values[..., 3:]))
+        return inverse_physical(self.geometry, wanted, near=self.state).readings
 
 
-def _reached_box(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
-    """Return the smallest and largest values of the axes in states within the limits, with a margin."""
-    readings = np.random.default_rng(0).uniform(*travel(geometry), (_SAMPLES, 6))
-    states = forward_physical(geometry, readings)
-    values = _axis_values(states[states.exists])
-    low, high = values.min(axis=0), values.max(axis=0)
-    return np.floor(low - 0.1 * (high - low)), np.ceil(high + 0.1 * (high - low))
+class _StageAlone(_Machine):
+    name, axes, turns = "stage", "ZAB", "ZAB"
+    meaning = "Z is the height of the platform's centre, and Rx(A) Ry(B) z its normal: A is the roll, B the pitch."
+    includes = '#define STAGE_DOUBLE\n#include "stage_read_machine.h"'
+
+    def __init__(self, stage: Stage) -> None:
+        self.title = f"3-{stage.kind.name} stage"
+        self.stage, self.legs, self.limits = stage, stage.legs, stage.limits
+        level = stages.inverse_physical(stage, stages.home_height(stage))
+        self.home = level.readings
+        stroke = np.hypot(*level.places.T) / np.abs(stage.legs.largest_slopes)
+        self.ends = ends_of_travel(stage.reading_limits, self.home, stroke)
+        tilt = min(5.0, 0.5 * np.rad2deg(stages.reach(stage, level.height).all_round.item()))
+        circle = tilt * np.cos(_TURN), tilt * np.sin(_TURN)
+        self.circle = np.concatenate([np.full_like(_TURN, 1e3 * level.height), *circle], axis=-1)
+        self.sources = {"stage.h": stage_c_sources(stage)["stage.h"], **stage_machine_sources(stage)}
+
+    def axis_values(self, readings: FloatArray) -> FloatArray:
+        state = stages.forward_physical(self.stage, readings)
+        return np.stack([1e3 * state.height, np.rad2deg(state.roll), np.rad2deg(state.pitch)], axis=-1)
+
+    def readings(self, values: FloatArray) -> FloatArray:
+        height, roll, pitch = 1e-3 * values[..., 0], np.deg2rad(values[..., 1]), np.deg2rad(values[..., 2])
+        return stages.inverse_physical(self.stage, height, roll=roll, pitch=pitch).readings
+
+
+def _number(x: float) -> str:
+    """Return a number of millimetres or degrees in nine decimals at most."""
+    return repr(round(float(x), 9) + 0.0)
 
 
 def _actuator(joint: int) -> str:
-    """Return the lines of `spm.hal` about an actuator."""
+    """Return the lines of `machine.hal` about an actuator."""
     name = f"actuator.{joint}"
     return f"""
 addf {name} servo-thread
@@ -114,15 +235,3 @@ setp {name}.maxa [JOINT_{joint}]MAX_ACCELERATION
 net leg-{joint}-wanted <= joint.{joint}.motor-pos-cmd => {name}.in
 net leg-{joint}-command <= {name}.out => joint.{joint}.motor-pos-fb
 """
-
-
-def _program(geometry: Geometry, home: FloatArray) -> str:
-    """Return a program in which the platform's tilt goes round a small circle, from the home and back."""
-    across, turn = np.tile([1.0, -2.0, 1.0], 2) / np.sqrt(3.0), np.linspace(0.0, 2.0 * np.pi, 13)[:, None]
-    along, size = home - home.mean(), 0.1 * np.ptp(home)
-    states = forward_physical(geometry, home + 0.2 * along * (np.cos(turn) - 1.0) + size * np.sin(turn) * across)
-    lines = ["(The platform's tilt goes round a small circle. Turn the machine on and home all joints first.)"]
-    lines += ["G21 G90 G94 F600"]
-    for values in _axis_values(states):
-        lines.append("G1 " + " ".join(f"{name}{value:.6f}" for name, value in zip("XYZABC", values, strict=True)))
-    return "\n".join([*lines, "M2", ""])

@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from spm_pin.description import srdf_text, urdf_text
 from spm_pin.description.masses import Masses
@@ -20,8 +21,8 @@ from spm_pin.mechanism.joint_angles import actuated_joints, home_readings, homes
 from spm_pin.symbolic.c_export import c_sources, filled, machine_fields, write_files
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
-ASSUMED_RATE, ASSUMED_ACCELERATION = 0.1, 1.0
-"""Largest rate [m/s] and acceleration [m/s²] of a leg that exported files begin with; a geometry knows none."""
+ASSUMED = {"m": (0.1, 1.0), "rad": (1.0, 10.0)}
+"""Largest rate [1/s] and acceleration [1/s²] of readings that exported files begin with; a geometry knows none."""
 _PATTERN = np.array([-1.0, 0.0, 1.0, -1.0, 0.0, 1.0])
 """How the readings at the start lie about the middle of the limits: of three steps each those of the smallest J_f."""
 _STEP = 0.1
@@ -71,9 +72,9 @@ def ros_package(
         "SLIDE_NAMES": repr(slides),
         "JOINTS": repr(joints),
         "ZEROS": ", ".join(map(repr, zeros)),
-        "RATES": ", ".join(6 * [repr(ASSUMED_RATE)]),
-        "ACCELERATIONS": ", ".join(6 * [repr(ASSUMED_ACCELERATION)]),
-        "STEP": repr(round(_STEP * float(_stroke(geometry).min()), 4)),
+        "RATES": ", ".join(repr(ASSUMED[unit][0]) for unit in geometry.legs.units),
+        "ACCELERATIONS": ", ".join(repr(ASSUMED[unit][1]) for unit in geometry.legs.units),
+        "STEPS": ", ".join(map(repr, (_STEP * _stroke(geometry)).round(4).tolist())),
         "MACHINE": "\n".join(
             f"      {name}: [{', '.join(map(repr, numbers.tolist())).replace('inf', '.inf')}]"
             for name, numbers in machine_fields(geometry).items()
@@ -124,11 +125,16 @@ def _checked_name(name: str, argument: str) -> str:
 
 def travel(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
     """Return the least and largest readings, where there is no limit those of a `_stroke` from the home."""
-    limits = geometry.limits or geometry.legs.free_limits
     home = home_readings(geometry) + geometry.legs.offsets
-    stroke, low = _stroke(geometry), np.array(limits.minimum)
-    low = np.where(np.isfinite(low), low, home - stroke)
-    return low, np.minimum(limits.maximum, np.maximum(low, home) + stroke)
+    limits = geometry.limits or geometry.legs.free_limits
+    return ends_of_travel((limits.minimum, limits.maximum), home, _stroke(geometry))
+
+
+def ends_of_travel(limits: npt.ArrayLike, home: FloatArray, stroke: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the least and largest readings of limits (2, legs), where there is none a stroke from the home."""
+    minimum, maximum = np.asarray(limits)
+    low = np.where(np.isfinite(minimum), minimum, home - stroke)
+    return low, np.minimum(maximum, np.maximum(low, home) + stroke)
 
 
 def _stroke(geometry: Geometry) -> FloatArray:

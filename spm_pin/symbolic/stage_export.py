@@ -14,7 +14,7 @@ from spm_pin import stages
 from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
 from spm_pin.mechanism import Stage
 from spm_pin.mechanism.arguments import FloatArray, check_instance
-from spm_pin.symbolic.c_export import checked_prefix, filled, template, write_files
+from spm_pin.symbolic.c_export import checked_prefix, filled, machine_text, template, write_files
 
 _CASES = 12
 _TILT, _LIFT = 0.3, 0.15
@@ -81,6 +81,24 @@ def stage_numbers(stage: Stage) -> FloatArray:
     fixed += [np.broadcast_to(getattr(kind, "sign", 0.0), 3), legs.offsets, *stage.reading_limits]
     numbers = np.concatenate([legs.pivots, *legs.planes, legs.balls, np.stack(fixed, axis=-1)], axis=-1)
     return np.concatenate([[stage.up, stages.home_height(stage)], numbers.ravel()])
+
+
+def stage_machine_sources(stage: Stage) -> dict[str, str]:
+    """Return the numbers of a stage as a file, `stage_machine.txt`, and the C that reads it, `stage_read_machine.h`."""
+    names, numbers = [f"{stage.kind.name.lower()}_leg_{leg}" for leg in (1, 2, 3)], stage_numbers(stage)
+    fields = {"up": numbers[:1], "home_height": numbers[1:2]}
+    fields |= dict(zip(names, numbers[2:].reshape(3, -1), strict=True))
+    values = {
+        "PREFIX": "stage_",
+        "PREFIX_UPPER": "STAGE_",
+        "HEADER": "stage.h",
+        "FIELDS": ", ".join(f'{{"{name}", {len(x)}}}' for name, x in fields.items()),
+        "NUMBERS": "&geometry->up",
+        "IS_MACHINE": "stage_tilt(geometry, 0, 0, geometry->home_height, &state) == STAGE_OK\n"
+        "            && stage_forward(geometry, state.readings, &state, &state) == STAGE_OK",
+    }
+    reader = filled(template("read_machine.h"), values)
+    return {"stage_machine.txt": machine_text(fields), "stage_read_machine.h": reader}
 
 
 def _machine(kind: str, numbers: FloatArray) -> str:

@@ -1,10 +1,12 @@
 // Ticks of the controller's core as `update` makes them, with set-points that are random, late, missing, NaN, out of reach,
 // of another frame, or jump. Prints how many set-points were taken and refused, in how many ticks the commands moved and
-// rested, what was wrong, and how often they rested off the set-point. With a second argument, the times of the ticks too.
+// rested, what was wrong, and how often they rested off the set-point. The machine and the readings of the start are in a file,
+// member by member. With a third argument, the times of the ticks too.
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
+#include <fstream>
 #include <new>
 #include <random>
 #include "spm_set_points.hpp"
@@ -24,7 +26,7 @@ void operator delete(void * memory, std::size_t) noexcept {std::free(memory);}
 int main(int count, char ** arguments)
 {
   const long ticks = std::atol(arguments[1]);
-  const bool is_timed = count > 2;
+  const bool is_timed = count > 3;
   constexpr double PERIOD = 0.001;
   const Readings rate = {0.1, 0.2, 0.1, 0.15, 0.1, 0.1}, acceleration = {1.0, 1.5, 0.8, 1.0, 2.0, 1.0};
   std::mt19937_64 random(1);
@@ -33,14 +35,26 @@ int main(int count, char ** arguments)
   const auto one_in = [&](int n) {return random() % static_cast<unsigned>(n) == 0;};
 
   SetPoints set_points;
-  set_points.machine = spm_machine;
+  const spm_geometry & machine = set_points.machine;
+  std::ifstream file(arguments[2]);
+  const auto next = [&](const std::string & name, double * numbers, std::size_t size) {
+      std::string word;
+      file >> word;
+      bool is_whole = word == name;
+      for (std::size_t i = 0; i < size; ++i) {
+        is_whole = is_whole && file >> word;
+        numbers[i] = std::strtod(word.c_str(), nullptr);
+      }
+      return is_whole;
+    };
+  Readings start{};
+  if (!read_machine(set_points.machine, next) || !next("start", start.data(), 6)) {return 3;}
   set_points.frame = "base";
-  set_points.largest_step = 0.05;
+  set_points.largest_step.fill(0.05);
   set_points.timeout = 0.5;
   set_points.period = PERIOD;
   Limiter limiter;
   limiter.configure(rate, acceleration, PERIOD);
-  const Readings start = {1.2, 1.3, 1.4, 1.2, 1.3, 1.4};
   if (set_points.begin(start) != SPM_OK) {return 2;}
   limiter.begin(start, 0);
 
@@ -62,7 +76,7 @@ int main(int count, char ** arguments)
         const double size = one_in(50) ? 0.3 : 0.004;
         goal[i] = target.serial ? target.readings[i] + size * normal(random) : start[i];
       }
-      (void)spm_forward(&spm_machine, goal.data(), nullptr, &state);
+      (void)spm_forward(&machine, goal.data(), nullptr, &state);
       const auto & r = state.rotation;
       const double w = 0.5 * std::sqrt(1.0 + r[0] + r[4] + r[8]);
       wanted.quaternion = {(r[7] - r[5]) / (4.0 * w), (r[2] - r[6]) / (4.0 * w), (r[3] - r[1]) / (4.0 * w), w};
@@ -76,7 +90,7 @@ int main(int count, char ** arguments)
       taken += is_taken;
       refused += !is_taken;
       for (std::size_t i = 0; i < 6; ++i) {
-        wrong += is_taken && !(target.readings[i] >= spm_machine.minimum[i] && target.readings[i] <= spm_machine.maximum[i]);
+        wrong += is_taken && !(target.readings[i] >= machine.minimum[i] && target.readings[i] <= machine.maximum[i]);
       }
     }
     const long allocated = allocations;
@@ -90,7 +104,7 @@ int main(int count, char ** arguments)
       constexpr double ROUNDING = 4.0 * 2.3e-16;  // of the readings themselves
       wrong += !(std::fabs(speed) <= rate[i] + ROUNDING / PERIOD);
       wrong += !(std::fabs(change) <= acceleration[i] + 2.0 * ROUNDING / (PERIOD * PERIOD));
-      wrong += !(commands[i] >= spm_machine.minimum[i] && commands[i] <= spm_machine.maximum[i]);
+      wrong += !(commands[i] >= machine.minimum[i] && commands[i] <= machine.maximum[i]);
       is_resting = is_resting && commands[i] == last[i];
     }
     ++(is_resting ? rests : moved);

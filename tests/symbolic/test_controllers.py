@@ -7,6 +7,7 @@ import runpy
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +15,10 @@ from unittest.mock import MagicMock
 from xml.etree import ElementTree
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import yaml
+from balancers import MACHINES, stage_and_height
 from cli.running import run
 from problems import GEOMETRIES, as_built
 from symbolic.c_library import STRICT, compile_c, compilers, run_cmake
@@ -23,9 +26,13 @@ from symbolic.c_library import STRICT, compile_c, compilers, run_cmake
 import spm_pin as spm
 from spm_pin.description import joint_values
 from spm_pin.mechanism import PRS, RRS, Stage
+from spm_pin.symbolic.c_export import machine_fields, machine_text
 from spm_pin.symbolic.ros_export import start_readings, travel
 
 PAPER = GEOMETRIES["paper"]
+SERVOS = spm.Geometry.of_stages(
+    Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), (-0.5, 1.5)), Stage(0.20, 0.25, PRS(rod=0.30), (-0.05, 0.25))
+)
 STAND_INS = Path(__file__).parent / "stand_ins"
 
 
@@ -34,8 +41,9 @@ def run_cpp(package: Path, source: Path, folder: Path, *arguments: object) -> st
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler: neither g++ nor clang++")
-    sources, kinematics = package / "src", folder / "kinematics.o"
-    compile_c(compilers()[0], *STRICT, "-O2", "-c", sources / "spm_kinematics.c", "-o", kinematics)
+    sources, kinematics = package / "src", package.parent / "kinematics.o"
+    if not kinematics.exists():
+        compile_c(compilers()[0], *STRICT, "-O2", "-c", sources / "spm_kinematics.c", "-o", kinematics)
     include = ("-I", sources, "-I", STAND_INS / "ros2_control")
     flags = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
     compile_c(compiler, *flags, *include, source, kinematics, "-lm", "-o", folder / "program")
@@ -45,16 +53,14 @@ def run_cpp(package: Path, source: Path, folder: Path, *arguments: object) -> st
 
 
 def test_packages_start_servos_and_screws_in_a_state_off_the_level_within_their_limits() -> None:
-    servos, screws = RRS(crank=0.15, rod=0.35), PRS(rod=0.30)
-    limited = spm.Geometry.of_stages(Stage(0.30, 0.25, servos, (-0.5, 1.5)), Stage(0.20, 0.25, screws, (-0.05, 0.25)))
-    for machine in (limited, spm.Geometry.of_stages(Stage(0.30, 0.25, servos), Stage(0.20, 0.25, screws))):
+    for machine in (SERVOS, replace(SERVOS, limits=None)):
         readings, goal = start_readings(machine)
         low, high = travel(machine)
         assert (low < readings).all()
         assert (readings < high).all()
         assert spm.forward_physical(machine, readings).exists
         assert abs(goal.rotation[2, 2]) < 1.0 - 1e-4
-        assert machine is not limited or (low == limited.limits.minimum).all()
+        assert machine is not SERVOS or (low == SERVOS.limits.minimum).all()
 
 
 def test_the_axes_of_linuxcnc_move_the_legs_at_half_their_rate() -> None:
@@ -77,14 +83,29 @@ def test_the_axes_of_linuxcnc_move_the_legs_at_half_their_rate() -> None:
         assert rate * per_unit == pytest.approx(0.05, rel=1e-3)  # m/s
 
 
-@pytest.fixture(scope="module")
-def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ROS 2 package of a machine as built."""
-    folder = tmp_path_factory.mktemp("ros")
-    as_built(GEOMETRIES["paper"], 1e-3).to_yaml(folder / "machine.yaml")
+def exported(machine: spm.Geometry, folder: Path) -> Path:
+    """Write a ROS 2 package, and the machine's file beside it."""
+    machine.to_yaml(folder / "machine.yaml")
     done = run("export", "ros", "--out", folder / "spm_robot", "--geometry", folder / "machine.yaml")
     assert done.returncode == 0, done.message
     return folder / "spm_robot"
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ROS 2 package of a machine as built."""
+    return exported(as_built(PAPER, 1e-3), tmp_path_factory.mktemp("ros"))
+
+
+@pytest.fixture(scope="module")
+def servos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ROS 2 package of a machine of servos and screws as built, with the sources of the drawn one."""
+    folder = tmp_path_factory.mktemp("servos")
+    package = exported(as_built(SERVOS, 1e-3), folder)
+    exported(SERVOS, tmp_path_factory.mktemp("drawn")).joinpath("src").rename(folder / "drawn")
+    shutil.rmtree(package / "src")
+    (folder / "drawn").rename(package / "src")
+    return package
 
 
 def parameters_of(package: Path) -> dict[str, Any]:
@@ -94,21 +115,63 @@ def parameters_of(package: Path) -> dict[str, Any]:
     return values | {f"machine.{name}": numbers for name, numbers in values.pop("machine").items()}
 
 
-def test_the_controller_for_ros2_control_follows_set_points_and_refuses_bad_ones(package: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("machine", MACHINES)
+def test_linuxcnc_homes_a_stage_level_and_moves_it_within_its_limits_at_half_the_rates(machine: str) -> None:
+    stage, _ = stage_and_height(machine)
+    files = spm.symbolic.linuxcnc_configuration(stage)
+    scale, fastest = (np.rad2deg(1.0), 1.0) if stage.unit == "rad" else (1e3, 0.1)
+    joints = np.array(re.findall(r"^HOME = (\S+)$", files["stage.ini"], re.MULTILINE), dtype=float) / scale
+    x, y, *home, c = (float(x) for x in re.search(r"^HOME = (.* .*)$", files["stage.ini"], re.MULTILINE)[1].split())
+    assert (x, y, home[1:], c) == (0.0, 0.0, [0.0, 0.0], 0.0)
+
+    def readings(values: npt.ArrayLike) -> np.ndarray:
+        height, roll, pitch = np.moveaxis(np.asarray(values) * [1e-3, *[np.pi / 180.0] * 2], -1, 0)
+        return spm.stages.inverse_physical(stage, height, roll=roll, pitch=pitch).readings
+
+    np.testing.assert_allclose(readings(home), joints, rtol=0.0, atol=2e-11)
+    program = np.array(re.findall(r"G1 Z(\S+) A(\S+) B(\S+)", files["demo.ngc"]), dtype=float)
+    assert (program[[0, -1]] == home).all()
+    assert np.ptp(program[:, 1:], axis=0).min() > 1.0
+    assert np.isfinite(readings(program)).all()
+    axes = re.findall(r"\[AXIS_.\]\nMIN_LIMIT = (\S+)\nMAX_LIMIT = (\S+)\nMAX_VELOCITY = (\S+)", files["stage.ini"])
+    for step, (low, high, rate) in zip(1e-4 * np.eye(3), np.array(axes, dtype=float), strict=True):
+        assert (low < program @ np.sign(step)).all()
+        assert (program @ np.sign(step) < high).all()
+        per_unit = np.abs(readings(home + step) - readings(home - step)).max() / 2e-4
+        assert rate * per_unit == pytest.approx(0.5 * fastest, rel=1e-3)
+
+
+BOTH = pytest.mark.parametrize("kind", ["package", "servos"])
+
+
+@BOTH
+def test_the_controller_for_ros2_control_follows_set_points_and_refuses_bad_ones(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    package = request.getfixturevalue(kind)
     lines = [
         f"{name} {' '.join(map(str, x)) if isinstance(x, list) else x}\n" for name, x in parameters_of(package).items()
     ]
     (tmp_path / "parameters.txt").write_text("".join(lines), encoding="utf-8")
-    state = spm.forward_physical(
-        spm.Geometry.from_yaml(package.parent / "machine.yaml"), [1.22, 1.3, 1.38, 1.21, 1.3, 1.39]
-    )
-    np.savetxt(tmp_path / "pose.txt", [[*state.translation, *state.pose.rotation.as_quat(), *state.readings]])
+    machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
+    start, near = start_readings(machine)
+    state = spm.forward_physical(machine, start + 0.2 * (near.readings - start))
+    values = [*start, *state.translation, *state.pose.rotation.as_quat(), *state.readings]
+    np.savetxt(tmp_path / "pose.txt", [values])
     run_cpp(package, STAND_INS / "ros2_control/drive.cpp", tmp_path, tmp_path / "parameters.txt", tmp_path / "pose.txt")
 
 
+@BOTH
 @pytest.mark.parametrize("ticks", [300_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
-def test_bad_set_points_never_break_a_limit(package: Path, tmp_path: Path, ticks: int) -> None:
-    printed = run_cpp(package, Path(__file__).parent / "follow_set_points.cpp", tmp_path, ticks)
+def test_bad_set_points_never_break_a_limit(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path, ticks: int
+) -> None:
+    package = request.getfixturevalue(kind)
+    machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
+    numbers = machine_text(machine_fields(machine) | {"start": np.array(start_readings(machine)[0])})
+    (tmp_path / "machine.txt").write_text(numbers, encoding="utf-8")
+    program = Path(__file__).parent / "follow_set_points.cpp"
+    printed = run_cpp(package, program, tmp_path, ticks, tmp_path / "machine.txt")
     found = {name: float(value) for name, value in re.findall(r"(\w+) ([\d.]+)", printed)}
     assert found["wrong"] == 0  # no rate, acceleration or limit of a leg was broken, and nothing was allocated
     assert found["off"] == 0  # where the commands rest they are those of the last set-point taken

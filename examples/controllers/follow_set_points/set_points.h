@@ -6,7 +6,9 @@
    stage or of the line, and the CRC.
 
    Whatever arrives, a command differs from the last by at most the rate and the acceleration that are set, is within
-   the limits of the readings, and belongs to a state that `stage_forward` has reached without a singularity. */
+   the limits of the readings, and belongs to a state that `stage_forward` has reached without a singularity. Where it
+   refuses the next one the command stops at once, whatever the acceleration: braking would lead on into what it
+   refuses. Limits of the readings within which the stage is regular keep this from happening. */
 
 #ifndef SET_POINTS_H
 #define SET_POINTS_H

@@ -6,7 +6,7 @@
 #ifndef @PREFIX_UPPER@READ_MACHINE_H
 #define @PREFIX_UPPER@READ_MACHINE_H
 
-#include "@PREFIX@kinematics.h"
+#include "@HEADER@"
 
 #include <stdio.h>
 #include <string.h>
@@ -15,10 +15,11 @@
    of the kinds that the export was for. */
 static int @PREFIX@read_machine(const char *path, @PREFIX@geometry *geometry)
 {
-    static const struct { const char *name; size_t count; } fields[] = {@PREFIX_UPPER@FIELDS};
-    const double level[9] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, origin[3] = {0.0, 0.0, 0.0};
+    static const struct { const char *name; size_t count; } fields[] = {
+        @FIELDS@
+    };
     FILE *file = fopen(path, "r");
-    double *to = (double *)geometry; /* its members are numbers alone */
+    double *to = @NUMBERS@; /* the members from here on are numbers alone */
     @PREFIX@state state;
     char name[16];
     size_t k, i;
@@ -35,7 +36,7 @@ static int @PREFIX@read_machine(const char *path, @PREFIX@geometry *geometry)
     if (file) {
         fclose(file);
     }
-    return is_whole && @PREFIX@inverse(geometry, level, origin, NULL, &state) != @PREFIX_UPPER@BAD_GEOMETRY;
+    return is_whole && @IS_MACHINE@;
 }
 
 #endif

@@ -31,7 +31,12 @@ def report():
         texts.append(error[1])
     status.poll()
     is_on = status.task_state == linuxcnc.STATE_ON
-    return {"joints": status.joint_position[:6], "axes": status.position[:6], "errors": texts, "is_on": is_on}
+    return {
+        "joints": status.joint_position[: status.joints],
+        "axes": status.position[:6],
+        "errors": texts,
+        "is_on": is_on,
+    }
 
 
 def turn_on():
@@ -40,11 +45,11 @@ def turn_on():
         command.state(state)
         settle()
     status.poll()
-    if not all(status.homed[:6]):
+    if not all(status.homed[: status.joints]):
         command.mode(linuxcnc.MODE_MANUAL)
         settle()
         command.home(-1)
-        settle(lambda: all(status.homed[:6]))
+        settle(lambda: all(status.homed[: status.joints]))
 
 
 def run(kind, *arguments):

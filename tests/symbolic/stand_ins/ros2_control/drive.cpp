@@ -1,5 +1,5 @@
 // Configure, activate and run the controller. The first file has its parameters, a name and numbers or texts in a line; the
-// second a set-point near the start: position, quaternion, and the readings it leads to.
+// second the readings of the start, and a set-point near it: position, quaternion, and the readings it leads to.
 #include <cstring>
 #include <fstream>
 #include <iostream>
@@ -45,28 +45,31 @@ int main(int, char ** names)
     if (name == "frame_id") {parameter.value = texts[0];} else if (name == "joints") {parameter.value = texts;} else if (
       std::holds_alternative<double>(parameter.value)) {parameter.value = numbers[0];} else {parameter.value = numbers;}
   }
-  auto & axes = parameters["machine.axes"].value;
-  const auto kept = axes;
-  axes = std::vector<double>(17);
-  expect(controller.on_configure({}) == CallbackReturn::ERROR, "17 numbers of axes");
-  axes = kept;
+  for (const auto & [name, parameter] : parameters) {
+    if (name.rfind("machine.", 0) != 0) {continue;}
+    const auto kept = parameter.value;
+    parameters[name].value = std::vector<double>(2);
+    expect(controller.on_configure({}) == CallbackReturn::ERROR, name.c_str());
+    parameters[name].value = kept;
+  }
   expect(controller.on_configure({}) == CallbackReturn::SUCCESS, "the parameters are taken");
   const auto interfaces = controller.command_interface_configuration().names;
-  expect(interfaces.size() == 6 && interfaces[3] == "leg_c1_slide/position", "six interfaces of positions");
+  expect(interfaces.size() == 6 && interfaces[3] == parameters["joints"].as_string_array()[3] + "/position", "six interfaces of positions");
   controller.command_interfaces_.resize(6);
   controller.state_interfaces_.resize(6);
-  for (auto & slide : controller.state_interfaces_) {slide.value = -2.0;}
-  expect(controller.on_activate({}) == CallbackReturn::ERROR && says(controller, "out of range"), "no state");
+  for (auto & joint : controller.state_interfaces_) {joint.value = NAN;}
+  expect(controller.on_activate({}) == CallbackReturn::ERROR && says(controller, "not finite"), "no state");
 
   const auto zeros = parameters["zeros"].as_double_array();
-  const double start[6] = {1.2, 1.3, 1.4, 1.2, 1.3, 1.4};
+  std::ifstream poses(names[2]);
+  double start[6];
+  for (double & reading : start) {poses >> reading;}
   for (int i = 0; i < 6; ++i) {controller.state_interfaces_[i].value = start[i] - zeros[i];}
   expect(controller.on_activate({}) == CallbackReturn::SUCCESS, "it begins where the machine is");
   controller.update({}, {});
   for (int i = 0; i < 6; ++i) {
     expect(std::fabs(controller.command_interfaces_[i].value + zeros[i] - start[i]) < 1e-12, "it stays there");
   }
-  std::ifstream poses(names[2]);
   geometry_msgs::msg::PoseStamped message{};
   auto & pose = message.pose;
   double readings[6];

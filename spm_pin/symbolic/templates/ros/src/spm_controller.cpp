@@ -1,4 +1,4 @@
-// A ros2_control controller for the 3RPS-3SPR manipulator: stamped poses of the platform become commands of six slides,
+// A ros2_control controller for the 3RPS-3SPR manipulator: stamped poses of the platform become commands of six joints,
 // within limits of rate and acceleration. `update` neither allocates nor waits; poses are solved where they arrive.
 //
 // SPDX-License-Identifier: BSD-2-Clause
@@ -41,13 +41,14 @@ public:
   {
     auto_declare<std::string>("frame_id", "@BASE@");
     auto_declare<std::vector<std::string>>("joints", {});
-    for (const char * name : {"max_step", "timeout"}) {auto_declare<double>(name, 0.0);}
-    for (const char * name :
-      {"zeros", "max_velocity", "max_acceleration", "machine.dimensions", "machine.axes", "machine.pivots",
-        "machine.balls", "machine.offsets", "machine.minimum", "machine.maximum"})
-    {
+    auto_declare<double>("timeout", 0.0);
+    for (const char * name : {"zeros", "max_step", "max_velocity", "max_acceleration"}) {
       auto_declare<std::vector<double>>(name, {});
     }
+    (void)read_machine(set_points_.machine, [this](const std::string & name, double *, std::size_t) {
+        auto_declare<std::vector<double>>("machine." + name, {});
+        return true;
+      });
     return controller_interface::CallbackReturn::SUCCESS;
   }
 
@@ -55,20 +56,19 @@ public:
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     Readings rate{}, acceleration{};
-    @PREFIX@geometry & machine = set_points_.machine;
     joints_ = get_node()->get_parameter("joints").as_string_array();
     set_points_.frame = get_node()->get_parameter("frame_id").as_string();
-    set_points_.largest_step = get_node()->get_parameter("max_step").as_double();
     set_points_.timeout = get_node()->get_parameter("timeout").as_double();
-    const bool are_whole = read("zeros", zeros_.data(), 6) && read("max_velocity", rate.data(), 6) &&
-      read("max_acceleration", acceleration.data(), 6) && read("machine.dimensions", machine.dimensions, 3) &&
-      read("machine.axes", machine.axes, 18) && read("machine.pivots", machine.pivots, 18) &&
-      read("machine.balls", machine.balls, 18) && read("machine.offsets", machine.offsets, 6) &&
-      read("machine.minimum", machine.minimum, 6) && read("machine.maximum", machine.maximum, 6);
+    Readings & step = set_points_.largest_step;
+    const bool are_whole = read("zeros", zeros_.data(), 6) && read("max_step", step.data(), 6) &&
+      read("max_velocity", rate.data(), 6) && read("max_acceleration", acceleration.data(), 6) &&
+      read_machine(set_points_.machine, [this](const std::string & name, double * numbers, std::size_t count) {
+          return read("machine." + name, numbers, count);
+        });
     const auto is_positive = [](double x) {return x > 0.0 && std::isfinite(x);};
-    if (!are_whole || joints_.size() != 6 || get_update_rate() == 0 || !is_positive(set_points_.largest_step) ||
-      !is_positive(set_points_.timeout) || !std::all_of(rate.begin(), rate.end(), is_positive) ||
-      !std::all_of(acceleration.begin(), acceleration.end(), is_positive))
+    const auto are_positive = [&](const Readings & x) {return std::all_of(x.begin(), x.end(), is_positive);};
+    if (!are_whole || joints_.size() != 6 || get_update_rate() == 0 || !is_positive(set_points_.timeout) ||
+      !are_positive(step) || !are_positive(rate) || !are_positive(acceleration))
     {
       RCLCPP_ERROR(
         get_node()->get_logger(), "expected a rate of updates, six joints, and a positive max_step, timeout, max_velocity and "
@@ -92,7 +92,7 @@ public:
     const int status = set_points_.begin(readings);
     if (status != @PREFIX_UPPER@OK) {
       RCLCPP_ERROR(
-        get_node()->get_logger(), "no state with the measured slides: %s", @PREFIX@status_name(status));
+        get_node()->get_logger(), "no state with the measured joints: %s", @PREFIX@status_name(status));
       return controller_interface::CallbackReturn::ERROR;
     }
     limiter_.begin(readings, target_.serial);
@@ -126,7 +126,7 @@ private:
   realtime_tools::RealtimeBuffer<Target> for_update_;
   Limiter limiter_;
   std::vector<std::string> joints_;
-  Readings zeros_{};  // what the encoders read where the slides of the description are at zero [m]
+  Readings zeros_{};  // what the encoders read where the joints of the description are at zero
   rclcpp::Subscription<geometry_msgs::msg::PoseStamped>::SharedPtr subscription_;
 
   void take(const geometry_msgs::msg::PoseStamped & message)

@@ -19,7 +19,21 @@
 namespace @PACKAGE@
 {
 
-using Readings = std::array<double, 6>;  // what the encoders show [m]
+using Readings = std::array<double, 6>;  // what the encoders show: metres, of cranks radians
+
+// Read the members of a machine by their names with `read(name, numbers, count)`; returns whether it could read all.
+template<typename Read>
+bool read_machine(@PREFIX@geometry & machine, const Read & read)
+{
+  constexpr struct {const char * name; std::size_t count;} FIELDS[] = {@PREFIX_UPPER@FIELDS};
+  double * numbers = reinterpret_cast<double *>(&machine);  // its members are numbers alone
+  bool is_whole = true;
+  for (const auto & field : FIELDS) {
+    is_whole = read(field.name, numbers, field.count) && is_whole;
+    numbers += field.count;
+  }
+  return is_whole;
+}
 
 // Readings to go to, from the first to the last tick of a number of them.
 struct Target
@@ -44,9 +58,9 @@ class SetPoints
 {
 public:
   std::string frame;
-  double largest_step = 0.0;  // of a reading, from the last set-point taken [m]
-  double timeout = 0.0;       // the largest age of a set-point that arrives [s]
-  double period = 0.0;        // of the control loop [s]
+  Readings largest_step{};  // of each reading, from the last set-point taken
+  double timeout = 0.0;     // the largest age of a set-point that arrives [s]
+  double period = 0.0;      // of the control loop [s]
   @PREFIX@geometry machine{};
 
   // Begin where the machine is; returns the status of its state.
@@ -80,7 +94,7 @@ public:
     for (std::size_t i = 0; i < 6; ++i) {
       const double reading = next.readings[i];
       if (!(reading >= machine.minimum[i] && reading <= machine.maximum[i])) {return "a leg is beyond its limits";}
-      if (!(std::fabs(reading - state_.readings[i]) <= largest_step)) {return "it jumps";}
+      if (!(std::fabs(reading - state_.readings[i]) <= largest_step[i])) {return "it jumps";}
     }
     // The legs go another way than the platform would; it must end in the same state.
     if (@PREFIX@forward(&machine, next.readings, &state_, &reached) != @PREFIX_UPPER@OK || !is_near(reached, next)) {
@@ -112,7 +126,7 @@ private:
 // of the last ticks, in number such that twice the largest rate is gained in them at the largest acceleration. A mean of
 // readings within limits is within them, is never faster than they are, and never goes beyond the end.
 //
-// Readings are counted in units of 2^-40 m, so that sums of them are exact however long the controller runs.
+// Readings are counted in units of 2^-40 of theirs, so that sums of them are exact however long the controller runs.
 class Limiter
 {
 public:
@@ -168,7 +182,7 @@ public:
 
 private:
   using Counts = std::array<std::int64_t, 6>;
-  static constexpr double UNITS = 1099511627776.0;  // to a metre
+  static constexpr double UNITS = 1099511627776.0;  // to a metre or a radian
 
   Readings step_{};                       // the most in a tick
   Counts from_{}, to_{}, now_{}, sum_{};  // the way to the target, and the sum of `past_`
