@@ -14,7 +14,7 @@ from spm_pin.kinematics import forward_physical, inverse_physical
 from spm_pin.mechanism import Geometry, LegLimits, Stage, pose
 from spm_pin.mechanism.arguments import FloatArray, type_and_value
 from spm_pin.mechanism.legs import Legs
-from spm_pin.symbolic.c_export import c_sources, filled, write_files
+from spm_pin.symbolic.c_export import c_sources, filled, title_of, write_files
 from spm_pin.symbolic.ros_export import ASSUMED, ends_of_travel, start_readings, travel
 from spm_pin.symbolic.stage_export import stage_c_sources, stage_machine_sources
 
@@ -171,8 +171,7 @@ class _Robot(_Machine):
 #include "spm_kinematics.c\""""
 
     def __init__(self, geometry: Geometry) -> None:
-        lower, upper = (kind.name for kind in geometry.legs.kinds)
-        self.title = f"3{lower}-3{upper[::-1]} manipulator"
+        self.title = title_of(geometry)
         self.geometry, self.legs, self.limits, self.ends = geometry, geometry.legs, geometry.limits, travel(geometry)
         readings, _ = start_readings(geometry)
         self.home, self.state = np.array(readings), forward_physical(geometry, readings)

@@ -234,7 +234,7 @@ def test_the_simulator_homes_and_moves_a_machine_calibrated_anew(bench: Bench, c
 
     scale = per_reading(machine)
     home = [float(x) for x in re.findall(r"^HOME = ([-\d.]+)$", settings, re.MULTILINE)]
-    np.testing.assert_allclose(results["home"]["joints"], home, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(results["home"]["joints"], home, rtol=0, atol=1e-6, err_msg=reports)
     state = forward(machine, home / scale)
     places = ["XYZABC".index(axis) for axis in axes_of(machine)]
     pose = np.array(re.search(r"^HOME = (\S+ .*)$", settings, re.MULTILINE)[1].split(), dtype=float)

@@ -1,4 +1,4 @@
-/* Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator; see the header.
+/* Closed-chain kinematics of a @TITLE@; see the header.
 
    @ORIGIN@
 

@@ -1,4 +1,4 @@
-/* Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator in C99.
+/* Closed-chain kinematics of a @TITLE@ in C99.
 
    @ORIGIN@
 

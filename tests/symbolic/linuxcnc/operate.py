@@ -31,20 +31,16 @@ def report():
         texts.append(error[1])
     status.poll()
     is_on = status.task_state == linuxcnc.STATE_ON
-    return {
-        "joints": status.joint_position[: status.joints],
-        "axes": status.position[:6],
-        "errors": texts,
-        "is_on": is_on,
-    }
+    joints = status.joint_position[: status.joints]
+    return {"joints": joints, "axes": status.position[:6], "errors": texts, "is_on": is_on}
 
 
 def turn_on():
     """Turn the machine on, and home it where it is not."""
-    for state in (linuxcnc.STATE_ESTOP_RESET, linuxcnc.STATE_ON):
-        command.state(state)
-        settle()
-    status.poll()
+    command.state(linuxcnc.STATE_ESTOP_RESET)
+    settle(lambda: status.task_state != linuxcnc.STATE_ESTOP)
+    command.state(linuxcnc.STATE_ON)
+    settle(lambda: status.task_state == linuxcnc.STATE_ON)
     if not all(status.homed[: status.joints]):
         command.mode(linuxcnc.MODE_MANUAL)
         settle()

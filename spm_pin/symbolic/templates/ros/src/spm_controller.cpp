@@ -1,4 +1,4 @@
-// A ros2_control controller for the 3RPS-3SPR manipulator: stamped poses of the platform become commands of six joints,
+// A ros2_control controller for a @TITLE@: stamped poses of the platform become commands of six joints,
 // within limits of rate and acceleration. `update` neither allocates nor waits; poses are solved where they arrive.
 //
 // SPDX-License-Identifier: BSD-2-Clause
