@@ -11,7 +11,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import SelectionError
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, type_and_value
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, frozen, type_and_value
+from spm_pin.mechanism.legs import LegLimits
+from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.mechanism.pose import unchecked_transform
 
 S = TypeVar("S", bound="Batched")
@@ -22,6 +24,7 @@ class Batched(ABC):
 
     missing_reason = ""
     """Why a single state does not exist, where that is known; empty otherwise."""
+    _mechanism: Mechanism
     _rotation: FloatArray
     _translation: FloatArray
 
@@ -34,6 +37,11 @@ class Batched(ABC):
     @abstractmethod
     def exists(self) -> BoolArray:
         """False for a member of the batch that does not exist, shape (...)."""
+
+    @property
+    @abstractmethod
+    def places(self) -> FloatArray:
+        """Balls at x and z in the planes of their legs [m], shape (..., legs, 2)."""
 
     @property
     @abstractmethod
@@ -52,6 +60,21 @@ class Batched(ABC):
     @abstractmethod
     def where(self, kept: BoolArray) -> Self:
         """Return the states where `kept` (...) is true; the others do not exist."""
+
+    @abstractmethod
+    def _summary(self) -> str:
+        """Return a single state in a line."""
+
+    def __repr__(self) -> str:
+        if self.shape:
+            return f"<{type(self).__name__}: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
+        if not self.exists:
+            return f"<{type(self).__name__}: {self._absence()}>"
+        beyond = ", ".join(self._mechanism.legs.names[leg] for leg in np.flatnonzero(self.limit_excess))
+        return f"<{type(self).__name__}: {self._summary()}{beyond and f', beyond the limits: {beyond}'}>"
+
+    def _absence(self) -> str:
+        return f"does not exist{self.missing_reason and ': '}{self.missing_reason}"
 
     def __getitem__(self, index: object) -> Self:
         """Index the batch axes as NumPy would."""
@@ -86,6 +109,24 @@ class Batched(ABC):
     def pose(self) -> RigidTransform:
         """Pose of the platform in {B}; NaN where a member has no pose."""
         return unchecked_transform(self._rotation, self._translation)
+
+    @property
+    def limits(self) -> LegLimits | None:
+        """Limits of the mechanism's readings."""
+        return self._mechanism.limits
+
+    @cached_property
+    def limit_excess(self) -> FloatArray:
+        """By how much readings are above their limits, or below (negative), in their units, (..., legs); 0 within."""
+        return frozen(np.zeros(self.readings.shape) if self.limits is None else self.limits.excess(self.readings))
+
+    @cached_property
+    def slopes(self) -> FloatArray:
+        """κ of the legs, shape (..., legs): the speed along each of `leg_vectors` per unit rate of the reading.
+
+        Dimensionless, or [m/rad] of RRS legs; 1 of RPS legs. Where it is zero the leg itself is singular.
+        """
+        return frozen(self._mechanism.legs.slopes(self.places, self.readings))
 
 
 def stacked(states: Sequence[S]) -> S:

@@ -66,7 +66,7 @@ class Configuration(Batched):
         )
 
     def _set(self, geometry: Geometry, *arrays: FloatArray) -> None:
-        self._geometry = geometry
+        self._mechanism: Geometry = geometry
         self._rotation, self._translation, self._middle_joints = map(frozen, arrays)
 
     @classmethod
@@ -89,7 +89,7 @@ class Configuration(Batched):
         """Return the configuration of what `change` makes of each array, given with the number of its inner axes."""
         lengths = self.known_lengths
         return Configuration.from_arrays(
-            self._geometry,
+            self.geometry,
             change(self._rotation, 2),
             change(self._translation, 1),
             change(self._middle_joints, 2),
@@ -98,17 +98,12 @@ class Configuration(Batched):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and unpickled states are read-only too; what is derived is not carried along.
-        state = self._geometry, self._rotation, self._translation, self._middle_joints, self.known_lengths
+        state = self.geometry, self._rotation, self._translation, self._middle_joints, self.known_lengths
         return Configuration.from_arrays, state, {"missing_reason": self.missing_reason}
 
-    def __repr__(self) -> str:
-        if self.shape:
-            return f"<Configuration: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
-        if not self.exists:
-            return f"<Configuration: does not exist{self.missing_reason and ': '}{self.missing_reason}>"
-        readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self._geometry.legs.units, strict=True))
-        beyond = ", ".join(LEGS[leg] for leg in np.flatnonzero(self.limit_excess))
-        return f"<Configuration: readings {', '.join(readings)}{beyond and f', beyond the limits: {beyond}'}>"
+    def _summary(self) -> str:
+        readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self.geometry.legs.units, strict=True))
+        return f"readings {', '.join(readings)}"
 
     def _repr_html_(self) -> str:
         if not self.shape:
@@ -120,13 +115,13 @@ class Configuration(Batched):
     @property
     def _columns(self) -> tuple[str, ...]:
         """Heading of a notebook's table."""
-        readings = (f"{leg} [{unit}]" for leg, unit in zip(LEGS, self._geometry.legs.units, strict=True))
+        readings = (f"{leg} [{unit}]" for leg, unit in zip(LEGS, self.geometry.legs.units, strict=True))
         return "o in {B} [m]", "roll, pitch, yaw [°]", *readings
 
     def _cells(self) -> tuple[str, ...]:
         """Return the cells of a single state in a notebook's table."""
         if not self.exists:
-            return (f"does not exist{self.missing_reason and ': '}{self.missing_reason}",)
+            return (self._absence(),)
         x, y, z = self.translation
         roll, pitch, yaw = self.pose.rotation.as_euler("xyz", degrees=True)
         lengths = (f"{length:.4f}" for length in self.readings)
@@ -140,7 +135,7 @@ class Configuration(Batched):
     @property
     def geometry(self) -> Geometry:
         """The manipulator."""
-        return self._geometry
+        return self._mechanism
 
     @property
     def mechanism(self) -> Geometry:
@@ -156,7 +151,7 @@ class Configuration(Batched):
         """Return the states where `kept` (...) is true; the others have no joints, and keep their pose."""
         joints = masked(self._middle_joints, kept, 2)
         lengths = None if self.known_lengths is None else masked(self.known_lengths, kept, 1)
-        return Configuration.from_arrays(self._geometry, self._rotation, self._translation, joints, lengths)
+        return Configuration.from_arrays(self.geometry, self._rotation, self._translation, joints, lengths)
 
     @property
     def middle_joints(self) -> FloatArray:
@@ -178,13 +173,13 @@ class Configuration(Batched):
         """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the drawn machine."""
         lower = self._middle_joints
         sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
-        moved = self._geometry.legs.upper_ball_weights @ np.stack([*sides, np.cross(*sides)], axis=-2)
+        moved = self.geometry.legs.upper_ball_weights @ np.stack([*sides, np.cross(*sides)], axis=-2)
         return frozen(np.concatenate([lower, lower + moved], axis=-2))
 
     @cached_property
     def leg_bases(self) -> FloatArray:
         """Pivots of the six legs, a_1 to a_3 and c_1 to c_3, as rows in {B} [m], shape (..., 6, 3). Eqs. (1), (2)."""
-        pivots = self._geometry.legs.pivots
+        pivots = self.geometry.legs.pivots
         upper = pivots[3:] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
         return frozen(np.concatenate([np.broadcast_to(pivots[:3], upper.shape), upper], axis=-2))
 
@@ -196,7 +191,7 @@ class Configuration(Batched):
     @cached_property
     def leg_axes(self) -> FloatArray:
         """Unit revolute axes of the six legs as rows in {B}, shape (..., 6, 3). Eq. (4)."""
-        axes = self._geometry.legs.axes
+        axes = self.geometry.legs.axes
         upper = axes[3:] @ np.swapaxes(self._rotation, -1, -2)
         return frozen(np.concatenate([np.broadcast_to(axes[:3], upper.shape), upper], axis=-2))
 
@@ -226,14 +221,14 @@ class Configuration(Batched):
         back = np.swapaxes(self._rotation, -1, -2)
         lower = np.broadcast_to(np.eye(3), back.shape)
         outward, forward = (
-            np.concatenate([axes[:3] @ lower, axes[3:] @ back], axis=-2) for axes in self._geometry.legs.planes
+            np.concatenate([axes[:3] @ lower, axes[3:] @ back], axis=-2) for axes in self.geometry.legs.planes
         )
         return outward, forward
 
     @property
     def own_circle_centres(self) -> FloatArray:
         """`circle_centres` as rows in {B} of the lower legs, and in {m} of the upper legs [m], shape (..., 6, 3)."""
-        centres, _ = self._geometry.legs.circles(self.readings)
+        centres, _ = self.geometry.legs.circles(self.readings)
         return centres
 
     @cached_property
@@ -242,7 +237,7 @@ class Configuration(Batched):
 
         The `leg_bases` of RPS legs, the joints of carriage and rod of PRS legs, and the knees of RRS legs.
         """
-        if self._geometry.legs.are_rps:
+        if self.geometry.legs.are_rps:
             return self.leg_bases
         centres = self.own_circle_centres
         upper = centres[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
@@ -252,16 +247,8 @@ class Configuration(Batched):
     def centre_rates(self) -> FloatArray:
         """Derivatives of `circle_centres` by their own readings, seen from the legs' plates, in {B}, (..., 6, 3)."""
         outward, forward = self.leg_planes
-        rates = self._geometry.legs.centre_rates(self.readings)
+        rates = self.geometry.legs.centre_rates(self.readings)
         return np.asarray(rates[..., :1] * outward + rates[..., 1:] * forward)
-
-    @cached_property
-    def slopes(self) -> FloatArray:
-        """κ of the legs, shape (..., 6): the speed along each of `leg_vectors` per unit rate of the reading.
-
-        Dimensionless, or [m/rad] of RRS legs; 1 of RPS legs. Where it is zero the leg itself is singular.
-        """
-        return frozen(self._geometry.legs.slopes(self.places, self.readings))
 
     @cached_property
     def leg_lengths(self) -> FloatArray:
@@ -274,19 +261,13 @@ class Configuration(Batched):
 
         Of RPS legs they are `leg_lengths` plus the offsets of the machine.
         """
-        legs = self._geometry.legs
+        legs = self.geometry.legs
         return frozen(self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places))
-
-    @cached_property
-    def limit_excess(self) -> FloatArray:
-        """By how much readings are above their limits, or below (negative), in their units, (..., 6); 0 within."""
-        limits, readings = self._geometry.limits, self.readings
-        return frozen(np.zeros(readings.shape) if limits is None else limits.excess(readings))
 
     @cached_property
     def middle_pose(self) -> RigidTransform:
         """Pose of the middle platform {n} in {B}; at the centre of a drawn machine's triangle, x along b_3 b_1."""
-        corners = self._geometry.legs.balls[:3]
+        corners = self.geometry.legs.balls[:3]
         frames = triangle_frames(self._middle_joints) @ triangle_frames(corners).T
         centres = self._middle_joints.mean(axis=-2) - frames @ corners.mean(axis=0)
         return unchecked_transform(frames, centres)
@@ -297,7 +278,7 @@ class Configuration(Batched):
 
         The distances of each ball from the plane of its leg, Eqs. (5b), (5c), and the errors of the sides, Eq. (12).
         """
-        b, legs = self._middle_joints, self._geometry.legs
+        b, legs = self._middle_joints, self.geometry.legs
         # The axes and the planes' distances from O: exact zeros in a drawn machine, whose planes go through Z.
         lower = (b * legs.axes[:3]).sum(axis=-1) - (legs.pivots[:3] * legs.axes[:3]).sum(axis=-1)
         upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)

@@ -70,11 +70,6 @@ class Solutions(ABC, Generic[S]):
         return self.configurations.shape[:-1]
 
     @property
-    @abstractmethod
-    def own_limits(self) -> LegLimits | None:
-        """The machine's limits."""
-
-    @property
     def exists(self) -> BoolArray:
         """True for the solutions that are real, shape (..., n)."""
         return self.configurations.exists
@@ -162,8 +157,9 @@ class Solutions(ABC, Generic[S]):
 
     def within(self, limits: LegLimits | None = None) -> Self:
         """Keep the solutions inside limits of the legs, by default the machine's own; `status` stays as it is."""
-        kind = LegLimits if self.own_limits is None else type(self.own_limits)
-        limits = self.own_limits if limits is None else check_instance(limits, kind, "limits")
+        own = self.configurations.limits
+        kind = LegLimits if own is None else type(own)
+        limits = own if limits is None else check_instance(limits, kind, "limits")
         return self if limits is None else self.where(limits.contains(self.readings))
 
     def nearest(self, near: S | npt.ArrayLike) -> S:

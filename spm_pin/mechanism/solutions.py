@@ -23,7 +23,7 @@ from spm_pin.mechanism.arguments import (
 from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import LEGS, LegLimits
+from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solution_axis import Solutions, Status, following
 from spm_pin.mechanism.units import unit_hint
@@ -178,11 +178,6 @@ class SolutionSet(Solutions[Configuration]):
         kept = super().where(mask)
         radius = None if self.radius is None else np.where(kept.exists, self.radius, np.nan)
         return replace(kept, radius=radius)
-
-    @property
-    def own_limits(self) -> LegLimits | None:
-        """The manipulator's limits."""
-        return self.geometry.limits
 
     @property
     def is_physical(self) -> BoolArray:

@@ -13,7 +13,6 @@ from spm_pin.formulas import circles
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, frozen
 from spm_pin.mechanism.batched import Batched, masked
-from spm_pin.mechanism.legs import LegLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solution_axis import Solutions, following
 from spm_pin.mechanism.stage import Stage
@@ -44,7 +43,8 @@ class StageConfiguration(Batched):
         self._set(check_instance(stage, Stage, "stage"), matrix[..., :3, :3].copy(), matrix[..., :3, 3].copy())
 
     def _set(self, stage: Stage, rotation: FloatArray, translation: FloatArray) -> None:
-        self._stage, self._rotation, self._translation = stage, frozen(rotation), frozen(translation)
+        self._mechanism: Stage = stage
+        self._rotation, self._translation = frozen(rotation), frozen(translation)
 
     @classmethod
     def from_arrays(
@@ -61,32 +61,26 @@ class StageConfiguration(Batched):
         """Return the configuration of what `change` makes of each array, given with the number of its inner axes."""
         known = self.__dict__.get("readings")
         arrays = change(self._rotation, 2), change(self._translation, 1), None if known is None else change(known, 1)
-        return StageConfiguration.from_arrays(self._stage, *arrays)
+        return StageConfiguration.from_arrays(self.stage, *arrays)
 
     def where(self, kept: BoolArray) -> StageConfiguration:
         """Return the states where `kept` (...) is true; the others are NaN throughout."""
         return self.transformed(lambda array, inner: masked(array, kept, inner))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        state = self._stage, self._rotation, self._translation, self.__dict__.get("readings")
+        state = self.stage, self._rotation, self._translation, self.__dict__.get("readings")
         return StageConfiguration.from_arrays, state, {"missing_reason": self.missing_reason}
 
-    def __repr__(self) -> str:
-        if self.shape:
-            return f"<StageConfiguration: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
-        if not self.exists:
-            return f"<StageConfiguration: does not exist{self.missing_reason and ': '}{self.missing_reason}>"
+    def _summary(self) -> str:
         tilt, azimuth = np.degrees([self.tilt, self.azimuth])
         readings = ", ".join(f"{x:.4f}" for x in self.readings)
-        beyond = ", ".join(self._stage.legs.names[leg] for leg in np.flatnonzero(self.limit_excess))
         text = f"tilt {tilt:.2f}° towards {azimuth:.1f}°, height {self.height:.4f} m"
-        text += f", readings {readings} {self._stage.unit}"
-        return f"<StageConfiguration: {text}{beyond and f', beyond the limits: {beyond}'}>"
+        return f"{text}, readings {readings} {self.stage.unit}"
 
     @property
     def stage(self) -> Stage:
         """The stage."""
-        return self._stage
+        return self._mechanism
 
     @property
     def mechanism(self) -> Stage:
@@ -156,7 +150,7 @@ class StageConfiguration(Batched):
     @cached_property
     def balls(self) -> FloatArray:
         """Centres of the balls as rows in {B} [m], shape (..., 3, 3)."""
-        turned = self._stage.legs.balls @ np.swapaxes(self._rotation, -1, -2)
+        turned = self.stage.legs.balls @ np.swapaxes(self._rotation, -1, -2)
         return frozen(turned + self._translation[..., None, :])
 
     @property
@@ -167,19 +161,13 @@ class StageConfiguration(Batched):
     @cached_property
     def places(self) -> FloatArray:
         """Balls in the planes of their legs, from the pivots: x radially outwards, z upwards [m], (..., 3, 2)."""
-        arms, planes = self.balls - self._stage.legs.pivots, self._stage.legs.planes
+        arms, planes = self.balls - self.stage.legs.pivots, self.stage.legs.planes
         return frozen(np.stack([(arms * axes).sum(axis=-1) for axes in planes], axis=-1))
 
     @cached_property
     def readings(self) -> FloatArray:
         """Readings of the legs' encoders, shape (..., 3): [m], of RRS legs [rad]; NaN for a ball out of reach."""
-        return frozen(self._stage.legs.readings(self.places))
-
-    @cached_property
-    def limit_excess(self) -> FloatArray:
-        """By how much readings are above their limits, or below them (negative), shape (..., 3); 0 within."""
-        limits = self._stage.limits
-        return frozen(np.zeros(self.readings.shape) if limits is None else limits.excess(self.readings))
+        return frozen(self.stage.legs.readings(self.places))
 
     @cached_property
     def circle_centres(self) -> FloatArray:
@@ -187,33 +175,25 @@ class StageConfiguration(Batched):
 
         The pivots of RPS legs, the joints of carriage and rod of PRS legs, and the knees of RRS legs.
         """
-        return frozen(np.asarray(self._stage.legs.circles(self.readings)[0]))
+        return frozen(np.asarray(self.stage.legs.circles(self.readings)[0]))
 
     @property
     def leg_vectors(self) -> FloatArray:
         """From circle centres to balls, as rows in {B} [m], (..., 3, 3): along them the legs push."""
         return self.balls - self.circle_centres
 
-    @cached_property
-    def slopes(self) -> FloatArray:
-        """κ of the legs, the speed along each of `leg_vectors` per unit rate of the reading, shape (..., 3).
-
-        Dimensionless, or [m/rad] of RRS legs; 1 of RPS legs. Where it is zero the leg itself is singular.
-        """
-        return frozen(self._stage.legs.slopes(self.places, self.readings))
-
     @property
     def closure_residual(self) -> FloatArray:
         """Largest distance of a ball from the plane of its leg [m], shape (...)."""
-        apart = ((self.balls - self._stage.legs.pivots) * self._stage.legs.axes).sum(axis=-1)
+        apart = ((self.balls - self.stage.legs.pivots) * self.stage.legs.axes).sum(axis=-1)
         return np.asarray(np.abs(apart).max(axis=-1))
 
     @property
     def is_at_home(self) -> BoolArray:
         """True without torsion, and reached from the level platform without a forward singularity, shape (...)."""
-        axes, centres, none = (rows_of(x) for x in (self._stage.legs.axes, self.circle_centres, np.zeros((3, 3))))
+        axes, centres, none = (rows_of(x) for x in (self.stage.legs.axes, self.circle_centres, np.zeros((3, 3))))
         stage: Any = circles.Circles(axes, centres, none[0], none[0])  # type: ignore[arg-type]
-        at_home = _is_home_state(stage, rows_of(self.leg_vectors), rows_of(self.balls), self._stage.up)
+        at_home = _is_home_state(stage, rows_of(self.leg_vectors), rows_of(self.balls), self.stage.up)
         return np.asarray(at_home, dtype=np.bool_)
 
 
@@ -230,11 +210,6 @@ class StageSolutions(Solutions[StageConfiguration]):
     def stage(self) -> Stage:
         """The stage."""
         return self.configurations.stage
-
-    @property
-    def own_limits(self) -> LegLimits | None:
-        """The stage's limits."""
-        return self.stage.limits
 
     @property
     def is_physical(self) -> BoolArray:
