@@ -134,34 +134,39 @@ def _reached(machine: Geometry, spacing: float | None) -> tuple[Boundary, Estima
     return fine, Estimate.from_meshes(coarse, fine)
 
 
-def _print_reached(boundary: Boundary, volume: Estimate, unit: LengthUnit, json: bool) -> None:
-    length, scale = unit.per_metre, unit.per_metre**3
-    low, high = boundary.vertices.min(axis=0) * length, boundary.vertices.max(axis=0) * length
-    error = volume.high - volume.value
-    if json:
-        ends = {
-            end: getattr(boundary.limits, end) * Readings.of(boundary.geometry, unit).scale
-            for end in ("minimum", "maximum")
-        }
-        outputs.write_json(
-            {
-                "unit": str(unit),
-                "limits": ends,
-                "spacing": boundary.spacing * length,
-                "volume": volume.value * scale,
-                "volume_error": error * scale,
-                "area": boundary.area * length**2,
-                "extent": {"minimum": low, "maximum": high},
-                "vertices": len(boundary.vertices),
-                "faces": len(boundary.faces),
-            }
-        )
-        return
+def _measures(mesh: Shell | Boundary, volume: float, error: float, unit: LengthUnit) -> dict[str, Any]:
+    """Return what `--json` says of a mesh of either kind."""
+    length = unit.per_metre
+    scale = Readings.of(mesh.geometry, unit).scale
+    return {
+        "unit": str(unit),
+        "limits": {end: getattr(mesh.limits, end) * scale for end in ("minimum", "maximum")},
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "area": mesh.area * length**2,
+        "volume": volume * length**3,
+        "volume_error": error * length**3,
+    }
+
+
+def _measure_lines(mesh: Shell | Boundary, volume: float, error: float, unit: LengthUnit) -> list[str]:
+    """Return the limits and the volume, which has as many digits as its error leaves and one more."""
+    scale = unit.per_metre**3
     digits = max(0, 1 - math.floor(math.log10(error * scale))) if error else 0
+    limits = _limit_lines(mesh.limits, mesh.geometry, unit)
+    return [*limits, f"volume {volume * scale:.{digits}f} ± {error * scale:.1g} {unit}³"]
+
+
+def _print_reached(boundary: Boundary, estimate: Estimate, unit: LengthUnit, json: bool) -> None:
+    length, volume = unit.per_metre, (estimate.value, estimate.high - estimate.value)
+    low, high = boundary.vertices.min(axis=0) * length, boundary.vertices.max(axis=0) * length
+    if json:
+        own = {"spacing": boundary.spacing * length, "extent": {"minimum": low, "maximum": high}}
+        outputs.write_json(_measures(boundary, *volume, unit) | own)
+        return
     outputs.print_lines(
         [
-            *_limit_lines(boundary.limits, boundary.geometry, unit),
-            f"volume {volume.value * scale:.{digits}f} ± {error * scale:.1g} {unit}³",
+            *_measure_lines(boundary, *volume, unit),
             *(f"{axis} from {a:.4g} to {b:.4g} {unit}" for axis, a, b in zip("XYZ", low, high, strict=True)),
             f"mesh of {len(boundary.vertices)} vertices, spacing {boundary.spacing * length:.3g} {unit}",
         ]
@@ -201,12 +206,8 @@ def _print_tables(shell: Shell, unit: LengthUnit) -> None:
 def _remarks(shell: Shell, unit: LengthUnit) -> list[str]:
     vertices, faces = len(shell.vertices), len(shell.faces)
     edges = vertices + faces - shell.euler_characteristic
-    volume, error = shell.volume * unit.per_metre**3, shell.volume_error * unit.per_metre**3
-    # As many digits as the error leaves, and one more.
-    digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
     return [
-        *_limit_lines(shell.limits, shell.geometry, unit),
-        f"volume {volume:.{digits}f} ± {error:.1g} {unit}³",
+        *_measure_lines(shell, shell.volume, shell.volume_error, unit),
         f"order of convergence {shell.convergence.order:.3f}",
         f"V - E + F = {vertices} - {edges} + {faces} = {shell.euler_characteristic}",
         "misprints read: " + ", ".join(f"{leg} of {name}" for name, leg in ERRATA),
@@ -214,26 +215,18 @@ def _remarks(shell: Shell, unit: LengthUnit) -> list[str]:
 
 
 def _content(shell: Shell, unit: LengthUnit) -> dict[str, Any]:
-    length, area, volume = (unit.per_metre**power for power in (1, 2, 3))
-    return {
-        "unit": str(unit),
-        "limits": {end: np.multiply(getattr(shell.limits, end), length) for end in ("minimum", "maximum")},
+    return _measures(shell, shell.volume, shell.volume_error, unit) | {
         "resolution": shell.resolution,
-        "vertices": len(shell.vertices),
-        "faces": len(shell.faces),
         "euler_characteristic": shell.euler_characteristic,
-        "area": shell.area * area,
-        "volume": shell.volume * volume,
-        "volume_error": shell.volume_error * volume,
         "convergence": [
-            {"resolution": n, "volume": value * volume}
+            {"resolution": n, "volume": value * unit.per_metre**3}
             for n, value in zip(shell.convergence.resolutions, shell.convergence.volumes, strict=True)
         ],
         "patches": [
             {
                 "name": patch.name,
                 "settings": {leg: setting.value for leg, setting in zip(LEGS, patch.settings, strict=True)},
-                "area": patch.area * area,
+                "area": patch.area * unit.per_metre**2,
             }
             for patch in shell.patches
         ],

@@ -101,16 +101,19 @@ class Conditioning:
 
 def _derivatives(configuration: Configuration) -> list[FloatArray]:
     """Return F_b (N, 9, 9), F_x (N, 9, 6), q_b (N, 6, 9) and q_x (N, 6, 6), angles times d."""
-    count = len(configuration)
+    count, geometry = len(configuration), configuration.geometry
     places = configuration.middle_joints.reshape(count, 9), configuration.translation
     # CasADi is column-major.
     turns = np.swapaxes(configuration.rotation, -1, -2).reshape(3 * count, 3)
-    results = _derivative_function(configuration.geometry).map(count)(places[0].T, turns.T, places[1].T)
-    return [np.moveaxis(np.asarray(x).reshape(x.shape[0], count, -1), 1, 0) for x in results]
+    results = _leg_jacobian(geometry).map(count)(places[0].T, turns.T, places[1].T)
+    parts = (np.moveaxis(np.asarray(x).reshape(x.shape[0], count, -1), 1, 0) for x in results)
+    closure_b, closure_x, readings_b, readings_x = parts
+    per_angle, slopes = np.repeat([1.0, 1.0 / geometry.middle_side], 3), geometry.legs.largest_slopes[:, None]
+    return [closure_b, closure_x * per_angle, readings_b * slopes, readings_x * per_angle * slopes]
 
 
 @lru_cache(maxsize=4)
-def _derivative_function(geometry: Geometry) -> Any:
-    from spm_pin.symbolic.functions import loop_derivatives
+def _leg_jacobian(geometry: Geometry) -> Any:
+    from spm_pin import nlp
 
-    return loop_derivatives(geometry)
+    return nlp.leg_jacobian(geometry)

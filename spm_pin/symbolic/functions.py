@@ -335,20 +335,6 @@ def residual_of(state: State) -> dict[str, Any]:
     return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, 0, state.joints))}
 
 
-def loop_derivatives(geometry: Geometry) -> ca.Function:
-    """Make F_b (9, 9), F_x (9, 6), q_b (6, 9) and q_x (6, 6), of the closure equations F and the readings q.
-
-    They are derivatives by the b_i, and by a small motion (v, dω) of {m} at o. Readings are in lengths, times the
-    largest slopes of the legs. Inputs: the b_i (9,), and a pose.
-    """
-    b, motion, pose = ca.SX.sym("b", 9), ca.SX.sym("x", 6), _pose()
-    turned = pose[0] + ca.skew(motion[3:] / geometry.middle_side) @ pose[0]
-    state = State(Machine(geometry), ca.reshape(b, 3, 3).T, turned, pose[1] + motion[:3])
-    values = residual_of(state)["residual"], state.readings * geometry.legs.largest_slopes
-    slopes = [ca.substitute(ca.jacobian(value, by), motion, ca.SX.zeros(6)) for value in values for by in (b, motion)]
-    return ca.Function("loop_derivatives", [b, *pose], [ca.densify(x) for x in slopes])
-
-
 def _pose() -> tuple[Any, Any]:
     return ca.SX.sym("rotation", 3, 3), ca.SX.sym("position", 3)
 
