@@ -140,7 +140,7 @@ def evaluate_designs(
     """
     machines = tuple(geometries) if isinstance(geometries, Iterable) else ()
     for index, machine in enumerate(machines):
-        if not isinstance(machine, Geometry) or not _has_finite_limits(machine):
+        if not (isinstance(machine, Geometry) and machine.limits and machine.limits.are_finite):
             received = repr(machine) if isinstance(machine, Geometry) else type(machine).__name__
             raise ArgumentError("geometries", "Geometry objects with finite leg limits", f"{received} at index {index}")
     if not machines:
@@ -177,15 +177,11 @@ def _checked_functions(functions: dict[str, Function]) -> dict[str, Function]:
     return dict(functions)
 
 
-def _has_finite_limits(machine: Geometry) -> bool:
-    return machine.limits is not None and bool(np.isfinite([machine.limits.minimum, machine.limits.maximum]).all())
-
-
 def leg_ranges(machine: Geometry) -> tuple[FloatArray, FloatArray]:
     """Return the least readings and the strokes of the legs, shapes (6,) [m], of RRS legs [rad]."""
     assert machine.limits is not None
-    low = np.array(machine.limits.minimum)
-    return low, np.array(machine.limits.maximum) - low
+    low, high = machine.limits.ends
+    return low.copy(), high - low
 
 
 def column_names(metrics: tuple[Metric, ...], boxes: int, own: Iterable[str] = ()) -> list[str]:
@@ -283,7 +279,7 @@ class DesignProblem:
 
     def __post_init__(self) -> None:
         geometry = check_instance(self.geometry, Geometry, "geometry")
-        if not geometry.is_nominal or not _has_finite_limits(geometry):
+        if not (geometry.is_nominal and geometry.limits and geometry.limits.are_finite):
             raise ArgumentError("geometry", "a drawn machine with finite leg limits", repr(geometry))
         for name in _CHOICES:
             object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))

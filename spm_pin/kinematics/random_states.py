@@ -26,7 +26,7 @@ def random_states(geometry: Geometry, count: int, rng: np.random.Generator) -> C
     legs, limits = geometry.legs, geometry.limits
     low, high = _around_home(geometry, _SPREAD)
     if limits is not None:
-        least, most = np.array([limits.minimum, limits.maximum])
+        least, most = limits.ends
         low, high = _around_home(geometry, 3.0)
         low = np.where(least > legs.least_readings, least, low)
         high = np.where(np.isfinite(most), most, np.maximum(high, 3.0 * low))

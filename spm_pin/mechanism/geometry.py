@@ -112,7 +112,7 @@ class Geometry(Mechanism):
         """Raise `GeometryError` for limits that no readings of this machine have, or that are in another unit."""
         check_limits(check_instance(limits, LegLimits, "limits", "LegLimits(minimum, maximum), or None"), self.legs)
         lengths = np.array(self.legs.units) == "m"
-        ends, size = (np.array([limits.minimum, limits.maximum]) - self.legs.offsets)[:, lengths], self.size
+        ends, size = (limits.ends - self.legs.offsets)[:, lengths], self.size
         if not self.legs.are_rps:
             ends = np.abs(ends)
         longest = float(ends.max(initial=0.0, where=np.isfinite(ends)))

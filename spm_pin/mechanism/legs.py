@@ -110,14 +110,24 @@ class LegLimits:
         return f"{name}({', '.join(bounds)})"
 
     @functools.cached_property
+    def ends(self) -> FloatArray:
+        """Minima and maxima as rows (2, 6)."""
+        return frozen(np.array([self.minimum, self.maximum]))
+
+    @property
+    def are_finite(self) -> bool:
+        """True if every reading is limited on both sides."""
+        return bool(np.isfinite(self.ends).all())
+
+    @functools.cached_property
     def admitted(self) -> FloatArray:
         """Ends (2, 6) of the readings that count as within the limits: these and what rounding adds."""
-        return frozen(np.array(_admitted_readings(np.array(self.minimum), np.array(self.maximum))))
+        return frozen(np.array(_admitted_readings(*self.ends)))
 
     @property
     def rounding(self) -> FloatArray:
         """By how much readings (6,) may be beyond the limits and count as within them."""
-        return np.asarray(_limit_rounding(np.array(self.minimum), np.array(self.maximum)))
+        return np.asarray(_limit_rounding(*self.ends))
 
     def contains(self, readings: npt.ArrayLike) -> BoolArray:
         """Return which sets of readings (..., 6) respect all limits, to rounding; NaN does not."""

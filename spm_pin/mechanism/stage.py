@@ -157,7 +157,7 @@ class Stage(Mechanism):
             except GeometryError as error:
                 raise GeometryError("limits", error.expected, error.received, error.cause) from error
         check_limits(value, self.legs)
-        ends = np.abs(np.array([value.minimum, value.maximum]) - self.legs.offsets)
+        ends = np.abs(value.ends - self.legs.offsets)
         farthest = float(ends.max(initial=0.0, where=np.isfinite(ends)))
         if self.unit == "m":
             unit = likely_unit(self, farthest)

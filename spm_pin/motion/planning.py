@@ -349,7 +349,7 @@ def _find_corners(
     # Around both by half of what a leg or its rod is long.
     low, high = (x + way * legs.circles(x)[1] / legs.largest_slopes for x, way in ((low, -0.5), (high, 0.5)))
     if rules.limits is not None:
-        low, high = np.array(rules.limits.minimum), np.array(rules.limits.maximum)
+        low, high = rules.limits.ends
     for k in range(tries):
         new = _grow(rules, trees[0], rng.uniform(low, high))
         while new is not None and (near := _grow(rules, trees[1], new.point)) is not None:

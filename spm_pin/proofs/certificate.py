@@ -241,10 +241,10 @@ def certify(
     if errors[0] > most or errors[1] > 0.2:
         received = f"one that differs by {length:g} m and {angle:g} rad, to which the errors are added"
         raise ArgumentError("geometry", f"a machine within {most:g} m and 0.2 rad of the nominal one", received)
-    if limits is None or not np.isfinite([limits.minimum, limits.maximum]).all():
+    if limits is None or not limits.are_finite:
         received = "none" if limits is None else f"{limits!r}"
         raise GeometryError("limits", "finite limits of every reading", received)
-    middle = forward_physical(nominal, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
+    middle = forward_physical(nominal, limits.ends.mean(axis=0))
     if not middle.exists:
         raise GeometryError("limits", "readings between them that can be assembled", "a middle that cannot be")
     starts = region_coordinates(middle)
@@ -297,9 +297,9 @@ def largest_certified_limits(
         raise GeometryError("geometry", "a machine whose readings have one unit", "metres and radians", cause)
     real_number(tolerance, "tolerance", "a relative width between 1e-6 and 1", least=1e-6, below=1.0)
     if centre is None:
-        if geometry.limits is None or not np.isfinite([geometry.limits.minimum, geometry.limits.maximum]).all():
+        if geometry.limits is None or not geometry.limits.are_finite:
             raise ArgumentError("centre", "readings, as the geometry has no finite limits", "None")
-        centre = 0.5 * (np.array(geometry.limits.minimum) + np.array(geometry.limits.maximum))
+        centre = geometry.limits.ends.mean(axis=0)
     readings = real_array(centre, "centre", (), "readings in metres, of RRS legs in radians")
     if readings.shape not in ((), (6,)):
         raise ArgumentError("centre", "one or six readings", f"shape {readings.shape}")

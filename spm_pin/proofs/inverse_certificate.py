@@ -127,7 +127,7 @@ def certify_inverse(
         _StageCells(region, proof)
         for region, proof in zip(stage_regions(geometry, limits), (forward.lower, forward.upper), strict=True)
     ]
-    low, high = np.array(limits.minimum), np.array(limits.maximum)
+    low, high = limits.ends
     legs = np.random.default_rng(0).uniform(low, high, (_SAMPLES, 6))
     legs[0] = 0.5 * (low + high)
     legs = legs[forward_physical(geometry, legs).exists]

@@ -251,7 +251,7 @@ def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[Fl
     vertices, number = np.unique(steps.reshape(-1, 6), axis=0, return_inverse=True)
     share = vertices / n
     # Written so that both limits come out exactly.
-    lengths = (1.0 - share) * np.array(limits.minimum) + share * np.array(limits.maximum)
+    lengths = (1.0 - share) * limits.ends[0] + share * limits.ends[1]
     return lengths, number.reshape(steps.shape[:-1])
 
 
@@ -287,7 +287,7 @@ def sample_positions_near_limits(
     lengths within positive and finite limits. If the limits are the same for the legs of a stage, each gives six
     positions: it stands for its images under the symmetries of the machine as well.
     """
-    low, high = np.array(limits.minimum), np.array(limits.maximum)
+    low, high = limits.ends
     rng = np.random.default_rng(seed)
     share = np.sin(0.5 * np.pi * rng.random((count, 6))) ** 2
     share = np.where(rng.random(share.shape) < _AT_A_LIMIT, share.round(), share)

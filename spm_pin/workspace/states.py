@@ -387,7 +387,7 @@ def states_around(near: Configuration, limits: LegLimits) -> tuple[StateSet, Flo
     """Return the states within limits on the side of forward singularities of `near`, and its coordinates (1, 2, 3)."""
     geometry, joints = near.geometry, near.middle_joints[None]
     batch = Configuration.from_arrays(geometry, near.rotation[None], near.translation[None], joints)
-    states = StateSet(geometry, np.array(limits.minimum), np.array(limits.maximum))
+    states = StateSet(geometry, *limits.ends)
     start = states.coordinates(batch)
     stages = [states.stages(stage, start[:, stage]) for stage in range(2)]
     readings = np.concatenate([stage.readings[0] for stage in stages])
