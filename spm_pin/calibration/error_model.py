@@ -28,19 +28,13 @@ from spm_pin.mechanism.configuration import check_configuration
 
 
 def error_jacobian(configuration: Configuration) -> FloatArray:
-    """Return how the platform moves per error of each parameter, at constant readings.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
+    """Return how the platform moves in states (...) per error of each parameter, at constant readings.
 
     Returns
     -------
     ndarray, shape (..., 6, n)
         Rows (v, ω): displacement of o [m] and rotation of m [rad], in {B}; columns `Geometry.parameter_names`, 54 of
-        RPS legs, per metre or radian. NaN for a member of a batch that does not exist, or is at a forward or a
-        constraint singularity, where a single state raises `SingularConfigurationError`.
+        RPS legs, per metre or radian. At singularities as `spm_pin.platform_jacobian`.
 
     Examples
     --------

@@ -286,12 +286,7 @@ def wrench_polytope(
     -------
     Polytope
         Of wrenches (f, m) [N, N m] at o in {B}, applied from outside as those of `leg_forces`; what the platform exerts
-        has the opposite sign.
-
-    Raises
-    ------
-    SingularConfigurationError
-        At a forward or a constraint singularity, where the legs cannot hold every wrench; NaN in a batch.
+        has the opposite sign. At singularities as `platform_jacobian`.
 
     Examples
     --------
@@ -321,12 +316,7 @@ def velocity_polytope(configuration: Configuration, rate_limits: npt.ArrayLike) 
     Returns
     -------
     Polytope
-        Of twists (v, ω) [m/s, rad/s] at o in {B}.
-
-    Raises
-    ------
-    SingularConfigurationError
-        At an inverse or a constraint singularity, where a twist has no leg rates or no unique ones; NaN in a batch.
+        Of twists (v, ω) [m/s, rad/s] at o in {B}; at singularities as `inverse_jacobian`.
     """
     bounds = leg_bounds(rate_limits, "rate_limits", "rates of the readings in m/s, of RRS legs in rad/s", most=_MOST)
     rows = inverse_jacobian(configuration)
@@ -368,22 +358,10 @@ def acceleration_polytope(
 
 
 def joint_reactions(configuration: Configuration) -> JointReactions:
-    """Return the reactions at the ball and revolute joints to a wrench onto the terminal platform.
+    """Return the reactions in states (...) at the ball and revolute joints to a wrench onto the terminal platform.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
-
-    Returns
-    -------
-    JointReactions
-        Weights and friction are left out, the structure is rigid. NaN for a member that does not exist.
-
-    Raises
-    ------
-    SingularConfigurationError
-        At a forward or a constraint singularity, where the legs do not hold the platform.
+    Weights and friction are left out, the structure is rigid. NaN for a member that does not exist; raises
+    `SingularConfigurationError` at a forward or a constraint singularity, where the legs do not hold the platform.
     """
     check_configuration(configuration)
     rows = -stage_inverses(configuration).mT

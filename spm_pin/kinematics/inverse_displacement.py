@@ -132,15 +132,7 @@ def _within_reach(branches: SolutionSet) -> SolutionSet:
 
 
 class BranchMemory:
-    """Memory into which `inverse_displacement` writes the branches of one batch after another.
-
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator.
-    size : int
-        Number of poses of a batch.
-    """
+    """Memory into which `inverse_displacement` writes the branches of one batch after another, of `size` poses each."""
 
     def __init__(self, geometry: Geometry, size: int) -> None:
         self._geometry = check_instance(geometry, Geometry, "geometry")

@@ -25,14 +25,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.batches import run_on_states
-from spm_pin.mechanism.arguments import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    broadcastable,
-    leg_values,
-    real_array,
-)
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, broadcastable, leg_values, real_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry
 
@@ -48,29 +41,15 @@ _STIFFEST = 1e100
 
 
 def inverse_jacobian(configuration: Configuration) -> FloatArray:
-    """Return J_f, which maps the platform's twist to the leg rates.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
+    """Return J_f of states (...), which maps the platform's twist to the leg rates: the paper's Eq. (31).
 
     Returns
     -------
     ndarray, shape (..., 6, 6)
         Rows r_b1, r_b2, r_b3, r_c1, r_c2, r_c3; columns the twist (v, ω): velocity of o [m/s], angular velocity
-        of m [rad/s], both in {B}. NaN for a member of a batch that does not exist or is singular as below. Singular,
-        but right, at a forward singularity.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at an inverse or a constraint singularity, where a twist has no leg rates or no unique ones.
-        Also, as "forward", where a leg has no length, hence no direction.
-
-    Notes
-    -----
-    Eq. (31) of the paper, which takes it from a 9 x 9 system.
+        of m [rad/s], both in {B}. Singular, but right, at a forward singularity. A single state raises
+        `SingularConfigurationError`, and a member of a batch is NaN, at an inverse or a constraint singularity, where a
+        twist has no leg rates or no unique ones; and, as "forward", where a leg has no length, hence no direction.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import inverse_jacobians
 
@@ -78,23 +57,14 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
 
 
 def platform_jacobian(configuration: Configuration) -> FloatArray:
-    """Return G = J_f⁻¹, which maps the leg rates to the platform's twist, without inverting J_f.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
+    """Return G = J_f⁻¹ of states (...), which maps the leg rates to the platform's twist, without inverting J_f.
 
     Returns
     -------
     ndarray, shape (..., 6, 6)
         Rows the twist (v, ω) of m at o, in {B} [m/s, rad/s]; columns the legs, as in `inverse_jacobian`. Singular, but
-        right, at an inverse singularity. NaN for a member of a batch that does not exist or is singular as below.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at a forward or a constraint singularity, where the legs do not hold the platform.
+        right, at an inverse singularity. A single state raises `SingularConfigurationError`, and a member of a batch is
+        NaN, at a forward or a constraint singularity, where the legs do not hold the platform.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
 
@@ -121,7 +91,7 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
 
 
 def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArray:
-    """Return the actuator forces that hold a wrench applied onto the terminal platform.
+    """Return the actuator forces that hold a wrench applied onto the terminal platform: the paper's Eq. (33).
 
     Parameters
     ----------
@@ -135,17 +105,7 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     -------
     ndarray, shape (..., 6)
         What the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 exert [N], of RRS legs [N m]; positive increases the
-        reading: an RPS leg pushes. Weights and friction are left out. NaN for a member of a batch that does not exist
-        or is singular as below.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at a forward or a constraint singularity, where the legs cannot hold every wrench.
-
-    Notes
-    -----
-    Eq. (33) of the paper, without its inverse of J_f.
+        reading: an RPS leg pushes. Weights and friction are left out. At singularities as `platform_jacobian`.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces
 
@@ -292,13 +252,7 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     -------
     ndarray, shape (..., 6, 6)
         Maps (f, m) at o in {B} [N, N m] to a displacement of o [m] and a small rotation [rad] in {B}; symmetric.
-        Of rank less than 6 at an inverse singularity with rigid structures. NaN for a member of a batch that does not
-        exist or is singular as below.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at a forward or a constraint singularity, where the legs do not hold the platform.
+        Of rank less than 6 at an inverse singularity with rigid structures; at others as `platform_jacobian`.
     """
     check_configuration(configuration)
     along = _compliances(legs, "legs", configuration)
@@ -324,14 +278,8 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     -------
     ndarray, shape (..., 6, 6)
         Maps a displacement of o [m] and a small rotation [rad] to (f, m) at o [N, N m], all in {B}; symmetric and
-        positive definite. NaN for a member of a batch that does not exist or is singular as below.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at a forward or a constraint singularity; with a rigid structure at an inverse one as well,
-        where the legs' lengths do not show some motion of the platform: its stiffness is infinite there, its
-        `compliance` finite.
+        positive definite. At singularities as `compliance`; with a rigid structure it raises, or is NaN, at an inverse
+        one as well, where the legs' lengths do not show some motion of the platform: its stiffness is infinite there.
 
     Examples
     --------

@@ -140,14 +140,10 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
         A matrix is singular where its smallest singular value is at most this times its largest; by default
         where rounding cannot tell. Raise it to name singularities that are merely near.
 
-    Raises
-    ------
-    SingularConfigurationError
-        Where a leg of a single state has no length, hence no direction. In a batch such a member is NaN, of rank 0 and
-        of the kind FORWARD. A state that does not exist, single or in a batch, is NaN, of rank 0 and REGULAR.
-
     Notes
     -----
+    Where a leg has no length, hence no direction, a single state raises `SingularConfigurationError`, and a member of a
+    batch is NaN, of rank 0 and of the kind FORWARD. A state that does not exist is NaN, of rank 0 and REGULAR.
     At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost. What the
     literature calls these singularities is in docs/theory/literature_checks.md.
     """
@@ -224,17 +220,9 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
 
 
 def determinants(configuration: Configuration) -> FloatArray:
-    """Return det J_b, det J_c and det K alone, as `Singularities.determinants`.
+    """Return det J_b, det J_c and det K of states (...) alone [m³], (..., 3), as `Singularities.determinants`.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        [m³]; NaN for a member that does not exist, or for a leg without length.
+    NaN for a member that does not exist, or for a leg without length.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
@@ -244,24 +232,14 @@ def determinants(configuration: Configuration) -> FloatArray:
 
 
 def determinant_gradients(configuration: Configuration) -> FloatArray:
-    """Return the derivatives of det J_b, det J_c and det K with respect to the six readings.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        States of shape (...).
+    """Return the derivatives of det J_b, det J_c and det K of states (...) with respect to the six readings.
 
     Returns
     -------
     ndarray, shape (..., 3, 6)
         Row per determinant, column per leg r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m²]; finite at an inverse
-        singularity. NaN for a member of a batch that does not exist or is singular as below. For the derivative along
-        a motion of the platform multiply with `inverse_jacobian`.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at a forward or a constraint singularity, where the leg lengths do not determine the motion.
+        singularity, at others as `platform_jacobian`. For the derivative along a motion of the platform multiply with
+        `inverse_jacobian`.
     """
     # Twists (v, ω) of m at o per unit leg rate, (..., 6, 6); the middle platform moves with the lower legs only.
     twists = np.swapaxes(platform_jacobian(configuration), -1, -2)

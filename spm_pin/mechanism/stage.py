@@ -55,11 +55,6 @@ class Stage(Mechanism):
     limits : (minimum, maximum) or StageLimits, optional
         Of the readings, each one number or three: [m], of RRS legs [rad]. None means unlimited.
 
-    Attributes
-    ----------
-    legs : Legs
-        The three legs, drawn or as built.
-
     Notes
     -----
     Two of them on one triangle of balls are a `Geometry`. `spm_pin.stages` has the displacements both ways, rates,

@@ -2,13 +2,7 @@
 
 from spm_pin.description.source_files import Closure
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.chain_state import (
-    ChainState,
-    ConstrainedState,
-    Energy,
-    NaturalFrequencies,
-    PlatformDynamics,
-)
+from spm_pin.multibody.chain_state import ChainState, ConstrainedState, Energy, NaturalFrequencies, PlatformDynamics
 from spm_pin.multibody.constrained_model import SingularValues
 from spm_pin.multibody.mounting import MountedChain
 from spm_pin.multibody.simulation import Simulation, SimulationEnd

@@ -35,12 +35,7 @@ from spm_pin.mechanism.legs import LEGS, check_path_readings
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.multibody.chain_state import ChainState, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
-from spm_pin.multibody.constrained_model import (
-    AGREEMENT,
-    ConstrainedModel,
-    TreeKinematics,
-    read_vectors,
-)
+from spm_pin.multibody.constrained_model import AGREEMENT, ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, increasing_times, read_motion
@@ -361,8 +356,8 @@ class ClosedChain:
             Joint values and velocities of a closed mechanism at the first time.
         forces : array_like (6,), callable, or None
             Of the legs [N], of RRS legs torques [N m]: constant, or a function (t, q, v) → (6,); None lets them move
-            freely. A function
-            without `period` is smooth in its arguments alone: it is called several times a step, and not in order.
+            freely. A function without `period` is smooth in its arguments alone: it is called several times a step, and
+            not in order.
         times : array_like, shape (n,)
             When to record [s], increasing; the motion begins at the first.
         wrench : array_like (6,), or callable, optional

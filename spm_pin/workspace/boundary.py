@@ -207,17 +207,8 @@ class Boundary(ClosedMesh):
         return f"<Boundary: {len(self.vertices)} vertices, {len(self.faces)} faces, {self.volume:.4f} m³>"
 
     def sample(self, count: int, rng: np.random.Generator | int | None = None) -> BoundaryPoints:
-        """Draw points of the boundary, about uniformly over its area.
+        """Draw `count` points of the boundary, about uniformly over its area.
 
-        Parameters
-        ----------
-        count : int
-            How many.
-        rng : Generator or int, optional
-            Source of randomness, or its seed.
-
-        Notes
-        -----
         Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point. Where the search
         for that has not converged, in the widest limits for less than one in a hundred, `violation` is large.
         """

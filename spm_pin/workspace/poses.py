@@ -258,19 +258,7 @@ def reachable(
 
 
 def pose_distance(geometry: Geometry, first: PoseLike, second: PoseLike) -> Any:
-    """Return the root mean square displacement of c_1, c_2, c_3 between poses [m].
-
-    Parameters
-    ----------
-    geometry : Geometry
-        The manipulator.
-    first, second : poses of shape (...)
-        Of {m} in {B}; their shapes broadcast.
-
-    Returns
-    -------
-    float or ndarray, shape (...)
-    """
+    """Return the root mean square displacement of c_1, c_2, c_3 between poses (...) of {m} in {B} [m], (...)."""
     check_instance(geometry, Geometry, "geometry")
     matrices = [as_rigid_transform(pose, name).as_matrix() for pose, name in ((first, "first"), (second, "second"))]
     return _distance(geometry, *matrices)
