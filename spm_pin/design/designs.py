@@ -62,6 +62,8 @@ _OF_LEGS = ("minimum", "stroke", *dict.fromkeys(name for kind in KINDS.values() 
 VARIABLES = (*_DIMENSIONS, *(f"{stage}{name}" for stage in _STAGES for name in _OF_LEGS))
 """Names of variables that may be free: E, C, d [m]; and of all legs, or of a stage's, the least reading, the stroke and
 the numbers that are fixed in PRS and RRS legs, such as "lower_crank" [m, rad]."""
+_LOW = 0.05
+"""Share of the configurations at which a metric may be below its "_low"."""
 _NARROWEST = 1e-6
 """Least width of a free range, over its end: a search needs many distinct numbers."""
 _CHOICES = ("free", "aims", "at_least", "at_most")
@@ -86,7 +88,7 @@ class Designs:
       more than the boxes allowed; if asked for.
     - the names of functions that are given.
     - "<metric>_mean" and "<metric>_low": mean of a metric of `spm_pin.sweeps` and the value that it exceeds at all but
-      the share `quantile` of the configurations.
+      one in twenty of the configurations.
     """
 
     def __len__(self) -> int:
@@ -99,7 +101,6 @@ def evaluate_designs(
     *,
     functions: dict[str, Function] | None = None,
     states: int = 10_000,
-    quantile: float = 0.05,
     boxes: int = 0,
     seed: int = 0,
     scheduler: str | Client | None = None,
@@ -119,8 +120,6 @@ def evaluate_designs(
         `task.margin` and `task.effort`. They are sent to other processes where there are some.
     states : int
         Sets of readings for each machine: a Sobol sequence, the same shares of the strokes for all.
-    quantile : float
-        Share of the configurations at which a metric may be below its "_low".
     boxes : int
         Prove as `certify` does, with at most so many boxes for a stage, that the limits are free of forward
         singularities; not tried where some leg lengths have no configuration. Where the legs of a stage have equal
@@ -147,7 +146,6 @@ def evaluate_designs(
         received = "none" if isinstance(geometries, Iterable) else type_and_value(geometries)
         raise ArgumentError("geometries", "an iterable of at least one Geometry", received)
     chosen, sample = resolve_metrics(metrics), Sample(whole_number(states, "states", least=2, most=10**7), seed)
-    real_number(quantile, "quantile", "a share from 0 to 1", least=0.0, most=1.0)
     whole_number(boxes, "boxes")
     check_workers(scheduler, workers)
     report = shown_progress(progress)
@@ -155,7 +153,7 @@ def evaluate_designs(
         require_extra("cluster")
     own = _checked_functions({} if functions is None else functions)
     names = column_names(chosen, boxes, own)
-    work = partial(_evaluate_some, sample.draw(6, (0,), sample.count), chosen, quantile, boxes, tuple(own.values()))
+    work = partial(_evaluate_some, sample.draw(6, (0,), sample.count), chosen, boxes, tuple(own.values()))
     values = np.full((len(machines), len(names)), np.nan)
     together = min(_TOGETHER, -(-len(machines) // 4))
     tasks, done = ((k, machines[k : k + together]) for k in range(0, len(machines), together)), 0
@@ -193,7 +191,6 @@ def column_names(metrics: tuple[Metric, ...], boxes: int, own: Iterable[str] = (
 def _evaluate_some(
     shares: FloatArray,
     metrics: tuple[Metric, ...],
-    quantile: float,
     boxes: int,
     own: tuple[Function, ...],
     batch: Batch,
@@ -201,7 +198,7 @@ def _evaluate_some(
     first, machines = batch
     rows = np.array(
         [
-            [*_evaluate(shares, metrics, quantile, machine), *(_number(function, machine) for function in own)]
+            [*_evaluate(shares, metrics, machine), *(_number(function, machine) for function in own)]
             for machine in machines
         ]
     )
@@ -220,7 +217,7 @@ def _number(function: Function, machine: Geometry) -> float:
         raise ArgumentError("functions", "functions that return a number", repr(error)) from error
 
 
-def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], quantile: float, machine: Geometry) -> list[float]:
+def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Geometry) -> list[float]:
     low, stroke = leg_ranges(machine)
     points = Points(machine, "legs", low + shares * stroke)
     assembled, area = float(points.reachable.mean()), np.pi * machine.base_radius**2
@@ -234,7 +231,7 @@ def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], quantile: float, 
     for metric in metrics:
         values = metric.evaluate(points).astype(np.float64)
         values = values[np.isfinite(values)]
-        row += [float(values.mean()), float(np.quantile(values, quantile))] if len(values) else [np.nan, np.nan]
+        row += [float(values.mean()), float(np.quantile(values, _LOW))] if len(values) else [np.nan, np.nan]
     return row
 
 
@@ -417,7 +414,6 @@ def pareto_front(
     population: int = 40,
     generations: int = 25,
     states: int = 2000,
-    quantile: float = 0.05,
     boxes: int = 30_000,
     seed: int = 0,
     scheduler: str | Client | None = None,
@@ -435,7 +431,7 @@ def pareto_front(
         search that was interrupted goes on from it, and a finished one is read from it; another search's is refused.
     population, generations : int
         Machines of a generation, and how many of these there are.
-    states, quantile, boxes, scheduler, workers
+    states, boxes, scheduler, workers
         As for `evaluate_designs`; certificates are made where an aim or a bound is "certified". Processes are started
         once for the search, and need ``if __name__ == "__main__":`` as in `evaluate_designs`.
     seed : int
@@ -464,13 +460,12 @@ def pareto_front(
     path = file_path(store, "store", suffixes=(".json",))
     for name, value in (("population", population), ("generations", generations), ("states", states)):
         whole_number(value, name, least=2, most=10**6)
-    real_number(quantile, "quantile", "a share from 0 to 1", least=0.0, most=1.0)
     whole_number(seed, "seed", most=2**32 - 1)
     check_workers(scheduler, workers)
     report = shown_progress(progress)
     whole_number(boxes, "boxes")
     needed = boxes if "certified" in problem.columns else 0
-    options: dict[str, Any] = {"states": states, "quantile": quantile, "boxes": needed, "seed": seed}
+    options: dict[str, Any] = {"states": states, "boxes": needed, "seed": seed}
     given = {
         "format": _FORMAT,
         "versions": {"spm_pin": package_version(), "pymoo": metadata.version("pymoo"), "numpy": np.__version__},

@@ -26,7 +26,6 @@ from spm_pin.mechanism.arguments import (
     choice,
     generator,
     real_array,
-    real_number,
     type_and_value,
     whole_number,
 )
@@ -39,6 +38,8 @@ _OPTIMALITY_TOLERANCE = 1e-6
 """Violation of Eq. (1) of `docs/theory/reachable_set.md`, above which the search has not converged."""
 _TRIED = 8
 """States that satisfy a condition from which one at a point is looked for."""
+CONFIDENCE = 0.95
+"""Of the intervals of volumes from samples."""
 ROTATIONS = 8.0 * np.pi**2
 """Measure of all rotations [rad³]."""
 _LARGE = 0.99
@@ -155,11 +156,6 @@ def _counted_ends(values: FloatArray, unseen: float, confidence: float) -> tuple
     return end(0.5 - 0.5 * confidence, 0.0), end(0.5 + 0.5 * confidence, max(float(values.max()), unseen))
 
 
-def check_confidence(confidence: float) -> float:
-    """Return `confidence` if it is a probability."""
-    return real_number(confidence, "confidence", "a probability between 0 and 1", above=0.0, below=1.0)
-
-
 def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLimits | None = None) -> PositionReach:
     """Find which positions o can reach in some orientation, in the physical mode, and the nearest it can.
 
@@ -197,7 +193,6 @@ def reachable_volume(
     where: Condition | None = None,
     samples: int = 20_000,
     spacing: float | None = None,
-    confidence: float = 0.95,
     rng: np.random.Generator | int | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
@@ -220,12 +215,9 @@ def reachable_volume(
         Points for "sampling".
     spacing : float
         Of the coarser grid for "mesh" [m], see `reachable_boundary`.
-    confidence : float
-        Of the interval, for "sampling".
     rng : Generator or int, optional
         Source of randomness, or its seed.
     """
-    check_confidence(confidence)
     if choice(method, "method", ("sampling", "mesh")) == "mesh":
         if where is not None:
             raise ArgumentError("where", 'None with the method "mesh"', type_and_value(where))
@@ -241,7 +233,7 @@ def reachable_volume(
         hits = _with_condition(states, points, member, where, rng)
         undecided = undecided | (member.reached & ~hits)
     numbers = int(hits.sum()), int(undecided.sum())
-    return Estimate.from_hits(numbers[0], count, region, confidence, "share of uniform points", "m³", numbers[1])
+    return Estimate.from_hits(numbers[0], count, region, CONFIDENCE, "share of uniform points", "m³", numbers[1])
 
 
 def pose_volume(
@@ -250,7 +242,6 @@ def pose_volume(
     *,
     where: Condition | None = None,
     samples: int = 20_000,
-    confidence: float = 0.95,
     rng: np.random.Generator | int | None = None,
 ) -> Estimate:
     """Estimate the volume of the poses that are reachable in the physical mode, in m³ rad³; all rotations have 8π².
@@ -264,16 +255,13 @@ def pose_volume(
         number of states of its pose, whether those count or not.
     samples : int
         States to draw.
-    confidence : float
-        Of the interval, which is Student's; with `where` the wider of that and one of the effective number of states
-        that count. The estimate's `method` says how many do.
 
     Notes
     -----
     States are drawn uniformly in coordinates of the stages, and weighted with |det ∂(o, R)/∂c| over the number of
-    states with the same pose. A ratio of two such volumes, of the same seed, is a share of the poses.
+    states with the same pose. A ratio of two such volumes, of the same seed, is a share of the poses. The interval is
+    Student's; with `where` the wider of that and one of the effective number of states that count, in `method`.
     """
-    check_confidence(confidence)
     count = whole_number(samples, "samples", least=2)
     states, rng = states_within(geometry, limits), generator(rng)
     (lower, first), (upper, second) = (states.draw_stages(stage, count, rng) for stage in range(2))
@@ -287,7 +275,7 @@ def pose_volume(
         # The weight of a state that was not drawn: the fewer count, the less is known of it.
         unseen = float(np.quantile(values, _LARGE)) / max(hits, 1)
         values, method = np.where(satisfied, values, 0.0), f"{method}; {hits} of {number} states count"
-    return Estimate.from_mean(values, first * second, confidence, method, "m³ rad³", 2.0 / number, unseen)
+    return Estimate.from_mean(values, first * second, CONFIDENCE, method, "m³ rad³", 2.0 / number, unseen)
 
 
 def check_condition(where: Condition, states: Configuration) -> BoolArray:
@@ -365,7 +353,6 @@ def orientation_workspace(
     limits: LegLimits | None = None,
     *,
     samples: int = 20_000,
-    confidence: float = 0.95,
     rng: np.random.Generator | int | None = None,
 ) -> OrientationWorkspace:
     """Find the orientations that the platform can have at a position in the physical mode.
@@ -378,14 +365,12 @@ def orientation_workspace(
         Of o in {B} [m].
     samples : int
         States of the lower stage to try.
-    confidence : float
-        Of the volume's interval: Student's; if no state is found, Clopper and Pearson's for the share of states,
-        taken of all rotations, which is generous.
 
     Returns
     -------
     OrientationWorkspace
-        Without states and of volume 0 where the position is out of reach, or hardly reached.
+        Without states and of volume 0 where the position is out of reach, or hardly reached. The volume's interval is
+        Student's; without states Clopper and Pearson's for the share of states, of all rotations, which is generous.
 
     Notes
     -----
@@ -397,7 +382,7 @@ def orientation_workspace(
     point = real_array(position, "position", (3,), "a position in metres").reshape(-1, 3)
     if len(point) != 1:
         raise ArgumentError("position", "one position of shape (3,), in metres", f"{len(point)} of them")
-    count, confidence = whole_number(samples, "samples", least=2), check_confidence(confidence)
+    count = whole_number(samples, "samples", least=2)
     states, rng = states_within(geometry, limits), generator(rng)
     lower, region = states.draw_stages(0, count, rng)
     upper = states.upper_for(lower, point)
@@ -408,9 +393,9 @@ def orientation_workspace(
     values[index] = pose_densities(states, coordinates) / across
     method = "change of variables from the lower stage's coordinates"
     if len(index):
-        volume = Estimate.from_mean(values, region, confidence, method, "rad³", 1.0 / count)
+        volume = Estimate.from_mean(values, region, CONFIDENCE, method, "rad³", 1.0 / count)
     else:
-        volume = Estimate.from_hits(0, count, ROTATIONS, confidence, method, "rad³")
+        volume = Estimate.from_hits(0, count, ROTATIONS, CONFIDENCE, method, "rad³")
     configurations = states.states(coordinates)
     azimuth, tilt, torsion = tilt_torsion(configurations.rotation)
     weights = values[index] * region / count

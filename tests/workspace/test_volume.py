@@ -170,7 +170,7 @@ def test_tilt_and_torsion_are_those_of_the_rotation() -> None:
 @pytest.mark.parametrize("position", [(0.3, 0.1, 2.45), (0.02, 0.03, 2.5)])
 def test_the_volume_is_that_of_uniform_orientations(position: tuple[float, float, float]) -> None:
     """In a box of tilt and torsion that holds all that was found; the inverse displacement alone decides there."""
-    answer = orientation_workspace(PAPER, position, samples=12_000, confidence=0.999, rng=2)
+    answer = orientation_workspace(PAPER, position, samples=12_000, rng=2)
     assert answer.weights.sum() == pytest.approx(answer.volume.value)
     np.testing.assert_allclose(
         answer.states.translation, np.broadcast_to(position, (len(answer.weights), 3)), atol=1e-8
