@@ -140,7 +140,7 @@ class Configuration(Batched):
     @property
     def mechanism(self) -> Geometry:
         """The same."""
-        return self._geometry
+        return self._mechanism
 
     @property
     def compared_points(self) -> FloatArray:

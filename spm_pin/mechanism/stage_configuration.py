@@ -85,7 +85,7 @@ class StageConfiguration(Batched):
     @property
     def mechanism(self) -> Stage:
         """The same."""
-        return self._stage
+        return self._mechanism
 
     @property
     def shape(self) -> tuple[int, ...]:
