@@ -64,7 +64,7 @@ class Mechanism(ABC):
         """Smallest and largest readings (2, legs), infinite where there is no limit."""
         if self.limits is None:
             return np.tile([[-np.inf], [np.inf]], len(self.legs.names))
-        return np.array([self.limits.minimum, self.limits.maximum])
+        return self.limits.ends
 
     def from_parameters(self, parameters: npt.ArrayLike) -> Self:
         """Return the machine of the same dimensions and limits whose legs have these `parameters`."""
