@@ -64,9 +64,9 @@ class Readings:
     """True for the legs whose readings are angles, (6,)."""
 
     @classmethod
-    def of(cls, geometry: Geometry, unit: LengthUnit) -> Readings:
+    def of(cls, machine: Mechanism, unit: LengthUnit) -> Readings:
         """Return the units of a machine's readings."""
-        return cls(unit, np.array(geometry.legs.units) == "rad")
+        return cls(unit, np.array(machine.legs.units) == "rad")
 
     @property
     def scale(self) -> FloatArray:

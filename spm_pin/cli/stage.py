@@ -14,7 +14,7 @@ from typer import Option
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.draw import Browser, Dark, Host, Port, serve
-from spm_pin.cli.options import LengthUnit, Triple
+from spm_pin.cli.options import LengthUnit, Readings, Triple
 from spm_pin.display import reach_figure, save_figure, stage_figure
 from spm_pin.display.writing import FORMATS, fixed
 from spm_pin.errors import ArgumentError, GeometryError, raised_as, require_extra
@@ -293,15 +293,11 @@ def _state(stage: Stage, height: float | None, tilt: float, azimuth: float, unit
 
 def _scale(stage: Stage, unit: LengthUnit) -> float:
     """Return what a reading in metres or radians is multiplied by to be printed."""
-    return unit.per_metre if stage.unit == "m" else 180.0 / math.pi
+    return float(Readings.of(stage, unit).scale[0])
 
 
 def _units(stage: Stage, unit: LengthUnit) -> Record:
     return {"unit": unit, "readings": unit if stage.unit == "m" else "degrees"}
-
-
-def _reading(stage: Stage, reading: float, unit: LengthUnit) -> str:
-    return unit.text(reading) if stage.unit == "m" else fixed(reading, 3)
 
 
 def _record(label: str, state: StageConfiguration, unit: LengthUnit) -> Record:
@@ -324,7 +320,7 @@ def _records(solutions: StageSolutions, unit: LengthUnit) -> list[Record]:
 
 
 def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, pose: bool = False) -> None:
-    angle = "°" if stage.unit == "rad" else str(unit)
+    angle, readings = "°" if stage.unit == "rad" else str(unit), Readings.of(stage, unit)
     columns: dict[str, Any] = {"mode": lambda row: row["label"]} if len(records) > 1 or not pose else {}
     if pose:
         for name in ("tilt", "azimuth", "roll", "pitch"):
@@ -333,7 +329,7 @@ def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, pose
     else:
         for leg, name in enumerate(stage.legs.names):
             columns[f"{name} [{angle}] "] = lambda row, leg=leg: (
-                _reading(stage, row["readings"][leg], unit) + " *"[leg in row["beyond_limits"]]
+                readings.text(row["readings"][leg], leg) + " *"[leg in row["beyond_limits"]]
             )
     for k, axis in enumerate("xy"):
         columns[f"shift {axis} [{unit}]"] = lambda row, k=k: unit.text(row["shift"][k])

@@ -204,6 +204,13 @@ def test_the_robot_of_two_stages_is_one_on_the_other_turned_over(machine: str) -
     np.testing.assert_allclose(state.pose.as_matrix(), expected, rtol=0, atol=1e-13)
 
 
+def test_what_takes_robots_alone_says_where_a_stage_s_own_is() -> None:
+    with pytest.raises(spm.ArgumentError, match=r"geometry: expected a Geometry, got Stage\. .*Geometry\.of_stages"):
+        spm.certify(BALANCER)  # type: ignore[arg-type]
+    with pytest.raises(spm.ArgumentError, match=r"got StageConfiguration. .* spm_pin\.stages"):
+        spm.singularities(spm.stages.inverse_physical(BALANCER, 0.12))  # type: ignore[arg-type]
+
+
 def test_the_upper_stage_keeps_its_limits() -> None:
     upper = Stage(0.5, 0.46, limits=([0.1, 0.2, 0.3], [1.1, 1.2, 1.3]))
     robot = spm.Geometry.of_stages(STAGES["RPS"], upper)
