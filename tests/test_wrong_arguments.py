@@ -141,6 +141,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("Geometry.of_stages.lower", "Geometry.of_stages.upper"), lambda: spm.mechanism.Stage(0.7, 0.4)),
     **dict.fromkeys(("leg_grid.lower", "leg_grid.upper"), lambda: (1.2, 1.3, 2)),
     "geometry": lambda: PAPER,
+    "machine": lambda: PAPER,
     "stage": lambda: STAGE,
     "height": lambda: 0.12,
     "arrays.stage_inverse.height": lambda: np.array(0.12),
