@@ -101,7 +101,9 @@ def nearest(
     shown = Readings.of(machine, unit)
     columns = {name: lambda row, leg=leg: shown.text(row["readings"][leg], leg) for leg, name in enumerate(LEGS)}
     outputs.print_table(f"Readings in {shown.heading}", columns, [reach])
-    outputs.print_lines([f"distance: {unit.text(reach['distance'], 1)} {unit}", f"pose: {_pose_options(reach, unit)}"])
+    hint = options.unit_hint("--translation", pose.translation * unit.per_metre, unit, machine)
+    found = [f"distance: {unit.text(reach['distance'], 1)} {unit}", f"pose: {_pose_options(reach, unit)}"]
+    outputs.print_lines([*found, *filter(None, [hint])])
 
 
 _SAME_POSE, _INSET = 1e-6, 1e-4

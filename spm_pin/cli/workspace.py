@@ -152,9 +152,9 @@ def _measures(mesh: Shell | Boundary, volume: float, error: float, unit: LengthU
 def _measure_lines(mesh: Shell | Boundary, volume: float, error: float, unit: LengthUnit) -> list[str]:
     """Return the limits and the volume, which has as many digits as its error leaves and one more."""
     scale = unit.per_metre**3
-    digits = max(0, 1 - math.floor(math.log10(error * scale))) if error else 0
-    limits = _limit_lines(mesh.limits, mesh.geometry, unit)
-    return [*limits, f"volume {volume * scale:.{digits}f} ± {error * scale:.1g} {unit}³"]
+    digits = 1 - math.floor(math.log10(error * scale)) if error else 0
+    size, off = (f"{round(x * scale, n):.{max(0, n)}f}" for x, n in ((volume, digits), (error, digits - 1)))
+    return [*_limit_lines(mesh.limits, mesh.geometry, unit), f"volume {size} ± {off} {unit}³"]
 
 
 def _print_reached(boundary: Boundary, estimate: Estimate, unit: LengthUnit, json: bool) -> None:

@@ -3,7 +3,7 @@
 from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import PARAMETERS, Geometry
-from spm_pin.mechanism.joint_angles import JointAngles, joint_angles
+from spm_pin.mechanism.joint_angles import JointAngles, home_readings, joint_angles
 from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.mechanism.legs import LEGS, STAGE_LEGS, LegLimits, Legs, StageLegs, StageLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
@@ -37,6 +37,7 @@ __all__ = [
     "StageSolutions",
     "Status",
     "as_rigid_transform",
+    "home_readings",
     "joint_angles",
     "pose",
 ]

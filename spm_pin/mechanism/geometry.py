@@ -299,7 +299,7 @@ def check_rps(geometry: Geometry, what: str) -> None:
     """Raise a `GeometryError` unless all legs are RPS, which `what` is known for alone."""
     if not geometry.legs.are_rps:
         lower, upper = (kind.name for kind in geometry.legs.kinds)
-        cause = "Known for PRS and RRS legs are displacements, rates, forces, singularities, paths and workspaces"
+        cause = "What takes PRS and RRS legs is listed in docs/howto/other_legs.md"
         raise GeometryError("geometry", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)
 
 
