@@ -110,7 +110,7 @@ class Measurements:
         )
 
     def _impossible(self, geometry: Geometry) -> BoolArray:
-        """Return which readings (N, 6) leave their balls no circle."""
+        """Return which readings (N, 6) their legs cannot have, because the ball's circle would have no radius."""
         return np.asarray(geometry.legs.circles(self.readings)[1] <= 0.0)
 
     def errors(self, geometry: Geometry, frames: Frames | None = None) -> FloatArray:

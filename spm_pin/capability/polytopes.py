@@ -261,7 +261,7 @@ class Polytope:
         return np.where(np.abs(values) <= _ROUNDING * largest, 0.0, values)
 
     def _around_zero(self, sizes: FloatArray) -> FloatArray:
-        """Return sizes of what is around zero, 0 and not -0 where zero is outside, NaN where a state does not exist."""
+        """Return sizes about zero: 0, and not -0, where zero is outside; NaN where a state does not exist."""
         outside = ((self.lower > 0.0) | (self.upper < 0.0)).any(axis=-1)
         return np.where(np.isnan(self.rows[..., 0, 0]), np.nan, np.where(outside, 0.0, sizes + 0.0))
 
@@ -375,7 +375,7 @@ def joint_reactions(configuration: Configuration) -> JointReactions:
 
 
 def _taken(rows: FloatArray, load: npt.ArrayLike | None, other: str, shape: tuple[int, ...]) -> FloatArray:
-    """Return what a load takes of the limits of rows (..., n, 6), 0 without one."""
+    """Return by how much a load shifts the limits of rows (..., n, 6); 0 without one."""
     if load is None:
         return np.zeros(rows.shape[:-1])
     wrench = real_array(load, "load", (6,), "(f, m) at o in {B} in N and N m", allow_nan=True)

@@ -105,7 +105,7 @@ def print_table(
     group: Callable[[Row], object] = lambda row: None,
     style: Callable[[Row], str | None] = lambda row: None,
 ) -> None:
-    """Print a table on stdout, lines as long as they need to be: `columns` are headings and the text of each for a row.
+    """Print a table on stdout, its lines not wrapped; `columns` are headings and functions from a row to its text.
 
     The first column is aligned to the left, and so are those with headings in `left`; an empty line separates rows of
     another `group`. Without rows nothing is printed.
@@ -134,7 +134,7 @@ def print_table(
 
 
 def significant(value: float, scale: float = 0.0, digits: int = 5) -> str:
-    """Format with a number of significant digits; what is rounding beside `scale` is 0."""
+    """Format with a number of significant digits; a number that is rounding beside `scale` is printed as 0."""
     return "0" if abs(value) <= _PRINTED_AS_ZERO * scale else f"{value:.{digits}g}"
 
 

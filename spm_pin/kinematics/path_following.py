@@ -82,7 +82,7 @@ class Event:
 
 
 class CertifiedLimits(Protocol):
-    """The part of a `Certificate` that `follow` uses: floors below cannot import it."""
+    """The part of a `Certificate` that `follow` uses; `proofs` is above this package and cannot be imported here."""
 
     def covers(self, configuration: Configuration) -> BoolArray:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...)."""
@@ -214,7 +214,7 @@ def watch_of(geometry: Geometry) -> Watch:
 def physical_mode_share(
     geometry: Geometry, start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
 ) -> FloatArray:
-    """Return the shares (n,) of lines from readings (6,) to `ends` (n, 6) to which the physical mode lasts.
+    """Return up to which share of each line from readings (6,) to `ends` (n, 6) the physical mode lasts, (n,).
 
     Each of `rounds` solves one part of every line at the ends of `parts` parts: a shorter gap may be missed.
     """
@@ -224,7 +224,7 @@ def physical_mode_share(
 def existing_share(
     solve: Callable[[FloatArray], Batched], start: FloatArray, ends: FloatArray, *, parts: int, rounds: int
 ) -> FloatArray:
-    """Return the shares (n,) of lines between readings to which the states that `solve` finds exist."""
+    """Return up to which share of each line between readings the states that `solve` finds exist, (n,)."""
     low, high = np.zeros(len(ends)), np.ones(len(ends))
     for _ in range(rounds):
         shares = np.linspace(low, high, parts + 1)[1:]

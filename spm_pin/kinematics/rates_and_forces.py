@@ -132,7 +132,7 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
 
 
 def _slopes(configuration: Configuration, kind: str) -> FloatArray:
-    """Return κ of the legs (..., 6), NaN, or an error for a single state, where one is singular in rates."""
+    """Return κ of the legs (..., 6), NaN where a leg is singular; a single state raises."""
     slopes = configuration.slopes
     if kind != "inverse":
         return slopes

@@ -1,4 +1,4 @@
-"""The balls of one stage with given readings, physical or near others, on circles of any legs: arrays in and out.
+"""The balls of one stage with given readings, in its physical state or near another one, for legs of any kind.
 
 A robot's two stages are solved one after the other.
 """

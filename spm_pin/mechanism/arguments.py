@@ -284,7 +284,7 @@ def _in_order(value: Any, argument: str, trailing: tuple[int, ...]) -> Any:
 def finite_array(
     array: FloatArray, argument: str, trailing: tuple[int, ...], meaning: str, *, allow_nan: bool = False
 ) -> FloatArray:
-    """Return `array`, whose shape has been checked, if its numbers are finite."""
+    """Return `array`, whose shape has been checked, or raise if a number is not finite."""
     wrong = np.isinf(array) if allow_nan else ~np.isfinite(array)
     if wrong.any():
         index = first_offender(wrong)

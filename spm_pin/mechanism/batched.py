@@ -55,7 +55,7 @@ class Batched(ABC):
 
     @abstractmethod
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Self:
-        """Return the states of what `change` makes of each array, given with the number of its inner axes."""
+        """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
 
     @abstractmethod
     def where(self, kept: BoolArray) -> Self:

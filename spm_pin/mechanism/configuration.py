@@ -86,7 +86,7 @@ class Configuration(Batched):
         return self
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Configuration:
-        """Return the configuration of what `change` makes of each array, given with the number of its inner axes."""
+        """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
         lengths = self.known_lengths
         return Configuration.from_arrays(
             self.geometry,
@@ -202,7 +202,7 @@ class Configuration(Batched):
 
     @cached_property
     def leg_vectors(self) -> FloatArray:
-        """Circle centres to lower balls, then upper balls to circle centres, as rows in {B} [m], shape (..., 6, 3).
+        """Vectors from circle centres to lower balls, and from upper balls to circle centres, in {B} [m], (..., 6, 3).
 
         Along them the legs push: an RPS leg has its pivot for the centre, other legs have rods.
         """

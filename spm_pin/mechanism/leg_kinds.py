@@ -81,7 +81,7 @@ class LegKind:
 
     @classmethod
     def bound(cls, bind: Callable[[Any], Any]) -> SimpleNamespace:
-        """Return the kind's formulas as a function that binds one makes them."""
+        """Return the kind's formulas, each bound by a function such as `on_arrays`."""
         return SimpleNamespace(**{name: bind(formula) for name, formula in vars(cls.formulas).items()})
 
     @classmethod

@@ -458,7 +458,7 @@ class Legs:
         return self.pivots + x * outward + z * forward, np.concatenate([radii for _, radii in stages], axis=-1)
 
     def _by_stage(self, name: str, *arguments: Any) -> list[Any]:
-        """Return what a method of both kinds makes of arrays whose axis of length six counts the legs."""
+        """Apply a method of each stage's kind to its part of arrays whose axis of length six counts the legs."""
         stages = (slice(0, 3), slice(3, 6))[: len(self.kinds)]
         return [
             getattr(kind, name)(*(x[..., legs, :] if x.shape[-1] == 2 else x[..., legs] for x in arguments))

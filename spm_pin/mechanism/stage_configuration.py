@@ -58,7 +58,7 @@ class StageConfiguration(Batched):
         return self
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> StageConfiguration:
-        """Return the configuration of what `change` makes of each array, given with the number of its inner axes."""
+        """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
         known = self.__dict__.get("readings")
         arrays = change(self._rotation, 2), change(self._translation, 1), None if known is None else change(known, 1)
         return StageConfiguration.from_arrays(self.stage, *arrays)

@@ -128,7 +128,7 @@ class ConstrainedState:
         return self
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:
-        """Make (nq,) and (nv,) the q and v that the functions of `_each_member` are about."""
+        """Set q (nq,) and v (nv,) for the functions that `_each_member` runs."""
         self.kinematics.evaluate(q)
         self._rates = v
         self._drift: tuple[FloatArray, FloatArray] | None = None
@@ -264,7 +264,7 @@ class ConstrainedState:
 
 
 class ChainState(ConstrainedState):
-    """The state of a `ClosedChain`: a `ConstrainedState` with the methods that a mounted chain has not.
+    """The state of a `ClosedChain`: a `ConstrainedState` with methods that a mounted chain does not have.
 
     Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it;
     legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.

@@ -341,7 +341,7 @@ def stage_regions(geometry: Geometry, limits: LegLimits, errors: tuple[float, fl
 
 
 def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, float]:
-    """Return errors that a machine on their edge does not exceed by rounding; none for none."""
+    """Return errors enlarged by rounding, so that a machine on their edge is within them; zeros stay zeros."""
     length, angle = errors
     return (length + _ROUNDING * sum(geometry.dimensions), angle + _ROUNDING) if any(errors) else errors
 

@@ -96,7 +96,7 @@ def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
 
 
 def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
-    """Return the twist of the platform for its motion (v_z, ω_x, ω_y): what it does besides follows from the planes.
+    """Return the twist of the platform for its motion (v_z, ω_x, ω_y), with the parasitic v_x, v_y and ω_z.
 
     Parameters
     ----------

@@ -222,7 +222,7 @@ def metric(
 
 
 def unavailable(points: Points, **parameters: Any) -> npt.ArrayLike:
-    """Refuse to compute a metric whose definition alone is known."""
+    """Refuse to compute a metric of which only the definition is known."""
     cause = "A metric of your own has to be given again, to `run_sweep`, with all the rest"
     raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", "one whose function is not known", cause)
 
@@ -241,7 +241,7 @@ def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Met
 
 
 def prepare_metrics(metrics: Iterable[Metric], points: Points) -> None:
-    """Evaluate the package's metrics, for other processes to find what they need compiled; raises what they raise."""
+    """Evaluate the package's metrics once, so that other processes find kernels compiled; raises what they raise."""
     for metric in metrics:
         if metric.is_of_package:
             metric.evaluate(points)

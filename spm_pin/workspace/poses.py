@@ -108,7 +108,7 @@ class JointLimits:
         return np.where(configuration.exists, margin, np.nan)
 
     def clearance_margin(self, configuration: Configuration) -> FloatArray:
-        """Return by how much the nearest legs are farther apart than they must, shape (...) [m]; as `angle_margin`."""
+        """Return by how much the nearest legs keep more than the clearance, shape (...) [m]; as `angle_margin`."""
         if self.clearance is None:
             return np.where(check_configuration(configuration).exists, np.inf, np.nan)
         return leg_clearance(configuration) - self.clearance

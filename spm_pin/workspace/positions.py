@@ -1,4 +1,4 @@
-"""Which positions are reachable, the nearest ones that are, the orientations at one, and how much volume all fill.
+"""Reachable positions: which they are, the nearest ones to others, the orientations at one, and their volume.
 
 Rotations are described by tilt and torsion, R = Rz(φ) Ry(θ) Rz(σ - φ): the platform's normal leans by the tilt θ
 towards the azimuth φ, and the platform is turned by the torsion σ about it. The uniform measure of rotations is
@@ -102,7 +102,7 @@ class Estimate:
     def from_hits(
         cls, hits: int, samples: int, whole: float, confidence: float, method: str, unit: str, undecided: int = 0
     ) -> Estimate:
-        """Return a part of `whole` from how many of its uniform samples hit it: Clopper and Pearson's interval.
+        """Estimate the size of a part of `whole` from uniform samples, of which `hits` are in it: Clopper and Pearson.
 
         Of `undecided` samples it is not known whether they hit: the lower end counts none of them, the upper end all.
         """
@@ -123,7 +123,7 @@ class Estimate:
         relative_variance: float = 0.0,
         unseen: float | None = None,
     ) -> Estimate:
-        """Return an integral over a region of size `whole` from uniform samples (N,) of it: Student's interval.
+        """Estimate an integral over a region of size `whole` from values (N,) at uniform samples: Student's interval.
 
         The size may be an independent estimate, unbiased and with the given relative variance. Where few values are
         not zero, `unseen` is what another one may be, and the interval includes that of the effective number of hits.
@@ -141,7 +141,7 @@ class Estimate:
 
 
 def _counted_ends(values: FloatArray, unseen: float, confidence: float) -> tuple[float, float]:
-    """Return both ends for the mean of values (N,) of which few are not zero, after Fay and Feuer.
+    """Return the ends of an interval for the mean of values (N,) of which few are not zero, after Fay and Feuer.
 
     They are Clopper and Pearson's of (Σ v)² / Σ v² hits; the upper end counts one more, the largest or `unseen`.
     M. P. Fay, E. J. Feuer, "Confidence intervals for directly standardized rates", Statistics in Medicine 16 (1997).
@@ -157,7 +157,7 @@ def _counted_ends(values: FloatArray, unseen: float, confidence: float) -> tuple
 
 
 def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLimits | None = None) -> PositionReach:
-    """Find which positions o can reach in some orientation, in the physical mode, and the nearest it can.
+    """Find which positions o can reach in some orientation, in the physical mode, and the nearest to the others.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Searches for states: with o at given points, or with points of the platform as near to given ones as they can be.
+"""Searches for states: with o at given points, or with points of the platform as near as possible to given ones.
 
 The searches begin at states of a sample. The two stages are independent: the reachable positions are what the lower
 stage makes of one fixed set S, where o is seen from the middle platform in all states of the upper stage. S has three

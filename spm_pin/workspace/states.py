@@ -87,7 +87,7 @@ class StateSet:
 
     @property
     def size(self) -> float:
-        """E + C + d + how far legs reach [m]: what lengths are compared with."""
+        """E + C + d and how far legs reach [m]: lengths are small or large in proportion to it."""
         g, longest = self.geometry, float(self._longest.max())
         return float(g.base_radius + g.platform_radius + g.middle_side + (longest if np.isfinite(longest) else 0.0))
 
@@ -260,7 +260,7 @@ class StateSet:
         return np.asarray(centres[(nearest < 1.0) & ~(outside > _RESERVE * bound + 1e-12)])
 
     def _outside(self, stage: int, stages: Stages) -> FloatArray:
-        """Return how far the farthest ball of stages (N,) at least is from where its leg is within limits, (N,) [m].
+        """Return a lower bound of how far the worst ball is from where its leg is within limits, (N,) [m].
 
         In a leg's plane that region ends at the circles of both limits and, but of RPS legs, where the leg is singular.
         """
@@ -415,7 +415,7 @@ def sample_reachable(
     rng: np.random.Generator | int | None = None,
     progress: Progress | None = None,
 ) -> Configuration:
-    """Draw physical states.
+    """Draw random physical states within leg limits.
 
     Parameters
     ----------
