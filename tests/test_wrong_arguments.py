@@ -173,6 +173,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "acceleration_polytope.mass": lambda: np.diag([10.0, 10.0, 10.0, 1.0, 1.0, 1.0]),
     "Polytope.within.rows": lambda: np.ones((2, 6)),
     "Polytope.within.limits": lambda: 100.0,
+    "Geometry.check_limits.limits": lambda: spm.LegLimits(1.0, 1.6),
     "Polytope.contains.points": lambda: np.ones(6),
     "sweeps.condition.metric": lambda: "payload",
     "sweeps.condition.least": lambda: 0.5,

@@ -16,7 +16,7 @@ from spm_pin.formulas.planar_legs import LONGEST_CHORD
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.leg_kinds import RPS
-from spm_pin.mechanism.legs import StageLegs
+from spm_pin.mechanism.legs import PlacedLegs
 
 _is_home_state = on_arrays(formulas.is_home_state)
 
@@ -54,13 +54,13 @@ class Modes(NamedTuple):
     """`Status` (N,) but for continuous families."""
 
 
-def all_modes(stage: StageLegs, readings: FloatArray, drawing: Drawing) -> Modes:
+def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Modes:
     """Return all modes with readings (N, 3), under the labels of the drawn stage."""
     modes = _modes(stage, _circles(stage, readings), drawing)
     return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
 
 
-def physical_balls(stage: StageLegs, readings: FloatArray) -> FloatArray:
+def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
     """Return the balls (N, 3, 3) [m] in the home's aspect with readings (N, 3), NaN where there is no such state."""
     from spm_pin.kinematics.kernels.ball_circles import ELSEWHERE, home_states
 
@@ -79,7 +79,7 @@ def physical_balls(stage: StageLegs, readings: FloatArray) -> FloatArray:
     return _in_working_mode(stage, balls, readings)
 
 
-def followed_balls(stage: StageLegs, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+def followed_balls(stage: PlacedLegs, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
     """Return where balls (N, 3, 3) [m] are led from readings (N, 3) to others, NaN where they meet a singularity."""
     from spm_pin.kinematics.kernels.ball_circles import follow_states
 
@@ -94,7 +94,7 @@ def followed_balls(stage: StageLegs, balls: FloatArray, start: FloatArray, end: 
     return _in_working_mode(stage, balls, end)
 
 
-def _circles(stage: StageLegs, readings: FloatArray) -> Circles:
+def _circles(stage: PlacedLegs, readings: FloatArray) -> Circles:
     """Return the circles that readings (N, 3) leave to the balls."""
     from spm_pin.kinematics.kernels.ball_circles import circle_centres
 
@@ -107,7 +107,7 @@ def _circles(stage: StageLegs, readings: FloatArray) -> Circles:
     return centres, radii
 
 
-def _modes(stage: StageLegs, locked: Circles, drawing: Drawing) -> Modes:
+def _modes(stage: PlacedLegs, locked: Circles, drawing: Drawing) -> Modes:
     from spm_pin.kinematics.kernels.circle_modes import modes_of_stages
 
     constants = stage.axes, stage.balls, *drawing, stage.up
@@ -115,7 +115,7 @@ def _modes(stage: StageLegs, locked: Circles, drawing: Drawing) -> Modes:
     return Modes(*run_kernel(modes_of_stages, locked, constants, results, _MIN_BATCH_PER_THREAD))
 
 
-def _in_working_mode(stage: StageLegs, balls: FloatArray, readings: FloatArray) -> FloatArray:
+def _in_working_mode(stage: PlacedLegs, balls: FloatArray, readings: FloatArray) -> FloatArray:
     """Return the balls (..., 3, 3) of states with readings (..., 3), NaN where a leg is in another working mode."""
     if isinstance(stage.kind, RPS):
         return balls

@@ -5,7 +5,7 @@ from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import PARAMETERS, Geometry
 from spm_pin.mechanism.joint_angles import JointAngles, home_readings, joint_angles
 from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.mechanism.legs import LEGS, STAGE_LEGS, LegLimits, Legs, StageLegs, StageLimits
+from spm_pin.mechanism.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs, StageLimits
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
@@ -28,11 +28,11 @@ __all__ = [
     "LegKind",
     "LegLimits",
     "Legs",
+    "PlacedLegs",
     "PoseLike",
     "SolutionSet",
     "Stage",
     "StageConfiguration",
-    "StageLegs",
     "StageLimits",
     "StageSolutions",
     "Status",

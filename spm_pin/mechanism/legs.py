@@ -192,7 +192,7 @@ def _of_legs(value: float | Sequence[float], argument: str, legs: tuple[str, ...
     return tuple(float(x) for x in np.broadcast_to(array, len(legs)))
 
 
-class StageLegs(NamedTuple):
+class PlacedLegs(NamedTuple):
     """The legs of one stage, a lower or an upper one, in the frame of the plate that carries them."""
 
     axes: FloatArray
@@ -303,13 +303,13 @@ class Legs:
         return frozen(np.repeat([kind.least_reading for kind in self.kinds], 3))
 
     @functools.cached_property
-    def stages(self) -> tuple[StageLegs, ...]:
+    def stages(self) -> tuple[PlacedLegs, ...]:
         """The legs of each stage: of a robot's lower and upper one, or of the only one."""
         planes, stages = np.stack(self.planes), []
         for k, kind in enumerate(self.kinds):
             own = slice(3 * k, 3 * k + 3)
             arrays = self.axes[own], self.balls[own], 1.0 - 2.0 * k, self.pivots[own], planes[:, own]
-            stages.append(StageLegs(*arrays, kind, self.offsets[own]))
+            stages.append(PlacedLegs(*arrays, kind, self.offsets[own]))
         return tuple(stages)
 
     @functools.cached_property

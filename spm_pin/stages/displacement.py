@@ -23,7 +23,7 @@ from spm_pin.mechanism.arguments import (
     real_array,
 )
 from spm_pin.mechanism.leg_kinds import RPS
-from spm_pin.mechanism.legs import StageLegs
+from spm_pin.mechanism.legs import PlacedLegs
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.stage import Stage
 from spm_pin.mechanism.stage_configuration import OPERATION_MODES, StageConfiguration, StageSolutions
@@ -246,7 +246,7 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     return rotation, translation, readings, physical
 
 
-def _half(stage: Stage) -> StageLegs:
+def _half(stage: Stage) -> PlacedLegs:
     return stage.legs.stages[0]._replace(up=stage.up)
 
 
