@@ -35,8 +35,8 @@ _Rows = tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray,
 """Values, velocities, accelerations and efforts of the joints, readings, and poses."""
 _LONGEST = 10**6
 """Samples that a trajectory may have."""
-_SHARE = 1e-3
-"""Share of a period that is added to the one before instead of a row of its own at the end."""
+_SHORT_PERIOD = 1e-3
+"""A last period shorter than this share of a whole one is added to the one before."""
 _SLOWDOWNS = 16
 """Times that a motion is slowed down at most until its rows keep all limits, each time by four times as much more."""
 _ROUNDING, _RESERVE = 1e-10, 1e-9
@@ -221,7 +221,7 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
 
 
 def _times(duration: float, period: float) -> FloatArray:
-    count = max(int(np.ceil(duration / period - _SHARE)), 1)
+    count = max(int(np.ceil(duration / period - _SHORT_PERIOD)), 1)
     if count >= _LONGEST:
         raise ArgumentError("period", f"at most {_LONGEST:,} rows", f"{count + 1:,} of a motion of {duration:.4g} s")
     return np.append(period * np.arange(count), duration)

@@ -88,7 +88,7 @@ class StartTable:
             lower = np.concatenate([block[block[:, np.ptp(block, axis=0).argmax()].argsort()] for block in blocks])
         self._lower, self._upper = lower, states.draw_stages(1, _UPPER, rng)[0]
         stages = states.stages(1, self._upper)
-        seen = -states.between * (stages.rotation.mT @ stages.centre[..., None])[..., 0]
+        seen = -states.mode_turn * (stages.rotation.mT @ stages.centre[..., None])[..., 0]
         low, high = seen.min(axis=0), seen.max(axis=0)
         longest = float((high - low).max())
         pad = _PAD * longest

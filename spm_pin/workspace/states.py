@@ -110,8 +110,8 @@ class StateSet:
         return np.array([np.ones(3) if mode == "T" else _HALF_TURN for mode in self.family])
 
     @property
-    def between(self) -> FloatArray:
-        """Diagonal (3,) of the half turn that is left between stages of different modes."""
+    def mode_turn(self) -> FloatArray:
+        """Diagonal (3,) of the turn about z between both stages: a half turn if their modes differ, else none."""
         return np.asarray(self._turns.prod(axis=0))
 
     @cached_property
@@ -142,7 +142,7 @@ class StateSet:
             [*legs.largest_slopes, self.size, self.size, *np.ones(len(rooms))],
         ]
         points = np.require(body, requirements=("C", "W"))
-        return self.legs, self.radius, self.size, aspects, points, self.between, np.array(limits)
+        return self.legs, self.radius, self.size, aspects, points, self.mode_turn, np.array(limits)
 
     def stages(self, stage: int, coordinates: FloatArray) -> Stages:
         """Return the lower (0) or upper (1) stage at coordinates (N, 3), seen from {B} or {m}."""
@@ -159,7 +159,7 @@ class StateSet:
     def _both(self, coordinates: FloatArray) -> tuple[Stages, Stages, FloatArray]:
         """Return both stages at coordinates (N, 2, 3), and the rotation of the platform (N, 3, 3)."""
         lower, upper = (self.stages(k, coordinates[:, k]) for k in range(2))
-        return lower, upper, lower.rotation * self.between @ upper.rotation.mT
+        return lower, upper, lower.rotation * self.mode_turn @ upper.rotation.mT
 
     def readings(self, coordinates: FloatArray) -> FloatArray:
         """Return the readings (N, 6) at coordinates (N, 2, 3)."""
