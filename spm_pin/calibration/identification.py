@@ -416,8 +416,8 @@ def _judged(
         causes = (
             "Larger noise than given, or errors that are not among the parameters?"
             if chi_square < _GROSS**2
-            else "Another nominal geometry or unit, legs or axes exchanged, poses and readings of different rows, or many "
-            "wrong rows?"
+            else "Another nominal geometry or unit, legs or axes exchanged, poses and readings of different rows, or "
+            "many wrong rows?"
         )
         worst = int(squares.argmax())
         reason = f"{size}{ended}, largest in row {worst}. {causes}"

@@ -55,6 +55,7 @@ _LARGEST_MACHINE = 100.0
 """A machine more times as large as its legs are long is read as one in a wrong unit."""
 
 _DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
+_SYMBOLS = _DIMENSIONS | {"limits": "a key of a stage's file, which spm_pin.Stage.from_yaml reads, and spm-pin stage"}
 _KIND_KEYS = "lower_legs", "upper_legs"
 
 
@@ -307,7 +308,7 @@ def check_rps(geometry: Geometry, what: str) -> None:
 def _read(path: str | Path) -> Geometry:
     sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
     own = {"leg_limits", "legs", *_KIND_KEYS}
-    data = read_mapping(read_yaml(path), str(path), {"middle_side"}, sizes | own, _DIMENSIONS)
+    data = read_mapping(read_yaml(path), str(path), {"middle_side"}, sizes | own, _SYMBOLS)
     lengths = {key: dimension(data[key], f"{key} in {path}") for key in data.keys() - own}
     radii = []
     for triangle in ("base", "platform"):

@@ -215,7 +215,8 @@ class Stage(Mechanism):
         A `GeometryError` names the key of what describes no stage.
         """
         keys = {"base_radius", "platform_radius", "legs"}
-        data = read_mapping(read_yaml(path), str(path), keys, {"limits", "as_built"})
+        other = {"middle_side": "a key of a robot's file, which spm_pin.Geometry.from_yaml reads"}
+        data = read_mapping(read_yaml(path), str(path), keys, {"limits", "as_built"}, other)
         kind = read_kind(data["legs"], f"legs in {path}")
         legs = read_legs(data["as_built"], f"as_built in {path}", (kind,)) if "as_built" in data else kind
         limits = read_limits(data["limits"], f"limits in {path}", StageLimits) if "limits" in data else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+from pathlib import Path
 
 import mpmath
 import numpy as np
@@ -302,6 +303,16 @@ def test_a_file_holds_every_digit(machine: str, tmp_path: object) -> None:
     assert again.is_nominal == stage.is_nominal
     np.testing.assert_array_equal(again.parameters, stage.parameters)
     assert limited.from_parameters(limited.parameters).limits == limited.limits
+
+
+def test_files_of_robots_and_of_stages_are_told_apart(tmp_path: Path) -> None:
+    robot, stage = tmp_path / "robot.yaml", tmp_path / "stage.yaml"
+    spm.Geometry.paper().to_yaml(robot)
+    spm.Stage(0.08, 0.09, BALANCER.kind, limits=(-0.5, 1.0)).to_yaml(stage)
+    with pytest.raises(spm.GeometryError, match=r"limits is a key of a stage's file, which spm_pin\.Stage"):
+        spm.Geometry.from_yaml(stage)
+    with pytest.raises(spm.GeometryError, match=r"middle_side is a key of a robot's file, which spm_pin\.Geometry"):
+        spm.Stage.from_yaml(robot)
 
 
 def test_copies_and_other_dimensions_stay_drawn() -> None:
