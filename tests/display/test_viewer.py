@@ -17,7 +17,7 @@ from text_files import written
 import spm_pin as spm
 from spm_pin.capability import wrench_polytope
 from spm_pin.description.visuals import visual_parts
-from spm_pin.display import Recording, read_recording
+from spm_pin.display import Recording, Viewer, read_recording
 from spm_pin.display.rendering import robot_solids
 from spm_pin.display.viewer.model import (
     ViewerModel,
@@ -500,6 +500,18 @@ def test_servos_drive_the_platform_of_a_stage_as_far_as_they_can():
     assert way[2] == pytest.approx(way[0])
     torques = spm.stages.leg_forces(state.shown, [0, 0, -2.0, 0, 0, 0])
     np.testing.assert_allclose(model.load([0, 0, -2.0, 0, 0, 0]).forces, torques)
+
+
+def test_a_page_of_a_stage_refuses_what_it_cannot_show():
+    level = spm.stages.inverse_physical(BALANCER, 0.12)
+    for start in (spm.stages.inverse_physical(BALANCER, [0.11, 0.12]), spm.stages.inverse(BALANCER, 0.3)["T"]):
+        with pytest.raises(spm.ArgumentError, match="start: expected a single physical state of a stage"):
+            Viewer(start, port=0)
+    with pytest.raises(spm.ArgumentError, match="recording: expected none of a stage alone"):
+        Viewer(level, port=0, recording=Recording(np.zeros((2, 3)), np.array([0.0, 1.0])))
+    # Carriages at their pivots hold its platform below them.
+    with pytest.raises(spm.GeometryError, match="level at the middle of its limits"):
+        Viewer(spm.Stage(0.35, 0.2, spm.PRS(rod=0.4, sign=1)), port=0)
 
 
 def test_what_is_shared_of_a_stage_finds_it_again():

@@ -158,12 +158,13 @@ class StageModel:
         return RigidTransform.from_components([0.0, 0.0, 1e-3 * coordinates[0]], turn)
 
     def pose_ranges(self, convention: str) -> FloatArray:
-        """Return the ends (3, 2) of the pose's sliders: heights of the level platform, and tilts at its height."""
-        shown, heights = self.state.shown, stages.height_range(self._stage)
+        """Return the ends (3, 2) of the pose's sliders: heights of the level platform near its own, and tilts there."""
+        shown, size = self.state.shown, self._stage.size
+        heights = np.clip(stages.height_range(self._stage), shown.height - size, shown.height + size)
         tilts = stages.reach(self._stage, shown.height, directions=_DIRECTIONS).tilts
         largest = np.degrees(np.nanmax(tilts, initial=float(shown.tilt)))
         ends = [(-largest, largest)] * 2 if convention == _ROLL else [(0.0, largest), (-180.0, 180.0)]
-        return np.array([1e3 * np.array(heights), *ends])
+        return np.array([1e3 * heights, *ends])
 
     def reading_ranges(self) -> FloatArray:
         """Return the ends (3, 2) of the legs' sliders, in the units of readings."""
