@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.display.writing import legend_below, new_figure
-from spm_pin.mechanism import LEGS, LegLimits
+from spm_pin.mechanism import LEGS, LegLimits, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray, check_instance
 
 if TYPE_CHECKING:
@@ -83,19 +83,25 @@ def calibration_figure(calibration: Calibration) -> Figure:
 
 def path_figure(path: FollowedPath[Any]) -> Figure:
     """Draw the legs along a followed path, its distances to singularities, and its events as vertical lines."""
+    from spm_pin import stages
     from spm_pin.kinematics import EventKind, FollowedPath, singularities
 
     check_instance(path, FollowedPath, "path", "follow returns one")
+    states, legs = path.configurations, path.configurations.mechanism.legs
     figure = new_figure(6.5, 5.0, layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True)
-    for leg, column in enumerate(path.configurations.readings.T):
+    for leg, (name, column) in enumerate(zip(legs.names, states.readings.T, strict=True)):
         colour, style = (_BLUE if leg < 3 else _ORANGE), ("-", "--", ":")[leg % 3]
-        top.plot(path.parameters, column, color=colour, ls=style, label=f"$r_{{{LEGS[leg][2:]}}}$")
-    units = dict.fromkeys(path.configurations.geometry.legs.units)
-    top.set(ylabel=f"leg reading [{', '.join(units)}]")
-    sigma = singularities(path.configurations).sigma
-    matrices = {"$J_b$": (_GREEN, "-"), "$J_c$": (_SKY, "-."), "$K$": ("black", "-")}
-    for column, (name, (colour, style)) in zip(sigma.T, matrices.items(), strict=True):
+        top.plot(path.parameters, column, color=colour, ls=style, label=f"$r_{{{name[2:]}}}$")
+    top.set(ylabel=f"leg reading [{', '.join(dict.fromkeys(legs.units))}]")
+    if isinstance(states, StageConfiguration):
+        of_stage = stages.singularities(states)
+        matrices = {"forward": (of_stage.forward, _GREEN, "-"), "inverse": (of_stage.inverse, "black", "-")}
+    else:
+        looks = {"$J_b$": (_GREEN, "-"), "$J_c$": (_SKY, "-."), "$K$": ("black", "-")}
+        columns = zip(singularities(states).sigma.T, looks.items(), strict=True)
+        matrices = {name: (column, *look) for column, (name, look) in columns}
+    for name, (column, colour, style) in matrices.items():
         bottom.semilogy(path.parameters, column, color=colour, ls=style, label=name)
     bottom.set(xlabel="parameter", ylabel="smallest singular value")
     kinds = {EventKind.LIMIT: (":", _VERMILION), EventKind.INVERSE_SINGULARITY: ("-", _PURPLE)}

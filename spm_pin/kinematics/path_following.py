@@ -129,7 +129,9 @@ class FollowedPath(Generic[S]):
     def _repr_html_(self) -> str:
         rows = [(f"{event.parameter:.6f}", str(event.kind), event.detail) for event in self.events]
         marks = [event.parameter for event in self.events]
-        picture = notebook.curves(self.parameters, self.configurations.readings, "legs [m] along the path", marks)
+        states: Any = self.configurations
+        units = ", ".join(dict.fromkeys(states.mechanism.legs.units))
+        picture = notebook.curves(self.parameters, states.readings, f"legs [{units}] along the path", marks)
         return notebook.table(repr(self), ("parameter", "event", "") if rows else (), rows, picture)
 
     @property

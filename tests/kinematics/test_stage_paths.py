@@ -7,6 +7,7 @@ import pytest
 from balancers import STAGES, stage_and_height
 
 import spm_pin as spm
+from spm_pin.display import path_figure
 from spm_pin.kinematics import EventKind
 from spm_pin.stages import follow
 
@@ -34,6 +35,12 @@ def test_a_tilt_meets_the_limit_and_the_leg_s_end_where_the_reach_has_them() -> 
     assert "whose actuator no longer moves its ball" in end.detail
     assert tilt_at(end.parameter, 1.0) == pytest.approx(float(free.tilts[0, 0]), abs=1e-6)
     assert set(path.labels) == {"T"}
+    assert "legs [rad] along the path" in path._repr_html_()
+    top, bottom = path_figure(path).axes
+    np.testing.assert_array_equal(top.lines[1].get_ydata(), path.configurations.readings[:, 1])
+    assert top.get_ylabel() == "leg reading [rad]"
+    forward = spm.stages.singularities(path.configurations).forward
+    np.testing.assert_array_equal(bottom.lines[0].get_ydata(), forward)
     np.testing.assert_allclose(path.configurations.height, 0.12, atol=1e-15)
 
 
