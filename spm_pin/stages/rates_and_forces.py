@@ -74,23 +74,14 @@ class StageSingularities:
 
 
 def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
-    """Return the twist of the platform per unit rate of each reading, its parasitic motion included.
-
-    Parameters
-    ----------
-    configuration : StageConfiguration
-        States of shape (...).
+    """Return the twist of the platform in states (...) per unit rate of each reading, its parasitic motion included.
 
     Returns
     -------
     ndarray, shape (..., 6, 3)
         Rows (v, ω) of the platform at its origin, in {B} [m/s, rad/s]; columns the legs. Its rows `MOTION` are the
-        3 x 3 of tilt and height. NaN for a member of a batch that does not exist or is forward singular.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at a forward singularity, where the legs do not hold the platform.
+        3 x 3 of tilt and height. At a forward singularity, where the legs do not hold the platform, a single state
+        raises `SingularConfigurationError`, and a member of a batch is NaN.
     """
     return _columns(configuration, along_legs=True) * configuration.slopes[..., None, :]
 
@@ -98,21 +89,12 @@ def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
 def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
     """Return the twist of the platform for its motion (v_z, ω_x, ω_y), with the parasitic v_x, v_y and ω_z.
 
-    Parameters
-    ----------
-    configuration : StageConfiguration
-        States of shape (...).
-
     Returns
     -------
     ndarray, shape (..., 6, 3)
-        Rows (v, ω) of the platform at its origin, in {B}; columns v_z [m/s], ω_x and ω_y [rad/s]. NaN for a member of a
-        batch that does not exist or is inverse singular.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at an inverse singularity, where the motion does not determine the twist.
+        Rows (v, ω) of the platform at its origin, in {B}; columns v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
+        singularity, where the motion does not determine the twist, a single state raises `SingularConfigurationError`,
+        and a member of a batch is NaN.
     """
     state = _read(configuration)
     axes, balls, origin = rows_of(state.stage.legs.axes), rows_of(state.balls), vector_of(state.translation)
@@ -123,23 +105,13 @@ def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
 
 
 def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
-    """Return the rates of the readings for the platform's motion.
-
-    Parameters
-    ----------
-    configuration : StageConfiguration
-        States of shape (...).
+    """Return the rates of the readings in states (...) for the platform's motion.
 
     Returns
     -------
     ndarray, shape (..., 3, 3)
-        Rows the legs, [m/s], of RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. NaN for a
-        member of a batch that does not exist or is singular as below.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at an inverse singularity, or, as "leg", where an actuator does not move its ball.
+        Rows the legs, [m/s], of RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
+        singularity as `parasitic_jacobian`; so, as "leg", where an actuator does not move its ball.
     """
     twists = parasitic_jacobian(configuration)
     slopes, largest = configuration.slopes, configuration.stage.legs.largest_slopes
@@ -183,30 +155,14 @@ def leg_forces(configuration: StageConfiguration, wrench: npt.ArrayLike) -> Floa
     -------
     ndarray, shape (..., 3)
         [N], of RRS legs [N m]; positive increases the reading: an RPS leg pushes. Half of the wrench's components the
-        structure holds, see `joint_loads`. NaN for a member of a batch that does not exist or is forward singular.
-
-    Raises
-    ------
-    SingularConfigurationError
-        For a single state at a forward singularity, where the legs do not hold the platform.
+        structure holds, see `joint_loads`. At a forward singularity as `platform_jacobian`.
     """
     load = _argument(configuration, wrench, "wrench", 6, "(f, m) at the platform's origin in {B} in N and N m")
     return np.asarray(-np.einsum("...ki,...k->...i", platform_jacobian(configuration), load))
 
 
 def joint_loads(configuration: StageConfiguration, wrench: npt.ArrayLike) -> JointLoads:
-    """Return what actuators, legs, balls and pivots carry under a wrench applied onto the platform.
-
-    Parameters
-    ----------
-    configuration, wrench
-        As for `leg_forces`.
-
-    Returns
-    -------
-    JointLoads
-        NaN for a member of a batch that does not exist or is forward singular; a single one raises as `leg_forces`.
-    """
+    """Return what actuators, legs, balls and pivots carry under a wrench (..., 6), both as for `leg_forces`."""
     load = _argument(configuration, wrench, "wrench", 6, "(f, m) at the platform's origin in {B} in N and N m")
     rods, across = (
         -np.einsum("...ki,...k->...i", _columns(configuration, along_legs=along), load) for along in (True, False)
@@ -226,10 +182,6 @@ def singularities(configuration: StageConfiguration, tolerance: float = SINGULAR
         States of shape (...).
     tolerance : float
         Smallest singular value over the largest, and κ over the largest, up to which a state is singular.
-
-    Returns
-    -------
-    StageSingularities
     """
     state = check_instance(configuration, StageConfiguration, "configuration")
     expected = "a number from 0 to less than 1, the ratio of singular values up to which a state is singular"

@@ -125,17 +125,8 @@ def _height_range(stage: Stage) -> tuple[float, float]:
 def home_height(stage: Stage) -> float:
     """Return a height [m] at which a stage holds its platform level within its limits.
 
-    Parameters
-    ----------
-    stage : Stage
-        The stage.
-
-    Returns
-    -------
-    float
-        There readings are in the middle of their limits, and where these have none cranks are level, carriages at their
-        pivots. If that is no state it is the middle of `height_range`; where that is empty an `UnreachableError` is
-        raised.
+    There readings are in the middle of their limits, and where these have none cranks are level, carriages at their
+    pivots. If that is no state it is the middle of `height_range`; where that is empty an `UnreachableError` is raised.
     """
     check_instance(stage, Stage, "stage")
     limits = stage.reading_limits
