@@ -184,17 +184,19 @@ def move(
     first, last = (_end_state(*end, readings) for end in ((start, start_pose, "--from"), (goal, goal_pose, "--to")))
     allowed = dimensions.limits
     if limits is not None:
-        shortest, longest = (_each_leg(text, "--limits") for text in limits)
+        shortest, longest = (options.six_numbers(text, "--limits", single=True) for text in limits)
         if hint := readings.hint("--limits", longest, dimensions):
             outputs.note(hint, "yellow")
         allowed = LegLimits(*(readings.read(ends).tolist() for ends in (shortest, longest)))
-    passed = [_each_leg(text, "--via", single=False) / readings.scale for text in via or ()]
+    passed = [options.six_numbers(text, "--via") / readings.scale for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
     angles = {name: (math.radians(pair[0]), math.radians(pair[1])) for name, pair in pairs.items() if pair is not None}
     joint_limits = JointLimits(**angles, clearance=None if clearance is None else clearance / unit.per_metre)
     typed = {"rate": leg_rate, "acceleration": leg_acceleration, "force": leg_force, "jerk": leg_jerk}
     largest: dict[str, Any] = {
-        f"leg_{name}s": _each_leg(text, f"--leg-{name}") for name, text in typed.items() if text is not None
+        f"leg_{name}s": options.six_numbers(text, f"--leg-{name}", single=True)
+        for name, text in typed.items()
+        if text is not None
     }
     MotionLimits(**largest, twist=twist)  # what it refuses is refused before the search for a path
     ways: dict[str, Any] = {"via": passed, "joint_limits": joint_limits, "line": "poses" if straight else "legs"}
@@ -215,18 +217,6 @@ def move(
         outputs.write_json({**content, **motion.columns()})
     else:
         _report(planned, motion, chain.leg_indices, readings)
-
-
-def _each_leg(text: str, option: str, *, single: bool = True) -> FloatArray:
-    """Read six numbers separated by commas, shape (6,), or where allowed a single one for all legs, shape ()."""
-    try:
-        numbers = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        numbers = np.empty(0)
-    if numbers.size != 6 and not (single and numbers.size == 1):
-        expected = "a number, or six separated by commas" if single else "six numbers separated by commas"
-        raise ArgumentError(option, expected, repr(text))
-    return numbers if numbers.size == 6 else numbers[0]
 
 
 def _end_state(

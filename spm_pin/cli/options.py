@@ -261,6 +261,18 @@ def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: b
         raise PoseError(f"--{prefix}{error.argument}", error.expected, error.received, error.cause) from error
 
 
+def six_numbers(text: str, option: str, *, single: bool = False) -> FloatArray:
+    """Read six numbers separated by commas, shape (6,), or where allowed a single one, shape ()."""
+    try:
+        numbers = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        numbers = np.empty(0)
+    if numbers.size != 6 and not (single and numbers.size == 1):
+        expected = "a number, or six separated by commas" if single else "six numbers separated by commas"
+        raise ArgumentError(option, expected, repr(text))
+    return numbers if numbers.size == 6 else numbers[0]
+
+
 def read_masses(path: Path | None, what: str) -> Masses | None:
     """Return the masses of `--masses`; without it None, and a note that they are assumed in `what`."""
     if path is not None:

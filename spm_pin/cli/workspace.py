@@ -476,13 +476,7 @@ def _task_functions(path: Path, wrench: str | None, machine: Geometry) -> dict[s
     if hint := unit_hint(machine, poses.translation):
         received = f"values up to {np.abs(poses.translation).max():g}"
         raise ArgumentError("--task", "positions in metres, in proportion to the machine", received, hint)
-    try:
-        load = [float(x) for x in (wrench or "0,0,-1,0,0,0").split(",")]
-    except ValueError:
-        load = []
-    if len(load) != 6:
-        raise ArgumentError("--wrench", "six numbers with commas between: a force and a moment", repr(wrench))
-    task = Task(poses, load)
+    task = Task(poses, options.six_numbers(wrench or "0,0,-1,0,0,0", "--wrench"))
     return {"task_margin": task.margin, "task_effort": task.effort}
 
 
