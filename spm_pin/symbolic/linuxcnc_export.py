@@ -27,6 +27,10 @@ _STEP = 1e-4
 """Of finite differences [mm, degrees]."""
 _TURN = np.linspace(0.0, 2.0 * np.pi, 13)[:, None]
 """Of the program's tilt, on a small circle."""
+_SIZES = 0.5 ** np.arange(10)
+"""Of circles that are tried."""
+_SHARES = np.linspace(0.0, 1.0, 9)[:, None]
+"""Of the way from one point of the program to the next, where the joints are looked at."""
 
 
 def linuxcnc_configuration(machine: Geometry | Stage) -> dict[str, str]:
@@ -112,8 +116,6 @@ class _Machine(ABC):
     """Readings that LinuxCNC homes at, shape (joints,)."""
     ends: tuple[FloatArray, FloatArray]
     """Least and largest readings, assumed where there is no limit."""
-    circle: FloatArray
-    """Values of the axes (n, axes) where the platform's tilt goes round a small circle."""
 
     @abstractmethod
     def axis_values(self, readings: FloatArray) -> FloatArray:
@@ -122,6 +124,10 @@ class _Machine(ABC):
     @abstractmethod
     def readings(self, values: FloatArray) -> FloatArray:
         """Return the readings of values of the axes near the home."""
+
+    @abstractmethod
+    def circle(self, size: float) -> FloatArray:
+        """Return values of the axes (n, axes) where the platform's tilt goes round a circle, of size 1 or smaller."""
 
     def axis_rates(self) -> FloatArray:
         """Return rates and accelerations (axes, 2) at which no joint takes more than half of its own, at the home."""
@@ -150,12 +156,24 @@ class _Machine(ABC):
         lines += [f"HOME = {home}", f"HOME_OFFSET = {home}", "HOME_SEQUENCE = 0", ""]
         return "\n".join(lines)
 
+    def can_follow(self, way: FloatArray) -> bool:
+        """Return whether the joints can follow straight lines between points (n, axes), the axes at their rates."""
+        if not np.isfinite(way).all():
+            return False
+        steps, rates = np.diff(way, axis=0), np.array([ASSUMED[unit][0] for unit in self.legs.units])
+        times = (np.abs(steps) / self.axis_rates()[:, 0]).max(axis=-1)[:, None, None] / (len(_SHARES) - 1)
+        readings, (low, high) = self.readings(way[:-1, None] + _SHARES * steps[:, None]), self.ends
+        is_slow = np.abs(np.diff(readings, axis=1)) <= rates * times
+        return bool(is_slow.all() and ((readings > low) & (readings < high)).all())
+
     def program(self) -> str:
         """Return a program in which the platform's tilt goes round a small circle, from the home and back."""
         home = self.axis_values(self.home)
+        ways = (np.array([home, *self.circle(size), home]) for size in _SIZES)
+        way = next(filter(self.can_follow, ways), np.array([home]))
         lines = ["(The platform's tilt goes round a small circle. Turn the machine on and home all joints first.)"]
         lines += ["G21 G90 G94 F600"]
-        for row in [home, *self.circle, home]:
+        for row in way:
             lines.append("G1 " + " ".join(f"{name}{_number(x)}" for name, x in zip(self.axes, row, strict=True)))
         return "\n".join([*lines, "M2", ""])
 
@@ -175,9 +193,6 @@ class _Robot(_Machine):
         self.geometry, self.legs, self.limits, self.ends = geometry, geometry.legs, geometry.limits, travel(geometry)
         readings, _ = start_readings(geometry)
         self.home, self.state = np.array(readings), forward_physical(geometry, readings)
-        along, across = self.home - self.home.mean(), np.tile([1.0, -2.0, 1.0], 2) / np.sqrt(3.0)
-        turned = 0.2 * along * (np.cos(_TURN) - 1.0) + 0.1 * np.ptp(self.home) * np.sin(_TURN) * across
-        self.circle = self.axis_values(self.home + turned)[1:-1]
         sources = c_sources(geometry)
         names = "kinematics.c", "kinematics.h", "read_machine.h", "machine.txt"
         self.sources = {f"spm_{name}": sources[f"spm_{name}"] for name in names}
@@ -192,6 +207,13 @@ class _Robot(_Machine):
         wanted = pose(1e-3 * values[..., :3], rpy=np.deg2rad(values[..., 3:]))
         return inverse_physical(self.geometry, wanted, near=self.state).readings
 
+    def circle(self, size: float) -> FloatArray:
+        turn, home = _TURN[1:-1], self.home.reshape(2, 3)
+        along = home - home.mean(axis=1, keepdims=True)
+        across = np.ptp(home, axis=1, keepdims=True) * np.array([1.0, -2.0, 1.0]) / np.sqrt(3.0)
+        turned = 0.2 * along.ravel() * (np.cos(turn) - 1.0) + 0.1 * np.sin(turn) * across.ravel()
+        return self.axis_values(self.home + size * turned)
+
 
 class _StageAlone(_Machine):
     name, axes, turns = "stage", "ZAB", "ZAB"
@@ -205,9 +227,6 @@ class _StageAlone(_Machine):
         self.home = level.readings
         stroke = np.hypot(*level.places.T) / np.abs(stage.legs.largest_slopes)
         self.ends = ends_of_travel(stage.reading_limits, self.home, stroke)
-        tilt = min(5.0, 0.5 * np.rad2deg(stages.reach(stage, level.height).all_round.item()))
-        circle = tilt * np.cos(_TURN), tilt * np.sin(_TURN)
-        self.circle = np.concatenate([np.full_like(_TURN, 1e3 * level.height), *circle], axis=-1)
         self.sources = {"stage.h": stage_c_sources(stage)["stage.h"], **stage_machine_sources(stage)}
 
     def axis_values(self, readings: FloatArray) -> FloatArray:
@@ -218,10 +237,14 @@ class _StageAlone(_Machine):
         height, roll, pitch = 1e-3 * values[..., 0], np.deg2rad(values[..., 1]), np.deg2rad(values[..., 2])
         return stages.inverse_physical(self.stage, height, roll=roll, pitch=pitch).readings
 
+    def circle(self, size: float) -> FloatArray:
+        height, tilt = np.full_like(_TURN, self.axis_values(self.home)[0]), 5.0 * size  # degrees
+        return np.concatenate([height, tilt * np.cos(_TURN), tilt * np.sin(_TURN)], axis=-1)
+
 
 def _number(x: float) -> str:
     """Return a number of millimetres or degrees in nine decimals at most."""
-    return repr(round(float(x), 9) + 0.0)
+    return np.format_float_positional(round(float(x), 9) + 0.0, trim="0")
 
 
 def _actuator(joint: int) -> str:

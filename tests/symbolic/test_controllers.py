@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -63,24 +64,38 @@ def test_packages_start_servos_and_screws_in_a_state_off_the_level_within_their_
         assert machine is not SERVOS or (low == SERVOS.limits.minimum).all()
 
 
-def test_the_axes_of_linuxcnc_move_the_legs_at_half_their_rate() -> None:
-    machine = as_built(PAPER, 1e-3)
-    settings = spm.symbolic.linuxcnc_configuration(machine)["spm.ini"]
-    values = np.array([float(x) for x in re.search(r"^HOME = (.* .*)$", settings, re.MULTILINE)[1].split()])
-    rates = [float(x) for x in re.findall(r"\[AXIS_.\][^\[]*MAX_VELOCITY = (\S+)", settings)]
+@pytest.mark.parametrize("machine", [as_built(PAPER, 1e-3), SERVOS, replace(SERVOS, limits=None)])
+def test_the_axes_of_linuxcnc_move_the_legs_at_half_their_rate_and_its_program_is_within_reach(
+    machine: spm.Geometry,
+) -> None:
+    files = spm.symbolic.linuxcnc_configuration(machine)
+    values = np.array(re.search(r"^HOME = (.* .*)$", files["spm.ini"], re.MULTILINE)[1].split(), dtype=float)
+    rates = [float(x) for x in re.findall(r"\[AXIS_.\][^\[]*MAX_VELOCITY = (\S+)", files["spm.ini"])]
     assert len(rates) == 6
-    home = spm.forward_physical(
-        machine, [float(x) / 1e3 for x in re.findall(r"^HOME = (\S+)$", settings, re.MULTILINE)]
-    )
+    is_angle = np.array(machine.legs.units) == "rad"
+    scale, fastest = np.where(is_angle, np.rad2deg(1.0), 1e3), np.where(is_angle, 1.0, 0.1)
+    joints = np.array(re.findall(r"^HOME = (\S+)$", files["spm.ini"], re.MULTILINE), dtype=float)
+    home = spm.forward_physical(machine, joints / scale)
 
-    def readings(values: np.ndarray) -> np.ndarray:
-        pose = spm.pose(values[:3] / 1e3, rpy=np.deg2rad(values[3:]))
-        return spm.inverse_physical(machine, pose, near=home).readings
+    def state_at(values: np.ndarray, near: spm.Configuration) -> spm.Configuration:
+        return spm.inverse_physical(machine, spm.pose(values[:3] / 1e3, rpy=np.deg2rad(values[3:])), near=near)
 
     for axis, rate in enumerate(rates):
         step = 1e-4 * np.eye(6)[axis]
-        per_unit = np.abs(readings(values + step) - readings(values - step)).max() / 2e-4
-        assert rate * per_unit == pytest.approx(0.05, rel=1e-3)  # m/s
+        change = state_at(values + step, home).readings - state_at(values - step, home).readings
+        assert (rate * np.abs(change) / 2e-4 / fastest).max() == pytest.approx(0.5, rel=1e-3)
+
+    program = np.array(
+        [re.findall(r"[XYZABC](\S+)", line) for line in files["demo.ngc"].splitlines()[2:-1]], dtype=float
+    )
+    np.testing.assert_allclose(program[[0, -1]], [values, values], rtol=0, atol=1e-9)
+    state = home
+    for start, end in pairwise(program):
+        for share in np.linspace(0.1, 1.0, 10):
+            state = state_at(start + share * (end - start), state)
+            assert state.exists
+            assert not state.limit_excess.any()
+    assert np.ptp(program, axis=0)[3:].max() > 1.0
 
 
 def exported(machine: spm.Geometry, folder: Path) -> Path:
