@@ -65,7 +65,7 @@ $(VENV)/.demo: $(VENV)/.python pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.demo
-	$(INSTALL) --editable '.[plots,cluster,design,viewer,engines,robots,docs,benchmarks,dev]'
+	$(INSTALL) --editable '.[plots,cluster,design,viewer,engines,gym,robots,docs,benchmarks,dev]'
 	@$(BIN)/python -W ignore -m compileall -q -j 0 $(VENV)/lib || true # as pip, whatever a package has that is no Python
 	@touch $@
 

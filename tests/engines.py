@@ -1,4 +1,4 @@
-"""The robot in Pinocchio, MuJoCo, Drake and yourdfpy, each of which reads a file of it by itself."""
+"""The robot, or a stage, in Pinocchio, MuJoCo, Drake and yourdfpy, each of which reads a file of it by itself."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from spm_pin.description import SLIDES, URDF_PATH
 from spm_pin.description.robot import read_robot
 from spm_pin.description.source_files import read_closures
+from spm_pin.mechanism import Mechanism
 
 Array = npt.NDArray[np.float64]
 Values = Mapping[str, float]
@@ -58,7 +59,7 @@ def accelerations(engine: Moving, legs: Array, q: Array, v: Array, f: Array) -> 
 
 
 class Pinocchio:
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, machine: Mechanism | None = None) -> None:
         import pinocchio as pin
 
         self.pin = pin
@@ -69,7 +70,7 @@ class Pinocchio:
             # Pinocchio reads no closures from a URDF.
             self.model = pin.buildModelFromUrdf(str(path))
             self.constraints = []
-            for closure in read_closures():
+            for closure in read_closures(machine):
                 ends = (self.model.frames[self.model.getFrameId(f)] for f in (closure.frame_a, closure.frame_b))
                 placed = [part for end in ends for part in (end.parentJoint, end.placement)]
                 self.constraints.append(pin.PointAnchorConstraintModel(self.model, *placed))
@@ -118,12 +119,13 @@ class Mujoco:
         step: float = 1e-3,
         integrator: str = "mjINT_EULER",
         locked: bool = False,
+        machine: Mechanism | None = None,
     ) -> None:
         import mujoco
 
         self.mujoco = mujoco
         spec = mujoco.MjSpec.from_file(str(path))
-        closures = read_closures()
+        closures = read_closures(machine)
         if path.suffix == ".urdf":
             connect, body = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
             added = [(connect, body, closure.frame_a, closure.frame_b) for closure in closures]

@@ -19,7 +19,8 @@ import pytest
 
 import spm_pin as spm
 
-HEAVY = "pinocchio casadi numba llvmlite matplotlib trimesh yourdfpy mujoco xacro flint scipy.optimize scipy.stats"
+HEAVY = "pinocchio casadi numba llvmlite matplotlib trimesh yourdfpy mujoco gymnasium xacro flint scipy.optimize "
+HEAVY += "scipy.stats"
 
 
 SOLVE = """spm_pin as spm, numpy as np

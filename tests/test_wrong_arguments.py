@@ -246,7 +246,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
 INPUTS = "Configuration DesignProblem Geometry JointLimits LegLimits LegPath Legs Masses Payload PlatformPath RigidBody"
-INPUTS += " Stage StageConfiguration StageLimits"
+INPUTS += " Ball Stage StageConfiguration StageLimits"
 """Classes that users make themselves; the others are results, made by the package."""
 
 OTHER_WORDS = {"value": "pose", "lower": "r_", "upper": "r_", "pose_noise": "the noise", "reading_noise": "the noise"}

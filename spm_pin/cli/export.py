@@ -1,4 +1,4 @@
-"""`spm-pin export` and `urdf`: the robot in the format of another engine, or kinematics in C."""
+"""`spm-pin export` and `urdf`: the robot or a stage in the format of another engine, or kinematics in C."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from spm_pin import description
 from spm_pin.cli import options, outputs
 from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import Geometry, Stage
+from spm_pin.mechanism import Mechanism, Stage
 
 Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "c-stage", "linuxcnc", "ros"]
 _OWN_OPTIONS: dict[str, set[str]] = {
-    "urdf": {"ros_constraints", "masses"},
-    "mjcf": {"anchors", "collisions", "masses"},
-    "sdf": {"loops", "masses"},
+    "urdf": {"ros_constraints", "masses", "stage"},
+    "mjcf": {"anchors", "collisions", "actuators", "ball", "masses", "stage"},
+    "sdf": {"loops", "masses", "stage"},
+    "extended-urdf": {"stage"},
+    "srdf": {"stage"},
     "c": {"masses"},
     "ros": {"masses"},
     "c-stage": {"stage"},
@@ -37,7 +39,8 @@ def export(
     prefix: Annotated[str | None, options.PREFIX] = None,
     geometry: options.GeometryFile = None,
     stage: Annotated[
-        Path | None, Option(metavar="FILE", parser=outputs.file_name, help="c-stage, linuxcnc: YAML file of a stage.")
+        Path | None,
+        Option(metavar="FILE", parser=outputs.file_name, help="YAML file of a stage, in place of a machine."),
     ] = None,
     masses: options.MassesFile = None,
     ros_constraints: Annotated[
@@ -50,15 +53,20 @@ def export(
         Literal["exact", "simple", "none"] | None,
         Option(help="mjcf: shapes that collide; simple has no cylinders, which MJX does not know beside boxes."),
     ] = None,
+    actuators: Annotated[
+        Literal["motors", "servos"] | None,
+        Option(help="mjcf: motors, of the robot if not given, or servos, of a stage."),
+    ] = None,
+    ball: Annotated[bool, Option("--ball", help="mjcf: a ball on the platform of a --stage.")] = False,
     loops: Annotated[
         Literal["joints", "drake"] | None, Option(help="sdf: close loops by joints, or by Drake's elements.")
     ] = None,
 ) -> None:
-    """Write the robot with its loops closed, in the format of another engine, or its kinematics in C.
+    """Write the robot or a stage with its loops closed, in the format of another engine, or its kinematics in C.
 
     urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
     YAML file that closes a URDF's loops. srdf: groups and passive joints. With --out, the meshes are put beside the
-    file, into a folder `meshes`.
+    file, into a folder `meshes`. With --stage these are of a stage alone, its loops closed as well.
 
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
     program. linuxcnc: a configuration that simulates the machine, or a --stage alone, and the source of its kinematics
@@ -69,7 +77,8 @@ def export(
         received = "none" if format_ is None else "two"
         raise ArgumentError("FORMAT", f"one of {', '.join(get_args(Format))}", received)
     chosen = str(format_ or option)
-    special = {"ros_constraints": ros_constraints, "anchors": anchors, "collisions": collisions, "loops": loops}
+    special: dict[str, Any] = {"ros_constraints": ros_constraints, "anchors": anchors, "collisions": collisions}
+    special |= {"loops": loops, "actuators": actuators, "ball": description.Ball() if ball else None}
     own = _OWN_OPTIONS.get(chosen, set())
     for name, value in (special | {"masses": masses, "stage": stage}).items():
         if value and name not in own:
@@ -78,12 +87,15 @@ def export(
         raise ArgumentError("--geometry", "to be left out with a --stage", geometry, "The file of a --stage?")
     if stage is None and chosen == "c-stage":
         raise ArgumentError("--stage", "the YAML file of a stage", "none")
+    if ball and stage is None:
+        raise ArgumentError("--ball", "a --stage for it to roll on", "none")
     machine = options.read_geometry(geometry)
+    model = machine if stage is None else options.read_stage(stage)
     bodies = options.read_masses(masses, "written") if "masses" in own else None
     if chosen not in ("c", "c-stage", "linuxcnc", "ros"):
         if out is not None:
             outputs.check_output(out)
-        _write_model(chosen, out, machine, bodies, prefix or "", {name: special[name] for name in own - {"masses"}})
+        _write_model(chosen, out, model, bodies, prefix or "", {name: special[name] for name in own & special.keys()})
         return
     if out is None:
         raise ArgumentError("--out", "the directory to write into", "none")
@@ -92,15 +104,15 @@ def export(
     if chosen == "linuxcnc":
         if prefix:
             raise ArgumentError("--prefix", "to be left out with --format linuxcnc", prefix)
-        write_linuxcnc(machine if stage is None else Stage.from_yaml(stage), out)
+        write_linuxcnc(model, out)
         outputs.note(f"wrote a configuration of LinuxCNC into {out}")
         return
     if chosen == "ros":
         write_ros(machine, out, prefix=prefix or "", masses=bodies)
         outputs.note(f"wrote a ROS 2 package into {out}")
         return
-    if stage is not None:
-        paths = write_stage_c(Stage.from_yaml(stage), out, prefix="stage_" if prefix is None else prefix)
+    if isinstance(model, Stage):
+        paths = write_stage_c(model, out, prefix="stage_" if prefix is None else prefix)
     else:
         paths = write_c(machine, out, prefix="spm_" if prefix is None else prefix, masses=bodies)
     for path in paths:
@@ -126,7 +138,7 @@ def urdf(
 
 
 def _write_model(
-    chosen: str, path: Path | None, machine: Geometry, masses: Masses | None, prefix: str, special: dict[str, Any]
+    chosen: str, path: Path | None, machine: Mechanism, masses: Masses | None, prefix: str, special: dict[str, Any]
 ) -> None:
     """Write a model; where it has meshes, these go into a folder beside its file."""
     without_meshes: dict[str, Any] = {"srdf": description.srdf_text, "extended-urdf": description.extended_urdf_text}

@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.cli.outputs import note
 from spm_pin.description.masses import Masses
 from spm_pin.display.writing import fixed
-from spm_pin.errors import ArgumentError, GeometryError, PoseError
+from spm_pin.errors import ArgumentError, GeometryError, PoseError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import (
@@ -28,6 +28,7 @@ from spm_pin.mechanism import (
     Configuration,
     Geometry,
     SolutionSet,
+    Stage,
     StageConfiguration,
     Status,
     pose,
@@ -151,6 +152,12 @@ def read_geometry(path: Path | None) -> Geometry:
     except GeometryError as error:
         where = "--geometry" if error.argument == "path" else f"--geometry: {error.argument}"
         raise GeometryError(where, error.expected, error.received, error.cause) from error
+
+
+def read_stage(path: Path) -> Stage:
+    """Return the stage of `--stage`."""
+    with raised_as(GeometryError, "--stage"):
+        return Stage.from_yaml(path)
 
 
 @contextlib.contextmanager

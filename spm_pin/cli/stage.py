@@ -17,7 +17,7 @@ from spm_pin.cli.draw import Browser, Dark, Host, Port, serve
 from spm_pin.cli.options import LengthUnit, Readings, Triple
 from spm_pin.display import reach_figure, save_figure, stage_figure
 from spm_pin.display.writing import FORMATS, fixed
-from spm_pin.errors import ArgumentError, GeometryError, raised_as, require_extra
+from spm_pin.errors import ArgumentError, GeometryError, require_extra
 from spm_pin.mechanism import PRS, RPS, RRS, LegKind, Stage, StageConfiguration, StageSolutions, Status
 from spm_pin.stages import ReachEnd, forward_physical, height_range, home_height, inverse_physical, nearest_reachable
 from spm_pin.stages import forward as all_modes
@@ -54,8 +54,7 @@ def _read_stage(typed: Record, unit: LengthUnit) -> Stage:
         if len(given) > 1:
             beside = ", ".join(_STAGE[name][1] for name in given if name != "file")
             raise ArgumentError("--stage", "a file alone: its numbers are in metres and radians", f"also {beside}")
-        with raised_as(GeometryError, "--stage"):
-            return Stage.from_yaml(typed["file"])
+        return options.read_stage(typed["file"])
     for name in ("base", "platform"):
         if typed[name] is None:
             raise ArgumentError(_STAGE[name][1], "a radius, or --stage with a file", "neither")

@@ -1,4 +1,4 @@
-"""The robot's description for any geometry: where its files are, and its text in the formats of other programs.
+"""Descriptions of the robot and of a stage alone: where files are, and their text in the formats of other programs.
 
 The paths of the files are constants, named as the package robot_descriptions names them:
 
@@ -23,7 +23,7 @@ from spm_pin.description.source_files import (
     urdf_text,
 )
 from spm_pin.description.tree import SLIDES, extended_urdf_text, joint_values, srdf_text
-from spm_pin.description.write_xml import mjcf_text, sdf_text
+from spm_pin.description.write_xml import Ball, mjcf_text, sdf_text
 from spm_pin.mechanism.joint_angles import JOINTS, actuated_joints, joint_names
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "SRDF_PATH",
     "URDF_PATH",
     "XACRO_PATH",
+    "Ball",
     "Closure",
     "Masses",
     "RigidBody",

@@ -24,8 +24,8 @@ ElementTree.register_namespace("drake", "http://drake.mit.edu")
 
 _KEYS = {"mass", "centre", "inertia"}
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_LINK = "terminal_platform"
-"""The link that carries the payload; its frame is {m}."""
+_PLATFORMS = "terminal_platform", "platform"
+"""The link that carries the payload, of the robot and of a stage alone."""
 _LARGEST = 1e12
 """Largest mass [kg], moment of inertia [kg m²] and distance of a centre of mass [m] in a URDF."""
 
@@ -94,7 +94,7 @@ class Masses:
         "mass" [kg], and may have "centre" (3,) [m] and "inertia" (3, 3) [kg m²], about the centre of mass, both in the
         link's frame. What is left out is that of the assumed body, its inertia in proportion to the mass.
     payload : RigidBody, optional
-        Fixed to the terminal platform, in {m}.
+        Fixed to the terminal platform, in {m}, or to a stage's platform, in {n}.
     """
 
     bodies: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -152,7 +152,8 @@ def with_masses(urdf: str, masses: Masses, prefix: str) -> str:
             inertia = body.get("inertia", share * np.asarray(assumed.inertia))
             changed[name] = RigidBody(body["mass"], body.get("centre", assumed.centre), inertia)
     if masses.payload is not None:
-        changed[_LINK] = _joined(changed.get(_LINK) or _body(links[_LINK]), masses.payload)
+        platform = next(name for name in _PLATFORMS if name in links)
+        changed[platform] = _joined(changed.get(platform) or _body(links[platform]), masses.payload)
     for name, body_ in changed.items():
         _write(links[name], body_)
     ElementTree.indent(root)

@@ -1,4 +1,4 @@
-"""The robot's links, joints and closures as data, read from the URDF that xacro makes, for writers and pictures."""
+"""A machine's links, joints and closures as data, read from the URDF that xacro makes, for writers and pictures."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.description.masses import Masses, Numbers, Placement, numbers, read_inertial, read_placement
 from spm_pin.description.source_files import Closure, read_closures, urdf_text
-from spm_pin.mechanism import Geometry
+from spm_pin.mechanism import Stage
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.mechanism.pose import homogeneous
 
 
@@ -129,15 +130,15 @@ class Robot:
 
 
 def read_robot(
-    geometry: Geometry | None = None, *, prefix: str = "", meshes: str | None = None, masses: Masses | None = None
+    geometry: Mechanism | None = None, *, prefix: str = "", meshes: str | None = None, masses: Masses | None = None
 ) -> Robot:
-    """Return the manipulator of a geometry as data; arguments are those of `urdf_text`."""
+    """Return a manipulator, or a stage alone, as data; arguments are those of `urdf_text`."""
     root = ElementTree.fromstring(urdf_text(geometry, prefix=prefix, meshes=meshes, masses=masses))
     return Robot(
-        "spm",
+        "stage" if isinstance(geometry, Stage) else "spm",
         {_name(node): _link(node) for node in root.iter("link")},
         {joint.name: joint for joint in map(_joint, root.findall("joint"))},
-        read_closures(prefix=prefix),
+        read_closures(geometry, prefix=prefix),
         {_name(node.find("joint")): _name(node.find("actuator")) for node in root.iter("transmission")},
         {_name(node): numbers(node.find("color"), "rgba") for node in root.findall("material")},
     )

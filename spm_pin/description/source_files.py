@@ -12,14 +12,16 @@ import yaml
 
 from spm_pin.description.masses import Masses, with_masses
 from spm_pin.errors import DescriptionError, raised_as
-from spm_pin.mechanism import Geometry
+from spm_pin.mechanism import Geometry, Stage
 from spm_pin.mechanism.arguments import as_bool, check_instance
 from spm_pin.mechanism.files import writing
 from spm_pin.mechanism.geometry import config_directory
 from spm_pin.mechanism.joint_angles import home_readings
+from spm_pin.mechanism.mechanism import Mechanism, check_mechanism
 
 # Names of files; `spm_pin.description` says what each is.
 ENTRY = "spm.urdf.xacro"
+STAGE_ENTRY = "stage.urdf.xacro"
 URDF = "spm.urdf"
 SRDF = "spm.srdf"
 MJCF = "spm.xml"
@@ -84,27 +86,33 @@ class Closure:
     """Name of the second frame, a link of the URDF."""
 
 
-def read_closures(*, prefix: str = "") -> tuple[Closure, ...]:
-    """Return the closures of the robot, from `config/closures.yaml`; each name begins with `prefix`, as in the URDF."""
+def read_closures(geometry: Mechanism | None = None, *, prefix: str = "") -> tuple[Closure, ...]:
+    """Return the closures of the robot, or of a `Stage`, from `config/closures.yaml`; names begin with `prefix`."""
     check_prefix(prefix)
-    entries = yaml.safe_load(description_file(CLOSURES).read_text(encoding="utf-8"))["closures"]
+    key = "stage_closures" if isinstance(check_machine(geometry), Stage) else "closures"
+    entries = yaml.safe_load(description_file(CLOSURES).read_text(encoding="utf-8"))[key]
     return tuple(Closure(**{key: prefix + name for key, name in entry.items()}) for entry in entries)
 
 
+def check_machine(geometry: Mechanism | None) -> Mechanism:
+    """Return a machine that was given, or the paper's."""
+    return Geometry.paper() if geometry is None else check_mechanism(geometry)
+
+
 def urdf_text(
-    geometry: Geometry | None = None,
+    geometry: Mechanism | None = None,
     *,
     prefix: str = "",
     meshes: str | None = None,
     ros_constraints: bool = False,
     masses: Masses | None = None,
 ) -> str:
-    """Return the URDF of a manipulator: its spanning tree, the loops closed by Drake's ball constraints.
+    """Return the URDF of a machine: its spanning tree, the loops closed by Drake's ball constraints.
 
     Parameters
     ----------
-    geometry : Geometry, optional
-        By default the paper's.
+    geometry : Geometry or Stage, optional
+        The manipulator, by default the paper's, or a stage alone.
     prefix : str
         Before the name of every link, joint, transmission, actuator and material, so that robots can share a model.
     meshes : str
@@ -121,24 +129,25 @@ def urdf_text(
     as_bool(ros_constraints, "ros_constraints")
     if meshes is not None and (not isinstance(meshes, str) or not meshes.isprintable()):
         raise DescriptionError("meshes", "the folder of the meshes as text, or None", repr(meshes))
-    machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
+    machine = check_machine(geometry)
     home_readings(machine)
+    entry, argument = (STAGE_ENTRY, "stage") if isinstance(machine, Stage) else (ENTRY, "geometry")
     if masses is not None:
         check_instance(masses, Masses, "masses")
     with tempfile.TemporaryDirectory() as folder, _XACRO:
-        path = Path(folder) / "geometry.yaml"
+        path = Path(folder) / "machine.yaml"
         machine.to_yaml(path)
         folder_of_meshes = (description_directory() / MESHES).as_posix() if meshes is None else meshes
-        mappings = {"prefix": prefix, "geometry": str(path), "meshes": folder_of_meshes}
-        expanded = xacro.process_file(str(description_file(ENTRY)), mappings=mappings)
+        mappings = {"prefix": prefix, argument: str(path), "meshes": folder_of_meshes}
+        expanded = xacro.process_file(str(description_file(entry)), mappings=mappings)
     text = str(expanded.documentElement.toprettyxml(indent="  "))
     if masses is not None:
         text = with_masses(text, masses, prefix)
     if ros_constraints:
-        elements = "".join(map(_ros_constraint, read_closures(prefix=prefix)))
+        elements = "".join(map(_ros_constraint, read_closures(machine, prefix=prefix)))
         text = text.replace("</robot>", f"{elements}</robot>")
     # xacro's own banner holds the path of this machine's copy.
-    return f'<?xml version="1.0" ?>\n<!-- Expanded from {ENTRY}, which is the place for changes. -->\n{text}'
+    return f'<?xml version="1.0" ?>\n<!-- Expanded from {entry}, which is the place for changes. -->\n{text}'
 
 
 def _ros_constraint(closure: Closure) -> str:

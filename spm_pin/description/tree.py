@@ -7,12 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spm_pin.description.source_files import check_prefix, read_closures
+from spm_pin.description.source_files import check_machine, check_prefix, read_closures
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism import Configuration, Geometry, joint_angles
-from spm_pin.mechanism.arguments import check_instance
-from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.joint_angles import actuated_joints, joint_names, value_names
+from spm_pin.mechanism import Configuration, StageConfiguration, joint_angles
+from spm_pin.mechanism.joint_angles import actuated_joints, check_state, joint_names, value_names
+from spm_pin.mechanism.mechanism import Mechanism
 
 SLIDES = actuated_joints()
 """The actuated joints of RPS legs, in the order of `spm_pin.mechanism.LEGS`; see `actuated_joints`."""
@@ -21,45 +20,48 @@ HOME = "home"
 """Name of the state in which all joints are at zero."""
 
 
-def extended_urdf_text(geometry: Geometry | None = None, *, prefix: str = "") -> str:
+State = Configuration | StageConfiguration
+"""Of a robot, or of a stage alone."""
+
+
+def extended_urdf_text(geometry: Mechanism | None = None, *, prefix: str = "") -> str:
     """Return closures and motors as an Extended-URDF file, to lie beside the URDF of a machine, by default the paper's.
 
     Layout of https://github.com/Gepetto/example-parallel-robots. The names of the closures have no place in it. No
     joint changes its type when loaded: `joint_name` and `joint_type` are empty.
     """
-    closures = read_closures(prefix=prefix)
+    closures = read_closures(geometry, prefix=prefix)
     pairs = ",\n  ".join(f"['{closure.frame_a}', '{closure.frame_b}']" for closure in closures)
     types, motors = ["3d"] * len(closures), [prefix + joint for joint in actuated_joints(geometry)]
     return f"closed_loop: [\n  {pairs}\n]\ntype: {types}\nname_mot: {motors}\njoint_name: []\njoint_type: []\n"
 
 
-def joint_values(configuration: Configuration) -> dict[str, float]:
-    """Return the values of the tree's eighteen joints in a single configuration that exists.
+def joint_values(configuration: State) -> dict[str, float]:
+    """Return the values of the tree's joints, eighteen or nine, in a single configuration that exists.
 
     By name, without prefix, in the order of `joint_names`: of passive joints angles in [-π, π] [rad], of actuated ones
     the reading without offset minus that at home [m, rad]. Where the configuration violates the mechanism's closure, so
     does the tree.
     """
-    check_configuration(configuration, single=True, existing=True)
-    geometry, angles = configuration.geometry, joint_angles(configuration, corners=(0,)).values
+    check_state(configuration, single=True, existing=True)
+    geometry, angles = configuration.mechanism, joint_angles(configuration, corners=(0,)).values
     values = dict(zip(value_names(geometry), angles.tolist(), strict=True))
     return {name: values[name] for name in joint_names(geometry)}
 
 
-def machine_of(states: Mapping[str, Configuration], geometry: Geometry | None) -> Geometry:
+def machine_of(states: Mapping[str, State], geometry: Mechanism | None) -> Mechanism:
     """Return the machine of named states and of a URDF, or raise unless they have one."""
     if not isinstance(states, Mapping):
         raise DescriptionError("states", "a mapping of names to configurations", type(states).__name__)
-    machines = [check_configuration(state, "states").geometry for state in states.values()]
-    machine = next(iter(machines), None) or Geometry.paper()
-    machine = machine if geometry is None else check_instance(geometry, Geometry, "geometry")
+    machines = [check_state(state, "states").mechanism for state in states.values()]
+    machine = check_machine(next(iter(machines), None) if geometry is None else geometry)
     for name, other in zip(states, machines, strict=True):
         if other != machine:
             raise DescriptionError("states", "one geometry in all states, the robot's", f"another one in {name}")
     return machine
 
 
-def state_values(states: Mapping[str, Configuration], geometry: Geometry, prefix: str) -> dict[str, dict[str, float]]:
+def state_values(states: Mapping[str, State], geometry: Mechanism, prefix: str) -> dict[str, dict[str, float]]:
     """Return the values of the joints, named with the prefix, in `home` and in named states of a geometry."""
     values = {HOME: dict.fromkeys((prefix + joint for joint in joint_names(geometry)), 0.0)}
     for name, configuration in states.items():
@@ -69,16 +71,14 @@ def state_values(states: Mapping[str, Configuration], geometry: Geometry, prefix
     return values
 
 
-def srdf_text(
-    states: Mapping[str, Configuration] | None = None, *, geometry: Geometry | None = None, prefix: str = ""
-) -> str:
+def srdf_text(states: Mapping[str, State] | None = None, *, geometry: Mechanism | None = None, prefix: str = "") -> str:
     """Return the SRDF: groups, named states, passive joints, and pairs of links that touch by design.
 
     Parameters
     ----------
-    states : mapping of str to Configuration, optional
-        The states by name, all of one geometry, that of the URDF; `home` is added.
-    geometry : Geometry, optional
+    states : mapping of str to Configuration or StageConfiguration, optional
+        The states by name, all of one machine, that of the URDF; `home` is added.
+    geometry : Geometry or Stage, optional
         That of the URDF; by default that of the states, or else the paper's.
     prefix : str
         As for `urdf_text`.
@@ -87,13 +87,13 @@ def srdf_text(
     states = {} if states is None else states
     machine = machine_of(states, geometry)
     actuated, every = actuated_joints(machine), joint_names(machine)
-    lines = ['<?xml version="1.0" ?>', '<robot name="spm">']
+    lines = ['<?xml version="1.0" ?>', f'<robot name="{"spm" if len(actuated) == 6 else "stage"}">']
     for group, joints in (("legs", actuated), ("mechanism", every)):
         lines.append(f'  <group name="{group}">')
         lines += [f'    <joint name="{prefix}{name}"/>' for name in joints]
         lines.append("  </group>")
     for name, values in state_values(states, machine, prefix).items():
-        limits = None if name == HOME else states[name].geometry.limits
+        limits = None if name == HOME else machine.limits
         if limits is not None and not limits.contains(states[name].readings):
             excess = np.abs(states[name].limit_excess)
             unit = machine.legs.units[int(excess.argmax())]
@@ -107,15 +107,21 @@ def srdf_text(
     return "\n".join([*lines, "</robot>", ""])
 
 
-def touching_links(geometry: Geometry) -> tuple[tuple[str, str], ...]:
+def touching_links(geometry: Mechanism) -> tuple[tuple[str, str], ...]:
     """Return the pairs of links that touch by design: those around one joint."""
     groups: list[tuple[str, ...]] = []
-    bodies = {stage: kind.body for stage, kind in zip("bc", geometry.legs.kinds, strict=True)}
-    for i in "123":
-        for platform, corner, leg in (("base", f"base_a{i}", "b"), ("terminal_platform", f"terminal_c{i}", "c")):
-            groups.append((platform, corner, f"leg_{leg}{i}_{bodies[leg]}"))
-            groups.append((f"leg_{leg}{i}_{bodies[leg]}", f"leg_{leg}{i}_rod"))
-        legs = tuple(f"leg_{stage}{i}_{part}" for stage in "bc" for part in ("rod", "tip"))
-        inner = ("ball_b1_x_link", "ball_b1_y_link", "ball_c1_z_link", "ball_c1_y_link")
-        groups.append(("middle_platform", f"middle_b{i}", *legs, *(inner if i == "1" else (f"middle_b{i}_upper",))))
+    is_robot = len(geometry.legs.kinds) == 2
+    platform, middle = ("middle_platform", "middle_b") if is_robot else ("platform", "platform_b")
+    names = [leg[2:] for leg in geometry.legs.names]
+    for k, leg in enumerate(names):
+        plate, corner = ("base", "base_a") if k < 3 else ("terminal_platform", "terminal_c")
+        body = f"leg_{leg}_{geometry.legs.kinds[k // 3].body}"
+        groups += [(plate, f"{corner}{k % 3 + 1}", body), (body, f"leg_{leg}_rod")]
+    for k in range(3):
+        legs = tuple(f"leg_{leg}_{part}" for leg in names[k::3] for part in ("rod", "tip"))
+        ball = (
+            f"ball_{leg}_{axis}_link" for leg, first in zip(names[::3], "xz", strict=False) for axis in (first, "y")
+        )
+        upper = (f"{middle}{k + 1}_upper",) if is_robot else ()
+        groups.append((platform, f"{middle}{k + 1}", *legs, *(upper if k else ball)))
     return tuple(dict.fromkeys(pair for group in groups for pair in itertools.combinations(group, 2)))

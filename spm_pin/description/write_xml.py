@@ -1,8 +1,9 @@
-"""The closed robot in the formats of other engines: MJCF, its loops closed by equality constraints, and SDFormat."""
+"""A closed machine in the formats of other engines: MJCF, its loops closed by equality constraints, and SDFormat."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import Any
 from xml.etree import ElementTree
@@ -13,37 +14,85 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.description.masses import Masses, Numbers, Placement
 from spm_pin.description.robot import Joint, Link, Robot, Shape, read_robot
-from spm_pin.description.source_files import Closure, check_prefix
-from spm_pin.description.tree import machine_of, state_values
+from spm_pin.description.source_files import Closure, check_machine, check_prefix
+from spm_pin.description.tree import State, machine_of, state_values
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism import Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray, choice
+from spm_pin.mechanism import Stage
+from spm_pin.mechanism.arguments import FloatArray, check_instance, choice, real_number
+from spm_pin.mechanism.mechanism import Mechanism
 
 Value = str | float | Iterable[float]
 
+SERVO = 200.0
+"""Natural frequency of the machine on its servos [rad/s]: they give way by g / SERVO² = 0.25 mm under its weight."""
+_FRICTION = (0.8, 0.001, 0.0001)
+"""Of ball and plate: Coulomb's coefficient, and the levers of its drilling and rolling moments [m]."""
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A ball that is free to roll on a stage's platform, and the round plate under it, for `mjcf_text`.
+
+    Parameters
+    ----------
+    radius, mass : float
+        Of the ball, solid [m], [kg]; by default about those of a golf ball.
+    plate_radius, plate_height : float, optional
+        Of the plate, and of its upper face above the platform's origin [m]; by default 1.5 and 0.2 times the
+        platform's radius. The plate's mass is part of the platform's.
+    """
+
+    radius: float = 0.02
+    mass: float = 0.045
+    plate_radius: float | None = None
+    plate_height: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, unit in (("radius", "m"), ("mass", "kg"), ("plate_radius", "m"), ("plate_height", "m")):
+            value = getattr(self, name)
+            if value is not None or not name.startswith("plate"):
+                number = real_number(value, name, f"a positive number of {unit}, to 100", above=0.0, most=100.0)
+                object.__setattr__(self, name, number)
+
+    def plate(self, stage: Stage) -> tuple[float, float]:
+        """Return the radius of a stage's plate, and the height of its upper face [m]."""
+        return self.plate_radius or 1.5 * stage.platform_radius, self.plate_height or 0.2 * stage.platform_radius
+
+    def at_rest(self, stage: Stage, platform: FloatArray, place: Iterable[float] = (0.0, 0.0)) -> FloatArray:
+        """Return the ball's centre (3,) at x and y on the plate of a platform with this pose (4, 4) [m]."""
+        _, height = self.plate(stage)
+        return np.asarray((platform @ [*place, height + self.radius, 1.0])[:3])
+
 
 def mjcf_text(
-    geometry: Geometry | None = None,
+    geometry: Mechanism | None = None,
     *,
     prefix: str = "",
-    states: Mapping[str, Configuration] | None = None,
+    states: Mapping[str, State] | None = None,
     anchors: str | None = None,
+    actuators: str | None = None,
+    ball: Ball | None = None,
     collisions: str | None = None,
     meshes: str | None = None,
     masses: Masses | None = None,
 ) -> str:
-    """Return the manipulator as an MJCF file.
+    """Return a manipulator, or a stage alone, as an MJCF file.
 
     Parameters
     ----------
     geometry, prefix, meshes, masses
         As for `urdf_text`.
-    states : mapping of str to Configuration, optional
-        Named states of this geometry, which become keyframes after `home`, all joints at zero.
+    states : mapping of str to Configuration or StageConfiguration, optional
+        Named states of this machine, which become keyframes after `home`, all joints at zero.
     anchors : str, optional
         How a closure is written. "bodies": by a body and a point in it, which MuJoCo, Drake and Pinocchio take
         alike; the robot must stand assembled at zero, as that of a drawing does. "sites": by two sites, which MuJoCo
         and Pinocchio take. By default bodies where that is possible.
+    actuators : str, optional
+        "motors", of which `ctrl` is the effort, by default of a manipulator; or "servos", which are led to the value of
+        their joint within its limits, by default of a stage.
+    ball : Ball, optional
+        A ball on a stage's platform, with its plate; they collide with one another and nothing else.
     collisions : str, optional
         The shapes that collide. "exact", the default: those of the URDF. "simple": without cylinders, whose contacts
         with boxes MJX does not know; capsules and boxes inside them take their place. "none": no shape collides.
@@ -52,11 +101,15 @@ def mjcf_text(
     -----
     The base is welded to the world. q is the same vector as in Pinocchio when it reads the URDF. Links are bodies; the
     base, closures' frames and links fixed to others have sites too, whose names end in _site. Velocity limits, for
-    which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints.
+    which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints. The ball's six degrees of
+    freedom come last.
     """
     check_prefix(prefix)
-    machine = machine_of({} if states is None else states, Geometry.paper() if geometry is None else geometry)
+    machine = machine_of({} if states is None else states, check_machine(geometry))
     values_by_state = state_values({} if states is None else states, machine, prefix)
+    kind = "servos" if isinstance(machine, Stage) else "motors"
+    kind = choice(kind if actuators is None else actuators, "actuators", ("motors", "servos"))
+    stage = None if ball is None else _stage_under(ball, machine)
     shapes = choice("exact" if collisions is None else collisions, "collisions", ("exact", "simple", "none"))
     robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
     by_sites = _closed_by(robot, anchors, "anchors", ("bodies", "sites")) == "sites"
@@ -68,20 +121,28 @@ def mjcf_text(
         files.setdefault((shape.mesh, shape.size), f"{stem}_{count + 1}" if count else stem)
     assets = [_element("mesh", name=name, file=file, scale=size) for (file, size), name in files.items()]
     assets += [_element("material", name=name, rgba=rgba) for name, rgba in robot.materials.items()]
-    motors = []
-    for joint, motor in robot.motors.items():
-        effort = robot.joints[joint].limits["effort"]
-        motors.append(_element("motor", name=motor, joint=joint, ctrllimited="true", ctrlrange=(-effort, effort)))
-    keys = [
-        _element("key", name=name, qpos=[values[joint.name] for joint in robot.moving])
-        for name, values in values_by_state.items()
-    ]
+    driven = list(_servos(robot, machine) if kind == "servos" else _motors(robot))
+    body = _body(robot, robot.base, _sites(robot), files, shapes)
+    keys, balls = [], []
+    rolling: dict[str, Value] = {}
+    platform = f"{prefix}platform"
+    if ball and stage:
+        # So that friction at rest slips little: a ball would roll with a tenth of its rolling friction.
+        rolling = {"cone": "elliptic", "impratio": "10"}
+        balls = [_ball(ball, stage, body, platform, robot.frames()[platform])]
+    for name, values in values_by_state.items():
+        state: dict[str, list[float]] = {"qpos": [values[joint.name] for joint in robot.moving]}
+        if ball and stage:
+            state["qpos"] += [*ball.at_rest(stage, robot.frames(values)[platform]), 1.0, 0.0, 0.0, 0.0]
+        if kind == "servos":
+            state["ctrl"] = [values[joint] for joint in robot.motors]
+        keys.append(_element("key", name=name, **state))
     velocities = [joint.limits["velocity"] for joint in robot.moving]
     root = _element(
         "mujoco",
         _element("compiler", angle="radian", autolimits="true"),
         # Rigid closures: steps that resolve the constraints' time constant, and no softening under load.
-        _element("option", timestep="0.001", integrator="implicitfast"),
+        _element("option", timestep="0.001", integrator="implicitfast", **rolling),
         _element("default", _element("equality", solref="0.002 1", solimp="0.9999 0.9999 0.001 0.5 2")),
         _element(
             "visual",
@@ -89,14 +150,59 @@ def mjcf_text(
             _element("global", offwidth="1280", offheight="960"),
         ),
         _element("asset", *assets),
-        _element("worldbody", _body(robot, robot.base, _sites(robot), files, shapes)),
+        _element("worldbody", body, *balls),
         _element("equality", *(_connection(robot, closure, by_sites) for closure in robot.closures)),
-        _element("actuator", *motors),
+        _element("actuator", *driven),
         _element("custom", _element("numeric", name="velocity_limit", data=velocities)),
         _element("keyframe", *keys),
         model=robot.name,
     )
     return _document(root)
+
+
+def _motors(robot: Robot) -> Iterable[Element]:
+    for joint, motor in robot.motors.items():
+        effort = robot.joints[joint].limits["effort"]
+        yield _element("motor", name=motor, joint=joint, ctrllimited="true", ctrlrange=(-effort, effort))
+
+
+def _servos(robot: Robot, machine: Mechanism) -> Iterable[Element]:
+    """Yield servos on which three carry all that moves with the frequency `SERVO`, critically damped."""
+    mass = sum(link.mass for name, link in robot.links.items() if robot.carrier(name)[0] != robot.base)
+    for (joint, motor), arm in zip(robot.motors.items(), machine.legs.largest_slopes, strict=True):
+        limits, stiffness = robot.joints[joint].limits, SERVO**2 * mass / 3.0 * arm**2
+        values: dict[str, Value] = {"name": motor, "joint": joint, "kp": stiffness, "kv": 2.0 * stiffness / SERVO}
+        values |= {"ctrllimited": "true", "ctrlrange": (limits["lower"], limits["upper"])}
+        yield _element("position", **values, forcelimited="true", forcerange=(-limits["effort"], limits["effort"]))
+
+
+def _stage_under(ball: Ball, machine: Mechanism) -> Stage:
+    check_instance(ball, Ball, "ball")
+    if not isinstance(machine, Stage):
+        raise DescriptionError("ball", "a stage alone for a ball to roll on", "one on a manipulator of two stages")
+    return machine
+
+
+def _ball(ball: Ball, stage: Stage, body: Element, platform: str, home: FloatArray) -> Element:
+    """Return the body of a ball at rest at home, and add the plate under it to the body of the platform."""
+    radius, height = ball.plate(stage)
+    half = 0.02 * stage.platform_radius
+    # Bits of their own: nothing else of the machine is touched. A fifth of the default's time constant.
+    both: dict[str, Value] = {
+        "contype": "2",
+        "conaffinity": "2",
+        "condim": "6",
+        "friction": _FRICTION,
+        "solref": (0.004, 1.0),
+    }
+    size, colour = (radius, half), (0.867, 0.878, 0.890, 0.9)
+    plate = _element(
+        "geom", name=f"{platform}_plate", type="cylinder", size=size, pos=(0.0, 0.0, height - half), rgba=colour, **both
+    )
+    next(each for each in body.iter("body") if each.get("name") == platform).append(plate)
+    solid = _element("geom", type="sphere", size=ball.radius, mass=ball.mass, rgba=(0.835, 0.369, 0.0, 1.0), **both)
+    name = platform.removesuffix("platform") + "ball"
+    return _element("body", _element("freejoint", name=f"{name}_free"), solid, name=name, pos=ball.at_rest(stage, home))
 
 
 def _closed_by(robot: Robot, chosen: str | None, argument: str, ways: tuple[str, str]) -> str:
@@ -185,14 +291,14 @@ def _place(placement: Placement) -> dict[str, Value]:
 
 
 def sdf_text(
-    geometry: Geometry | None = None,
+    geometry: Mechanism | None = None,
     *,
     prefix: str = "",
     loops: str | None = None,
     meshes: str | None = None,
     masses: Masses | None = None,
 ) -> str:
-    """Return the manipulator as an SDFormat model, its base fixed to the world.
+    """Return a manipulator, or a stage alone, as an SDFormat model, its base fixed to the world.
 
     Parameters
     ----------

@@ -6,6 +6,7 @@ from spm_pin.mechanism.geometry import PARAMETERS, Geometry
 from spm_pin.mechanism.joint_angles import JointAngles, home_readings, joint_angles
 from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.mechanism.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs, StageLimits
+from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
@@ -28,6 +29,7 @@ __all__ = [
     "LegKind",
     "LegLimits",
     "Legs",
+    "Mechanism",
     "PlacedLegs",
     "PoseLike",
     "SolutionSet",

@@ -139,7 +139,7 @@ class Configuration(Batched):
 
     @property
     def mechanism(self) -> Geometry:
-        """The same."""
+        """The manipulator, as `StageConfiguration.mechanism` is the stage."""
         return self._mechanism
 
     @property
@@ -293,6 +293,12 @@ def check_configuration(
     several = hasattr(type(value), "physical")
     cause = "Choose one of its solutions: .physical(), .nearest(near), or a label such as ['TT+']" if several else ""
     configuration = check_instance(value, Configuration, argument, cause)
+    check_members(configuration, argument, single=single, existing=existing)
+    return configuration
+
+
+def check_members(configuration: Batched, argument: str, *, single: bool, existing: bool) -> None:
+    """Raise `ArgumentError` for a batch if one state is wanted, or for absent members if all have to exist."""
     if single and configuration.shape:
         cause = f"Choose one by its index: {argument}[0]"
         raise ArgumentError(argument, "a single configuration", f"a batch of shape {configuration.shape}", cause)
@@ -301,4 +307,3 @@ def check_configuration(
         where = f" at batch index {index}" if index else ""
         cause = configuration.missing_reason or "Not a real solution? See .status and .exists of the SolutionSet"
         raise ArgumentError(argument, "a configuration that exists", f"NaN{where}", cause)
-    return configuration

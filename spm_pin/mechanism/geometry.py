@@ -232,6 +232,11 @@ class Geometry(Mechanism):
         return self.base_radius + self.platform_radius + 2.0 * self.middle_side
 
     @property
+    def stage_radii(self) -> tuple[tuple[float, float], ...]:
+        """Radii of the drawn triangles of the lower and of the upper stage, of pivots and of balls [m]."""
+        return (self.base_radius, self.middle_radius), (self.platform_radius, self.middle_radius)
+
+    @property
     def middle_radius(self) -> float:
         """Radius r = d/√3 of the drawn middle platform, from its centre to a ball joint b_i [m]."""
         return self.middle_side / math.sqrt(3.0)

@@ -7,6 +7,8 @@ offset and the reading at the symmetric home; its passive joint turns about the 
 or rod there. The ball joint of a lower leg turns the rod into the middle platform about the leg's revolute axis (x),
 the middle axis (y) and the platform's normal (z), in this order. That of an upper leg turns the middle platform into
 the rod, in the order z, y, x. The home of a machine as built is that of the drawn one.
+
+A stage alone is as the lower stage of a robot, its platform in the place of the middle one.
 """
 
 from __future__ import annotations
@@ -26,84 +28,84 @@ from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
 from spm_pin.formulas.leg_planes import upper_balls
 from spm_pin.formulas.operations import ARRAYS, bind, on_arrays
 from spm_pin.formulas.vectors import dot, minus, times, transposed
-from spm_pin.mechanism.arguments import FloatArray, check_instance, frozen, type_and_value, whole_number
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.arguments import FloatArray, frozen, type_and_value, whole_number
+from spm_pin.mechanism.configuration import Configuration, check_configuration, check_members
 from spm_pin.mechanism.leg_kinds import KINDS, RPS, LegKind
 from spm_pin.mechanism.legs import LEGS
+from spm_pin.mechanism.mechanism import Mechanism, check_mechanism
+from spm_pin.mechanism.stage_configuration import StageConfiguration
 
 # Configurations computed together: intermediate arrays stay in the processor's cache.
 _BLOCK = 2048
 
 
-def leg_joints(geometry: Geometry | None = None) -> dict[str, tuple[str, str]]:
-    """Return the names of each leg's two joints, from its plate to its ball, by the names of `LEGS`."""
-    kinds = _kinds(geometry)
-    return {
-        leg: (f"leg_{leg[2:]}_{first}", f"leg_{leg[2:]}_{second}")
-        for k, leg in enumerate(LEGS)
-        for first, second in [kinds[k // 3].joints]
-    }
+def leg_joints(geometry: Mechanism | None = None) -> dict[str, tuple[str, str]]:
+    """Return the names of each leg's two joints, from its plate to its ball, by the names of the legs."""
+    names: dict[str, tuple[str, str]] = {}
+    for leg, kind in _legs(geometry):
+        first, second = kind.joints
+        names[leg] = f"leg_{leg[2:]}_{first}", f"leg_{leg[2:]}_{second}"
+    return names
 
 
-def _kinds(geometry: Geometry | None) -> tuple[LegKind, ...]:
-    return (RPS(), RPS()) if geometry is None else check_instance(geometry, Geometry, "geometry").legs.kinds
+def _legs(geometry: Mechanism | None) -> list[tuple[str, LegKind]]:
+    """Return the names of the legs, with their kinds."""
+    if geometry is None:
+        return [(leg, RPS()) for leg in LEGS]
+    legs = check_mechanism(geometry).legs
+    return [(leg, legs.kinds[k // 3]) for k, leg in enumerate(legs.names)]
 
 
-def joint_names(geometry: Geometry | None = None) -> tuple[str, ...]:
-    """Return the names of the eighteen joints of a machine's URDF, by default of one of RPS legs.
+def joint_names(geometry: Mechanism | None = None) -> tuple[str, ...]:
+    """Return the names of the joints of a machine's URDF: eighteen, by default of RPS legs, or nine of a `Stage`.
 
-    Up the first legs to the terminal platform, then those of the other lower and upper legs.
+    Up the first legs to the platform that moves, then those of the other lower and upper legs.
     """
-    first, *lower, last = (legs := leg_joints(geometry))["r_b1"], legs["r_b2"], legs["r_b3"], legs["r_c1"]
-    balls = "ball_b1_x", "ball_b1_y", "ball_b1_z", "ball_c1_z", "ball_c1_y", "ball_c1_x"
-    others = *lower, legs["r_c2"], legs["r_c3"]
-    return *first, *balls, *last[::-1], *(joint for leg in others for joint in leg)
+    legs = leg_joints(geometry)
+    lower, *upper = ((*legs[leg], *(f"ball_{leg[2:]}_{x}" for x in "xyz")) for leg in list(legs)[::3])
+    others = (joint for k, joints in enumerate(legs.values()) if k % 3 for joint in joints)
+    return *lower, *(joint for chain in upper for joint in chain[::-1]), *others
 
 
-def actuated_joints(geometry: Geometry | None = None) -> tuple[str, ...]:
-    """Return the names of the joints that the actuators move, in the order of `LEGS`; see `joint_names`."""
-    return _of_each_leg(geometry, "actuated")
+def actuated_joints(geometry: Mechanism | None = None) -> tuple[str, ...]:
+    """Return the names of the joints that the actuators move, in the order of the legs; see `joint_names`."""
+    return tuple(f"leg_{leg[2:]}_{kind.actuated}" for leg, kind in _legs(geometry))
 
 
-def value_names(geometry: Geometry | None = None) -> tuple[str, ...]:
+def value_names(geometry: Mechanism | None = None) -> tuple[str, ...]:
     """Return the names of the joints in the order of `JointAngles.values` for the balls of the first legs."""
-    balls = (f"ball_{leg}_{axis}" for axis in "xyz" for leg in ("b1", "c1"))
-    return *_of_each_leg(geometry, "passive"), *balls, *_of_each_leg(geometry, "actuated")
-
-
-def _of_each_leg(geometry: Geometry | None, which: str) -> tuple[str, ...]:
-    kinds = _kinds(geometry)
-    return tuple(f"leg_{leg[2:]}_{getattr(kinds[k // 3], which)}" for k, leg in enumerate(LEGS))
+    passive = [f"leg_{leg[2:]}_{kind.passive}" for leg, kind in _legs(geometry)]
+    balls = (f"ball_{leg[2:]}_{axis}" for axis in "xyz" for leg in list(leg_joints(geometry))[::3])
+    return *passive, *balls, *actuated_joints(geometry)
 
 
 JOINTS = joint_names()
 """The eighteen joints of a URDF of RPS legs; see `joint_names`."""
 
 
-@functools.lru_cache(maxsize=64)
-def home_readings(geometry: Geometry) -> FloatArray:
-    """Return the readings (6,) of the symmetric home, offsets aside: [m], of RRS legs [rad].
+def home_readings(geometry: Mechanism) -> FloatArray:
+    """Return the readings (6,), of a stage (3,), of the symmetric home, offsets aside: [m], of RRS legs [rad].
 
-    Both platforms are level there. The reading is the middle of the limits that the stage's three legs share, if the
+    All platforms are level there. The reading is the middle of the limits that the stage's three legs share, if the
     stage stands there. Otherwise, and without limits, RPS legs are as long as the shortest allowed and those of a stage
     as high as the sum of its two radii together, carriages are at their pivots, and balls in the middle of the reach of
     crank and rod. A `GeometryError` is raised for a stage that does not stand there either.
     """
-    readings, _ = homes(geometry)
+    readings, _ = homes(check_mechanism(geometry))
     return readings
 
 
 @functools.lru_cache(maxsize=64)
-def homes(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
+def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
     """Return `home_readings`, and the balls' places there (6, 2), x and z in the planes of the legs [m]."""
-    readings, places = np.empty(6), np.empty((6, 2))
-    for stage, radius in enumerate((geometry.base_radius, geometry.platform_radius)):
+    count = len(geometry.legs.names)
+    readings, places = np.empty(count), np.empty((count, 2))
+    for stage, (radius, ball_radius) in enumerate(geometry.stage_radii):
         legs, kind, limits = slice(3 * stage, 3 * stage + 3), geometry.legs.kinds[stage].nominal, geometry.limits
         low = max(kind.least_reading, *limits.minimum[legs]) if limits else kind.least_reading
         high = min(limits.maximum[legs]) if limits else math.inf
         numbers, signs = tuple(kind.numbers[0].tolist()), geometry.legs.slope_signs[legs]
-        x, height = geometry.middle_radius - radius, geometry.middle_radius + radius
+        x, height = ball_radius - radius, ball_radius + radius
         with np.errstate(invalid="ignore"):
             at_home = _HOME(x, height, (low, high), signs[0], numbers, kind.on_arrays)
         places[legs] = x, at_home.z
@@ -144,16 +146,16 @@ _ON_NUMBERS = _runner(
 class _Constants(NamedTuple):
     legs: tuple[formulas.LegFrame, ...]
     sides: tuple[float, ...]  # b_1 b_2, b_2 b_3 and b_3 b_1
-    weights: Any  # see `upper_ball_weights`
-    kinds: tuple[type[LegKind], ...]  # of the six legs
+    weights: Any  # see `upper_ball_weights`; None of a stage alone
+    kinds: tuple[type[LegKind], ...]  # of the legs
 
 
 @functools.lru_cache(maxsize=16)
-def _constants(geometry: Geometry) -> _Constants:
+def _constants(geometry: Mechanism) -> _Constants:
     axes, pivots, balls = map(_tuples, geometry.legs.arrays[:3])
     own_axes, legs, kinds = _ON_NUMBERS.triangle_axes(balls[:3]), [], []
     readings, places = homes(geometry)
-    for leg in range(6):
+    for leg in range(len(readings)):
         kind, signs = geometry.legs.kinds[leg // 3], (TANGENT_SIGNS[leg % 3], (1.0, -1.0)[leg // 3])
         kinds.append(type(kind))
         numbers = tuple(tuple(x.numbers[leg % 3].tolist()) for x in (kind.nominal, kind))
@@ -161,8 +163,8 @@ def _constants(geometry: Geometry) -> _Constants:
         placement, run = (axes[leg], pivots[leg]), _ON_NUMBERS
         drawn_axis, of_kind = AXES[leg % 3], run.kinds[type(kind)]
         legs.append(run.leg_frame(placement, drawn_axis, own_axes, signs, at_home, numbers, of_kind))
-    weights = geometry.legs.upper_ball_weights
-    return _Constants(tuple(legs), tuple(geometry.legs.sides.tolist()), _tuples(weights), tuple(kinds))
+    weights = _tuples(geometry.legs.upper_ball_weights) if len(geometry.stage_radii) == 2 else None
+    return _Constants(tuple(legs), tuple(geometry.legs.sides.tolist()), weights, tuple(kinds))
 
 
 def _tuples(matrix: FloatArray) -> Any:
@@ -174,18 +176,20 @@ class JointAngles:
     """Joint values of configurations; NaN where one does not exist."""
 
     values: FloatArray
-    """Six passive joints; the balls' angles about x, y and z, of n lower and then n upper legs; six actuated joints;
-    shape (..., 12 + 6 n). Their names are `value_names`."""
+    """The passive joints; the balls' angles about x, y and z, of n lower and then n upper legs; the actuated joints;
+    shape (..., 12 + 6 n), of a stage alone (..., 6 + 3 n). Their names are `value_names`."""
     closure_residual: FloatArray
     """`Configuration.closure_residual` [m], shape (...)."""
+    legs: int = 6
+    """Number of the legs, 3 of a stage alone."""
 
     @property
     def passive(self) -> FloatArray:
-        """Angles of the revolute joints without an actuator [rad] in [-π, π], in the order of `LEGS`, (..., 6).
+        """Angles of the revolute joints without an actuator [rad] in [-π, π], in the order of the legs, (..., legs).
 
         The hips of RPS legs, the knees of PRS and RRS legs.
         """
-        return self.values[..., :6]
+        return self.values[..., : self.legs]
 
     @property
     def ball_x(self) -> FloatArray:
@@ -204,31 +208,48 @@ class JointAngles:
 
     @property
     def actuated(self) -> FloatArray:
-        """Readings less offsets and the readings at home, shape (..., 6): [m], of RRS legs [rad]."""
-        return self.values[..., -6:]
+        """Readings less offsets and the readings at home, shape (..., legs): [m], of RRS legs [rad]."""
+        return self.values[..., -self.legs :]
 
     @property
     def _balls(self) -> FloatArray:
-        return self.values[..., 6:-6].reshape(*self.values.shape[:-1], 3, (self.values.shape[-1] - 12) // 3)
+        balls = self.values[..., self.legs : -self.legs]
+        return balls.reshape(*balls.shape[:-1], 3, balls.shape[-1] // 3)
 
 
-def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1, 2)) -> JointAngles:
+def check_state(
+    value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False
+) -> Configuration | StageConfiguration:
+    """Return `value` if it is a configuration of a robot or of a stage; see `check_configuration`."""
+    if not isinstance(value, StageConfiguration):
+        return check_configuration(value, argument, single=single, existing=existing)
+    check_members(value, argument, single=single, existing=existing)
+    return value
+
+
+def joint_angles(
+    configuration: Configuration | StageConfiguration, corners: tuple[int, ...] = (0, 1, 2)
+) -> JointAngles:
     """Return the joint values of configurations of shape (...), closed or not.
 
     The ball joints are those of the legs `corners`, 0 to 2, of each stage. The values of a member are bit for bit the
     same in any batch.
     """
-    check_configuration(configuration)
+    check_state(configuration)
     if not isinstance(corners, tuple | list):
         raise ArgumentError("corners", "a tuple of legs, 0 to 2", type_and_value(corners))
     corners = tuple(whole_number(corner, "corners", "legs, 0 to 2", most=2) for corner in corners)
-    shape, count = configuration.shape, 12 + 6 * len(corners)
-    constants = _constants(configuration.geometry)
-    state = [configuration.rotation, configuration.translation, configuration.middle_joints]
+    shape, constants = configuration.shape, _constants(configuration.mechanism)
+    legs = len(constants.legs)
+    count = 2 * legs + legs * len(corners)
+    if isinstance(configuration, StageConfiguration):
+        state = [configuration.balls]
+    else:
+        state = [configuration.rotation, configuration.translation, configuration.middle_joints]
     if not shape:
         return _single(state, constants, corners)
-    arrays = [a.reshape(-1, n) for a, n in zip(state, (9, 3, 9), strict=True)]
-    size = len(arrays[0])
+    size = math.prod(shape)
+    arrays = [a.reshape(size, math.prod(a.shape[len(shape) :])) for a in state]
     values, residual = np.empty((size, count)), np.empty(size)
     rows = np.empty((count, min(size, _BLOCK)))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -237,29 +258,34 @@ def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1,
             # Components first: each operation runs along the configurations of a block.
             parts = [tuple(np.ascontiguousarray(a[block].T)) for a in arrays]
             angles, actuated, errors = _values(_rows(parts), constants, corners, _ON_ARRAYS)
-            rows = rows[:, : len(parts[1][0])]
+            rows = rows[:, : len(parts[0][0])]
             for row, (sine, cosine) in zip(rows, angles, strict=False):
                 np.arctan2(sine, cosine, out=row)
-            rows[-6:] = actuated
+            rows[-legs:] = actuated
             values[block] = rows.T
             residual[block] = functools.reduce(np.maximum, errors)
-    return JointAngles(values.reshape(*shape, count), residual.reshape(shape))
+    return JointAngles(values.reshape(*shape, count), residual.reshape(shape), legs)
 
 
 def _single(state: list[FloatArray], constants: _Constants, corners: tuple[int, ...]) -> JointAngles:
     """Return the values of one state, computed in Python's numbers: NumPy takes longer for arrays of one."""
+    legs = len(constants.legs)
     try:
         parts = [tuple(a.ravel().tolist()) for a in state]
         angles, actuated, errors = _values(_rows(parts), constants, corners, _ON_NUMBERS)
     except ZeroDivisionError:  # balls in one place or in a line
-        return JointAngles(np.full(12 + 6 * len(corners), np.nan), np.array(np.nan))
-    return JointAngles(np.concatenate([np.arctan2(*zip(*angles, strict=True)), actuated]), np.array(max(errors)))
+        return JointAngles(np.full(2 * legs + legs * len(corners), np.nan), np.array(np.nan), legs)
+    return JointAngles(np.concatenate([np.arctan2(*zip(*angles, strict=True)), actuated]), np.array(max(errors)), legs)
 
 
 def _rows(parts: Sequence[Sequence[Any]]) -> Sequence[Any]:
-    """Return R, o and the b_i as formulas take them, from their components."""
-    rotation, position, b = parts
-    return (rotation[:3], rotation[3:6], rotation[6:]), position, (b[:3], b[3:6], b[6:])
+    """Return b_i as formulas take them, and of a robot R and o before, from their components."""
+    *pose, b = parts
+    triangle = b[:3], b[3:6], b[6:]
+    if not pose:
+        return (triangle,)
+    rotation, position = pose
+    return (rotation[:3], rotation[3:6], rotation[6:]), position, triangle
 
 
 def _values(
@@ -267,22 +293,24 @@ def _values(
 ) -> tuple[list[formulas.Angle], list[Any], list[Any]]:
     """Return angles as multiples of (sine, cosine), actuated joints, and closure errors: of numbers, or of arrays (n,).
 
-    The angles are those of the six passive joints, then the balls' x, y and z. `state` has R, o and the b_i as formulas
-    take them.
+    The angles are those of the passive joints, then the balls' x, y and z. `state` is that of `_rows`.
     """
-    rotation, position, b = state
-    columns = transposed(rotation)
-    upper = run.upper_balls(b, constants.weights)
-    balls = [*b, *(times(columns, minus(ball, position)) for ball in upper)]
+    *pose, b = state
+    axes, balls = run.triangle_axes(b), [*b]
+    seen = [(0, axes, 1.0)]
+    if pose:
+        rotation, position = pose
+        columns = transposed(rotation)
+        balls += [times(columns, minus(ball, position)) for ball in run.upper_balls(b, constants.weights)]
+        seen.append((3, tuple(times(columns, x) for x in axes), -1.0))
     kinds = [run.kinds[kind] for kind in constants.kinds]
     legs = [run.leg_values(*leg) for leg in zip(balls, constants.legs, kinds, strict=True)]
     edges = minus(b[0], b[1]), minus(b[1], b[2]), minus(b[2], b[0])
     errors = [abs(leg.plane_distance) for leg in legs]
     errors += [abs(run.sqrt(dot(edge, edge)) - side) for edge, side in zip(edges, constants.sides, strict=True)]
-    axes = run.triangle_axes(b)
     turns = [
-        run.ball_angles(legs[k], constants.legs[k], seen, sign)
-        for first, seen, sign in ((0, axes, 1.0), (3, tuple(times(columns, x) for x in axes), -1.0))
+        run.ball_angles(legs[k], constants.legs[k], own_axes, sign)
+        for first, own_axes, sign in seen
         for k in (first + corner for corner in corners)
     ]
     angles = [leg.passive for leg in legs] + [turn[k] for k in range(3) for turn in turns]

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from spm_pin.errors import GeometryError, raised_as
+from spm_pin.errors import ArgumentError, GeometryError, raised_as
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.files import file_path, writing
 from spm_pin.mechanism.legs import LegLimits, Legs
@@ -29,6 +29,11 @@ class Mechanism(ABC):
     @abstractmethod
     def size(self) -> float:
         """About its height [m]."""
+
+    @property
+    @abstractmethod
+    def stage_radii(self) -> tuple[tuple[float, float], ...]:
+        """Radii of the drawn triangles of each stage, of its pivots and of its balls [m]."""
 
     @abstractmethod
     def as_data(self) -> dict[str, Any]:
@@ -88,3 +93,10 @@ class Mechanism(ABC):
             text = yaml.safe_dump(self.as_data(), sort_keys=False, default_flow_style=None, width=120)
             with writing(path):
                 path.write_text(self._heading + text, encoding="utf-8")
+
+
+def check_mechanism(value: Any, argument: str = "geometry") -> Mechanism:
+    """Return `value` if it is a `Geometry` or a `Stage`."""
+    if not isinstance(value, Mechanism):
+        raise ArgumentError(argument, "a Geometry or a Stage", type(value).__name__)
+    return value

@@ -200,6 +200,11 @@ class Stage(Mechanism):
         own = [float(np.max(getattr(self.kind, name))) for name in ("crank", "rod") if hasattr(self.kind, name)]
         return self.base_radius + self.platform_radius + sum(own)
 
+    @property
+    def stage_radii(self) -> tuple[tuple[float, float], ...]:
+        """Radii of the drawn triangles, of the pivots and of the balls [m]."""
+        return ((self.base_radius, self.platform_radius),)
+
     @cached_property
     def nominal(self) -> Stage:
         """The stage as drawn, with the same dimensions and limits."""

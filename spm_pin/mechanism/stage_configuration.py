@@ -84,7 +84,7 @@ class StageConfiguration(Batched):
 
     @property
     def mechanism(self) -> Stage:
-        """The same."""
+        """The stage, as `Configuration.mechanism` is the geometry."""
         return self._mechanism
 
     @property

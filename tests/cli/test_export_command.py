@@ -76,3 +76,37 @@ def test_another_mesh_of_the_same_name_is_kept(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "no other meshes beside the file" in done.message
     assert mine.read_text(encoding="utf-8") == "mine"
+
+
+def test_a_stage_in_every_format(tmp_path: Path) -> None:
+    stage, file = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2)), tmp_path / "stage.yaml"
+    stage.to_yaml(file)
+    ball = spm.description.Ball()
+    for arguments, expected in (
+        (["urdf"], urdf_text(stage)),
+        (["mjcf"], mjcf_text(stage)),
+        (["mjcf", "--ball", "--actuators", "motors"], mjcf_text(stage, ball=ball, actuators="motors")),
+        (["sdf", "--prefix", "left_"], sdf_text(stage, prefix="left_")),
+        (["srdf"], spm.description.srdf_text(geometry=stage)),
+        (["extended-urdf"], spm.description.extended_urdf_text(stage)),
+    ):
+        done = run("export", *arguments, "--stage", file)
+        assert done.returncode == 0, done.message
+        assert done.stdout == expected
+    done = run("export", "mjcf", "--stage", file, "--out", tmp_path / "balancer.xml")
+    assert done.returncode == 0, done.message
+    assert (tmp_path / "meshes" / "servo.obj").is_file()
+
+
+def test_what_does_not_go_with_a_stage(tmp_path: Path) -> None:
+    file = tmp_path / "stage.yaml"
+    spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).to_yaml(file)
+    for arguments, message in (
+        (["mjcf", "--ball"], "--ball: expected a --stage for it to roll on"),
+        (["sdf", "--stage", file, "--ball"], "--ball: expected to be left out with --format sdf"),
+        (["mjcf", "--stage", file, "--geometry", file], "--geometry: expected to be left out with a --stage"),
+        (["ros", "--stage", file], "--stage: expected to be left out with --format ros"),
+    ):
+        done = run("export", *arguments)
+        assert done.returncode == 2
+        assert message in done.message

@@ -1,0 +1,200 @@
+"""A Gymnasium environment in MuJoCo: keep a ball on the platform of a stage by its three actuators.
+
+Importing this module registers it, as `gymnasium.make("spm_pin.stages.balancing:spm_pin/BallBalancer-v0")` does:
+nothing else of the package imports it, or Gymnasium and MuJoCo, of the extra `gym`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.description import Ball, actuated_joints, joint_values, mjcf_text
+from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.mechanism import RRS, Stage, StageConfiguration, home_readings
+from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, real_number
+from spm_pin.stages.displacement import forward_physical, inverse_physical
+from spm_pin.stages.reach import height_range
+
+try:
+    import gymnasium
+    import mujoco
+except ImportError as error:
+    raise MissingExtraError("gym", str(error.name)) from error
+
+OBSERVATION = ("ball_x", "ball_y", "ball_vx", "ball_vy", "roll", "pitch", "height", "roll_rate", "pitch_rate", "speed")
+"""What is observed: where on the plate the ball is [m], and its velocity against the base [m/s], both along the
+platform's x and y; the platform's roll, pitch [rad] and height [m], as of `StageConfiguration`, and their rates."""
+
+STEPS = 20
+"""Steps of the simulation, each of 1 ms, in one of the environment."""
+_TRIES = 256
+
+
+class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
+    """A ball on the platform of a stage, which falls off unless the platform tilts against it.
+
+    An action is where the three actuators are to go, -1 for the least reading and 1 for the largest, see `action`; they
+    go there no faster than the description's limits of velocity. 50 actions are a second. An observation has the
+    components of `OBSERVATION`. The reward is 1 - (distance from the middle of the plate / its radius)², and the
+    episode is terminated where the ball leaves the plate. Made by `gymnasium.make` it is truncated after ten seconds.
+
+    `reset` draws a tilt, a height, and a place of the ball within half the plate's radius, where it is at rest. All
+    joints follow in closed form, so that the loops are closed to rounding. Its `options` may have the `readings` (3,)
+    and the place of the `ball` (2,) [m] instead. The `info` of reset and step have the `distance` [m], the
+    `loop_error`, by how much loops are open [m], and `has_fallen`.
+
+    Parameters
+    ----------
+    stage : Stage, optional
+        The machine, drawn or as built, with limits; by default a balancer of three servos, 0.12 m high.
+    ball : Ball, optional
+        The ball and its plate.
+    max_tilt : float
+        Largest tilt of the platform after a reset [rad].
+    render_mode : str, optional
+        "rgb_array": `render` returns a picture. Without a screen MuJoCo needs MUJOCO_GL=egl or osmesa in the
+        environment before it is imported.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012  # Gymnasium's own form
+
+    def __init__(
+        self,
+        stage: Stage | None = None,
+        *,
+        ball: Ball | None = None,
+        max_tilt: float = 0.1,
+        render_mode: str | None = None,
+    ) -> None:
+        default = Stage(0.08, 0.09, RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
+        self.stage = default if stage is None else check_instance(stage, Stage, "stage")
+        limits = self.stage.limits
+        if limits is None or not np.isfinite([limits.minimum, limits.maximum]).all():
+            raise ArgumentError("stage", "one whose readings have limits, between which actions are", repr(self.stage))
+        self.ball = Ball() if ball is None else check_instance(ball, Ball, "ball")
+        expected = "an angle from 0 to 0.5 rad"
+        self.max_tilt = real_number(max_tilt, "max_tilt", expected, least=0.0, most=0.5, cause="Given in degrees?")
+        if render_mode not in (None, "rgb_array"):
+            raise ArgumentError("render_mode", "rgb_array or None", repr(render_mode))
+        self.render_mode = render_mode
+        self.model = mujoco.MjModel.from_xml_string(mjcf_text(self.stage, ball=self.ball))
+        self.data = mujoco.MjData(self.model)
+        self._renderer: Any = None
+        self._zeros = home_readings(self.stage) + self.stage.legs.offsets
+        self._heights = height_range(self.stage)
+        if math.isnan(self._heights[0]):
+            raise ArgumentError("stage", "one whose platform stands level within its limits", repr(self.stage))
+        joints = [self.model.joint(name) for name in actuated_joints(self.stage)]
+        velocities = self.model.numeric("velocity_limit").data
+        self._steps = self.model.opt.timestep * velocities[[joint.id for joint in joints]]
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,))
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (len(OBSERVATION),), np.float64)
+
+    @property
+    def limits(self) -> tuple[FloatArray, FloatArray]:
+        """The least and the largest readings (3,) of the stage [m], of RRS legs [rad]."""
+        assert self.stage.limits is not None
+        return np.array(self.stage.limits.minimum), np.array(self.stage.limits.maximum)
+
+    def action(self, readings: npt.ArrayLike) -> npt.NDArray[np.float32]:
+        """Return the action (3,) that leads the actuators to readings (3,) [m], of RRS legs [rad]."""
+        low, high = self.limits
+        own = real_array(readings, "readings", (3,), f"what the actuators are to read, in {self.stage.unit}")
+        return np.clip((2.0 * own - low - high) / (high - low), -1.0, 1.0).astype(np.float32)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        """Assemble the stage in another state and lay the ball on it; see the class."""
+        super().reset(seed=seed)
+        options = options or {}
+        state = self._state(options["readings"]) if "readings" in options else self._random_state()
+        radius = 0.5 * self.ball.plate(self.stage)[0] * math.sqrt(self.np_random.uniform())
+        angle = self.np_random.uniform(-math.pi, math.pi)
+        place = radius * np.array([math.cos(angle), math.sin(angle)])
+        if "ball" in options:
+            place = real_array(options["ball"], "ball", (2,), "x and y on the plate in metres")
+        mujoco.mj_resetData(self.model, self.data)
+        for name, value in joint_values(state).items():
+            self.data.joint(name).qpos[0] = value
+        self.data.joint("ball_free").qpos[:3] = self.ball.at_rest(self.stage, state.pose.as_matrix(), place)
+        self.data.ctrl[:] = state.readings - self._zeros
+        mujoco.mj_forward(self.model, self.data)
+        return self._observed()
+
+    def step(self, action: npt.ArrayLike) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        """Lead the actuators towards their goals for 20 ms; see the class."""
+        shares = np.clip(real_array(action, "action", (3,), "from -1 to 1"), -1.0, 1.0)
+        low, high = self.model.actuator_ctrlrange.T
+        goal = 0.5 * (low + high + shares * (high - low))
+        for _ in range(STEPS):
+            self.data.ctrl += np.clip(goal - self.data.ctrl, -self._steps, self._steps)
+            mujoco.mj_step(self.model, self.data)
+        # What is derived from q belongs to the beginning of the last step.
+        mujoco.mj_forward(self.model, self.data)
+        observation, info = self._observed()
+        has_fallen = info["has_fallen"]
+        reward = 0.0 if has_fallen else 1.0 - (info["distance"] / self.ball.plate(self.stage)[0]) ** 2
+        return observation, reward, has_fallen, False, info
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        """Return a picture (480, 640, 3), None without a `render_mode`."""
+        if self.render_mode is None:
+            return None
+        if self._renderer is None:
+            self._renderer = mujoco.Renderer(self.model, 480, 640)
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = 0.0, 0.0, sum(self._heights) / 2.0
+        camera.distance, camera.azimuth, camera.elevation = 2.5 * self.stage.size, 120.0, -20.0
+        seen = mujoco.MjvOption()
+        seen.sitegroup[:] = 0
+        self._renderer.update_scene(self.data, camera, seen)
+        return np.asarray(self._renderer.render())
+
+    def close(self) -> None:
+        """Free the pictures' memory."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _random_state(self) -> StageConfiguration:
+        """Return a state of the middle of the range of heights, within the limits."""
+        (low, high), draw = self._heights, self.np_random.uniform
+        heights = low + (high - low) * draw(0.25, 0.75, _TRIES)
+        azimuths = draw(-math.pi, math.pi, _TRIES)
+        states = inverse_physical(self.stage, heights, tilt=draw(0.0, self.max_tilt, _TRIES), azimuth=azimuths)
+        good = states.exists & ~np.any(states.limit_excess, axis=-1)
+        if not good.any():
+            cause = "A smaller max_tilt, or wider limits?"
+            raise ArgumentError("stage", f"one that tilts by {self.max_tilt:g} rad", "none such", cause)
+        return states[int(good.argmax())]
+
+    def _state(self, readings: npt.ArrayLike) -> StageConfiguration:
+        state = forward_physical(self.stage, readings)
+        if state.shape or not state.exists:
+            raise ArgumentError("readings", "three with which the stage stands", "others", state.missing_reason)
+        return state
+
+    def _observed(self) -> tuple[FloatArray, dict[str, Any]]:
+        """Return the observation, and what `reset` and `step` say of it."""
+        platform, velocity = self.data.body("platform"), np.zeros(6)
+        state = StageConfiguration.from_arrays(self.stage, platform.xmat.reshape(3, 3).copy(), platform.xpos.copy())
+        place = (self.data.body("ball").xpos - platform.xpos) @ state.rotation
+        speed = self.data.joint("ball_free").qvel[:3] @ state.rotation
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(self.model, self.data, kind, platform.id, velocity, 0)
+        (_, y, z), (dx, dy, dz) = state.normal, np.cross(velocity[:3], state.normal)
+        level = math.hypot(y, z)
+        rates = (y * dz - z * dy) / level**2, dx / level, velocity[5]
+        observation = np.array([*place[:2], *speed[:2], state.roll, state.pitch, state.height, *rates])
+        distance, radius = math.hypot(*place[:2]), self.ball.plate(self.stage)[0]
+        error = float(np.abs(self.data.efc_pos[: self.data.ne]).max())
+        has_fallen = distance > radius or bool(place[2] < 0.0)
+        return observation, {"distance": distance, "loop_error": error, "has_fallen": has_fallen}
+
+
+gymnasium.register("spm_pin/BallBalancer-v0", entry_point=f"{__name__}:BallBalancer", max_episode_steps=500)
