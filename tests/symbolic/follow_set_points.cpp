@@ -64,7 +64,7 @@ int main(int count, char ** arguments)
   Readings last = start, before = start;
   SetPoint wanted{"base", 0.0, {}, {}};
   spm_state state{};
-  long taken = 0, refused = 0, wrong = 0, next_arrival = 1, rests = 0, moved = 0, off = 0;
+  long taken = 0, refused = 0, wrong = 0, next_arrival = 1, rests = 0, moved = 0, off = 0, stops = 0, beyond = 0;
   Readings goal = start;
   for (long tick = 1; tick <= ticks; ++tick) {
     const double now = 1e3 + static_cast<double>(tick) * PERIOD;
@@ -76,6 +76,13 @@ int main(int count, char ** arguments)
         const double size = one_in(50) ? 0.3 : 0.004;
         goal[i] = target.serial ? target.readings[i] + size * normal(random) : start[i];
       }
+      // Legs that would be beyond their limits stand at them instead, in some of the set-points.
+      bool is_at_stop = false;
+      for (std::size_t i = 0; i < 6 && tick % 4 == 0; ++i) {
+        const double clamped = std::clamp(goal[i], machine.minimum[i], machine.maximum[i]);
+        is_at_stop = is_at_stop || clamped != goal[i];
+        goal[i] = clamped;
+      }
       (void)spm_forward(&machine, goal.data(), nullptr, &state);
       const auto & r = state.rotation;
       const double w = 0.5 * std::sqrt(1.0 + r[0] + r[4] + r[8]);
@@ -86,7 +93,10 @@ int main(int count, char ** arguments)
       if (one_in(40)) {wanted.position[random() % 3] = NAN;}
       if (one_in(40)) {wanted.position[random() % 3] += 10.0 * any(random);}
       if (one_in(40)) {wanted.quaternion[random() % 4] = one_in(2) ? NAN : 2.0 * any(random);}
-      const bool is_taken = set_points.take(wanted, now, target).empty();
+      const std::string reason = set_points.take(wanted, now, target);
+      const bool is_taken = reason.empty();
+      stops += is_at_stop;
+      beyond += is_at_stop && reason == "a leg is beyond its limits";
       taken += is_taken;
       refused += !is_taken;
       for (std::size_t i = 0; i < 6; ++i) {
@@ -115,6 +125,7 @@ int main(int count, char ** arguments)
     last = commands;
   }
   std::printf("taken %ld refused %ld wrong %ld rests %ld moved %ld off %ld", taken, refused, wrong, rests, moved, off);
+  std::printf(" stops %ld beyond %ld", stops, beyond);
   if (is_timed) {
     const auto quantile = [&](double share) {
         const auto place = times.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(times.size() - 1));

@@ -189,6 +189,7 @@ def test_bad_set_points_never_break_a_limit(
     printed = run_cpp(package, program, tmp_path, ticks, tmp_path / "machine.txt")
     found = {name: float(value) for name, value in re.findall(r"(\w+) ([\d.]+)", printed)}
     assert found["wrong"] == 0  # no rate, acceleration or limit of a leg was broken, and nothing was allocated
+    assert found["beyond"] < 0.15 * found["stops"]  # spoiled ones: a leg at its end stop is within its limits
     assert found["off"] == 0  # where the commands rest they are those of the last set-point taken
     assert found["taken"] > ticks / 100
     assert found["refused"] > ticks / 400

@@ -92,8 +92,11 @@ public:
     const int status = @PREFIX@inverse(&machine, rotation.data(), wanted.position.data(), &state_, &next);
     if (status != @PREFIX_UPPER@OK) {return @PREFIX@status_name(status);}
     for (std::size_t i = 0; i < 6; ++i) {
-      const double reading = next.readings[i];
-      if (!(reading >= machine.minimum[i] && reading <= machine.maximum[i])) {return "a leg is beyond its limits";}
+      // Rounding of a leg at its end stop is not beyond the limits: the same share of them as in spm_pin.LegLimits.
+      const double low = machine.minimum[i], high = machine.maximum[i], reading = std::clamp(next.readings[i], low, high);
+      const double size = std::max(std::isfinite(low) ? std::fabs(low) : 0.0, std::isfinite(high) ? std::fabs(high) : 0.0);
+      if (!(std::fabs(next.readings[i] - reading) <= 1e-8 * size)) {return "a leg is beyond its limits";}
+      next.readings[i] = reading;
       if (!(std::fabs(reading - state_.readings[i]) <= largest_step[i])) {return "it jumps";}
     }
     // The legs go another way than the platform would; it must end in the same state.
