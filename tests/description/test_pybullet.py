@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from description.kinematic_tree import STATES, TREE, Array, inertia
 
-from spm_pin.description import URDF_PATH, read_closures
+import spm_pin as spm
+from spm_pin.description import URDF_PATH, joint_values, read_closures, urdf_text
 
 pybullet = pytest.importorskip("pybullet")
 
@@ -25,9 +26,9 @@ SINGLE = 1e-6
 
 
 class Robot:
-    def __init__(self) -> None:
+    def __init__(self, path: str = URDF_PATH) -> None:
         self.client = BulletClient(pybullet.DIRECT)
-        self.body = self.client.loadURDF(URDF_PATH, useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
+        self.body = self.client.loadURDF(path, useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE)
         self.joints, self.links = {}, {}
         for i in range(self.client.getNumJoints(self.body)):
             info = self.client.getJointInfo(self.body, i)
@@ -98,6 +99,21 @@ def test_falling_the_loops_hold(robot: Robot, closed: bool) -> None:
     now = {name: here.getJointState(robot.body, i)[0] for name, i in robot.joints.items()}
     assert max(abs(value - STATES["reference"][name]) for name, value in now.items()) > 1e-2
     assert gap < 1e-5 if closed else gap > 1e-3
+
+
+def test_a_stage_alone_stands_where_the_closed_form_has_it(tmp_path: Path) -> None:
+    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
+    state, file = spm.stages.inverse_physical(stage, 0.12, tilt=0.2, azimuth=1.0), tmp_path / "stage.urdf"
+    file.write_text(urdf_text(stage), encoding="utf-8")
+    robot = Robot(str(file))
+    try:
+        robot.set(joint_values(state))
+        frames = robot.frames()
+    finally:
+        robot.client.disconnect()
+    np.testing.assert_allclose(frames["platform"], state.pose.as_matrix(), atol=SINGLE)
+    for leg, ball in enumerate(state.balls, start=1):
+        np.testing.assert_allclose(frames[f"leg_{leg}_tip"][:3, 3], ball, atol=SINGLE)
 
 
 def test_the_page_says_how() -> None:
