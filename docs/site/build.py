@@ -231,7 +231,7 @@ def _shown_names() -> set[str]:
 def _home(module: str, name: str) -> str:
     """Return where a public name is defined, as module.name."""
     value = getattr(importlib.import_module(module), name)
-    if inspect.isclass(value) or inspect.isfunction(value):
+    if inspect.isclass(value) or inspect.isfunction(inspect.unwrap(value)):
         return f"{value.__module__}.{value.__qualname__}"
     return _constants()[id(value)]
 

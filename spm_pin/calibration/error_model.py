@@ -43,7 +43,7 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     >>> jacobian = spm.calibration.error_jacobian(state)
     >>> errors = np.full(54, 1e-4)  # 0.1 mm and 0.1 mrad everywhere
     >>> (jacobian @ errors)[:3].round(6)
-    array([-6.0e-06,  6.9e-05, -3.9e-05])
+    array([-1.83e-04, -2.16e-04, -3.50e-05])
     """
     check_configuration(configuration)
     state, legs = configuration, configuration.geometry.legs

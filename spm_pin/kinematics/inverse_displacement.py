@@ -210,7 +210,7 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     >>> geometry = spm.Geometry.paper()
     >>> pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
     >>> spm.inverse_physical(geometry, pose).leg_lengths.round(3)
-    array([1.2 , 1.2 , 1.4 , 1.25, 1.2 , 1.5 ])
+    array([1.2  , 1.2  , 1.399, 1.25 , 1.2  , 1.501])
     """
     if near is not None or not geometry.legs.are_rps:
         return inverse_displacement(geometry, pose).physical(near)

@@ -268,7 +268,7 @@ def condition(
     --------
     >>> import spm_pin as spm
     >>> good = spm.sweeps.condition("conditioning", least=1 / 60)
-    >>> state = spm.forward_physical(spm.Geometry.paper(), [[1.2, 1.3, 1.4, 1.2, 1.35, 1.25], [1.3] * 6])
+    >>> state = spm.forward_physical(spm.Geometry.paper(), [[1.11, 1.49, 1.43, 1.15, 1.44, 1.2], [1.3] * 6])
     >>> good(state).tolist()
     [True, False]
     """
