@@ -75,9 +75,9 @@ def flush() -> None:
 
 
 def print_lines(lines: Iterable[str], style: str | None = None) -> None:
-    """Print sentences on stdout, wrapped between words on a screen and not at all in a pipe."""
+    """Print sentences on stdout, wrapped between words on a screen; in a pipe not at all, nor options to be copied."""
     for line in lines:
-        stdout.print(line, style=style, soft_wrap=not stdout.is_terminal)
+        stdout.print(line, style=style, soft_wrap=not stdout.is_terminal or line.startswith("  --"))
 
 
 def note(text: str, style: str | None = None) -> None:

@@ -114,7 +114,7 @@ def test_limits_without_a_sample_are_refused() -> None:
     for words, call in (
         ("infinity for r_b1", lambda: sample_reachable(PAPER, 1, spm.LegLimits(1.0, np.inf))),
         ("none of its own", lambda: sample_reachable(spm.Geometry(0.7, 0.35, 0.8), 1)),
-        ("assembled", lambda: sample_reachable(PAPER, 1, spm.LegLimits(0.01, 0.02))),
+        ("assembled", lambda: sample_reachable(PAPER, 1, spm.LegLimits(0.15, 0.2))),
     ):
         with pytest.raises(spm.ArgumentError, match=words):
             call()
