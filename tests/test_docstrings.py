@@ -15,4 +15,5 @@ def test_examples_print_what_they_show(path: Path, tmp_path: Path, monkeypatch: 
     monkeypatch.chdir(tmp_path)
     module = importlib.import_module(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts))
     failed, attempted = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
-    assert attempted and not failed
+    assert attempted
+    assert not failed
