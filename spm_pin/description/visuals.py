@@ -13,17 +13,21 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.description.robot import read_robot
-from spm_pin.mechanism import LEGS, Configuration, Geometry
+from spm_pin.description.tree import State
+from spm_pin.mechanism import Mechanism, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.pose import homogeneous
 
-PLATFORMS = ("base", "middle_platform", "terminal_platform")
+
+def platforms(geometry: Mechanism) -> tuple[str, ...]:
+    """Return the links that legs stand on or hold, the one that is moved last."""
+    return ("base", "platform") if len(geometry.legs.kinds) == 1 else ("base", "middle_platform", "terminal_platform")
 
 
 @dataclass(frozen=True, eq=False)
 class VisualPart:
-    """A closed surface of one colour, fixed to a body of the robot."""
+    """A closed surface of one colour, fixed to a body of a machine."""
 
     name: str  # its link in the URDF and its mesh: "base_a1 clevis", "leg_b1_rod tube"
     body: str  # the link it moves with, one of `bodies`
@@ -38,40 +42,40 @@ class VisualPart:
 
 
 @lru_cache(maxsize=16)
-def section_size(geometry: Geometry) -> float:
-    """Return the length s that radii and thicknesses of the robot are fractions of [m]; see `inertials.yaml`."""
-    sizes = [geometry.base_radius, geometry.platform_radius, geometry.middle_radius]
+def section_size(geometry: Mechanism) -> float:
+    """Return the length s that radii and thicknesses of a machine are fractions of [m]; see `inertials.yaml`."""
+    sizes = [radius for radii in geometry.stage_radii for radius in radii]
     for kind, home in zip(geometry.legs.kinds, home_readings(geometry)[::3], strict=True):
         # The shortest link: the whole of an RPS leg.
         sizes += [getattr(kind.nominal, name) for name in ("crank", "rod") if hasattr(kind, name)] or [home]
     return float(min(sizes))
 
 
-def leg_links(geometry: Geometry) -> tuple[tuple[str, str], ...]:
-    """Return the two links of each leg, in the order of `LEGS`: what its first joint moves, and the rod."""
-    bodies = [kind.body for kind in geometry.legs.kinds for _ in range(3)]
-    return tuple((f"leg_{leg[2:]}_{body}", f"leg_{leg[2:]}_rod") for leg, body in zip(LEGS, bodies, strict=True))
+def leg_links(geometry: Mechanism) -> tuple[tuple[str, str], ...]:
+    """Return the two links of each leg, in the order of the legs: what its first joint moves, and the rod."""
+    names = enumerate(f"leg_{leg[2:]}" for leg in geometry.legs.names)
+    return tuple((f"{leg}_{geometry.legs.kinds[k // 3].body}", f"{leg}_rod") for k, leg in names)
 
 
-def bodies(geometry: Geometry) -> tuple[str, ...]:
+def bodies(geometry: Mechanism) -> tuple[str, ...]:
     """Return the links that move against one another, as far as they are seen; all others are fixed to them."""
-    return (*PLATFORMS, *(link for half in zip(*leg_links(geometry), strict=True) for link in half))
+    return (*platforms(geometry), *(link for half in zip(*leg_links(geometry), strict=True) for link in half))
 
 
-def _turns_at_pivot(geometry: Geometry) -> list[bool]:
+def _turns_at_pivot(geometry: Mechanism) -> list[bool]:
     """Return whether the first link of each leg turns about its pivot; a carriage has its frame at the knee."""
     return [kind.joints[0] == "hip" for kind in geometry.legs.kinds for _ in range(3)]
 
 
 @lru_cache(maxsize=16)
-def visual_parts(geometry: Geometry) -> tuple[VisualPart, ...]:
-    """Return the solids that the URDF of a manipulator shows, in the order of its links."""
+def visual_parts(geometry: Mechanism) -> tuple[VisualPart, ...]:
+    """Return the solids that the URDF of a machine shows, in the order of its links."""
     robot = read_robot(geometry)
     home, links = robot.frames(), leg_links(geometry)
     frames = dict(home)
     carriers = {robot.carrier(body)[0]: body for body in bodies(geometry)}
     corners = [f"{corner}{i}" for corner in ("base_a", "terminal_c") for i in "123"]
-    for (body, rod), corner, is_at_pivot in zip(links, corners, _turns_at_pivot(geometry), strict=True):
+    for (body, rod), corner, is_at_pivot in zip(links, corners, _turns_at_pivot(geometry), strict=False):
         # Where joints are reversed, the frames of links are at their other ends.
         for own, origin in ((body, corner if is_at_pivot else body), (rod, rod.replace("rod", "tip"))):
             frames[own] = homogeneous(home[own][:3, :3], home[origin][:3, 3])
@@ -99,7 +103,7 @@ def read_obj(path: Path) -> tuple[FloatArray, npt.NDArray[np.int32]]:
     return vertices, array
 
 
-def part_placements(configuration: Configuration) -> FloatArray:
+def part_placements(configuration: State) -> FloatArray:
     """Return the poses of the solids of configurations (...), shape (..., n, 4, 4), in the order of `visual_parts`.
 
     The matrices go from the vertices of a part to {B}. A state may violate the mechanism's closure; what does not exist
@@ -107,14 +111,15 @@ def part_placements(configuration: Configuration) -> FloatArray:
     1: a rod is drawn from inside its barrel to its ball whatever the leg's length, and a barrel is shorter where the
     leg has no room for it.
     """
-    parts = visual_parts(configuration.geometry)
+    geometry = configuration.mechanism
+    parts = visual_parts(geometry)
     poses = _body_poses(configuration)
     placements = np.stack([poses[part.body] for part in parts], axis=-3)
-    size = section_size(configuration.geometry)
-    for i, (cylinder, rod) in enumerate(leg_links(configuration.geometry)):
+    size, lengths = section_size(geometry), np.linalg.norm(configuration.balls - _leg_bases(configuration), axis=-1)
+    for i, (cylinder, rod) in enumerate(leg_links(geometry)):
         if not cylinder.endswith("cylinder"):
             continue
-        length = configuration.leg_lengths[..., i]
+        length = lengths[..., i]
         index = {part.name: k for k, part in enumerate(parts) if part.body in (cylinder, rod)}
         barrel = np.ptp(parts[index[f"{cylinder} tube"]].vertices[:, 2])
         shown = np.minimum(barrel, np.maximum(length - 0.4 * size, 0.5 * length))
@@ -126,25 +131,39 @@ def part_placements(configuration: Configuration) -> FloatArray:
     return placements
 
 
-def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
+def _leg_bases(configuration: State) -> FloatArray:
+    """Return the pivots as rows in {B} [m], (..., legs, 3)."""
+    if isinstance(configuration, StageConfiguration):
+        return configuration.stage.legs.pivots
+    return configuration.leg_bases
+
+
+def _body_poses(configuration: State) -> dict[str, FloatArray]:
     """Return the pose (..., 4, 4) in {B} of each body: z along the link, the origin at pivot, knee or ball."""
-    geometry = configuration.geometry
+    geometry = configuration.mechanism
     base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))
-    terminal = homogeneous(configuration.rotation, configuration.translation)
-    poses = dict(zip(PLATFORMS, (base, configuration.middle_pose.as_matrix(), terminal), strict=True))
-    pivots, knees, balls = configuration.leg_bases, configuration.circle_centres, configuration.balls
+    moved = homogeneous(configuration.rotation, configuration.translation)
+    if isinstance(configuration, StageConfiguration):
+        frames, axes, planes = [base, moved], geometry.legs.axes, geometry.legs.planes
+    else:
+        frames = [base, configuration.middle_pose.as_matrix(), moved]
+        axes, planes = configuration.leg_axes, configuration.leg_planes
+    poses = dict(zip(platforms(geometry), frames, strict=True))
+    pivots, knees, balls = _leg_bases(configuration), configuration.circle_centres, configuration.balls
     rods = balls - knees
     first = rods.copy()
-    for legs, kind in zip((slice(3), slice(3, 6)), geometry.legs.kinds, strict=True):
+    for stage, kind in enumerate(geometry.legs.kinds):
+        legs = slice(3 * stage, 3 * stage + 3)
         if kind.body == "carriage":
-            first[..., legs, :] = configuration.centre_rates[..., legs, :]
+            rates = geometry.legs.centre_rates(configuration.readings)
+            first[..., legs, :] = (rates[..., :1] * planes[0] + rates[..., 1:] * planes[1])[..., legs, :]
         elif kind.body == "crank":
             first[..., legs, :] = (knees - pivots)[..., legs, :]
     origins = np.where(np.array(_turns_at_pivot(geometry))[:, None], pivots, knees)
     for half, (vectors, places) in enumerate(((first, origins), (rods, balls))):
         with np.errstate(invalid="ignore"):
             z = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-        y = np.cross(z, configuration.leg_axes)
+        y = np.cross(z, axes)
         y /= np.linalg.norm(y, axis=-1, keepdims=True)
         turns = np.stack([np.cross(y, z), y, z], axis=-1)
         for i, links in enumerate(leg_links(geometry)):

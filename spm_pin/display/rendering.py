@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.display.stage_solids import machine_parts, solid_matrices
+from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import StageConfiguration
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
@@ -70,13 +70,12 @@ def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[S
 
 def placed_solids(configuration: Configuration | StageConfiguration) -> tuple[list[Solid], float]:
     """Return the solids of a state of a robot or of a stage, and the size of their sections [m]."""
-    parts, size, _ = machine_parts(configuration.mechanism)
-    poses = solid_matrices(configuration)
+    parts, poses = visual_parts(configuration.mechanism), part_placements(configuration)
     solids = [
         Solid(part.name, part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces)
         for part, pose in zip(parts, poses, strict=True)
     ]
-    return solids, size
+    return solids, section_size(configuration.mechanism)
 
 
 def arrow(name: str, colour: Colour, axes: FloatArray, origin: FloatArray, length: float, nearer: float = 0.0) -> Solid:

@@ -16,7 +16,7 @@ import numpy as np
 import rich
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.display.stage_solids import machine_parts
+from spm_pin.description.visuals import visual_parts
 from spm_pin.display.viewer.model import ViewerModel, reading_units
 from spm_pin.display.viewer.panel import Panel
 from spm_pin.display.viewer.playback import Player, Recording, demo_motion
@@ -88,7 +88,7 @@ class Viewer:
             if recording is not None:
                 raise ArgumentError("recording", "none of a stage alone", recording)
             self.start = _stage_start(start)
-            machine_parts(self.start.stage)  # raises for a stage that the description does not have
+            visual_parts(self.start.stage)  # raises for a stage that the description does not have
             self.new_model = partial(StageModel, self.start, geometry_file)
         else:
             if start is None or isinstance(start, Geometry):

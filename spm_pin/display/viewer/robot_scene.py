@@ -11,8 +11,8 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.capability import wrench_polytope
+from spm_pin.description.visuals import part_placements, platforms, section_size, visual_parts
 from spm_pin.display.rendering import camera_axes
-from spm_pin.display.stage_solids import machine_parts, solid_matrices
 from spm_pin.display.viewer.model import SessionState, sampled_states
 from spm_pin.display.viewer.stage_model import StageState
 from spm_pin.errors import SpmError
@@ -49,7 +49,7 @@ def solid_placements(configuration: Configuration | StageConfiguration) -> tuple
     The positions of their origins in {B} [m], shape (..., n, 3), their quaternions, scalar first, shape (..., n, 4),
     and the scales along their axes, shape (..., n, 3).
     """
-    matrices = solid_matrices(configuration)
+    matrices = part_placements(configuration)
     scales = np.linalg.norm(matrices[..., :3, :3], axis=-2)
     quaternions = Rotation.from_matrix(matrices[..., :3, :3] / scales[..., None, :]).as_quat(scalar_first=True)
     return matrices[..., :3, 3], quaternions, scales
@@ -75,7 +75,7 @@ class RobotScene:
         self._legs = machine.legs.names
         # What `show` shows besides the robot.
         self.layers = {"ghosts": False, "names": True, "trail": True, "forces": False}
-        self._parts, self.size, platform = machine_parts(machine)
+        self._parts, self.size, platform = visual_parts(machine), section_size(machine), platforms(machine)[-1]
         self._colours = [tuple(round(255.0 * channel) for channel in part.colour) for part in self._parts]
         scene.configure_default_lights(cast_shadow=False)
         radius = 1.6 * machine.base_radius
@@ -159,12 +159,11 @@ class RobotScene:
 
     def show(self, state: SessionState | StageState) -> None:
         """Show a state but for its forces; what viser has already is not sent again."""
-        bodies = (leg[2:] if len(self._legs) == 6 else f"b{leg[2:]}" for leg in self._legs)
-        beyond = {f"leg_{leg}" for leg, excess in zip(bodies, state.limit_excess, strict=True) if excess}
+        beyond = {f"leg_{leg[2:]}" for leg, excess in zip(self._legs, state.limit_excess, strict=True) if excess}
         nodes = zip(self._robot, self._parts, self._colours, *solid_placements(state.shown), strict=True)
         for handle, part, colour, position, quaternion, scale in nodes:
             handle.position, handle.wxyz, handle.scale = position, quaternion, tuple(scale.tolist())
-            handle.color = WARN if part.body[:6] in beyond else colour
+            handle.color = WARN if part.body.rpartition("_")[0] in beyond else colour
         for handle, place in zip(self._names, _beside_legs(state.shown, 0.42 * self.size), strict=True):
             handle.position, handle.visible = place, self.layers["names"]
         if state.distance > 0.0:
