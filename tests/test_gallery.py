@@ -163,6 +163,7 @@ def test_the_nearest_singularity_ignores_limits() -> None:
     assert least > spm.stages.reach(machine.stage, machine.height).all_round[0]
 
 
+@pytest.mark.slow
 def test_the_page_is_as_new_as_the_machines() -> None:
     text = page.PAGE.read_text(encoding="utf-8")
     assert page.with_tables(text) == text

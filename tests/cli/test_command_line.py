@@ -485,7 +485,8 @@ def test_files_are_written_even_if_the_reader_of_stdout_has_gone(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "share"), [("demo --poses 400", 0.1), ("demo --poses 400", 3.0), ("export mjcf", 0.7)]
+    ("arguments", "share"),
+    [("demo --poses 400", 0.1), pytest.param("demo --poses 400", 3.0, marks=pytest.mark.slow), ("export mjcf", 0.7)],
 )
 def test_the_signal_of_ctrl_c_at_any_moment_ends_a_command_with_130(arguments: str, share: float) -> None:
     # In shares of a short command: while modules are imported, at work, and near the end.

@@ -38,7 +38,7 @@ def test_all_modes_and_no_others(size: float, count: int) -> None:
                 assert gaps.min(axis=0).max() < 1e-9
 
 
-@pytest.mark.parametrize("size", [1e-5, 1e-3])
+@pytest.mark.parametrize("size", [pytest.param(1e-5, marks=pytest.mark.slow), 1e-3])
 def test_labels_are_carried_while_the_errors_grow(size: float) -> None:
     """As in two hundred small steps from the drawn machine, each from a mode to the nearest."""
     machine = as_built(PAPER, size)

@@ -156,7 +156,7 @@ def test_linuxcnc_homes_a_stage_level_and_moves_it_within_its_limits_at_half_the
         assert rate * per_unit == pytest.approx(0.5 * fastest, rel=1e-3)
 
 
-BOTH = pytest.mark.parametrize("kind", ["package", "servos"])
+BOTH = pytest.mark.parametrize("kind", ["package", pytest.param("servos", marks=pytest.mark.slow)])
 
 
 @BOTH

@@ -202,7 +202,7 @@ REFUSED = "limit", "beyond the axes", "level", "out of reach"
 """Steps in which nothing moves; it stops on the way in the others, and with a following error it is off."""
 
 
-@pytest.mark.parametrize("case", STEPS)
+@pytest.mark.parametrize("case", [x if x == "stage" else pytest.param(x, marks=pytest.mark.slow) for x in STEPS])
 def test_the_simulator_homes_and_moves_a_machine_calibrated_anew(bench: Bench, case: str) -> None:
     machine, folder = BUILT[case], bench.folder
     steps = {name: in_world_mode(machine, step) for name, step in STEPS[case].items()}
