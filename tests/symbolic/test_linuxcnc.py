@@ -118,8 +118,8 @@ def axes(state: Any) -> np.ndarray:
     """Return Z [mm] and A B [degrees] of a stage, X Y Z and A B C of a robot."""
     rotation, place = state.pose.rotation, 1e3 * state.translation
     if isinstance(state, spm.stages.StageConfiguration):
-        return np.array([place[2], *rotation.as_euler("XYZ", degrees=True)[:2]])
-    return np.concatenate([place, rotation.as_euler("xyz", degrees=True)])
+        return np.concatenate([place[..., 2:], rotation.as_euler("XYZ", degrees=True)[..., :2]], axis=-1)
+    return np.concatenate([place, rotation.as_euler("xyz", degrees=True)], axis=-1)
 
 
 def solved(machine: Machine, values: np.ndarray, near: Any) -> np.ndarray:
@@ -132,12 +132,15 @@ def solved(machine: Machine, values: np.ndarray, near: Any) -> np.ndarray:
 
 
 def in_world_mode(machine: Machine, step: Step) -> Step:
-    """Return a step to the pose of readings, given with a feed, as G-code; others as they are."""
-    if step[0] != "pose":
+    """Return a step to the poses of readings, given with a feed, as G-code; others as they are."""
+    if step[0] not in ("pose", "program"):
         return step
-    _, readings, feed = step
-    values = zip(axes_of(machine), axes(forward(machine, readings)), strict=True)
-    return ["mdi", f"G1 F{feed} " + " ".join(f"{name}{value:.9f}" for name, value in values)]
+    kind, readings, feed = step
+    lines = [
+        f"G1 F{feed} " + " ".join(f"{name}{x:.9f}" for name, x in zip(axes_of(machine), values, strict=True))
+        for values in axes(forward(machine, np.atleast_2d(readings)))
+    ]
+    return ["mdi", lines[0]] if kind == "pose" else ["program", "\n".join([*lines, "M2", ""])]
 
 
 BUILT = {
@@ -145,6 +148,7 @@ BUILT = {
     "servos": as_built(SERVOS, 1e-3),
     "stage": BALANCER.perturbed(3, length=1e-4, angle=1e-3),
 }
+ROUND_A_SINGULARITY = [1.254, 1.299, 1.428, 1.263, 1.419, 1.409], [1.42, 1.227, 1.384, 1.198, 1.4, 1.421]
 STEPS: dict[str, dict[str, Step]] = {
     "robot": {
         "home": ["on"],
@@ -153,6 +157,8 @@ STEPS: dict[str, dict[str, Step]] = {
         "jog of Z": ["axis", 2, 20.0, 5.0],
         "first": ["pose", [1.2, 1.3, 1.4, 1.2, 1.305, 1.405], 6000],
         "second": ["pose", [1.205, 1.3, 1.395, 1.2, 1.3, 1.4], 6000],
+        # The straight way from here to the second pose, which the machine never goes, meets a singularity.
+        "program": ["program", [*ROUND_A_SINGULARITY, ROUND_A_SINGULARITY[0], [1.2, 1.3, 1.4, 1.2, 1.3, 1.4]], 1800],
         "limit": ["mdi", "G0 Z2900"],
         "beyond the axes": ["mdi", "G0 X9000"],
         "level": ["mdi", "G0 X0 Y0 A0 B0 C0"],

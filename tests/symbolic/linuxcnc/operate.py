@@ -57,6 +57,13 @@ def run(kind, *arguments):
         settle()
         command.mdi(*arguments)
         settle(lambda: status.inpos or status.task_state != linuxcnc.STATE_ON)
+    elif kind == "program":  # its text
+        Path("program.ngc").write_text(*arguments)
+        command.mode(linuxcnc.MODE_AUTO)
+        settle()
+        command.program_open(str(Path("program.ngc").resolve()))
+        command.auto(linuxcnc.AUTO_RUN, 0)
+        settle(lambda: status.interp_state == linuxcnc.INTERP_IDLE and status.inpos, seconds=60.0)
     else:  # "joint" or "axis", its number, rate and distance
         command.mode(linuxcnc.MODE_MANUAL)
         settle()

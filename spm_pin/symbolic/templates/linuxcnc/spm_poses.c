@@ -14,7 +14,23 @@ static void put_world(EmcPose *world)
     world->c = atan2(r[3], r[0]) / DEGREE;
 }
 
-/* From the last state: on the branch that the machine is in. */
+#define FAR 1e-3 /* metres, and of the rotation's components: farther than a servo cycle leads */
+
+static int is_far(const double *rotation, const double *position)
+{
+    double most = 0.0;
+    int i;
+    for (i = 0; i < 9; ++i) {
+        most = fmax(most, fabs(rotation[i] - last.rotation[i]));
+    }
+    for (i = 0; i < 3; ++i) {
+        most = fmax(most, fabs(position[i] - last.position[i]));
+    }
+    return most > FAR;
+}
+
+/* In a servo cycle from the last state: on the branch that the machine is in. LinuxCNC also asks for the ends of the moves of
+   a program, while the machine is still at the first: of these the physical branch, in closed form. */
 static int solve_pose(const EmcPose *world, spm_state *state)
 {
     const double ca = cos(world->a * DEGREE), sa = sin(world->a * DEGREE), cb = cos(world->b * DEGREE);
@@ -27,5 +43,5 @@ static int solve_pose(const EmcPose *world, spm_state *state)
     const double position[3] = {
         world->tran.x / UNITS_PER_METRE, world->tran.y / UNITS_PER_METRE, world->tran.z / UNITS_PER_METRE
     };
-    return spm_inverse(&geometry, rotation, position, &last, state);
+    return spm_inverse(&geometry, rotation, position, is_far(rotation, position) ? NULL : &last, state);
 }
