@@ -86,7 +86,7 @@ def export(
     if geometry is not None and (stage is not None or chosen == "c-stage"):
         raise ArgumentError("--geometry", "to be left out with a --stage", geometry, "The file of a --stage?")
     if stage is None and chosen == "c-stage":
-        raise ArgumentError("--stage", "the YAML file of a stage", "none")
+        raise ArgumentError("--stage", "the YAML file of a stage", "none", "spm_pin.Stage(…).to_yaml writes one")
     if ball and stage is None:
         raise ArgumentError("--ball", "a --stage for it to roll on", "none")
     machine = options.read_geometry(geometry)

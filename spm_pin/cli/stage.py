@@ -131,7 +131,7 @@ def inverse(
     real, 5 if none is physical and within the limits.
     """
     degrees = {"tilt": tilt, "azimuth": azimuth, "roll": roll, "pitch": pitch}
-    request: dict[str, Any] = {name: None if x is None else math.radians(x) for name, x in degrees.items()}
+    request: dict[str, Any] = {name: None if x is None else _radians(f"--{name}", x) for name, x in degrees.items()}
     request |= {"normal": normal}
     metres = height / unit.per_metre
     solutions = both_modes(stage, metres, **request)
@@ -284,10 +284,16 @@ def view(
 
 def _state(stage: Stage, height: float | None, tilt: float, azimuth: float, unit: LengthUnit) -> StageConfiguration:
     metres = home_height(stage) if height is None else height / unit.per_metre
-    state = inverse_physical(stage, metres, tilt=math.radians(tilt), azimuth=math.radians(azimuth))
+    state = inverse_physical(stage, metres, tilt=_radians("--tilt", tilt), azimuth=_radians("--azimuth", azimuth))
     if not state.exists:
         raise ArgumentError("--tilt", "a tilt and a height that the stage reaches", "none", state.missing_reason)
     return state
+
+
+def _radians(option: str, degrees: float) -> float:
+    if not abs(degrees) <= 360.0:
+        raise ArgumentError(option, "an angle in degrees, of at most one turn", f"{degrees:g}")
+    return math.radians(degrees)
 
 
 def _scale(stage: Stage, unit: LengthUnit) -> float:

@@ -32,6 +32,8 @@ from spm_pin.mechanism.units import unit_hint
 _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6
 """Largest error of the length of a normal that is taken for rounding."""
+_STEEP = 0.9
+"""Cosine of a tilt, 26°, beyond which it is named where it is out of reach: it may have been given in another unit."""
 
 
 def inverse(
@@ -383,6 +385,7 @@ def _why_unreachable(
         return "the planes of the legs allow no platform with this normal"
     names = ", ".join(name for name, reading in zip(stage.legs.names, readings[0, 0], strict=True) if np.isnan(reading))
     hint = unit_hint(stage, heights) if heights.any() else ""
-    if not hint and normals[0, 2] < 0.0:
-        hint = f"The tilt is {math.degrees(math.acos(normals[0, 2])):.0f}°: angles are in radians"
+    if not hint and normals[0, 2] < _STEEP:
+        radians = ": angles are in radians" if normals[0, 2] < 0.0 else ""
+        hint = f"The tilt is {math.degrees(math.acos(normals[0, 2])):.0f}°{radians}"
     return f"the ball is out of reach of {names}{hint and '. '}{hint}"

@@ -77,6 +77,7 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
         ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
         ([*SIZES, "--tilt", "10"], "--azimuth: expected a tilt with its azimuth"),
+        ([*SIZES, "--roll", "800"], "--roll: expected an angle in degrees, of at most one turn, got 800"),
         ([*SIZES, "--stage", "no.yaml"], "--stage: expected a file alone"),
         (["--stage", "no.yaml"], "--stage"),
     ],

@@ -255,6 +255,7 @@ def test_why_there_is_no_solution_is_said() -> None:
     assert "is it 120 mm" in repr(far)
     assert "out of reach of r_1" in spm.stages.inverse_physical(BALANCER, 0.2).missing_reason
     assert "angles are in radians" in repr(spm.stages.inverse(BALANCER, 0.12, tilt=2.0, azimuth=0.0))
+    assert "tilt is 57°" in repr(spm.stages.inverse_physical(BALANCER, 0.12, roll=1.0))
     with pytest.raises(spm.ArgumentError, match=r"tilt: .*radians.*, got 15\. Given in degrees"):
         spm.stages.inverse(BALANCER, 0.12, tilt=15.0, azimuth=0.0)
     with pytest.raises(spm.ArgumentError, match="azimuth: expected a tilt with its azimuth"):
