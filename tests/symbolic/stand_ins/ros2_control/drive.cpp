@@ -26,7 +26,7 @@ int main(int, char ** names)
 {
   spm_robot::SpmController controller;
   controller.on_init();
-  expect(controller.on_configure({}) == CallbackReturn::ERROR && says(controller, "spm_controller.yaml"), "no parameters");
+  expect(controller.on_configure({}) == CallbackReturn::FAILURE && says(controller, "spm_controller.yaml"), "no parameters");
   auto & parameters = controller.node->parameters;
   std::ifstream file(names[1]);
   std::string line;
@@ -49,7 +49,7 @@ int main(int, char ** names)
     if (name.rfind("machine.", 0) != 0) {continue;}
     const auto kept = parameter.value;
     parameters[name].value = std::vector<double>(2);
-    expect(controller.on_configure({}) == CallbackReturn::ERROR, name.c_str());
+    expect(controller.on_configure({}) == CallbackReturn::FAILURE, name.c_str());
     parameters[name].value = kept;
   }
   expect(controller.on_configure({}) == CallbackReturn::SUCCESS, "the parameters are taken");
@@ -58,7 +58,7 @@ int main(int, char ** names)
   controller.command_interfaces_.resize(6);
   controller.state_interfaces_.resize(6);
   for (auto & joint : controller.state_interfaces_) {joint.value = NAN;}
-  expect(controller.on_activate({}) == CallbackReturn::ERROR && says(controller, "not finite"), "no state");
+  expect(controller.on_activate({}) == CallbackReturn::FAILURE && says(controller, "not finite"), "no state");
 
   const auto zeros = parameters["zeros"].as_double_array();
   std::ifstream poses(names[2]);

@@ -73,7 +73,7 @@ public:
       RCLCPP_ERROR(
         get_node()->get_logger(), "expected a rate of updates, six joints, and a positive max_step, timeout, max_velocity and "
         "max_acceleration: is config/spm_controller.yaml given?");
-      return controller_interface::CallbackReturn::ERROR;
+      return controller_interface::CallbackReturn::FAILURE;
     }
     set_points_.period = 1.0 / get_update_rate();
     limiter_.configure(rate, acceleration, set_points_.period);
@@ -93,7 +93,7 @@ public:
     if (status != @PREFIX_UPPER@OK) {
       RCLCPP_ERROR(
         get_node()->get_logger(), "no state with the measured joints: %s", @PREFIX@status_name(status));
-      return controller_interface::CallbackReturn::ERROR;
+      return controller_interface::CallbackReturn::FAILURE;
     }
     limiter_.begin(readings, target_.serial);
     is_active_ = true;
