@@ -20,6 +20,7 @@ namespace @PACKAGE@
 {
 
 using Readings = std::array<double, 6>;  // what the encoders show: metres, of cranks radians
+constexpr double UNITS = 1099511627776.0;  // to a metre or a radian: readings are counted in them
 
 // Read the members of a machine by their names with `read(name, numbers, count)`; returns whether it could read all.
 template<typename Read>
@@ -93,7 +94,8 @@ public:
     if (status != @PREFIX_UPPER@OK) {return @PREFIX@status_name(status);}
     for (std::size_t i = 0; i < 6; ++i) {
       // Rounding of a leg at its end stop is not beyond the limits: the same share of them as in spm_pin.LegLimits.
-      const double low = machine.minimum[i], high = machine.maximum[i], reading = std::clamp(next.readings[i], low, high);
+      const double low = machine.minimum[i], high = machine.maximum[i];
+      const double reading = std::clamp(next.readings[i], low + 1.0 / UNITS, high - 1.0 / UNITS);  // as the Limiter counts
       const double size = std::max(std::isfinite(low) ? std::fabs(low) : 0.0, std::isfinite(high) ? std::fabs(high) : 0.0);
       if (!(std::fabs(next.readings[i] - reading) <= 1e-8 * size)) {return "a leg is beyond its limits";}
       next.readings[i] = reading;
@@ -185,7 +187,6 @@ public:
 
 private:
   using Counts = std::array<std::int64_t, 6>;
-  static constexpr double UNITS = 1099511627776.0;  // to a metre or a radian
 
   Readings step_{};                       // the most in a tick
   Counts from_{}, to_{}, now_{}, sum_{};  // the way to the target, and the sum of `past_`
