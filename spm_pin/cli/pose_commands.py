@@ -120,7 +120,7 @@ def _nearest(geometry: Geometry, pose: RigidTransform | None, unit: LengthUnit) 
     found = nearest_reachable_pose(geometry, pose)
     if found.distance > _SAME_POSE * geometry.size:
         # A little within the limits, where the pose as it is printed still is.
-        ends = np.array([geometry.limits.minimum, geometry.limits.maximum])
+        ends = geometry.limits.ends
         inset = _INSET * np.where(np.isfinite(ends).all(axis=0), ends[1] - ends[0], geometry.size)
         found = nearest_reachable_pose(geometry, pose, LegLimits(ends[0] + inset, ends[1] - inset))
     state = found.configuration

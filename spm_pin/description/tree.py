@@ -21,7 +21,7 @@ HOME = "home"
 
 
 State = Configuration | StageConfiguration
-"""Of a robot, or of a stage alone."""
+"""States whose joint values are written: of a robot, or of a stage alone."""
 
 
 def extended_urdf_text(geometry: Mechanism | None = None, *, prefix: str = "") -> str:

@@ -26,7 +26,8 @@ Value = str | float | Iterable[float]
 SERVO = 200.0
 """Natural frequency of the machine on its servos [rad/s]: they give way by g / SERVO² = 0.25 mm under its weight."""
 _FRICTION = (0.8, 0.001, 0.0001)
-"""Of ball and plate: Coulomb's coefficient, and the levers of its drilling and rolling moments [m]."""
+"""Friction between ball and plate, as MuJoCo takes it: Coulomb's coefficient, and the lever arms of the moments against
+spinning and rolling [m]."""
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ _BRANCHES: tuple[Result, Result, Result, Result] = (
     ((8, 3, 3), np.float64),
     ((8, 6), np.float64),
 )
-"""Of both kinds: rotation, position, joints and lengths."""
+"""Shapes and types of rotation, position, joints and lengths, which drawn machines and machines as built both have."""
 DRAWN_BRANCHES = DrawnBranches(
     *_BRANCHES,
     discriminants=((4,), np.float64),

@@ -89,7 +89,7 @@ class CertifiedLimits(Protocol):
 
 
 class Watch(NamedTuple):
-    """What of the states of a machine is watched on the way."""
+    """What a path is watched for: quantities of a machine's states whose zeros are events, and a length for moves."""
 
     length: float  # with which moves are compared [m]: a side of the balls' triangle
     determinants: Callable[[Any], FloatArray]  # of states (...), dimensionless, (..., n): zero at singularities
@@ -299,7 +299,7 @@ class Tracker(Generic[S]):
     def __init__(
         self,
         watch: Watch,
-        solve: Callable[[float], Solutions[S]],
+        solve: Solver[S],
         solutions: Solutions[S],
         place: int,
         *,

@@ -109,8 +109,8 @@ class Geometry(Mechanism):
         if self.limits is not None:
             self.check_limits(self.limits)
 
-    def check_limits(self, limits: LegLimits) -> None:
-        """Raise `GeometryError` for limits that no readings of this machine have, or that are in another unit."""
+    def check_limits(self, limits: LegLimits) -> LegLimits:
+        """Return limits, or raise `GeometryError` if no readings of this machine have them or their unit is another."""
         check_limits(check_instance(limits, LegLimits, "limits", "LegLimits(minimum, maximum), or None"), self.legs)
         lengths = np.array(self.legs.units) == "m"
         ends, size = (limits.ends - self.legs.offsets)[:, lengths], self.size
@@ -123,6 +123,7 @@ class Geometry(Mechanism):
         if cause:
             expected = f"limits in proportion to a machine about {size:.3g} m high, or infinity for none"
             raise GeometryError("limits", expected, f"lengths of up to {longest:g} m", cause)
+        return limits
 
     def __repr__(self) -> str:
         limits = "" if self.limits is None else f", limits={self.limits!r}"

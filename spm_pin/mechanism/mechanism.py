@@ -1,4 +1,4 @@
-"""What a robot and a stage alone have in common as mechanisms: parameters of their legs, and files."""
+"""The base class of `Geometry` and `Stage`: parameters of the legs, limits, and files."""
 
 from __future__ import annotations
 

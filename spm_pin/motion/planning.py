@@ -145,9 +145,7 @@ def plan(
     <MotionPlan: straight in leg lengths, least determinant 1.15 d³>
     """
     check_instance(geometry, Geometry, "geometry")
-    if limits is not None:
-        geometry.check_limits(limits)
-    allowed = geometry.limits if limits is None else limits
+    allowed = geometry.limits if limits is None else geometry.check_limits(limits)
     joints = JointLimits() if joint_limits is None else check_instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
     rules = _PathRules(geometry, allowed, joints, least)

@@ -228,9 +228,7 @@ def certify(
         It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
     nominal = check_instance(geometry, Geometry, "geometry").nominal
-    if limits is not None:
-        geometry.check_limits(limits)
-    limits = nominal.limits if limits is None else limits
+    limits = nominal.limits if limits is None else geometry.check_limits(limits)
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
     expected = f"metres from 0 to {most:g}, a quarter of the smallest dimension"

@@ -26,8 +26,9 @@ except ImportError as error:
     raise MissingExtraError("gym", str(error.name)) from error
 
 OBSERVATION = ("ball_x", "ball_y", "ball_vx", "ball_vy", "roll", "pitch", "height", "roll_rate", "pitch_rate", "speed")
-"""What is observed: where on the plate the ball is [m], and its velocity against the base [m/s], both along the
-platform's x and y; the platform's roll, pitch [rad] and height [m], as of `StageConfiguration`, and their rates."""
+"""Names of the observation's components: place of the ball on the plate [m], and its velocity against the base [m/s],
+both along the platform's x and y; the platform's roll, pitch [rad] and height [m], as in `StageConfiguration`, and
+their rates."""
 
 STEPS = 20
 """Steps of the simulation, each of 1 ms, in one of the environment."""
@@ -72,8 +73,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
     ) -> None:
         default = Stage(0.08, 0.09, RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
         self.stage = default if stage is None else check_instance(stage, Stage, "stage")
-        limits = self.stage.limits
-        if limits is None or not np.isfinite([limits.minimum, limits.maximum]).all():
+        if self.stage.limits is None or not self.stage.limits.are_finite:
             raise ArgumentError("stage", "one whose readings have limits, between which actions are", repr(self.stage))
         self.ball = Ball() if ball is None else check_instance(ball, Ball, "ball")
         expected = "an angle from 0 to 0.5 rad"
@@ -97,8 +97,8 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
     @property
     def limits(self) -> tuple[FloatArray, FloatArray]:
         """The least and the largest readings (3,) of the stage [m], of RRS legs [rad]."""
-        assert self.stage.limits is not None
-        return np.array(self.stage.limits.minimum), np.array(self.stage.limits.maximum)
+        low, high = self.stage.reading_limits
+        return low.copy(), high.copy()
 
     def action(self, readings: npt.ArrayLike) -> npt.NDArray[np.float32]:
         """Return the action (3,) that leads the actuators to readings (3,) [m], of RRS legs [rad]."""

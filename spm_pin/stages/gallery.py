@@ -28,7 +28,7 @@ class RealMachine:
     source: str
     """Where the numbers stand: a repository of github.com, the file and the commit that was read, or a paper."""
     assumed: str
-    """What the source does not say, and is assumed."""
+    """What is assumed because the source does not say it."""
 
     @property
     def stage(self) -> Stage:

@@ -1,4 +1,4 @@
-"""What a sweep computes: its domain, a lattice or a sample of poses or leg lengths, and its metrics and chunks.
+"""The plan of a sweep: its domain, a lattice or a sample of poses or leg lengths, its metrics, and its chunks.
 
 A domain does not hold its points: those of a chunk are computed from the chunk's index when they are needed.
 """

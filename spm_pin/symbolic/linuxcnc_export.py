@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from spm_pin import stages
-from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_physical, inverse_physical
 from spm_pin.mechanism import Geometry, LegLimits, Stage, pose
-from spm_pin.mechanism.arguments import FloatArray, type_and_value
+from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.legs import Legs
+from spm_pin.mechanism.mechanism import check_mechanism
 from spm_pin.symbolic.c_export import c_sources, filled, title_of, write_files
 from spm_pin.symbolic.ros_export import ASSUMED, ends_of_travel, start_readings, travel
 from spm_pin.symbolic.stage_export import stage_c_sources, stage_machine_sources
@@ -24,13 +24,13 @@ _UNITS = {"m": ("UNITS_PER_METRE", 1e3, "LINEAR"), "rad": ("1.0 / DEGREE", np.ra
 """How many units of a joint are one of a reading, in C and as a number, and the joint's type."""
 _SAMPLES = 4096
 _STEP = 1e-4
-"""Of finite differences [mm, degrees]."""
+"""Step of finite differences of the axes [mm, degrees]."""
 _TURN = np.linspace(0.0, 2.0 * np.pi, 13)[:, None]
-"""Of the program's tilt, on a small circle."""
+"""Angles at which the program has points on the circle that the tilt goes round [rad]."""
 _SIZES = 0.5 ** np.arange(10)
-"""Of circles that are tried."""
+"""Sizes of that circle that are tried, from the largest on, until the joints can follow."""
 _SHARES = np.linspace(0.0, 1.0, 9)[:, None]
-"""Of the way from one point of the program to the next, where the joints are looked at."""
+"""Shares of the way from one point of the program to the next at which the joints are looked at."""
 
 
 def linuxcnc_configuration(machine: Geometry | Stage) -> dict[str, str]:
@@ -49,8 +49,7 @@ def linuxcnc_configuration(machine: Geometry | Stage) -> dict[str, str]:
         Those of a stage are `stage.ini`, `stagekins.c` and so on. Lengths are in millimetres, angles in degrees. The
         axes of a robot are X Y Z A B C, those of a stage Z A B: the height, roll and pitch of `stages.inverse`.
     """
-    if not isinstance(machine, Geometry | Stage):
-        raise ArgumentError("machine", "a Geometry or a Stage", type_and_value(machine))
+    check_mechanism(machine, "machine")
     known = _Robot(machine) if isinstance(machine, Geometry) else _StageAlone(machine)
     joints, rates = range(len(known.home)), known.axis_rates()
     home = dict(zip(known.axes, known.axis_values(known.home), strict=True))
@@ -101,11 +100,11 @@ class _Machine(ABC):
     """What LinuxCNC has to know of a machine. Values of axes are in millimetres and degrees."""
 
     name: str
-    """That files begin with."""
+    """What the names of its files begin with."""
     title: str
     axes: str
     meaning: str
-    """Of the axes."""
+    """What the axes are, in a sentence."""
     turns: str
     """The axes in the order in which AXIS applies them, [DISPLAY]GEOMETRY: C before A for Rz(C) Ry(B) Rx(A)."""
     includes: str

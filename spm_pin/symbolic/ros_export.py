@@ -7,7 +7,6 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.description import srdf_text, urdf_text
 from spm_pin.description.masses import Masses
@@ -128,12 +127,12 @@ def travel(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
     """Return the least and largest readings, where there is no limit those of a `_stroke` from the home."""
     home = home_readings(geometry) + geometry.legs.offsets
     limits = geometry.limits or geometry.legs.free_limits
-    return ends_of_travel((limits.minimum, limits.maximum), home, _stroke(geometry))
+    return ends_of_travel(limits.ends, home, _stroke(geometry))
 
 
-def ends_of_travel(limits: npt.ArrayLike, home: FloatArray, stroke: FloatArray) -> tuple[FloatArray, FloatArray]:
+def ends_of_travel(limits: FloatArray, home: FloatArray, stroke: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the least and largest readings of limits (2, legs), where there is none a stroke from the home."""
-    minimum, maximum = np.asarray(limits)
+    minimum, maximum = limits
     low = np.where(np.isfinite(minimum), minimum, home - stroke)
     return low, np.minimum(maximum, np.maximum(low, home) + stroke)
 

@@ -39,7 +39,7 @@ _OPTIMALITY_TOLERANCE = 1e-6
 _TRIED = 8
 """States that satisfy a condition from which one at a point is looked for."""
 CONFIDENCE = 0.95
-"""Of the intervals of volumes from samples."""
+"""Probability with which the intervals of volumes from samples hold the volume."""
 ROTATIONS = 8.0 * np.pi**2
 """Measure of all rotations [rad³]."""
 _LARGE = 0.99

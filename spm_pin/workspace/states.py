@@ -349,9 +349,7 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
 def given_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits | None:
     """Return leg limits, or those of the geometry, which may have none."""
     check_instance(geometry, Geometry, "geometry")
-    if limits is not None:
-        geometry.check_limits(limits)
-    return geometry.limits if limits is None else limits
+    return geometry.limits if limits is None else geometry.check_limits(limits)
 
 
 def finite_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:

@@ -134,7 +134,7 @@ class SessionState:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """What the user should beware of, most important first."""
+        """Warnings to the user, the most important first."""
         warnings = list(self.remarks)
         if self.origin is not None:
             label, determinants = self.origin
@@ -397,7 +397,7 @@ def ranges_of_readings(
     if limits is not None:
         low, high = np.maximum(low, limits.minimum), np.minimum(high, limits.maximum)
     low, high = np.minimum(low, now), np.maximum(high, now)
-    if solve is not None and (limits is None or not np.isfinite([limits.minimum, limits.maximum]).all()):
+    if solve is not None and (limits is None or not limits.are_finite):
         for ends in (low, high):
             shares = existing_share(solve, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
             ends[:] = now + shares * (ends - now)

@@ -24,8 +24,9 @@ _LAYERS = {
     "The paper's shell": ("shell", False),
     "Points reached": ("points", False),
 }
-_OF_ROBOTS = {"ghosts", "forces", "shell", "points"}
 """Layers of the scene by their labels: name of the layer, and whether it is shown at first."""
+_OF_ROBOTS = {"ghosts", "forces", "shell", "points"}
+"""Layers that a stage alone does not have."""
 _NONE = "–"
 # viser makes the colour of its buttons from these: light ones on a dark page, and white text on both.
 _BRAND = {False: (0, 54, 84), True: (0, 114, 178)}

@@ -71,7 +71,7 @@ class StageState:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """What the user should beware of, most important first."""
+        """Warnings to the user, the most important first."""
         near = [f"Singularity ahead ({measure.name})." for measure in self.measures if measure.is_near]
         return [*self.remarks, *near, *excess_warnings(self.shown, self.forces)]
 
