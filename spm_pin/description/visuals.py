@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from spm_pin.description.robot import read_robot
 from spm_pin.description.tree import State
-from spm_pin.mechanism import Mechanism, StageConfiguration
+from spm_pin.mechanism import Configuration, Mechanism
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.pose import homogeneous
@@ -115,7 +115,7 @@ def part_placements(configuration: State) -> FloatArray:
     parts = visual_parts(geometry)
     poses = _body_poses(configuration)
     placements = np.stack([poses[part.body] for part in parts], axis=-3)
-    size, lengths = section_size(geometry), np.linalg.norm(configuration.balls - _leg_bases(configuration), axis=-1)
+    size, lengths = section_size(geometry), np.linalg.norm(configuration.balls - configuration.leg_bases, axis=-1)
     for i, (cylinder, rod) in enumerate(leg_links(geometry)):
         if not cylinder.endswith("cylinder"):
             continue
@@ -131,39 +131,27 @@ def part_placements(configuration: State) -> FloatArray:
     return placements
 
 
-def _leg_bases(configuration: State) -> FloatArray:
-    """Return the pivots as rows in {B} [m], (..., legs, 3)."""
-    if isinstance(configuration, StageConfiguration):
-        return configuration.stage.legs.pivots
-    return configuration.leg_bases
-
-
 def _body_poses(configuration: State) -> dict[str, FloatArray]:
     """Return the pose (..., 4, 4) in {B} of each body: z along the link, the origin at pivot, knee or ball."""
     geometry = configuration.mechanism
     base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))
     moved = homogeneous(configuration.rotation, configuration.translation)
-    if isinstance(configuration, StageConfiguration):
-        frames, axes, planes = [base, moved], geometry.legs.axes, geometry.legs.planes
-    else:
-        frames = [base, configuration.middle_pose.as_matrix(), moved]
-        axes, planes = configuration.leg_axes, configuration.leg_planes
-    poses = dict(zip(platforms(geometry), frames, strict=True))
-    pivots, knees, balls = _leg_bases(configuration), configuration.circle_centres, configuration.balls
+    middle = [configuration.middle_pose.as_matrix()] if isinstance(configuration, Configuration) else []
+    poses = dict(zip(platforms(geometry), [base, *middle, moved], strict=True))
+    pivots, knees, balls = configuration.leg_bases, configuration.circle_centres, configuration.balls
     rods = balls - knees
     first = rods.copy()
     for stage, kind in enumerate(geometry.legs.kinds):
         legs = slice(3 * stage, 3 * stage + 3)
         if kind.body == "carriage":
-            rates = geometry.legs.centre_rates(configuration.readings)
-            first[..., legs, :] = (rates[..., :1] * planes[0] + rates[..., 1:] * planes[1])[..., legs, :]
+            first[..., legs, :] = configuration.centre_rates[..., legs, :]
         elif kind.body == "crank":
             first[..., legs, :] = (knees - pivots)[..., legs, :]
     origins = np.where(np.array(_turns_at_pivot(geometry))[:, None], pivots, knees)
     for half, (vectors, places) in enumerate(((first, origins), (rods, balls))):
         with np.errstate(invalid="ignore"):
             z = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-        y = np.cross(z, axes)
+        y = np.cross(z, configuration.leg_axes)
         y /= np.linalg.norm(y, axis=-1, keepdims=True)
         turns = np.stack([np.cross(y, z), y, z], axis=-1)
         for i, links in enumerate(leg_links(geometry)):

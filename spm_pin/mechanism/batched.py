@@ -40,8 +40,23 @@ class Batched(ABC):
 
     @property
     @abstractmethod
-    def places(self) -> FloatArray:
-        """Balls at x and z in the planes of their legs [m], shape (..., legs, 2)."""
+    def balls(self) -> FloatArray:
+        """Centres of the legs' balls as rows in {B} [m], shape (..., legs, 3)."""
+
+    @property
+    @abstractmethod
+    def leg_bases(self) -> FloatArray:
+        """Pivots of the legs as rows in {B} [m]."""
+
+    @property
+    @abstractmethod
+    def leg_axes(self) -> FloatArray:
+        """Unit revolute axes of the legs as rows in {B}."""
+
+    @property
+    @abstractmethod
+    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
+        """The axes x and z of the legs' planes as rows in {B}."""
 
     @property
     @abstractmethod
@@ -109,6 +124,19 @@ class Batched(ABC):
     def pose(self) -> RigidTransform:
         """Pose of the platform in {B}; NaN where a member has no pose."""
         return unchecked_transform(self._rotation, self._translation)
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """Balls in their legs' planes, from the pivots: x radially outwards, z to the middle [m], (..., legs, 2)."""
+        arms = self.balls - self.leg_bases
+        return frozen(np.stack([(arms * axes).sum(axis=-1) for axes in self.leg_planes], axis=-1))
+
+    @property
+    def centre_rates(self) -> FloatArray:
+        """Derivatives of `circle_centres` by their own readings, seen from the legs' plates, in {B}, (..., legs, 3)."""
+        outward, forward = self.leg_planes
+        rates = self._mechanism.legs.centre_rates(self.readings)
+        return np.asarray(rates[..., :1] * outward + rates[..., 1:] * forward)
 
     @property
     def limits(self) -> LegLimits | None:

@@ -209,12 +209,6 @@ class Configuration(Batched):
         centres, balls = self.circle_centres, self.balls
         return frozen(np.concatenate([(balls - centres)[..., :3, :], (centres - balls)[..., 3:, :]], axis=-2))
 
-    @cached_property
-    def places(self) -> FloatArray:
-        """Balls in the planes of their legs, from the pivots: x radially outwards, z towards {n} [m], (..., 6, 2)."""
-        arms = self.balls - self.leg_bases
-        return frozen(np.stack([(arms * axes).sum(axis=-1) for axes in self.leg_planes], axis=-1))
-
     @property
     def leg_planes(self) -> tuple[FloatArray, FloatArray]:
         """The axes x and z of the legs' planes as rows in {B}, (..., 6, 3) each."""
@@ -242,13 +236,6 @@ class Configuration(Batched):
         centres = self.own_circle_centres
         upper = centres[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
         return frozen(np.concatenate([centres[..., :3, :], upper], axis=-2))
-
-    @property
-    def centre_rates(self) -> FloatArray:
-        """Derivatives of `circle_centres` by their own readings, seen from the legs' plates, in {B}, (..., 6, 3)."""
-        outward, forward = self.leg_planes
-        rates = self.geometry.legs.centre_rates(self.readings)
-        return np.asarray(rates[..., :1] * outward + rates[..., 1:] * forward)
 
     @cached_property
     def leg_lengths(self) -> FloatArray:

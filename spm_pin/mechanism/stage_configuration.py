@@ -158,11 +158,20 @@ class StageConfiguration(Batched):
         """The points by which states are compared: the balls."""
         return self.balls
 
-    @cached_property
-    def places(self) -> FloatArray:
-        """Balls in the planes of their legs, from the pivots: x radially outwards, z upwards [m], (..., 3, 2)."""
-        arms, planes = self.balls - self.stage.legs.pivots, self.stage.legs.planes
-        return frozen(np.stack([(arms * axes).sum(axis=-1) for axes in planes], axis=-1))
+    @property
+    def leg_bases(self) -> FloatArray:
+        """Pivots of the legs as rows in {B} [m], shape (3, 3): the same in all states."""
+        return self.stage.legs.pivots
+
+    @property
+    def leg_axes(self) -> FloatArray:
+        """Unit revolute axes of the legs as rows in {B}, shape (3, 3)."""
+        return self.stage.legs.axes
+
+    @property
+    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors x, radially outwards, and z, upwards, of the legs' planes, as rows in {B}, (3, 3) each."""
+        return self.stage.legs.planes
 
     @cached_property
     def readings(self) -> FloatArray:
@@ -185,7 +194,7 @@ class StageConfiguration(Batched):
     @property
     def closure_residual(self) -> FloatArray:
         """Largest distance of a ball from the plane of its leg [m], shape (...)."""
-        apart = ((self.balls - self.stage.legs.pivots) * self.stage.legs.axes).sum(axis=-1)
+        apart = ((self.balls - self.leg_bases) * self.leg_axes).sum(axis=-1)
         return np.asarray(np.abs(apart).max(axis=-1))
 
     @property

@@ -295,7 +295,7 @@ def _beside_legs(state: Configuration | StageConfiguration, distance: float) -> 
         platforms.insert(0, state.middle_pose.translation)
     ends = np.array([np.zeros(3), *platforms])
     centres = (0.5 * (ends[:-1] + ends[1:])).repeat(3, axis=0)
-    middles = 0.5 * (_pivots(state) + state.balls)
+    middles = 0.5 * (state.leg_bases + state.balls)
     return np.asarray(middles + distance * _unit(middles - centres))
 
 
@@ -308,18 +308,10 @@ def _onto(point: FloatArray, vector: FloatArray, length: float) -> FloatArray:
     return np.stack([point, point + length * _unit(vector)])
 
 
-def _pivots(state: Configuration | StageConfiguration) -> FloatArray:
-    return state.leg_bases if isinstance(state, Configuration) else state.stage.legs.pivots
-
-
 def robot_points(configuration: Configuration | StageConfiguration, margin: float) -> FloatArray:
     """Return corners (n, 3) of boxes of half a side `margin` around the joints and o [m]; a picture shows them all."""
-    joints = [
-        _pivots(configuration),
-        configuration.circle_centres,
-        configuration.balls,
-        configuration.translation[None],
-    ]
+    state = configuration
+    joints = [state.leg_bases, state.circle_centres, state.balls, state.translation[None]]
     corners = margin * (2.0 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
     return np.asarray((np.concatenate(joints)[:, None] + corners).reshape(-1, 3))
 

@@ -188,18 +188,8 @@ class StageModel:
     def data(self) -> dict[str, Any]:
         """Return what is shown as data for JSON, in metres, radians and newtons."""
         state, shown = self.state, self.state.shown
-        names = (
-            "tilt",
-            "azimuth",
-            "roll",
-            "pitch",
-            "height",
-            "shift",
-            "torsion",
-            "readings",
-            "balls",
-            "closure_residual",
-        )
+        pose = "tilt", "azimuth", "roll", "pitch", "height", "shift", "torsion"
+        names = *pose, "readings", "balls", "closure_residual"
         return {
             "stage": self._stage.as_data(),
             "pose": shown.pose.as_matrix(),
