@@ -34,3 +34,10 @@ def requests(height: float, count: int, seed: int = 0) -> tuple[npt.NDArray[np.f
     tilt, azimuth = rng.uniform(0.0, 0.6, count), rng.uniform(-np.pi, np.pi, count)
     normals = np.stack([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)], axis=-1)
     return normals, height * rng.uniform(0.9, 1.1, count)
+
+
+def existing_states(stage: spm.Stage, height: float, count: int, seed: int = 0) -> spm.stages.StageConfiguration:
+    """Return the physical states of `requests` that exist."""
+    normals, heights = requests(height, count, seed)
+    states = spm.stages.inverse_physical(stage, heights, normal=normals)
+    return states[states.exists]

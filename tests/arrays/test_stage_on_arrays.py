@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from balancers import MACHINES, requests, stage_and_height
+from balancers import MACHINES, existing_states, requests, stage_and_height
 
 import spm_pin as spm
 from spm_pin import arrays
@@ -71,9 +71,7 @@ def test_derivatives_are_the_rates_of_the_legs(machine: str) -> None:
 @pytest.mark.parametrize("machine", MACHINES)
 def test_readings_lead_to_the_states_of_the_kernel(machine: str) -> None:
     stage, height = stage_and_height(machine)
-    normals, heights = requests(height, 300)
-    states = spm.stages.inverse_physical(stage, heights, normal=normals)
-    states = states[states.exists]
+    states = existing_states(stage, height, 300)
     shown = states.readings.copy()
     before = spm.stages.inverse_physical(stage, states.height, normal=[0.0, 0.0, 1.0])
     middle = spm.stages.forward_physical(stage, 0.9 * shown + 0.1 * before.readings)
@@ -103,9 +101,7 @@ def test_readings_lead_to_the_states_of_the_kernel(machine: str) -> None:
 @pytest.mark.parametrize("machine", MACHINES)
 def test_readings_lead_to_the_states_of_the_kernel_in_casadi(machine: str) -> None:
     stage, height = stage_and_height(machine)
-    normals, heights = requests(height, 8, seed=3)
-    states = spm.stages.inverse_physical(stage, heights, normal=normals)
-    states = states[states.exists]
+    states = existing_states(stage, height, 8, seed=3)
     forward, near = (spm.symbolic.stage_forward(stage, near=near) for near in (False, True))
     jacobian = forward.jacobian()
     for state in states:

@@ -9,7 +9,7 @@ from pathlib import Path
 import mpmath
 import numpy as np
 import pytest
-from balancers import MACHINES, STAGES, requests, stage_and_height
+from balancers import MACHINES, STAGES, existing_states, requests, stage_and_height
 from modes_oracle import real_modes
 from scipy.optimize import fsolve
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -95,9 +95,7 @@ def test_the_inverse_is_what_another_method_finds_with_fifty_digits(machine: str
 @pytest.mark.parametrize("machine", MACHINES)
 def test_readings_lead_back_to_the_pose_and_sides_are_rigid(machine: str) -> None:
     stage, height = stage_and_height(machine)
-    normals, heights = requests(height, 2000)
-    states = spm.stages.inverse_physical(stage, heights, normal=normals)
-    states = states[states.exists]
+    states = existing_states(stage, height, 2000)
     assert len(states) > 1000
     sides = states.balls - np.roll(states.balls, -1, axis=-2)
     own = stage.legs.balls - np.roll(stage.legs.balls, -1, axis=-2)

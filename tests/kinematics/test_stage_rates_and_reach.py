@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from balancers import MACHINES, STAGES, requests, stage_and_height
+from balancers import MACHINES, STAGES, existing_states, stage_and_height
 from finite_differences import extrapolated
 
 import spm_pin as spm
@@ -17,9 +17,7 @@ BALANCER = Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
 
 def states(machine: str, count: int = 12) -> spm.stages.StageConfiguration:
     stage, height = stage_and_height(machine)
-    normals, heights = requests(height, 3 * count)
-    found = spm.stages.inverse_physical(stage, heights, normal=normals)
-    found = found[found.exists]
+    found = existing_states(stage, height, 3 * count)
     regular = (np.abs(found.slopes) > 0.2 * stage.legs.largest_slopes).all(axis=-1)
     return found[regular & (spm.stages.singularities(found).forward > 0.1)][:count]
 
