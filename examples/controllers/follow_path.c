@@ -18,7 +18,7 @@ int main(int count, char **names)
     double row[12];
     FILE *poses = count == 4 ? fopen(names[3], "r") : NULL;
     int i, tick, status = SPM_OK;
-    if (!poses || !spm_read_machine(names[1], &model) || !spm_read_machine(names[2], &machine)) {
+    if (!poses || spm_read_machine(names[1], &model) || spm_read_machine(names[2], &machine)) {
         fprintf(stderr, "follow_path: expected two machines and poses\n");
         return 2;
     }

@@ -14,7 +14,7 @@ from spm_pin import stages
 from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
 from spm_pin.mechanism import Stage
 from spm_pin.mechanism.arguments import FloatArray, check_instance
-from spm_pin.symbolic.c_export import checked_prefix, filled, machine_text, template, write_files
+from spm_pin.symbolic.c_export import checked_prefix, filled, machine_header, machine_text, template, write_files
 
 _CASES = 12
 _TILT, _LIFT = 0.3, 0.15
@@ -85,20 +85,21 @@ def stage_numbers(stage: Stage) -> FloatArray:
 
 def stage_machine_sources(stage: Stage) -> dict[str, str]:
     """Return the numbers of a stage as a file, `stage_machine.txt`, and the C that reads it, `stage_read_machine.h`."""
-    names, numbers = [f"{stage.kind.name.lower()}_leg_{leg}" for leg in (1, 2, 3)], stage_numbers(stage)
+    title, numbers = f"3-{stage.kind.name} stage", stage_numbers(stage)
     fields = {"up": numbers[:1], "home_height": numbers[1:2]}
-    fields |= dict(zip(names, numbers[2:].reshape(3, -1), strict=True))
+    fields |= dict(zip(("leg_1", "leg_2", "leg_3"), numbers[2:].reshape(3, -1), strict=True))
     values = {
         "PREFIX": "stage_",
         "PREFIX_UPPER": "STAGE_",
         "HEADER": "stage.h",
+        "MACHINE_FILE": machine_header(title),
         "FIELDS": ", ".join(f'{{"{name}", {len(x)}}}' for name, x in fields.items()),
         "NUMBERS": "&geometry->up",
         "IS_MACHINE": "stage_tilt(geometry, 0, 0, geometry->home_height, &state) == STAGE_OK\n"
         "            && stage_forward(geometry, state.readings, &state, &state) == STAGE_OK",
     }
     reader = filled(template("read_machine.h"), values)
-    return {"stage_machine.txt": machine_text(fields), "stage_read_machine.h": reader}
+    return {"stage_machine.txt": machine_text(title, fields), "stage_read_machine.h": reader}
 
 
 def _machine(kind: str, numbers: FloatArray) -> str:

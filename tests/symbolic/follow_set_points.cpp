@@ -37,6 +37,8 @@ int main(int count, char ** arguments)
   SetPoints set_points;
   const spm_geometry & machine = set_points.machine;
   std::ifstream file(arguments[2]);
+  std::string header;
+  std::getline(file, header);
   const auto next = [&](const std::string & name, double * numbers, std::size_t size) {
       std::string word;
       file >> word;

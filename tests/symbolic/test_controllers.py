@@ -183,7 +183,7 @@ def test_bad_set_points_never_break_a_limit(
 ) -> None:
     package = request.getfixturevalue(kind)
     machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
-    numbers = machine_text(machine_fields(machine) | {"start": np.array(start_readings(machine)[0])})
+    numbers = machine_text("", machine_fields(machine) | {"start": np.array(start_readings(machine)[0])})
     (tmp_path / "machine.txt").write_text(numbers, encoding="utf-8")
     program = Path(__file__).parent / "follow_set_points.cpp"
     printed = run_cpp(package, program, tmp_path, ticks, tmp_path / "machine.txt")

@@ -312,13 +312,32 @@ def test_round_trips_in_hal(bench: Bench, case: str, count: int) -> None:
 
 
 @pytest.mark.parametrize(("machine", "other"), [(PAPER, SERVOS), (BALANCER, STAGES["PRS"])])
-def test_a_file_that_is_no_machine_of_these_legs_is_refused(bench: Bench, machine: Machine, other: Machine) -> None:
+def test_a_file_that_is_no_machine_of_these_legs_is_refused_with_the_cause(
+    bench: Bench, machine: Machine, other: Machine
+) -> None:
     name = bench.export(machine)
-    text = spm.symbolic.linuxcnc_configuration(other)[f"{name}_machine.txt"]
-    (bench.folder / "other.txt").write_text(text, encoding="utf-8")
-    (bench.folder / "cut.txt").write_text(text.replace(".", ".x", 1), encoding="utf-8")
-    for file in (f"{name}.ini", "other.txt", "cut.txt", "none.txt"):
-        (bench.folder / "round_trip.hal").write_text(f"loadrt {name}kins machine={file}\n", encoding="utf-8")
-        done = bench.execute("halrun", "-f", "round_trip.hal")
-        assert done.returncode != 0
-        assert f"{file} describes no machine" in done.stderr
+    text = (bench.folder / f"{name}_machine.txt").read_text(encoding="utf-8")
+    for file, content, cause in (
+        ("none.txt", None, "No such file or directory"),
+        (".", None, "not a machine file of this kind and version"),
+        (f"{name}.ini", None, "not a machine file of this kind and version"),
+        (
+            "other.txt",
+            spm.symbolic.linuxcnc_configuration(other)[f"{name}_machine.txt"],
+            "not a machine file of this kind and version",
+        ),
+        ("version.txt", text.replace("file 1", "file 2"), "not a machine file of this kind and version"),
+        ("empty.txt", "", "not a machine file of this kind and version"),
+        ("cut.txt", text[: len(text) // 2], "not whole"),
+        ("spoiled.txt", text.replace(".", ".x", 1), "not whole"),
+        ("longer.txt", text + "1.0", "not whole"),
+        ("zeros.txt", re.sub(r"[-\d]+\.[-+\de]+", "0.0", text), "numbers that are no machine"),
+        ("carriage_returns.txt", text.replace("\n", "\r\n"), None),
+    ):
+        if content is not None:
+            (bench.folder / file).write_bytes(content.encode())
+        (bench.folder / "load.hal").write_text(f"loadrt {name}kins machine={file}\n", encoding="utf-8")
+        done = bench.execute("halrun", "-f", "load.hal")
+        assert (done.returncode == 0) == (cause is None), done.stderr
+        if cause is not None:
+            assert f"{name}kins: machine={file}, seen from {bench.folder}: {cause}" in done.stderr, done.stderr

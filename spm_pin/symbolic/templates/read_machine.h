@@ -8,12 +8,16 @@
 
 #include "@HEADER@"
 
+#include <errno.h>
 #include <stdio.h>
 #include <string.h>
 
-/* Read a file with a line for each member of a geometry, its name first; returns whether it describes a machine with legs
-   of the kinds that the export was for. */
-static int @PREFIX@read_machine(const char *path, @PREFIX@geometry *geometry)
+/* The first line of the files that are read here. */
+#define @PREFIX_UPPER@MACHINE_FILE "@MACHINE_FILE@"
+
+/* Read a file: the line above, and then one for each member of a geometry, its name first. Returns NULL, or what is wrong,
+   and then the geometry is not to be used. */
+static const char *@PREFIX@read_machine(const char *path, @PREFIX@geometry *geometry)
 {
     static const struct { const char *name; size_t count; } fields[] = {
         @FIELDS@
@@ -21,22 +25,31 @@ static int @PREFIX@read_machine(const char *path, @PREFIX@geometry *geometry)
     FILE *file = fopen(path, "r");
     double *to = @NUMBERS@; /* the members from here on are numbers alone */
     @PREFIX@state state;
-    char name[16];
+    char first[sizeof @PREFIX_UPPER@MACHINE_FILE + 2] = "", name[16];
     size_t k, i;
-    int is_whole = file != NULL;
+    int is_whole = 1;
+    if (!file) {
+        return strerror(errno);
+    }
+    if (fgets(first, (int)sizeof first, file)) {
+        first[strcspn(first, "\r\n")] = '\0';
+    }
+    if (strcmp(first, @PREFIX_UPPER@MACHINE_FILE) != 0) {
+        fclose(file);
+        return "not a machine file of this kind and version: its first line is not '" @PREFIX_UPPER@MACHINE_FILE "'";
+    }
     for (k = 0; k < sizeof fields / sizeof fields[0] && is_whole; ++k) {
         is_whole = fscanf(file, "%15s", name) == 1 && strcmp(name, fields[k].name) == 0;
         for (i = 0; i < fields[k].count && is_whole; ++i) {
             is_whole = fscanf(file, "%lf", to++) == 1;
         }
     }
-    if (is_whole) {
-        is_whole = fscanf(file, "%15s", name) == EOF;
+    is_whole = is_whole && fscanf(file, "%15s", name) == EOF;
+    fclose(file);
+    if (!is_whole) {
+        return "not whole: a line or a number is missing, spoiled or too many";
     }
-    if (file) {
-        fclose(file);
-    }
-    return is_whole && @IS_MACHINE@;
+    return @IS_MACHINE@ ? NULL : "numbers that are no machine";
 }
 
 #endif

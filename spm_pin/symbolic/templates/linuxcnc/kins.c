@@ -24,6 +24,7 @@
 #include <rtapi.h>
 #include <rtapi_app.h>
 #include <rtapi_math.h>
+#include <unistd.h>
 
 #define UNITS_PER_METRE 1000.0
 #define DEGREE (3.14159265358979323846 / 180.0)
@@ -99,9 +100,15 @@ static int component;
 
 int rtapi_app_main(void)
 {
+    const char *error = NULL;
+    char folder[256];
     geometry = @PREFIX@machine;
-    if (machine[0] && !@PREFIX@read_machine(machine, &geometry)) {
-        rtapi_print_msg(RTAPI_MSG_ERR, "@NAME@kins: %s describes no machine\n", machine);
+    if (machine[0]) {
+        error = @PREFIX@read_machine(machine, &geometry);
+    }
+    if (error) {
+        rtapi_print_msg(RTAPI_MSG_ERR, "@NAME@kins: machine=%s, seen from %s: %s\n", machine,
+            getcwd(folder, sizeof folder) ? folder : "a directory that cannot be read", error);
         return -1;
     }
     component = hal_init("@NAME@kins");
