@@ -2,7 +2,7 @@
 
 One file per subject of `docs/theory`, with the symbols used there. A formula has no loop over a batch, no `if` on a
 value, no default argument and no closure; it calls `sqrt`, `where`, `both` and `either` of `operations` in place of
-whatever a kind of number has for them. Whoever computes runs these functions on numbers of his own kind:
+whatever a kind of number has for them. So one formula runs on many kinds of numbers:
 
 - compiled loops over batches: `spm_pin.kinematics.kernels`, which Numba compiles from the functions as they stand;
 - expressions of CasADi, ball arithmetic, numbers of many digits, arrays: by `operations.bind`, which copies a formula

@@ -1,13 +1,12 @@
-"""Motions of the middle platform's balls that close the legs, of any machine: `docs/theory/as_built.md`.
+"""Newton's method on the three balls b_i of the middle platform, of any machine: `docs/theory/as_built.md`.
 
-The unknowns are the three balls b_i of a stage. Each has two forces f_i and a_i: along the leg and along its axis where
-the lengths are known, along the axes of both its legs where the pose is. A motion with rates q_i along f_i and p_i
-along a_i is
+Two components of each ball's velocity are given, q_i along f_i and p_i along a_i: f_i and a_i are the directions of the
+leg and of its axis where the readings are known, the axes of the ball's two legs where the pose is. The velocity is
 
     v_i = q_i n_i + p_i m_i + λ_i w_i,    w_i = f_i x a_i,    n_i = a_i x w_i / |w_i|²,    m_i = w_i x f_i / |w_i|²,
 
-and the λ_i follow from the rates of the balls' distances, as in `spm_pin.formulas.wrenches`. With the rates that undo
-the errors of the planes, lengths and distances it is a step of Newton's method.
+and the λ_i follow from the rates of the balls' distances, as in `spm_pin.formulas.wrenches`. With the errors of planes,
+lengths and distances in place of the rates it is Newton's step, to be subtracted.
 """
 
 from __future__ import annotations
@@ -46,17 +45,17 @@ NONE = (0.0, 0.0, 0.0)
 
 
 class BallMotions(NamedTuple):
-    """The velocities of the b_i for unit rates along f_i, a_i and w_i, and what gives the last."""
+    """The velocities of the b_i per unit of q_i, p_i and λ_i, and what gives the λ_i."""
 
     n: Rows
     m: Rows
     w: Rows
-    columns: Rows  # of the inverse of the matrix of the c_ij
+    columns: Rows  # of the inverse of the matrix of the c_ij, see `wrenches`
     b: Rows
 
 
 class Errors(NamedTuple):
-    """Errors of the positions of the balls of a stage, or of both."""
+    """Errors of the positions of the balls, or rates that undo them."""
 
     along_f: Vector
     along_a: Vector
@@ -74,25 +73,25 @@ def plane_errors(b: Rows, legs: StageLegs) -> Vector:
 
 
 def stage_errors(b: Rows, stage: Circles) -> Errors:
-    """Return the errors of a stage whose balls are to be on circles."""
+    """Return the errors of balls that ought to be on the circles of a stage, along the arms and the axes."""
     _, distances = leg_vectors(b, stage.centres)
     planes = dots(stage.axes, differences(b, stage.centres))
     return Errors(minus(distances, stage.radii), planes, scaled(0.5, minus(squared_sides(b), stage.squares)))
 
 
 def structure_errors(b: Rows, c: Rows, lower: StageLegs, upper: StageLegs, squares: Vector) -> Errors:
-    """Return the errors of all six planes; `c` are the upper legs' balls, and the upper legs are seen from {B} too."""
+    """Return the errors of balls b, c that ought to be in the planes of the lower and of the upper legs, all in {B}."""
     apart = scaled(0.5, minus(squared_sides(b), squares))
     return Errors(plane_errors(c, upper), plane_errors(b, lower), apart)
 
 
 def largest_error(errors: Errors, size: float) -> float:
-    """Return the largest error as a length; `size` is that of the balls' distances."""
+    """Return the largest error as a length; `size` is about the distance of two balls."""
     return larger(larger(largest(errors.along_f), largest(errors.along_a)), largest(errors.apart) / size)
 
 
 def ball_motions(b: Rows, f: Rows, a: Rows) -> BallMotions:
-    """Return the motions of balls with forces f_i and a_i."""
+    """Return the motions of balls b_i with the directions f_i and a_i."""
     w = crosses(f, a)
     x, y, z = dots(w, w)
     inverses = 1.0 / x, 1.0 / y, 1.0 / z
@@ -129,44 +128,44 @@ def structure_velocities(motions: BallMotions, rates: Errors, a_m: Rows, weights
 
 
 def structure_step(b: Rows, lower: StageLegs, upper: StageLegs, weights: Rows, squares: Vector) -> Rows:
-    """Return Newton's step, taken off the balls, for a pose, see `structure_errors`."""
+    """Return Newton's step for the balls of a pose, to be subtracted from b, see `structure_errors`."""
     errors = structure_errors(b, upper_balls(b, weights), lower, upper, squares)
     return structure_velocities(ball_motions(b, upper.axes, lower.axes), errors, upper.axes, weights)
 
 
 def structure_side(b: Rows, c: Rows, lower: StageLegs, upper: StageLegs) -> float:
-    """Return det K."""
+    """Return det K [m³]: its sign tells on which side of the inverse singularities a state is."""
     p = mean(b)
     return structure_determinant(arms(b, p, 1.0), arms(c, p, 1.0), lower.axes, upper.axes)
 
 
 def moved_balls(b: Rows, v: Rows, longest: float) -> Rows:
-    """Return the balls after a step back along v, in which none moves farther than about `longest`."""
+    """Return the balls after the step -v, scaled down so that none moves farther than about `longest`."""
     factor = -1.0 / larger(1.0, larger(larger(largest(v[0]), largest(v[1])), largest(v[2])) / longest)
     return combinations(b, (factor, factor, factor), v)
 
 
 def placeholder_state(r: float) -> tuple[Rows, tuple[Rows, Vector]]:
-    """Return balls and a pose that stand clear of both platforms, for computations on what does not exist."""
+    """Return balls and a pose far from any singularity, to compute with where there is no state, without NaN."""
     level = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     return shifted(drawn_triangle(r), (0.0, 0.0, 2.0 * r)), (level, (0.0, 0.0, 4.0 * r))
 
 
 def frame_of_triangle(axes: Rows, own_axes: Rows, b: Rows, own: Rows) -> tuple[Rows, Vector]:
-    """Return rotation and position of the frame in which the balls are `own`, if they are at b.
+    """Return rotation and position of the middle platform, whose balls are at b and, in its own frame, at `own`.
 
-    `axes` and `own_axes` are what `joint_values.triangle_axes` returns of both.
+    `axes` and `own_axes` are `joint_values.triangle_axes` of both.
     """
     rotation = matrix_product(transposed(axes), own_axes)
     return rotation, minus(mean(b), times(rotation, mean(own)))
 
 
 def pose_of_frames(turn: Rows, place: Vector, turn_m: Rows, place_m: Vector) -> tuple[Rows, Vector]:
-    """Return R and o from the middle platform's frame in {B} and in {m}."""
+    """Return the pose R, o of {m} in {B} from the middle platform's rotation and position in {B} and in {m}."""
     rotation = matrix_product(turn, transposed(turn_m))
     return rotation, minus(place, times(rotation, place_m))
 
 
 def points_from_platform(points: Rows, rotation: Rows, position: Vector) -> Rows:
-    """Return three points of {B} in {m}."""
+    """Return in {m}, whose pose is R and o, three points given in {B}."""
     return turned(transposed(rotation), differences(points, (position, position, position)))

@@ -1,7 +1,7 @@
 """The four quadratics of a pose and the branches of the inverse displacement: `docs/theory/inverse_displacement.md`.
 
-Complex numbers are pairs of reals, horizontal vectors and quaternion halves alike, so that the roots u, v may be
-complex in their own right. The families come in two groups, equal modes (TT, FF) and mixed ones (TF, FT). Within a
+Horizontal vectors and halves of quaternions are complex numbers, written as pairs of reals so that the roots u, v may
+be complex besides. The families come in two groups, equal modes (TT, FF) and mixed ones (TF, FT). Within a
 group κ, μ and the weights of u and v are the same, and the forms differ in the sign of all but h.
 
     pose -> pose_frame -> families -> root -> middle_joints -> leg_lengths, stands_at_home
@@ -55,7 +55,7 @@ class PoseFrame(NamedTuple):
     normal_m: Complex  # in {m}
     half_cosecant: float  # 1 / 2cs
     h: float
-    noise: float  # of the coefficients of the forms
+    noise: float  # rounding of the coefficients of the forms
 
 
 class Family(NamedTuple):
@@ -71,7 +71,7 @@ class Family(NamedTuple):
     p_u: float
     p_v: float
     lower: float  # e of the lower stage: +1 in mode T, -1 in mode F
-    plus: float  # sign of the discriminant's root in the branch +
+    plus: float  # sign of the square root of the discriminant in the branch +
 
 
 class Group(NamedTuple):
@@ -234,7 +234,7 @@ def middle_joints(
 
 
 def branch_balls(family: Family, sign: float, frame: PoseFrame, position: Vector, r: float, least: float) -> Rows:
-    """Return the b_i of the branch + or - of a family, as if its discriminant were at least `least`."""
+    """Return the b_i of the branch + or - of a family; a discriminant below `least` is taken for `least`."""
     u, v, square = root(family, sign, sqrt(larger(discriminant(family), least)))
     radii, heights = middle_joints(u, v, r / where(square > 0.0, square, 1.0), family, frame, position)
     return cartesian(radii, heights)
@@ -315,7 +315,7 @@ def tilt_cosine_sum(b: Rows, rotation: Rows) -> float:
 
 
 def is_other_preferred(rank: float, tilts: float, other_rank: float, other_tilts: float) -> bool:
-    """Return whether the other of two branches is taken: of the higher rank, or of the larger sum of radii if equal.
+    """Return whether the other of two branches is chosen: by its rank, or by its sum of radii if ranks are equal.
 
     The rank is 0 where a branch is not physical, 1 where it is, 2 where it is within the leg limits too.
     """

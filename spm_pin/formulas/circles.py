@@ -1,12 +1,13 @@
-"""Three circles and a triangle, one stage of any machine: `docs/theory/forward_displacement.md`.
+"""Newton's method on a stage of any machine, three circles and a triangle: `docs/theory/forward_displacement.md`.
 
 A leg whose actuator is locked holds its ball on a circle about its revolute axis, and the three balls of a stage are
 the corners of a triangle. Circles and balls are seen from the plate that carries the legs: {B} of the lower stage, {m}
-of the upper one.
+of the upper one. Lengths are in any one unit.
 
-Unknown are the directions e_i from the centres of the circles to the balls b_i = c_i + ρ_i e_i. A turn of e_i about the
-axis a_i moves b_i along t_i = ρ_i a_i x e_i, so that the errors of half the squared distances of the balls have the
-derivatives c_ij = (b_i - b_j)·t_i, and Newton's step is `wrenches.pairs` and `stages.pair_inverse`.
+Unknown are the directions e_i from the centres c_i of the circles to the balls b_i = c_i + ρ_i e_i. The equations say
+that the balls have the triangle's distances; the errors are those of half the squared distances. A turn of e_i about
+the axis a_i moves b_i along t_i = ρ_i a_i x e_i, so the errors have the derivatives c_ij = (b_i - b_j)·t_i, and
+Newton's step is `wrenches.pairs` and `stages.pair_inverse`.
 """
 
 from __future__ import annotations
@@ -40,17 +41,18 @@ from spm_pin.formulas.wrenches import is_stage_at_home, mean, pairs
 LONGEST_TURN = 0.3
 """Largest turn of a leg in one of Newton's steps [rad]."""
 SEARCH_STEPS, MOST_STEPS, WANDERING = 20, 60, 1e-2
-"""Newton's steps after which one larger than the last number [rad] says that there is no solution, and at most. No
-state has been seen that took more than 14 but near a fold, towards which steps only halve."""
+"""After `SEARCH_STEPS` of Newton's steps, one larger than `WANDERING` [rad] says that there is no solution; at most
+`MOST_STEPS` are taken. No state has been seen that took more than 14 but near a fold, where steps only halve."""
 _KANTOROVICH, _DRIFT = 0.125, 0.25
-"""Largest products of the inverse's norm at the end of a step with the Lipschitz constant times Newton's first step and
-with the change of the derivative on the way. At constant angles the errors are quadratic in radii and centres, so all
-along the step they are at most 5/4 of those in the middle and at the end, and the norm is at most 4/3 of that at the
-end: the first product stays below (4/3)² 5/4 · 1/8 < 0.28; the theorem asks for 1/2."""
+"""Bounds of `is_safe_step`: largest products of the inverse derivative's norm at the end of a step with the Lipschitz
+constant times Newton's first step, and with the change of the derivative on the way. At constant angles the errors are
+quadratic in radii and centres, so all along the step they are at most 5/4 of those in the middle and at the end, and
+the norm is at most 4/3 of that at the end: the first product stays below (4/3)² 5/4 · 1/8 < 0.28; the theorem asks for
+1/2."""
 
 
 class Circles(NamedTuple):
-    """Circles on which the balls of a stage are, and the squares of their distances 12, 23, 31."""
+    """Circles on which the legs hold the balls of a stage, and the squared distances of the balls 12, 23, 31."""
 
     axes: Rows
     centres: Rows
@@ -65,7 +67,7 @@ def squared_sides(b: Rows) -> Vector:
 
 
 def circles_between(start: Circles, end: Circles, share: float) -> Circles:
-    """Return the circles at a share of the straight way from one stage to another."""
+    """Return the circles at a share, 0 to 1, of the straight way from those of one stage to those of another."""
     shares = share, share, share
     axes = combinations(start.axes, shares, differences(end.axes, start.axes))
     centres = combinations(start.centres, shares, differences(end.centres, start.centres))
@@ -74,9 +76,10 @@ def circles_between(start: Circles, end: Circles, share: float) -> Circles:
 
 
 def level_balls(stage: Circles, corners: Rows, up: float) -> Rows:
-    """Return the corners of a triangle where the stage of three mean circles stands level, above or below, as up is ±1.
+    """Return the balls of a level platform at the height that legs of mean length give it, the start of a search.
 
-    Beside a stage that is flat the triangle is put higher, clear of the singularity.
+    `corners` are the balls in the platform's frame; the platform is above the plate if `up` is 1, below it if -1. Where
+    the stage would be flat, which is singular, the platform is put higher.
     """
     r = mean_radius(corners)
     aside = r - mean_radius(stage.centres)
@@ -86,13 +89,13 @@ def level_balls(stage: Circles, corners: Rows, up: float) -> Rows:
 
 
 def directions_to(stage: Circles, b: Rows) -> Rows:
-    """Return the directions from the centres of the circles towards balls that are near them."""
+    """Return the directions e_i from the centres of the circles towards balls that are near the circles."""
     arms = differences(b, stage.centres)
     return directions(combinations(arms, scaled(-1.0, dots(stage.axes, arms)), stage.axes))
 
 
 def balls_at(stage: Circles, e: Rows) -> Rows:
-    """Return the balls in these directions."""
+    """Return the balls b_i on the circles in the directions e_i."""
     return combinations(stage.centres, stage.radii, e)
 
 
@@ -102,50 +105,51 @@ def errors(stage: Circles, b: Rows) -> Vector:
 
 
 def inverse_derivative(stage: Circles, e: Rows, b: Rows) -> Rows:
-    """Return the columns of the inverse of the errors' derivative by the turns of the legs."""
+    """Return the columns of the inverse of the matrix of the c_ij: the turns of the legs per unit error."""
     return pair_inverse(pairs(b, multiples(stage.radii, crosses(stage.axes, e))))
 
 
 def newton_step(stage: Circles, e: Rows) -> Vector:
-    """Return the turns of Newton's step, to be taken off."""
+    """Return Newton's step: by which angles [rad] the legs are to be turned back."""
     b = balls_at(stage, e)
     return weighted(errors(stage, b), inverse_derivative(stage, e, b))
 
 
 def turned_back(stage: Circles, e: Rows, step: Vector) -> Rows:
-    """Return the directions after a step."""
+    """Return the directions turned back by the angles of a step."""
     return directions(combinations(e, scaled(-1.0, step), crosses(stage.axes, e)))
 
 
 def limited(step: Vector) -> Vector:
-    """Return a step in which no leg turns farther than `LONGEST_TURN`."""
+    """Return a step scaled down so that no leg turns farther than `LONGEST_TURN`."""
     return scaled(1.0 / larger(1.0, largest(step) / LONGEST_TURN), step)
 
 
 def has_converged(size: float, last: float) -> bool:
-    """Return whether Newton's method is at rounding after a step of this size; `last` is the one before, NaN if none.
+    """Return whether Newton's method has converged with a step of this size; `last` is the one before, NaN if none.
 
-    Rounding is reached, or will be by what is left after this step.
+    Steps are as small as rounding, or the next one will be: its size is about (size / last)² size.
     """
     at_rounding = either(size < 1e-15, both(size < 1e-10, size > 0.5 * last))
     return either(at_rounding, size * size * size < 1e-17 * last * last)
 
 
 def is_stalled(size: float, last: float) -> bool:
-    """Return whether steps as small as these still only halve, as towards a fold; in vain where rounding is larger."""
+    """Return whether small steps hardly shrink: they halve towards a fold, or are rounding that is large there."""
     return both(size < 1e-6, size > 0.25 * last)
 
 
 def is_closed(stage: Circles, e: Rows) -> bool:
-    """Return whether these directions close the stage to rounding, half of whose digits the angles have at a fold."""
+    """Return whether the balls have their distances to rounding; at a fold the angles then have half the digits."""
     size = largest(stage.squares) + largest(stage.radii) * largest(stage.radii)
     return largest(errors(stage, balls_at(stage, e))) <= 1e-15 * size
 
 
 def is_safe_step(middle: Circles, end: Circles, b: Rows, change: float) -> bool:
-    """Return whether a solution b at the start of a step is next to those all along it.
+    """Return whether one branch of solutions leads from the balls b at the start of a step to the circles at its end.
 
-    By the theorem of Newton and Kantorovich, as centres and radii change by at most `change`.
+    That is so, and Newton's method finds the end from b, if the theorem of Newton and Kantorovich holds all along the
+    step: `middle` and `end` are the circles half-way and at the end, and centres and radii change by at most `change`.
     """
     e = directions_to(end, b)
     at_end = balls_at(end, e)
@@ -159,13 +163,13 @@ def is_safe_step(middle: Circles, end: Circles, b: Rows, change: float) -> bool:
         magnitude(first[2]) + magnitude(second[2]) + magnitude(third[2]),
     )
     norm, (lipschitz, drift) = largest(sums), _bounds(end, change)
-    # Not a number where there is no inverse.
+    # NaN where there is no inverse, so false.
     is_regular = norm * drift <= _DRIFT
     return both(is_regular, norm * lipschitz * larger(largest(step), largest(half_way)) <= _KANTOROVICH)
 
 
 def _bounds(stage: Circles, change: float) -> tuple[float, float]:
-    """Return bounds of the change of the derivative's rows, per radian and as centres and radii change."""
+    """Return bounds of how the derivative's rows change: per radian, and if centres and radii change by `change`."""
     gaps, sides, (a, b, c) = _roots(squared_sides(stage.centres)), _roots(stage.squares), stage.radii
     first, second = gaps[0] * (a + b) + 4.0 * a * b, gaps[1] * (b + c) + 4.0 * b * c
     lipschitz = larger(larger(first, second), gaps[2] * (c + a) + 4.0 * c * a)
@@ -178,7 +182,7 @@ def _roots(a: Vector) -> Vector:
 
 
 def largest_change(start: Circles, end: Circles) -> float:
-    """Return by how much at most a ball moves that keeps its direction from one stage to another."""
+    """Return how far a ball moves at most between two stages while its direction e_i stays."""
     centres = differences(end.centres, start.centres)
     return largest(minus(end.radii, start.radii)) + largest(_roots(dots(centres, centres)))
 
@@ -190,27 +194,27 @@ def is_home_state(stage: Circles, e: Rows, b: Rows, up: float) -> bool:
 
 
 class PairForm(NamedTuple):
-    """Half the squared distance of two balls less that of the triangle: linear in cosine and sine of either angle."""
+    """Coefficients of the error of half the squared distance of two balls, in cosine and sine of either leg's angle."""
 
     constant: float
     cosine: float  # of the first angle
     sine: float
     other_cosine: float
     other_sine: float
-    cosines: float
+    cosines: float  # of the product of both cosines
     cosine_sine: float
     sine_cosine: float
     sines: float
 
 
 def turn_origins(stage: Circles) -> tuple[Rows, Rows]:
-    """Return for each leg the direction of angle zero, the outermost on the circle, and that of a right angle."""
+    """Return for each circle the direction of angle zero, outwards, and that of a right angle."""
     first = directions(crosses(stage.axes, crosses(RADIAL, stage.axes)))
     return first, crosses(stage.axes, first)
 
 
 def pair_forms(stage: Circles, first: Rows, second: Rows) -> tuple[PairForm, PairForm, PairForm]:
-    """Return the equations of the sides 12, 23, 31 in the angles from the directions of `turn_origins`."""
+    """Return the equations of the sides 12, 23, 31 in the legs' angles from the directions of `turn_origins`."""
     (c1, c2, c3), (s1, s2, s3), (r1, r2, r3) = stage.centres, stage.squares, stage.radii
     p, q = multiples(stage.radii, first), multiples(stage.radii, second)
     return (
@@ -235,7 +239,7 @@ def _pair_form(gap: Vector, squares: float, p: Vector, q: Vector, p2: Vector, q2
 
 
 def form_sizes(forms: tuple[PairForm, PairForm, PairForm]) -> Vector:
-    """Return bounds of the terms of the errors and of their second derivatives."""
+    """Return a bound of each error, and of its second derivatives, over all real angles."""
     return _sum(forms[0]), _sum(forms[1]), _sum(forms[2])
 
 
@@ -255,7 +259,7 @@ def in_other_angle(form: PairForm, c: float, s: float) -> Vector:
 
 
 def in_first_angle(form: PairForm, one: float, c: float, s: float) -> Vector:
-    """Return the coefficients of 1, cosine and sine of the first angle where the second has a multiple of (1, c, s)."""
+    """Return the coefficients of 1, cosine and sine of the first angle; those of the second are as one to c to s."""
     return (
         form.constant * one + form.other_cosine * c + form.other_sine * s,
         form.cosine * one + form.cosines * c + form.cosine_sine * s,
@@ -264,9 +268,10 @@ def in_first_angle(form: PairForm, one: float, c: float, s: float) -> Vector:
 
 
 def eliminant(forms: tuple[PairForm, PairForm, PairForm], c: float, s: float) -> float:
-    """Return the product of the third equation over the four pairs of angles that fit one of the first.
+    """Return a trigonometric polynomial of degree eight that vanishes at the first leg's angles in all assembly modes.
 
-    It is free of denominators: a trigonometric polynomial of degree eight in the first angle, with cosine c and sine s.
+    c and s are cosine and sine of that angle. The sides 12 and 31 allow two angles each of the other legs; this is the
+    product of the errors of the side 23 over the four pairs, times what frees it of denominators.
     """
     f12, f23, f31 = forms
     n2, a2, b2 = in_other_angle(f12, c, s)
@@ -286,7 +291,7 @@ def eliminant(forms: tuple[PairForm, PairForm, PairForm], c: float, s: float) ->
 
 
 def turn_equations(forms: tuple[PairForm, PairForm, PairForm], c: Vector, s: Vector) -> tuple[Vector, Pairs]:
-    """Return the errors, and the c_ij, from cosines and sines of the angles, which may be complex."""
+    """Return the errors, and their derivatives c_ij, from cosines and sines of the angles, which may be complex."""
     f12, f23, f31 = forms
     (n12, a12, b12), (_, a21, b21) = in_other_angle(f12, c[0], s[0]), in_first_angle(f12, 1.0, c[1], s[1])
     (n23, a23, b23), (_, a32, b32) = in_other_angle(f23, c[1], s[1]), in_first_angle(f23, 1.0, c[2], s[2])

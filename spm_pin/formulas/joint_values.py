@@ -1,8 +1,8 @@
 """Values of the revolute, prismatic and ball joints of a state, of any machine: `docs/mechanism.md`.
 
-A leg's actuated joint has the value of its reading less that at home, its passive one the angle about the revolute axis
-from home. `kind` has the formulas of the leg's kind as of `spm_pin.formulas.planar_legs`, made for the same runner.
-Angles are returned as multiples of their sine and cosine, for the runner's own arc tangent.
+The value of a leg's actuated joint is its reading less that at home, the value of its passive joint the angle about the
+revolute axis from home. `kind` has the leg's formulas from `spm_pin.formulas.planar_legs`, bound to the same kind of
+numbers. Angles are returned as multiples of their sine and cosine, for the caller's own arc tangent.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ class LegFrame(NamedTuple):
     outward: float  # x and z of the leg's plane over y and z of the frame, +1 or -1
     up: float
     rod: InPlane  # direction from the circle's centre to the ball at home
-    passive: InPlane  # the same as the body sees it that carries the passive joint
+    passive: InPlane  # the same in the frame of the body that carries the passive joint
     home_reading: float
-    numbers: Numbers  # that are fixed in the leg
+    numbers: Numbers  # constants of the leg, see `planar_legs`
 
 
 class LegValues(NamedTuple):
@@ -56,10 +56,10 @@ class LegValues(NamedTuple):
 def leg_home(
     x: float, height: float, limits: tuple[float, float], slope_sign: float, numbers: Numbers, kind: Any
 ) -> LegHome:
-    """Return a leg at home, where its ball is at x: at the middle of its limits, if the stage stands there.
+    """Return a leg at home, where its ball is at x: at the middle of its limits, if the ball then is above the plate.
 
     Otherwise, and without limits, it is at the reading of its kind's `home`. `slope_sign` is that of κ in the leg's
-    working mode, and `height` the sum of the radii of the stage's triangles.
+    working mode, and `height` the home height of a stage without limits, the sum of the radii of its two triangles.
     """
     low, high = limits
     middle = 0.5 * (low + high)
@@ -69,7 +69,7 @@ def leg_home(
 
 
 def _home_height(x: float, reading: float, slope_sign: float, numbers: Numbers, kind: Any) -> float:
-    """Return z of a ball on the circle of a reading, the upper one unless it is of the other working mode."""
+    """Return z of a ball at x on the circle of a reading: the upper place, or the lower one if that has the mode."""
     circle: Circle = kind.circle(reading, numbers)
     aside = x - circle.x
     rise = sqrt((circle.radius - aside) * (circle.radius + aside))
@@ -124,7 +124,7 @@ def stage_frames(
 
 
 def _frame_at(home: LegHome, leg: int, legs: StageLegs, own_axes: Rows, numbers: Any, up: float, kind: Any) -> LegFrame:
-    """Return the constants of a leg; one of the other working mode has another reading in the same place."""
+    """Return the constants of a leg; in the other working mode the ball is in the same place at another reading."""
     drawn, own = numbers[0][leg], numbers[1][leg]
     has_mode = kind.largest_slope(drawn) * kind.largest_slope(numbers[0][0]) > 0.0
     at_home = LegHome(where(has_mode, home.reading, kind.reading(home.x, home.z, drawn)), home.x, home.z)
@@ -133,7 +133,7 @@ def _frame_at(home: LegHome, leg: int, legs: StageLegs, own_axes: Rows, numbers:
 
 
 def leg_values(ball: Vector, leg: LegFrame, kind: Any) -> LegValues:
-    """Return the values of a leg's passive and actuated joint."""
+    """Return the values of a leg's passive and actuated joint from its ball, in {B} or {m}."""
     along, across, level = minus(times(leg.axes, ball), leg.pivot)
     x, z = leg.outward * across, leg.up * level
     reading = kind.reading(x, z, leg.numbers)
@@ -145,7 +145,7 @@ def leg_values(ball: Vector, leg: LegFrame, kind: Any) -> LegValues:
 
 
 def _turn(begin: InPlane, end: InPlane, sense: float) -> Angle:
-    """Return the angle from a direction at home to another about the leg's axis, x to z if `sense` is +1."""
+    """Return the angle about the leg's axis from a direction at home to another, from x towards z if `sense` is +1."""
     return sense * (begin[0] * end[1] - begin[1] * end[0]), begin[1] * end[1] + begin[0] * end[0]
 
 

@@ -1,4 +1,4 @@
-"""Constants of the legs from the drawing, the 54 parameters and the limits: `docs/mechanism.md`."""
+"""Constants of the legs as drawn, and the formulas of their parameters and limits: `docs/mechanism.md`."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, larger,
 
 UP = (0.0, 0.0, 1.0)
 RADIAL = ((COS_30, -0.5, 0.0), (0.0, 1.0, 0.0), (-COS_30, -0.5, 0.0))
-"""Unit vectors towards the drawn legs 1, 2, 3, in {B} and in {m}."""
+"""Unit vectors from the platform's centre towards the drawn legs 1, 2, 3, in {B} of lower and in {m} of upper legs."""
 AXES = ((0.5, COS_30, 0.0), (1.0, 0.0, 0.0), (-0.5, COS_30, 0.0))
-"""The drawn revolute axes."""
+"""The drawn revolute axes, unit vectors in the same frames."""
 TANGENT_SIGNS = (1.0, -1.0, -1.0)
-"""Signs that make the axes tangents of their platform, counterclockwise about z: a turn about them leads outwards."""
+"""Signs by which the drawn axes point counterclockwise about z: z turned about such an axis goes outwards."""
 INFINITY = float("inf")
 LIMIT_ROUNDING = 1e-8
-"""By how much a reading may be beyond a limit and count as within it, over the larger finite limit of its leg: the
-readings computed for a state at an end stop differ from the stop by rounding, near a singularity by that much."""
+"""By how much a reading may be beyond a limit and count as within it, as a share of the leg's larger finite limit. The
+reading computed for a state at an end stop differs from the stop by rounding, near a singularity by that much."""
 
 
 def drawn_triangle(radius: float) -> Rows:
-    """Return the points at a radius along the `RADIAL` directions."""
+    """Return the three points at a radius along the `RADIAL` directions."""
     return scaled(radius, RADIAL[0]), scaled(radius, RADIAL[1]), scaled(radius, RADIAL[2])
 
 
 def mean_radius(points: Rows) -> float:
-    """Return the mean of three points along the `RADIAL` directions."""
+    """Return the mean radius of three points: of their components along the `RADIAL` directions."""
     return (dot(RADIAL[0], points[0]) + dot(RADIAL[1], points[1]) + dot(RADIAL[2], points[2])) / 3.0
 
 
 def turned_axis(axis: Vector, first: float, second: float) -> Vector:
-    """Return a drawn axis after a turn of two components, see `spm_pin.Geometry.parameters`."""
+    """Return a drawn axis turned by two angles [rad], towards z x axis and towards z: `spm_pin.Geometry.parameters`."""
     square = first * first + second * second
     small = square < 1e-8
     angle = sqrt(where(small, 1.0, square))
@@ -52,8 +52,8 @@ def limit_rounding(low: float, high: float) -> float:
 
 
 def leg_axes(axis: Vector) -> Rows:
-    """Return the axes of a leg's frame: x along its revolute axis, z as near to {B}'s or {m}'s as that allows."""
+    """Return the axes of a leg's frame: x along its revolute axis, z as near to Z of {B} or {m} as that allows."""
     z = combined(UP, -axis[2], axis)
     scale = 1.0 / sqrt(dot(z, z))
-    # The second is z x, without what rounding would leave of its third component.
+    # The second axis is z × x, without what rounding would leave of its third component.
     return axis, scaled(scale, cross(UP, axis)), scaled(scale, z)

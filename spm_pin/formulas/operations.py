@@ -16,7 +16,7 @@ RIGHT_ANGLE = float(np.pi / 2.0)
 """The angle π/2, likewise."""
 
 sqrt: Callable[[float], float] = np.sqrt
-"""The square root, not a number of a negative one."""
+"""The square root, NaN of a negative number."""
 cos: Callable[[float], float] = np.cos
 sin: Callable[[float], float] = np.sin
 arctan2: Callable[[float, float], float] = np.arctan2
@@ -44,9 +44,8 @@ def either(a: bool, b: bool) -> bool:
 def bind(formula: F, **operations: Any) -> F:
     """Return a copy of a formula, and of all formulas that it calls, with other operations.
 
-    `operations` stand for `sqrt`, `cos`, `sin`, `arctan2`, `where`, `both`, `either`, and perhaps `COS_30` and
-    `RIGHT_ANGLE`, in the copies. What is
-    not given stays that of floats.
+    In the copies `operations` stand for `sqrt`, `cos`, `sin`, `arctan2`, `where`, `both`, `either`, and perhaps
+    `COS_30` and `RIGHT_ANGLE`. What is not given stays that of floats.
     """
     copy: F = _copied(formula, operations, {})
     return copy

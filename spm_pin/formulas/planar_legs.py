@@ -1,18 +1,20 @@
-"""Planar legs: what the actuator of a leg shows of its ball, and the circle on which a reading leaves the ball.
+"""Planar legs: the reading of a leg whose ball is in a given place, and the circle of the ball at a given reading.
 
-A planar leg has two joints that move in one plane, and a ball; one joint is actuated. `x` and `z` are the ball's place
-in that plane from the leg's pivot, radially outwards and towards the middle platform. With the actuator locked the ball
-is on a circle, see `Circle`. The slope κ is the speed of the ball away from the circle's centre per unit rate of the
-reading; where it is zero the leg itself is singular: `docs/theory/planar_legs.md`.
+A planar leg has two joints that move in one plane, and a ball at its end. One joint is actuated: the reading is the
+length of an RPS leg [m], the place of a PRS leg's carriage on its slide [m], the angle of an RRS leg's crank [rad], all
+without the encoder's offset. `x` and `z` [m] are the ball's coordinates in the plane from the leg's pivot, radially
+outwards and towards the middle platform. With the actuator locked the ball moves on a circle, see `Circle`. The slope κ
+is the speed of the ball away from the circle's centre per unit rate of the reading; where it is zero the leg itself is
+singular: `docs/theory/planar_legs.md`.
 
-Each kind has the same formulas, of the numbers that are fixed in a leg: of RPS none; of PRS the rod's length, the
-direction of the slide, an angle from x towards z, and the working mode; of RRS the lengths of crank and rod, and the
-working mode. The working mode is the sign, +1 or -1, of the root in the reading. Its radicand, the `reach`, is negative
-for a ball out of the leg's reach, and so is the `room`, which is a distance.
+Each kind has the same formulas. `numbers` are the constants of a leg: RPS has none; PRS the rod's length, the direction
+of the slide, an angle from x towards z, and the working mode; RRS the lengths of crank and rod, and the working mode.
+The working mode is the sign, +1 or -1, of the square root in the reading. `reach` is the number under that root:
+negative for a ball out of the leg's reach, as is the `room`, which is a distance.
 
-Two formulas serve the values of the joints, `spm_pin.formulas.joint_values`. `home` is the reading at home where no
-limits say, from x there, the height of a stage that is as high as its two radii together, and the least reading;
-`passive` is a direction as the body sees it that carries the passive joint.
+Two formulas serve the values of the joints, `spm_pin.formulas.joint_values`. `home` is the reading at home of a leg
+without limits, from the ball's x, the stage's height and the least reading; `passive` turns a direction (x, z) into the
+frame of the body that carries the passive joint.
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ from spm_pin.formulas.vectors import Vector, combined, cross, direction, dot, la
 Numbers = tuple[float, ...]
 
 RPS_LEGS, PRS_LEGS, RRS_LEGS = 0, 1, 2
-"""Numbers of the kinds of legs, for those who choose their formulas by a number."""
+"""Numbers of the kinds of legs, by which kernels choose their formulas."""
 LONGEST_CHORD = 0.1
-"""Turn of a crank [rad] over which the arc of its end is replaced by the chord where a state is followed."""
+"""Largest turn of a crank [rad] in which its end is taken to move along the chord where a state is followed."""
 MOST_TURNED = 16.0 * RIGHT_ANGLE
 """Largest reading of a crank, offset aside [rad]: more than four turns are taken for degrees."""
 
@@ -45,12 +47,12 @@ class Room(NamedTuple):
     """Distance of a ball from where its leg is singular, negative out of the leg's reach, and its gradient."""
 
     distance: float
-    x: float
+    x: float  # of the gradient
     z: float
 
 
 class LegState(NamedTuple):
-    """The state of a leg, from its ball's place; of a ball out of reach, that of the nearest place within."""
+    """The state of a leg, from its ball's place; of a ball out of reach, from the nearest place within reach."""
 
     room: Room
     reading: float
@@ -69,12 +71,12 @@ class LegRates(NamedTuple):
 
 
 _WITHIN = 1e-10
-"""How far within its reach, over its length, a leg is evaluated whose ball is not: there κ is 1e-5 of its largest."""
+"""A leg whose ball is out of reach is evaluated this far within, over its length: there κ is 1e-5 of its largest."""
 
 
 _LEAST_SLOPE = 0.01
-"""Down to which share of its largest κ is followed by the rates of a `LegState`: none is more than a hundred times as
-steep as at best. Nearer to its singularity a search that believed in them could hardly leave it."""
+"""Share of the largest κ below which the gain 1/κ of a `LegState` falls again instead of growing: a search that relied
+on larger gains near a singularity of the leg could hardly leave it."""
 
 
 class LegPlane(NamedTuple):
@@ -126,12 +128,12 @@ def rps_slope(x: float, z: float, reading: float, numbers: Numbers) -> float:
 
 
 def rps_home(x: float, height: float, least: float, numbers: Numbers) -> float:
-    """Return the length of an RPS leg: the shortest, and on top of it that of a leg of a stage of this height."""
+    """Return the length of an RPS leg: the least one, plus that of a leg whose ball is at this height."""
     return least + sqrt(x * x + height * height)
 
 
 def rps_passive(x: float, z: float, reading: float) -> tuple[float, float]:
-    """Return a direction as the plate of an RPS leg sees it."""
+    """Return a direction in the frame of the plate, which carries the passive joint of an RPS leg."""
     return x, z
 
 
@@ -153,14 +155,14 @@ def rps_state(x: float, z: float, numbers: Numbers) -> LegState:
 
 
 def prs_reach(x: float, z: float, numbers: Numbers) -> float:
-    """Return the square of what is left of a PRS leg's rod along the slide, negative where the rod is too short."""
+    """Return the square of the rod's component along the slide of a PRS leg, negative where the rod is too short."""
     rod, direction, _ = numbers
     across = cos(direction) * z - sin(direction) * x
     return (rod - across) * (rod + across)
 
 
 def prs_reading(x: float, z: float, numbers: Numbers) -> float:
-    """Return the place of a PRS leg's carriage along its slide, not a number where the rod is too short."""
+    """Return the place of a PRS leg's carriage along its slide, NaN where the rod is too short."""
     _, direction, sign = numbers
     return cos(direction) * x + sin(direction) * z + sign * sqrt(prs_reach(x, z, numbers))
 
@@ -183,7 +185,7 @@ def prs_home(x: float, height: float, least: float, numbers: Numbers) -> float:
 
 
 def prs_passive(x: float, z: float, reading: float) -> tuple[float, float]:
-    """Return a direction as the carriage of a PRS leg sees it, which does not turn."""
+    """Return a direction in the frame of a PRS leg's carriage, which does not turn."""
     return x, z
 
 
@@ -194,7 +196,7 @@ def prs_largest_slope(numbers: Numbers) -> float:
 
 
 def prs_room(x: float, z: float, numbers: Numbers) -> Room:
-    """Return the room of a PRS leg: how far the rod is longer than the ball is beside the slide."""
+    """Return the room of a PRS leg: the rod's length less the ball's distance from the slide."""
     rod, direction, _ = numbers
     cosine, sine = cos(direction), sin(direction)
     across = cosine * z - sine * x
@@ -220,7 +222,7 @@ def rrs_reach(x: float, z: float, numbers: Numbers) -> float:
 
 
 def rrs_crank(x: float, z: float, numbers: Numbers) -> tuple[float, float]:
-    """Return x² + z² times cosine and sine of the angle of an RRS leg's crank; not numbers out of its reach."""
+    """Return x² + z² times cosine and sine of the angle of an RRS leg's crank; NaN out of its reach."""
     crank, rod, sign = numbers
     # The knee along the line from pivot to ball, and beside it, times that line's length.
     along = (x * x + z * z + (crank + rod) * (crank - rod)) / (2.0 * crank)
@@ -229,7 +231,7 @@ def rrs_crank(x: float, z: float, numbers: Numbers) -> tuple[float, float]:
 
 
 def rrs_reading(x: float, z: float, numbers: Numbers) -> float:
-    """Return the angle of an RRS leg's crank from x towards z, from -π/2 to 3π/2; not a number out of its reach."""
+    """Return the angle of an RRS leg's crank from x towards z, from -π/2 to 3π/2; NaN out of its reach."""
     cosine, sine = rrs_crank(x, z, numbers)
     return RIGHT_ANGLE + arctan2(-cosine, sine)
 
@@ -250,7 +252,7 @@ def _lever_arm(x: float, z: float, circle: Circle) -> float:
 
 
 def rrs_room(x: float, z: float, numbers: Numbers) -> Room:
-    """Return the room of an RRS leg: from the ball to where crank and rod are in line, stretched or folded."""
+    """Return the room of an RRS leg: how far the ball is from where crank and rod are in line, stretched or folded."""
     crank, rod, _ = numbers
     distance = sqrt(x * x + z * z)
     stretched, folded = crank + rod - distance, distance - magnitude(crank - rod)
@@ -266,7 +268,7 @@ def rrs_home(x: float, height: float, least: float, numbers: Numbers) -> float:
 
 
 def rrs_passive(x: float, z: float, reading: float) -> tuple[float, float]:
-    """Return a direction as the crank of an RRS leg sees it."""
+    """Return a direction in the frame of an RRS leg's crank."""
     cosine, sine = cos(reading), sin(reading)
     return cosine * x + sine * z, cosine * z - sine * x
 

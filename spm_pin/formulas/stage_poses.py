@@ -1,8 +1,9 @@
 """The pose of a stage's platform from its normal and the height of its centre: `docs/theory/stages.md`.
 
 The rotation is T R_z(ψ), where T turns z to the normal about a level axis and ψ is the torsion. The planes of the legs,
-a_i·(R p_i + t) = a_i·(pivot i), are linear in x and y of t and in cos ψ and sin ψ. Weights under which x and y drop out
-leave one equation in ψ: two solutions. Without errors one has no torsion, mode T, and one a half turn, mode F.
+a_i·(R p_i + t) = a_i·(pivot i), are linear in x and y of t and in cos ψ and sin ψ. A sum of them with weights under
+which x and y drop out is one equation in ψ, with two solutions: of a drawn stage one has no torsion, mode T, and the
+other a half turn, mode F.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from spm_pin.formulas.vectors import (
 
 
 class StageConstants(NamedTuple):
-    """The planes of a stage's legs, the balls in the platform's frame, and what solves three planes for x and y."""
+    """The planes of a stage's legs, the balls in the platform's frame, and what solves the planes for x and y."""
 
     axes: Rows
     heights: Vector  # a_i·(pivot i)
@@ -57,7 +58,7 @@ def stage_constants(axes: Rows, pivots: Rows, balls: Rows) -> StageConstants:
 
 
 def shortest_turn(normal: Vector) -> Rows:
-    """Return the rotation T about a level axis that takes z to a unit vector, not a number where that is -z."""
+    """Return the rotation T about a level axis that takes z to a unit vector, NaN where that is -z."""
     x, y, z = normal
     scale = 1.0 / (1.0 + z)
     return (1.0 - scale * x * x, -scale * x * y, x), (-scale * x * y, 1.0 - scale * y * y, y), (-x, -y, z)
@@ -76,14 +77,14 @@ def torsion_equation(turn: Rows, height: float, stage: StageConstants) -> Torsio
 
 
 def discriminant(equation: Torsion) -> float:
-    """Return a number that is negative where no platform has the normal, and zero where both modes meet."""
+    """Return a number that is negative where no pose has the normal, and zero where both modes meet."""
     return equation.cosine * equation.cosine + equation.sine * equation.sine - equation.constant * equation.constant
 
 
 def pose_in_mode(
     sign: float, turn: Rows, height: float, equation: Torsion, stage: StageConstants
 ) -> tuple[Rows, Vector]:
-    """Return rotation and position of mode T, sign +1, or F, -1; not numbers where there is none."""
+    """Return rotation and position of mode T, sign +1, or F, -1; NaN where there is none."""
     a, b, constant = equation.cosine, equation.sine, equation.constant
     root, scale = sign * sqrt(discriminant(equation)), 1.0 / (a * a + b * b)
     c, s = scale * (a * constant + b * root), scale * (b * constant - a * root)
@@ -104,9 +105,9 @@ def platform_balls(rotation: Rows, position: Vector, balls: Rows) -> Rows:
 
 
 def parasitic_rates(axes: Rows, b: Rows, o: Vector, motion: Vector) -> tuple[Vector, Vector]:
-    """Return the twist (v, ω) at o of which v_z, ω_x, ω_y are given: v_x, v_y, ω_z follow from the stage.
+    """Return the platform's twist (v, ω) at o from `motion`, its v_z, ω_x, ω_y; the legs' planes give v_x, v_y, ω_z.
 
-    They are not numbers at a constraint singularity, where both modes meet.
+    These are NaN or infinite at a constraint singularity, where both modes meet.
     """
     rate, wx, wy = motion
     arms = minus(b[0], o), minus(b[1], o), minus(b[2], o)

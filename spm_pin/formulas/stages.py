@@ -1,4 +1,4 @@
-"""The equations of one 3RPS stage: `docs/theory/forward_displacement.md`.
+"""The equations of one drawn 3RPS stage: `docs/theory/forward_displacement.md`.
 
 A stage is three legs of given lengths from pivots at radius E, each in its pivot's vertical plane, to a triangle of
 circumradius r. Units are r: ε = E/r, ζ the height of the triangle's centre, w = x1 + i x2 of its quaternion, and of the
@@ -25,30 +25,30 @@ from spm_pin.formulas.vectors import (
     scaled,
 )
 
-State = tuple[float, float, float, float]
+ModeState = tuple[float, float, float, float]
 Pairs = tuple[float, float, float, float, float, float]
 """Quantities of the pairs of legs 12, 23, 31, 21, 32, 13."""
 
 ANY_ASPECT, HOME_ASPECT = 0.0, 2.0
-"""Aspects of a stage, beside 1 and -1, those with this sign of the determinant."""
+"""Numbers of a stage's aspects; 1 and -1 stand for all with this sign of the determinant."""
 
 EPS = 2.0**-52
 """The distance from 1 to the next larger double."""
 
 
 class StageEquations(NamedTuple):
-    """The right sides of f = 0."""
+    """The constants of the equations f = 0 of a stage in one mode, in units of r."""
 
     epsilon: float  # E/r, negative in mode F
     level: float  # c = m - (1 - ε)², ζ² of the level triangle
     real: float  # λ
     imag: float
-    scale: float  # the largest terms' size
+    scale: float  # size of the largest terms
     lengths: Vector
 
 
 def stage_equations(first: float, second: float, third: float, epsilon: float) -> StageEquations:
-    """Set up f = 0 for leg lengths and a signed radius of the pivots in units of r."""
+    """Set up f = 0 for three leg lengths and ε, in units of r."""
     # Differences of squares as products: exact where legs are equal.
     real, imag = _harmonic(
         (second - first) * (second + first), (second - third) * (second + third), (first - third) * (first + third)
@@ -60,12 +60,12 @@ def stage_equations(first: float, second: float, third: float, epsilon: float) -
 
 
 def _harmonic(second_first: float, second_third: float, first_third: float) -> tuple[float, float]:
-    """Return the first harmonic of three numbers over the azimuths, from their differences."""
+    """Return the first Fourier coefficient of three numbers over the legs' azimuths, from their differences."""
     return (second_first + second_third) / 6.0, first_third * (COS_30 / 3.0)
 
 
-def residual(stage: StageEquations, state: State) -> Vector:
-    """Return f: the parts of the equation for λ, and the one for ζ²."""
+def residual(stage: StageEquations, state: ModeState) -> Vector:
+    """Return f: real and imaginary part of the equation for λ, and the one for ζ²."""
     x0, x1, x2, zeta = state
     a, b, p = x1 * x1 - x2 * x2, 2.0 * x1 * x2, x1 * x1 + x2 * x2
     h, lift = 2.0 * stage.epsilon - x0 * x0, 2.0 * zeta * x0
@@ -74,8 +74,8 @@ def residual(stage: StageEquations, state: State) -> Vector:
     return real, imag, zeta * zeta + (2.0 * stage.epsilon + p) * p - stage.level
 
 
-def residual_by_legs(stage: StageEquations, state: State) -> Vector:
-    """Return f from the error of each leg's own square, which rounds no more than that square."""
+def residual_by_legs(stage: StageEquations, state: ModeState) -> Vector:
+    """Return f from the errors of the squared lengths leg by leg, which keeps the digits of a short leg."""
     radii, heights = corners(state[0], state[1], state[2], 0.0, state[3])
     first = _error_of_square(radii[0] - stage.epsilon, heights[0], stage.lengths[0])
     second = _error_of_square(radii[1] - stage.epsilon, heights[1], stage.lengths[1])
@@ -88,7 +88,7 @@ def _error_of_square(x: float, z: float, length: float) -> float:
     return x * x + (z * z - length * length)
 
 
-def derivatives(stage: StageEquations, state: State) -> tuple[State, State, State]:
+def derivatives(stage: StageEquations, state: ModeState) -> tuple[ModeState, ModeState, ModeState]:
     """Return the derivatives of f with respect to x0, x1, x2, ζ."""
     x0, x1, x2, zeta = state
     a, b = x1 * x1 - x2 * x2, 2.0 * x1 * x2
@@ -100,27 +100,27 @@ def derivatives(stage: StageEquations, state: State) -> tuple[State, State, Stat
     return real, imag, (0.0, slope * x1, slope * x2, 2.0 * zeta)
 
 
-def _tangents(state: State) -> tuple[Vector, Vector]:
+def _tangents(state: ModeState) -> tuple[Vector, Vector]:
     """Return two orthonormal tangents of the sphere of quaternions, smooth for x0 >= 0."""
     x0, x1, x2, _ = state
     q = 1.0 / (1.0 + x0)
     return (-x1, 1.0 - q * x1 * x1, -q * x1 * x2), (-x2, -q * x1 * x2, 1.0 - q * x2 * x2)
 
 
-def _along(row: State, first: Vector, second: Vector) -> Vector:
+def _along(row: ModeState, first: Vector, second: Vector) -> Vector:
     slope = row[0], row[1], row[2]
     return dot(slope, first), dot(slope, second), row[3]
 
 
-def jacobian(stage: StageEquations, state: State) -> Rows:
+def jacobian(stage: StageEquations, state: ModeState) -> Rows:
     """Return J, the derivatives of f along both tangents of the sphere of quaternions and along ζ."""
     first, second = _tangents(state)
     real, imag, height = derivatives(stage, state)
     return _along(real, first, second), _along(imag, first, second), _along(height, first, second)
 
 
-def moved(state: State, step: Vector) -> State:
-    """Move a state by a step along the tangents and ζ, back onto the sphere, with x0 >= 0."""
+def moved(state: ModeState, step: Vector) -> ModeState:
+    """Return a state after a step along the tangents and ζ, put back onto the sphere, with x0 >= 0."""
     first, second = _tangents(state)
     x = combined(combined((state[0], state[1], state[2]), step[0], first), step[1], second)
     # Both signs of a quaternion are one rotation.
@@ -140,7 +140,7 @@ def inverse(rows: Rows) -> tuple[Rows, bool]:
 
 
 def damped(step: Vector, longest: float) -> Vector:
-    """Return a step whose turns are no longer than `longest`, and whose change of ζ is at most 1."""
+    """Return a step scaled down so that its turns are at most `longest` [rad] and its change of ζ at most 1."""
     excess = larger(larger(1.0, magnitude(step[0]) / longest), larger(magnitude(step[1]) / longest, magnitude(step[2])))
     return scaled(1.0 / excess, step)
 
@@ -192,7 +192,8 @@ def corners(x0: float, x1: float, x2: float, x3: float, zeta: float) -> tuple[Ve
 def stage_pairs(radii: Vector, heights: Vector, base_radius: float) -> Pairs:
     """Return c_ij = (b_i - b_j)·w_i of a drawn stage, w_i = z_i u_i - (ρ_i - E) Z normal to leg i and to its axis.
 
-    The same as `wrenches.pairs`, from u_i·u_j = -1/2, where δ is not divided by its length.
+    ρ_i and z_i are radius and height of b_i, u_i is the radial direction. The same as `wrenches.pairs` of legs that are
+    not divided by their lengths.
     """
     (p1, p2, p3), (z1, z2, z3) = radii, heights
     return (
@@ -206,7 +207,7 @@ def stage_pairs(radii: Vector, heights: Vector, base_radius: float) -> Pairs:
 
 
 def pair_determinant(c: Pairs) -> float:
-    """Return D = c12 c23 c31 + c21 c32 c13, minus the determinant of the six forces of a stage."""
+    """Return D = c12 c23 c31 + c21 c32 c13, minus the determinant of a stage's six forces, see `wrenches`."""
     return c[0] * c[1] * c[2] + c[3] * c[4] * c[5]
 
 
@@ -254,7 +255,7 @@ def _sign_bit(x: float) -> float:
 
 
 def cartesian(radii: Vector, heights: Vector) -> Rows:
-    """Return points in the vertical planes of the legs by their coordinates in {B}."""
+    """Return in {B} the three points with these radii and heights in the vertical planes of the drawn legs."""
     p1, p2, p3 = radii
     first, second = (COS_30 * p1, -0.5 * p1, heights[0]), (0.0 * p2, p2, heights[1])
     return first, second, (-COS_30 * p3, -0.5 * p3, heights[2])

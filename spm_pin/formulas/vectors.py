@@ -70,34 +70,34 @@ def combined(a: Vector, x: float, b: Vector) -> Vector:
 
 
 def direction(a: Vector) -> Vector:
-    """Return a over its length, not a number where that is zero."""
+    """Return the unit vector along a, NaN where a is zero."""
     return scaled(1.0 / sqrt(dot(a, a)), a)
 
 
 def directions(a: Rows) -> Rows:
-    """Return three vectors over their lengths."""
+    """Return the unit vectors along three vectors."""
     return direction(a[0]), direction(a[1]), direction(a[2])
 
 
 def directions_and_lengths(a: Rows) -> tuple[Rows, Vector]:
-    """Return three vectors over their lengths, and the lengths."""
+    """Return the unit vectors along three vectors, and the lengths of these."""
     x, y, z = dots(a, a)
     x, y, z = sqrt(x), sqrt(y), sqrt(z)
     return multiples((1.0 / x, 1.0 / y, 1.0 / z), a), (x, y, z)
 
 
 def weighted(weights: Vector, rows: Rows) -> Vector:
-    """Return the sum of three vectors with these weights: the transpose of a matrix times a vector."""
+    """Return the weighted sum of three vectors: the transpose of a matrix times a vector."""
     return combined(combined(scaled(weights[0], rows[0]), weights[1], rows[1]), weights[2], rows[2])
 
 
 def times(rows: Rows, a: Vector) -> Vector:
-    """Return a matrix times a vector."""
+    """Return the product of a matrix and a vector."""
     return dot(rows[0], a), dot(rows[1], a), dot(rows[2], a)
 
 
 def transposed(rows: Rows) -> Rows:
-    """Return the columns of a matrix."""
+    """Return the transpose of a matrix, or the columns of it."""
     a, b, c = rows
     return (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
 
@@ -108,7 +108,7 @@ def matrix_product(a: Rows, b: Rows) -> Rows:
 
 
 def rotation_of(x: float, y: float, z: float, w: float) -> Rows:
-    """Return the rotation of a quaternion of any length, scalar last."""
+    """Return the rotation matrix of a quaternion of any length, scalar last."""
     scale = 1.0 / (x * x + y * y + z * z + w * w)
     return (
         scaled(scale, (x * x - y * y - z * z + w * w, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w))),

@@ -1,16 +1,17 @@
 """The forces of the legs on the middle platform, and what they allow: `docs/theory/rates_forces_singularities.md`.
 
-A stage has three forces f_i through the ball joints b_i that hold, and three, a_i, that constrain. A motion of the
-platform moves b_i by
+Each leg of a stage acts through its ball b_i with two forces: along f_i, where it lets b_i move at the rate q_i, and
+along a_i, where it lets it not move at all. So a motion of the platform moves b_i with the velocity
 
-    v_i = q_i n_i + λ_i w_i,    w_i = f_i x a_i,    n_i = a_i x w_i / |w_i|²,
+    v_i = q_i n_i + λ_i w_i,    w_i = f_i x a_i,    n_i = a_i x w_i / |w_i|².
 
-where its rate along f_i is q_i and that along a_i zero. What is left of its being rigid are the joints' distances: with
-c_ij = (b_i - b_j)·w_i and d_ij = (b_i - b_j)·n_i
+As the platform is rigid, the distances of the balls do not change: with c_ij = (b_i - b_j)·w_i and
+d_ij = (b_i - b_j)·n_i
 
     c_ij λ_i + c_ji λ_j = -d_ij q_i - d_ji q_j    for ij = 12, 23, 31,
 
-three equations whose determinant D = c12 c23 c31 + c21 c32 c13 is minus that of the 6 x 6 matrix of the forces.
+three equations for the λ_i. Their determinant D = c12 c23 c31 + c21 c32 c13 is minus that of the 6 x 6 matrix of the
+six forces. As a rule f_i is along the leg and a_i along its revolute axis; for the structure matrix K both are axes.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def determinant(b: Rows, f: Rows, a: Rows) -> float:
 
 
 def is_stage_at_home(b: Rows, f: Rows, a: Rows) -> bool:
-    """Return whether an upright stage of any machine is in the aspect of its home; f_i are along the legs, upwards."""
+    """Return whether an upright stage of any machine is in its home's aspect; f_i are along the legs, upwards."""
     return is_home_aspect(pairs(b, crosses(multiples(TANGENT_SIGNS, a), f)))
 
 
@@ -85,7 +86,7 @@ def stage_rates(b: Rows, f: Rows, a: Rows) -> StageRates:
 
 
 def mean(b: Rows) -> Vector:
-    """Return the centre p of three points."""
+    """Return the mean of three points."""
     return scaled(1.0 / 3.0, combined(combined(b[0], 1.0, b[1]), 1.0, b[2]))
 
 
@@ -110,12 +111,12 @@ def stage_twists(b: Rows, f: Rows, a: Rows, o: Vector) -> Matrix:
 
 
 def stage_forces(twists: Matrix, wrench: Twist) -> Vector:
-    """Return the leg forces of a stage that hold a wrench at o, from what `stage_twists` returned."""
+    """Return the leg forces of a stage that hold a wrench (f, m) at o, from its `stage_twists`."""
     return -power(twists[0], wrench), -power(twists[1], wrench), -power(twists[2], wrench)
 
 
 def power(twist: Twist, wrench: Twist) -> float:
-    """Return the product of a twist and a wrench at one point."""
+    """Return the power of a wrench under a twist, both at one point."""
     return dot(twist[0], wrench[0]) + dot(twist[1], wrench[1])
 
 
@@ -144,7 +145,7 @@ def drawn_inverse_jacobian(b: Rows, lower: Rows, upper: Rows, a: Rows, a_m: Rows
 
 
 def _rates_along(directions: Rows, rates: StageRates, free: Rows) -> Rows:
-    """Return the rates of the b_i along directions, for unit rates along the f_i; `free` has a row for each b_i."""
+    """Return the rates of the b_i along directions, a row for each, per unit rate along the f_i; `free` are the λ_i."""
     along_w, (x, y, z) = multiples(dots(directions, rates.w), free), dots(directions, rates.n)
     return combinations(along_w, (x, y, z), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 
@@ -154,8 +155,8 @@ def inverse_jacobian(
 ) -> tuple[Matrix, Matrix]:
     """Return what `drawn_inverse_jacobian` does where the upper legs' balls c_i are apart from the lower ones' b_i.
 
-    The motions of the middle platform that the lower legs' structure leaves open are those of unit rates of the b_i
-    along the R_i2; that of the upper legs takes its own three rates of them.
+    The planes of the lower legs leave the middle platform three motions: those of unit rates of the b_i along the R_i2.
+    Of these the combinations are taken in which one c_i has unit rate along its R_i2, and the other two none.
     """
     twists = stage_twists(b, a_m, a, o)
     columns, _ = inverse(_rates(a_m, c, o, twists))
@@ -205,7 +206,7 @@ def _sum_of_products(f1: Rows, m1: Rows, f2: Rows, m2: Rows) -> float:
 
 
 def arms(balls: Rows, p: Vector, side: float) -> Rows:
-    """Return the lever arms of three balls about p in units of the middle platform's side."""
+    """Return the lever arms of three balls from p, over the middle platform's side."""
     unit = 1.0 / side
     return multiples((unit, unit, unit), differences(balls, (p, p, p)))
 
@@ -225,10 +226,11 @@ def may_structure_be_singular(b: Rows, c: Rows, a: Rows, a_m: Rows, side: float,
 
 
 def _is_suspect(determinant: float, squared_size: float, singular: float) -> bool:
-    """Return False where the smallest of six forces' singular values is surely above `singular` times the largest.
+    """Return False if the smallest singular value of six forces is certainly above `singular` times the largest.
 
-    True leaves it to a decomposition; NaN is False. The five larger singular values multiply to at most (F²/5)^(5/2),
-    F the Frobenius norm, so most matrices are known to be regular. The factor covers the determinant's rounding.
+    If True, a decomposition has to tell; of NaN it is False. The five larger singular values multiply to at most
+    (F²/5)^(5/2), F the Frobenius norm, so most matrices are known to be regular. The factor covers the determinant's
+    rounding.
     """
     ratio = 5.0 / squared_size
     at_least = magnitude(determinant) * (ratio * ratio * sqrt(ratio))

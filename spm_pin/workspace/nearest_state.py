@@ -54,7 +54,7 @@ class _Problem:
         rows = 3 * len(body)
         self._states, self._machine = states, states.machine(body)
         self._target, self._size = target / np.sqrt(len(body)), states.size
-        # Rows of what is limited, in units of the size: see `state_search.Machine`.
+        # Rows of what is limited, in units of the size: see `state_search.Problem`.
         low, high, metres = np.asarray(self._machine[6])
         low[6:8], low[8:] = _LEAST_DETERMINANT, _LEAST_ROOM * states.size
         units = metres / states.size

@@ -6,8 +6,8 @@ results into other rows of it, so that the compiler takes several problems into 
 problem is computed exactly like a million. With several arrays in a loop the compiler cannot know that they do not
 overlap, and takes one problem after another.
 
-Nothing here checks an argument; the public functions do. Its modules import Numba, so they are imported when
-functions are called.
+Nothing here checks an argument; the public functions do. The modules import Numba, which takes long, so they are
+imported when a function is first called.
 
 No fast-math flag is set, not even the contraction of a product and a sum into one instruction: NaN marks a solution
 that is not real, infinity a division whose result is discarded, and without contraction straight-line arithmetic gives

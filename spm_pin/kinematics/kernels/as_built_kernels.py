@@ -72,13 +72,13 @@ the normals N = Qᵀ R: R in factors[:3, :3], and Q, whose last three rows are t
 # The numbers of `Status`, which stands in a file that the digest of kernels does not cover.
 OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
 _SHORTEST_STEPS = 1.0, 0.02, 1e-7
-"""Shortest steps of the errors, as parts of them: a branch that needs shorter ones meets another. The shorter ones are
-tried only while a real root is left for such a branch."""
-_ERROR_SHARE = 8 * POINTS  # where the row of the shares of the errors begins that roots were led to
-_LEVELS = 25  # halvings of the way, no fewer than lead to the shortest step
+"""Shortest steps, as shares of the errors, in which branches are followed: one that needs shorter steps meets another.
+The shorter ones are tried only while a real root without a label is left."""
+_ERROR_SHARE = 8 * POINTS  # where the row begins that has the share of the errors to which each root was followed
+_LEVELS = 25  # times that the way may be halved: enough for the shortest step
 _SAME_ROOT = 1e-6  # projective distance up to which a branch that was followed has arrived at a root
 _FLAT = 1e-13
-_LARGE = 5e-3  # errors, of directions and in units of r, beyond which any root may be the physical one
+_LARGE = 5e-3  # error of a direction, or of a length over r, beyond which any root may be the physical one
 _LEVEL = 0.25
 """Largest error of a leg's plane, in units of r, over the sine of the platform's tilt, at which roots of other families
 stay far from physical: towards a level pose the equations shrink with the tilt, and the errors do not."""
@@ -129,7 +129,7 @@ def _put_planes(rotation: Rows, position: Vector, machines: FloatArray, share: f
 def _put_quadrics(planes: Planes, forms: FloatArray) -> bool:
     """Write the three quadrics of six planes (3, 10), of norm 1 as matrices, and the planes' factors.
 
-    The return value is whether the normals span space; if not, t is not determined by the rotation.
+    Returned is whether the normals span space; if not, the rotation does not determine t.
     """
     normals, heights, balls, factors = planes
     # Householder reflections of (normals | identity), the identity's last three rows being the null space.
@@ -177,9 +177,9 @@ def _put_quadrics(planes: Planes, forms: FloatArray) -> bool:
 
 @jit
 def _image(x, planes):
-    """Return the centres in {B} of the three lower and of the three upper balls of a root, four numbers.
+    """Return the lower and the upper legs' balls in {B} of a root x, a quaternion, real or complex.
 
-    The planes are as `_put_quadrics` left them.
+    The planes are as `_put_quadrics` left them: their factors give t.
     """
     normals, heights, balls, factors = planes
     rotation = rotation_of(x[0], x[1], x[2], x[3])
@@ -400,7 +400,7 @@ def _assign_left_over(
 
 @jit
 def _put_nearest(rotation: Rows, position: Vector, scratch: PoseScratch, nearest: FloatArray) -> bool:
-    """Write the roots that Newton's method leads to from TT+ and TT- of the drawn machine; whether it does at once."""
+    """Write the roots to which Newton's method leads at once from the drawn TT+ and TT-; return whether it does."""
     frame = pose_frame(rotation, position, 1.0)
     tt, tf, ft, ff = families(frame, 1.0)
     radicand, noise = discriminant(tt), frame.noise

@@ -1,8 +1,9 @@
 """Newton's method on a stage: the physical state of its legs' circles, and a state followed to other circles.
 
-A stage is three circles and a triangle, `spm_pin.formulas.circles`; a robot's two are put together afterwards. The
-physical state is sought from the level stage. From a state, a step is taken if the theorem of Newton and Kantorovich
-holds at its start for all lengths along it: there is one solution near, and Newton's method finds it.
+A stage is three circles and a triangle, `spm_pin.formulas.circles`; the two stages of a robot are solved one by one and
+put together afterwards. The search for the physical state begins at the level stage. A state is followed in steps that
+are safe by the theorem of Newton and Kantorovich, `circles.is_safe_step`: there is one solution near, and Newton's
+method finds it.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ from spm_pin.formulas.vectors import Rows, Vector, combinations, largest
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
 from spm_pin.mechanism.arguments import FloatArray
 
-_SHORTEST = 1e-9  # a step shorter than this part of the way stands before a singularity
-_MOST_SAFE_STEPS = 250_000  # a bound of the time; more are taken for a singularity
+_SHORTEST = 1e-9  # where a step would have to be shorter than this share of the way, a singularity is met
+_MOST_SAFE_STEPS = 250_000  # a bound of the time; a way that needs more is said to meet a singularity
 ABSENT, HOME, ELSEWHERE = 0, 1, 2
 """Where Newton's method from the level stages ended: nowhere, in the home's aspect, or in another one."""
 
@@ -50,7 +51,7 @@ def circles_at(axes: FloatArray, centres: FloatArray, radii: FloatArray, squares
 
 @jit
 def solution(stage: Circles, start: Rows) -> tuple[Rows, Rows, bool]:
-    """Return directions and balls where Newton's method leads from near these balls, and whether it has converged."""
+    """Return the directions and balls to which Newton's method leads from the balls `start`, and if it converges."""
     e, last = directions_to(stage, start), np.nan
     for count in range(MOST_STEPS):
         step = newton_step(stage, e)
@@ -65,7 +66,7 @@ def solution(stage: Circles, start: Rows) -> tuple[Rows, Rows, bool]:
 
 @jit
 def home_state(stage: Circles, corners: Rows, up: float) -> tuple[Rows, int]:
-    """Return the balls of a stage to which Newton's method leads from the level one, and in which aspect they are."""
+    """Return the balls to which Newton's method leads from the level stage, and `HOME`, `ELSEWHERE` or `ABSENT`."""
     e, b, converged = solution(stage, level_balls(stage, corners, up))
     if not converged:
         return b, ABSENT
@@ -74,7 +75,10 @@ def home_state(stage: Circles, corners: Rows, up: float) -> tuple[Rows, int]:
 
 @jit
 def followed(start: Circles, end: Circles, first: Rows, shortest: float) -> tuple[Rows, bool]:
-    """Return where balls at the start are led in steps of at least a part of the way, and whether that is the end."""
+    """Follow the balls `first` while the circles change from `start` to `end`; return the balls, and if they got there.
+
+    No step is shorter than `shortest`, a share of the way.
+    """
     balls, share, length, change = first, 0.0, 1.0, largest_change(start, end)
     for _ in range(_MOST_SAFE_STEPS):
         target = min(share + length, 1.0)
@@ -123,8 +127,8 @@ def home_states(centres, radii, axes, balls, up, joints, aspect):
 
     The circles of the legs have `centres` (N, 3, 3) [m], `radii` (N, 3) [m] and `axes` (3, 3), in {B} of a lower stage
     and in {m} of an upper one, of which `up` is -1; `balls` (3, 3) [m] are in the platform's frame. Written are the
-    balls (N, 3, 3) [m], NaN where no state was found, and as `aspect` (N,) `ELSEWHERE` where it may have been passed
-    over.
+    balls (N, 3, 3) [m], NaN where no physical state was found, and as `aspect` (N,) where Newton's method ended: where
+    it is `ELSEWHERE`, there may be a physical state all the same.
     """
     own = rows_at(balls, 0)
     squares = squared_sides(own)

@@ -1,9 +1,9 @@
 """All assembly modes of any machine: the sixteen ways to place a triangle on three circles, complex ones too.
 
-The sides 12 and 31 give two angles of the other legs each for one of the first, the side 23 a polynomial of degree
-sixteen in e^{iθ}, from its values at roots of unity. Its roots come from the method of Ehrlich and Aberth, and Newton's
-method on the three sides gives them all their digits. Sixteen distinct ones are all there are. See
-`docs/theory/forward_displacement.md`.
+For an angle θ of the first leg the sides 12 and 31 give two angles each of the other legs; the side 23 then is a
+polynomial of degree sixteen in e^{iθ}, made from its values at roots of unity. Its roots come from the method of
+Ehrlich and Aberth, and Newton's method on the three sides gives them all their digits. Sixteen distinct ones are all.
+See `docs/theory/forward_displacement.md`.
 """
 
 from __future__ import annotations
@@ -66,15 +66,16 @@ _MOST_ITERATIONS, _MOST_STEPS = 40, 30
 _SEPARATE = 1e-7
 """Solutions closer than this, relative to e^{iθ}, are one: rounding resolves a double one no better."""
 _REGULAR = 3e7
-"""Largest change of the angles per relative change of the equations. With rounding the theorem of Newton and
-Kantorovich holds up to a few times as much; beyond, beside a fold or a family, a solution does not count."""
+"""Largest change of the angles per relative change of the equations at which a solution counts. Up to a few times as
+much the theorem of Newton and Kantorovich holds in spite of rounding; beyond, a fold or a continuous family is near."""
 _LONGEST_LEG = 50.0
 """Radius of a circle over the longest side of the triangle beyond which modes are not known to be all."""
 _NEARLY_REAL = 1e-5  # relative imaginary part from which Newton's method is first tried with real angles
 _FITS = 1e-3  # relative error of the third side up to which a pair of angles is tried
-_SHORTEST = 0.02  # a mode that needs shorter steps of the errors meets another
+_SHORTEST = 0.02  # a mode that needs steps below this share of the errors is said to meet another
 _FIRST_STEP, _CONTRACTION = 0.1, 0.1
-"""Newton's method has to begin with a turn of at most the one, and its second be at most this part of the first."""
+"""A step of the errors is taken if Newton's first turn is at most `_FIRST_STEP` [rad], and its second at most
+`_CONTRACTION` times the first."""
 _SAME = 1e-3  # distance in units of r up to which a mode that was followed has arrived at a root
 # Rows of the work array of the polynomial's roots.
 _RE, _IM, _VALUE_RE, _VALUE_IM, _SLOPE_RE, _SLOPE_IM, _CROWD_RE, _CROWD_IM, _MOVED, _ROWS = range(10)
@@ -178,9 +179,9 @@ def _fitting_angles(coefficients):
 
 @jit
 def _polished(forms, sizes, c, s):
-    """Return cosines and sines where Newton's method leads, real from real ones, and whether it is a regular solution.
+    """Return the cosines and sines to which Newton's method leads, and whether they are a regular solution, `_REGULAR`.
 
-    `sizes` are those of the equations' terms, `circles.form_sizes`.
+    `sizes` are `circles.form_sizes`. Real angles stay real.
     """
     last = np.nan
     for _ in range(_MOST_STEPS):
@@ -254,7 +255,7 @@ def _complex(x):
 
 @jit
 def _is_real(c, s, tolerance):
-    """Return whether angles are their own conjugates."""
+    """Return whether the imaginary parts of angles are at most `tolerance`, relative to e^{iθ}."""
     is_real = True
     for i in range(3):
         is_real = is_real and abs(c[i].imag) + abs(s[i].imag) <= tolerance * (_size(c[i]) + _size(s[i]))
@@ -280,7 +281,7 @@ def _add_solution(forms, sizes, c, s, offset, found, count):
 
 @jit
 def _collect(forms, offset, is_retry, found, count):
-    """Append the solutions that belong to the roots of one elimination; all pairs of angles are tried in a retry."""
+    """Append the solutions of the roots of one elimination; in a retry, all pairs of the other angles are tried."""
     (f12, f23, f31), sizes = forms, form_sizes(forms)
     for k in range(MODES):
         z = complex(found.work[_RE, k], found.work[_IM, k])
@@ -332,7 +333,7 @@ def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[i
         c, s = (x[0], x[1], x[2]), (y[0], y[1], y[2])
         if _is_real(c, s, 0.0):
             e = combinations(multiples(_real(c), first), _real(s), second)
-            # With coordinates instead of forms, which lose digits where legs are long.
+            # By coordinates of the balls: the forms lose digits where legs are long.
             _, b, converged = solution(stage, balls_at(stage, e))
             complete = complete and converged
             for i in range(3):
@@ -345,9 +346,9 @@ def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[i
 
 @jit
 def _carried(drawn: Circles, stage: Circles, start: Rows) -> tuple[Rows, bool]:
-    """Return where a mode of the drawn stage is led while its errors grow, and whether that is the end.
+    """Follow the balls `start` of a mode from the drawn stage to the stage itself; return them, and if they got there.
 
-    A step is taken if Newton's method begins with a short step and contracts at once.
+    The errors grow in steps, each of which is taken if Newton's method begins with a short step and contracts at once.
     """
     b, share, length = start, 0.0, 1.0
     while length >= _SHORTEST:
@@ -380,10 +381,11 @@ def _put_labelled(
     balls: FloatArray,
     merged: BoolArray,
 ) -> None:
-    """Write the balls of `count` modes (16, 3, 3), NaN for none, under the labels of the drawn stage's `modes`.
+    """Write the balls of `count` modes `roots` (16, 3, 3), NaN for none, under the labels of the drawn stage's `modes`.
 
-    Each of these is followed while the errors grow. Where two have met, labels are left over: they go to the roots left
-    over, those of the same mode and sheet first, and are marked as merged.
+    Each of the latter is followed while the errors grow, and gives its label to the root where it ends. Where two have
+    met, labels are left over: they go to the roots left over, those of the same mode and sheet first, and are marked as
+    merged.
     """
     owner = np.full(MODES, -1)
     for label in range(MODES):
@@ -401,7 +403,7 @@ def _put_labelled(
             if gap < least:
                 nearest, least = k, gap
         if nearest >= 0:
-            # Two that arrive at one have met.
+            # Two modes that arrive at one root have met.
             owner[nearest] = label if owner[nearest] == -1 else -2
     for k in range(count):
         if owner[k] >= 0:

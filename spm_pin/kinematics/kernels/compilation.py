@@ -1,4 +1,4 @@
-"""Formulas and loops given to Numba, and kernels compiled when first called and kept on disk."""
+"""Kernels, compiled by Numba when first called and kept on disk, and the formulas that they are made of."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def rows_at(array: FloatArray, first: int) -> Rows:
 
 @jit_inline
 def vector(tile: FloatArray, row: int, k: int) -> Vector:
-    """Return a vector of the problem in place k of a tile, from this row on."""
+    """Return the vector in the rows `row` to `row + 2` of problem k of a tile."""
     return tile[row, k], tile[row + 1, k], tile[row + 2, k]
 
 
 @jit_inline
 def matrix(tile: FloatArray, row: int, k: int) -> Rows:
-    """Return a matrix of the problem in place k of a tile, row by row from this row on."""
+    """Return the matrix in the nine rows from `row` on, row by row, of problem k of a tile."""
     return vector(tile, row, k), vector(tile, row + 3, k), vector(tile, row + 6, k)
 
 

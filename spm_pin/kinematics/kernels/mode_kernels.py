@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from spm_pin.formulas.stages import (
     EPS,
+    ModeState,
     StageEquations,
-    State,
     cartesian,
     corners,
     damped,
@@ -44,17 +44,16 @@ PLACES = 4
 """The most solutions of one mode, mirror images apart."""
 STAGE = 4 * PLACES
 """Assembly modes of a stage: two modes, four places, two sheets."""
-_NEAR_FOLD = 1e3  # ratio of a solution's error to that of the leg lengths above which a fold or a family is near
-_RESIDUAL_ROUNDING = (
-    4.0 * EPS
-)  # residual of a solution relative to the largest term of its equations; half of it has been seen
+_NEAR_FOLD = 1e3  # gain, see `_polished`, above which a fold or a continuous family is near
+_RESIDUAL_ROUNDING = 4.0 * EPS
+"""Largest residual of a solution relative to the largest term of its equations; half of it has been seen."""
 _MOST_STEPS = 40
 _LONGEST_TURN = 0.3
 _SHORT = 0.25  # leg length below which the equations, which are made of squares of all legs, lose digits
 _OF_FAMILY = 1e6
-"""A solution beside a continuous family that errs more than this many times as much as the lengths belongs to it."""
+"""Gain, see `_polished`, above which a solution beside a continuous family belongs to the family."""
 EXACT, _NEAR = 64.0 * EPS, 1e-5
-"""Relative distance from a family, of squared lengths, within which lengths are those of the family, or near it."""
+"""Relative distance of squared lengths from those of a family within which lengths are the family's, or near it."""
 _SHORTEST = 1e-3  # length in units of r below which a leg is too short to count modes
 _EIGHTHS = np.exp(0.125j * np.pi * np.arange(8))
 _QUARTERS = np.exp(1j * (0.5 * np.pi * np.arange(4) + 0.4))
@@ -75,7 +74,7 @@ class StageScratch(NamedTuple):
 
 @jit
 def _tilts(stage: StageEquations, turn: complex, a: float, starts: FloatArray, count: int) -> int:
-    """Append the solutions of one azimuth: A = p sin 3ψ, and the rest is quadratic in the tilt p.
+    """Append approximate solutions with one azimuth: A = p sin 3ψ, and the other equations are a quadratic in p.
 
     Both of its roots are tried: legs symmetric about a plane have two solutions of one azimuth, where sin 3ψ = 0.
     """
@@ -202,11 +201,11 @@ def _approximate_solutions(stage: StageEquations, is_continuous: bool, roots: Co
 
 
 @jit
-def _polished(stage: StageEquations, start: State) -> tuple[State, float, bool]:
+def _polished(stage: StageEquations, start: ModeState) -> tuple[ModeState, float, bool]:
     """Bring an approximate solution, x0 >= 0, to rounding by Newton's method.
 
-    Returns the state where it ended, brought to ζ >= 0 by reflection; by how much more, at most, it errs than the leg
-    lengths, both relative to their size; and whether it is a solution.
+    Returned are the state where it ended, brought to ζ >= 0 by reflection; the gain, by which a relative error of the
+    leg lengths is multiplied in the state; and whether this is a solution.
     """
     state, gain = start, 0.0
     for _ in range(_MOST_STEPS):
@@ -243,10 +242,10 @@ def _longest(rows: Rows) -> Vector:
 
 
 @jit
-def _other_side_of_fold(stage: StageEquations, state: State) -> State:
-    """Return where the other solution is of a pair that is about to meet.
+def _other_side_of_fold(stage: StageEquations, state: ModeState) -> ModeState:
+    """Return about where the other one is of two solutions that nearly meet in a fold.
 
-    Along the direction n that hardly changes f, its part l·f that J hardly reaches is a quadratic.
+    Along the direction n in which f hardly changes, the component l·f that J hardly changes is a quadratic.
     """
     rows = jacobian(stage, state)
     columns, _ = inverse(rows)
@@ -308,7 +307,7 @@ def _distance(first: FloatArray, second: FloatArray) -> float:
 
 
 @jit
-def _append(stage: StageEquations, start: State, ends: FloatArray, count: int) -> int:
+def _append(stage: StageEquations, start: ModeState, ends: FloatArray, count: int) -> int:
     """Append the solution that Newton's method leads to, if it is one; return their number."""
     state, gain, arrived = _polished(stage, start)
     if arrived:

@@ -1,7 +1,8 @@
 """Newton's method on three quadrics from eight points side by side, real or complex.
 
-Points are one flat array, so that loops over them are vectorised: row i begins at i * POINTS. Rows 0 to 3 hold the real
-parts of unit vectors, rows 4 to 7 the imaginary ones.
+A point is a unit quaternion, up to a factor, at which the three quadratic forms of a machine as built vanish. Points
+are one flat array, so that loops over them are vectorised: row i begins at i * POINTS. Rows 0 to 3 hold the real parts,
+rows 4 to 7 the imaginary ones.
 """
 
 from __future__ import annotations
@@ -19,20 +20,17 @@ _SIZE, _LAST, STATE, ROWS = 8 * POINTS, 9 * POINTS, 10 * POINTS, 11
 """Where the rows of the last step's size, of the size before and of the states begin; and the number of rows."""
 PENDING, CONVERGED, FAILED = 0.0, 1.0, 2.0
 """States. Steps move the points that are pending."""
-_FIRST_STEP = 0.1
-_CONTRACTION = 0.1
-"""Newton's method has to begin with a step of at most the one, and its second be at most this part of the first.
-
-It then converges to the root next to it, and no other is near.
-"""
+_FIRST_STEP, _CONTRACTION = 0.1, 0.1
+"""A point is next to a root, and no other root is near, if Newton's first step is at most `_FIRST_STEP` and its second
+at most `_CONTRACTION` times the first."""
 
 
 @jit
 def polish(forms: FloatArray, points: FloatArray, imaginary: bool, contracting: bool, most: int) -> None:
     """Improve the pending points by Newton's method, in at most `most` steps; in the end each has converged or failed.
 
-    `forms` (3, 10) are the quadrics, see `legs.Form`. Imaginary parts are zero unless `imaginary`. A point fails
-    that is not next to a root if `contracting`, see `_CONTRACTION`.
+    `forms` (3, 10) are the quadrics, see `leg_planes.Form`. Imaginary parts are zero unless `imaginary`. If
+    `contracting`, a point that is not next to a root fails, see `_CONTRACTION`.
     """
     for number in range(most):
         if imaginary:
@@ -119,7 +117,7 @@ def _chosen(first, x, y):
 
 @jit_inline
 def _improved(slopes, x):
-    """Return x after a step across it, for half the gradients of the quadrics at x, and the step's size."""
+    """Return x after Newton's step, which is across x, and the step's size; `slopes` are half the gradients at x."""
     a, b, c = slopes
     d = solve_bordered(slopes, x, 0.5 * product(a, x), 0.5 * product(b, x), 0.5 * product(c, x))
     size = math.sqrt(squared(d[0]) + squared(d[1]) + squared(d[2]) + squared(d[3]))
@@ -176,7 +174,7 @@ def symmetric(forms, k):
 
 @jit_inline
 def symmetric_product(q, x):
-    """Return the product of a quadric as a matrix, given as a `Form`, and a vector."""
+    """Return Q x for a quadric given as a `leg_planes.Form`."""
     xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = q
     y0, y1 = product((xx, xy, xz, xw), x), product((xy, yy, yz, yw), x)
     return y0, y1, product((xz, yz, zz, zw), x), product((xw, yw, zw, ww), x)
@@ -184,7 +182,7 @@ def symmetric_product(q, x):
 
 @jit_inline
 def products(quadrics, x):
-    """Return the products of three quadrics and a vector: half their gradients."""
+    """Return Q x for three quadrics: half their gradients."""
     p, q, r = quadrics
     return symmetric_product(p, x), symmetric_product(q, x), symmetric_product(r, x)
 

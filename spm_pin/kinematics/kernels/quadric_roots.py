@@ -1,11 +1,10 @@
 """All eight common points of three quadrics in the projective space of quaternions.
 
 Two unknowns are eliminated as in Kukelova, Heller, Fitzgibbon, "Efficient intersection of three quadrics and
-applications in computer vision", CVPR 2016: the squares and the product of two coordinates are expressed by the rest,
-which makes three identities linear in both; their determinant is of degree eight in the third coordinate. The points
-that belong to its roots have lost digits, which Newton's method on the quadrics themselves brings back. Eight distinct
-answers are all there are. Where both members of a close pair led to one answer, the other is looked for in the
-direction in which the quadrics hardly change.
+applications in computer vision", CVPR 2016: x², y² and x y are expressed by x, y and z, which makes three identities
+linear in x and y; their determinant is of degree eight in z. The points that belong to its roots have lost digits,
+which Newton's method on the quadrics themselves brings back. Eight distinct answers are all there are. Where both
+members of a close pair led to one answer, the other is looked for in the direction in which the quadrics hardly change.
 """
 
 from __future__ import annotations
@@ -73,7 +72,7 @@ def allocate_elimination() -> Elimination:
 
 @jit_inline
 def _at(s, z):
-    """Return d z + e, f z + g and h z² + i z + j."""
+    """Return d z + e, f z + g and h z² + i z + j of the coefficients s."""
     a, b = complex(s[0] * z.real + s[1], s[0] * z.imag), complex(s[2] * z.real + s[3], s[2] * z.imag)
     zz = z * z
     return a, b, complex(s[4] * zz.real + s[5] * z.real + s[6], s[4] * zz.imag + s[5] * z.imag)
@@ -135,7 +134,7 @@ def reduce_rows(rows: FloatArray) -> float:
 
 @jit
 def _eliminate(forms: FloatArray, turn: FloatArray, turned: FloatArray, block: FloatArray) -> bool:
-    """Write `rest` of `_identities` into the last columns of `block`, in the coordinates y = turn · x with y_3 = 1."""
+    """Write the `right_sides` of `_identities`, in y = turn · x with y_3 = 1, into the last columns of `block`."""
     for k in range(3):
         form = symmetric(forms, k)
         for j in range(4):
@@ -228,7 +227,7 @@ def _eight(points):
 
 @jit_inline
 def _term(root, z):
-    """Return the reciprocal of the distance from a root, zero of none."""
+    """Return 1 / (z - root), zero where they coincide."""
     gap = z - root
     scale = 1.0 / (squared(gap) + 1e-300)
     return complex(gap.real * scale, -gap.imag * scale)
@@ -249,7 +248,7 @@ def _put_vectors(block: FloatArray, turn: FloatArray, points: FloatArray) -> Non
     for k in range(POINTS):
         z = complex(points[_RE + k], points[_IM + k])
         first, second, third = _identities(right_sides, z)
-        # The best of three is compared at the scale of the rows, whose degrees in z differ.
+        # The longest of three cross products, each at the scale of all rows, whose degrees in z differ.
         a, b, c = cross(first, second), cross(first, third), cross(second, third)
         size_a, size_b, size_c = _size(a) * _size(third), _size(b) * _size(second), _size(c) * _size(first)
         is_a, is_b = (size_a >= size_b) & (size_a >= size_c), size_b >= size_c

@@ -1,9 +1,9 @@
 """Determinants, singular values and singular vectors of J_b, J_c and K of a batch of states.
 
-A tile of matrices is an array (rows, columns, lanes). Householder's reflections make a square matrix triangular, which
-halves the number of rotations, the more so if its long columns come first; then pairs of rows are rotated until all are
-orthogonal (Jacobi's method from one side): each row then is a singular value times its right singular vector. Small
-singular values are as accurate as rounding of the matrix allows.
+A tile of matrices is an array (rows, columns, lanes): a lane is one matrix. Householder's reflections make a square
+matrix triangular, which halves the number of rotations, the more so if its long columns come first; then pairs of rows
+are rotated until all are orthogonal (Jacobi's method from one side): each row then is a singular value times its right
+singular vector. Small singular values are as accurate as rounding of the matrix allows.
 
 What is done to a matrix does not depend on the others in its tile: one that is finished is not rotated any more.
 """
@@ -34,7 +34,7 @@ WIDTH = 6
 """Columns of the matrices; narrower ones are filled up with zeros."""
 _ORTHOGONAL = 16.0 * EPS * EPS  # square of the cosine of the angle between two rows that need no rotation
 _LAST_SWEEP = 1e-18
-"""Square of the largest cosine met in a sweep that leaves only rounding: a sweep leaves about the square of it."""
+"""Square of the largest cosine before a sweep that is the last one: it leaves about the square of the cosine."""
 _MOST_SWEEPS = 30
 _COSINE, _SINE, _ACTIVE, _MORE = range(4)
 # Blocks of three rows of a tile: the forces of the lower and of the upper legs, and their revolute axes.
@@ -42,7 +42,7 @@ _LOWER, _UPPER, _LOWER_AXES, _UPPER_AXES = range(4)
 # The blocks of J_b, J_c and K.
 _FIRST, _SECOND = (_LOWER, _UPPER, _LOWER_AXES), (_LOWER_AXES, _UPPER_AXES, _UPPER_AXES)
 _SHORT, _LEVER, _OUT_ROWS = 3, 4, 7
-"""Rows of what follows from the forces alone, after the determinants: 1 if a leg is short, o less the balls' centre."""
+"""Rows of `out` after the three determinants: 1 if a leg has no length, and o less the balls' centre."""
 
 
 @jit
@@ -91,7 +91,7 @@ def _reflect(normal: FloatArray, vector: FloatArray, first: int, scale: FloatArr
 
 @jit
 def _triangularize(columns: FloatArray, rows: FloatArray, work: FloatArray) -> None:
-    """Write upper triangular matrices with the right singular vectors of others, given by their columns; overwrites."""
+    """Write triangular matrices with the singular values and right singular vectors of `columns`, which get lost."""
     _reflect_rows(columns, work)
     width, _, lanes = rows.shape
     for i in range(width):
@@ -186,7 +186,7 @@ def _put_smallest_last(rows: FloatArray, norms: FloatArray) -> None:
 def _null_vector(rows: FloatArray, vector: FloatArray, work: FloatArray) -> None:
     """Write the unit vector (6, lanes) orthogonal to the first five rows, which are overwritten; `work` is (12, lanes).
 
-    The last right singular vector, where the last singular value is zero, too.
+    It is the last right singular vector, even where the last singular value is zero.
     """
     _reflect_rows(rows, work)
     width, _, lanes = rows.shape
@@ -204,7 +204,7 @@ def _put_block(blocks: FloatArray, block: int, k: int, forces: Rows, about: Rows
     for i in range(3):
         moment = cross(about[i], forces[i])
         for c in range(3):
-            # The moments about Z before the others: the columns of large numbers come first.
+            # The moments about Z before the others, so that columns of large numbers come first.
             blocks[block, i, c, k], blocks[block, i, 3 + (c + 1) % 3, k] = forces[i][c], moment[c]
 
 

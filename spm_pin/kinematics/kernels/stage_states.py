@@ -37,49 +37,49 @@ from spm_pin.formulas.vectors import (
     largest,
     least,
     multiples,
+    rotation_of,
     shifted,
     transposed,
     turned,
     weighted,
 )
-from spm_pin.formulas.vectors import rotation_of as rotation_of_quaternion
 from spm_pin.formulas.wrenches import pairs
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel
 from spm_pin.mechanism.arguments import FloatArray
 
 AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND = 0, 3, 6, 9, 12, 15, 18, 19
-"""Places of a leg's numbers in a row of `legs`: see `mechanism.Legs`, and `LegKind.number`."""
+"""Where a leg's numbers begin in a row (20,) of `legs`: see `mechanism.Legs`, and `LegKind.number`."""
 ROTATION, CENTRE, READINGS, DETERMINANT, ROOMS, STAGE_NUMBERS = 0, 9, 12, 15, 16, 19
-"""Places of a stage's rotation, centre [m], readings, determinant, and rooms of the legs [m] in `values`, see
-`planar_legs.Room`; and their number."""
+"""Where a stage's rotation, centre [m], readings, determinant and rooms of the legs [m], see `planar_legs.Room`, begin
+in `values` (19,); and the length of it."""
 SPIN, VELOCITY, RATES, SLOPE_NUMBERS = 0, 3, 6, 13
-"""Places in `slopes` of the derivatives: the rotation's, as a rotation vector, the centre's, and those of the readings,
-the determinant and the rooms, in this order; and their number."""
+"""Where the derivatives begin in the rows of `slopes` (13, 3): the rotation's, as a rotation vector, the centre's, and
+those of the three readings, the determinant and the three rooms, in this order; and the number of rows."""
 NO_STATE, OTHER_ASPECT, BEYOND, INSIDE = 0, 1, 2, 3
-"""Where a stage is: nowhere, in another aspect, slightly beyond a singularity, forward or of a leg, or in the wanted
-aspect and within reach of its legs."""
+"""Where the coordinates are: where no state exists, in another aspect, slightly beyond a forward singularity or one of
+a leg, or in the wanted aspect and within reach of the legs."""
 _BEYOND = -0.05
-"""Down to which a search may step beyond a singularity: of the determinant, about 1 at home, and of a leg's room over
-r."""
+"""Least determinant, in units in which it is about 1 at home, and least room of a leg over r, of a stage that counts as
+slightly beyond a singularity: so far searches may step."""
 _STEPS = 12  # Newton steps for x3 and the centre at most
 
 
 @jit
-def vector(array: FloatArray, first: int) -> Vector:
-    """Return three numbers of an array."""
+def vector_at(array: FloatArray, first: int) -> Vector:
+    """Return three numbers of an array from `first` on."""
     return array[first], array[first + 1], array[first + 2]
 
 
 @jit
-def vectors(array: FloatArray, first: int) -> Rows:
-    """Return three numbers of each of three rows of an array."""
-    return vector(array[0], first), vector(array[1], first), vector(array[2], first)
+def vectors_at(array: FloatArray, first: int) -> Rows:
+    """Return three numbers from `first` on of each of three rows of an array."""
+    return vector_at(array[0], first), vector_at(array[1], first), vector_at(array[2], first)
 
 
 @jit
-def rotation_of(values: FloatArray) -> Rows:
+def stage_rotation(values: FloatArray) -> Rows:
     """Return the rotation of a stage."""
-    return vector(values, ROTATION), vector(values, ROTATION + 3), vector(values, ROTATION + 6)
+    return vector_at(values, ROTATION), vector_at(values, ROTATION + 3), vector_at(values, ROTATION + 6)
 
 
 @jit
@@ -92,10 +92,10 @@ def put(numbers: Vector, array: FloatArray, first: int) -> None:
 def _leg_state(leg: FloatArray, x: float, z: float) -> LegState:
     """Return the state of a leg by its kind."""
     if leg[KIND] == PRS_LEGS:
-        return prs_state(x, z, vector(leg, NUMBERS))
+        return prs_state(x, z, vector_at(leg, NUMBERS))
     if leg[KIND] == RRS_LEGS:
-        return rrs_state(x, z, vector(leg, NUMBERS))
-    return rps_state(x, z, vector(leg, NUMBERS))
+        return rrs_state(x, z, vector_at(leg, NUMBERS))
+    return rps_state(x, z, vector_at(leg, NUMBERS))
 
 
 @jit
@@ -108,12 +108,13 @@ def evaluate_stage(
     values: FloatArray,
     slopes: FloatArray,
 ) -> int:
-    """Write the `values` (19,) of a stage and their derivatives `slopes` (13, 3); return where the stage is.
+    """Write the `values` (19,) of a stage and their derivatives `slopes` (13, 3) by its three coordinates.
 
-    `legs` (3, 20) are in the frame of the stage's end, `upward` is the sign of Z at home.
+    Returned is where the stage is, `NO_STATE` to `INSIDE`. `legs` (3, 20) are in {B} of a lower stage, in {m} of an
+    upper one; `radius` is r [m], `upward` the sign of Z at home, and `aspect` the wanted one, see `stages.HOME_ASPECT`.
     """
     x, y, z = coordinates[0], coordinates[1], radius * coordinates[2]
-    axes, pivots, corners = vectors(legs, AXIS), vectors(legs, PIVOT), vectors(legs, BALL)
+    axes, pivots, corners = vectors_at(legs, AXIS), vectors_at(legs, PIVOT), vectors_at(legs, BALL)
     centre, s = (-2.0 * radius * x * y, radius * (y * y - x * x), z), 0.0
     tolerance, last, gap = 4.0 * EPS * (radius + abs(z)), _STEPS - 1, np.inf
     for step in range(_STEPS):
@@ -121,7 +122,7 @@ def evaluate_stage(
         if not square > 0.0:
             return NO_STATE
         w = math.sqrt(square)
-        turn = rotation_of_quaternion(x, y, s, w)
+        turn = rotation_of(x, y, s, w)
         arms = turned(turn, corners)
         # The rotation by x3, and from it how the planes are left.
         spin = 2.0 * (s * x / w + y), 2.0 * (s * y / w - x), 2.0 * (w + s * s / w)
@@ -139,7 +140,7 @@ def evaluate_stage(
         centre = centre[0] - change[1], centre[1] - change[2], z
     if not gap <= 1e-9 * (radius + abs(z)):
         return NO_STATE
-    outward, forward = vectors(legs, OUTWARD), vectors(legs, FORWARD)
+    outward, forward = vectors_at(legs, OUTWARD), vectors_at(legs, FORWARD)
     p, q = dots(outward, along), dots(forward, along)
     states = _leg_state(legs[0], p[0], q[0]), _leg_state(legs[1], p[1], q[1]), _leg_state(legs[2], p[2], q[2])
     (p1, q1), (p2, q2), (p3, q3) = states[0].direction, states[1].direction, states[2].direction
@@ -189,7 +190,7 @@ def evaluate_stage(
             slopes[RATES + i, k], slopes[RATES + 4 + i, k] = rates[i].reading, rates[i].room
         slopes[RATES + 3, k] = unit * pair_determinant_slope(c, pair_slopes)
 
-    room = least(vector(values, ROOMS)) / radius
+    room = least(vector_at(values, ROOMS)) / radius
     if not room > _BEYOND:
         return OTHER_ASPECT
     if aspect == ANY_ASPECT:
@@ -213,9 +214,12 @@ def stage_states(coordinates, legs, radius, upward, aspect, values, slopes, plac
 
 @kernel("void(f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1], f8, i8[:, ::1], i8[:, ::1], f8[:, ::1])")
 def nearby_stages(points, rotations, offsets, table, spacing, stages, cells, distances):
-    """Look points (N, 3) up in a table of distances, seen from lower stages (n, 3, 3) and (n, 3) [cells] in G groups.
+    """Find, for points (N, 3) [m] in {B} and G groups of lower stages, the stage with the point nearest to the reach.
 
-    Writes the best stage of each group, the cell of the table where the point then is, and the distance, (N, G) each.
+    `table` has, by cells of a cube's side `spacing` [m], the signed distances [m] from what the upper stage reaches, in
+    the middle platform's frame, whose `rotations` (n, 3, 3) and `offsets` (n, 3) [cells] are those of the lower stages.
+    Written are the best stage of each group, the cell of the table where the point then is, and its distance, (N, G)
+    each.
     """
     groups = stages.shape[1]
     members = len(rotations) // groups

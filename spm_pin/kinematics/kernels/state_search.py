@@ -1,7 +1,8 @@
-"""Searches over the coordinates of both stages: damped least squares for one point of the platform or several.
+"""Searches for a state that puts points of the upper platform at given places, over the coordinates of both stages.
 
-Residuals are the errors of the points, over the root of their number, and the violations of the limits of readings,
-determinants and, where legs have an end of their reach, of their rooms. See `docs/theory/reachable_set.md`.
+They are damped least squares. Residuals are the errors of the points, over the root of their number, and the violations
+of the limits of readings and determinants and, where legs have an end of their reach, of their rooms. See
+`docs/theory/reachable_set.md`.
 """
 
 from __future__ import annotations
@@ -13,8 +14,7 @@ import numpy as np
 from spm_pin.formulas.stages import ANY_ASPECT
 from spm_pin.formulas.vectors import combined, cross, minus, scaled, times, weighted
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.kinematics.kernels.compilation import jit, kernel
-from spm_pin.kinematics.kernels.compilation import vector as column
+from spm_pin.kinematics.kernels.compilation import jit, kernel, vector
 from spm_pin.kinematics.kernels.stage_states import (
     BEYOND,
     CENTRE,
@@ -29,8 +29,8 @@ from spm_pin.kinematics.kernels.stage_states import (
     VELOCITY,
     evaluate_stage,
     put,
-    rotation_of,
-    vector,
+    stage_rotation,
+    vector_at,
 )
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -51,7 +51,7 @@ _LEAST_DETERMINANT = 1e-12  # least determinant of a state that is taken to be o
 _SAME_END = 1e-3  # distance in the coordinates of two ends of searches that are taken for one
 _PENALTY_WEIGHTS = (1.0, 3.0, 10.0)  # penalty weights of the first minimisation, of the second and of the further ones
 _REMOTE_PENALTY = 1000.0
-"""Growth of the squared penalty weight with the distance from the target, per machine's size of distance."""
+"""Growth of the squared penalty weight per distance from the target, over the machine's size."""
 _STIFFNESS = (1.0, 10.0)
 """Factors of all penalty weights: the second where searches with the first have led out of the aspect."""
 _UPDATES, _RESTART = 30, 10
@@ -59,33 +59,34 @@ _UPDATES, _RESTART = 30, 10
 _MULTIPLIER_TOLERANCE, _STALLED = 1e-13, 1e-9
 """Change of the shifts, over the size, at which the multipliers have converged; and at which they may do so slowly."""
 
-Machine = tuple[FloatArray, float, float, FloatArray, FloatArray, FloatArray, FloatArray]
-"""Legs (2, 3, 20) of both stages, r [m], the machine's size [m], the aspects wanted (2,), points of the body (K, 3)
-in {m} [m], the diagonal of the half turn between stages of different modes (3,), and limits (3, L), L = 8 or 14: least
-and largest values of six readings, of both determinants and perhaps of six rooms, and the metres that a unit is."""
-_MACHINE = "Tuple((f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1]))"
-State = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Problem = tuple[FloatArray, float, float, FloatArray, FloatArray, FloatArray, FloatArray]
+"""Legs (2, 3, 20) of both stages, r [m], the machine's size [m], the aspects wanted (2,), the K points (K, 3) of the
+upper platform in {m} [m], the diagonal of the half turn between stages of different modes (3,), and limits (3, L),
+L = 8 or 14: least and largest values of six readings, of both determinants and perhaps of six rooms, and how many
+metres of residual a unit of each makes."""
+_PROBLEM = "Tuple((f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1]))"
+Terms = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Values (2, 19) and slopes (2, 13, 3) of both stages, residual (3K + L,) and its Jacobian (3K + L, 6)."""
-Search = tuple[Machine, State, State, FloatArray, FloatArray]
-"""The machine, the state at the coordinates, one on trial, and memory for a matrix (6, 6) and its factor."""
+Search = tuple[Problem, Terms, Terms, FloatArray, FloatArray]
+"""The problem, the state at the coordinates, one on trial, and memory for a matrix (6, 6) and its factor."""
 
 
 @jit
-def _new_state(machine: Machine) -> State:
-    values, slopes, rows = np.empty((2, STAGE_NUMBERS)), np.empty((2, SLOPE_NUMBERS, 3)), _points_rows(machine)
-    rows += machine[6].shape[1]
+def _new_state(problem: Problem) -> Terms:
+    values, slopes, rows = np.empty((2, STAGE_NUMBERS)), np.empty((2, SLOPE_NUMBERS, 3)), _points_rows(problem)
+    rows += problem[6].shape[1]
     return values, slopes, np.empty(rows), np.empty((rows, 6))
 
 
 @jit
-def _points_rows(machine: Machine) -> int:
+def _points_rows(problem: Problem) -> int:
     """Return how many rows of a residual are errors of points."""
-    return 3 * len(machine[4])
+    return 3 * len(problem[4])
 
 
 @jit
 def _limited(row: int) -> tuple[int, int]:
-    """Return the stage of a row of the limits, and the place of what is limited from `READINGS` and from `RATES` on."""
+    """Return, for a row of the limits, the stage and the place of its number after `READINGS` and after `RATES`."""
     if row < 6:
         return row // 3, row % 3
     return (row - 6, 3) if row < 8 else ((row - 8) // 3, 4 + (row - 8) % 3)
@@ -102,43 +103,43 @@ def _put_points(
 ) -> None:
     """Write the positions of points `body` (K, 3) of {m} in {B}, (3K,), and their derivatives, (3K, 6), over √K.
 
-    A point is at t_a + R_a s, s = R_bᵀ (p - t_b) being where it is seen from the middle platform; `between` (3,) is the
-    diagonal of the half turn that is left between stages of different modes.
+    With R_a, t_a of the middle platform in {B} and R_b, t_b in {m}, a point p is at t_a + R_a s, s = R_bᵀ (p - t_b);
+    `between` (3,) is the diagonal of the half turn between stages of different modes.
     """
     scale = 1.0 / math.sqrt(len(body))
-    lower, upper = rotation_of(values[0]), rotation_of(values[1])
+    lower, upper = stage_rotation(values[0]), stage_rotation(values[1])
     for n in range(len(body)):
-        arm = minus(vector(body[n], 0), vector(values[1], CENTRE))
+        arm = minus(vector_at(body[n], 0), vector_at(values[1], CENTRE))
         s0, s1, s2 = weighted(arm, upper)
         turned = times(lower, (between[0] * s0, between[1] * s1, between[2] * s2))
-        put(scaled(scale, combined(turned, 1.0, vector(values[0], CENTRE))), points, 3 * n)
+        put(scaled(scale, combined(turned, 1.0, vector_at(values[0], CENTRE))), points, 3 * n)
         for k in range(3):
-            spin, spin_m = column(slopes[0], SPIN, k), column(slopes[1], SPIN, k)
-            moved = combined(column(slopes[0], VELOCITY, k), 1.0, cross(spin, turned))
-            d0, d1, d2 = weighted(combined(column(slopes[1], VELOCITY, k), 1.0, cross(spin_m, arm)), upper)
+            spin, spin_m = vector(slopes[0], SPIN, k), vector(slopes[1], SPIN, k)
+            moved = combined(vector(slopes[0], VELOCITY, k), 1.0, cross(spin, turned))
+            d0, d1, d2 = weighted(combined(vector(slopes[1], VELOCITY, k), 1.0, cross(spin_m, arm)), upper)
             seen = times(lower, (between[0] * d0, between[1] * d1, between[2] * d2))
             for i in range(3):
                 jacobian[3 * n + i, k], jacobian[3 * n + i, 3 + k] = scale * moved[i], -scale * seen[i]
 
 
 @jit
-def _evaluate_stage(machine: Machine, stage: int, coordinates: FloatArray, state: State) -> int:
-    legs, radius, aspects, upward = machine[0], machine[1], machine[3], 1.0 - 2.0 * stage
+def _evaluate_stage(problem: Problem, stage: int, coordinates: FloatArray, state: Terms) -> int:
+    legs, radius, aspects, upward = problem[0], problem[1], problem[3], 1.0 - 2.0 * stage
     return evaluate_stage(coordinates, legs[stage], radius, upward, aspects[stage], state[0][stage], state[1][stage])
 
 
-@kernel(f"void(f8[:, ::1], {_MACHINE}, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])")
-def state_terms(coordinates, machine, points, moved, limited, rates, places):
+@kernel(f"void(f8[:, ::1], {_PROBLEM}, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])")
+def state_terms(coordinates, problem, points, moved, limited, rates, places):
     """Write what the state at coordinates (2, 3) is, and the derivatives of all by its six coordinates.
 
-    The points of the body (3K,) over √K, and (3K, 6); what is limited (L,), see `Machine`, and (L, 6); and where each
+    The points of the body (3K,) over √K, and (3K, 6); what is limited (L,), see `Problem`, and (L, 6); and where each
     stage is (2,), see `evaluate_stage`.
     """
-    _, _, _, _, body, between, limits = machine
-    state = _new_state(machine)
+    _, _, _, _, body, between, limits = problem
+    state = _new_state(problem)
     values, changes = state[0], state[1]
     for stage in range(2):
-        places[stage] = _evaluate_stage(machine, stage, coordinates[stage], state)
+        places[stage] = _evaluate_stage(problem, stage, coordinates[stage], state)
     rates[:] = 0.0
     for row in range(limits.shape[1]):
         stage, i = _limited(row)
@@ -148,8 +149,8 @@ def state_terms(coordinates, machine, points, moved, limited, rates, places):
 
 @jit
 def _put_limits(
-    machine: Machine,
-    state: State,
+    problem: Problem,
+    state: Terms,
     weight: float,
     shifts: FloatArray,
     residual: FloatArray,
@@ -158,9 +159,9 @@ def _put_limits(
 ) -> None:
     """Write the violations (L,) of the limits, in metres, and their derivatives (L, 6).
 
-    With `fixed` the residual stays, and derivatives are those of the rows that are not zero.
+    If `fixed`, the residual is not written, and derivatives are those of its rows that are not zero.
     """
-    limits, values, slopes = machine[6], state[0], state[1]
+    limits, values, slopes = problem[6], state[0], state[1]
     for row in range(limits.shape[1]):
         stage, i = _limited(row)
         unit = limits[2, row]
@@ -233,30 +234,30 @@ def _solve_damped(matrix: FloatArray, right: FloatArray, damping: float, step: F
 
 @jit
 def _evaluate(
-    machine: Machine, coordinates: FloatArray, target: FloatArray, weight: float, shifts: FloatArray, state: State
+    problem: Problem, coordinates: FloatArray, target: FloatArray, weight: float, shifts: FloatArray, state: Terms
 ) -> int:
     """Write the stages, the residual and its Jacobian at coordinates (2, 3); return where the worse stage is."""
     values, slopes, residual, jacobian = state
     rows, worst = len(target), INSIDE
     for stage in range(2):
-        worst = min(worst, _evaluate_stage(machine, stage, coordinates[stage], state))
+        worst = min(worst, _evaluate_stage(problem, stage, coordinates[stage], state))
         if worst < BEYOND:
             return worst
-    _put_points(values, slopes, machine[4], machine[5], residual, jacobian)
+    _put_points(values, slopes, problem[4], problem[5], residual, jacobian)
     for row in range(rows):
         residual[row] -= target[row]
-    _put_limits(machine, state, weight, shifts, residual[rows:], jacobian[rows:], False)
+    _put_limits(problem, state, weight, shifts, residual[rows:], jacobian[rows:], False)
     return worst
 
 
 @jit
 def _put_curvature(search: Search, coordinates: FloatArray, weight: float, shifts: FloatArray) -> bool:
-    """Write the residual times its second derivatives (6, 6), by differences of the gradient; False beyond the circle.
+    """Write the residual times its second derivatives (6, 6), by differences of the gradient.
 
-    Each of them changes one stage.
+    Each difference changes one stage. False where one of them leads to where there is no state.
     """
-    machine, state, trial, matrix, _ = search
-    residual, rows, gradient, place = state[2], _points_rows(machine), np.empty(6), np.empty(3)
+    problem, state, trial, matrix, _ = search
+    residual, rows, gradient, place = state[2], _points_rows(problem), np.empty(6), np.empty(3)
     values, slopes, points, jacobian = trial
     for stage in range(2):
         values[:], slopes[:] = state[0], state[1]
@@ -266,10 +267,10 @@ def _put_curvature(search: Search, coordinates: FloatArray, weight: float, shift
             for sign in (1.0, -1.0):
                 place[:] = coordinates[stage]
                 place[k] += sign * _DIFFERENCE
-                if _evaluate_stage(machine, stage, place, trial) == NO_STATE:
+                if _evaluate_stage(problem, stage, place, trial) == NO_STATE:
                     return False
-                _put_points(values, slopes, machine[4], machine[5], points, jacobian)
-                _put_limits(machine, trial, weight, shifts, residual[rows:], jacobian[rows:], True)
+                _put_points(values, slopes, problem[4], problem[5], points, jacobian)
+                _put_limits(problem, trial, weight, shifts, residual[rows:], jacobian[rows:], True)
                 _put_gradient(jacobian, residual, gradient)
                 for j in range(6):
                     matrix[row, j] += sign * gradient[j] / (2.0 * _DIFFERENCE)
@@ -294,9 +295,9 @@ def _minimise(
     The state of `search` is that at the coordinates, before and after. Damped steps, none of which leaves the wanted
     aspect, until the gradient is small, the residual vanishes, or hardly decreases any more.
     """
-    machine, state, trial, matrix, factor = search
+    problem, state, trial, matrix, factor = search
     values, slopes, residual, jacobian = state
-    size, gradient, flatter, step, tried = machine[2], np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3))
+    size, gradient, flatter, step, tried = problem[2], np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3))
     damping, norm, rounding, fresh = _DAMPING, _norm(residual), 0.25 * _READING_ROUNDING * size, True
     largest, before = _put_gradient(jacobian, residual, gradient), norm
     for count in range(1, min(most, _STEPS[method]) + 1):
@@ -319,7 +320,7 @@ def _minimise(
         for k in range(6):
             tried[k // 3, k % 3] = coordinates[k // 3, k % 3] - step[k]
         better = False
-        if _evaluate(machine, tried, target, weight, shifts, trial) >= BEYOND:
+        if _evaluate(problem, tried, target, weight, shifts, trial) >= BEYOND:
             # At the end, what a step gains is less than the norm's rounding.
             change = _norm(trial[2]) - norm
             steepest = _put_gradient(trial[3], trial[2], flatter)
@@ -340,15 +341,16 @@ def _settle(
 ) -> bool:
     """Move the state at `coordinates` within the limits of the readings, by as little as possible; write these (6,).
 
-    A leg whose shift is not zero pushes against its limit, and is at it. False if the state then is not in the wanted
-    aspect, or the steps have not converged: near forward singularities small changes of readings are large ones of it.
+    A leg whose shift is not zero pushes against its limit, and is put at it. Return False if the state then is not in
+    the wanted aspect, or the steps have not converged: near forward singularities small changes of readings move the
+    state far.
     """
-    machine, state, _, matrix, factor = search
+    problem, state, _, matrix, factor = search
     values, slopes, residual, jacobian = state
-    limits, rounding, rows, place = machine[6], _READING_ROUNDING * machine[2], len(target), INSIDE
+    limits, rounding, rows, place = problem[6], _READING_ROUNDING * problem[2], len(target), INSIDE
     gradient, step, zeros, gap = np.empty(6), np.empty(6), np.zeros(limits.shape[1]), np.inf
     for _ in range(_SETTLING):
-        place = _evaluate(machine, coordinates, target, 1.0, zeros, state)
+        place = _evaluate(problem, coordinates, target, 1.0, zeros, state)
         if place < BEYOND:
             return False
         gap, errors, slope = 0.0, residual[rows : rows + 6], jacobian[rows : rows + 6]
@@ -373,11 +375,11 @@ def _settle(
         for k in range(6):
             coordinates[k // 3, k % 3] -= step[k]
     certain = min(values[0, DETERMINANT], values[1, DETERMINANT]) > _LEAST_DETERMINANT
-    return gap <= rounding and place == INSIDE and (certain or machine[3][0] == ANY_ASPECT)
+    return gap <= rounding and place == INSIDE and (certain or problem[3][0] == ANY_ASPECT)
 
 
-@kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], f8[:, ::1], {_MACHINE}, f8[:, :, ::1], f8[:, ::1], i8[::1])")
-def search_points(targets, starts, distances, machine, coordinates, readings, outcome):
+@kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], f8[:, ::1], {_PROBLEM}, f8[:, :, ::1], f8[:, ::1], i8[::1])")
+def search_points(targets, starts, distances, problem, coordinates, readings, outcome):
     """Search, from `starts` (N, M, 2, 3) one after the other, for a state with o at the `targets` (N, 3).
 
     Starts are left out whose `distances` (N, M) from the target are not finite.
@@ -385,15 +387,15 @@ def search_points(targets, starts, distances, machine, coordinates, readings, ou
     Writes the states, or those with the smallest residual, (N, 2, 3); their readings (N, 6); and the outcome (N,): 1
     with a state, 0 without, -1 if undecided, because a search left the aspect or stalled just short of a state.
     """
-    state, size = _new_state(machine), machine[2]
-    search = machine, state, _new_state(machine), np.empty((6, 6)), np.empty((6, 6))
-    shifts, place, nearest_readings = np.zeros(machine[6].shape[1]), np.empty((2, 3)), np.empty(6)
+    state, size = _new_state(problem), problem[2]
+    search = problem, state, _new_state(problem), np.empty((6, 6)), np.empty((6, 6))
+    shifts, place, nearest_readings = np.zeros(problem[6].shape[1]), np.empty((2, 3)), np.empty(6)
     for n in range(len(targets)):
         least, target, most = np.inf, targets[n], _STEPS[GAUSS_NEWTON]
         coordinates[n], readings[n], outcome[n] = starts[n, 0], np.nan, 0
         for m in range(starts.shape[1]):
             place[:] = starts[n, m]
-            if distances[n, m] == np.inf or _evaluate(machine, place, target, 1.0, shifts, state) < BEYOND:
+            if distances[n, m] == np.inf or _evaluate(problem, place, target, 1.0, shifts, state) < BEYOND:
                 continue
             stationary, _ = _minimise(search, place, target, 1.0, shifts, GAUSS_NEWTON, most)
             norm = _norm(state[2])
@@ -417,10 +419,10 @@ def _polish(
 
     Writes the multipliers over the squared weight, `shifts` (L,); returns the weight and the steps that are left.
     """
-    machine, state, _, _, _ = search
-    size, rows, weight, left, change = machine[2], len(target), 1.0, most, np.inf
+    problem, state, _, _, _ = search
+    size, rows, weight, left, change = problem[2], len(target), 1.0, most, np.inf
     shifts[:] = 0.0
-    _evaluate(machine, coordinates, target, 1.0, shifts, state)
+    _evaluate(problem, coordinates, target, 1.0, shifts, state)
     distance = _norm(state[2][:rows])
     for update in range(_UPDATES):
         before, farther, last = weight, distance, change
@@ -428,14 +430,14 @@ def _polish(
         weight *= math.sqrt(max(1.0, _REMOTE_PENALTY * distance / size))
         for row in range(len(shifts)):
             shifts[row] *= (before / weight) ** 2
-        _evaluate(machine, coordinates, target, weight, shifts, state)
+        _evaluate(problem, coordinates, target, weight, shifts, state)
         stationary, steps = _minimise(search, coordinates, target, weight, shifts, NEWTON, left)
         left, change, distance = left - steps, 0.0, _norm(state[2][:rows])
         for row in range(len(shifts)):
             shift = state[2][rows + row] / weight
             change = max(change, abs(shift - shifts[row]))
             shifts[row] = shift
-        # No step stays in the wanted aspect.
+        # Every step leads out of the wanted aspect.
         stuck = not stationary and update > 1 and abs(distance - farther) <= _MULTIPLIER_TOLERANCE * size
         # Where limits depend on each other, as in a cusp of a forward singularity, multipliers never converge.
         converged = change <= _MULTIPLIER_TOLERANCE * size or (change <= _STALLED * size and change > 0.5 * last)
@@ -446,7 +448,7 @@ def _polish(
 
 @jit
 def _next_end(norms: FloatArray, ends: FloatArray, best: float) -> int:
-    """Return the search with the smallest residual norm, -1 if none is below `best`; strike it out, and its like."""
+    """Return the search with the smallest norm, -1 if none is below `best`; strike out all that ended where it did."""
     chosen = norms.argmin()
     if not norms[chosen] < best:
         return -1
@@ -456,8 +458,8 @@ def _next_end(norms: FloatArray, ends: FloatArray, best: float) -> int:
     return int(chosen)
 
 
-@kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], {_MACHINE}, i8, f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1])")
-def search_nearest(targets, starts, machine, most, coordinates, readings, multipliers, quality):
+@kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], {_PROBLEM}, i8, f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1])")
+def search_nearest(targets, starts, problem, most, coordinates, readings, multipliers, quality):
     """Search for the states within the limits that put the points of the body nearest to the `targets` (N, 3K).
 
     From all `starts` (N, M, 2, 3) by the Gauss-Newton method, limits penalised; then, from the best on, by Newton's
@@ -468,10 +470,10 @@ def search_nearest(targets, starts, machine, most, coordinates, readings, multip
     Writes the states (N, 2, 3), their readings (N, 6), the multipliers of the readings' limits (N, 6), the
     distance [m] and the gradient of half its square (N, 2), infinite where the start has been taken.
     """
-    rows, count, size = targets.shape[1], starts.shape[1], machine[2]
-    state = _new_state(machine)
-    search = machine, state, _new_state(machine), np.empty((6, 6)), np.empty((6, 6))
-    shifts, zeros = np.zeros(machine[6].shape[1]), np.zeros(machine[6].shape[1])
+    rows, count, size = targets.shape[1], starts.shape[1], problem[2]
+    state = _new_state(problem)
+    search = problem, state, _new_state(problem), np.empty((6, 6)), np.empty((6, 6))
+    shifts, zeros = np.zeros(problem[6].shape[1]), np.zeros(problem[6].shape[1])
     place, nearest_readings = np.empty((2, 3)), np.empty(6)
     ends, norms = np.empty((count, 2, 3)), np.empty(count)
     for n in range(len(targets)):
@@ -485,7 +487,7 @@ def search_nearest(targets, starts, machine, most, coordinates, readings, multip
                 break
             for m in range(count):
                 ends[m], norms[m] = starts[n, m], np.inf
-                if _evaluate(machine, ends[m], target, 1.0, zeros, state) < BEYOND:
+                if _evaluate(problem, ends[m], target, 1.0, zeros, state) < BEYOND:
                     continue
                 weight = stiffness * math.sqrt(max(1.0, _REMOTE_PENALTY * _norm(state[2][:rows]) / size))
                 state[2][rows:] *= weight
