@@ -73,8 +73,7 @@ class Measurements:
             matrix[..., :3, 3] = position
         else:
             matrix, components = as_rigid_transform(poses, "poses").as_matrix(), 6
-        units = "metres, of RRS legs in radians" if "rad" in geometry.legs.units else "metres"
-        read = real_array(readings, "readings", (6,), f"readings of {', '.join(LEGS)} in {units}")
+        read = real_array(readings, "readings", (6,), f"readings of {', '.join(LEGS)} in {geometry.legs.unit_text()}")
         if matrix.ndim != 3 or read.shape != (len(matrix), 6):
             expected = f"one row of six readings for each of N poses, whose shape is {matrix.shape[:-2]}"
             raise ArgumentError("readings", expected, f"shape {read.shape}")

@@ -296,7 +296,7 @@ def wrench_polytope(
     >>> held.vertices.shape, float(held.ball("linear").round(1)), float(held.extent([0, 0, -1, 0, 0, 0]).round(1))
     ((64, 6), 492.1, 933.9)
     """
-    bounds = leg_bounds(force_limits, "force_limits", "efforts of the actuators in N, of RRS legs in N m", most=_MOST)
+    bounds = _limits_of(configuration, force_limits, "force_limits", "efforts of the actuators", "N", "N m")
     rows = -platform_jacobian(configuration).mT
     offset = _taken(rows, load, "the configuration", configuration.shape)
     return _polytope(rows, bounds, offset, partial(_wrenches_of_forces, configuration))
@@ -318,7 +318,7 @@ def velocity_polytope(configuration: Configuration, rate_limits: npt.ArrayLike) 
     Polytope
         Of twists (v, ω) [m/s, rad/s] at o in {B}; at singularities as `inverse_jacobian`.
     """
-    bounds = leg_bounds(rate_limits, "rate_limits", "rates of the readings in m/s, of RRS legs in rad/s", most=_MOST)
+    bounds = _limits_of(configuration, rate_limits, "rate_limits", "rates of the readings", "m/s", "rad/s")
     rows = inverse_jacobian(configuration)
     return _polytope(rows, bounds, np.zeros(rows.shape[:-1]), partial(platform_jacobian, configuration))
 
@@ -348,7 +348,7 @@ def acceleration_polytope(
     Polytope
         Of time derivatives of the twist [m/s², rad/s²] at o in {B}; singularities as in `wrench_polytope`.
     """
-    bounds = leg_bounds(force_limits, "force_limits", "efforts of the actuators in N, of RRS legs in N m", most=_MOST)
+    bounds = _limits_of(configuration, force_limits, "force_limits", "efforts of the actuators", "N", "N m")
     matrix = symmetric_matrices(mass, "mass", 6, "in kg, kg m, kg m²", allow_nan=True, positive=True)
     check_configuration(configuration)
     broadcastable("mass", matrix.shape[:-2], "the configuration", configuration.shape)
@@ -372,6 +372,14 @@ def joint_reactions(configuration: Configuration) -> JointReactions:
     rods = np.linalg.norm(configuration.leg_vectors, axis=-1)
     bending, pivot = (lever[..., None] * axial for lever in (rods, configuration.leg_lengths))
     return JointReactions(axial, bending, pivot, ball.reshape(*shape, -1, 6) / np.cos(0.5 * np.pi / _DIRECTIONS))
+
+
+def _limits_of(
+    configuration: Configuration, value: npt.ArrayLike, argument: str, meaning: str, *units: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return `leg_bounds` in the units of lengths and of angles that the legs of a configuration have."""
+    legs = check_configuration(configuration).geometry.legs
+    return leg_bounds(value, argument, f"{meaning} in {legs.unit_text(*units)}", most=_MOST)
 
 
 def _taken(rows: FloatArray, load: npt.ArrayLike | None, other: str, shape: tuple[int, ...]) -> FloatArray:

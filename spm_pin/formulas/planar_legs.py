@@ -31,8 +31,8 @@ RPS_LEGS, PRS_LEGS, RRS_LEGS = 0, 1, 2
 """Numbers of the kinds of legs, by which kernels choose their formulas."""
 LONGEST_CHORD = 0.1
 """Largest turn of a crank [rad] in which its end is taken to move along the chord where a state is followed."""
-MOST_TURNED = 16.0 * RIGHT_ANGLE
-"""Largest reading of a crank, offset aside [rad]: more than four turns are taken for degrees."""
+MOST_TURNED = 6.3
+"""Largest reading of a crank, offset aside, and largest azimuth [rad]: a turn, and more is taken for degrees."""
 
 
 class Circle(NamedTuple):

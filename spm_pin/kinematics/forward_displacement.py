@@ -199,7 +199,7 @@ def set_of_one(state: Configuration, label: str) -> SolutionSet:
 
 def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArray:
     """Read readings (..., n) of these legs, none so large that a machine of this size [m] is lost in its rounding."""
-    meaning = "in metres" if "rad" not in legs.units else "in metres, of RRS legs in radians"
+    meaning = f"in {legs.unit_text()}"
     read = real_array(readings, "readings", (len(legs.names),), f"{', '.join(legs.names)} {meaning}")
     own = np.asarray(read - legs.offsets) if legs.offsets.any() else read
     short = own <= legs.least_readings
@@ -216,7 +216,7 @@ def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArra
     if (np.abs(own) > farthest).any():
         index = first_offender(np.abs(own) > farthest)
         if legs.units[index[-1]] == "rad":
-            expected, cause = f"angles in radians within ±{MOST_TURNED:.3g} for {legs.names[index[-1]]}", "In degrees?"
+            expected, cause = f"angles in radians within ±{MOST_TURNED:g} for {legs.names[index[-1]]}", "In degrees?"
         else:
             expected = f"lengths in metres up to {LARGEST_RATIO:.0e} times the machine's own {size:.3g} m"
             cause = "Lengths in another unit?"

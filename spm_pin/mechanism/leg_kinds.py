@@ -18,6 +18,7 @@ import numpy as np
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.formulas import planar_legs
 from spm_pin.formulas.operations import on_arrays
+from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.mechanism.arguments import (
     LARGEST,
     SMALLEST,
@@ -34,7 +35,6 @@ Number = float | Sequence[float]
 
 FORMULAS = "reading", "reach", "room", "circle", "slope", "largest_slope", "home", "passive"
 """What every kind has a formula for."""
-_ANGLE = 2.0 * math.pi
 _STEP = 1e-100
 """Imaginary step of a derivative."""
 
@@ -267,7 +267,7 @@ def _sign(value: Any, argument: str) -> float:
 
 def _direction(value: Any, argument: str) -> float:
     expected = "an angle in radians, of at most one turn"
-    return real_number(value, argument, expected, least=-_ANGLE, most=_ANGLE, cause="Given in degrees?")
+    return real_number(value, argument, expected, least=-MOST_TURNED, most=MOST_TURNED, cause="Given in degrees?")
 
 
 _READERS: dict[str, Callable[[Any, str], float]] = {
@@ -276,7 +276,12 @@ _READERS: dict[str, Callable[[Any, str], float]] = {
     "direction": _direction,
     "sign": _sign,
 }
-BOUNDS = {"rod": (SMALLEST, LARGEST), "crank": (SMALLEST, LARGEST), "direction": (-_ANGLE, _ANGLE), "sign": (-1.0, 1.0)}
+BOUNDS = {
+    "rod": (SMALLEST, LARGEST),
+    "crank": (SMALLEST, LARGEST),
+    "direction": (-MOST_TURNED, MOST_TURNED),
+    "sign": (-1.0, 1.0),
+}
 """Between which the numbers fixed in a leg are; a sign is one of its bounds."""
 KINDS: dict[str, type[LegKind]] = {kind.__name__: kind for kind in (RPS, PRS, RRS)}
 """The kinds of legs by their names."""

@@ -15,6 +15,7 @@ from spm_pin.errors import ArgumentError, GeometryError, UnreachableError, raise
 from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.operations import bind, on_arrays, rows_of, vector_of
+from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.mechanism.arguments import (
     COLUMNS,
     LARGEST,
@@ -52,8 +53,6 @@ _admitted_readings = on_arrays(leg_constants.admitted_readings)
 _limit_rounding = on_arrays(leg_constants.limit_rounding)
 _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _plane_axes = bind(planar_legs.plane_axes, sqrt=math.sqrt)
-_LARGEST_ANGLE = 4.0 * math.pi
-"""Largest limit of an angle [rad]: a crank's, with its encoder's offset."""
 _planes_axes = on_arrays(planar_legs.plane_axes)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
@@ -296,6 +295,12 @@ class Legs:
     def units(self) -> tuple[str, ...]:
         """Units of the readings, "m" or "rad", in the order of `LEGS`."""
         return tuple(kind.unit for kind in self.kinds for _ in range(3))
+
+    def unit_text(self, lengths: str = "metres", angles: str = "radians") -> str:
+        """Return the unit of what is read of the legs, for messages: one, where all have it."""
+        if "rad" not in self.units:
+            return lengths
+        return angles if "m" not in self.units else f"{lengths}, of RRS legs in {angles}"
 
     @functools.cached_property
     def least_readings(self) -> FloatArray:
@@ -540,5 +545,6 @@ def check_limits(limits: LegLimits, legs: Legs) -> None:
         received = f"[{low:g}, {high:g}] for {name}"
         if isinstance(kind, RPS) and low < 0.0:
             raise GeometryError("limits", "limits of lengths, 0 <= minimum < maximum, in metres", received)
-        if kind.unit == "rad" and max(abs(x) for x in (low, high, 0.0) if math.isfinite(x)) > _LARGEST_ANGLE:
-            raise GeometryError("limits", f"angles in radians, within ±{_LARGEST_ANGLE:.3g}", received, "In degrees?")
+        turned = [abs(x - legs.offsets[leg]) for x in (low, high) if math.isfinite(x)]
+        if kind.unit == "rad" and any(x > MOST_TURNED for x in turned):
+            raise GeometryError("limits", f"angles in radians, within ±{MOST_TURNED:g}", received, "In degrees?")

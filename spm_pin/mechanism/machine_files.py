@@ -22,7 +22,7 @@ _LEG_KEYS = {
     "axis": "a unit vector along the revolute axis",
     "pivot": "in metres",
     "ball": "in metres",
-    "offset": "a number of metres, of RRS legs of radians",
+    "offset": "a number in the unit of the readings",
 }
 _IMPLAUSIBLE = 20.0
 """A file with a larger dimension [m] is suspected to be in another unit."""
@@ -70,7 +70,7 @@ def read_limits(data: Any, place: str, kind: type[Limits]) -> Limits:
     bounds = []
     for leg in kind.legs:
         where = f"{leg} of {place}" if isinstance(data, dict) else place
-        bounds.append(_read_numbers(pairs[leg], where, 2, "a minimum and a maximum in metres"))
+        bounds.append(_read_numbers(pairs[leg], where, 2, "a minimum and a maximum in the unit of the readings"))
         try:
             kind(*bounds[-1])
         except GeometryError as wrong:

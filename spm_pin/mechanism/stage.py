@@ -7,7 +7,6 @@ Legs 1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in both.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -154,14 +153,11 @@ class Stage(Mechanism):
         check_limits(value, self.legs)
         ends = np.abs(value.ends - self.legs.offsets)
         farthest = float(ends.max(initial=0.0, where=np.isfinite(ends)))
-        if self.unit == "m":
-            unit = likely_unit(self, farthest)
-            cause = f"Lengths are in metres: is it {farthest:g} {unit}?"
-        else:
-            unit, cause = ("°" if farthest > 2.0 * math.pi else None), "In degrees?"
+        unit = likely_unit(self, farthest) if self.unit == "m" else None
         if unit is not None:
-            expected = f"limits of readings in {self.unit}, in proportion to the stage, or infinity for none"
-            raise GeometryError("limits", expected, f"{farthest:g} {self.unit}", cause)
+            expected = "limits of readings in m, in proportion to the stage, or infinity for none"
+            cause = f"Lengths are in metres: is it {farthest:g} {unit}?"
+            raise GeometryError("limits", expected, f"{farthest:g} m", cause)
         return value
 
     def __repr__(self) -> str:

@@ -298,7 +298,7 @@ def largest_certified_limits(
         if geometry.limits is None or not geometry.limits.are_finite:
             raise ArgumentError("centre", "readings, as the geometry has no finite limits", "None")
         centre = geometry.limits.ends.mean(axis=0)
-    readings = real_array(centre, "centre", (), "readings in metres, of RRS legs in radians")
+    readings = real_array(centre, "centre", (), f"readings in {legs.unit_text()}")
     if readings.shape not in ((), (6,)):
         raise ArgumentError("centre", "one or six readings", f"shape {readings.shape}")
     readings = np.broadcast_to(readings, 6)

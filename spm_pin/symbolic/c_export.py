@@ -48,7 +48,7 @@ STATUSES = {
     "SINGULAR": (3, "the state or the way to it is singular to rounding, or branches of a pose cannot be told apart"),
     "NOT_FINITE": (-1, "an argument is NaN or infinite"),
     "NOT_A_ROTATION": (-2, "an entry of R^T R - I is above 1e-6, or R is a reflection"),
-    "OUT_OF_RANGE": (-3, "a length is not positive, a place farther than 1e5 (E + C + d), or a result infinite"),
+    "OUT_OF_RANGE": (-3, "a length <= 0, a crank past a turn, a place past 1e5 (E + C + d), or a result infinite"),
     "BAD_GEOMETRY": (-4, "numbers that are no machine; of `all_branches` legs elsewhere than drawn"),
     "BAD_NEAR": (-5, "the state to begin from does not close to 1e-6 d"),
 }

@@ -145,7 +145,7 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
     residual, state = ca.mmax(ca.fabs(error)) / machine.side, State(machine, joints, rotation, position)
     exists = [machine.valid, state.is_physical()[0], residual < 1e-12, state.least_slope(state.slopes_at(own)) > 0.0]
     exists += [radius > 0.0 for stage in stages for radius in stage.radii]
-    exists += [ca.fabs(reading) < np.inf for reading in ca.vertsplit(readings)]
+    exists += machine.are_readings(own)
     outputs = {"rotation": rotation, "position": position, "joints": joints}
     outputs |= {"residual": residual, "exists": all_of(exists)}
     problem = unknowns, error, outputs, ca.vertcat(*stepped)

@@ -28,6 +28,7 @@ from spm_pin.formulas import (
     wrenches,
 )
 from spm_pin.formulas.operations import bind
+from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.mechanism import FAMILIES, Geometry, LegKind
 from spm_pin.mechanism.arguments import LARGEST, SMALLEST, as_bool, type_and_value
 from spm_pin.mechanism.joint_angles import joint_names
@@ -261,6 +262,11 @@ class Machine:
         """Return what a formula of the leg's kind makes of its ball, seen from the plate that the leg stands on."""
         place = in_casadi(planar_legs.place_in_plane)(parts(ball), self._own_planes[leg])
         return getattr(self.formulas[leg // 3], name)(*place, *further, self.numbers[leg])
+
+    def are_readings(self, own: Sequence[Any]) -> list[Any]:
+        """Return where readings of the first legs, without offsets, are finite, and those of cranks within a turn."""
+        most = (MOST_TURNED if self.kinds[leg // 3].unit == "rad" else np.inf for leg in range(len(own)))
+        return [ca.fabs(reading) < bound for reading, bound in zip(own, most, strict=True)]
 
     def angles(self, stage: int, e: Sequence[Any]) -> Any:
         """Return the angles (3,) of directions in the planes of a stage's legs, from their axes y towards z."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import casadi as ca
-import numpy as np
 
 from spm_pin.formulas import circles, stage_poses
 from spm_pin.mechanism import Geometry, Stage
@@ -74,11 +73,11 @@ def stage_forward(stage: Stage, *, near: bool = False) -> ca.Function:
     residual = ca.mmax(ca.fabs(error)) / machine.side
     exists = [residual < 1e-12, in_casadi(circles.is_home_state)(own, e, balls, stage.up)]
     exists += [radius > 0.0 for radius in own.radii]
-    for leg, (ball, reading) in enumerate(
-        zip(columns(balls), ca.vertsplit(readings - machine.offsets[:3]), strict=True)
-    ):
+    shown = ca.vertsplit(readings - machine.offsets[:3])
+    for leg, (ball, reading) in enumerate(zip(columns(balls), shown, strict=True)):
         slope = machine.of_ball("slope", leg, ball, reading)
-        exists += [slope / machine.formulas[0].largest_slope(machine.numbers[leg]) > 0.0, ca.fabs(reading) < np.inf]
+        exists.append(slope / machine.formulas[0].largest_slope(machine.numbers[leg]) > 0.0)
+    exists += machine.are_readings(shown)
     rotation, position = frame_of(columns(balls), machine.balls[:3])
     outputs = {"rotation": rotation, "position": position, "residual": residual, "exists": all_of(exists)}
     return implicit("stage_forward", inputs, (unknowns, error, outputs, stepped), [angles])

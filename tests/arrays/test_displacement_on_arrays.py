@@ -96,6 +96,9 @@ def test_legs_of_any_kind_are_those_of_the_kernels(lower: str, upper: str, built
 def test_balls_out_of_reach_and_other_working_modes_are_no_states() -> None:
     geometry = machine_of("RRS", "PRS")
     known = states(geometry)
+    wound = known.readings + 4.0 * np.pi * (np.array(geometry.legs.units) == "rad")
+    assert not arrays.forward_physical(geometry, wound).exists.any()
+    assert spm.symbolic.forward_physical(geometry)(wound[0])[4] == 0.0
     up = known.translation + np.array([0.0, 0.0, 1.5])
     assert not arrays.inverse_physical(geometry, known.rotation, up).exists.any()
     assert not arrays.inverse_displacement(geometry, known.rotation, up).exists[:, :2].any()

@@ -119,8 +119,25 @@ def test_readings_lead_to_the_states_of_the_kernel_in_casadi(machine: str) -> No
         spins = np.einsum("ijk,lj->ilk", turns, state.rotation)
         found = np.stack([spins[2, 1], spins[0, 2], spins[1, 0]])
         np.testing.assert_allclose(found, expected[3:], rtol=0, atol=1e-9 * scale)
-    without = 3.0 * states[0].readings + 2.0 * stage.size
+    without = states[0].readings + 2.0 * (1.0 if stage.unit == "rad" else stage.size)
     assert forward(without)[3] == spm.stages.forward_physical(stage, without).exists
+
+
+@pytest.mark.parametrize("turns", [-2, 2])
+def test_cranks_turned_by_more_than_a_turn_are_taken_for_degrees(turns: int) -> None:
+    """The same places of the cranks, which was the answer."""
+    stage, height = stage_and_height("RRS")
+    shown = spm.stages.inverse_physical(stage, height, roll=0.1).readings
+    wound = shown + 2.0 * np.pi * turns
+    for once in (shown - 2.0 * np.pi, shown):
+        assert spm.stages.forward_physical(stage, once).exists
+        assert arrays.stage_forward(stage, once).exists
+        assert spm.symbolic.stage_forward(stage)(once)[3] == 1.0
+    assert not arrays.stage_forward(stage, wound).exists
+    assert spm.symbolic.stage_forward(stage)(wound)[3] == 0.0
+    for solve in (spm.stages.forward, spm.stages.forward_physical):
+        with pytest.raises(spm.ArgumentError, match=r"angles in radians within ±6\.3 for r_1, got .*In degrees"):
+            solve(stage, wound)
 
 
 @pytest.mark.usefixtures("double_precision")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -189,7 +190,7 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
     "degrees": (lambda: PRS(rod=1.0, direction=90.0), "Given in degrees"),
     "four legs": (lambda: RRS(crank=[1.0] * 4, rod=1.0), "one for each of the three legs"),
     "limits in degrees": (
-        lambda: spm.Geometry.of_stages(Stage(0.7, 0.45, RRS(crank=0.5, rod=0.9), (-30.0, 90.0)), Stage(0.4, 0.45)),
+        lambda: dataclasses.replace(machine("RRS", "RPS"), limits=spm.LegLimits.stages((-7.0, 7.0), (1.0, 1.5))),
         "In degrees",
     ),
     "a negative length": (
@@ -198,7 +199,7 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "two triangles": (lambda: spm.Geometry.of_stages(Stage(0.7, 0.45), Stage(0.4, 0.46)), "platform_radius"),
     "readings in degrees": (
-        lambda: spm.forward_physical(machine("RRS", "RPS"), [60.0, 60.0, 60.0, 1.3, 1.3, 1.3]),
+        lambda: spm.forward_physical(machine("RRS", "RPS"), [7.0, 6.0, 6.0, 1.3, 1.3, 1.3]),
         "In degrees",
     ),
 }

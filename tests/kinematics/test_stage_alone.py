@@ -256,12 +256,16 @@ def test_why_there_is_no_solution_is_said() -> None:
     assert "tilt is 57°" in repr(spm.stages.inverse_physical(BALANCER, 0.12, roll=1.0))
     with pytest.raises(spm.ArgumentError, match=r"tilt: .*radians.*, got 15\. Given in degrees"):
         spm.stages.inverse(BALANCER, 0.12, tilt=15.0, azimuth=0.0)
+    with pytest.raises(spm.ArgumentError, match=r"azimuth: .*radians.*, got 15\. Given in degrees"):
+        spm.stages.inverse(BALANCER, 0.12, tilt=0.1, azimuth=15.0)
+    with pytest.raises(spm.ArgumentError, match=r"readings: .*r_1, r_2, r_3 in radians, got shape"):
+        spm.stages.forward(BALANCER, [0.1, 0.2])
     with pytest.raises(spm.ArgumentError, match="azimuth: expected a tilt with its azimuth"):
         spm.stages.inverse(BALANCER, 0.12, tilt=0.1)
     with pytest.raises(spm.ArgumentError, match="tilt and roll: expected one of"):
         spm.stages.inverse(BALANCER, 0.12, tilt=0.1, azimuth=0.0, roll=0.1)
     with pytest.raises(spm.ArgumentError, match="In degrees"):
-        spm.stages.forward(BALANCER, [30.0, 20.0, 40.0])
+        spm.stages.forward(BALANCER, [6.0, 5.0, 7.0])
     with pytest.raises(spm.ArgumentError, match="a state of this stage"):
         spm.stages.forward_physical(STAGES["RPS"], [1.2, 1.2, 1.2], near=spm.stages.inverse_physical(BALANCER, 0.12))
 

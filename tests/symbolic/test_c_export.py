@@ -189,6 +189,10 @@ def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str,
         for found, status in (own.inverse(state.rotation, up), own.inverse(state.rotation, up, known)):
             assert lower == "RPS" or not (status == 0).any()  # slides lead outwards, and cranks have an end
             np.testing.assert_array_equal(np.isnan(found).all(axis=-1), status != 0)
+    # Cranks where they were, two turns later: they are taken for degrees.
+    wound = state.readings + 4.0 * np.pi * (np.array(geometry.legs.units) == "rad")
+    for further in ((), (known,)):
+        assert (own.forward(wound, *further)[1] == STATUS["OUT_OF_RANGE"]).all()
     # A crank and a rod that just do not reach, of a state that is passed in, and numbers that are none.
     place = 75  # of the first number that is fixed in a leg
     for number, name in (

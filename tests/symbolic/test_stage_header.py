@@ -237,7 +237,11 @@ def test_errors_are_statuses(libraries) -> None:
     torn = home.copy()
     torn[0, 9] += 1e-3
     assert library.forward(home[:, 12:], torn)[1].tolist() == [STATUS["BAD_INPUT"]]
-    assert library.forward(home[:, 12:] + 1e9, home)[1].tolist() == [STATUS["UNSAFE"]]
+    for turns in (-1e9, -2.0, 2.0):  # more than one is taken for degrees
+        assert library.forward(home[:, 12:] + 2.0 * np.pi * turns, home)[1].tolist() == [STATUS["BAD_INPUT"]]
+    assert library.forward(home[:, 12:] - 2.0 * np.pi, home)[1].tolist() != [STATUS["BAD_INPUT"]]
+    for tilt in (2.0 * np.pi, -20.0, np.nan):
+        assert library.tilt([tilt], [0.0], [0.11])[1].tolist() == [STATUS["BAD_INPUT"]]
 
 
 @pytest.mark.parametrize("machine", ["RPS", "PRS hanging", "RRS as built"])

@@ -24,6 +24,7 @@ from spm_pin.kinematics import (
     leg_forces,
     singularities,
 )
+from spm_pin.kinematics.forward_displacement import read_readings
 from spm_pin.kinematics.path_following import existing_share, last_on_line
 from spm_pin.kinematics.random_states import random_states
 from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Stage, StageConfiguration, Status
@@ -198,8 +199,8 @@ class ViewerModel:
 
     def set_readings(self, readings: npt.ArrayLike) -> SessionState:
         """Move to encoder readings (6,) in the assembly mode, as far as it lasts."""
-        target = real_array(readings, "readings", (6,), "readings of the encoders in metres, of RRS legs in radians")
         before = self.state.shown
+        target = read_readings(before.geometry.legs, before.geometry.size, readings)
         # The physical mode is solved for, without a path to follow.
         shown = forward_physical(before.geometry, target, near=None if physical(before) else before)
         share = 1.0

@@ -21,7 +21,7 @@ from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.path_following import existing_share
 from spm_pin.mechanism import Stage, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray, real_array
-from spm_pin.stages.displacement import normals_of_request
+from spm_pin.stages.displacement import normals_of_request, read_stage_readings
 
 _NEAR = 0.1
 """A singularity is near where its smallest singular value, or the slope of a leg over its largest, is below this."""
@@ -118,7 +118,7 @@ class StageModel:
 
     def set_readings(self, readings: npt.ArrayLike) -> StageState:
         """Move to encoder readings (3,) as far as the platform's mode lasts."""
-        wanted = real_array(readings, "readings", (3,), "readings of the encoders in metres, of RRS legs in radians")
+        wanted = read_stage_readings(self._stage, readings)
         before, solve = self.state.shown.readings, partial(stages.forward_physical, self._stage)
         share, shown = 1.0, solve(wanted)
         if not shown.exists:

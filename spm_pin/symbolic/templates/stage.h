@@ -8,7 +8,7 @@
 
    Metres and radians. The base's frame {b} has Z upwards, the platform's {p} is level where its axes are those of {b}.
    A reading is the length of an RPS leg, the place of a PRS leg's carriage on its slide, or the angle of an RRS leg's
-   crank, 0 outwards and pi/2 upwards. Numbers are float, or double with STAGE_DOUBLE defined before the inclusion. */
+   crank, 0 outwards and pi/2 upwards. Numbers are float, or double with STAGE_DOUBLE defined before. */
 
 #ifndef STAGE_H
 #define STAGE_H
@@ -25,7 +25,7 @@ enum {
     STAGE_BEYOND_LIMITS = 2, /* a reading is below its minimum or above its maximum */
     STAGE_SINGULAR = 3,      /* beyond a singularity of a leg or platform, or so near, or far, that digits are lost */
     STAGE_UNSAFE = 4,        /* the way from the state `near` is not proved to be regular */
-    STAGE_BAD_INPUT = -1     /* no finite numbers, a normal of length zero, or a state `near` that is none */
+    STAGE_BAD_INPUT = -1     /* no finite numbers, degrees, a zero normal, or a `near` that is no state */
 };
 
 enum { STAGE_RPS, STAGE_PRS, STAGE_RRS };
@@ -48,10 +48,11 @@ typedef float stage_real;
 #define STAGE_EPSILON 1.2e-7f
 #define STAGE_LEAST_SLOPE 0.1f
 #define STAGE_MOST_AMPLIFIED 200.0f
-#define STAGE_ROUNDING 1e-6f /* of a limit, and of a state `near` */
+#define STAGE_ROUNDING 1e-6f /* of limits and states `near` */
 #endif
 #define STAGE_NO_LIMIT ((stage_real)INFINITY)
-#define STAGE_MOST_STEPS 1000 /* of `stage_forward`, those in vain counted */
+#define STAGE_TURN STAGE_R(@MOST_TURNED@) /* more is degrees */
+#define STAGE_MOST_STEPS 1000 /* of `stage_forward`, in vain or not */
 
 /* A leg moves in a plane, in which x is outwards and z upwards from the pivot. */
 typedef struct {
@@ -401,6 +402,9 @@ static inline int stage_tilt(const stage_geometry *m, stage_real tilt, stage_rea
         stage_state *state)
 {
     stage_real normal[3];
+    if (STAGE_M(fabs)(tilt) > STAGE_TURN / 2) {
+        return STAGE_BAD_INPUT;
+    }
     normal[0] = STAGE_M(sin)(tilt) * STAGE_M(cos)(azimuth);
     normal[1] = STAGE_M(sin)(tilt) * STAGE_M(sin)(azimuth);
     normal[2] = STAGE_M(cos)(tilt);
@@ -423,7 +427,8 @@ static inline int stage_forward(const stage_geometry *m, const stage_real readin
     }
     for (i = 0; i < 3; ++i) {
         step = STAGE_M(fabs)(readings[i] - near->readings[i]);
-        if (!(step - step == 0)) {
+        if (!(step - step == 0)
+                || (m->kind == STAGE_RRS && STAGE_M(fabs)(readings[i] - m->legs[i].offset) > STAGE_TURN)) {
             return STAGE_BAD_INPUT;
         }
         longest = stage_larger(longest, step);
