@@ -4,7 +4,8 @@
 # Each first sets up what it needs in .venv.
 
 PYTHON ?= python3
-PYTEST ?= -n auto
+# Each worker begins with half of the tests in order, so that those of a file share what is made for them once.
+PYTEST ?= -n auto --dist worksteal
 BENCH ?=
 VENV := .venv
 BIN := $(VENV)/bin
