@@ -98,7 +98,7 @@ int main(int count, char ** arguments)
       const std::string reason = set_points.take(wanted, now, target);
       const bool is_taken = reason.empty();
       stops += is_at_stop;
-      beyond += is_at_stop && reason == "a leg is beyond its limits";
+      beyond += is_at_stop && reason.rfind("beyond limits", 0) == 0;
       taken += is_taken;
       refused += !is_taken;
       for (std::size_t i = 0; i < 6; ++i) {

@@ -126,7 +126,7 @@ def servos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def parameters_of(package: Path) -> dict[str, Any]:
     """Return the parameters of the controller by their names in ROS."""
     text = (package / "config/spm_controller.yaml").read_text(encoding="utf-8")
-    values = yaml.safe_load(text)["spm_controller"]["ros__parameters"]
+    values = yaml.safe_load(text)["/**"]["ros__parameters"]
     return values | {f"machine.{name}": numbers for name, numbers in values.pop("machine").items()}
 
 
@@ -205,6 +205,8 @@ def test_the_hardware_of_the_description_has_the_joints_of_the_controller(packag
     names, zeros = parameters["joints"], parameters["zeros"]
     assert [joint.get("name") for joint in control.findall("joint")] == names
     assert all(kinds[name] == "prismatic" for name in names)
+    velocities = [float(robot.find(f"joint[@name='{name}']/limit").get("velocity")) for name in names]
+    assert velocities == parameters["max_velocity"]
     assert robot.find(f"link[@name='{parameters['frame_id']}']") is not None
     # The start is the state whose slides are these.
     machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
@@ -225,18 +227,25 @@ def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_start
     library = tmp_path / "libspm_kinematics.so"
     compile_c(compilers()[0], "-O1", "-fPIC", "-shared", package / "src/spm_kinematics.c", "-lm", "-o", library)
 
-    class Node:
-        create_publisher, create_subscription, create_timer, get_logger, get_clock = (MagicMock() for _ in range(5))
+    parameters = parameters_of(package)
 
-        def __init__(self, name: str) -> None:
+    class Node:
+        create_publisher, create_subscription, get_logger, get_clock = (MagicMock() for _ in range(4))
+
+        def __init__(self, name: str, *, automatically_declare_parameters_from_overrides: bool) -> None:
             assert name == "spm_joint_states"
+            assert automatically_declare_parameters_from_overrides
+
+        def get_parameter_or(self, name: str) -> SimpleNamespace:
+            return SimpleNamespace(value=parameters.get(name))
 
     actions = SimpleNamespace(
         DeclareLaunchArgument=lambda name, **given: SimpleNamespace(name=name, **given), OpaqueFunction=SimpleNamespace
     )
     configuration = SimpleNamespace(LaunchConfiguration=lambda key: SimpleNamespace(perform=lambda given: given[key]))
     stand_ins = {
-        **{name: MagicMock() for name in ("rclpy", "sensor_msgs", "sensor_msgs.msg", "std_msgs", "std_msgs.msg")},
+        **{name: MagicMock() for name in ("rclpy", "rclpy.executors", "sensor_msgs")},
+        "sensor_msgs.msg": SimpleNamespace(JointState=SimpleNamespace),
         "rclpy.node": SimpleNamespace(Node=Node),
         "launch": SimpleNamespace(LaunchDescription=list),
         "launch.actions": actions,
@@ -250,40 +259,79 @@ def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_start
     with pytest.MonkeyPatch.context() as patch:
         for name, content in stand_ins.items():
             patch.setitem(sys.modules, name, content)
-        node = runpy.run_path(str(package / "scripts/joint_states.py"))["JointStates"](library)
+        joint_states = runpy.run_path(str(package / "scripts/joint_states.py"))["JointStates"]
+        node = joint_states(library)
         *arguments, opaque = runpy.run_path(str(package / "launch/robot.launch.py"))["generate_launch_description"]()
-    callbacks = {call.args[1]: call.args[2] for call in node.create_subscription.call_args_list}
-    machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
-    readings = np.array([1.2, 1.3, 1.4, 1.2, 1.3, 1.25])
-    zeros = [1.3 + offset for offset in machine.legs.offsets]
-    slides = SimpleNamespace(name=list(spm.description.SLIDES), position=(readings - zeros + 0.01).tolist())
-    for topic, sent, expected in (
-        ("leg_lengths", SimpleNamespace(data=readings.tolist()), readings),
-        ("leg_states", slides, readings + 0.01),
-        ("leg_lengths", SimpleNamespace(data=[0.3, 2.5, 0.3, 1.3, 1.3, 1.3]), readings + 0.01),
-        ("leg_lengths", SimpleNamespace(data=[1.3]), readings + 0.01),
+    (topic, complete) = node.create_subscription.call_args.args[1:3]
+    assert topic == "leg_states"
+    machine, now = spm.Geometry.from_yaml(package.parent / "machine.yaml"), object()
+    node.get_clock().now().to_msg.return_value = now
+    names, zeros = parameters["joints"], parameters["zeros"]
+    readings, rates = np.array([1.2, 1.3, 1.4, 1.2, 1.3, 1.25]), np.array([0.02, -0.1, 0.05, 0.0, 0.03, -0.01])
+
+    def message(values: np.ndarray, velocity: list[float], seconds: int = 7) -> SimpleNamespace:
+        stamp = SimpleNamespace(sec=seconds, nanosec=0)
+        positions = [0.1, *(values - zeros)]
+        return SimpleNamespace(
+            header=SimpleNamespace(stamp=stamp), name=["other", *names], position=positions, velocity=velocity
+        )
+
+    def expected(values: np.ndarray) -> dict[str, float]:
+        return joint_values(spm.forward_physical(machine, values))
+
+    for values, velocity, is_carried in (
+        (readings, [], False),
+        (readings + 0.01, [0.0, *rates], True),
+        (readings, [0.0] * 7, True),
+        (readings, [np.nan] * 7, False),
     ):
-        callbacks[topic](sent)
-        node.create_timer.call_args.args[1]()
-        message = node.publisher.publish.call_args.args[0]
-        values = joint_values(spm.forward_physical(machine, expected))
-        assert dict(zip(message.name, message.position, strict=True)) == pytest.approx(values, rel=0, abs=1e-12)
-    assert node.get_logger().warning.call_count == 2
+        sent = message(values, velocity)
+        complete(sent)
+        completed = node.publisher.publish.call_args.args[0]
+        assert completed.header.stamp is sent.header.stamp
+        positions = dict(zip(completed.name, completed.position, strict=True))
+        assert positions == pytest.approx(expected(values), rel=0, abs=1e-12)
+        assert hasattr(completed, "velocity") == is_carried
+        if is_carried:
+            step = 1e-4 * np.array(velocity[1:])
+            after, before = expected(values + step), expected(values - step)
+            differences = {joint: (after[joint] - before[joint]) / 2e-4 for joint in after}
+            velocities = dict(zip(completed.name, completed.velocity, strict=True))
+            assert velocities == pytest.approx(differences, rel=0, abs=1e-7)
+            of_legs = [velocities[name] for name in names]
+            np.testing.assert_allclose(of_legs, velocity[1:], rtol=0, atol=1e-9)
+    complete(message(readings, [], seconds=0))
+    assert node.publisher.publish.call_args.args[0].header.stamp is now
+    assert node.publisher.publish.call_count == 5
+    complete(message(np.array([0.3, 2.5, 0.3, 1.3, 1.3, 1.3]), []))  # has no state
+    complete(SimpleNamespace(name=["other"], position=[0.1], velocity=[]))
+    assert node.publisher.publish.call_count == 5
+    assert node.get_logger().warning.call_count == 1
+    complete(message(readings, []))
+    assert node.publisher.publish.call_count == 6
+    del parameters["zeros"]
+    with pytest.raises(ValueError, match=r"zeros: expected 6 values, got None: is config/spm_controller\.yaml given"):
+        joint_states(library)
 
     defaults = {argument.name: argument.default_value for argument in arguments}
-    started = opaque.function(defaults | {"control": "true"})
+    started = opaque.function(defaults)
     assert [each.executable for each in started] == [
         *("robot_state_publisher", "joint_states.py", "ros2_control_node", "spawner", "spawner", "rviz2")
     ]
-    (given,) = [each.arguments for each in started if "spm_controller" in (getattr(each, "arguments", None) or ())]
-    assert given == ["spm_controller", "--param-file", str(package / "config/spm_controller.yaml")]
+    controllers, of_ours = (str(package / f"config/{name}.yaml") for name in ("controllers", "spm_controller"))
+    assert [each.arguments for each in started[3:5]] == [
+        ["joint_state_broadcaster", "--param-file", controllers],
+        ["spm_controller", "--param-file", of_ours],
+    ]
+    assert started[1].parameters == [of_ours]
+    assert started[1].remappings == [("leg_states", "joint_state_broadcaster/joint_states")]
     for each in (started[0], started[2]):
         # A text that is not marked as one is read as YAML by launch_ros.
         assert each.parameters[0]["robot_description"] == [(package / "urdf/spm.urdf").read_text(encoding="utf-8")]
     elements = ElementTree.parse(package / "package.xml").getroot().iter()
     depends = {each.text for each in elements if "depend" in each.tag}
     assert {each.package for each in started} - {"spm_robot"} <= depends
-    assert len(opaque.function(defaults)) == 3
+    assert len(opaque.function(defaults | {"control": "false"})) == 3
 
 
 @pytest.mark.parametrize(
@@ -304,12 +352,13 @@ def test_the_start_is_within_the_limits_and_the_pose_to_paste_is_reached_from_it
         values = {x.get("name"): float(x.text) for x in joint.iter("param")}
         assert not values or values["min"] < values["initial_value"] < values.get("max", np.inf)
     launch = files["launch/robot.launch.py"]
-    numbers = r"\{data: \[(.*?)\]", r"\{position: \{(.*?)\}", r"orientation: \{(.*?)\}"
-    start, position, orientation = (
+    numbers = r"position: \[(.*?)\]", r"\{position: \{(.*?)\}", r"orientation: \{(.*?)\}"
+    joints, position, orientation = (
         [float(x.split(":")[-1]) for x in re.search(pattern, launch)[1].split(",")] for pattern in numbers
     )
-    assert start == np.round(start, 12).tolist()
-    assert f"START = {start}" in files["scripts/joint_states.py"]
+    parameters = yaml.safe_load(files["config/spm_controller.yaml"])["/**"]["ros__parameters"]
+    start = np.add(joints, parameters["zeros"])
+    np.testing.assert_allclose(start, start_readings(machine)[0], rtol=0, atol=1e-8)
     state = spm.forward_physical(machine, start)
     assert state.exists
     assert np.ptp(start) > 1e-3  # not level

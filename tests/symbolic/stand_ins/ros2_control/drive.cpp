@@ -1,13 +1,28 @@
 // Configure, activate and run the controller. The first file has its parameters, a name and numbers or texts in a line; the
 // second the readings of the start, and a set-point near it: position, quaternion, and the readings it leads to.
+#include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <iostream>
+#include <new>
 #include <sstream>
 #include "spm_controller.cpp"
 using controller_interface::CallbackReturn;
 
+using States = rclcpp::Publisher<control_msgs::msg::JointTrajectoryControllerState>;
+using Statuses = rclcpp::Publisher<diagnostic_msgs::msg::DiagnosticStatus>;
+
 static int failures = 0;
+static long allocations = 0;
+
+void * operator new(std::size_t size)
+{
+  ++allocations;
+  if (void * memory = std::malloc(size)) {return memory;}
+  throw std::bad_alloc{};
+}
+void operator delete(void * memory) noexcept {std::free(memory);}
+void operator delete(void * memory, std::size_t) noexcept {std::free(memory);}
 
 static void expect(bool holds, const char * what)
 {
@@ -20,6 +35,20 @@ static bool says(spm_robot::SpmController & controller, const char * text)
   if (!is_said) {std::cout << "said: " << controller.node->said << "\n";}
   controller.node->said[0] = '\0';
   return is_said;
+}
+
+// Whether a set-point is refused with a reason, in the log and on the topic, or taken where there is none.
+static bool answers(spm_robot::SpmController & controller, const geometry_msgs::msg::PoseStamped & message, const char * text)
+{
+  const int count = Statuses::count;
+  controller.node->publish(message);
+  const auto & status = Statuses::last;
+  const char * expected = *text ? text : "taken";
+  const bool is_so = Statuses::count == count + 1 && status.message.rfind(expected, 0) == 0 &&
+    status.level == (*text ? status.WARN : status.OK) && status.values[0].key == "stamp";
+  if (!is_so) {std::cout << "status: " << status.message << "\n";}
+  const bool is_silent = controller.node->said[0] == '\0';
+  return is_so && (*text ? says(controller, text) : is_silent);
 }
 
 int main(int, char ** names)
@@ -55,6 +84,7 @@ int main(int, char ** names)
   expect(controller.on_configure({}) == CallbackReturn::SUCCESS, "the parameters are taken");
   const auto interfaces = controller.command_interface_configuration().names;
   expect(interfaces.size() == 6 && interfaces[3] == parameters["joints"].as_string_array()[3] + "/position", "six interfaces of positions");
+  expect(controller.node->topics.at("~/status") && controller.node->topics.count("~/controller_state") == 1, "two topics");
   controller.command_interfaces_.resize(6);
   controller.state_interfaces_.resize(6);
   for (auto & joint : controller.state_interfaces_) {joint.value = NAN;}
@@ -77,43 +107,54 @@ int main(int, char ** names)
   poses >> pose.orientation.x >> pose.orientation.y >> pose.orientation.z >> pose.orientation.w;
   for (double & reading : readings) {poses >> reading;}
   const auto worst = [&] {
+      const auto & state = States::last;
       double error = 0.0;
-      for (int k = 0; k < 2000; ++k) {controller.update({}, {});}
+      const long allocated = allocations;
+      for (int k = 0; k < 2000; ++k) {controller.update({5.0}, {});}
+      expect(allocations == allocated && state.header.stamp.sec == 5, "updates send states and allocate nothing");
       for (int i = 0; i < 6; ++i) {
+        const double command = controller.command_interfaces_[i].value, feedback = controller.state_interfaces_[i].value;
+        expect(
+          state.reference.positions[i] == command && state.output.positions[i] == command &&
+          state.feedback.positions[i] == feedback && state.error.positions[i] == command - feedback, "the state is sent");
         error = std::fmax(error, std::fabs(controller.command_interfaces_[i].value + zeros[i] - readings[i]));
       }
       return error;
     };
   message.header.frame_id = "map";
-  controller.node->publish(message);
-  expect(says(controller, "its frame is \"map\", not \"base\""), "another frame is refused");
+  expect(answers(controller, message, "wrong frame: \"map\" instead of \"base\""), "another frame is refused");
   message.header.frame_id = "base";
   message.header.stamp.sec = 999999998;
-  controller.node->publish(message);
-  expect(says(controller, "stale"), "an old stamp is refused");
+  expect(answers(controller, message, "stale: stamped 2.0"), "an old stamp is refused");
+  message.header.stamp.sec = 1000000002;
+  expect(answers(controller, message, "in the future: by 2.0"), "a stamp to come is refused");
   expect(worst() > 1e-3, "what is refused is not followed");
   message.header.stamp.sec = 1000000000;
-  controller.node->publish(message);
+  expect(answers(controller, message, ""), "a pose nearby is taken");
   expect(worst() < 1e-9, "it goes to the pose");
-  controller.node->publish(message);
-  expect(says(controller, "older than the last one"), "the same message again is refused");
+  expect(answers(controller, message, "out of order"), "the same message again is refused");
   message.header.stamp.sec = 0;
   controller.node->clock.value += 1.0;
-  controller.node->publish(message);
-  expect(controller.node->said[0] == '\0', "no stamp is the time of arrival");
+  expect(answers(controller, message, ""), "no stamp is the time of arrival");
   controller.node->clock.value += 1.0;
+  const auto near = message;
   pose.position.z += 5.0;
-  controller.node->publish(message);
-  expect(says(controller, "the set-point is refused, the last one is held"), "a pose out of reach is refused");
+  expect(answers(controller, message, parameters.count("machine.lower_rrs") ? "unreachable" : "beyond limits: leg_b1_"),
+    "a pose out of reach is refused");
   pose.position.z = NAN;
-  controller.node->publish(message);
-  expect(says(controller, "not finite"), "NaN is refused");
+  expect(answers(controller, message, "not finite"), "NaN is refused");
   pose.orientation.w = 3.0;
-  controller.node->publish(message);
-  expect(says(controller, "no unit quaternion"), "a quaternion off unit length is refused");
+  expect(answers(controller, message, "no unit quaternion"), "a quaternion off unit length is refused");
   expect(worst() < 1e-9, "the last one is held");
   controller.on_deactivate({});
-  controller.node->publish(message);
-  expect(controller.node->said[0] == '\0', "nothing is taken while it is not active");
+  expect(answers(controller, near, "not active"), "nothing is taken while it is not active");
+  expect(controller.on_activate({}) == CallbackReturn::SUCCESS, "it begins again");
+  expect(worst() > 1e-3, "where the machine is, and not at the last set-point");
+  expect(answers(controller, near, ""), "stamps begin anew");
+  expect(worst() < 1e-9, "it goes there again");
+  controller.on_deactivate({});
+  parameters["max_step"].value = std::vector<double>(6, 1e-4);
+  expect(controller.on_configure({}) == CallbackReturn::SUCCESS && controller.on_activate({}) == CallbackReturn::SUCCESS, "again");
+  expect(answers(controller, near, "jump: leg_b1_"), "a jump is refused");
   return failures;
 }

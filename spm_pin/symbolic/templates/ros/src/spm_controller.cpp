@@ -1,24 +1,28 @@
 // A ros2_control controller for a @TITLE@: stamped poses of the platform become commands of six joints,
-// within limits of rate and acceleration. `update` neither allocates nor waits; poses are solved where they arrive.
+// within limits of rate and acceleration. Poses are solved where they arrive. What runs in the control loop, `update`,
+// `on_activate` and `on_deactivate`, waits for nothing.
 //
 // SPDX-License-Identifier: BSD-2-Clause
 
 #include <algorithm>
+#include <array>
+#include <atomic>
 #include <cmath>
+#include <cstdint>
 #include <limits>
+#include <memory>
 #include <mutex>
 #include <string>
 #include <vector>
 
+#include "control_msgs/msg/joint_trajectory_controller_state.hpp"
 #include "controller_interface/controller_interface.hpp"
+#include "diagnostic_msgs/msg/diagnostic_status.hpp"
 #include "geometry_msgs/msg/pose_stamped.hpp"
 #include "pluginlib/class_list_macros.hpp"
 #include "rclcpp/rclcpp.hpp"
-#if __has_include("realtime_tools/realtime_buffer.hpp")
 #include "realtime_tools/realtime_buffer.hpp"
-#else
-#include "realtime_tools/realtime_buffer.h"
-#endif
+#include "realtime_tools/realtime_publisher.hpp"
 #include "spm_set_points.hpp"
 
 namespace @PACKAGE@
@@ -33,6 +37,16 @@ auto value_of(const Interface & interface, int) -> decltype(interface.get_option
 
 template<typename Interface>
 double value_of(const Interface & interface, long) {return interface.get_value();}
+
+// From Jazzy on a message is sent by `try_publish`, before by `tryPublish`.
+template<typename Publisher, typename Message>
+auto try_publish(Publisher & publisher, const Message & message, int) -> decltype(publisher.try_publish(message))
+{
+  return publisher.try_publish(message);
+}
+
+template<typename Publisher, typename Message>
+bool try_publish(Publisher & publisher, const Message & message, long) {return publisher.tryPublish(message);}
 
 class SpmController : public controller_interface::ControllerInterface
 {
@@ -56,7 +70,7 @@ public:
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     Readings rate{}, acceleration{};
-    joints_ = get_node()->get_parameter("joints").as_string_array();
+    set_points_.joints = get_node()->get_parameter("joints").as_string_array();
     set_points_.frame = get_node()->get_parameter("frame_id").as_string();
     set_points_.timeout = get_node()->get_parameter("timeout").as_double();
     Readings & step = set_points_.largest_step;
@@ -67,7 +81,7 @@ public:
         });
     const auto is_positive = [](double x) {return x > 0.0 && std::isfinite(x);};
     const auto are_positive = [&](const Readings & x) {return std::all_of(x.begin(), x.end(), is_positive);};
-    if (!are_whole || joints_.size() != 6 || get_update_rate() == 0 || !is_positive(set_points_.timeout) ||
+    if (!are_whole || set_points_.joints.size() != 6 || get_update_rate() == 0 || !is_positive(set_points_.timeout) ||
       !are_positive(step) || !are_positive(rate) || !are_positive(acceleration))
     {
       RCLCPP_ERROR(
@@ -80,30 +94,36 @@ public:
     subscription_ = get_node()->create_subscription<geometry_msgs::msg::PoseStamped>(
       "~/reference", rclcpp::SystemDefaultsQoS(),
       [this](const geometry_msgs::msg::PoseStamped & message) {take(message);});
+    status_publisher_ = get_node()->create_publisher<Status>("~/status", rclcpp::QoS(1).transient_local());
+    state_publisher_ = std::make_unique<realtime_tools::RealtimePublisher<State>>(
+      get_node()->create_publisher<State>("~/controller_state", rclcpp::SystemDefaultsQoS()));
+    state_.joint_names = set_points_.joints;
+    for (auto * point : {&state_.reference, &state_.feedback, &state_.error, &state_.output}) {point->positions.resize(6);}
     return controller_interface::CallbackReturn::SUCCESS;
   }
 
   controller_interface::CallbackReturn on_activate(const rclcpp_lifecycle::State &) override
   {
     // A set-point of before is not followed: the machine stays where it is.
-    const std::lock_guard<std::mutex> lock(mutex_);
+    activation_ = 0;
     Readings readings{};
-    for (std::size_t i = 0; i < 6; ++i) {readings[i] = value_of(state_interfaces_[i], 0) + zeros_[i];}
-    const int status = set_points_.begin(readings);
+    for (std::size_t i = 0; i < 6; ++i) {start_[i] = readings[i] = measured(i) + zeros_[i];}
+    @PREFIX@state state{};
+    const int status = @PREFIX@forward(&set_points_.machine, readings.data(), nullptr, &state);
     if (status != @PREFIX_UPPER@OK) {
       RCLCPP_ERROR(
         get_node()->get_logger(), "no state with the measured joints: %s", @PREFIX@status_name(status));
       return controller_interface::CallbackReturn::FAILURE;
     }
-    limiter_.begin(readings, target_.serial);
-    is_active_ = true;
+    const std::uint64_t serial = ++activations_ << 32;
+    limiter_.begin(readings, serial);
+    activation_ = serial;
     return controller_interface::CallbackReturn::SUCCESS;
   }
 
   controller_interface::CallbackReturn on_deactivate(const rclcpp_lifecycle::State &) override
   {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    is_active_ = false;
+    activation_ = 0;
     return controller_interface::CallbackReturn::SUCCESS;
   }
 
@@ -111,40 +131,85 @@ public:
 
   controller_interface::InterfaceConfiguration state_interface_configuration() const override {return interfaces();}
 
-  controller_interface::return_type update(const rclcpp::Time &, const rclcpp::Duration &) override
+  controller_interface::return_type update(const rclcpp::Time & time, const rclcpp::Duration &) override
   {
     const Readings commands = limiter_.tick(*for_update_.readFromRT());
-    for (std::size_t i = 0; i < 6; ++i) {(void)command_interfaces_[i].set_value(commands[i] - zeros_[i]);}
+    for (std::size_t i = 0; i < 6; ++i) {
+      const double command = commands[i] - zeros_[i], feedback = measured(i);
+      (void)command_interfaces_[i].set_value(command);
+      state_.reference.positions[i] = state_.output.positions[i] = command;
+      state_.feedback.positions[i] = feedback;
+      state_.error.positions[i] = command - feedback;
+    }
+    state_.header.stamp = time;
+    (void)try_publish(*state_publisher_, state_, 0);
     return controller_interface::return_type::OK;
   }
 
 private:
-  std::mutex mutex_;  // of all that `update` does not touch
+  using State = control_msgs::msg::JointTrajectoryControllerState;
+  using Status = diagnostic_msgs::msg::DiagnosticStatus;
+
+  // Of the control loop, after `on_configure`.
+  Limiter limiter_;
+  State state_;
+  std::unique_ptr<realtime_tools::RealtimePublisher<State>> state_publisher_;
+  std::uint64_t activations_ = 0;
+  Readings zeros_{};  // what the encoders read where the joints of the description are at zero
+
+  // Between the control loop and the subscription. Targets are numbered on from `activation_`; it is zero while the controller
+  // is not active, and only then the readings of the start are written.
+  std::atomic<std::uint64_t> activation_{0};
+  std::array<std::atomic<double>, 6> start_{};
+  realtime_tools::RealtimeBuffer<Target> for_update_;
+
+  // Of the subscription.
+  std::mutex mutex_;  // held by it and by `on_configure`
   SetPoints set_points_;
   Target target_;
-  bool is_active_ = false;
-  realtime_tools::RealtimeBuffer<Target> for_update_;
-  Limiter limiter_;
-  std::vector<std::string> joints_;
-  Readings zeros_{};  // what the encoders read where the joints of the description are at zero
+  std::uint64_t begun_ = 0;  // the activation that `set_points_` began with
+  rclcpp::Publisher<Status>::SharedPtr status_publisher_;
   rclcpp::Subscription<geometry_msgs::msg::PoseStamped>::SharedPtr subscription_;
+
+  double measured(std::size_t i) const {return value_of(state_interfaces_[i], 0);}
 
   void take(const geometry_msgs::msg::PoseStamped & message)
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!is_active_) {return;}
     const auto & p = message.pose.position;
     const auto & q = message.pose.orientation;
     const double stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec;
-    const SetPoint wanted{message.header.frame_id, stamp, {p.x, p.y, p.z}, {q.x, q.y, q.z, q.w}};
-    const std::string reason = set_points_.take(wanted, get_node()->now().seconds(), target_);
-    if (reason.empty()) {
-      for_update_.writeFromNonRT(target_);
-      return;
-    }
+    const std::string reason = refusal({message.header.frame_id, stamp, {p.x, p.y, p.z}, {q.x, q.y, q.z, q.w}});
+    Status status;
+    status.level = reason.empty() ? Status::OK : Status::WARN;
+    status.name = get_node()->get_name();
+    status.message = reason.empty() ? "taken" : reason;
+    status.values.resize(1);
+    status.values[0].key = "stamp";
+    status.values[0].value = std::to_string(stamp);
+    status_publisher_->publish(status);
+    if (reason.empty()) {return;}
     RCLCPP_WARN_THROTTLE(
       get_node()->get_logger(), *get_node()->get_clock(), 1000, "the set-point is refused, the last one is held: %s",
       reason.c_str());
+  }
+
+  // Return why a set-point is refused, or nothing, and then the control loop has it.
+  std::string refusal(const SetPoint & wanted)
+  {
+    const std::uint64_t activation = activation_;
+    if (activation != 0 && activation != begun_) {
+      Readings readings{};
+      std::copy(start_.begin(), start_.end(), readings.begin());
+      if (activation_ == activation) {  // else they may be those of two activations
+        (void)set_points_.begin(readings);
+        target_.serial = begun_ = activation;
+      }
+    }
+    if (activation == 0 || activation != begun_) {return "not active";}
+    const std::string reason = set_points_.take(wanted, get_node()->now().seconds(), target_);
+    if (reason.empty()) {for_update_.writeFromNonRT(target_);}
+    return reason;
   }
 
   bool read(const std::string & name, double * numbers, std::size_t count)
@@ -163,7 +228,7 @@ private:
   {
     controller_interface::InterfaceConfiguration configuration{
       controller_interface::interface_configuration_type::INDIVIDUAL, {}};
-    for (const std::string & joint : joints_) {configuration.names.push_back(joint + "/position");}
+    for (const std::string & joint : set_points_.joints) {configuration.names.push_back(joint + "/position");}
     return configuration;
   }
 };

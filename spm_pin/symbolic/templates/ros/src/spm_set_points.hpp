@@ -59,6 +59,7 @@ class SetPoints
 {
 public:
   std::string frame;
+  std::vector<std::string> joints = std::vector<std::string>(6);
   Readings largest_step{};  // of each reading, from the last set-point taken
   double timeout = 0.0;     // the largest age of a set-point that arrives [s]
   double period = 0.0;      // of the control loop [s]
@@ -72,17 +73,18 @@ public:
     return status_;
   }
 
-  // Return why a set-point is refused, or nothing and the target that it becomes.
+  // Return why a set-point is refused, a few words and after a colon the details; or nothing, and the target that it becomes.
   std::string take(const SetPoint & wanted, double now, Target & target)
   {
-    if (status_ != @PREFIX_UPPER@OK) {return "the state of the machine is not known";}
-    if (wanted.frame != frame) {return "its frame is \"" + wanted.frame + "\", not \"" + frame + "\"";}
+    if (status_ != @PREFIX_UPPER@OK) {return "not active";}
+    if (wanted.frame != frame) {return "wrong frame: \"" + wanted.frame + "\" instead of \"" + frame + "\"";}
     const double stamp = wanted.stamp == 0.0 ? now : wanted.stamp;
-    if (!(std::fabs(now - stamp) <= timeout)) {return "it is stale, by " + std::to_string(now - stamp) + " s";}
-    if (!(stamp > last_stamp_)) {return "it is older than the last one";}
+    if (!(now - stamp <= timeout)) {return "stale: stamped " + std::to_string(now - stamp) + " s ago";}
+    if (!(stamp - now <= timeout)) {return "in the future: by " + std::to_string(stamp - now) + " s";}
+    if (!(stamp > last_stamp_)) {return "out of order: not stamped after the last one taken";}
 
     const auto & [x, y, z, w] = wanted.quaternion;
-    if (!(std::fabs(x * x + y * y + z * z + w * w - 1.0) <= 1e-3)) {return "its orientation is no unit quaternion";}
+    if (!(std::fabs(x * x + y * y + z * z + w * w - 1.0) <= 1e-3)) {return "no unit quaternion";}
     const double s = 2.0 / (x * x + y * y + z * z + w * w);
     const std::array<double, 9> rotation = {
       1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w),
@@ -97,13 +99,14 @@ public:
       const double low = machine.minimum[i], high = machine.maximum[i];
       const double reading = std::clamp(next.readings[i], low + 1.0 / UNITS, high - 1.0 / UNITS);  // as the Limiter counts
       const double size = std::max(std::isfinite(low) ? std::fabs(low) : 0.0, std::isfinite(high) ? std::fabs(high) : 0.0);
-      if (!(std::fabs(next.readings[i] - reading) <= 1e-8 * size)) {return "a leg is beyond its limits";}
+      if (!(std::fabs(next.readings[i] - reading) <= 1e-8 * size)) {return "beyond limits: " + joints[i];}
       next.readings[i] = reading;
-      if (!(std::fabs(reading - state_.readings[i]) <= largest_step[i])) {return "it jumps";}
+      const double step = std::fabs(reading - state_.readings[i]);
+      if (!(step <= largest_step[i])) {return "jump: " + joints[i] + " by " + std::to_string(step);}
     }
     // The legs go another way than the platform would; it must end in the same state.
     if (@PREFIX@forward(&machine, next.readings, &state_, &reached) != @PREFIX_UPPER@OK || !is_near(reached, next)) {
-      return "a singularity is on the way of the legs";
+      return "singular: on the straight way of the legs";
     }
     state_ = next;
     std::copy_n(next.readings, 6, target.readings.begin());

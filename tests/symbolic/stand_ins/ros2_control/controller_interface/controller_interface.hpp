@@ -1,5 +1,5 @@
-// What a controller uses of ros2_control, rclcpp, realtime_tools, geometry_msgs and pluginlib (Humble to Jazzy), written
-// anew for the tests.
+// What a controller uses of ros2_control, rclcpp, realtime_tools, messages and pluginlib (Humble to Jazzy), written anew for
+// the tests.
 #pragma once
 #include <cstdint>
 #include <cstdio>
@@ -9,11 +9,52 @@
 #include <string>
 #include <variant>
 #include <vector>
+namespace rclcpp
+{
+struct Time
+{
+  double value = 0.0;
+  double seconds() const {return value;}
+};
+}  // namespace rclcpp
+namespace builtin_interfaces::msg
+{
+struct Time
+{
+  std::int32_t sec;
+  std::uint32_t nanosec;
+  Time & operator=(const rclcpp::Time & time) {sec = static_cast<std::int32_t>(time.value); nanosec = 0; return *this;}
+};
+}  // namespace builtin_interfaces::msg
+namespace std_msgs::msg
+{
+struct Header {builtin_interfaces::msg::Time stamp; std::string frame_id;};
+}  // namespace std_msgs::msg
+namespace diagnostic_msgs::msg
+{
+struct KeyValue {std::string key, value;};
+struct DiagnosticStatus
+{
+  static constexpr unsigned char OK = 0, WARN = 1;
+  unsigned char level;
+  std::string name, message;
+  std::vector<KeyValue> values;
+};
+}  // namespace diagnostic_msgs::msg
+namespace control_msgs::msg
+{
+struct JointTrajectoryControllerState
+{
+  std_msgs::msg::Header header;
+  std::vector<std::string> joint_names;
+  struct {std::vector<double> positions;} reference, feedback, error, output;
+};
+}  // namespace control_msgs::msg
 namespace geometry_msgs::msg
 {
 struct PoseStamped
 {
-  struct {struct {std::int32_t sec; std::uint32_t nanosec;} stamp; std::string frame_id;} header;
+  std_msgs::msg::Header header;
   struct
   {
     struct {double x, y, z;} position;
@@ -27,13 +68,23 @@ struct State {};
 }  // namespace rclcpp_lifecycle
 namespace rclcpp
 {
-struct Time
-{
-  double value = 0.0;
-  double seconds() const {return value;}
-};
 struct Duration {};
-struct SystemDefaultsQoS {};
+struct QoS
+{
+  int depth;
+  bool keeps_last = false;
+  explicit QoS(int size) : depth(size) {}
+  QoS & transient_local() {keeps_last = true; return *this;}
+};
+struct SystemDefaultsQoS : QoS {SystemDefaultsQoS() : QoS(10) {}};
+template<typename Message>
+struct Publisher
+{
+  using SharedPtr = std::shared_ptr<Publisher>;
+  void publish(const Message & message) {last = message; ++count;}
+  inline static Message last{};
+  inline static int count = 0;
+};
 template<typename Message>
 struct Subscription
 {
@@ -58,12 +109,20 @@ struct Node
     publish = callback;
     return std::make_shared<Subscription<Message>>(Subscription<Message>{callback});
   }
+  template<typename Message>
+  typename Publisher<Message>::SharedPtr create_publisher(const std::string & topic, const QoS & quality)
+  {
+    topics[topic] = quality.keeps_last;
+    return std::make_shared<Publisher<Message>>();
+  }
+  const char * get_name() const {return "spm_controller";}
   struct Logger {char * text;};
   struct Clock {int ticks;};
   Logger get_logger() {return {said};}
   std::shared_ptr<Clock> get_clock() {return std::make_shared<Clock>();}
   Time now() {return clock;}
   Parameter get_parameter(const std::string & name) {return parameters.at(name);}
+  std::map<std::string, bool> topics;  // of publishers, and whether they keep the last message
   char said[300] = "";
   Time clock{1e9};
   std::map<std::string, Parameter> parameters{{"update_rate", {0.0}}};
@@ -80,6 +139,15 @@ public:
   T * readFromRT() {return &value_;}
 private:
   T value_{};
+};
+template<typename Message>
+class RealtimePublisher
+{
+public:
+  explicit RealtimePublisher(typename rclcpp::Publisher<Message>::SharedPtr publisher) : publisher_(publisher) {}
+  bool try_publish(const Message & message) {publisher_->publish(message); return true;}
+private:
+  typename rclcpp::Publisher<Message>::SharedPtr publisher_;
 };
 }  // namespace realtime_tools
 namespace controller_interface

@@ -1,0 +1,1 @@
+#include "controller_interface/controller_interface.hpp"
