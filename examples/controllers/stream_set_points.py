@@ -2,7 +2,7 @@
 
     python stream_set_points.py /dev/ttyACM0 --tilt 10 --height 0.12
 
-Needs nothing but Python, on Linux or macOS. The frames are described in follow_set_points/set_points.h.
+Needs nothing but Python, on Linux or macOS. The protocol is described in follow_set_points/set_points.h.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import contextlib
 import math
 import os
 import struct
+import sys
 import termios
 import time
 import tty
@@ -28,7 +29,7 @@ STATUSES = {
     255: "bad input",
     16: "repeated",
 }
-"""Statuses with which a board answers set-points, by their numbers."""
+"""Statuses with which a board answers set-points, by their numbers: see set_points.h."""
 
 
 def frame(number: int, normal_x: float, normal_y: float, height: float) -> bytes:
@@ -52,35 +53,43 @@ def answers(received: bytearray) -> Iterator[tuple[int, str]]:
 def stream(port: str, points: Iterable[tuple[float, float, float]], rate: float = 50.0) -> Counter[str]:
     """Send set-points (normal x, normal y, height) at a fixed rate [1/s]; return how many had which status.
 
-    "unanswered" are those whose answer did not come, within half a second of the last.
+    Of each set-point the first answer counts. "unanswered" are those whose answer did not come, within half a second of
+    the last, "not sent" those that the line had no room for. If the port vanishes, that is an OSError.
     """
     line = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     counts: Counter[str] = Counter()
-    received = bytearray()
+    received, waiting = bytearray(), set[int]()
     try:
         tty.setraw(line)
         settings = termios.tcgetattr(line)
         settings[4] = settings[5] = termios.B115200
         termios.tcsetattr(line, termios.TCSANOW, settings)
+        termios.tcflush(line, termios.TCIOFLUSH)  # what is left of another run
         start, sent = time.monotonic(), 0
         for sent, point in enumerate(points, 1):
-            _receive_until(line, start + (sent - 1) / rate, received, counts)
+            _receive_until(line, start + (sent - 1) / rate, received, counts, waiting)
             try:
                 os.write(line, frame(sent, *point))
+                waiting.add(sent % 256)
             except BlockingIOError:
                 counts["not sent"] += 1
-        _receive_until(line, time.monotonic() + 0.5, received, counts)
-        counts["unanswered"] = max(sent - counts.total(), 0)
+        _receive_until(line, time.monotonic() + 0.5, received, counts, waiting)
+        counts["unanswered"] = sent - counts.total()
         return +counts
+    except termios.error as error:
+        raise OSError(*error.args) from error
     finally:
         os.close(line)
 
 
-def _receive_until(line: int, end: float, received: bytearray, counts: Counter[str]) -> None:
+def _receive_until(line: int, end: float, received: bytearray, counts: Counter[str], waiting: set[int]) -> None:
     while True:
         with contextlib.suppress(BlockingIOError):
             received += os.read(line, 4096)
-        counts.update(status for _, status in answers(received))
+        for number, status in answers(received):
+            if number in waiting:
+                waiting.remove(number)
+                counts[status] += 1
         if (left := end - time.monotonic()) <= 0.0:
             return
         time.sleep(min(left, 0.002))
@@ -103,7 +112,11 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=50.0, help="set-points in a second")
     given = parser.parse_args()
     points = circle(math.radians(given.tilt), given.height, given.seconds, given.rate)
-    for status, count in stream(given.port, points, given.rate).most_common():
+    try:
+        counts = stream(given.port, points, given.rate)
+    except OSError as error:
+        sys.exit(f"{given.port}: {error.strerror}. Is the board plugged in, and may you open its port (group dialout)?")
+    for status, count in counts.most_common():
         print(f"{status}: {count}")
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from balancers import STAGES
 from symbolic.c_library import compile_c, compilers
 from symbolic.stage_library import STATUS, STRICT
 
@@ -32,16 +33,19 @@ PULSES = 637.0  # of a radian, in the sketches
 streamer = runpy.run_path(str(CONTROLLERS / "stream_set_points.py"))
 
 
-@pytest.fixture(scope="module")
-def board(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    folder = tmp_path_factory.mktemp("board")
-    write_stage_c(BALANCER, folder)
+def compiled(stage: spm.Stage, folder: Path) -> ctypes.CDLL:
+    write_stage_c(stage, folder)
     include = ("-I", folder, "-I", CONTROLLERS / "follow_set_points")
     source = Path(__file__).parent / "set_points_run.c"
     compile_c(compilers()[0], *STRICT, "-O2", "-fPIC", "-shared", *include, source, "-lm", "-o", folder / "board.so")
     library = ctypes.CDLL(str(folder / "board.so"))
     library.begin.argtypes = [ctypes.c_float] * 3
     return library
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    return compiled(BALANCER, tmp_path_factory.mktemp("board"))
 
 
 def run(board: ctypes.CDLL, ticks: list[bytes], rate: float = RATE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -124,6 +128,23 @@ def test_a_frame_that_comes_twice_or_late_is_no_set_point(board: ctypes.CDLL) ->
     # One that comes again and again does not keep the watchdog quiet.
     _, status, _ = run(board, [frames[1]] * 40)
     assert status[-1] == SILENT
+
+
+def test_a_way_through_a_singularity_is_answered_with_the_next_frame(tmp_path: Path) -> None:
+    """Both set-points have states, and the straight way of the readings between them leads where there is none."""
+    board, stage = compiled(STAGES["PRS radial"], tmp_path), STAGES["PRS radial"]
+    tilts, azimuths, heights = np.radians([24.2, 14.0]), np.radians([-36.1, -6.0]), [0.34, 0.22]
+    first, second = spm.stages.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths).readings
+    way = first + np.linspace(0.0, 1.0, 101)[:, None] * (second - first)
+    assert spm.stages.forward_physical(stage, way).exists.mean() < 0.8
+    points = list(zip(tilts, azimuths, heights, strict=True))
+    ticks = [set_point(k, *points[k > 200]) for k in range(1, 301)]
+    readings, _, answers = run(board, ticks, rate=1.0)
+    np.testing.assert_allclose(readings[199], first, rtol=0.0, atol=2e-5)
+    assert (answers[:201, 2] == STATUS["OK"]).all()
+    assert answers[-50:, 2].tolist() == [STATUS["UNSAFE"]] * 50
+    assert (readings[-50:] == readings[-1]).all()
+    assert np.abs(readings[-1] - second).max() > 0.01
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -246,3 +267,45 @@ def test_the_streamer_has_a_command_line(tmp_path: Path) -> None:
         [sys.executable, CONTROLLERS / "stream_set_points.py", "--help"], capture_output=True, text=True, check=True
     )
     assert "--height" in done.stdout
+
+
+@pytest.mark.parametrize("port", ["missing", "file"])
+def test_a_port_that_is_none_is_said_in_a_line(tmp_path: Path, port: str) -> None:
+    (tmp_path / "file").touch()
+    program = CONTROLLERS / "stream_set_points.py"
+    done = subprocess.run(
+        [sys.executable, program, tmp_path / port, "--height", "0.1"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"{tmp_path / port}: ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_port_that_vanishes_ends_the_stream() -> None:
+    host, board = os.openpty()
+    ended = threading.Timer(0.3, os.close, [host])
+    ended.start()
+    with pytest.raises(OSError, match="Input/output error"):
+        streamer["stream"](os.ttyname(board), streamer["circle"](0.2, 0.1, 60.0, 50.0), 50.0)
+    os.close(board)
+
+
+def test_the_first_answer_to_each_set_point_counts() -> None:
+    """A board that answers each frame three times, the last time as repeated, and every third not at all."""
+    host, line = os.openpty()
+    tty.setraw(host)
+
+    def answer() -> None:
+        received = b""
+        while len(received) < 16 * 30:
+            received += os.read(host, 16)
+            if len(received) % 48 in (16, 32):
+                for status in (0, 0, REPEATED):
+                    body = bytes([0x5A, len(received) // 16, status])
+                    os.write(host, body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little"))
+
+    board = threading.Thread(target=answer, daemon=True)
+    board.start()
+    counts = streamer["stream"](os.ttyname(line), streamer["circle"](0.2, 0.1, 0.3, 100.0), 100.0)
+    board.join(timeout=10.0)
+    assert counts == {"ok": 20, "unanswered": 10}

@@ -1,9 +1,24 @@
 /* Set-points of a stage from a serial line, and the commands of its actuators: C99 or C++, without a library.
 
-   A frame of 16 bytes is 0xA5, a number that counts frames, the normal's x and y in units of 1e-6 and the height in
-   micrometres as three 32-bit integers, lowest byte first, and the CRC-16/CCITT of all of these (polynomial 0x1021,
-   begun at 0xFFFF), lowest byte first. It is answered by 5 bytes: 0x5A, the frame's number, a status of the
-   stage or of the line, and the CRC.
+   The protocol. The computer sends frames of 16 bytes, at 115200 baud in the sketch:
+
+       0      0xA5
+       1      a number that counts frames, modulo 256
+       2-5    x of the platform's normal, a unit vector, times 1e6
+       6-9    y of it, times 1e6; z is positive
+       10-13  the height of the platform's centre above the plane of the pivots [micrometres]
+       14-15  CRC-16/CCITT of bytes 0 to 13: polynomial 0x1021, begun at 0xFFFF
+
+   The board answers each whole frame by 5 bytes:
+
+       0      0x5A
+       1      the frame's number
+       2      a status: LINE_REPEATED, or that of `stage_inverse`, 255 for STAGE_BAD_INPUT; or where that is STAGE_OK, why the
+              way to the set-point before was refused by `stage_forward`, such as STAGE_UNSAFE
+       3-4    CRC of bytes 0 to 2
+
+   Integers are signed, of 32 bits, and lowest byte first, as the CRC is. Nothing tells how old a set-point is: one that the line has
+   delayed is followed when it comes.
 
    Whatever arrives, a command differs from the last by at most the rate and the acceleration that are set, is within
    the limits of the readings, and belongs to a state that `stage_forward` has reached without a singularity. Where it
@@ -34,6 +49,7 @@ typedef struct {
     stage_real target[3];          /* readings of the last set-point */
     stage_real silence;            /* time since the last new frame [s] */
     int status;                    /* of the last set-point, LINE_SILENT, or that of a state refused on the way */
+    int way;                       /* why the way to the last set-point was refused, or STAGE_OK */
     uint8_t frame[FRAME_SIZE], count, number;
 } set_points;
 
@@ -62,6 +78,7 @@ static inline void set_points_begin(set_points *s, const stage_geometry *machine
     s->state = *state;
     s->silence = patience;
     s->status = LINE_SILENT;
+    s->way = STAGE_OK;
     s->count = 0;
     s->number = 0;
     for (i = 0; i < 3; ++i) {
@@ -111,7 +128,8 @@ static inline int set_points_take(set_points *s, uint8_t byte, uint8_t answer[AN
         for (i = 0; i < 3 && s->status == STAGE_OK; ++i) {
             s->target[i] = goal.readings[i];
         }
-        answer[2] = (uint8_t)s->status;
+        answer[2] = (uint8_t)(s->status == STAGE_OK ? s->way : s->status);
+        s->way = STAGE_OK;
     }
     crc = crc16(answer, 3);
     answer[3] = (uint8_t)(crc & 0xFF);
@@ -157,7 +175,7 @@ static inline void set_points_move(set_points *s, stage_real time)
     }
     status = stage_forward(s->machine, next, &s->state, &s->state);
     if (status != STAGE_OK) {
-        s->status = status;
+        s->status = s->way = status;
         for (i = 0; i < 3; ++i) {
             s->speed[i] = 0;
             s->target[i] = s->state.readings[i];
