@@ -77,9 +77,9 @@ def linuxcnc_configuration(machine: Geometry | Stage) -> dict[str, str]:
         "HOME": " ".join(_number(home.get(axis, 0.0)) for axis in "XYZABC"),
         "LINEAR_VELOCITY": f"{rates[~is_angle, 0].max():.4g}",
         "ANGULAR_VELOCITY": f"{rates[is_angle, 0].max():.4g}",
-        "SECTIONS": "\n".join(["", *sections, *map(known.joint_section, joints)]).rstrip("\n"),
-        "ACTUATORS": ",".join(f"actuator.{joint}" for joint in joints),
-        "LEGS": "".join(map(_actuator, joints)),
+        "AXIS_SECTIONS": "\n".join(sections),
+        "JOINT_SECTIONS": "\n".join(map(known.joint_section, joints)).rstrip("\n"),
+        "ACTUATORS": "".join(map(_actuator, joints)),
     }
     files = {
         filled(name, values): filled((_TEMPLATES / file).read_text(encoding="utf-8"), values)
@@ -105,6 +105,10 @@ class _Machine(ABC):
     axes: str
     meaning: str
     """What the axes are, in a sentence."""
+    feed: str
+    """What F is in the program."""
+    blending: str
+    """How the program's points are passed."""
     turns: str
     """The axes in the order in which AXIS applies them, [DISPLAY]GEOMETRY: C before A for Rz(C) Ry(B) Rx(A)."""
     includes: str
@@ -151,7 +155,6 @@ class _Machine(ABC):
         lines += [f"{end}_LIMIT = {_number(scale * x)}" for end, x in ends if np.isfinite(x)]
         lines += [f"MAX_VELOCITY = {scale * rate:.6g}", f"MAX_ACCELERATION = {scale * acceleration:.6g}"]
         lines += ["FERROR = 1.0", "MIN_FERROR = 0.1"]
-        lines += ["# Homed where it stands; with a home switch, see LinuxCNC's page on homing."]
         lines += [f"HOME = {home}", f"HOME_OFFSET = {home}", "HOME_SEQUENCE = 0", ""]
         return "\n".join(lines)
 
@@ -171,7 +174,7 @@ class _Machine(ABC):
         ways = (np.array([home, *self.circle(size), home]) for size in _SIZES)
         way = next(filter(self.can_follow, ways), np.array([home]))
         lines = ["(The platform's tilt goes round a small circle. Turn the machine on and home all joints first.)"]
-        lines += ["G21 G90 G94 F600"]
+        lines += [f"({self.feed})", f"G21 G90 G94 {self.blending} F600"]
         for row in way:
             lines.append("G1 " + " ".join(f"{name}{_number(x)}" for name, x in zip(self.axes, row, strict=True)))
         return "\n".join([*lines, "M2", ""])
@@ -180,6 +183,8 @@ class _Machine(ABC):
 class _Robot(_Machine):
     name, axes, turns = "spm", "XYZABC", "XYZCBA"
     meaning = "X Y Z is the centre o of the platform in {B}, and R = Rz(C) Ry(B) Rx(A) its rotation."
+    feed = "F is in millimetres per minute along X Y Z, and A B C turn meanwhile."
+    blending = "G64 P0.1"
     includes = """\
 #include "spm_read_machine.h"
 
@@ -217,6 +222,8 @@ class _Robot(_Machine):
 class _StageAlone(_Machine):
     name, axes, turns = "stage", "ZAB", "ZAB"
     meaning = "Z is the height of the platform's centre, and Rx(A) Ry(B) z its normal: A is the roll, B the pitch."
+    feed = "F is in degrees per minute: only A and B turn. G64 has no P, which is a tolerance of X Y Z."
+    blending = "G64"
     includes = '#define STAGE_DOUBLE\n#include "stage_read_machine.h"'
 
     def __init__(self, stage: Stage) -> None:
@@ -248,11 +255,10 @@ def _number(x: float) -> str:
 
 def _actuator(joint: int) -> str:
     """Return the lines of `machine.hal` about an actuator."""
-    name = f"actuator.{joint}"
     return f"""
-addf {name} servo-thread
-setp {name}.maxv [JOINT_{joint}]MAX_VELOCITY
-setp {name}.maxa [JOINT_{joint}]MAX_ACCELERATION
-net leg-{joint}-wanted <= joint.{joint}.motor-pos-cmd => {name}.in
-net leg-{joint}-command <= {name}.out => joint.{joint}.motor-pos-fb
+addf limit3.{joint} servo-thread
+setp limit3.{joint}.maxv [JOINT_{joint}]MAX_VELOCITY
+setp limit3.{joint}.maxa [JOINT_{joint}]MAX_ACCELERATION
+net J{joint}:pos-cmd <= joint.{joint}.motor-pos-cmd => limit3.{joint}.in
+net J{joint}:pos-fb <= limit3.{joint}.out => joint.{joint}.motor-pos-fb
 """

@@ -35,8 +35,8 @@ def report():
     return {"joints": joints, "axes": status.position[:6], "errors": texts, "is_on": is_on}
 
 
-def turn_on():
-    """Turn the machine on, and home it where it is not."""
+def turn_on(*order):
+    """Turn the machine on, and home it where it is not: all joints at once, or one after another."""
     command.state(linuxcnc.STATE_ESTOP_RESET)
     settle(lambda: status.task_state != linuxcnc.STATE_ESTOP)
     command.state(linuxcnc.STATE_ON)
@@ -44,14 +44,38 @@ def turn_on():
     if not all(status.homed[: status.joints]):
         command.mode(linuxcnc.MODE_MANUAL)
         settle()
-        command.home(-1)
-        settle(lambda: all(status.homed[: status.joints]))
+        for joint in order or [-1]:
+            command.home(joint)
+            settle(lambda joint=joint: all(status.homed[: status.joints]) if joint < 0 else status.homed[joint])
+
+
+def interrupt(line, how):
+    """Begin a move, and break it off half a second later; then the machine is on, and still."""
+    command.mode(linuxcnc.MODE_MDI)
+    settle()
+    command.mdi(line)
+    time.sleep(0.5)
+    if how == "abort":
+        command.abort()
+    elif how == "joint mode":
+        command.mode(linuxcnc.MODE_MANUAL)
+        command.teleop_enable(0)
+    else:
+        command.state(linuxcnc.STATE_ESTOP if how == "estop" else linuxcnc.STATE_OFF)
+        settle(lambda: status.task_state != linuxcnc.STATE_ON)
+        time.sleep(0.5)
+        turn_on()
+    settle()
 
 
 def run(kind, *arguments):
     """Do one step."""
     if kind == "on":
-        turn_on()
+        turn_on(*arguments)
+    elif kind == "interrupt":
+        interrupt(*arguments)
+    elif kind == "override":
+        command.feedrate(*arguments)
     elif kind == "mdi":
         command.mode(linuxcnc.MODE_MDI)
         settle()
@@ -71,7 +95,7 @@ def run(kind, *arguments):
         settle(lambda: status.motion_mode == (linuxcnc.TRAJ_MODE_TELEOP if kind == "axis" else linuxcnc.TRAJ_MODE_FREE))
         command.jog(linuxcnc.JOG_INCREMENT, kind == "joint", *arguments)
         time.sleep(arguments[2] / abs(arguments[1]))
-        settle()
+        settle(lambda: status.inpos or status.task_state != linuxcnc.STATE_ON)
     time.sleep(0.1)
     return report()
 

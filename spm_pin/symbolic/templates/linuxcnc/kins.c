@@ -75,7 +75,7 @@ int kinematicsInverse(const EmcPose *world, double *joint, const KINEMATICS_INVE
     (void)iflags;
     (void)fflags;
     if (!is_known) {
-        rtapi_print_msg(RTAPI_MSG_ERR, "@NAME@kins: kinematicsInverse: the state of the machine is not known\n");
+        rtapi_print_msg(RTAPI_MSG_ERR, "@NAME@kins: kinematicsInverse: the joints are in no pose: is HOME_OFFSET where they stand?\n");
         return -1;
     }
     status = solve_pose(world, &found);
