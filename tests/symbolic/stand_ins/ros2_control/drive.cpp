@@ -54,7 +54,10 @@ static bool answers(spm_robot::SpmController & controller, const geometry_msgs::
 int main(int, char ** names)
 {
   spm_robot::SpmController controller;
-  controller.on_init();
+  controller.node->parameters["timeout"].value = std::string("soon");
+  expect(controller.on_init() == CallbackReturn::ERROR && says(controller, "timeout is of another type"), "a wrong type");
+  controller.node->parameters.erase("timeout");
+  expect(controller.on_init() == CallbackReturn::SUCCESS, "parameters are declared");
   expect(controller.on_configure({}) == CallbackReturn::FAILURE && says(controller, "spm_controller.yaml"), "no parameters");
   auto & parameters = controller.node->parameters;
   std::ifstream file(names[1]);

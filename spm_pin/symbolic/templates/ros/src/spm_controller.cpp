@@ -9,6 +9,7 @@
 #include <atomic>
 #include <cmath>
 #include <cstdint>
+#include <exception>
 #include <limits>
 #include <memory>
 #include <mutex>
@@ -53,16 +54,21 @@ class SpmController : public controller_interface::ControllerInterface
 public:
   controller_interface::CallbackReturn on_init() override
   {
-    auto_declare<std::string>("frame_id", "@BASE@");
-    auto_declare<std::vector<std::string>>("joints", {});
-    auto_declare<double>("timeout", 0.0);
-    for (const char * name : {"zeros", "max_step", "max_velocity", "max_acceleration"}) {
-      auto_declare<std::vector<double>>(name, {});
+    try {
+      auto_declare<std::string>("frame_id", "@BASE@");
+      auto_declare<std::vector<std::string>>("joints", {});
+      auto_declare<double>("timeout", 0.0);
+      for (const char * name : {"zeros", "max_step", "max_velocity", "max_acceleration"}) {
+        auto_declare<std::vector<double>>(name, {});
+      }
+      (void)read_machine(set_points_.machine, [this](const std::string & name, double *, std::size_t) {
+          auto_declare<std::vector<double>>("machine." + name, {});
+          return true;
+        });
+    } catch (const std::exception & error) {  // of another type, such as 1 for 1.0
+      RCLCPP_ERROR(get_node()->get_logger(), "%s", error.what());
+      return controller_interface::CallbackReturn::ERROR;
     }
-    (void)read_machine(set_points_.machine, [this](const std::string & name, double *, std::size_t) {
-        auto_declare<std::vector<double>>("machine." + name, {});
-        return true;
-      });
     return controller_interface::CallbackReturn::SUCCESS;
   }
 

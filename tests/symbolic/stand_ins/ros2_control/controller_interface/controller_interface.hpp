@@ -6,6 +6,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <variant>
 #include <vector>
@@ -180,7 +181,11 @@ public:
   std::shared_ptr<rclcpp::Node> get_node() {return node;}
   unsigned int get_update_rate() const {return static_cast<unsigned int>(node->get_parameter("update_rate").as_double());}
   template<typename T>
-  void auto_declare(const std::string & name, const T & value) {node->parameters.try_emplace(name, rclcpp::Parameter{value});}
+  void auto_declare(const std::string & name, const T & value)
+  {
+    const auto [place, is_new] = node->parameters.try_emplace(name, rclcpp::Parameter{value});
+    if (!is_new && !std::holds_alternative<T>(place->second.value)) {throw std::runtime_error(name + " is of another type");}
+  }
   std::vector<LoanedInterface> command_interfaces_, state_interfaces_;
   std::shared_ptr<rclcpp::Node> node = std::make_shared<rclcpp::Node>();
 };
