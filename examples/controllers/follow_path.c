@@ -16,10 +16,11 @@ int main(int count, char **names)
     spm_geometry model, machine;
     spm_state wanted, state;
     double row[12];
+    const char *error = NULL;
     FILE *poses = count == 4 ? fopen(names[3], "r") : NULL;
     int i, tick, status = SPM_OK;
-    if (!poses || spm_read_machine(names[1], &model) || spm_read_machine(names[2], &machine)) {
-        fprintf(stderr, "follow_path: expected two machines and poses\n");
+    if (!poses || (error = spm_read_machine(names[1], &model)) || (error = spm_read_machine(names[2], &machine))) {
+        fprintf(stderr, "follow_path: %s\n", error ? error : "expected two machines and poses");
         return 2;
     }
     for (tick = 0; status == SPM_OK; ++tick) {
