@@ -17,7 +17,6 @@ from spm_pin.kinematics.forward_displacement import forward_displacement, forwar
 RADIAL = PAPER.radial_directions
 UP = np.array([0.0, 0.0, 1.0])
 LEGS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
-CASES = cases()
 
 
 # --- Both stages followed by the angles of their legs, without the package ----------------------------------------
@@ -298,9 +297,8 @@ def test_invalid_seeds_and_readings_are_refused(machine: spm.Geometry) -> None:
             forward_physical(machine, np.full(6, -1.0))
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_states_of_the_common_table(name: str) -> None:
-    geometry, readings, *arrays = CASES[name]
-    state = forward_physical(geometry, readings)
-    for found, expected in zip((state.rotation, state.translation, state.middle_joints), arrays, strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-13)
+def test_states_of_the_common_table() -> None:
+    for name, (geometry, readings, *arrays) in cases().items():
+        state = forward_physical(geometry, readings)
+        for found, expected in zip((state.rotation, state.translation, state.middle_joints), arrays, strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-13, err_msg=name)

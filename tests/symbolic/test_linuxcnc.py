@@ -299,8 +299,10 @@ ROUND_TRIPS: dict[str, tuple[Machine, list[tuple[float, float]]]] = {
 """Machines, and ranges of their readings in which all have a state."""
 
 
-@pytest.mark.parametrize("count", [100_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("case", ROUND_TRIPS)
+@pytest.mark.parametrize(
+    ("case", "count"),
+    [("robot", 100_000), ("RRS", 100_000), *(pytest.param(x, 300_000, marks=pytest.mark.slow) for x in ROUND_TRIPS)],
+)
 def test_round_trips_in_hal(bench: Bench, case: str, count: int) -> None:
     machine, ranges = ROUND_TRIPS[case]
     name = bench.export(machine)
