@@ -331,6 +331,8 @@ CASES = [
 SLOW = ("Boundary", "Shell", "largest_certified_limits", "orientation_workspace", "reachable_boundary")
 SLOW += ("reachable_position", "reachable_volume", "sample_reachable", "workspace_shell")
 SLOW += (
+    "description.mjcf_text",
+    "description.sdf_text",
     "symbolic.linuxcnc_configuration",
     "symbolic.write_linuxcnc",
     "symbolic.ros_package",

@@ -135,7 +135,8 @@ def test_all_branches_have_finite_derivatives_in_every_pose() -> None:
     assert all(jnp.isfinite(x).all() for x in rates)
 
 
-@pytest.mark.parametrize("name", ["inverse_physical", pytest.param("inverse_displacement", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["inverse_physical", "inverse_displacement"])
 def test_a_masked_cost_has_the_same_gradient_in_both_directions(name: str) -> None:
     # Level, symmetric, regular and out of reach.
     states = spm.forward_physical(PAPER, [[1.2, 1.4, 1.2, 1.3, 1.2, 1.3], [1.25, 1.15, 1.40, 1.30, 1.20, 1.40]])

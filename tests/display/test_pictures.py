@@ -262,8 +262,7 @@ def test_pins_lie_on_the_revolute_axes_and_legs_go_from_pivots_to_balls(size):
         assert end == pytest.approx(state.readings[k] - machine.legs.offsets[k], abs=1e-9)
 
 
-@pytest.mark.parametrize("built", [False, True])
-@pytest.mark.parametrize(("lower", "upper"), [("PRS", "RRS"), ("RRS", "PRS")])
+@pytest.mark.parametrize(("lower", "upper", "built"), [("PRS", "RRS", True), ("RRS", "PRS", False)])
 def test_solids_of_carriages_and_cranks_are_where_the_urdf_has_them(lower, upper, built):
     state = kinds_of_legs.states(kinds_of_legs.machine(lower, upper, built=built))[0]
     robot = read_robot(state.geometry)

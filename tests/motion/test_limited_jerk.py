@@ -104,7 +104,7 @@ def shooting_duration(path: LegPath, rate: float, acceleration: float, jerk: flo
     return float(problem.solve().value(total))
 
 
-@pytest.mark.parametrize("path", [LINE, CURVE, POSES, pytest.param(WINDING, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("path", [LINE, POSES, *(pytest.param(x, marks=pytest.mark.slow) for x in (CURVE, WINDING))])
 def test_a_large_jerk_takes_no_longer_than_none(path: object) -> None:
     limits = {"leg_forces": 1500.0, "leg_rates": 0.6, "leg_accelerations": 5.0}
     # On 500 points the winding path takes 2 % longer with the limit, as its `error` says.
