@@ -37,9 +37,9 @@ class Done:
         return " ".join(self.stderr.replace("│", " ").split())
 
 
-def run(*arguments: object) -> Done:
-    """Run `spm-pin` with arguments."""
-    out, err = io.StringIO(), io.StringIO()
+def run(*arguments: object, encoding: str = "utf-8") -> Done:
+    """Run `spm-pin` with arguments, and a stdout of an encoding."""
+    out, err = io.TextIOWrapper(io.BytesIO(), encoding, newline="", write_through=True), io.StringIO()
     code = 0
     handler = signal.getsignal(signal.SIGINT)
     with patch.object(sys, "argv", ["spm-pin", *map(str, arguments)]), redirect_stdout(out), redirect_stderr(err):
@@ -49,4 +49,4 @@ def run(*arguments: object) -> Done:
             code = int(end.code or 0)
         finally:
             signal.signal(signal.SIGINT, handler)
-    return Done(code, out.getvalue(), err.getvalue())
+    return Done(code, out.buffer.getvalue().decode(encoding), err.getvalue())

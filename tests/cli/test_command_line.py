@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import json
-import os
 import re
 import signal
 import subprocess
@@ -420,14 +420,11 @@ def test_the_version_and_all_exit_codes_are_documented() -> None:
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_an_encoding_without_a_sign_gets_one_that_it_has(encoding: str) -> None:
-    command = [*COMMAND, "singularities", *EXAMPLE, "--unit", "cm"]
-    environment = os.environ | {"PYTHONIOENCODING": encoding}
-    done = subprocess.run(command, capture_output=True, env=environment, check=False)
-    assert (done.returncode, b"defect" in done.stderr) == (5, False)
-    shown = done.stdout.decode(encoding)
-    assert "d^3" in shown or "d³" in shown
-    assert "---" in shown
-    assert "?" not in shown
+    done = run("singularities", *EXAMPLE, "--unit", "cm", encoding=encoding)
+    assert (done.returncode, "defect" in done.stderr) == (5, False)
+    assert "d^3" in done.stdout or "d³" in done.stdout
+    assert "---" in done.stdout
+    assert "?" not in done.stdout
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full")
@@ -484,15 +481,21 @@ def test_files_are_written_even_if_the_reader_of_stdout_has_gone(
 # Long commands
 
 
+@functools.cache
+def short_command() -> float:
+    """Return the seconds that a short command takes."""
+    begin = time.monotonic()
+    subprocess.run([*COMMAND, "inverse", *EXAMPLE], capture_output=True, check=False)
+    return time.monotonic() - begin
+
+
 @pytest.mark.parametrize(
     ("arguments", "share"),
     [("demo --poses 400", 0.1), pytest.param("demo --poses 400", 3.0, marks=pytest.mark.slow), ("export mjcf", 0.7)],
 )
 def test_the_signal_of_ctrl_c_at_any_moment_ends_a_command_with_130(arguments: str, share: float) -> None:
     # In shares of a short command: while modules are imported, at work, and near the end.
-    begin = time.monotonic()
-    subprocess.run([*COMMAND, "inverse", *EXAMPLE], capture_output=True, check=False)
-    after = share * (time.monotonic() - begin)
+    after = share * short_command()
     with subprocess.Popen([*COMMAND, *arguments.split()], stdout=-1, stderr=-1, text=True) as process:
         time.sleep(after)
         if process.poll() is not None:
