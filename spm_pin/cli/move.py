@@ -85,7 +85,7 @@ def certify(
     limits = other = None
     if minimum is not None and maximum is not None:
         typed = options.Readings.of(dimensions, unit)
-        limits = LegLimits(typed.read(minimum).tolist(), typed.read(maximum).tolist())
+        limits = LegLimits(*typed.read_limits("--min and --max", minimum, maximum))
         if hint := typed.hint("--max", maximum, dimensions):
             outputs.note(hint, "yellow")
     errors = {"length_error": length_error / unit.per_metre, "angle_error": angle_error}
@@ -187,8 +187,8 @@ def move(
         shortest, longest = (options.six_numbers(text, "--limits", single=True) for text in limits)
         if hint := readings.hint("--limits", longest, dimensions):
             outputs.note(hint, "yellow")
-        allowed = LegLimits(*(readings.read(ends).tolist() for ends in (shortest, longest)))
-    passed = [options.six_numbers(text, "--via") / readings.scale for text in via or ()]
+        allowed = LegLimits(*readings.read_limits("--limits", shortest, longest))
+    passed = [readings.read("--via", options.six_numbers(text, "--via")) for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
     angles = {name: (math.radians(pair[0]), math.radians(pair[1])) for name, pair in pairs.items() if pair is not None}
     joint_limits = JointLimits(**angles, clearance=None if clearance is None else clearance / unit.per_metre)
@@ -226,7 +226,7 @@ def _end_state(
     if (typed is None) == (pose is None):
         received = "neither" if pose is None else "both"
         raise ArgumentError(option, f"either readings, or a pose by {option}-translation and an orientation", received)
-    return pose if pose is not None else readings.read(typed)
+    return pose if pose is not None else readings.read(option, typed)
 
 
 def _report(planned: MotionPlan, motion: JointTrajectory, legs: IntArray, readings: options.Readings) -> None:

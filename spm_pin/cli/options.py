@@ -20,6 +20,7 @@ from spm_pin.cli.outputs import note
 from spm_pin.description.masses import Masses
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError, PoseError, raised_as
+from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import (
@@ -89,9 +90,25 @@ class Readings:
         lower, upper = (angle if is_angle else length for is_angle in self.are_angles[::3])
         return lower if lower == upper else f"{lower} (r_b1 to r_b3) and {upper} (r_c1 to r_c3)"
 
-    def read(self, typed: Any) -> FloatArray:
-        """Return readings typed [m, rad], one for all legs or six."""
+    def read(self, option: str, typed: Any) -> FloatArray:
+        """Return readings typed [m, rad], one for all legs or one each; cranks of at most one turn."""
+        angles = self._angles(typed)
+        if (angles > 360.0).any():
+            raise ArgumentError(option, "angles of cranks in degrees, of at most one turn", f"{angles.max():g}")
         return np.asarray(np.array(typed) / self.scale)
+
+    def read_limits(self, option: str, minimum: Any, maximum: Any) -> list[list[float]]:
+        """Return limits typed [m, rad]; those of cranks that are as small as radians are taken for radians."""
+        largest = max([0.0, *self._angles(minimum), *self._angles(maximum)])
+        if 0.0 < largest <= MOST_TURNED:
+            cause = f"In radians? {largest:g} rad are {np.degrees(largest):.0f}°"
+            raise ArgumentError(option, "limits of cranks in degrees", f"none beyond {largest:g}°", cause)
+        return [self.read(option, np.broadcast_to(x, self.are_angles.shape)).tolist() for x in (minimum, maximum)]
+
+    def _angles(self, typed: Any) -> FloatArray:
+        """Return the finite sizes of the angles among what was typed [degrees]."""
+        angles = np.abs(np.broadcast_to(typed, self.are_angles.shape)[self.are_angles])
+        return np.asarray(angles[np.isfinite(angles)])
 
     def text(self, reading: float, leg: int) -> str:
         """Return a reading, in its unit, for a table."""
@@ -99,7 +116,7 @@ class Readings:
 
     def hint(self, option: str, typed: Any, geometry: Geometry) -> str:
         """Return `unit_hint` of the lengths among readings typed."""
-        lengths = np.abs(np.broadcast_to(typed, 6)[~self.are_angles])
+        lengths = np.abs(np.broadcast_to(typed, self.are_angles.shape)[~self.are_angles])
         return unit_hint(option, lengths.max(), self.unit, geometry) if lengths.size else ""
 
 
@@ -297,7 +314,7 @@ def unit_hint(option: str, typed: Any, unit: LengthUnit, geometry: Mechanism) ->
     size = geometry.size * unit.per_metre
     return (
         f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:.3g} {unit}. "
-        f"In {better} it would be in proportion: --unit {better}."
+        f"In {better} it would be in proportion: --unit {better}, for all lengths."
     )
 
 
@@ -397,7 +414,7 @@ def solve_request(
         return solve_pose(geometry, pose, unit)
     if legs is None or pose is not None:
         raise ArgumentError("--legs", "readings or a pose", "neither" if legs is None else "both")
-    state = forward_physical(geometry, Readings.of(geometry, unit).read(legs))
+    state = forward_physical(geometry, Readings.of(geometry, unit).read("--legs", legs))
     label = FAMILIES[int(family(state))] + "+-"[int(branch_sign(state) < 0.0)]
     return set_of_one(state, label), [] if state.exists else legs_remarks(geometry, legs, unit)
 
@@ -434,7 +451,7 @@ def requested_solutions(
         state = starting_configuration(geometry)
     else:
         readings = Readings.of(geometry, unit)
-        state = forward_physical(geometry, readings.read(legs))
+        state = forward_physical(geometry, readings.read("--legs", legs))
         if not state.exists:
             cause = readings.hint("--legs", legs, geometry)
             raise ArgumentError("--legs", "readings with which the machine can be assembled", "none such", cause)

@@ -194,7 +194,7 @@ def forward(
     if len(chosen) > 1:
         raise ArgumentError(" and ".join(f"--{name}" for name in chosen), "one orientation", f"{len(chosen)} of them")
     dimensions = options.read_geometry(geometry)
-    readings = Readings.of(dimensions, unit).read(legs)
+    readings = Readings.of(dimensions, unit).read("--legs", legs)
     physical = forward_physical(dimensions, readings)
     modes = forward_displacement(dimensions, readings)
     home = modes.labels[int(modes.is_physical.argmax())] if physical.exists else ""

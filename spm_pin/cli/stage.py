@@ -19,6 +19,7 @@ from spm_pin.display import reach_figure, save_figure, stage_figure
 from spm_pin.display.writing import FORMATS, fixed
 from spm_pin.errors import ArgumentError, GeometryError, require_extra
 from spm_pin.mechanism import PRS, RPS, RRS, LegKind, Stage, StageConfiguration, StageSolutions, Status
+from spm_pin.mechanism.stage_configuration import BELOW
 from spm_pin.stages import ReachEnd, forward_physical, height_range, home_height, inverse_physical, nearest_reachable
 from spm_pin.stages import forward as all_modes
 from spm_pin.stages import inverse as both_modes
@@ -63,7 +64,8 @@ def _read_stage(typed: Record, unit: LengthUnit) -> Stage:
     try:
         kind = _read_kind(typed, lengths)
         stage = Stage(lengths["base"], lengths["platform"], kind)  # type: ignore[arg-type]
-        limits = None if typed["limits"] is None else [x / _scale(stage, unit) for x in typed["limits"]]
+        readings = Readings.of(stage, unit)
+        limits = None if typed["limits"] is None else readings.read_limits("--limits", *typed["limits"])
         return Stage(stage.base_radius, stage.platform_radius, kind, limits)
     except GeometryError as error:
         name = error.argument.partition(" of ")[0]
@@ -145,7 +147,7 @@ def inverse(
         outputs.write_json({**_units(stage, unit), "status": str(solutions.status), "modes": records, "nearest": found})
         raise typer.Exit(code)
     _print_states(stage, records, unit)
-    hint = "" if solutions.count else options.unit_hint("--height", height, unit, stage)
+    hint = options.unit_hint("--height", height, unit, stage)
     status = f"status: {solutions.status}{_why('' if hint else solutions.configurations.missing_reason)}"
     lines = [status, *filter(None, [hint]), *_remarks(stage, records, physical)]
     if nearest is not None and nearest.exists:
@@ -160,7 +162,8 @@ def _options_of(nearest: StageConfiguration, height: float, unit: LengthUnit) ->
     level = float(nearest.height * unit.per_metre)
     if not math.isclose(level, height):
         level += math.copysign(1e-4 * level, level - height)
-    text = f"--height {unit.text(level, 1)} --tilt {fixed(tilt, 3)} --azimuth {fixed(math.degrees(nearest.azimuth), 5)}"
+    azimuth = fixed(math.degrees(nearest.azimuth) if tilt else 0.0, 5)
+    text = f"--height {unit.text(level, 1)} --tilt {fixed(tilt, 3)} --azimuth {azimuth}"
     return text if unit is LengthUnit.M else f"{text} --unit {unit}"
 
 
@@ -177,7 +180,7 @@ def forward(
 
     Example: spm-pin stage forward --base 80 --platform 90 --crank 50 --rod 110 --unit mm --readings 20 33 6
     """
-    own = np.array(readings) / _scale(stage, unit)
+    own = Readings.of(stage, unit).read("--readings", readings)
     physical = forward_physical(stage, own)
     if every:
         solutions = all_modes(stage, own)
@@ -189,7 +192,8 @@ def forward(
     if json:
         outputs.write_json({**_units(stage, unit), "status": str(status), "modes": records})
         raise typer.Exit(code)
-    _print_states(stage, records, unit, pose=True)
+    typed = ", ".join(Readings.of(stage, unit).text(x, leg) for leg, x in enumerate(readings))
+    _print_states(stage, records, unit, at=typed)
     outputs.print_lines([f"status: {status}" + _why(reason), *_remarks(stage, records, physical)])
     raise typer.Exit(code)
 
@@ -235,6 +239,21 @@ def reach(
         outputs.print_table("Largest tilts, in every direction and in the best one", columns, records, left=["ends at"])
         outputs.print_lines([f"level from {unit.text(low)} to {unit.text(high)} {unit}"])
     outputs.write_figure(out, reach_figure, found)
+
+
+@takes_stage
+@outputs.name_options()
+def write(
+    stage: Stage,
+    out: Annotated[Path, outputs.file_option("YAML file to write.", (".yaml", ".yml"))],
+    unit: options.Unit = LengthUnit.M,
+) -> None:
+    """Write a stage into a file, for the --stage of other commands.
+
+    Example: spm-pin stage write --base 80 --platform 90 --crank 50 --rod 110 --limits -35 70 --unit mm --out stage.yaml
+    """
+    stage.to_yaml(out)
+    outputs.note(f"wrote {out}; spm-pin export c-stage --stage {out} writes its header for a microcontroller")
 
 
 @takes_stage
@@ -291,6 +310,9 @@ def _state(stage: Stage, height: float | None, tilt: float, azimuth: float, unit
 
 
 def _radians(option: str, degrees: float) -> float:
+    if option == "--tilt" and not 0.0 <= degrees < 180.0:
+        cause = "To the other side leans what has another azimuth"
+        raise ArgumentError(option, "an angle in degrees, from 0 to less than 180", f"{degrees:g}", cause)
     if not abs(degrees) <= 360.0:
         raise ArgumentError(option, "an angle in degrees, of at most one turn", f"{degrees:g}")
     return math.radians(degrees)
@@ -324,10 +346,11 @@ def _records(solutions: StageSolutions, unit: LengthUnit) -> list[Record]:
     return [_record(solutions.labels[k], solutions.configurations[k], unit) for k in np.flatnonzero(solutions.exists)]
 
 
-def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, pose: bool = False) -> None:
+def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, at: str = "") -> None:
+    """Print states by their readings, or, `at` readings that were typed, by their poses."""
     angle, readings = "°" if stage.unit == "rad" else str(unit), Readings.of(stage, unit)
-    columns: dict[str, Any] = {"mode": lambda row: row["label"]} if len(records) > 1 or not pose else {}
-    if pose:
+    columns: dict[str, Any] = {"mode": lambda row: row["label"]} if len(records) > 1 or not at else {}
+    if at:
         for name in ("tilt", "azimuth", "roll", "pitch"):
             columns[f"{name} [°]"] = lambda row, name=name: fixed(row[name], 3)
         columns[f"height [{unit}]"] = lambda row: unit.text(row["height"])
@@ -339,8 +362,10 @@ def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, pose
     for k, axis in enumerate("xy"):
         columns[f"shift {axis} [{unit}]"] = lambda row, k=k: unit.text(row["shift"][k])
     columns["torsion [°]"] = lambda row: fixed(row["torsion"], 3)
-    columns[""] = lambda row: "physical" * row["physical"] + "*" * (pose and len(row["beyond_limits"]) > 0)
-    title = "Tilt and height of the platform" if pose else f"Readings of the legs in {angle}"
+    columns[""] = lambda row: "physical" * row["physical"] + "*" * (bool(at) and len(row["beyond_limits"]) > 0)
+    title = f"Tilt and height of the platform at {at} {angle}" if at else f"Readings of the legs in {angle}"
+    if records and not at:
+        title += " for a tilt of {tilt:.2f}° towards {azimuth:.2f}°".format(**records[0])
     outputs.print_table(f"{title}, and its parasitic motion", columns, records, left=[""])
 
 
@@ -348,7 +373,9 @@ def _remarks(stage: Stage, records: list[Record], physical: StageConfiguration) 
     beyond = sorted({stage.legs.names[leg] for record in records for leg in record["beyond_limits"]})
     remarks = [f"* {', '.join(beyond)} beyond the limits"] if beyond else []
     if records and not physical.exists:
-        remarks.append("Neither is physical: none is reached from the level platform without a forward singularity.")
+        remarks.append("Not physical: not reached from the level platform without a forward singularity.")
+        if records[0]["height"] < 0.0:
+            remarks.append(f"{BELOW}.")
     return remarks
 
 

@@ -91,14 +91,14 @@ def workspace(
     shell: Shell | Boundary
     try:
         if limits is not None:
-            machine = dataclasses.replace(machine, limits=_limits(limits, unit, machine))
+            machine = _limited(machine, limits, unit)
         if paper:
             shell = workspace_shell(machine, resolution=resolution)
         else:
             require_extra("workspace")
             shell, volume = _reached(machine, None if spacing is None else spacing / unit.per_metre)
     except ArgumentError as error:
-        hint = "" if limits is None else options.unit_hint("--limits", limits[1], unit, machine)
+        hint = "" if limits is None else Readings.of(machine, unit).hint("--limits", limits[1], machine)
         if not hint:
             raise
         raise ArgumentError("--limits", error.expected, error.received, hint) from error
@@ -122,8 +122,8 @@ def workspace(
         outputs.print_lines(_remarks(shell, unit))
 
 
-def _limits(limits: tuple[float, float], unit: LengthUnit, machine: Geometry) -> LegLimits:
-    return LegLimits(*(Readings.of(machine, unit).read([end] * 6).tolist() for end in limits))
+def _limited(machine: Geometry, limits: tuple[float, float], unit: LengthUnit) -> Geometry:
+    return dataclasses.replace(machine, limits=LegLimits(*Readings.of(machine, unit).read_limits("--limits", *limits)))
 
 
 def _reached(machine: Geometry, spacing: float | None) -> tuple[Boundary, Estimate]:
@@ -279,8 +279,9 @@ def sweep(
         longest = max((abs(end) for end, name in zip(ends, lengths, strict=True) if name == "m"), default=0.0)
         options.note_unit("--legs" if legs else "--x, --y, --z", longest * unit.per_metre, unit, machine)
         if limits is not None:
-            options.note_unit("--limits", limits[1], unit, machine)
-            machine = dataclasses.replace(machine, limits=_limits(limits, unit, machine))
+            if hint := Readings.of(machine, unit).hint("--limits", limits[1], machine):
+                outputs.note(hint, "yellow")
+            machine = _limited(machine, limits, unit)
         parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}
         if length is not None:
             parameters["length"] = length / unit.per_metre

@@ -28,7 +28,7 @@ from spm_pin.formulas.wrenches import determinant, structure_determinant
 from spm_pin.kinematics.batches import run_kernel, run_on_states
 from spm_pin.kinematics.rates_and_forces import SINGULAR, leg_constants, platform_jacobian
 from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import FloatArray, IntArray, real_number, shaped_array
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
 
 _MIN_BATCH_PER_THREAD = 1 << 11
@@ -48,6 +48,14 @@ class SingularityKind(enum.IntFlag):
 
     def __str__(self) -> str:
         return " and ".join(str(kind.name).lower() for kind in SingularityKind if kind & self) or "regular"
+
+
+def kinds_text(kinds: npt.NDArray[np.int8], exists: BoolArray) -> str:
+    """Return the kind of a state, or how many of a batch exist and are of each kind."""
+    if not kinds.shape:
+        return str(SingularityKind(int(kinds))) if exists else "does not exist"
+    counts = [f"{np.count_nonzero(kinds & kind)} {kind}" for kind in SingularityKind if (kinds & kind).any()]
+    return f"{kinds.shape} states, {np.count_nonzero(exists)} exist, {', '.join(counts) or 'all regular'}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -98,18 +106,10 @@ class Singularities:
     """
 
     def __repr__(self) -> str:
-        if not self.kind.shape:
-            kind = str(SingularityKind(int(self.kind))) if self.rank.any() else "does not exist"
-            sigmas = ", ".join(f"{value:.2e}" for value in self.sigma)
-            return f"<Singularities: {kind}; smallest singular values of J_b, J_c, K: {sigmas}>"
         exists = np.asarray(self.rank.any(axis=-1))
-        counts = ", ".join(
-            f"{np.count_nonzero(self.kind & kind)} {kind}" for kind in SingularityKind if (self.kind & kind).any()
-        )
         smallest = np.where(exists[..., None], self.sigma, np.inf).reshape(-1, 3).min(axis=0, initial=np.inf)
         sigmas = ", ".join(f"{value:.2e}" for value in smallest)
-        shown = f"{self.kind.shape} states, {np.count_nonzero(exists)} exist, {counts or 'all regular'}"
-        return f"<Singularities: {shown}; smallest singular values of J_b, J_c, K: {sigmas}>"
+        return f"<Singularities: {kinds_text(self.kind, exists)}; smallest singular values of J_b, J_c, K: {sigmas}>"
 
     def _repr_html_(self) -> str:
         if self.kind.shape:

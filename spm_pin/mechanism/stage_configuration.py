@@ -19,6 +19,8 @@ from spm_pin.mechanism.stage import Stage
 
 OPERATION_MODES = ("T", "F")
 """The two solutions of an inverse displacement: without torsion, and turned half round."""
+BELOW = "The height is negative: below the pivots"
+"""A cause that there is no physical state."""
 
 _is_home_state = on_arrays(circles.is_home_state)
 
@@ -230,4 +232,7 @@ class StageSolutions(Solutions[StageConfiguration]):
 
     def _hint(self, index: tuple[int, ...]) -> str:
         nearest = "For the nearest tilt that is reached see spm_pin.stages.nearest_reachable"
-        return following([self.configurations.missing_reason, nearest * (self.labels == OPERATION_MODES)])
+        if self.labels != OPERATION_MODES:
+            return super()._hint(index)
+        below = (self.configurations.height[index] < 0.0).any() and not self.is_physical[index].any()
+        return following([self.configurations.missing_reason, BELOW * bool(below), nearest])

@@ -13,15 +13,17 @@ PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """Units of length, and how many of them are a metre."""
 _PROPORTION = 10.0
 """Lengths this many times the machine's size are read as a wrong unit."""
+_USUAL = 0.4
+"""Share of the machine's size that heights, readings and positions usually have."""
 
 
 def likely_unit(machine: Mechanism, length: float, unit: str = "m") -> str | None:
     """Return the unit in which a length [m], if it was typed in `unit`, would be in proportion; None if it is."""
 
-    def disproportion(tried: str) -> float:
-        return abs(math.log(length * PER_METRE[unit] / PER_METRE[tried] / machine.size))
+    def disproportion(tried: str, share: float = _USUAL) -> float:
+        return abs(math.log(length * PER_METRE[unit] / PER_METRE[tried] / (share * machine.size)))
 
-    if not (np.isfinite(length) and length > 0.0) or disproportion(unit) < math.log(_PROPORTION):
+    if not (np.isfinite(length) and length > 0.0) or disproportion(unit, 1.0) < math.log(_PROPORTION):
         return None
     better = min(PER_METRE, key=disproportion)
     return better if better != unit else None

@@ -14,7 +14,6 @@ from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_displacement import STAGE_MODES, read_readings
 from spm_pin.kinematics.stage_balls import Drawing, all_modes, followed_balls, physical_balls
 from spm_pin.mechanism.arguments import (
-    LARGEST_RATIO,
     BoolArray,
     FloatArray,
     broadcastable,
@@ -26,8 +25,8 @@ from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import PlacedLegs
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.stage import Stage
-from spm_pin.mechanism.stage_configuration import OPERATION_MODES, StageConfiguration, StageSolutions
-from spm_pin.mechanism.units import unit_hint
+from spm_pin.mechanism.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration, StageSolutions
+from spm_pin.mechanism.units import likely_unit
 
 _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6
@@ -174,8 +173,6 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     status = status.reshape(shape)
     status[continuous.any(axis=-1).reshape(shape) & (status == Status.OK)] = Status.DEGENERATE
     status[(status == Status.OK) & ~modes.exists.any(axis=-1)] = Status.UNREACHABLE
-    if not shape and status == Status.UNREACHABLE:
-        modes.missing_reason = _reading_hint(stage, flat)
     return StageSolutions(modes, STAGE_MODES, status)
 
 
@@ -224,7 +221,7 @@ def forward_physical(
     state = _of_balls(stage, shape, balls, read)
     if not shape and not state.exists:
         reason = "with these readings no state is reached from the level platform without a forward singularity"
-        state.missing_reason = f"{reason}. {_reading_hint(stage, read)}".rstrip(". ")
+        state.missing_reason = reason
     return state
 
 
@@ -282,12 +279,9 @@ def _read_request(
 
 
 def read_heights(stage: Stage, height: npt.ArrayLike, argument: str = "height") -> FloatArray:
-    """Read heights (...) at which this stage can be resolved."""
+    """Read heights (...) in proportion to this stage."""
     heights = real_array(height, argument, (), "of the platform's origin above the pivots, in metres")
-    farthest = LARGEST_RATIO * stage.size
-    if (np.abs(heights) > farthest).any():
-        expected = f"heights in metres, within {farthest:.3g} m"
-        raise ArgumentError(argument, expected, f"{np.abs(heights).max():g}", "In another unit?")
+    _check_unit(stage, heights, argument, "heights")
     return heights
 
 
@@ -356,7 +350,18 @@ def _read_normal(normal: npt.ArrayLike) -> FloatArray:
 
 def read_stage_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:
     """Read what encoders of this stage may show (..., 3)."""
-    return read_readings(check_instance(stage, Stage, "stage").legs, stage.size, readings)
+    read = read_readings(check_instance(stage, Stage, "stage").legs, stage.size, readings)
+    if stage.unit == "m":
+        _check_unit(stage, read - stage.legs.offsets, "readings", "lengths")
+    return read
+
+
+def _check_unit(stage: Stage, lengths: FloatArray, argument: str, meaning: str) -> None:
+    """Raise `ArgumentError` for lengths in another unit, with which cylinders would have a state as well."""
+    longest = float(np.abs(lengths).max(initial=0.0))
+    if unit := likely_unit(stage, longest):
+        expected = f"{meaning} in metres, in proportion to a stage about {stage.size:.3g} m high"
+        raise ArgumentError(argument, expected, f"{longest:g}", f"Is it {longest:g} {unit}?")
 
 
 def _check_near(stage: Stage, near: Any) -> None:
@@ -373,10 +378,6 @@ def _check_near(stage: Stage, near: Any) -> None:
         raise ArgumentError("near", "a state whose balls are in their legs' planes", f"a distance of {residual:.1e} m")
 
 
-def _reading_hint(stage: Stage, readings: FloatArray) -> str:
-    return unit_hint(stage, readings) if stage.unit == "m" and readings.any() else ""
-
-
 def _why_unreachable(
     stage: Stage, heights: FloatArray, normals: FloatArray, readings: FloatArray, translation: FloatArray
 ) -> str:
@@ -384,7 +385,7 @@ def _why_unreachable(
     if np.isnan(translation[0, 0, 2]) or np.isnan(translation[0, 0, 0]):
         return "the planes of the legs allow no platform with this normal"
     names = ", ".join(name for name, reading in zip(stage.legs.names, readings[0, 0], strict=True) if np.isnan(reading))
-    hint = unit_hint(stage, heights) if heights.any() else ""
+    hint = BELOW * bool(heights[0] < 0.0)
     if not hint and normals[0, 2] < _STEEP:
         radians = ": angles are in radians" if normals[0, 2] < 0.0 else ""
         hint = f"The tilt is {math.degrees(math.acos(normals[0, 2])):.0f}°{radians}"

@@ -17,7 +17,7 @@ from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.formulas import stage_poses, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
 from spm_pin.kinematics.rates_and_forces import SINGULAR
-from spm_pin.kinematics.singularity_analysis import SingularityKind
+from spm_pin.kinematics.singularity_analysis import SingularityKind, kinds_text
 from spm_pin.mechanism.arguments import (
     FloatArray,
     broadcastable,
@@ -49,7 +49,7 @@ class JointLoads(NamedTuple):
     """Moments of these forces at the legs' pivots, as rows in {B} [N m], shape (..., 3, 3)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StageSingularities:
     """Singularities of states of shape (...), and distances to them; NaN where a state does not exist."""
 
@@ -71,6 +71,12 @@ class StageSingularities:
 
     (v, r ω) has length 1 m/s, r the platform's radius.
     """
+
+    def __repr__(self) -> str:
+        exists = np.isfinite(self.forward)
+        least = {"forward": self.forward, "inverse": self.inverse, "leg": self.leg}
+        distances = ", ".join(f"{name} {x[exists].min(initial=np.inf):.3g}" for name, x in least.items())
+        return f"<StageSingularities: {kinds_text(self.kind, exists)}; least distances: {distances}>"
 
 
 def platform_jacobian(configuration: StageConfiguration) -> FloatArray:

@@ -19,7 +19,6 @@ from spm_pin.errors import ArgumentError, UnreachableError
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
 from spm_pin.mechanism.stage import Stage
 from spm_pin.mechanism.stage_configuration import StageConfiguration
-from spm_pin.mechanism.units import unit_hint
 from spm_pin.stages.displacement import (
     forward_physical,
     inverse,
@@ -33,7 +32,8 @@ from spm_pin.stages.displacement import (
 _STEP = math.radians(0.5)
 """Tilts that are tried are this far apart [rad]: what is lost and won again in between is not seen."""
 _LARGEST_TILT = math.pi / 2.0
-_HEIGHTS = 2000
+_HEIGHTS, _HIGHEST = 2000, 9.99
+"""Levels that are tried, and the highest in units of the stage's size: higher ones are read as in another unit."""
 _PARTS, _ROUNDS, _FEW = np.linspace(0.0, 1.0, 17), 11, 5
 """An interval is divided into so many parts, so many times: to 6e-14 of it, or with few rounds to 1e-6."""
 _MOST_DIRECTIONS = 10_000
@@ -61,7 +61,7 @@ class ReachEnd(enum.IntEnum):
         return {0: "not level", 1: "limit", 2: "leg's reach", 3: "forward singularity", 4: "planes", 5: "none"}[self]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StageReach:
     """Largest tilts of a stage, by height and azimuth."""
 
@@ -75,6 +75,14 @@ class StageReach:
     ends: npt.NDArray[np.int8]
     """`ReachEnd` of each, shape (n, m)."""
 
+    def __repr__(self) -> str:
+        level, ends = np.isfinite(self.all_round), ", ".join(str(ReachEnd(end)) for end in np.unique(self.ends))
+        if not level.any():
+            return f"<StageReach: {len(self.heights)} heights, level at none>"
+        best = int(np.nanargmax(self.all_round))
+        most = f"{np.degrees(self.all_round[best]):.1f}° in every direction at {self.heights[best]:.4g} m"
+        return f"<StageReach: {len(self.heights)} heights, {most}; what ends tilts: {ends}>"
+
     @property
     def all_round(self) -> FloatArray:
         """Largest tilt that is reached in every direction [rad], shape (n,); NaN where there is none."""
@@ -87,7 +95,7 @@ def height_range(stage: Stage) -> tuple[float, float]:
     Parameters
     ----------
     stage : Stage
-        The stage. Without limits the highest of an RPS stage is ten times its size.
+        The stage. Without limits the highest of an RPS stage is about ten times its size.
 
     Returns
     -------
@@ -99,10 +107,10 @@ def height_range(stage: Stage) -> tuple[float, float]:
 
 @lru_cache(maxsize=16)
 def _height_range(stage: Stage) -> tuple[float, float]:
-    top = (10.0 if stage.unit == "m" and stage.limits is None else 1.0) * stage.size
+    top = (_HIGHEST if stage.unit == "m" and stage.limits is None else 1.0) * stage.size
     if stage.unit == "m":
         ends = np.abs(stage.reading_limits - stage.legs.offsets)
-        top += float(ends.max(initial=0.0, where=np.isfinite(ends)))
+        top = min(top + float(ends.max(initial=0.0, where=np.isfinite(ends))), _HIGHEST * stage.size)
     grid = np.linspace(-top, top, _HEIGHTS)
 
     def counts(heights: FloatArray) -> BoolArray:
@@ -181,9 +189,6 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
         levels = np.atleast_1d(read_heights(stage, heights, "heights"))
     if levels.ndim > 1:
         raise ArgumentError("heights", "a height, or several of shape (n,)", f"shape {levels.shape}")
-    if levels.size and (hint := unit_hint(stage, levels)):
-        expected = f"heights in metres, in proportion to a stage about {stage.size:.3g} m high"
-        raise ArgumentError("heights", expected, f"up to {np.abs(levels).max():g}", hint)
     azimuths = -math.pi + 2.0 * math.pi * np.arange(count) / count
     tilts = _largest_tilts(stage, levels[:, None], azimuths)
     return StageReach(stage, levels, azimuths, tilts, _ends(stage, levels[:, None], azimuths, tilts))

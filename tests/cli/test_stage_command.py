@@ -12,6 +12,7 @@ from cli.running import run
 import spm_pin as spm
 
 SIZES = ["--base", "80", "--platform", "90", "--crank", "50", "--rod", "110", "--unit", "mm"]
+METRES = ["--base", "0.08", "--platform", "0.09", "--crank", "0.05", "--rod", "0.11"]
 STAGE = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
 
 
@@ -20,6 +21,10 @@ def test_readings_of_a_tilt_and_the_way_back() -> None:
     content = json.loads(done.stdout)
     expected = spm.stages.inverse_physical(STAGE, 0.12, roll=np.radians(8), pitch=np.radians(-5))
     (mode,) = content["modes"]
+    assert (
+        "for a tilt of 9.43° towards"
+        in run("stage", "inverse", *SIZES, "--height", "120", "--roll", "8", "--pitch", "-5").stdout
+    )
     assert content["readings"] == "degrees"
     np.testing.assert_allclose(mode["readings"], np.degrees(expected.readings), atol=1e-9)
     np.testing.assert_allclose(mode["shift"], 1e3 * expected.shift, atol=1e-9)
@@ -28,6 +33,9 @@ def test_readings_of_a_tilt_and_the_way_back() -> None:
     np.testing.assert_allclose([state["roll"], state["pitch"], state["height"]], [8.0, -5.0, 120.0], atol=1e-9)
     every = run("stage", "forward", *SIZES, "--readings", *map(str, mode["readings"]), "--all").stdout
     assert "T2+" in every
+    assert f"Tilt and height of the platform at {', '.join(f'{x:.3f}' for x in mode['readings'])} °" in every
+    done = run("stage", "forward", *SIZES, "--readings", "0", "0", "400")
+    assert "--readings: expected angles of cranks in degrees, of at most one turn, got 400" in done.message
     assert every.count("physical") == 1
 
 
@@ -48,6 +56,19 @@ def test_what_is_not_reached_has_the_nearest_tilt() -> None:
     nearest = run("stage", "inverse", *SIZES[:8], *limits, *out.splitlines()[-1].split(), "--json")
     assert nearest.returncode == 0
     assert max(json.loads(nearest.stdout)["modes"][0]["readings"]) == pytest.approx(40.0, abs=0.01)
+
+
+def test_heights_below_the_pivots_and_in_metres_for_millimetres_have_the_cause() -> None:
+    done = run("stage", "inverse", *SIZES, "--height", "-120")
+    assert done.returncode == 5
+    assert "Not physical" in done.stdout
+    assert "The height is negative: below the pivots." in done.stdout
+    assert "--tilt 0.000 --azimuth 0.00000 --unit mm" in done.stdout
+    for sizes, height in ((SIZES, "0.12"), (["--base", "80", "--platform", "90", "--unit", "mm"], "0.12")):
+        assert (
+            "In m it would be in proportion: --unit m, for all lengths."
+            in run("stage", "inverse", *sizes, "--height", height).stdout
+        )
 
 
 def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
@@ -76,7 +97,23 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
         ([*SIZES, "--slide", "90"], "--slide: expected not to be given with --crank"),
         ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
+        (
+            [*SIZES, "--limits", "-0.6", "1.2"],
+            "--limits: expected limits of cranks in degrees, got none beyond 1.2°. In radians? 1.2 rad are 69°",
+        ),
+        (
+            [*SIZES, "--limits", "-30", "400"],
+            "--limits: expected angles of cranks in degrees, of at most one turn, got 400",
+        ),
+        (
+            METRES,
+            "--height: expected heights in metres, in proportion to a stage about 0.33 m high, got 120. Is it 120 mm?",
+        ),
         ([*SIZES, "--tilt", "10"], "--azimuth: expected a tilt with its azimuth"),
+        (
+            [*SIZES, "--tilt", "-10", "--azimuth", "0"],
+            "--tilt: expected an angle in degrees, from 0 to less than 180, got -10. To the other",
+        ),
         ([*SIZES, "--roll", "800"], "--roll: expected an angle in degrees, of at most one turn, got 800"),
         ([*SIZES, "--stage", "no.yaml"], "--stage: expected a file alone"),
         (["--stage", "no.yaml"], "--stage"),
@@ -86,6 +123,15 @@ def test_what_is_wrong_is_named_as_it_was_typed(options: list[str], message: str
     done = run("stage", "inverse", *options, "--height", "120")
     assert done.returncode == 2
     assert message in done.message
+
+
+def test_a_file_of_numbers_is_what_other_commands_take(tmp_path: Path) -> None:
+    file = tmp_path / "stage.yaml"
+    assert str(file) in run("stage", "write", *SIZES, "--limits", "-35", "70", "--out", file).message
+    expected = spm.Stage(0.08, 0.09, STAGE.kind, limits=np.radians([-35.0, 70.0]))
+    assert spm.Stage.from_yaml(file) == expected
+    assert run("export", "c-stage", "--stage", file, "--out", tmp_path).returncode == 0
+    assert (tmp_path / "stage.h").exists()
 
 
 def test_a_view_of_what_is_not_reached_is_refused() -> None:

@@ -71,6 +71,20 @@ def test_a_unit_of_length_is_hinted_at_by_lengths_alone(file: Path) -> None:
     assert near.returncode == 0, near.stdout
 
 
+def test_limits_of_cranks_in_radians_are_refused_and_no_unit_of_length_is_hinted_at(tmp_path: Path) -> None:
+    servos = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35))
+    spm.Geometry.of_stages(servos, servos).to_yaml(tmp_path / "servos.yaml")
+    geometry = ("--geometry", tmp_path / "servos.yaml")
+    done = run("certify", "--min", "0.3", "--max", "0.5", *geometry)
+    assert done.returncode == 2
+    assert (
+        "--min and --max: expected limits of cranks in degrees, got none beyond 0.5°. In radians? 0.5 rad are 29°"
+        in done.message
+    )
+    for command in (("certify", "--min", "5", "--max", "50", "--boxes", "50"), ("workspace", "--limits", "50", "5")):
+        assert "cm" not in run(*command, *geometry).message
+
+
 def test_limits_of_a_stage_are_certified_in_degrees(tmp_path: Path) -> None:
     servos = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35))
     spm.Geometry.of_stages(servos, servos).to_yaml(tmp_path / "servos.yaml")

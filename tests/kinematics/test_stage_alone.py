@@ -247,9 +247,19 @@ def test_limits_mark_and_choose() -> None:
 
 
 def test_why_there_is_no_solution_is_said() -> None:
-    far = spm.stages.inverse(BALANCER, 120.0)
+    cylinders = STAGES["RPS"]
+    for solve in (spm.stages.inverse, spm.stages.inverse_physical, spm.stages.reach, spm.stages.nearest_reachable):
+        for stage, number, unit in ((BALANCER, 120.0, "mm"), (BALANCER, -12.0, "cm"), (cylinders, 1100.0, "mm")):
+            with pytest.raises(spm.ArgumentError, match=f"heights?: .*metres.*Is it {abs(number):g} {unit}"):
+                solve(stage, number)
+    for solve in (spm.stages.forward, spm.stages.forward_physical):
+        with pytest.raises(spm.ArgumentError, match=r"readings: .*metres.*Is it 120 cm\?"):
+            solve(cylinders, [110.0, 120.0, 115.0])
+    far = spm.stages.inverse(BALANCER, 0.8)
     assert far.status is spm.Status.UNREACHABLE
-    assert "is it 120 mm" in repr(far)
+    for height in (-0.12, -0.8):
+        assert "The height is negative: below the pivots." in repr(spm.stages.inverse_physical(BALANCER, height))
+    assert "negative" not in repr(spm.stages.forward(cylinders, [0.1, 0.1, 3.0]).physical())
     assert "out of reach of r_1" in spm.stages.inverse_physical(BALANCER, 0.2).missing_reason
     assert "angles are in radians" in repr(spm.stages.inverse(BALANCER, 0.12, tilt=2.0, azimuth=0.0))
     assert "tilt is 57°" in repr(spm.stages.inverse_physical(BALANCER, 0.12, roll=1.0))

@@ -88,6 +88,9 @@ def test_singularities_of_all_sorts() -> None:
     normals = np.array([[np.sin(t), 0.0, np.cos(t)] for t in (0.1, 1.0, 2.0, 3.0, 3.14)])
     distance = spm.stages.singularities(spm.stages.inverse(STAGES["RPS"], 1.0, normal=normals)["T"]).inverse
     assert (np.diff(distance) < 0.0).all()
+    both = spm.stages.singularities(spm.stages.inverse(STAGES["RRS"], [0.12, 0.9])["T"])
+    assert repr(both).startswith("<StageSingularities: (2,) states, 1 exist, all regular; least distances: forward 0.9")
+    assert repr(spm.stages.singularities(line, tolerance=1e-6)).startswith("<StageSingularities: leg; ")
     gained = spm.stages.singularities(flat).gained_twist
     np.testing.assert_allclose(np.abs(gained[:2]), 0.0, atol=1e-12)
 
@@ -107,6 +110,9 @@ def test_the_reach_is_where_states_stop_to_count() -> None:
     np.testing.assert_allclose(found.tilts[0, :4], found.tilts[0, 4:8], atol=1e-9)
     unlimited = spm.stages.reach(STAGES["RRS"], 0.12, directions=12)
     assert (unlimited.tilts > found.tilts).all()
+    most = np.degrees(found.tilts.min())
+    assert repr(found) == f"<StageReach: 1 heights, {most:.1f}° in every direction at 0.12 m; what ends tilts: limit>"
+    assert repr(spm.stages.reach(BALANCER, high + 1e-6)) == "<StageReach: 1 heights, level at none>"
     assert set(unlimited.ends.flat) <= {ReachEnd.LEG, ReachEnd.FORWARD}
 
 
@@ -125,7 +131,7 @@ def test_the_nearest_reachable_tilt_is_no_farther_than_any_of_a_grid() -> None:
     nothing = spm.Stage(0.08, 0.09, BALANCER.kind, limits=(3.0, 3.1))
     assert spm.stages.inverse_physical(nothing, 0.1).exists
     assert not spm.stages.nearest_reachable(nothing, 0.1).exists
-    with pytest.raises(spm.ArgumentError, match=r"heights: .*is it 120 mm\?"):
+    with pytest.raises(spm.ArgumentError, match=r"heights: .*Is it 120 mm\?"):
         spm.stages.reach(BALANCER, heights=120)
     low = spm.stages.nearest_reachable(BALANCER, 0.01, roll=0.1)
     np.testing.assert_allclose(low.height, spm.stages.height_range(BALANCER)[0])

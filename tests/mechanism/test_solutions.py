@@ -13,6 +13,7 @@ import spm_pin as spm
 from spm_pin.errors import SelectionError
 from spm_pin.mechanism.branch_of_state import tilt_cosine_sum
 from spm_pin.mechanism.configuration import check_configuration
+from spm_pin.mechanism.units import likely_unit
 
 PAPER = spm.Geometry.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
@@ -257,6 +258,14 @@ def test_a_state_that_does_not_exist_says_why(absent: Callable[[], spm.SolutionS
 
 FAR = spm.pose([68.89, 49.63, 225.3], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 LONG = [120, 120, 140, 125, 120, 150]
+
+
+@pytest.mark.parametrize(("typed", "unit"), [(350.0, "mm"), (1200.0, "mm"), (120.0, "cm"), (230.0, "cm"), (2.3, None)])
+def test_the_unit_of_a_length_is_the_one_in_which_machines_have_it(typed: float, unit: str | None) -> None:
+    """Legs and positions of the paper's machine, 2.6 m high; those of a balancer a tenth of it, a tenth."""
+    assert likely_unit(PAPER, typed) == unit
+    small = spm.Stage(0.08, 0.08, spm.RRS(crank=0.04, rod=0.064))
+    assert likely_unit(small, 0.1 * typed) == unit
 
 
 @pytest.mark.parametrize("length", [225.3, 150])

@@ -179,15 +179,17 @@ def test_bytes_lost_doubled_and_wrong_never_move_an_actuator_faster(board: ctype
     assert np.abs(np.diff(readings, axis=0)).max() > 0.9 * RATE * PERIOD
 
 
-def sketch(name: str, folder: Path) -> Path:
-    """Compile a sketch for the host."""
+def sketch(name: str, folder: Path, change: tuple[str, str] = ("", "")) -> Path:
+    """Compile a sketch for the host, with a change of its text."""
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler: neither g++ nor clang++")
     write_stage_c(BALANCER, folder)
     flags = ("-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Wdouble-promotion", "-Werror", "-O1")
     include = ("-I", folder, "-I", ARDUINO, "-I", CONTROLLERS / name, "-include", "Arduino.h")
-    inputs = ("-x", "c++", CONTROLLERS / name / f"{name}.ino", ARDUINO / "board.cpp")
+    source = folder / f"{name}.cpp"
+    source.write_text((CONTROLLERS / name / f"{name}.ino").read_text(encoding="utf-8").replace(*change), "utf-8")
+    inputs = (source, ARDUINO / "board.cpp")
     compile_c(compiler, *flags, *include, *inputs, "-lm", "-o", folder / name)
     return folder / name
 
@@ -209,6 +211,38 @@ def test_the_sketch_tilts_a_plate_in_a_circle(tmp_path: Path) -> None:
     )
     assert len(rows) > 150
     np.testing.assert_allclose(rows[:, 1:], 1500.0 + PULSES * expected.readings, rtol=0.0, atol=0.51)
+
+
+def test_the_check_of_the_servos_shows_which_is_mounted_wrong(tmp_path: Path) -> None:
+    """The pulses of the sketch on servos of which one is reversed, or a tooth off: the plate leans as the page says."""
+    program = sketch("tilt_in_a_circle", tmp_path, ("CHECK = false", "CHECK = true"))
+    done = subprocess.run([program, "8000"], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True)
+    sent = pulses(done.stdout)
+    low, high = sent[sent[:, 0] < 4000, 1:], sent[sent[:, 0] >= 4000, 1:]
+    assert (low == 1500).all()
+    assert (high == 1819).all()
+    page = (CONTROLLERS.parents[1] / "docs/howto/ball_balancer.md").read_text(encoding="utf-8")
+
+    def seen(level_pulse: np.ndarray, per_radian: np.ndarray) -> tuple[spm.mechanism.StageConfiguration, ...]:
+        """Return the first states of both moves with servos that have these numbers."""
+        return tuple(spm.stages.forward_physical(BALANCER, (x[0] - level_pulse) / per_radian) for x in (low, high))
+
+    level, right = np.full(3, 1500.0), np.full(3, PULSES)
+    for state, other in zip(seen(level, right), seen(level, -right), strict=True):
+        assert state.tilt < 1e-9
+        for height in (state.height, other.height):
+            assert f"level, {1e3 * height:.0f} mm" in page
+    for leg, azimuth in enumerate(np.radians([-30.0, 90.0, 210.0])):
+        towards = [np.cos(azimuth), np.sin(azimuth)]
+        one = np.arange(3) == leg
+        first, second = seen(level, np.where(one, -right, right))
+        assert first.tilt < 1e-9
+        assert f"by {np.degrees(second.tilt):.1f}° towards" in page
+        np.testing.assert_allclose(second.normal[:2], np.sin(second.tilt) * np.array(towards), atol=1e-9)
+        for sense in (1.0, -1.0):
+            for state in seen(level + sense * one * PULSES * 2.0 * np.pi / 25.0, right):
+                assert np.degrees(state.tilt) == pytest.approx(5.5, abs=0.4)
+                np.testing.assert_allclose(state.normal[:2], sense * np.sin(state.tilt) * np.array(towards), atol=1e-9)
 
 
 def test_the_sketch_that_follows_is_the_board_of_the_line(tmp_path: Path) -> None:

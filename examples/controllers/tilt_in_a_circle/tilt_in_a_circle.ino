@@ -12,6 +12,10 @@ const int PINS[3] = {9, 10, 11};
 const float LEVEL_PULSE[3] = {1500.0f, 1500.0f, 1500.0f};
 const float PULSE_PER_RADIAN[3] = {637.0f, 637.0f, 637.0f};
 
+/* True: the servos go to readings of 0 and of 0.5 rad in turn, for four seconds each. The plate has to be level both
+   times; the page on ball balancers says what is wrong where it leans. */
+const bool CHECK = false;
+
 const float TILT = 0.1745f, TURNS_PER_SECOND = 0.25f;
 
 Servo servos[3];
@@ -28,7 +32,14 @@ void setup()
 void loop()
 {
     float azimuth = 6.2831853f * TURNS_PER_SECOND * 0.001f * (float)(millis() % 4000);
-    int status = stage_tilt(&stage_machine, TILT, azimuth, stage_machine.home_height, &state);
+    int status = STAGE_OK;
+    if (CHECK) {
+        for (int i = 0; i < 3; ++i) {
+            state.readings[i] = millis() % 8000 < 4000 ? 0.0f : 0.5f;
+        }
+    } else {
+        status = stage_tilt(&stage_machine, TILT, azimuth, stage_machine.home_height, &state);
+    }
     if (status != STAGE_OK) {
         Serial.println(status); /* the servos stay where they are */
     } else {
