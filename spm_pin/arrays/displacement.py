@@ -29,14 +29,14 @@ _LONGEST_STEP = 0.4
 _CLOSED = 2000.0
 """Largest error of a solution, in roundings of the lengths in it."""
 _APART = (0.0, 1e-3, 1e-1)
-"""Discriminants, in units of r², at least as large as which those of the drawing are taken for starts: beside its folds
-a machine as built has branches elsewhere, or where the drawing has none."""
+"""Least discriminants, in units of r², with which branches of the drawing are computed for starts: beside its folds
+those of a machine as built are elsewhere, or exist where the drawing has none."""
 _ORDERS = 2
 """Orders of derivatives."""
 _LEVEL = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), UP
 _REGULAR = bind(drawn_triangle, sqrt=math.sqrt)(1.0)
 _REGULAR_MOTIONS = bind(ball_motions.ball_motions, sqrt=math.sqrt)(_REGULAR, (UP, UP, UP), AXES)
-"""Any balls and their motions: they take the place of those that do not exist, so that all numbers are finite."""
+"""Regular balls and their motions: they take the place of what does not exist, so that all numbers are finite."""
 
 
 class Branches(NamedTuple):
@@ -253,9 +253,9 @@ class _Inverse:
         self._machine, self._pose, self._legs = self.library.constant((self.machine, self.pose, self.legs))
 
     def drawn_branches(self, families: Any, least: float) -> tuple[Any, Any]:
-        """Return the balls (2 n, ...) of the branches + and - of families, and which are real.
+        """Return the balls (2 n, ...) of the branches + and - of families of the drawing, and which are real.
 
-        They are those of the drawing, and as if the discriminants were at least `least` times r².
+        A discriminant below `least` times r² is taken for that.
         """
         library, run, r = self.library, self.library.run, self._machine.r
         frame = run(branches.pose_frame, *self._pose, r)
@@ -268,7 +268,7 @@ class _Inverse:
         return b, is_real & self.valid
 
     def closed(self, start: Any) -> tuple[Any, Any]:
-        """Return where Newton's method leads from balls, and whether that is a solution."""
+        """Return the balls to which Newton's method leads from others, and where they are a solution."""
         library, run, (lower, upper), machine = self.library, self.library.run, self._legs, self._machine
         planes, longest = (lower, upper, machine.weights, machine.squares[0]), _LONGEST_STEP * machine.r
 
@@ -286,7 +286,7 @@ class _Inverse:
         return self.library.run(ball_motions.structure_side, b, self._machine.upper_balls(self.library, b), *self._legs)
 
     def preferred(self, b: Any, closed: Any) -> tuple[Any, Any]:
-        """Return of balls (k, ...) those that are physical, within the limits and straightest, in this order."""
+        """Return the best of balls (k, ...): physical, within the limits, straightest; and where it is physical."""
         library, machine = self.library, self._machine
         physical, tilts = _physical(library, machine, self._pose, b)
         inside = []

@@ -53,7 +53,7 @@ class Library:
     def run(self, formula: Callable[..., Any], *arguments: Any) -> Any:
         """Run a formula of `spm_pin.formulas` on numbers, arrays, and tuples of them."""
         if formula not in self._bound:
-            operations = {"sqrt": self.sqrt, "where": self.where, "arctan2": self.arctan2}
+            operations = {"sqrt": self.sqrt, "where": self.where, "arctan2": self.arctan2, "magnitude": abs}
             self._bound[formula] = bind(formula, cos=self.cos, sin=self.sin, **operations)
         return self._bound[formula](*arguments)
 
@@ -116,7 +116,7 @@ class Library:
         return mapped(lambda x: stop(x) if hasattr(x, "dtype") else x, tree)
 
     def checked(self, numbers: Any, most: Any, instead: Any) -> tuple[Any, Any]:
-        """Return nested tuples of arrays, and where none of them is NaN or larger than `most`; `instead` elsewhere."""
+        """Return nested tuples of arrays, `instead` where one is NaN or larger than `most`, and where none is."""
         sizes: list[Any] = []
         mapped(lambda x: sizes.append(self.xp.abs(x) <= most), numbers)
         valid = functools.reduce(operator.and_, sizes)
@@ -186,12 +186,12 @@ class Machine(NamedTuple):
         return [library.run(planar_legs.place_in_plane, *pair) for pair in zip(balls, self.planes, strict=True)]
 
     def of_places(self, library: Library, name: str, places: Sequence[Any], *further: Sequence[Any]) -> list[Any]:
-        """Return what a formula of the legs' kinds makes of `places`, and of further numbers of each leg."""
+        """Return the values of a formula of the legs' kinds, such as "reading", at `places`, leg by leg."""
         legs = zip(self.kinds, places, self.numbers, *further, strict=True)
         return [library.run(getattr(kind.formulas, name), *xz, *more, numbers) for kind, xz, numbers, *more in legs]
 
     def circles(self, library: Library, readings: Sequence[Any]) -> list[tuple[Any, Any]]:
-        """Return centres, in {B} or {m}, and radii of the circles that readings without offsets leave to the balls."""
+        """Return centres, in {B} or {m}, and radii of the balls' circles at readings without offsets."""
         found = []
         for kind, reading, numbers, plane in zip(self.kinds, readings, self.numbers, self.planes, strict=True):
             x, z, radius = library.run(kind.formulas.circle, reading, numbers)
@@ -209,7 +209,7 @@ class Machine(NamedTuple):
         return functools.reduce(operator.and_, (slope > 0.0 for slope in self.relative_slopes(library, slopes)))
 
     def checked_readings(self, library: Library, readings: Sequence[Any]) -> tuple[list[Any], Any]:
-        """Return readings, and where they are numbers that a leg may have; others where not."""
+        """Return readings, with others in place of numbers that no leg can have, and where none was replaced."""
         checked, valid = [], True
         for reading, kind in zip(readings, self.kinds, strict=True):
             most = MOST_TURNED if kind.unit == "rad" else self.farthest

@@ -37,7 +37,7 @@ class _Legs:
         )
 
     def regular(self, stage: Any, *determinants: Any) -> Any:
-        """Return balls and six forces; regular ones where nothing exists, or a determinant is zero to rounding."""
+        """Return balls and six forces, with regular ones where no state exists or a determinant is zero to rounding."""
         run, r, is_regular = self.library.run, self.machine.r, self.exists
         for determinant in determinants:
             is_regular = is_regular & (run(vectors.magnitude, determinant) > self.library.least * r**3)

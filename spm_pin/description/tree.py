@@ -20,10 +20,6 @@ HOME = "home"
 """Name of the state in which all joints are at zero."""
 
 
-State = Configuration | StageConfiguration
-"""States whose joint values are written: of a robot, or of a stage alone."""
-
-
 def extended_urdf_text(geometry: Mechanism | None = None, *, prefix: str = "") -> str:
     """Return closures and motors as an Extended-URDF file, to lie beside the URDF of a machine, by default the paper's.
 
@@ -36,7 +32,7 @@ def extended_urdf_text(geometry: Mechanism | None = None, *, prefix: str = "") -
     return f"closed_loop: [\n  {pairs}\n]\ntype: {types}\nname_mot: {motors}\njoint_name: []\njoint_type: []\n"
 
 
-def joint_values(configuration: State) -> dict[str, float]:
+def joint_values(configuration: Configuration | StageConfiguration) -> dict[str, float]:
     """Return the values of the tree's joints, eighteen or nine, in a single configuration that exists.
 
     By name, without prefix, in the order of `joint_names`: of passive joints angles in [-π, π] [rad], of actuated ones
@@ -49,7 +45,7 @@ def joint_values(configuration: State) -> dict[str, float]:
     return {name: values[name] for name in joint_names(geometry)}
 
 
-def machine_of(states: Mapping[str, State], geometry: Mechanism | None) -> Mechanism:
+def machine_of(states: Mapping[str, Configuration | StageConfiguration], geometry: Mechanism | None) -> Mechanism:
     """Return the machine of named states and of a URDF, or raise unless they have one."""
     if not isinstance(states, Mapping):
         raise DescriptionError("states", "a mapping of names to configurations", type(states).__name__)
@@ -61,7 +57,9 @@ def machine_of(states: Mapping[str, State], geometry: Mechanism | None) -> Mecha
     return machine
 
 
-def state_values(states: Mapping[str, State], geometry: Mechanism, prefix: str) -> dict[str, dict[str, float]]:
+def state_values(
+    states: Mapping[str, Configuration | StageConfiguration], geometry: Mechanism, prefix: str
+) -> dict[str, dict[str, float]]:
     """Return the values of the joints, named with the prefix, in `home` and in named states of a geometry."""
     values = {HOME: dict.fromkeys((prefix + joint for joint in joint_names(geometry)), 0.0)}
     for name, configuration in states.items():
@@ -71,7 +69,12 @@ def state_values(states: Mapping[str, State], geometry: Mechanism, prefix: str) 
     return values
 
 
-def srdf_text(states: Mapping[str, State] | None = None, *, geometry: Mechanism | None = None, prefix: str = "") -> str:
+def srdf_text(
+    states: Mapping[str, Configuration | StageConfiguration] | None = None,
+    *,
+    geometry: Mechanism | None = None,
+    prefix: str = "",
+) -> str:
     """Return the SRDF: groups, named states, passive joints, and pairs of links that touch by design.
 
     Parameters

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.description.robot import read_robot
-from spm_pin.description.tree import State
-from spm_pin.mechanism import Configuration, Mechanism
+from spm_pin.mechanism import Configuration, Mechanism, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.pose import homogeneous
@@ -103,7 +102,7 @@ def read_obj(path: Path) -> tuple[FloatArray, npt.NDArray[np.int32]]:
     return vertices, array
 
 
-def part_placements(configuration: State) -> FloatArray:
+def part_placements(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return the poses of the solids of configurations (...), shape (..., n, 4, 4), in the order of `visual_parts`.
 
     The matrices go from the vertices of a part to {B}. A state may violate the mechanism's closure; what does not exist
@@ -131,7 +130,7 @@ def part_placements(configuration: State) -> FloatArray:
     return placements
 
 
-def _body_poses(configuration: State) -> dict[str, FloatArray]:
+def _body_poses(configuration: Configuration | StageConfiguration) -> dict[str, FloatArray]:
     """Return the pose (..., 4, 4) in {B} of each body: z along the link, the origin at pivot, knee or ball."""
     geometry = configuration.mechanism
     base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))

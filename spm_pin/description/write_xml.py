@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from spm_pin.description.masses import Masses, Numbers, Placement
 from spm_pin.description.robot import Joint, Link, Robot, Shape, read_robot
 from spm_pin.description.source_files import Closure, check_machine, check_prefix
-from spm_pin.description.tree import State, machine_of, state_values
+from spm_pin.description.tree import machine_of, state_values
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism import Stage
+from spm_pin.mechanism import Configuration, Stage, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray, check_instance, choice, real_number
 from spm_pin.mechanism.mechanism import Mechanism
 
@@ -69,7 +69,7 @@ def mjcf_text(
     geometry: Mechanism | None = None,
     *,
     prefix: str = "",
-    states: Mapping[str, State] | None = None,
+    states: Mapping[str, Configuration | StageConfiguration] | None = None,
     anchors: str | None = None,
     actuators: str | None = None,
     ball: Ball | None = None,

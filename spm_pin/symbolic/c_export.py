@@ -340,7 +340,7 @@ def _formulas(geometry: Geometry, available: list[StateFunction]) -> list[ca.Fun
     points = [machine.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
     upper, weights = machine.all_balls(points)[3:], [[ca.fabs(x) for x in w] for w in machine.ball_weights()]
     arms = ca.norm_2(points[1] - points[0]) + ca.norm_2(points[2] - points[0])
-    curvature = ca.vertcat(*(2.0 / s for s in machine.sides(0)), *(4.0 * w for _, _, w in weights))
+    curvature = ca.vertcat(*(2.0 / s for s in machine.sides()), *(4.0 * w for _, _, w in weights))
     tilt = ca.vertcat(0, 0, 0, *(1.0 + 2.0 * (u + v + w * arms) for u, v, w in weights))
     lever = ca.vertcat(0, 0, 0, *(ca.norm_2(p - position) for p in upper))
     made_functions.append(made("closure", [balls, *pose], error, ca.jacobian(error, balls), curvature, tilt, lever))

@@ -267,7 +267,7 @@ def forces_of(state: State, wrench: Any) -> dict[str, Any]:
 
 
 def _forces(state: State, *wrenches_of_stages: Any) -> Any:
-    """Return what the lower legs' actuators exert to hold a wrench at o, and the upper legs' to hold another."""
+    """Return the forces of the lower legs that hold one wrench at o, and of the upper legs that hold another."""
     forces: list[Any] = []
     vectors = map(stages_of, (state.balls, state.directions, state.axes))
     for b, f, axes, wrench in zip(*vectors, wrenches_of_stages, strict=True):
@@ -332,17 +332,17 @@ def residual_of(state: State) -> dict[str, Any]:
         ca.dot(ball - origin, axis) - ca.dot(plane.x, plane.pivot)
         for ball, origin, axis, plane in zip(state.balls, origins, state.axes, state.machine.planes, strict=True)
     ]
-    return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, 0, state.joints))}
+    return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, state.joints))}
 
 
 def _pose() -> tuple[Any, Any]:
     return ca.SX.sym("rotation", 3, 3), ca.SX.sym("position", 3)
 
 
-def _side_errors(machine: Machine, stage: int, balls: Sequence[Any]) -> list[Any]:
-    """Return (|b_i - b_j|² - s²)/2s [m] of the sides s of three balls."""
+def _side_errors(machine: Machine, balls: Sequence[Any]) -> list[Any]:
+    """Return (|b_i - b_j|² - s²)/2s [m] of the sides s of the lower balls."""
     squares = in_casadi(circles.squared_sides)([parts(b) for b in balls])
-    return [(square - s * s) / (2.0 * s) for square, s in zip(squares, machine.sides(stage), strict=True)]
+    return [(square - s * s) / (2.0 * s) for square, s in zip(squares, machine.sides(), strict=True)]
 
 
 def closure_equations(machine: Machine, coordinates: Any, rotation: Any, position: Any) -> Any:
@@ -352,7 +352,7 @@ def closure_equations(machine: Machine, coordinates: Any, rotation: Any, positio
         ca.dot(rotation @ plane.x, ball - position) - ca.dot(plane.x, plane.pivot)
         for plane, ball in zip(machine.planes[3:], machine.all_balls(balls)[3:], strict=True)
     ]
-    return ca.vertcat(*_side_errors(machine, 0, balls), *planes)
+    return ca.vertcat(*_side_errors(machine, balls), *planes)
 
 
 def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
@@ -383,7 +383,7 @@ def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) ->
 
 
 def level_balls(machine: Machine, stage: int, of_readings: circles.Circles) -> Any:
-    """Return the balls of the lower stage, 0, or of the upper, 1, where it stands level beside these circles."""
+    """Return the balls of the lower stage, 0, or of the upper, 1, at the level start, see `circles.level_balls`."""
     return in_casadi(circles.level_balls)(of_readings, stages_of(machine.balls)[stage], (1.0, -1.0)[stage])
 
 
@@ -405,7 +405,7 @@ def frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
 
 
 def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
-    """Return from where Newton's method starts: TT+ and TT- of the drawing, and both as if they were farther apart.
+    """Return where Newton's method starts: at TT+ and TT- of the drawing, and at both with larger discriminants.
 
     Beside a fold of the drawing the branches of a machine as built are elsewhere, or real where those are not.
     """

@@ -59,7 +59,7 @@ def _where(condition: Any, yes: Any, no: Any) -> Any:
 def in_casadi(formula: Any) -> Any:
     """Return a formula of `spm_pin.formulas` as a function of CasADi's expressions."""
     operations = {"sqrt": sqrt, "cos": ca.cos, "sin": ca.sin, "arctan2": _arctan2, "where": _where}
-    return bind(formula, both=ca.logic_and, either=ca.logic_or, **operations)
+    return bind(formula, both=ca.logic_and, either=ca.logic_or, magnitude=ca.fabs, **operations)
 
 
 def fields_of(kinds: Sequence[LegKind]) -> dict[str, int]:
@@ -85,7 +85,7 @@ def rows(vectors: Sequence[Any]) -> Any:
 
 
 def stages_of(vectors: Sequence[Any]) -> tuple[list[Any], list[Any]]:
-    """Return the vectors of the lower and of the upper legs, of six, as formulas take them."""
+    """Return six vectors as formulas take them: those of the lower legs, and those of the upper."""
     return [parts(x) for x in vectors[:3]], [parts(x) for x in vectors[3:]]
 
 
@@ -194,7 +194,7 @@ class Machine:
         self.numbers = [tuple(row) for kind in kinds for row in kind.numbers.tolist()]
 
     def _check_numbers(self) -> None:
-        """Let the machine be none where a number that is fixed in a leg is none of its kind."""
+        """Make the machine invalid where a constant of a leg is beyond its bounds."""
         for leg, numbers in enumerate(self.numbers):
             for name, x in zip(fields(self.kinds[leg // 3]), numbers, strict=True):
                 low, high = BOUNDS[name.name]
@@ -231,9 +231,9 @@ class Machine:
         finite = all_of([ca.fabs(x) < np.inf for x in ca.vertsplit(position)])
         return all_of([self.valid, rigid, finite, ca.det(rotation) > 0.0])
 
-    def sides(self, stage: int) -> list[Any]:
-        """Return the distances of the balls 12, 23, 31 of the lower stage, 0, or of the upper, 1."""
-        return [sqrt(x) for x in in_casadi(circles.squared_sides)(stages_of(self.balls)[stage])]
+    def sides(self) -> list[Any]:
+        """Return the distances of the lower legs' balls 12, 23, 31."""
+        return [sqrt(x) for x in in_casadi(circles.squared_sides)(stages_of(self.balls)[0])]
 
     def ball_weights(self) -> Any:
         """Return the weights of `spm_pin.formulas.leg_planes.upper_balls`."""
@@ -259,7 +259,7 @@ class Machine:
         return ca.vertcat(*in_casadi(planar_legs.point_of_plane)(x, z, self._own_planes[leg])), radius
 
     def of_ball(self, name: str, leg: int, ball: Any, *further: Any) -> Any:
-        """Return what a formula of the leg's kind makes of its ball, seen from the plate that the leg stands on."""
+        """Return the value of a formula of the leg's kind, such as "reading", for a ball in {B} or {m}, as its leg."""
         place = in_casadi(planar_legs.place_in_plane)(parts(ball), self._own_planes[leg])
         return getattr(self.formulas[leg // 3], name)(*place, *further, self.numbers[leg])
 
@@ -392,7 +392,7 @@ class Drawn:
         return ca.logic_and(self.discriminant(family) >= 0.0, ca.logic_not(self.is_continuous(family)))
 
     def branch(self, family: str, sign: float, least: float = 0.0) -> Any:
-        """Return the b_i (3, 3) of the branch of a sign, as if the discriminant were at least `least` times r²."""
+        """Return the b_i (3, 3) of the branch of a sign; a discriminant below `least` times r² is taken for that."""
         form = self.families[family]
         radicand = ca.fmax(in_casadi(branches.discriminant)(form), least * self.machine.r**2)
         u, v, square = in_casadi(branches.root)(form, sign, sqrt(radicand))
