@@ -173,9 +173,9 @@ def read_pose(geometry: Geometry, pose: PoseLike) -> tuple[tuple[int, ...], Floa
     """
     from spm_pin.kinematics.kernels.branch_kernels import are_valid
 
+    check_instance(geometry, Geometry, "geometry")
     rotation, position = unchecked_pose(pose)
     shape, flat, places = position.shape[:-1], rotation.reshape(-1, 3, 3), position.reshape(-1, 3)
-    check_instance(geometry, Geometry, "geometry")
     farthest = 2.0 * (LARGEST_RATIO + 1.0) * sum(geometry.dimensions)
     good: list[bool] = []
     parallel_for(

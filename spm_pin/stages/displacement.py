@@ -55,7 +55,8 @@ def inverse(
         Of the platform's origin, the centre of its balls, above the base's plane of pivots: z in {B} [m].
     tilt, azimuth : array_like, shape (...), optional
         Angle between the platform's normal and z, from 0 to less than π, and the direction in which the normal leans,
-        hence in which the platform is lowest: from x towards y, with the legs at -30°, 90° and 210° [rad].
+        hence in which the platform is lowest: from x towards y, within a turn, with the legs at -30°, 90° and 210°
+        [rad].
     roll, pitch : array_like, shape (...), optional
         Or: the normal is Rx(roll) Ry(pitch) z [rad], so that without torsion they are those of ROS; one alone leaves
         the other zero.
@@ -320,7 +321,8 @@ def _read_tilt(tilt: npt.ArrayLike, azimuth: npt.ArrayLike) -> FloatArray:
     tilts, azimuths = angles
     if (wrong := (tilts < 0.0) | (tilts >= math.pi)).any():
         received = f"{tilts[first_offender(wrong)]:g}"
-        raise ArgumentError("tilt", "angles from 0 to less than π, in radians", received)
+        cause = "To the other side leans what has another azimuth"
+        raise ArgumentError("tilt", "angles from 0 to less than π, in radians", received, cause)
     return normals_of_tilt(tilts, azimuths)
 
 

@@ -265,6 +265,10 @@ def test_why_there_is_no_solution_is_said() -> None:
     assert "tilt is 57°" in repr(spm.stages.inverse_physical(BALANCER, 0.12, roll=1.0))
     with pytest.raises(spm.ArgumentError, match=r"tilt: .*radians.*, got 15\. Given in degrees"):
         spm.stages.inverse(BALANCER, 0.12, tilt=15.0, azimuth=0.0)
+    with pytest.raises(spm.ArgumentError, match=r"got -0\.1\. To the other side"):
+        spm.stages.inverse(BALANCER, 0.12, tilt=-0.1, azimuth=0.0)
+    with pytest.raises(spm.ArgumentError, match=r"a Geometry, got Stage\. For a stage alone there is spm_pin\.stages"):
+        spm.inverse_physical(BALANCER, 0.12)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match=r"azimuth: .*radians.*, got 15\. Given in degrees"):
         spm.stages.inverse(BALANCER, 0.12, tilt=0.1, azimuth=15.0)
     with pytest.raises(spm.ArgumentError, match=r"readings: .*r_1, r_2, r_3 in radians, got shape"):
