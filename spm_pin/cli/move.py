@@ -84,10 +84,7 @@ def certify(
         raise GeometryError("--inverse", "no errors of the machine", "errors as well", cause)
     limits = other = None
     if minimum is not None and maximum is not None:
-        typed = options.Readings.of(dimensions, unit)
-        limits = LegLimits(*typed.read_limits("--min and --max", minimum, maximum))
-        if hint := typed.hint("--max", maximum, dimensions):
-            outputs.note(hint, "yellow")
+        limits = LegLimits(*options.Readings(dimensions, unit).read_limits("--max", minimum, maximum))
     errors = {"length_error": length_error / unit.per_metre, "angle_error": angle_error}
     with outputs.stderr.status("dividing the states of both stages"):
         certificate = prove(dimensions, limits, boxes=boxes, **errors)
@@ -180,13 +177,11 @@ def move(
     from spm_pin.multibody.chain import ClosedChain
 
     dimensions = options.read_geometry(geometry)
-    readings = options.Readings.of(dimensions, unit)
+    readings = options.Readings(dimensions, unit)
     first, last = (_end_state(*end, readings) for end in ((start, start_pose, "--from"), (goal, goal_pose, "--to")))
     allowed = dimensions.limits
     if limits is not None:
         shortest, longest = (options.six_numbers(text, "--limits", single=True) for text in limits)
-        if hint := readings.hint("--limits", longest, dimensions):
-            outputs.note(hint, "yellow")
         allowed = LegLimits(*readings.read_limits("--limits", shortest, longest))
     passed = [readings.read("--via", options.six_numbers(text, "--via")) for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}

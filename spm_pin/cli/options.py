@@ -61,14 +61,13 @@ class LengthUnit(enum.StrEnum):
 class Readings:
     """Units in which a command reads and prints readings: lengths in --unit, angles in degrees as those of a pose."""
 
+    machine: Mechanism
     unit: LengthUnit
-    are_angles: BoolArray
-    """True for the legs whose readings are angles, (6,)."""
 
-    @classmethod
-    def of(cls, machine: Mechanism, unit: LengthUnit) -> Readings:
-        """Return the units of a machine's readings."""
-        return cls(unit, np.array(machine.legs.units) == "rad")
+    @property
+    def are_angles(self) -> BoolArray:
+        """True for the legs whose readings are angles, (6,)."""
+        return np.asarray(np.array(self.machine.legs.units) == "rad")
 
     @property
     def scale(self) -> FloatArray:
@@ -98,7 +97,9 @@ class Readings:
         return np.asarray(np.array(typed) / self.scale)
 
     def read_limits(self, option: str, minimum: Any, maximum: Any) -> list[list[float]]:
-        """Return limits typed [m, rad]; those of cranks that are as small as radians are taken for radians."""
+        """Return limits typed [m, rad], with a note on their unit; those of cranks as small as radians are refused."""
+        if hint := self.hint(option, maximum):
+            note(hint, "yellow")
         largest = max([0.0, *self._angles(minimum), *self._angles(maximum)])
         if 0.0 < largest <= MOST_TURNED:
             cause = f"In radians? {largest:g} rad are {np.degrees(largest):.0f}°"
@@ -114,10 +115,10 @@ class Readings:
         """Return a reading, in its unit, for a table."""
         return fixed(reading, 3) if self.are_angles[leg] else self.unit.text(reading)
 
-    def hint(self, option: str, typed: Any, geometry: Geometry) -> str:
+    def hint(self, option: str, typed: Any) -> str:
         """Return `unit_hint` of the lengths among readings typed."""
         lengths = np.abs(np.broadcast_to(typed, self.are_angles.shape)[~self.are_angles])
-        return unit_hint(option, lengths.max(), self.unit, geometry) if lengths.size else ""
+        return unit_hint(option, lengths.max(), self.unit, self.machine) if lengths.size else ""
 
 
 Triple = tuple[float, float, float]
@@ -350,7 +351,7 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
 def status_content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
     """Return what `--json` says of all solutions: their units, the status, and any continuous family."""
     degeneracy = solutions.degeneracy
-    units = Readings.of(solutions.geometry, unit).units
+    units = Readings(solutions.geometry, unit).units
     family = degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")}
     return {"unit": unit, "reading_units": units, "status": str(solutions.status), "degeneracy": family}
 
@@ -414,14 +415,14 @@ def solve_request(
         return solve_pose(geometry, pose, unit)
     if legs is None or pose is not None:
         raise ArgumentError("--legs", "readings or a pose", "neither" if legs is None else "both")
-    state = forward_physical(geometry, Readings.of(geometry, unit).read("--legs", legs))
+    state = forward_physical(geometry, Readings(geometry, unit).read("--legs", legs))
     label = FAMILIES[int(family(state))] + "+-"[int(branch_sign(state) < 0.0)]
     return set_of_one(state, label), [] if state.exists else legs_remarks(geometry, legs, unit)
 
 
 def legs_remarks(geometry: Geometry, legs: SixLegs, unit: LengthUnit) -> list[str]:
     """Return a sentence on why readings have no physical state."""
-    hint = Readings.of(geometry, unit).hint("--legs", legs, geometry)
+    hint = Readings(geometry, unit).hint("--legs", legs)
     return [hint or "A stage cannot be closed with these readings."]
 
 
@@ -450,10 +451,10 @@ def requested_solutions(
     if legs is None:
         state = starting_configuration(geometry)
     else:
-        readings = Readings.of(geometry, unit)
+        readings = Readings(geometry, unit)
         state = forward_physical(geometry, readings.read("--legs", legs))
         if not state.exists:
-            cause = readings.hint("--legs", legs, geometry)
+            cause = readings.hint("--legs", legs)
             raise ArgumentError("--legs", "readings with which the machine can be assembled", "none such", cause)
     return inverse_displacement(geometry, state.pose), state
 

@@ -49,7 +49,7 @@ def inverse(
     The exit code is 5 if no physical branch is within the leg limits.
     """
     solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
-    shown = Readings.of(solutions.geometry, unit)
+    shown = Readings(solutions.geometry, unit)
     branches = _records(solutions, None, lambda state: _lengths(state, shown))
     physical = solutions.physical()
     code = options.exit_code(solutions.status, physical)
@@ -96,9 +96,9 @@ def nearest(
     if reach is None:
         raise ArgumentError("--geometry", "a machine with leg limits", "none", "Its file has them as leg_limits")
     if json:
-        outputs.write_json({"unit": unit, "reading_units": Readings.of(machine, unit).units, **reach})
+        outputs.write_json({"unit": unit, "reading_units": Readings(machine, unit).units, **reach})
         return
-    shown = Readings.of(machine, unit)
+    shown = Readings(machine, unit)
     columns = {name: lambda row, leg=leg: shown.text(row["readings"][leg], leg) for leg, name in enumerate(LEGS)}
     outputs.print_table(f"Readings in {shown.heading}", columns, [reach])
     hint = options.unit_hint("--translation", pose.translation * unit.per_metre, unit, machine)
@@ -129,7 +129,7 @@ def _nearest(geometry: Geometry, pose: RigidTransform | None, unit: LengthUnit) 
         "rpy": state.pose.rotation.as_euler("xyz", degrees=True, suppress_warnings=True),
         "rotation": state.rotation,
     }
-    readings = state.readings * Readings.of(geometry, unit).scale
+    readings = state.readings * Readings(geometry, unit).scale
     return {name: x * unit.per_metre for name, x in lengths.items()} | {"readings": readings, **turn}
 
 
@@ -194,7 +194,7 @@ def forward(
     if len(chosen) > 1:
         raise ArgumentError(" and ".join(f"--{name}" for name in chosen), "one orientation", f"{len(chosen)} of them")
     dimensions = options.read_geometry(geometry)
-    readings = Readings.of(dimensions, unit).read("--legs", legs)
+    readings = Readings(dimensions, unit).read("--legs", legs)
     physical = forward_physical(dimensions, readings)
     modes = forward_displacement(dimensions, readings)
     home = modes.labels[int(modes.is_physical.argmax())] if physical.exists else ""
@@ -343,7 +343,7 @@ def statics(
     if not (json or wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
     solutions, remarks = options.solve_request(options.read_geometry(geometry), pose, legs, unit)
-    shown = Readings.of(solutions.geometry, unit)
+    shown = Readings(solutions.geometry, unit)
     branches = _records(solutions, branch, lambda state: _leg_loads(state, wrench, twist, shown))
     if json:
         by_label = {record["label"]: record for record in branches}

@@ -64,7 +64,7 @@ def _read_stage(typed: Record, unit: LengthUnit) -> Stage:
     try:
         kind = _read_kind(typed, lengths)
         stage = Stage(lengths["base"], lengths["platform"], kind)  # type: ignore[arg-type]
-        readings = Readings.of(stage, unit)
+        readings = Readings(stage, unit)
         limits = None if typed["limits"] is None else readings.read_limits("--limits", *typed["limits"])
         return Stage(stage.base_radius, stage.platform_radius, kind, limits)
     except GeometryError as error:
@@ -180,7 +180,7 @@ def forward(
 
     Example: spm-pin stage forward --base 80 --platform 90 --crank 50 --rod 110 --unit mm --readings 20 33 6
     """
-    own = Readings.of(stage, unit).read("--readings", readings)
+    own = Readings(stage, unit).read("--readings", readings)
     physical = forward_physical(stage, own)
     if every:
         solutions = all_modes(stage, own)
@@ -192,7 +192,7 @@ def forward(
     if json:
         outputs.write_json({**_units(stage, unit), "status": str(status), "modes": records})
         raise typer.Exit(code)
-    typed = ", ".join(Readings.of(stage, unit).text(x, leg) for leg, x in enumerate(readings))
+    typed = ", ".join(Readings(stage, unit).text(x, leg) for leg, x in enumerate(readings))
     _print_states(stage, records, unit, at=typed)
     outputs.print_lines([f"status: {status}" + _why(reason), *_remarks(stage, records, physical)])
     raise typer.Exit(code)
@@ -320,7 +320,7 @@ def _radians(option: str, degrees: float) -> float:
 
 def _scale(stage: Stage, unit: LengthUnit) -> float:
     """Return what a reading in metres or radians is multiplied by to be printed."""
-    return float(Readings.of(stage, unit).scale[0])
+    return float(Readings(stage, unit).scale[0])
 
 
 def _units(stage: Stage, unit: LengthUnit) -> Record:
@@ -348,7 +348,7 @@ def _records(solutions: StageSolutions, unit: LengthUnit) -> list[Record]:
 
 def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, at: str = "") -> None:
     """Print states by their readings, or, `at` readings that were typed, by their poses."""
-    angle, readings = "°" if stage.unit == "rad" else str(unit), Readings.of(stage, unit)
+    angle, readings = "°" if stage.unit == "rad" else str(unit), Readings(stage, unit)
     columns: dict[str, Any] = {"mode": lambda row: row["label"]} if len(records) > 1 or not at else {}
     if at:
         for name in ("tilt", "azimuth", "roll", "pitch"):

@@ -89,19 +89,13 @@ def workspace(
         require_extra("plots")
     machine = options.read_geometry(geometry)
     shell: Shell | Boundary
-    try:
-        if limits is not None:
-            machine = _limited(machine, limits, unit)
-        if paper:
-            shell = workspace_shell(machine, resolution=resolution)
-        else:
-            require_extra("workspace")
-            shell, volume = _reached(machine, None if spacing is None else spacing / unit.per_metre)
-    except ArgumentError as error:
-        hint = "" if limits is None else Readings.of(machine, unit).hint("--limits", limits[1], machine)
-        if not hint:
-            raise
-        raise ArgumentError("--limits", error.expected, error.received, hint) from error
+    if limits is not None:
+        machine = _limited(machine, limits, unit)
+    if paper:
+        shell = workspace_shell(machine, resolution=resolution)
+    else:
+        require_extra("workspace")
+        shell, volume = _reached(machine, None if spacing is None else spacing / unit.per_metre)
     if out is not None and out.suffix.lower() in MESH_FORMATS:
         save_mesh(shell, out)
     elif isinstance(shell, Shell) and sections and out is not None:
@@ -123,7 +117,7 @@ def workspace(
 
 
 def _limited(machine: Geometry, limits: tuple[float, float], unit: LengthUnit) -> Geometry:
-    return dataclasses.replace(machine, limits=LegLimits(*Readings.of(machine, unit).read_limits("--limits", *limits)))
+    return dataclasses.replace(machine, limits=LegLimits(*Readings(machine, unit).read_limits("--limits", *limits)))
 
 
 def _reached(machine: Geometry, spacing: float | None) -> tuple[Boundary, Estimate]:
@@ -137,7 +131,7 @@ def _reached(machine: Geometry, spacing: float | None) -> tuple[Boundary, Estima
 def _measures(mesh: Shell | Boundary, volume: float, error: float, unit: LengthUnit) -> dict[str, Any]:
     """Return what `--json` says of a mesh of either kind."""
     length = unit.per_metre
-    scale = Readings.of(mesh.geometry, unit).scale
+    scale = Readings(mesh.geometry, unit).scale
     return {
         "unit": str(unit),
         "limits": {end: getattr(mesh.limits, end) * scale for end in ("minimum", "maximum")},
@@ -175,7 +169,7 @@ def _print_reached(boundary: Boundary, estimate: Estimate, unit: LengthUnit, jso
 
 def _limit_lines(limits: LegLimits, machine: Geometry, unit: LengthUnit) -> list[str]:
     """Return the limits in words, in a line where those of all legs are in one unit."""
-    shown, lines = Readings.of(machine, unit), []
+    shown, lines = Readings(machine, unit), []
     stages = [slice(0, 6)] if len(set(machine.legs.units)) == 1 else [slice(0, 3), slice(3, 6)]
     for legs, place in zip(stages, ("legs",) if len(stages) == 1 else ("lower legs", "upper legs"), strict=True):
         name = shown.units[legs.start]
@@ -269,9 +263,7 @@ def sweep(
     drawn: dict[str, Any] = {} if samples is None else {"count": samples, "seed": seed}
     run: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
     machine = options.read_geometry(geometry)
-    domain = (
-        None if status else _domain(poses, legs, drawn, 1.0 / Readings.of(machine, unit).scale, 1.0 / unit.per_metre)
-    )
+    domain = None if status else _domain(poses, legs, drawn, 1.0 / Readings(machine, unit).scale, 1.0 / unit.per_metre)
     if domain is not None:
         require_extra("cluster")
         lengths = machine.legs.units if legs else ("m", "m", "m", *("rad",) * 3)
@@ -279,8 +271,6 @@ def sweep(
         longest = max((abs(end) for end, name in zip(ends, lengths, strict=True) if name == "m"), default=0.0)
         options.note_unit("--legs" if legs else "--x, --y, --z", longest * unit.per_metre, unit, machine)
         if limits is not None:
-            if hint := Readings.of(machine, unit).hint("--limits", limits[1], machine):
-                outputs.note(hint, "yellow")
             machine = _limited(machine, limits, unit)
         parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}
         if length is not None:

@@ -276,12 +276,8 @@ _READERS: dict[str, Callable[[Any, str], float]] = {
     "direction": _direction,
     "sign": _sign,
 }
-BOUNDS = {
-    "rod": (SMALLEST, LARGEST),
-    "crank": (SMALLEST, LARGEST),
-    "direction": (-MOST_TURNED, MOST_TURNED),
-    "sign": (-1.0, 1.0),
-}
+_SIZES, _TURNS = (SMALLEST, LARGEST), (-MOST_TURNED, MOST_TURNED)
+BOUNDS = {"rod": _SIZES, "crank": _SIZES, "direction": _TURNS, "sign": (-1.0, 1.0)}
 """Between which the numbers fixed in a leg are; a sign is one of its bounds."""
 KINDS: dict[str, type[LegKind]] = {kind.__name__: kind for kind in (RPS, PRS, RRS)}
 """The kinds of legs by their names."""
