@@ -34,7 +34,6 @@ _TRAILING |= {"normal": (3,)}
 """The last axes of arrays by their names."""
 quietly = np.errstate(all="ignore")
 """Decorates functions in which numbers of what does not exist are no reason for NumPy's warnings."""
-_UNLIMITED = (-math.inf,) * 6, (math.inf,) * 6
 _RPS = Geometry(1.0, 1.0, 1.0)
 """A machine of RPS legs: what dimensions and parameters that are given without a `Geometry` describe."""
 
@@ -236,7 +235,7 @@ def read_machine(library: Library, geometry: Any) -> Machine:
         corners = library.run(leg_constants.drawn_triangle, r)
         pivots = [x for radius in (base, platform) for x in library.run(leg_constants.drawn_triangle, radius)]
         legs = (*AXES, *AXES), tuple(pivots), (*corners, *corners), (0.0,) * 6
-        return _completed(library, (base, platform), r, legs, _RPS, None, _UNLIMITED, True, valid)
+        return _completed(library, (base, platform), r, legs, _RPS, None, True, valid)
     if size != 54:
         expected = "a Geometry, dimensions (..., 3) E, C, d, or the parameters (..., 54) of RPS legs"
         cause = "Of other legs, or with leg limits, pass a pair of a Geometry and of its parameters"
@@ -272,18 +271,19 @@ def _machine_of_parameters(library: Library, geometry: Geometry, parameters: Arr
         halves = points[:3], points[3:], balls[:3], balls[3:]
         *radii, first, second = (library.run(leg_constants.mean_radius, x) for x in halves)
         r = 0.5 * (first + second)
-    legs, limits = (tuple(axes), points, balls, tuple(row[8] for row in rows)), _bounds(geometry)
-    return _completed(library, tuple(radii), r, legs, geometry, tuple(fixed), limits, False, valid)
+    legs = tuple(axes), points, balls, tuple(row[8] for row in rows)
+    return _completed(library, tuple(radii), r, legs, geometry, tuple(fixed), False, valid)
 
 
 def _completed(
     library: Library, radii: Any, r: Any, legs: Any, drawing: Geometry, numbers: Any, *further: Any
 ) -> Machine:
-    """Return the machine of axes, pivots, balls and offsets of six legs, which have the kinds of a drawing's.
+    """Return the machine of axes, pivots, balls and offsets of six legs, with the kinds and limits of a drawing's.
 
     `numbers` None are the drawing's.
     """
     (axes, pivots, balls, offsets), kinds = legs, drawing.legs.kinds
+    limits = drawing.limits or drawing.legs.free_limits
     planes = []
     for i, (axis, pivot) in enumerate(zip(axes, pivots, strict=True)):
         directions = library.run(planar_legs.plane_axes, axis, TANGENT_SIGNS[i % 3], 1.0 - 2.0 * (i // 3))
@@ -294,7 +294,8 @@ def _completed(
     stages, halves = (StageLegs(axes[:3], pivots[:3]), StageLegs(axes[3:], pivots[3:])), (balls[:3], balls[3:])
     lower, upper = (library.run(circles.squared_sides, b) for b in halves)
     weights = library.run(leg_planes.upper_ball_weights, *halves)
-    return Machine(radii, r, stages, halves, (lower, upper), weights, offsets, *of_legs, *further)
+    ends = limits.minimum, limits.maximum
+    return Machine(radii, r, stages, halves, (lower, upper), weights, offsets, *of_legs, ends, *further)
 
 
 @functools.lru_cache(maxsize=32)
@@ -302,14 +303,7 @@ def _machine_of(geometry: Geometry) -> Machine:
     *vectors, offsets = (x.tolist() for x in geometry.legs.arrays)
     legs = *(tuple(map(tuple, x)) for x in vectors), tuple(offsets)
     library, radii = library_of(numbers=np.zeros(1)), (geometry.base_radius, geometry.platform_radius)
-    further = geometry, None, _bounds(geometry), geometry.is_nominal, True
-    return _completed(library, radii, geometry.middle_radius, legs, *further)
-
-
-def _bounds(geometry: Geometry) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the ends of the leg limits."""
-    limits = geometry.limits
-    return _UNLIMITED if limits is None else (tuple(limits.minimum), tuple(limits.maximum))
+    return _completed(library, radii, geometry.middle_radius, legs, geometry, None, geometry.is_nominal, True)
 
 
 def stage_machine(stage: Stage) -> Machine:

@@ -118,7 +118,7 @@ def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Ar
     for k, radius, stage, balls, axes, up in stages:
         kind, names = machine.kinds[k], ("b1", "b2", "b3", "c1", "c2", "c3")[k : k + 3]
         formulas, numbers = kind.bound(lambda x: functools.partial(run, x)), machine.numbers[k : k + 3]
-        ends = max(kind.least_reading, *machine.limits[0][k : k + 3]), min(machine.limits[1][k : k + 3])
+        ends = max(machine.limits[0][k : k + 3]), min(machine.limits[1][k : k + 3])
         pair, triangles = (drawn_numbers(numbers, len(kind.identified)), numbers), (radius, machine.r)
         frames = library.together(run(values.stage_frames, stage, own, triangles, ends, pair, up, formulas), legs.zero)
         of_legs = run(values.leg_values, library.together(balls, legs.zero), frames, formulas)

@@ -131,7 +131,7 @@ class Machine:
         parameters = as_bool(parameters, "parameters")
         self.is_drawn = not parameters
         if isinstance(geometry, str) and geometry == "symbolic" and not parameters:
-            self._set_kinds(Geometry.paper())
+            self._set_kinds(Geometry(1.0, 1.0, 1.0))
             self.inputs = [ca.SX.sym("dimensions", 3)]
             self._draw(*ca.vertsplit(self.inputs[0]))
             return
@@ -139,17 +139,14 @@ class Machine:
             raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))
         machine = geometry or Geometry.paper()
         self._set_kinds(machine)
-        if machine.limits is not None:
-            self.minimum, self.maximum = ca.SX(machine.limits.minimum), ca.SX(machine.limits.maximum)
         self._draw(*machine.nominal.dimensions)
         if parameters:
             self.inputs = [ca.SX.sym("parameters", len(machine.parameters))]
             self._set_legs(*_legs_of_parameters(self.inputs[0][:54]))
             further = ca.vertsplit(self.inputs[0][54:])
-            for kind, legs in zip(self.kinds, (range(3), range(3, 6)), strict=True):
-                for leg in legs:
-                    own, further = further[: len(kind.identified)], further[len(kind.identified) :]
-                    self.numbers[leg] = (*own, *self.numbers[leg][len(own) :])
+            for leg, own in enumerate(self.numbers):
+                count = len(self.kinds[leg // 3].identified)
+                self.numbers[leg], further = (*further[:count], *own[count:]), further[count:]
             self._check_numbers()
         elif not machine.is_nominal:
             self.is_drawn = False
@@ -188,8 +185,8 @@ class Machine:
     def _set_kinds(self, geometry: Geometry) -> None:
         self.kinds = kinds = geometry.legs.kinds
         self.joint_names = joint_names(geometry)
-        self.minimum = ca.SX(geometry.legs.least_readings)
-        self.maximum = ca.SX(6 * [np.inf])
+        limits = geometry.limits or geometry.legs.free_limits
+        self.minimum, self.maximum = ca.SX(limits.minimum), ca.SX(limits.maximum)
         self.formulas = [kind.bound(in_casadi) for kind in kinds]
         self.numbers = [tuple(row) for kind in kinds for row in kind.numbers.tolist()]
 
