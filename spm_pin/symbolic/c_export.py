@@ -335,6 +335,7 @@ def _formulas(geometry: Geometry, available: list[StateFunction]) -> list[ca.Fun
     made_functions.append(
         made("circles_of_readings", [readings], *(_column([stage[k] for stage in stages]) for k in (1, 2, 3)))
     )
+    made_functions.append(made("limits_hold", [readings], ca.vertcat(*functions.within_limits(machine, readings))))
     # Of the closure: how far terms of second order go, and how the planes of the upper legs move.
     error = functions.closure_equations(machine, balls, rotation, position)
     points = [machine.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]

@@ -416,11 +416,16 @@ def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
 def preference(machine: Machine, state: State) -> tuple[Any, Any]:
     """Return 0 where a state is not physical, 1 where it is, 2 where within leg limits too; and how straight it is."""
     is_physical, tilts = state.is_physical()
+    return is_physical * (1.0 + all_of(within_limits(machine, state.readings))), tilts
+
+
+def within_limits(machine: Machine, readings: Any) -> list[Any]:
+    """Return which of six readings are within the limits of their legs, rounding apart."""
     inside = []
-    for reading, *limits in zip(*map(ca.vertsplit, (state.readings, machine.minimum, machine.maximum)), strict=True):
+    for reading, *limits in zip(*map(ca.vertsplit, (readings, machine.minimum, machine.maximum)), strict=True):
         low, high = in_casadi(leg_constants.admitted_readings)(*limits)
         inside.append(ca.logic_and(reading >= low, reading <= high))
-    return is_physical * (1.0 + all_of(inside)), tilts
+    return inside
 
 
 def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Function:

@@ -30,6 +30,11 @@ void forward_all(const spm_geometry *g, long n, const double *readings, const sp
     long k;
     for (k = 0; k < n; ++k) status[k] = spm_forward(g, readings + 6 * k, near ? near + k : 0, states + k);
 }
+void beyond_all(const spm_geometry *g, long n, const double *readings, int *status)
+{
+    long k;
+    for (k = 0; k < n; ++k) status[k] = spm_beyond_limits(g, readings + 6 * k);
+}
 void branches_all(const spm_geometry *g, long n, const double *r, const double *o, spm_branches *out, int *status)
 {
     long k;
@@ -120,6 +125,10 @@ class CLibrary:
         """Return states (n, 27) and their status."""
         states = np.empty((len(readings), STATE))
         return states, self._call("forward_all", len(readings), readings, near, states)
+
+    def beyond_limits(self, readings: np.ndarray) -> np.ndarray:
+        """Return what `spm_beyond_limits` does (n,)."""
+        return self._call("beyond_all", len(readings), readings)
 
     def all_branches(self, rotation: np.ndarray, position: np.ndarray) -> tuple:
         """Return records of `BRANCHES` and their status."""

@@ -24,6 +24,12 @@ void inverse_all(const stage_geometry *g, long n, const stage_real *asked, stage
     long k;
     for (k = 0; k < n; ++k) status[k] = stage_inverse(g, asked + 4 * k, asked[4 * k + 3], states + k);
 }
+void beyond_all(const stage_geometry *g, long n, const stage_real *readings, stage_state *unused, int *status)
+{
+    long k;
+    (void)unused;
+    for (k = 0; k < n; ++k) status[k] = stage_beyond_limits(g, readings + 3 * k);
+}
 void tilt_all(const stage_geometry *g, long n, const stage_real *asked, stage_state *states, int *status)
 {
     long k;
@@ -72,6 +78,10 @@ class StageLibrary:
     def inverse(self, normals: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return states (n, 15), 7 where nothing was written, and their status."""
         return self._call("inverse", np.column_stack([normals, heights]))
+
+    def beyond_limits(self, readings: np.ndarray) -> np.ndarray:
+        """Return what `stage_beyond_limits` does (n,)."""
+        return self._call("beyond", readings)[1]
 
     def tilt(self, tilts: np.ndarray, azimuths: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self._call("tilt", np.column_stack([tilts, azimuths, heights]))

@@ -6,6 +6,7 @@ import ctypes
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -134,6 +135,21 @@ def test_states_at_end_stops_keep_their_branch_as_in_the_package(library: CLibra
     solved = status == 0
     assert geometry.limits.contains(found[solved, 21:]).all()
     np.testing.assert_allclose(found[solved, 21:], expected.readings[solved], rtol=0, atol=1e-9)
+
+
+def test_the_first_leg_beyond_its_limits_is_that_of_the_package(library: CLibrary) -> None:
+    """At both ends, and beside them by less and by more than rounding."""
+    rng = np.random.default_rng(2)
+    shares = 1.0 + np.array([0.0, 9e-9, -9e-9, 1.1e-8, -1.1e-8, 1e-3, -1e-3])
+    for limits in (spm.LegLimits(1.1, 1.5), spm.LegLimits([1.1, 1.1, 1.1, 1.2, 1.1, 1.1], np.inf)):
+        geometry = replace(PAPER, limits=limits)
+        readings = rng.choice(np.outer([1.1, 1.2, 1.5], shares).ravel(), (20_000, 6))
+        readings[::7] = np.clip(readings[::7], 1.2, 1.49)
+        excess = limits.excess(readings)
+        expected = np.where((excess != 0.0).any(axis=-1), (excess != 0.0).argmax(axis=-1) + 1, 0)
+        np.testing.assert_array_equal(library.of(geometry).beyond_limits(readings), expected)
+        assert (np.bincount(expected) > 100).all()
+    assert library.of(PAPER).beyond_limits(np.array([[1.2, np.nan, 1.2, 1.2, 1.2, 1.2]])).tolist() == [2]
 
 
 @pytest.mark.parametrize(
@@ -536,7 +552,7 @@ def test_no_function_needs_more_than_eight_kilobytes_of_stack(compiled: Path) ->
     for name in TopologicalSorter(calls).static_order():
         total[name] = own[name] + max((total[callee] for callee in calls[name]), default=0)
     functions = {name: total[name] for name in total if name.startswith("spm_")}
-    assert len(functions) == 4 + len(STATE_FUNCTIONS)
+    assert len(functions) == 5 + len(STATE_FUNCTIONS)
     assert 1000 < max(functions.values()) <= 8192, functions
 
 

@@ -811,6 +811,21 @@ static void put_circles(const @PREFIX@geometry *g, const double *readings, circl
     }
 }
 
+int @PREFIX@beyond_limits(const @PREFIX@geometry *geometry, const double readings[6])
+{
+    double hold[6];
+    const double *const in[] = {readings, LEGS(geometry)};
+    double *const out[] = {hold};
+    int i;
+    limits_hold(in, out);
+    for (i = 0; i < 6; ++i) {
+        if (!(hold[i] > 0.0)) {
+            return i + 1;
+        }
+    }
+    return 0;
+}
+
 int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], const @PREFIX@state *near,
         @PREFIX@state *state)
 {

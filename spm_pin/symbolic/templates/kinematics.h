@@ -11,7 +11,7 @@
    upright; {m} that of the terminal platform, with the origin o; {n} that of the middle platform. Matrices are stored
    row by row. The legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, the lower three first.
 
-   Every function returns a status; where it is not @PREFIX_UPPER@OK, numbers of the result are NaN, but for the
+   Every function that computes numbers returns a status; where it is not @PREFIX_UPPER@OK, numbers of the result are NaN, but for the
    discriminants of all branches. Arguments may be any numbers. A rotation may be off by rounding: where an entry of
    R^T R - I is larger than 16 eps and at most 1e-6, the nearest rotation is taken. Do not use -ffast-math. */
 
@@ -36,7 +36,7 @@ typedef struct {
     double pivots[18];    /* in the same frames */
     double balls[18];     /* in {n} */
     double offsets[6];
-    double minimum[6];    /* limits of the readings, which only decide between two physical branches */
+    double minimum[6];    /* limits of the readings: see @PREFIX@beyond_limits */
     double maximum[6];    /* INFINITY where there is no limit */
 @MEMBERS@} @PREFIX@geometry;
 
@@ -85,6 +85,11 @@ int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], 
 /* Inverse displacement of a machine as drawn: all branches that hold the platform in a pose. */
 int @PREFIX@all_branches(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
         @PREFIX@branches *branches);
+
+/* Return 0 where all readings are within the limits, up to a rounding of 1e-8 of these, or the number from 1 to 6 of the
+   first that is beyond. The functions above do not ask, but for the choice between two physical branches: ask before
+   readings are commanded. */
+int @PREFIX@beyond_limits(const @PREFIX@geometry *geometry, const double readings[6]);
 
 /* Of a state, which is not checked to close: */
 

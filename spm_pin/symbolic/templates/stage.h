@@ -319,6 +319,21 @@ static inline int stage_check(const stage_geometry *m, const stage_state *s, sta
             ? STAGE_OK : STAGE_SINGULAR;
 }
 
+/* Return 0 where all readings are within their limits, up to rounding, or the number from 1 to 3 of the first beyond. */
+static inline int stage_beyond_limits(const stage_geometry *m, const stage_real readings[3])
+{
+    int i;
+    for (i = 0; i < 3; ++i) {
+        stage_real low = m->legs[i].minimum, high = m->legs[i].maximum;
+        stage_real rounding = STAGE_ROUNDING * stage_larger(low - low == 0 ? STAGE_M(fabs)(low) : 0,
+                high - high == 0 ? STAGE_M(fabs)(high) : 0);
+        if (!(readings[i] >= low - rounding && readings[i] <= high + rounding)) {
+            return i + 1;
+        }
+    }
+    return 0;
+}
+
 /* Inverse: write the state in which the platform has a normal, of any length, and its origin a height, in closed form.
    The platform moves aside and turns about its normal as the legs make it. */
 static inline int stage_inverse(const stage_geometry *m, const stage_real normal[3], stage_real height,
@@ -385,11 +400,8 @@ static inline int stage_inverse(const stage_geometry *m, const stage_real normal
         }
     }
     status = stage_check(m, &s, &t);
-    for (i = 0; i < 3 && status == STAGE_OK; ++i) {
-        stage_real low = m->legs[i].minimum, high = m->legs[i].maximum;
-        stage_real rounding = STAGE_ROUNDING * stage_larger(low - low == 0 ? STAGE_M(fabs)(low) : 0,
-                high - high == 0 ? STAGE_M(fabs)(high) : 0);
-        status = s.readings[i] >= low - rounding && s.readings[i] <= high + rounding ? STAGE_OK : STAGE_BEYOND_LIMITS;
+    if (status == STAGE_OK && stage_beyond_limits(m, s.readings)) {
+        status = STAGE_BEYOND_LIMITS;
     }
     if (status == STAGE_OK) {
         *state = s;
@@ -412,7 +424,7 @@ static inline int stage_tilt(const stage_geometry *m, stage_real tilt, stage_rea
 }
 
 /* Forward: write the state of readings at the end of the way from a state `near` on which all readings change in
-   proportion. Limits are not asked. `near` and `state` may be the same. */
+   proportion. Limits are not asked, see stage_beyond_limits. `near` and `state` may be the same. */
 static inline int stage_forward(const stage_geometry *m, const stage_real readings[3], const stage_state *near,
         stage_state *state)
 {

@@ -94,12 +94,11 @@ public:
     @PREFIX@state next{}, reached{};
     const int status = @PREFIX@inverse(&machine, rotation.data(), wanted.position.data(), &state_, &next);
     if (status != @PREFIX_UPPER@OK) {return @PREFIX@status_name(status);}
+    const int beyond = @PREFIX@beyond_limits(&machine, next.readings);
+    if (beyond != 0) {return "beyond limits: " + joints[beyond - 1];}
     for (std::size_t i = 0; i < 6; ++i) {
-      // Rounding of a leg at its end stop is not beyond the limits: the same share of them as in spm_pin.LegLimits.
-      const double low = machine.minimum[i], high = machine.maximum[i];
-      const double reading = std::clamp(next.readings[i], low + 1.0 / UNITS, high - 1.0 / UNITS);  // as the Limiter counts
-      const double size = std::max(std::isfinite(low) ? std::fabs(low) : 0.0, std::isfinite(high) ? std::fabs(high) : 0.0);
-      if (!(std::fabs(next.readings[i] - reading) <= 1e-8 * size)) {return "beyond limits: " + joints[i];}
+      // As the Limiter counts: a leg at its end stop may be beyond it by rounding.
+      const double reading = std::clamp(next.readings[i], machine.minimum[i] + 1.0 / UNITS, machine.maximum[i] - 1.0 / UNITS);
       next.readings[i] = reading;
       const double step = std::fabs(reading - state_.readings[i]);
       if (!(step <= largest_step[i])) {return "jump: " + joints[i] + " by " + std::to_string(step);}
