@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import warnings
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -19,6 +20,7 @@ from spm_pin.capability import wrench_polytope
 from spm_pin.description.visuals import visual_parts
 from spm_pin.display import Recording, Viewer, read_recording
 from spm_pin.display.rendering import robot_solids
+from spm_pin.display.viewer import robot_scene
 from spm_pin.display.viewer.model import (
     ViewerModel,
     pose_coordinates,
@@ -304,6 +306,23 @@ def test_markup_of_a_state_marks_what_is_wrong():
     assert "▲" in table or "▼" in table
 
 
+def test_arrows_of_loads_have_a_colour_of_their_own_and_point_outwards_where_a_leg_pushes():
+    robot = RobotScene(scene := MagicMock(), PAPER, MagicMock())
+    of_parts = {tuple(round(255.0 * channel) for channel in part.colour) for part in visual_parts(PAPER)}
+    made = {call.args[0]: call.args[2] for call in scene.add_arrows.call_args_list}
+    assert set(made) == {"/load/force", "/load/moment", "/load/legs"}
+    assert set(made.values()) == {robot_scene._linear(robot_scene.LOAD)}
+    assert min(np.abs(np.subtract(robot_scene.LOAD, other)).max() for other in of_parts) > 60
+    state = ViewerModel(START).load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
+    robot.show_forces(state)
+    begin, end = np.moveaxis(np.asarray(robot._arrows["legs"].points, float), 1, 0)
+    out = np.repeat(state.forces[np.abs(state.forces) > 0.02 * np.abs(state.forces).max()] > 0.0, 2)
+    # Both arrows of a leg that pushes begin in one point, those of one that pulls end in one.
+    apart = [np.linalg.norm(points[::2] - points[1::2], axis=-1) for points in (begin, end)]
+    np.testing.assert_array_equal(apart[0] < 1e-6, out[::2])
+    np.testing.assert_array_equal(apart[1] < 1e-6, ~out[::2])
+
+
 def test_the_viewer_shows_what_legs_of_equal_strength_hold():
     robot = RobotScene(scene := MagicMock(), PAPER, MagicMock())
     robot._show_held_forces(START)
@@ -509,9 +528,20 @@ def test_a_page_of_a_stage_refuses_what_it_cannot_show():
             Viewer(start, port=0)
     with pytest.raises(spm.ArgumentError, match="recording: expected none of a stage alone"):
         Viewer(level, port=0, recording=Recording(np.zeros((2, 3)), np.array([0.0, 1.0])))
-    # Carriages at their pivots hold its platform below them.
+    # Carriages at their pivots are on the other side of the balls.
     with pytest.raises(spm.GeometryError, match="level at the middle of its limits"):
-        Viewer(spm.Stage(0.35, 0.2, spm.PRS(rod=0.4, sign=1)), port=0)
+        Viewer(spm.Stage(0.3, 0.2, spm.PRS(rod=0.4, direction=0.0, sign=-1)), port=0)
+
+
+def test_a_page_that_is_changed_after_its_tab_was_closed_prints_no_warning():
+    """As a session does whose client has gone, until it notices."""
+    level = spm.stages.inverse_physical(BALANCER, 0.12)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with Viewer(level, port=0) as viewer:
+            handle = viewer.server.scene.add_frame("/closed")
+        handle.position = (1.0, 2.0, 3.0)
+    assert not caught
 
 
 def test_what_is_shared_of_a_stage_finds_it_again():

@@ -350,7 +350,7 @@ def test_legs_load_and_path_move_the_shown_robot(client):
     assert session.model.state.shown.leg_lengths[0] == pytest.approx(1.25)
     expected = spm.leg_forces(session.model.state.shown, [0, 0, -500, 0, 0, 0])
     np.testing.assert_allclose(session.model.state.forces, expected)
-    assert session.scene._arrows["push"].visible or session.scene._arrows["pull"].visible
+    assert session.scene._arrows["legs"].visible
     send(session, "play")
     until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of the path", page=page)
     until(lambda: abs(session.model.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)

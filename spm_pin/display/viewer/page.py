@@ -7,6 +7,7 @@ import contextlib
 import logging
 import socket
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -117,6 +118,8 @@ class Viewer:
         require_extra("viewer", "viser")
         import viser
 
+        # A tab may be closed while its page is changed, which is no fault.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         with _silence():
             self.server = viser.ViserServer(host=host, port=free, verbose=False)
         name = f"3-{self.start.stage.kind.name}" if isinstance(self.start, StageConfiguration) else "3RPS-3SPR"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from spm_pin.display.viewer.model import SessionState, ViewerModel, reading_units
-from spm_pin.display.viewer.robot_scene import PULL, PUSH, VIEWS, WARN, Colour
+from spm_pin.display.viewer.robot_scene import LOAD, VIEWS, WARN, Colour
 from spm_pin.display.viewer.stage_model import StageModel, StageState
 from spm_pin.display.writing import fixed
 
@@ -30,7 +30,7 @@ _OF_ROBOTS = {"ghosts", "forces", "shell", "points"}
 _NONE = "–"
 # viser makes the colour of its buttons from these: light ones on a dark page, and white text on both.
 _BRAND = {False: (0, 54, 84), True: (0, 114, 178)}
-_CALM, _UPPER, _GREY = (0, 158, 115), (230, 159, 0), (128, 128, 128)
+_CALM, _GREY, _STAGES = (0, 158, 115), (128, 128, 128), ((0, 114, 178), (230, 159, 0))
 _BOX = "padding:0.35em 1em 0.35em 0.6em;font-size:0.8rem;line-height:1.4;font-variant-numeric:tabular-nums"
 # One grid for all rows: a column is as wide as its widest text, and the bars take what is left.
 _GRID = "display:grid;grid-template-columns:{columns};gap:0.15em 0.6em;align-items:center;white-space:nowrap"
@@ -235,7 +235,7 @@ def _legs(state: State) -> str:
         if not np.isfinite([low, high]).all():
             low, high = 0.0, 1.25 * float(np.abs(readings[3 * (k // 3) : 3 * (k // 3) + 3]).max())
         share = float(np.clip(0.1 + 0.8 * (reading - low) / max(high - low, 1e-12), 0.0, 1.0))
-        colour = WARN if excess else (PUSH if k < 3 else _UPPER)
+        colour = WARN if excess else _STAGES[k // 3]
         digits = 1 if unit.name == "°" else 0
         mark = f"⚠ {'+' if excess > 0.0 else '−'}{unit.difference(abs(excess), digits)}" if excess else ""
         value = _cell(unit.text(reading), _RIGHT, leg)
@@ -273,7 +273,7 @@ def forces_table(state: State) -> str:
     for leg, force in zip(state.shown.mechanism.legs.names, forces, strict=True):
         share = 0.5 * abs(force) / largest if largest > 0.0 else 0.0
         pushes = force >= 0.0
-        bar = _bar(share, PUSH if pushes else PULL, side="left" if pushes else "right", start=0.5)
+        bar = _bar(share, LOAD, side="left" if pushes else "right", start=0.5)
         sign = "" if abs(force) < 5e-4 else ("▲" if pushes else "▼")
         shown = fixed(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
         cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]

@@ -20,9 +20,9 @@ from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Stage, StageCon
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.workspace.paper_shell import workspace_shell
 
-WARN, PUSH, PULL, LOAD = (200, 16, 46), (0, 114, 178), (213, 94, 0), (122, 79, 181)
-"""After Okabe and Ito's palette, distinct with any colour vision; limits and warnings have a red of their own, darker
-than all colours of the robot."""
+WARN, LOAD = (200, 16, 46), (122, 79, 181)
+"""Limits and warnings have a red of their own, darker than all colours of the robot, and loads a violet: that on the
+platform and what holds it."""
 VIEWS = {"Home": (15.0, 25.0), "Front": (0.0, 4.0), "Side": (90.0, 4.0), "Top": (0.0, 89.0)}
 """Azimuth and elevation of the viewer in {B} [degrees]; the first is that of the pictures."""
 FIELD_OF_VIEW = np.deg2rad(28.0)
@@ -36,7 +36,7 @@ Colour = tuple[int, ...]
 _SOLID = {"side": "double", "cast_shadow": False, "receive_shadow": False}
 _NOT_TURNED = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
 _GHOST_OPACITY = 0.16
-_PATH, _TRAIL, _WORKSPACE, _FORCES = (204, 121, 167), (123, 79, 181), (86, 180, 233), (0, 158, 115)
+_PATH, _TRAIL, _WORKSPACE, _FORCES = (204, 121, 167), (140, 70, 110), (86, 180, 233), (0, 158, 115)
 _HELD = 1.0
 _TRAIL_POINTS = 300
 _TRAIL_STEP = 2e-3  # of the base radius
@@ -106,8 +106,8 @@ class RobotScene:
         self._has_forces = False
         self._names = [self._label(f"/names/{leg}", leg) for leg in self._legs]
         self._branches = {label: self._label(f"/branches/{label}", label) for label in BRANCHES}
-        looks = {"force": (LOAD, 0.05), "moment": (LOAD, 0.03), "push": (PUSH, 0.05), "pull": (PULL, 0.05)}
-        self._arrows = {name: self._arrow(name, *look) for name, look in looks.items()}
+        thicknesses = {"force": 0.05, "moment": 0.03, "legs": 0.05}
+        self._arrows = {name: self._arrow(name, thickness) for name, thickness in thicknesses.items()}
 
     def _mesh(self, name: str, index: int, **options: Any) -> Any:
         options = {"color": self._colours[index], **_SOLID, **options}
@@ -146,11 +146,11 @@ class RobotScene:
     def _label(self, name: str, text: str) -> Any:
         return self.scene.add_label(name, text, anchor="center-center", font_screen_scale=0.85, visible=False)
 
-    def _arrow(self, name: str, colour: Colour, thickness: float) -> Any:
+    def _arrow(self, name: str, thickness: float) -> Any:
         return self.scene.add_arrows(
             f"/load/{name}",
             np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.01]]]),
-            _linear(colour),
+            _linear(LOAD),
             shaft_radius=thickness * self.size,
             head_radius=2.1 * thickness * self.size,
             head_length=3.5 * thickness * self.size,
@@ -214,8 +214,8 @@ class RobotScene:
         half = 0.45 * state.shown.leg_vectors * np.abs(shares)[:, None]
         # Away from the actuator's middle where it pushes, towards it where it pulls; at both ends.
         outward = np.stack([[middles, middles + half], [middles, middles - half]]).transpose(2, 0, 1, 3)
-        self._point("push", outward[shares > 0.02].reshape(-1, 2, 3))
-        self._point("pull", outward[shares < -0.02][:, :, ::-1].reshape(-1, 2, 3))
+        outward[shares < 0.0] = outward[shares < 0.0][:, :, ::-1]
+        self._point("legs", outward[np.abs(shares) > 0.02].reshape(-1, 2, 3))
         if isinstance(state, SessionState):
             self._show_held_forces(state.shown)
 
