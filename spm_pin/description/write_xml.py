@@ -19,6 +19,7 @@ from spm_pin.description.tree import machine_of, state_values
 from spm_pin.errors import DescriptionError
 from spm_pin.mechanism import Configuration, Stage, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray, check_instance, choice, real_number
+from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.mechanism import Mechanism
 
 Value = str | float | Iterable[float]
@@ -90,8 +91,8 @@ def mjcf_text(
         alike; the robot must stand assembled at zero, as that of a drawing does. "sites": by two sites, which MuJoCo
         and Pinocchio take. By default bodies where that is possible.
     actuators : str, optional
-        "motors", of which `ctrl` is the effort, by default of a manipulator; or "servos", which are led to the value of
-        their joint within its limits, by default of a stage.
+        "motors", of which `ctrl` is the effort, by default of a manipulator; or "servos", which are led to the leg's
+        reading, their `ctrl`, within its limits, by default of a stage.
     ball : Ball, optional
         A ball on a stage's platform, with its plate; they collide with one another and nothing else.
     collisions : str, optional
@@ -122,7 +123,8 @@ def mjcf_text(
         files.setdefault((shape.mesh, shape.size), f"{stem}_{count + 1}" if count else stem)
     assets = [_element("mesh", name=name, file=file, scale=size) for (file, size), name in files.items()]
     assets += [_element("material", name=name, rgba=rgba) for name, rgba in robot.materials.items()]
-    driven = list(_servos(robot, machine) if kind == "servos" else _motors(robot))
+    zeros = home_readings(machine) + machine.legs.offsets
+    driven = list(_servos(robot, machine, zeros) if kind == "servos" else _motors(robot))
     body = _body(robot, robot.base, _sites(robot), files, shapes)
     keys, balls = [], []
     rolling: dict[str, Value] = {}
@@ -136,7 +138,7 @@ def mjcf_text(
         if ball and stage:
             state["qpos"] += [*ball.at_rest(stage, robot.frames(values)[platform]), 1.0, 0.0, 0.0, 0.0]
         if kind == "servos":
-            state["ctrl"] = [values[joint] for joint in robot.motors]
+            state["ctrl"] = (zeros + [values[joint] for joint in robot.motors]).tolist()
         keys.append(_element("key", name=name, **state))
     velocities = [joint.limits["velocity"] for joint in robot.moving]
     root = _element(
@@ -167,14 +169,20 @@ def _motors(robot: Robot) -> Iterable[Element]:
         yield _element("motor", name=motor, joint=joint, ctrllimited="true", ctrlrange=(-effort, effort))
 
 
-def _servos(robot: Robot, machine: Mechanism) -> Iterable[Element]:
-    """Yield servos on which three carry all that moves with the frequency `SERVO`, critically damped."""
+def _servos(robot: Robot, machine: Mechanism, zeros: FloatArray) -> Iterable[Any]:
+    """Yield servos on which three carry all that moves with the frequency `SERVO`, critically damped.
+
+    Each is led to a reading, not to the value of its joint.
+    """
+    said = "ctrl is what the legs are to read, in metres, of cranks in radians: the values of their joints, and "
+    yield ElementTree.Comment(f" {said}{_written(zeros)} ")
     mass = sum(link.mass for name, link in robot.links.items() if robot.carrier(name)[0] != robot.base)
-    for (joint, motor), arm in zip(robot.motors.items(), machine.legs.largest_slopes, strict=True):
+    for (joint, motor), zero, arm in zip(robot.motors.items(), zeros, machine.legs.largest_slopes, strict=True):
         limits, stiffness = robot.joints[joint].limits, SERVO**2 * mass / 3.0 * arm**2
-        values: dict[str, Value] = {"name": motor, "joint": joint, "kp": stiffness, "kv": 2.0 * stiffness / SERVO}
-        values |= {"ctrllimited": "true", "ctrlrange": (limits["lower"], limits["upper"])}
-        yield _element("position", **values, forcelimited="true", forcerange=(-limits["effort"], limits["effort"]))
+        values: dict[str, Value] = {"name": motor.removesuffix("motor") + "servo", "joint": joint, "gainprm": stiffness}
+        values |= {"biastype": "affine", "biasprm": (-stiffness * zero, -stiffness, -2.0 * stiffness / SERVO)}
+        values |= {"ctrllimited": "true", "ctrlrange": (limits["lower"] + zero, limits["upper"] + zero)}
+        yield _element("general", **values, forcelimited="true", forcerange=(-limits["effort"], limits["effort"]))
 
 
 def _stage_under(ball: Ball, machine: Mechanism) -> Stage:

@@ -112,7 +112,9 @@ def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
         # Legs of the other working mode have another reading in the same place.
         own = kind.readings(places[legs])
         readings[legs] = np.where(signs == signs[0], at_home.reading, own)
-        if not (at_home.z > 0.0 and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
+        # A stage alone may hang below its pivots.
+        stands = at_home.z > 0.0 or len(geometry.stage_radii) == 1
+        if not (stands and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
             ends = f" between {low:g} and {high:g} {kind.unit}" if limits else ""
             expected = "a machine whose platforms are level at the middle of its limits"
             cause = "A rod too short, another sign, or limits about a place where the stage does not stand?"

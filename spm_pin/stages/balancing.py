@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from spm_pin.description import Ball, actuated_joints, joint_values, mjcf_text
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.mechanism import RRS, Stage, StageConfiguration, home_readings
+from spm_pin.mechanism import RRS, Stage, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, real_number
 from spm_pin.stages.displacement import forward_physical, inverse_physical
 from spm_pin.stages.reach import height_range
@@ -84,7 +84,6 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         self.model = mujoco.MjModel.from_xml_string(mjcf_text(self.stage, ball=self.ball))
         self.data = mujoco.MjData(self.model)
         self._renderer: Any = None
-        self._zeros = home_readings(self.stage) + self.stage.legs.offsets
         self._heights = height_range(self.stage)
         if math.isnan(self._heights[0]):
             raise ArgumentError("stage", "one whose platform stands level within its limits", repr(self.stage))
@@ -122,7 +121,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         for name, value in joint_values(state).items():
             self.data.joint(name).qpos[0] = value
         self.data.joint("ball_free").qpos[:3] = self.ball.at_rest(self.stage, state.pose.as_matrix(), place)
-        self.data.ctrl[:] = state.readings - self._zeros
+        self.data.ctrl[:] = state.readings
         mujoco.mj_forward(self.model, self.data)
         return self._observed()
 

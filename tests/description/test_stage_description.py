@@ -38,6 +38,7 @@ from spm_pin.mechanism.joint_angles import home_readings, joint_angles
 Array = np.ndarray
 LIMITS = {"RRS": (-0.6, 1.2), "RRS inwards": (1.6, 3.0), "RPS": (0.8, 1.4), "PRS hanging": (0.6, 1.0)}
 DRAWN = {name: spm.Stage(*stage.stage_radii[0], stage.kind, LIMITS.get(name)) for name, stage in STAGES.items()}
+DRAWN["PRS below its pivots"] = STAGES["PRS hanging"]
 BUILT = "RPS", "PRS inclined", "RRS"
 MACHINES = {name: (name, False) for name in DRAWN if name != "PRS"} | {
     f"{name} as built": (name, True) for name in BUILT
@@ -48,7 +49,7 @@ BALANCER = DRAWN["RRS"]
 def stage_and_states(machine: str, count: int = 6) -> tuple[spm.Stage, spm.stages.StageConfiguration]:
     """Return one of `MACHINES`, and states of it that lean by up to 0.2 rad."""
     name, built = MACHINES[machine]
-    stage, height = DRAWN[name], HEIGHTS.get(name, 0.5)
+    stage, height = DRAWN[name], -0.4 if "below" in name else HEIGHTS.get(name, 0.5)
     if built:
         stage = stage.perturbed(3, length=5e-3 * stage.size, angle=5e-3)
     rng = np.random.default_rng(7)
@@ -127,7 +128,10 @@ def test_loops_hold_in_other_engines(engine: type, suffix: str, machine: str, tm
     pytest.importorskip({Pinocchio: "pinocchio", Mujoco: "mujoco", Drake: "pydrake"}[engine])
     stage, states = stage_and_states(machine)
     file = tmp_path / f"stage.{suffix}"
-    file.write_text(urdf_text(stage) if suffix == "urdf" else mjcf_text(stage), encoding="utf-8")
+    # Drake has no servos whose controls are not the values of joints.
+    actuators = "motors" if engine is Drake else "servos"
+    text = urdf_text(stage) if suffix == "urdf" else mjcf_text(stage, actuators=actuators)
+    file.write_text(text, encoding="utf-8")
     names = [joint.name for joint in read_robot(stage).moving]
     robot = {
         Pinocchio: lambda: Pinocchio(file, stage),
@@ -151,12 +155,13 @@ def test_servos_in_mujoco_lead_the_platform_where_the_closed_form_has_it(machine
     model = mujoco.MjModel.from_xml_string(mjcf_text(stage, states={"first": states[0]}))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("first").id)
+    np.testing.assert_allclose(data.ctrl, states[0].readings, atol=1e-14)
     zeros, opened = home_readings(stage) + stage.legs.offsets, 0.0
     order = [int(model.joint(name).qposadr[0]) for name in actuated_joints(stage)]
     for before, after in itertools.pairwise(states):
         # From one state to the next in 0.2 s, and 0.3 s at rest.
         for share in np.clip(np.linspace(0.0, 2.5, 500), 0.0, 1.0):
-            data.ctrl[:] = before.readings + share * (after.readings - before.readings) - zeros
+            data.ctrl[:] = before.readings + share * (after.readings - before.readings)
             mujoco.mj_step(model, data)
             opened = max(opened, float(np.abs(data.efc_pos[: data.ne]).max()))
         mujoco.mj_forward(model, data)
@@ -173,8 +178,8 @@ def test_servos_in_mujoco_lead_the_platform_where_the_closed_form_has_it(machine
 def test_servos_have_the_limits_of_the_stage() -> None:
     stage = BALANCER.perturbed(3, length=1e-3, angle=5e-3)
     model = mujoco.MjModel.from_xml_string(mjcf_text(stage))
-    zeros = home_readings(stage) + stage.legs.offsets
-    np.testing.assert_allclose(model.actuator_ctrlrange + zeros[:, None], np.tile([-0.6, 1.2], (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(model.actuator_ctrlrange, np.tile([-0.6, 1.2], (3, 1)), atol=1e-12)
+    assert [model.actuator(k).name for k in range(3)] == ["leg_1_servo", "leg_2_servo", "leg_3_servo"]
     assert (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE).all()
     motors = mujoco.MjModel.from_xml_string(mjcf_text(stage, actuators="motors"))
     assert (motors.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE).all()
@@ -182,6 +187,32 @@ def test_servos_have_the_limits_of_the_stage() -> None:
     assert (robot.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE).all()
     with pytest.raises(ArgumentError, match="motors"):
         mjcf_text(stage, actuators="muscles")
+
+
+@pytest.mark.parametrize(
+    "stage",
+    [
+        BALANCER,
+        spm.Stage(0.08, 0.09, spm.RRS(crank=0.02, rod=0.11)),
+        DRAWN["PRS inclined"],
+        DRAWN["RPS"],
+        *(machine.stage for machine in spm.stages.gallery().values()),
+    ],
+    ids=repr,
+)
+def test_actuators_of_a_stage_are_as_strong_as_it_is_heavy(stage: spm.Stage) -> None:
+    """Whatever its size: their efforts hold about ten times the weight of what moves."""
+    robot = read_robot(stage)
+    weight = 9.81 * sum(link.mass for name, link in robot.links.items() if robot.carrier(name)[0] != "base")
+    efforts = np.array([robot.joints[joint].limits["effort"] for joint in robot.motors])
+    times = efforts / stage.legs.largest_slopes / weight
+    assert ((times > 4.0) & (times < 25.0)).all(), times
+
+
+def test_a_ball_balancer_weighs_and_turns_as_much_as_one_of_hobby_servos() -> None:
+    robot = read_robot(BALANCER)
+    assert 0.1 < sum(link.mass for link in robot.links.values()) < 1.0  # [kg]
+    assert 0.3 < robot.joints["leg_1_hip"].limits["effort"] < 3.0  # [N m]
 
 
 def test_sdf_closes_its_loops_by_joints_or_by_elements_of_drake(tmp_path: Path) -> None:
@@ -222,7 +253,7 @@ def test_a_payload_is_on_the_platform() -> None:
 
 def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
     with pytest.raises(spm.GeometryError, match="A rod too short, another sign"):
-        urdf_text(STAGES["PRS hanging"])
+        urdf_text(spm.Stage(0.3, 0.2, spm.PRS(rod=0.4, direction=0.0, sign=-1)))
 
 
 def test_states_of_another_stage_are_refused() -> None:
