@@ -9,6 +9,8 @@ from typer import Argument, Option
 
 from spm_pin import description
 from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit
+from spm_pin.cli.stage_options import takes_stage
 from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism import Mechanism, Stage
@@ -29,6 +31,7 @@ _OWN_OPTIONS: dict[str, set[str]] = {
 
 
 @outputs.name_options(directory="--out")
+@takes_stage(required=False)
 def export(
     format_: Annotated[Format | None, Argument(metavar="[FORMAT]", help="What to write.")] = None,
     option: Annotated[Format | None, Option("--format", help="The same, as an option.")] = None,
@@ -38,10 +41,8 @@ def export(
     ] = None,
     prefix: Annotated[str | None, options.PREFIX] = None,
     geometry: options.GeometryFile = None,
-    stage: Annotated[
-        Path | None,
-        Option(metavar="FILE", parser=outputs.file_name, help="YAML file of a stage, in place of a machine."),
-    ] = None,
+    stage: Stage | None = None,
+    unit: Annotated[LengthUnit, Option(help="Of the numbers of a stage; what is written is in metres.")] = LengthUnit.M,
     masses: options.MassesFile = None,
     ros_constraints: Annotated[
         bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
@@ -66,10 +67,10 @@ def export(
 
     urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
     YAML file that closes a URDF's loops. srdf: groups and passive joints. With --out, the meshes are put beside the
-    file, into a folder `meshes`. With --stage these are of a stage alone, its loops closed as well.
+    file, into a folder `meshes`. With --stage, or --base and what follows, these are of a stage alone.
 
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
-    program. linuxcnc: a configuration that simulates the machine, or a --stage alone, and the source of its kinematics
+    program. linuxcnc: a configuration that simulates the machine, or a stage alone, and the source of its kinematics
     module. ros: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
     c-stage: of a stage alone, a ball balancer say, one header in C99 for a microcontroller.
     """
@@ -82,15 +83,16 @@ def export(
     own = _OWN_OPTIONS.get(chosen, set())
     for name, value in (special | {"masses": masses, "stage": stage}).items():
         if value and name not in own:
-            raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {chosen}", value)
+            cause = "c-stage writes that of a stage" if (chosen, name) == ("c", "stage") else ""
+            raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {chosen}", value, cause)
     if geometry is not None and (stage is not None or chosen == "c-stage"):
-        raise ArgumentError("--geometry", "to be left out with a --stage", geometry, "The file of a --stage?")
+        raise ArgumentError("--geometry", "to be left out with a stage", geometry, "The file of a --stage?")
     if stage is None and chosen == "c-stage":
-        raise ArgumentError("--stage", "the YAML file of a stage", "none", "spm_pin.Stage(…).to_yaml writes one")
+        raise ArgumentError("--stage", "a stage: its file, or --base, --platform and what follows", "none")
     if ball and stage is None:
         raise ArgumentError("--ball", "a --stage for it to roll on", "none")
     machine = options.read_geometry(geometry)
-    model = machine if stage is None else options.read_stage(stage)
+    model = machine if stage is None else stage
     bodies = options.read_masses(masses, "written") if "masses" in own else None
     if chosen not in ("c", "c-stage", "linuxcnc", "ros"):
         if out is not None:

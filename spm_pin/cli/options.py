@@ -19,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.cli.outputs import note
 from spm_pin.description.masses import Masses
 from spm_pin.display.writing import fixed
-from spm_pin.errors import ArgumentError, GeometryError, PoseError, raised_as
+from spm_pin.errors import ArgumentError, GeometryError, PoseError
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
@@ -29,7 +29,6 @@ from spm_pin.mechanism import (
     Configuration,
     Geometry,
     SolutionSet,
-    Stage,
     StageConfiguration,
     Status,
     pose,
@@ -172,12 +171,6 @@ def read_geometry(path: Path | None) -> Geometry:
         raise GeometryError(where, error.expected, error.received, error.cause) from error
 
 
-def read_stage(path: Path) -> Stage:
-    """Return the stage of `--stage`."""
-    with raised_as(GeometryError, "--stage"):
-        return Stage.from_yaml(path)
-
-
 @contextlib.contextmanager
 def warnings_as_notes(before: str = "") -> Iterator[None]:
     """Print warnings of a block on stderr."""
@@ -188,7 +181,9 @@ def warnings_as_notes(before: str = "") -> Iterator[None]:
         note(f"{before}{warning.message}", "yellow")
 
 
-_POSE: dict[str, tuple[Any, str, str]] = {
+OptionTable = dict[str, tuple[Any, str, str]]
+"""Options by their names: what they take, its name in the help, and the help."""
+_POSE: OptionTable = {
     "translation": (Triple, "X Y Z", "Position of o in {B}, in --unit."),
     "xyx": (Triple, "ALPHA BETA LAMBDA", "The paper's X-Y-X Euler angles in degrees."),
     "rpy": (Triple, "ROLL PITCH YAW", "Instead: about the fixed axes X, Y, Z in degrees, as in URDF."),
@@ -200,7 +195,7 @@ _POSE: dict[str, tuple[Any, str, str]] = {
         "Instead: rotation matrix from {m} to {B}, row by row.",
     ),
 }
-"""Options of a pose, its position and then its orientations: what they take, its name in the help, and the help."""
+"""Options of a pose, its position and then its orientations."""
 
 
 def takes_pose(
@@ -213,21 +208,10 @@ def takes_pose(
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        options = {}
-        for name, (kind, metavar, text) in _POSE.items():
-            needed = required and name == "translation"
-            option = typer.Option(f"--{prefix}{name}", metavar=metavar, help=text)
-            options[name] = inspect.Parameter(
-                f"{prefix}{name}".replace("-", "_"),
-                inspect.Parameter.KEYWORD_ONLY,
-                default=inspect.Parameter.empty if needed else None,
-                annotation=Annotated[kind if needed else kind | None, option],
-            )
+        def read(typed: dict[str, Any], arguments: dict[str, Any]) -> RigidTransform | None:
+            return _read_pose(typed, prefix, arguments["unit"], required)
 
-        def read(typed: dict[str, Any], unit: LengthUnit) -> RigidTransform | None:
-            return _read_pose(typed, prefix, unit, required)
-
-        return with_options(command, argument, options, read)
+        return with_options(command, argument, _POSE, read, prefix, needed=["translation"] if required else [])
 
     return decorate
 
@@ -235,18 +219,30 @@ def takes_pose(
 def with_options(
     command: Callable[..., None],
     argument: str,
-    options: dict[str, inspect.Parameter],
-    read: Callable[[dict[str, Any], LengthUnit], Any],
+    table: OptionTable,
+    read: Callable[[dict[str, Any], dict[str, Any]], Any],
+    prefix: str = "",
+    needed: Sequence[str] = (),
 ) -> Callable[..., None]:
-    """Return a command that takes options in place of one of its arguments.
+    """Return a command that takes options, with a prefix before their names, in place of one of its arguments.
 
-    `read` makes the argument from the values of the options, by their keys, and the command's argument `unit`.
+    `read` makes the argument from the values of the options, by their names in the table, None where one is not
+    `needed` and not given, and from the command's other arguments.
     """
+    options = {}
+    for name, (kind, metavar, text) in table.items():
+        option = typer.Option(f"--{prefix}{name}", metavar=metavar, help=text)
+        options[name] = inspect.Parameter(
+            f"{prefix}{name}".replace("-", "_"),
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if name in needed else None,
+            annotation=Annotated[kind if name in needed else kind | None, option],
+        )
 
     @functools.wraps(command)
     def run(**arguments: Any) -> None:
         typed = {name: arguments.pop(parameter.name) for name, parameter in options.items()}
-        command(**arguments, **{argument: read(typed, arguments["unit"])})
+        command(**arguments, **{argument: read(typed, arguments)})
 
     parameters: list[inspect.Parameter] = []
     for parameter in inspect.signature(command, eval_str=True).parameters.values():

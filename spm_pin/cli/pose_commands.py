@@ -18,6 +18,7 @@ from spm_pin.cli.options import LengthUnit, Readings, SixLegs, Triple, leg_optio
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
+from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
@@ -106,9 +107,8 @@ def nearest(
     outputs.print_lines([*found, *filter(None, [hint])])
 
 
-_SAME_POSE, _INSET = 1e-6, 1e-4
-"""Up to this distance from a nearest pose, over the machine's size, a pose counts as reached itself; and how far a
-nearest pose stays from the leg limits, as a share of the strokes."""
+_INSET = 1e-4
+"""How far a nearest pose stays from the leg limits, as a share of the strokes."""
 
 
 def _nearest(geometry: Geometry, pose: RigidTransform | None, unit: LengthUnit) -> Record | None:
@@ -117,14 +117,14 @@ def _nearest(geometry: Geometry, pose: RigidTransform | None, unit: LengthUnit) 
         return None
     from spm_pin.workspace.poses import nearest_reachable_pose
 
-    found = nearest_reachable_pose(geometry, pose)
-    if found.distance > _SAME_POSE * geometry.size:
+    state, distance = inverse_physical(geometry, pose), 0.0
+    if not state.exists or state.limit_excess.any():
         # A little within the limits, where the pose as it is printed still is.
         ends = geometry.limits.ends
         inset = _INSET * np.where(np.isfinite(ends).all(axis=0), ends[1] - ends[0], geometry.size)
         found = nearest_reachable_pose(geometry, pose, LegLimits(ends[0] + inset, ends[1] - inset))
-    state = found.configuration
-    lengths = {"translation": state.translation, "distance": found.distance}
+        state, distance = found.configuration, found.distance
+    lengths: Record = {"translation": state.translation, "distance": distance}
     turn = {
         "rpy": state.pose.rotation.as_euler("xyz", degrees=True, suppress_warnings=True),
         "rotation": state.rotation,

@@ -115,7 +115,7 @@ class StageConfiguration(Batched):
 
         From x towards y: the legs stand at -30°, 90° and 210°.
         """
-        return np.asarray(np.arctan2(self.normal[..., 1], self.normal[..., 0]))
+        return np.asarray(np.arctan2(self.normal[..., 1] + 0.0, self.normal[..., 0]))
 
     @property
     def roll(self) -> FloatArray:

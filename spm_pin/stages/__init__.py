@@ -19,7 +19,7 @@ from spm_pin.stages.rates_and_forces import (
     platform_jacobian,
     singularities,
 )
-from spm_pin.stages.reach import ReachEnd, StageReach, height_range, home_height, nearest_reachable, reach
+from spm_pin.stages.reach import ReachEnd, StageReach, best_height, height_range, home_height, nearest_reachable, reach
 
 __all__ = [
     "MOTION",
@@ -31,6 +31,7 @@ __all__ = [
     "StageReach",
     "StageSingularities",
     "StageSolutions",
+    "best_height",
     "follow",
     "forward",
     "forward_physical",

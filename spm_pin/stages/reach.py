@@ -194,6 +194,29 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
     return StageReach(stage, levels, azimuths, tilts, _ends(stage, levels[:, None], azimuths, tilts))
 
 
+def best_height(stage: Stage, *, directions: int = 72) -> tuple[float, float]:
+    """Return the height [m] at which a stage tilts farthest in every direction, and that tilt [rad].
+
+    Parameters
+    ----------
+    stage, directions
+        As for `reach`.
+
+    Returns
+    -------
+    height, tilt : float
+        The best of 17 heights within `height_range`, and of ever more about it, to 1e-4 of that range; NaN where the
+        platform is nowhere level.
+    """
+    low, high = height_range(stage)
+    best, tilt, width = 0.5 * (low + high), math.nan, high - low
+    while width > 1e-4 * (high - low):
+        heights = np.clip(best + width * np.linspace(-0.5, 0.5, 17), low, high)
+        tilts = reach(stage, heights, directions=directions).all_round
+        best, tilt, width = float(heights[np.nanargmax(tilts)]), float(np.nanmax(tilts)), width / 6.0
+    return best, tilt
+
+
 def nearest_reachable(
     stage: Stage,
     height: float,

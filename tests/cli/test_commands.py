@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from cli.running import run
 
 import spm_pin as spm
 from spm_pin.paper import published
+from spm_pin.workspace import poses
 
 EXAMPLE, LEGS = [*running.POSE, "--unit", "cm"], [*running.LEGS, "--unit", "cm"]
 
@@ -90,7 +92,9 @@ def test_every_answer_marks_the_physical_branch_and_those_beyond_the_limits(comm
 
 @pytest.mark.parametrize("command", [["inverse"], ["statics", "--force", "0", "0", "-100"], ["singularities"]])
 def test_a_pose_that_is_not_reached_has_the_nearest_one_and_its_unit_of_angles(command: list[str]) -> None:
-    done = run(*command, "--translation", "0.1", "0", "2.4", "--rpy", "0.1", "0.2", "0")
+    with patch.object(poses, "nearest_reachable_pose", wraps=poses.nearest_reachable_pose) as search:
+        done = run(*command, "--translation", "0.1", "0", "2.4", "--rpy", "0.1", "0.2", "0")
+    assert search.call_count == 1
     text = done.stdout + done.stderr
     assert done.returncode == 3
     assert "It is turned by 0.22° only: angles are in degrees." in text

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pinocchio
 import pytest
 import yaml
@@ -93,6 +94,12 @@ def test_a_stage_in_every_format(tmp_path: Path) -> None:
         done = run("export", *arguments, "--stage", file)
         assert done.returncode == 0, done.message
         assert done.stdout == expected
+    sizes = ["--base", "80", "--platform", "90", "--crank", "50", "--rod", "110", "--unit", "mm"]
+    sizes += ["--limits", *map(str, np.degrees([-0.6, 1.2]))]
+    assert run("export", "urdf", *sizes).stdout == urdf_text(stage)
+    for name, typed in (("file", ["--stage", file]), ("numbers", sizes)):
+        assert run("export", "c-stage", *typed, "--out", tmp_path / name).returncode == 0
+    assert (tmp_path / "file" / "stage.h").read_bytes() == (tmp_path / "numbers" / "stage.h").read_bytes()
     done = run("export", "mjcf", "--stage", file, "--out", tmp_path / "balancer.xml")
     assert done.returncode == 0, done.message
     assert (tmp_path / "meshes" / "servo.obj").is_file()
@@ -104,8 +111,10 @@ def test_what_does_not_go_with_a_stage(tmp_path: Path) -> None:
     for arguments, message in (
         (["mjcf", "--ball"], "--ball: expected a --stage for it to roll on"),
         (["sdf", "--stage", file, "--ball"], "--ball: expected to be left out with --format sdf"),
-        (["mjcf", "--stage", file, "--geometry", file], "--geometry: expected to be left out with a --stage"),
+        (["mjcf", "--stage", file, "--geometry", file], "--geometry: expected to be left out with a stage"),
         (["ros", "--stage", file], "--stage: expected to be left out with --format ros"),
+        (["c-stage"], "--stage: expected a stage: its file, or --base, --platform and what follows, got none"),
+        (["c-stage", "--base", "80"], "--platform: expected a radius, or --stage with a file"),
     ):
         done = run("export", *arguments)
         assert done.returncode == 2

@@ -81,9 +81,11 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
     np.testing.assert_allclose([x["all_round"] for x in content["heights"]], np.degrees(expected.all_round))
     table = run("stage", "reach", *file, "--height", "0.5", "--out", str(tmp_path / "reach.png")).stdout
     assert "limit" in table
-    run("stage", "draw", *file, "--tilt", "10", "--out", str(tmp_path / "stage.svg"))
     assert (tmp_path / "reach.png").stat().st_size > 10_000
-    assert "tilt 10.0° towards 0°" in (tmp_path / "stage.svg").read_text(encoding="utf-8")
+    height, tilt = spm.stages.best_height(stage, directions=72)
+    assert f"best height: {height:.5f} m, {np.degrees(tilt):.2f}° in every direction" in table
+    wide = run("stage", "reach", *file, "--height", "2", "--json")
+    assert json.loads(wide.stdout)["best_tilt"] == pytest.approx(np.degrees(tilt))
     whole = ["--base", "0.7", "--platform", "0.46"]
     assert "F " in run("stage", "inverse", *whole, "--height", "1.1").stdout
 
@@ -97,6 +99,9 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
         ([*SIZES, "--slide", "90"], "--slide: expected not to be given with --crank"),
         ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
+        ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt beside --azimuth"),
+        ([*SIZES, "--tilt", "10", "--pitch", "2"], "--tilt and --pitch: expected --tilt with --azimuth, or --roll"),
+        ([*SIZES, "--normal", "0", "0", "0"], "--normal: expected unit normals of the platform"),
         (
             [*SIZES, "--limits", "-0.6", "1.2"],
             "--limits: expected limits of cranks in degrees, got none beyond 1.2°. In radians? 1.2 rad are 69°",
@@ -109,7 +114,6 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
             METRES,
             "--height: expected heights in metres, in proportion to a stage about 0.33 m high, got 120. Is it 120 mm?",
         ),
-        ([*SIZES, "--tilt", "10"], "--azimuth: expected a tilt with its azimuth"),
         (
             [*SIZES, "--tilt", "-10", "--azimuth", "0"],
             "--tilt: expected an angle in degrees, from 0 to less than 180, got -10. To the other",
@@ -134,7 +138,43 @@ def test_a_file_of_numbers_is_what_other_commands_take(tmp_path: Path) -> None:
     assert (tmp_path / "stage.h").exists()
 
 
-def test_a_view_of_what_is_not_reached_is_refused() -> None:
-    done = run("stage", "view", *SIZES, "--tilt", "80", "--no-open")
+@pytest.mark.parametrize("command", ["inverse", "draw", "view"])
+def test_a_place_has_the_same_options_in_every_command(command: str) -> None:
+    shown = run("stage", command, "--help").stdout
+    assert all(f"--{option} " in shown for option in ("height", "tilt", "azimuth", "roll", "pitch", "normal"))
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        ["--tilt", "10"],
+        ["--tilt", "10", "--azimuth", "0"],
+        ["--pitch", "10"],
+        ["--normal", str(np.tan(np.radians(10.0))), "0", "1"],
+    ],
+)
+def test_a_tilt_towards_x_of_a_picture_and_of_readings(place: list[str], tmp_path: Path) -> None:
+    done = run("stage", "draw", *SIZES, *place, "--out", str(tmp_path / "stage.svg"))
+    assert done.returncode == 0, done.message
+    home = spm.stages.home_height(STAGE)
+    title = f"tilt 10.0° towards 0°, height {1e3 * home:.1f} mm"
+    assert title in (tmp_path / "stage.svg").read_text(encoding="utf-8")
+    (mode,) = json.loads(run("stage", "inverse", *SIZES, *place, "--json").stdout)["modes"]
+    expected = spm.stages.inverse_physical(STAGE, home, tilt=np.radians(10.0), azimuth=0.0)
+    np.testing.assert_allclose(mode["readings"], np.degrees(expected.readings), atol=1e-9)
+
+
+def test_a_platform_that_hangs_below_its_carriages_is_drawn(tmp_path: Path) -> None:
+    hanging = ["--base", "350", "--platform", "200", "--rod", "400", "--sign", "1", "--unit", "mm"]
+    done = run("stage", "draw", *hanging, "--tilt", "12", "--out", str(tmp_path / "stage.svg"))
+    assert done.returncode == 0, done.message
+    assert "height -370.8 mm" in (tmp_path / "stage.svg").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("command", [["view", "--no-open"], ["draw", "--out", "no.png"]])
+def test_a_picture_of_what_is_not_reached_is_refused_with_the_nearest(command: list[str]) -> None:
+    done = run("stage", command[0], *SIZES, "--tilt", "80", *command[1:])
     assert done.returncode == 2
-    assert "--tilt: expected a tilt and a height that the stage reaches" in done.message
+    assert "--height, --tilt: expected a place that the stage reaches, got none. the ball is out of" in done.message
+    nearest = done.message.rpartition("The nearest: ")[2]
+    assert run("stage", "inverse", *SIZES[:8], *nearest.split()).returncode == 0

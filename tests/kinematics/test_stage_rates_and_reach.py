@@ -116,6 +116,17 @@ def test_the_reach_is_where_states_stop_to_count() -> None:
     assert set(unlimited.ends.flat) <= {ReachEnd.LEG, ReachEnd.FORWARD}
 
 
+def test_at_the_best_height_the_platform_tilts_farther_all_round_than_at_any_other() -> None:
+    height, tilt = spm.stages.best_height(BALANCER, directions=12)
+    heights = np.linspace(*spm.stages.height_range(BALANCER), 401)
+    others = spm.stages.reach(BALANCER, heights, directions=12).all_round
+    assert -1e-4 < tilt - np.nanmax(others) < 0.01
+    assert abs(height - heights[np.nanargmax(others)]) <= heights[1] - heights[0]
+    assert spm.stages.reach(BALANCER, height, directions=12).all_round[0] == pytest.approx(tilt, abs=1e-5)
+    nowhere = spm.Stage(0.35, 0.2, limits=(0.1, 0.14))
+    assert np.isnan(spm.stages.best_height(nowhere)).all()
+
+
 def test_the_nearest_reachable_tilt_is_no_farther_than_any_of_a_grid() -> None:
     wanted = {"tilt": 0.6, "azimuth": 0.9}
     nearest = spm.stages.nearest_reachable(BALANCER, 0.12, **wanted)

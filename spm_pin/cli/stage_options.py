@@ -1,0 +1,126 @@
+"""Options of a stage, and of the height and the tilt of its platform: the same for every command that takes them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from spm_pin.cli import options, outputs
+from spm_pin.cli.options import LengthUnit, OptionTable, Readings, Triple
+from spm_pin.errors import ArgumentError, GeometryError, raised_as
+from spm_pin.mechanism import PRS, RPS, RRS, LegKind, Stage
+from spm_pin.stages import home_height
+
+Typed = dict[str, Any]
+_STAGE: OptionTable = {
+    "stage": (Path, "FILE", "YAML file of a stage, in place of the numbers that follow."),
+    "base": (float, "RADIUS", "From the centre of the base to the pivots, in --unit."),
+    "platform": (float, "RADIUS", "From the centre of the platform to the balls, in --unit."),
+    "crank": (float, "LENGTH", "Of servos' cranks, in --unit: with --rod, legs RRS."),
+    "rod": (float, "LENGTH", "From knee or carriage to ball, in --unit: alone, legs PRS; without, RPS."),
+    "slide": (float, "DEGREES", "Direction of PRS legs' slides: 0 outwards, 90 upwards, the default."),
+    "sign": (int, "±1", "Working mode: -1, knees outside and carriages below, the default, or 1."),
+    "limits": (tuple[float, float], "MIN MAX", "Of the readings: in --unit, of servos in degrees."),
+}
+_PLACE: OptionTable = {
+    "height": (float, "LENGTH", "Of the platform's centre above the pivots, in --unit; the middle if not given."),
+    "tilt": (float, "DEGREES", "Of the platform, which is level if nothing is given."),
+    "azimuth": (float, "DEGREES", "Where it is lowest: 0, along x, if not given; legs are at -30, 90 and 210."),
+    "roll": (float, "DEGREES", "Instead of --tilt, with --pitch: about x."),
+    "pitch": (float, "DEGREES", "About y."),
+    "normal": (Triple, "X Y Z", "Instead: the platform's normal, of any length."),
+}
+_WAYS: tuple[set[str], ...] = {"tilt", "azimuth"}, {"roll", "pitch"}, {"normal"}
+
+
+def takes_stage(*, required: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorate a command that has a `stage`, so that it takes the options of one instead; it has a `unit` too.
+
+    If it is not `required`, it is None where no option is given.
+    """
+    return partial(options.with_options, argument="stage", table=_STAGE, read=partial(_read_stage, required=required))
+
+
+def takes_place(command: Callable[..., None]) -> Callable[..., None]:
+    """Decorate a command that has a `stage`, and a `place`, arguments of `stages.inverse`, so that it takes options.
+
+    Errors that name an argument of `stages.inverse` name the option.
+    """
+    named = outputs.name_options(**{name: f"--{name}" for name in _PLACE})(command)
+    return options.with_options(named, "place", _PLACE, _read_place)
+
+
+def _read_place(typed: Typed, arguments: Typed) -> Typed:
+    height, place = typed["height"], {name: x for name, x in typed.items() if x is not None and name != "height"}
+    if not any(place.keys() <= way for way in _WAYS):
+        several = " and ".join(f"--{name}" for name in place)
+        raise ArgumentError(several, "--tilt with --azimuth, or --roll with --pitch, or --normal", "several of them")
+    if not 0.0 <= place.get("tilt", 0.0) < 180.0:
+        cause = "To the other side leans what has another azimuth"
+        raise ArgumentError("--tilt", "an angle in degrees, from 0 to less than 180", f"{place['tilt']:g}", cause)
+    for name in place.keys() - {"normal"}:
+        if not abs(place[name]) <= 360.0:
+            raise ArgumentError(f"--{name}", "an angle in degrees, of at most one turn", f"{place[name]:g}")
+        place[name] = math.radians(place[name])
+    if "azimuth" in place and "tilt" not in place:
+        raise ArgumentError("--tilt", "a tilt beside --azimuth", "none")
+    if "tilt" in place:
+        place.setdefault("azimuth", 0.0)
+    if "normal" in place and 0.0 < (length := math.hypot(*place["normal"])) < math.inf:
+        place["normal"] = [x / length for x in place["normal"]]
+    metres = home_height(arguments["stage"]) if height is None else height / arguments["unit"].per_metre
+    return {"height": metres, **place}
+
+
+def _read_stage(typed: Typed, arguments: Typed, *, required: bool) -> Stage | None:
+    unit: LengthUnit = arguments["unit"]
+    given = [name for name, value in typed.items() if value is not None]
+    if not (required or given):
+        return None
+    if typed["stage"] is not None:
+        if len(given) > 1:
+            beside = ", ".join(f"--{name}" for name in given if name != "stage")
+            raise ArgumentError("--stage", "a file alone: its numbers are in metres and radians", f"also {beside}")
+        with raised_as(GeometryError, "--stage"):
+            return Stage.from_yaml(typed["stage"])
+    for name in ("base", "platform"):
+        if typed[name] is None:
+            raise ArgumentError(f"--{name}", "a radius, or --stage with a file", "neither")
+    lengths = {name: None if typed[name] is None else typed[name] / unit.per_metre for name in list(_STAGE)[1:5]}
+    names = {"base_radius": "--base", "platform_radius": "--platform", "legs": "--rod", "direction": "--slide"}
+    try:
+        kind = _read_kind(typed, lengths)
+        stage = Stage(lengths["base"], lengths["platform"], kind)  # type: ignore[arg-type]
+        readings = Readings(stage, unit)
+        limits = None if typed["limits"] is None else readings.read_limits("--limits", *typed["limits"])
+        return Stage(stage.base_radius, stage.platform_radius, kind, limits)
+    except GeometryError as error:
+        name = error.argument.partition(" of ")[0]
+        option = names.get(name, f"--{name}")
+        cause = (
+            f"Read in {unit}; is it {LengthUnit.MM}? --unit says so" if "are in metres" in error.cause else error.cause
+        )
+        raise GeometryError(option, error.expected, error.received, cause) from error
+
+
+def _read_kind(typed: Typed, lengths: Typed) -> LegKind:
+    sign: Typed = {} if typed["sign"] is None else {"sign": typed["sign"]}
+    if lengths["crank"] is not None:
+        if lengths["rod"] is None:
+            raise ArgumentError("--rod", "the length of the rods beside --crank", "none")
+        _refuse(typed, "slide", "--crank")
+        return RRS(crank=lengths["crank"], rod=lengths["rod"], **sign)
+    if lengths["rod"] is not None:
+        slide: Typed = {} if typed["slide"] is None else {"direction": math.radians(typed["slide"])}
+        return PRS(rod=lengths["rod"], **slide, **sign)
+    _refuse(typed, "slide", "legs without --rod")
+    _refuse(typed, "sign", "legs without --rod")
+    return RPS()
+
+
+def _refuse(typed: Typed, name: str, beside: str) -> None:
+    if typed[name] is not None:
+        raise ArgumentError(f"--{name}", f"not to be given with {beside}", f"{typed[name]:g}")
