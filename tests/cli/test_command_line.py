@@ -458,7 +458,7 @@ def test_a_reader_that_has_seen_enough_is_told_nothing(form: list[str]) -> None:
 @pytest.mark.parametrize(
     ("command", "name"),
     [
-        ("demo --poses 2 --out", "branches.png"),
+        pytest.param("demo --poses 2 --out", "branches.png", marks=pytest.mark.slow),  # six pictures
         ("reproduce --out", "tables.json"),
         ("crosscheck --poses 2 --method closed-form --method nlp --out", "report.json"),
         ("crosscheck --poses 2 --method closed-form --method nlp --figure", "report.png"),
