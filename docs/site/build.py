@@ -25,6 +25,7 @@ from live_page import with_machine
 from sphinx.cmd.build import build_main
 
 from spm_pin.crosscheck import reproduce
+from spm_pin.kinematics import compile_kernels
 
 ROOT = Path(__file__).parents[2]
 NOTEBOOKS = ROOT / "examples/notebooks"
@@ -87,7 +88,8 @@ INTERNAL = {
 
 
 def main(folder: Path) -> int:
-    """Build the site into `folder`; return Sphinx's exit code."""
+    """Build the site into `folder`; return Sphinx's exit code, or 1 if a notebook leaves files behind."""
+    compile_kernels()  # which notebooks would say on stderr, a warning
     with TemporaryDirectory() as name:
         sources = Path(name)
         for page, text in pages().items():
@@ -102,7 +104,10 @@ def main(folder: Path) -> int:
             code = build_main([*options, name, str(folder)])
             for page in LIVE_PAGES:
                 shutil.copy(ROOT / "docs" / page, folder)
-            return code
+            left = {path.name for path in (sources / "notebooks").iterdir()} - {f"{name}.ipynb" for name in CHAPTERS}
+            if left:
+                print("Notebooks leave files behind:", *sorted(left), file=sys.stderr)
+            return code or bool(left)
         finally:
             shutil.rmtree(f"{name}.doctrees", ignore_errors=True)
             shutil.rmtree(folder.parent / "jupyter_execute", ignore_errors=True)  # copies of the notebooks' pictures
