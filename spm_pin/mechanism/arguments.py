@@ -289,7 +289,7 @@ def finite_array(
     if wrong.any():
         index = first_offender(wrong)
         where = f" at index {index}" if index else ""
-        cause = "A missing sample, or a division by zero before this call?"
+        cause = "A missing sample, the result of what does not exist, or a division by zero before this call?"
         raise ArgumentError(argument, f"finite {_expected(trailing, meaning)}", f"{array[index]}{where}", cause)
     return array
 

@@ -265,6 +265,9 @@ def test_why_there_is_no_solution_is_said() -> None:
     assert "tilt is 57°" in repr(spm.stages.inverse_physical(BALANCER, 0.12, roll=1.0))
     with pytest.raises(spm.ArgumentError, match=r"tilt: .*radians.*, got 15\. Given in degrees"):
         spm.stages.inverse(BALANCER, 0.12, tilt=15.0, azimuth=0.0)
+    absent = spm.stages.inverse_physical(BALANCER, [0.12, 0.8]).readings
+    with pytest.raises(spm.ArgumentError, match=r"got nan at index \(1, 0\)\. .* what does not exist"):
+        spm.stages.forward_physical(BALANCER, absent)
     with pytest.raises(spm.ArgumentError, match=r"got -0\.1\. To the other side"):
         spm.stages.inverse(BALANCER, 0.12, tilt=-0.1, azimuth=0.0)
     with pytest.raises(spm.ArgumentError, match=r"a Geometry, got Stage\. For a stage alone there is spm_pin\.stages"):
