@@ -175,7 +175,8 @@ def _servos(robot: Robot, machine: Mechanism, zeros: FloatArray) -> Iterable[Any
     Each is led to a reading, not to the value of its joint.
     """
     said = "ctrl is what the legs are to read, in metres, of cranks in radians: the values of their joints, and "
-    yield ElementTree.Comment(f" {said}{_written(zeros)} ")
+    assumed = "Their largest forces are assumed, and all masses that were not given, by the machine's size."
+    yield ElementTree.Comment(f" {said}{_written(zeros)}. {assumed} ")
     mass = sum(link.mass for name, link in robot.links.items() if robot.carrier(name)[0] != robot.base)
     for (joint, motor), zero, arm in zip(robot.motors.items(), zeros, machine.legs.largest_slopes, strict=True):
         limits, stiffness = robot.joints[joint].limits, SERVO**2 * mass / 3.0 * arm**2
