@@ -336,8 +336,8 @@ def _normals_of_roll(roll: npt.ArrayLike, pitch: npt.ArrayLike) -> FloatArray:
 def _angles(value: npt.ArrayLike, argument: str, most: float) -> FloatArray:
     angles = real_array(value, argument, (), "angles in radians")
     if (beyond := np.abs(angles) > most).any():
-        expected = f"angles in radians within ±{most:.4g}"
-        raise ArgumentError(argument, expected, f"{angles[first_offender(beyond)]:g}", "Given in degrees?")
+        expected, received = f"angles in radians within ±{most:.4g}", f"{angles[first_offender(beyond)]:g}"
+        raise ArgumentError(argument, expected, received, "Given in degrees, or wound on by whole turns?")
     return angles
 
 
