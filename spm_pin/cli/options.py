@@ -96,13 +96,13 @@ class Readings:
         return np.asarray(np.array(typed) / self.scale)
 
     def read_limits(self, option: str, minimum: Any, maximum: Any) -> list[list[float]]:
-        """Return limits typed [m, rad], with a note on their unit; those of cranks as small as radians are refused."""
+        """Return limits typed [m, rad], with a note on their unit where another one is likely."""
         if hint := self.hint(option, maximum):
             note(hint, "yellow")
         largest = max([0.0, *self._angles(minimum), *self._angles(maximum)])
         if 0.0 < largest <= MOST_TURNED:
-            cause = f"In radians? {largest:g} rad are {np.degrees(largest):.0f}°"
-            raise ArgumentError(option, "limits of cranks in degrees", f"none beyond {largest:g}°", cause)
+            degrees = f"{np.degrees(largest):.0f}°"
+            note(f"{option} was read in degrees: {largest:g}° at most. In radians {largest:g} are {degrees}", "yellow")
         return [self.read(option, np.broadcast_to(x, self.are_angles.shape)).tolist() for x in (minimum, maximum)]
 
     def _angles(self, typed: Any) -> FloatArray:
