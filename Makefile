@@ -17,6 +17,9 @@ demo: $(VENV)/.demo
 	@mkdir -p build
 	@$(BIN)/spm-pin demo --out build/demo.png
 
+# A worker has one core: threads of OpenBLAS beside those of the others would wait for one another.
+test test-slow coverage: export OPENBLAS_NUM_THREADS := 1
+
 test: lint
 	$(BIN)/python -m pytest $(PYTEST) -m "not slow"
 
