@@ -114,19 +114,21 @@ def test_readings_lead_back_to_the_pose_and_sides_are_rigid(machine: str) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("machine", MACHINES)
-def test_a_hundred_thousand_states_of_each_are_led_back_to(machine: str) -> None:
+def test_a_million_states_of_each_kind_are_led_back_to(machine: str) -> None:
     """To rounding, which grows as the distance to a singularity shrinks."""
     stage, height = stage_and_height(machine)
-    normals, heights = requests(height, 120_000, 0)
-    states = spm.stages.inverse_physical(stage, heights, normal=normals)
-    near = spm.stages.singularities(states)
-    distance = np.minimum(near.forward, near.leg.min(axis=-1))
-    states, distance = states[distance > 1e-3][:100_000], distance[distance > 1e-3][:100_000]
-    assert len(states) == 100_000
-    again = spm.stages.forward_physical(stage, states.readings)
-    assert again.exists.all()
-    error = np.abs(again.balls - states.balls).max(axis=(-1, -2)) / stage.size
-    assert (error * distance).max() < 1e-14
+    of_the_kind = sum(name.startswith(machine[:3]) for name in MACHINES)
+    for seed in range(-(-10 // of_the_kind)):
+        normals, heights = requests(height, 120_000, seed)
+        states = spm.stages.inverse_physical(stage, heights, normal=normals)
+        near = spm.stages.singularities(states)
+        distance = np.minimum(near.forward, near.leg.min(axis=-1))
+        states, distance = states[distance > 1e-3][:100_000], distance[distance > 1e-3][:100_000]
+        assert len(states) == 100_000
+        again = spm.stages.forward_physical(stage, states.readings)
+        assert again.exists.all()
+        error = np.abs(again.balls - states.balls).max(axis=(-1, -2)) / stage.size
+        assert (error * distance).max() < 1e-14
 
 
 @pytest.mark.parametrize("machine", MACHINES)

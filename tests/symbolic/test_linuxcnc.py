@@ -301,7 +301,7 @@ ROUND_TRIPS: dict[str, tuple[Machine, list[tuple[float, float]]]] = {
 
 @pytest.mark.parametrize(
     ("case", "count"),
-    [("robot", 100_000), ("RRS", 100_000), *(pytest.param(x, 300_000, marks=pytest.mark.slow) for x in ROUND_TRIPS)],
+    [("robot", 100_000), ("RRS", 100_000), *(pytest.param(x, 1_000_000, marks=pytest.mark.slow) for x in ROUND_TRIPS)],
 )
 def test_round_trips_in_hal(bench: Bench, case: str, count: int) -> None:
     machine, ranges = ROUND_TRIPS[case]
