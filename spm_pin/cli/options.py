@@ -65,7 +65,7 @@ class Readings:
 
     @property
     def are_angles(self) -> BoolArray:
-        """True for the legs whose readings are angles, (6,)."""
+        """True for the legs whose readings are angles, shape (6,), of a stage alone (3,)."""
         return np.asarray(np.array(self.machine.legs.units) == "rad")
 
     @property

@@ -89,8 +89,9 @@ def _read_stage(typed: Typed, arguments: Typed, *, required: bool) -> Stage | No
     for name in ("base", "platform"):
         if typed[name] is None:
             raise ArgumentError(f"--{name}", "a radius, or --stage with a file", "neither")
-    lengths = {name: None if typed[name] is None else typed[name] / unit.per_metre for name in list(_STAGE)[1:5]}
-    names = {"base_radius": "--base", "platform_radius": "--platform", "legs": "--rod", "direction": "--slide"}
+    names = "base", "platform", "crank", "rod"
+    lengths = {name: None if typed[name] is None else typed[name] / unit.per_metre for name in names}
+    named = {"base_radius": "--base", "platform_radius": "--platform", "legs": "--rod", "direction": "--slide"}
     try:
         kind = _read_kind(typed, lengths)
         stage = Stage(lengths["base"], lengths["platform"], kind)  # type: ignore[arg-type]
@@ -99,7 +100,7 @@ def _read_stage(typed: Typed, arguments: Typed, *, required: bool) -> Stage | No
         return Stage(stage.base_radius, stage.platform_radius, kind, limits)
     except GeometryError as error:
         name = error.argument.partition(" of ")[0]
-        option = names.get(name, f"--{name}")
+        option = named.get(name, f"--{name}")
         cause = (
             f"Read in {unit}; is it {LengthUnit.MM}? --unit says so" if "are in metres" in error.cause else error.cause
         )

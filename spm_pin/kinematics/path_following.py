@@ -89,7 +89,7 @@ class CertifiedLimits(Protocol):
 
 
 class Watch(NamedTuple):
-    """What a path is watched for: quantities of a machine's states whose zeros are events, and a length for moves."""
+    """Functions of a machine's states whose zeros are the events of a path, and the length to compare moves with."""
 
     length: float  # with which moves are compared [m]: a side of the balls' triangle
     determinants: Callable[[Any], FloatArray]  # of states (...), dimensionless, (..., n): zero at singularities

@@ -28,7 +28,7 @@ class RealMachine:
     source: str
     """Where the numbers stand: a repository of github.com, the file and the commit that was read, or a paper."""
     assumed: str
-    """What is assumed because the source does not say it."""
+    """Assumptions made where the source gives no number, as sentences."""
 
     @property
     def stage(self) -> Stage:

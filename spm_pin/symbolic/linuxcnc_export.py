@@ -97,18 +97,18 @@ def write_linuxcnc(machine: Geometry | Stage, directory: str | Path) -> list[Pat
 
 
 class _Machine(ABC):
-    """What LinuxCNC has to know of a machine. Values of axes are in millimetres and degrees."""
+    """A machine as LinuxCNC's configuration describes it. Values of axes are in millimetres and degrees."""
 
     name: str
-    """What the names of its files begin with."""
+    """Prefix of the names of its files."""
     title: str
     axes: str
     meaning: str
-    """What the axes are, in a sentence."""
+    """Sentence on what the values of the axes describe, for the comments of the configuration."""
     feed: str
-    """What F is in the program."""
+    """Sentence on the unit of the feed rate F, for the comment of the demo program."""
     blending: str
-    """How the program's points are passed."""
+    """G-code by which the demo program passes its points without a stop."""
     turns: str
     """The axes in the order in which AXIS applies them, [DISPLAY]GEOMETRY: C before A for Rz(C) Ry(B) Rx(A)."""
     includes: str

@@ -7,21 +7,10 @@
 #include <cstdio>
 #include <cstdlib>
 #include <fstream>
-#include <new>
 #include <random>
+#include "count_allocations.hpp"
 #include "spm_set_points.hpp"
 using namespace spm_robot;
-
-static long allocations = 0;
-
-void * operator new(std::size_t size)
-{
-  ++allocations;
-  if (void * memory = std::malloc(size)) {return memory;}
-  throw std::bad_alloc{};
-}
-void operator delete(void * memory) noexcept {std::free(memory);}
-void operator delete(void * memory, std::size_t) noexcept {std::free(memory);}
 
 int main(int count, char ** arguments)
 {

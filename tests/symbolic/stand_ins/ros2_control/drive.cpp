@@ -1,11 +1,10 @@
 // Configure, activate and run the controller. The first file has its parameters, a name and numbers or texts in a line; the
 // second the readings of the start, and a set-point near it: position, quaternion, and the readings it leads to.
-#include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <iostream>
-#include <new>
 #include <sstream>
+#include "../../count_allocations.hpp"
 #include "spm_controller.cpp"
 using controller_interface::CallbackReturn;
 
@@ -13,16 +12,6 @@ using States = rclcpp::Publisher<control_msgs::msg::JointTrajectoryControllerSta
 using Statuses = rclcpp::Publisher<diagnostic_msgs::msg::DiagnosticStatus>;
 
 static int failures = 0;
-static long allocations = 0;
-
-void * operator new(std::size_t size)
-{
-  ++allocations;
-  if (void * memory = std::malloc(size)) {return memory;}
-  throw std::bad_alloc{};
-}
-void operator delete(void * memory) noexcept {std::free(memory);}
-void operator delete(void * memory, std::size_t) noexcept {std::free(memory);}
 
 static void expect(bool holds, const char * what)
 {
