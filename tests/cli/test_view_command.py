@@ -124,9 +124,11 @@ def test_event_queue_replaces_pending_events_of_a_kind_and_stops_when_closed() -
         queue.post("first", lambda: gate.wait(10.0))
         await asyncio.sleep(0.05)
         queue.post("late", lambda: done.append("late"))
-        queue.close()
+        closed = asyncio.ensure_future(queue.close())
+        await asyncio.sleep(0.05)
+        assert not closed.done()  # the action that runs comes to its end
         gate.set()
-        await drained(queue)
+        await closed
         queue.post("later", lambda: done.append("later"))
         assert len(asyncio.all_tasks()) == 1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import io
 import itertools
 import threading
@@ -422,6 +423,28 @@ def test_the_demo_moves_until_it_is_touched(browser):
         assert not errors
     with Viewer(viewer.start, port=0) as viewer:
         assert viewer.demo is None
+
+
+def test_a_viewer_that_is_stopped_awaits_what_its_pages_still_do(browser, caplog):
+    with Viewer(port=0) as viewer:
+        page = browser.new_page(viewport=SIZE)
+        page.goto(viewer.url + PIXELS, timeout=90_000)
+        until(lambda: viewer.sessions, "a session", page=page)
+        (session,) = viewer.sessions
+        begun, moved = threading.Event(), []
+
+        def slow():
+            begun.set()
+            threading.Event().wait(0.5)
+            session._on_coordinate((0, session._coordinates[0] + 0.01))
+            moved.append(True)
+
+        viewer.server.get_event_loop().call_soon_threadsafe(session.queue.post, "slow", slow)
+        assert begun.wait(10.0)
+    assert moved
+    gc.collect()
+    assert "Task was destroyed" not in caplog.text
+    page.close()
 
 
 def test_the_platform_of_a_stage_is_dragged_and_its_servos_are_moved(browser):

@@ -113,6 +113,7 @@ class Viewer:
         progress("page", 3, 4)
         self.dark = dark
         self._sessions: dict[int, Session] = {}
+        self._opening: set[asyncio.Task[Any] | None] = set()
         self._stopped = threading.Event()
         self.host = host
         require_extra("viewer", "viser")
@@ -148,10 +149,15 @@ class Viewer:
         return tuple(self._sessions.values())
 
     async def _connected(self, client: Any) -> None:
-        session = await asyncio.to_thread(Session, client, self, asyncio.get_running_loop())
-        # The client may have disconnected while its page was made.
-        if client.client_id not in self.server.get_clients():
-            session.close()
+        task = asyncio.current_task()
+        self._opening.add(task)
+        try:
+            session = await asyncio.to_thread(Session, client, self, asyncio.get_running_loop())
+        finally:
+            self._opening.remove(task)
+        # The client may have disconnected, or the viewer been stopped, while its page was made.
+        if client.client_id not in self.server.get_clients() or self._stopped.is_set():
+            await session.close()
             return
         self._sessions[client.client_id] = session
         if session.player is not None:
@@ -160,7 +166,11 @@ class Viewer:
     async def _disconnected(self, client: Any) -> None:
         session = self._sessions.pop(client.client_id, None)
         if session is not None:
-            session.close()
+            await session.close()
+
+    async def _close_sessions(self) -> None:
+        # The event loop ends with the server, and would drop what its tasks still do.
+        await asyncio.gather(*filter(None, self._opening), *(session.close() for session in self.sessions))
 
     def wait(self) -> None:
         """Serve until `stop` is called, or the process interrupted."""
@@ -172,6 +182,7 @@ class Viewer:
         """Stop serving; what runs comes to its end."""
         if not self._stopped.is_set():
             self._stopped.set()
+            asyncio.run_coroutine_threadsafe(self._close_sessions(), self.server.get_event_loop()).result()
             with _silence():
                 self.server.stop()
 
@@ -244,10 +255,12 @@ class EventQueue:
             self._task = asyncio.get_running_loop().create_task(self._work())
         return True
 
-    def close(self) -> None:
-        """Drop waiting actions; the running one is completed."""
+    async def close(self) -> None:
+        """Drop waiting actions and wait for the one that runs."""
         self.closed = True
         self._waiting.clear()
+        if self._task is not None:
+            await self._task
 
     async def _work(self) -> None:
         try:
@@ -303,11 +316,11 @@ class Session:
         key = f"{name} {value[0]}" if isinstance(value, tuple) else name
         self.queue.post(key, partial(getattr(self, f"_on_{name}"), value))
 
-    def close(self) -> None:
-        """Stop the event queue and the player; on the event loop."""
-        self.queue.close()
+    async def close(self) -> None:
+        """Stop the player and the event queue; on the event loop."""
         if self.player is not None:
             self.player.stop()
+        await self.queue.close()
 
     def _failed(self, error: Exception) -> None:
         if isinstance(error, SpmError) and not self.queue.closed:
