@@ -15,7 +15,7 @@ from scipy.optimize import fsolve
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
-from spm_pin.mechanism import Stage, StageConfiguration
+from spm_pin.mechanism import LegKind, Stage, StageConfiguration
 
 BALANCER = STAGES["RRS"]
 
@@ -129,6 +129,25 @@ def test_a_million_states_of_each_kind_are_led_back_to(machine: str) -> None:
         assert again.exists.all()
         error = np.abs(again.balls - states.balls).max(axis=(-1, -2)) / stage.size
         assert (error * distance).max() < 1e-14
+
+
+@pytest.mark.parametrize(
+    ("platform_radius", "legs", "height", "tilt", "azimuth"),
+    [
+        (1.24, spm.RRS(crank=0.71, rod=0.72), 0.5, 0.79, 2.9),
+        (1.46, spm.RRS(crank=0.61, rod=0.71), 0.3, 0.57, 0.8),
+        (1.175, spm.PRS(rod=0.874, direction=np.pi / 2 + 0.3, sign=1), 1.711, 0.51, -1.403),
+    ],
+    ids=["servos", "short servos", "inclined slides"],
+)
+def test_states_to_which_newton_s_method_does_not_lead_are_found(
+    platform_radius: float, legs: LegKind, height: float, tilt: float, azimuth: float
+) -> None:
+    """From the level stage Newton's method wanders, though a regular state of the home's aspect has these readings."""
+    stage = Stage(1.0, platform_radius, legs)
+    state = spm.stages.inverse_physical(stage, height, tilt=tilt, azimuth=azimuth)
+    again = spm.stages.forward_physical(stage, state.readings)
+    np.testing.assert_allclose(again.balls, state.balls, atol=1e-12)
 
 
 @pytest.mark.parametrize("machine", MACHINES)
