@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.description import SLIDES, URDF_PATH
+from spm_pin.description import URDF_PATH, actuated_joints
 from spm_pin.description.robot import read_robot
 from spm_pin.description.source_files import read_closures
 from spm_pin.mechanism import Mechanism
@@ -129,7 +129,9 @@ class Mujoco:
         if path.suffix == ".urdf":
             connect, body = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
             added = [(connect, body, closure.frame_a, closure.frame_b) for closure in closures]
-            added += [(mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT, name, "") for name in SLIDES if locked]
+            added += [
+                (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT, name, "") for name in actuated_joints() if locked
+            ]
             for kind, of, first, second in added:
                 equality = spec.add_equality(type=kind, objtype=of, name1=first, name2=second)
                 equality.data = np.zeros_like(equality.data)

@@ -22,7 +22,7 @@ from spm_pin.description.source_files import (
     read_closures,
     urdf_text,
 )
-from spm_pin.description.tree import SLIDES, extended_urdf_text, joint_values, srdf_text
+from spm_pin.description.tree import extended_urdf_text, joint_values, srdf_text
 from spm_pin.description.write_xml import Ball, mjcf_text, sdf_text
 from spm_pin.mechanism.joint_angles import JOINTS, actuated_joints, joint_names
 
@@ -32,7 +32,6 @@ __all__ = [
     "MJCF_PATH",
     "PACKAGE_PATH",
     "SDF_PATH",
-    "SLIDES",
     "SRDF_PATH",
     "URDF_PATH",
     "XACRO_PATH",

@@ -13,9 +13,6 @@ from spm_pin.mechanism import Configuration, StageConfiguration, joint_angles
 from spm_pin.mechanism.joint_angles import actuated_joints, check_state, joint_names, value_names
 from spm_pin.mechanism.mechanism import Mechanism
 
-SLIDES = actuated_joints()
-"""The actuated joints of RPS legs, in the order of `spm_pin.mechanism.LEGS`; see `actuated_joints`."""
-
 HOME = "home"
 """Name of the state in which all joints are at zero."""
 

@@ -87,9 +87,10 @@ def home_readings(geometry: Mechanism) -> FloatArray:
     """Return the readings (6,), of a stage (3,), of the symmetric home, offsets aside: [m], of RRS legs [rad].
 
     All platforms are level there. The reading is the middle of the limits that the stage's three legs share, if the
-    stage stands there. Otherwise, and without limits, RPS legs are as long as the shortest allowed and those of a stage
-    as high as the sum of its two radii together, carriages are at their pivots, and balls in the middle of the reach of
-    crank and rod. A `GeometryError` is raised for a stage that does not stand there either.
+    stage stands there, in a robot above its pivots. Otherwise, and without limits, RPS legs are as long as the shortest
+    allowed and those of a stage as high as the sum of its two radii together, carriages are at their pivots, and balls
+    in the middle of the reach of crank and rod. A `GeometryError` is raised for a stage that does not stand there
+    either.
     """
     readings, _ = homes(check_mechanism(geometry))
     return readings
@@ -105,16 +106,19 @@ def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
         low = max(kind.least_reading, *limits.minimum[legs]) if limits else kind.least_reading
         high = min(limits.maximum[legs]) if limits else math.inf
         numbers, signs = tuple(kind.numbers[0].tolist()), geometry.legs.slope_signs[legs]
-        x, height = ball_radius - radius, ball_radius + radius
+        x, height, middle = ball_radius - radius, ball_radius + radius, 0.5 * (low + high)
         with np.errstate(invalid="ignore"):
             at_home = _HOME(x, height, (low, high), signs[0], numbers, kind.on_arrays)
+            # A stage alone may be below its pivots, hanging or not.
+            is_alone = len(geometry.stage_radii) == 1
+            if is_alone and low < high and math.isfinite(middle):
+                z = _HEIGHT(x, middle, signs[0], numbers, kind.on_arrays)
+                at_home = at_home if np.isnan(z) else formulas.LegHome(middle, x, z)
         places[legs] = x, at_home.z
         # Legs of the other working mode have another reading in the same place.
         own = kind.readings(places[legs])
         readings[legs] = np.where(signs == signs[0], at_home.reading, own)
-        # A stage alone may hang below its pivots.
-        stands = at_home.z > 0.0 or len(geometry.stage_radii) == 1
-        if not (stands and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
+        if not ((at_home.z > 0.0 or is_alone) and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
             ends = f" between {low:g} and {high:g} {kind.unit}" if limits else ""
             expected = "a machine whose platforms are level at the middle of its limits"
             cause = "A rod too short, another sign, or limits about a place where the stage does not stand?"
@@ -122,7 +126,7 @@ def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
     return frozen(readings), frozen(places)
 
 
-_HOME = on_arrays(formulas.leg_home)
+_HOME, _HEIGHT = on_arrays(formulas.leg_home), on_arrays(formulas._home_height)
 _FORMULAS = upper_balls, formulas.leg_values, formulas.leg_frame, formulas.triangle_axes, formulas.ball_angles
 
 

@@ -60,10 +60,6 @@ def ros_package(
     slides, joints = ([f"{prefix}{joint}" for joint in each] for each in names)
     zeros = (home_readings(geometry) + geometry.legs.offsets).tolist()
     readings, goal = start_readings(geometry)
-    rates = [ASSUMED[unit][0] for unit in geometry.legs.units]
-    for slide, rate in zip(slides, rates, strict=True):
-        velocity = rf'(?s)(<joint name="{re.escape(slide)}".*?velocity=")[^"]*'
-        urdf = re.sub(velocity, rf"\g<1>{rate}", urdf, count=1)
     position, quaternion = goal.translation, goal.pose.rotation.as_quat()
     values = {
         "PACKAGE": package,
@@ -75,7 +71,7 @@ def ros_package(
         "SLIDES": ", ".join(slides),
         "JOINTS": repr(joints),
         "ZEROS": ", ".join(map(repr, zeros)),
-        "RATES": ", ".join(map(repr, rates)),
+        "RATES": ", ".join(repr(ASSUMED[unit][0]) for unit in geometry.legs.units),
         "ACCELERATIONS": ", ".join(repr(ASSUMED[unit][1]) for unit in geometry.legs.units),
         "STEPS": ", ".join(map(repr, (_STEP * _stroke(geometry)).round(4).tolist())),
         "MACHINE": "\n".join(
@@ -99,7 +95,7 @@ def ros_package(
         f"src/{name}": sources[name] for name in sources if name.endswith(("kinematics.c", "kinematics.h"))
     }
     folder = description_directory()
-    for path in (folder / "rviz" / "spm.rviz", *sorted((folder / MESHES).iterdir())):
+    for path in (folder / "LICENSE", folder / "rviz" / "spm.rviz", *sorted((folder / MESHES).iterdir())):
         package_files[path.relative_to(folder).as_posix()] = path.read_text(encoding="utf-8")
     return package_files
 

@@ -11,8 +11,9 @@ import pytest
 from cli.running import run
 
 import spm_pin as spm
-from spm_pin.description.tree import SLIDES
+from spm_pin.description import actuated_joints
 
+SLIDES = actuated_joints()
 LIMITS = ["--min", "110", "--max", "150", "--unit", "cm"]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from spm_pin.description import SRDF_PATH, URDF_PATH, Closure
+from spm_pin.description import SRDF_PATH, URDF_PATH, Closure, actuated_joints
 
 Array = npt.NDArray[np.float64]
 
@@ -122,4 +122,5 @@ def inertia(link: ElementTree.Element) -> tuple[float, Array, Array]:
 
 TREE = KinematicTree(Path(URDF_PATH).read_text(encoding="utf-8"))
 STATES = named_states(Path(SRDF_PATH).read_text(encoding="utf-8"))
+SLIDES = actuated_joints()
 """The shipped robot, and its named states."""

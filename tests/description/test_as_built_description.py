@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from cli.running import run
-from description.kinematic_tree import KinematicTree
+from description.kinematic_tree import SLIDES, KinematicTree
 
 import spm_pin as spm
-from spm_pin.description import SLIDES, joint_values, mjcf_text, read_closures, sdf_text, urdf_text
+from spm_pin.description import joint_values, mjcf_text, read_closures, sdf_text, urdf_text
 from spm_pin.description.robot import read_robot
 from spm_pin.errors import DescriptionError
 

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from description.kinematic_tree import STATES, TREE, KinematicTree
+from description.kinematic_tree import SLIDES, STATES, TREE, KinematicTree
 from problems import GEOMETRIES, in_leg_space
 
 import spm_pin as spm
 from spm_pin.description import urdf_text
 from spm_pin.description.source_files import read_closures
-from spm_pin.description.tree import SLIDES, joint_values
+from spm_pin.description.tree import joint_values
 from spm_pin.mechanism.joint_angles import home_readings
 
 EPS = np.finfo(float).eps

@@ -14,13 +14,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from description.kinematic_tree import STATES, TREE, KinematicTree, inertia
+from description.kinematic_tree import SLIDES, STATES, TREE, KinematicTree, inertia
 from engines import ENGINES, JOINTS, Array, Drake, Engine, Mujoco, Pinocchio, Values, Yourdfpy
 from problems import GEOMETRIES
 
 from spm_pin.description import MJCF_PATH, PACKAGE_PATH, SDF_PATH, URDF_PATH, mjcf_text, sdf_text, urdf_text
 from spm_pin.description.source_files import read_closures
-from spm_pin.description.tree import SLIDES
 
 CLOSED = ["home", *(f"solution_{number}" for number in (1, 2, 3, 4, 6, 7))]
 CASES = [

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from description.kinematic_tree import TREE, KinematicTree, named_states
+from description.kinematic_tree import SLIDES, TREE, KinematicTree, named_states
 from problems import in_leg_space, random_branches
 
 import spm_pin as spm
@@ -30,7 +30,7 @@ from spm_pin.description.source_files import (
     description_file,
     read_closures,
 )
-from spm_pin.description.tree import SLIDES, srdf_text
+from spm_pin.description.tree import srdf_text
 from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
 

@@ -38,6 +38,8 @@ def test_package_xml() -> None:
     assert root.findtext("name") == "spm_description"
     assert root.findtext("version") == spm.__version__
     assert root.findtext("license") == "BSD-2-Clause"
+    licence = Path(__file__).parents[2] / "LICENSE"
+    assert (PACKAGE / "LICENSE").read_text(encoding="utf-8") == licence.read_text(encoding="utf-8")
     assert root.findtext("export/build_type") == "ament_cmake"
     maintainers = root.findall("maintainer")
     assert maintainers

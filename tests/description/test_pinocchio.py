@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from description.kinematic_tree import STATES
+from description.kinematic_tree import SLIDES, STATES
 from problems import in_leg_space
 
 import spm_pin as spm
 from spm_pin.description import (
     CLOSURES_PATH,
-    SLIDES,
     SRDF_PATH,
     URDF_PATH,
     Closure,

@@ -176,6 +176,21 @@ def test_servos_in_mujoco_lead_the_platform_where_the_closed_form_has_it(machine
     assert opened < 1e-4 * stage.size
 
 
+@pytest.mark.parametrize(("sign", "limits"), [(1, (-0.8, -0.5)), (1, (0.1, 0.4)), (-1, (-0.8, -0.5))])
+def test_the_keyframe_home_of_a_stage_below_its_pivots_is_the_middle_of_its_limits(
+    sign: int, limits: tuple[float, float]
+) -> None:
+    stage = spm.Stage(0.35, 0.20, spm.PRS(rod=0.40, sign=sign), limits=limits)
+    model = mujoco.MjModel.from_xml_string(mjcf_text(stage))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.ctrl, np.mean(limits), atol=1e-14)
+    assert np.abs(data.efc_pos[: data.ne]).max() < 1e-12
+    level = spm.stages.inverse_physical(stage, data.body("platform").xpos[2])
+    np.testing.assert_allclose(level.readings, data.ctrl, atol=1e-12)
+
+
 def test_servos_have_the_limits_of_the_stage() -> None:
     stage = BALANCER.perturbed(3, length=1e-3, angle=5e-3)
     model = mujoco.MjModel.from_xml_string(mjcf_text(stage))

@@ -13,7 +13,7 @@ import pytest
 from multibody.chains import EPS, PAPER, chain, placed, random_q, rounding, six_branches
 
 import spm_pin as spm
-from spm_pin.description import SLIDES, urdf_text
+from spm_pin.description import actuated_joints, urdf_text
 from spm_pin.errors import ArgumentError, DescriptionError, GeometryError
 from spm_pin.mechanism.joint_angles import JOINTS
 
@@ -60,7 +60,7 @@ def test_names_and_places() -> None:
     for place, name in enumerate(robot.joint_names):
         joint = robot.model.joints[robot.model.getJointId(name)]
         assert joint.idx_q == joint.idx_v == place == robot.joint_indices(name)[0]
-    assert np.array_equal(robot.leg_indices, robot.joint_indices(*SLIDES))
+    assert np.array_equal(robot.leg_indices, robot.joint_indices(*actuated_joints()))
     with pytest.raises(ArgumentError, match=r"names: expected joints: leg_b1_hip, .*, got 'leg_b4_hip'"):
         robot.joint_indices("leg_b1_hip", "leg_b4_hip")
     assert not robot.leg_indices.flags.writeable
