@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,7 @@ TRIAD = 0.7
 _SIDES = 24  # of an arrow
 _NEARER = 0.4  # over the size of the sections: a frame's arrows lie in its plate, and are drawn on its surface
 _SAMPLES = 3  # per pixel and direction
+_TOGETHER = 4_000_000  # pixels of triangles that are drawn in one step
 _CREASE = math.radians(50.0)  # a sharper turn between two faces is an edge
 
 
@@ -194,26 +195,39 @@ def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[npt.N
 
     `triangles` (n, 3, 3) holds column, row and nearness of each corner; pixel centres are whole numbers.
     """
-    index = np.full(shape, -1, dtype=np.int32)
-    depth = np.full(shape, -np.inf, dtype=np.float32)
-    low = np.maximum(np.ceil(triangles[..., :2].min(axis=1)), 0.0).astype(int)
-    high = np.minimum(np.floor(triangles[..., :2].max(axis=1)), [shape[1] - 1, shape[0] - 1]).astype(int) + 1
+    index, depth = np.full(shape, -1, dtype=np.int32), np.full(shape, -np.inf, dtype=np.float32)
+    height, width = shape
+    boxes = np.ceil(triangles[..., :2].min(axis=1)), np.floor(triangles[..., :2].max(axis=1))
+    low, high = (np.clip(box, 0, [width - 1, height - 1]).astype(int) for box in boxes)
     corners = np.swapaxes(triangles, 1, 2).copy()
     corners[:, 2] = 1.0
-    area = np.linalg.det(corners)
-    visible = np.flatnonzero((np.abs(area) > 1e-12) & (low < high).all(axis=1))
-    # Three barycentric coordinates and the nearness, each linear in (column, row, 1).
-    shares = np.linalg.inv(corners[visible])
-    planes = np.concatenate([shares, triangles[visible, None, :, 2] @ shares], axis=1)[..., None, None]
-    for k, plane in zip(visible, planes, strict=True):
-        (left, top), (right, bottom) = low[k], high[k]
-        values = plane[:, 0] * np.arange(left, right) + plane[:, 1] * np.arange(top, bottom)[:, None] + plane[:, 2]
-        box = np.s_[top:bottom, left:right]
+    visible = np.flatnonzero(np.abs(np.linalg.det(corners)) > 1e-12)
+    pixels = np.cumsum((high - low + 1)[visible].prod(axis=1))
+    for part in np.split(visible, np.searchsorted(pixels, np.arange(_TOGETHER, pixels.max(initial=0), _TOGETHER))):
+        # Three barycentric coordinates and the nearness, each linear in (column, row, 1).
+        shares = np.linalg.inv(corners[part])
+        nearness = (triangles[part, None, :, 2] @ shares)[:, 0]
+        face, row = _ranges(low[part, 1], high[part, 1])
+        slope, down, constant = np.moveaxis(shares[face], -1, 0)
         # A pixel on the side that two faces share must not slip between them.
-        nearer = (values[:3].min(axis=0) >= -1e-9) & (values[3] > depth[box])
-        depth[box][nearer] = values[3][nearer]
-        index[box][nearer] = k
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = (down * row[:, None] + constant + 1e-9) / np.abs(slope)
+        left = np.fmax.reduce(np.where(slope >= 0.0, -ends, 0.0), axis=1)
+        right = np.fmin.reduce(np.where(slope < 0.0, ends, width), axis=1)
+        span, column = _ranges(np.ceil(np.clip(left, 0, width)), np.floor(np.clip(right, -1, width - 1)))
+        face, row = face[span], row[span]
+        near = (nearness[face, 0] * column + nearness[face, 1] * row + nearness[face, 2]).astype(np.float32)
+        np.maximum.at(depth, (row, column), near)
+        seen = near == depth[row, column]
+        index[row[seen], column[seen]] = part[face[seen]]
     return index, depth
+
+
+def _ranges(first: npt.NDArray[Any], last: npt.NDArray[Any]) -> tuple[IntArray, IntArray]:
+    """Return the whole numbers from each `first` to its `last` (n,) one after another, and before them which of n."""
+    counts = (last - first + 1).clip(0).astype(int)
+    which = np.repeat(np.arange(len(counts)), counts)
+    return which, np.arange(len(which)) + (first.astype(int) - np.cumsum(counts) + counts)[which]
 
 
 def _edges(region: npt.NDArray[np.int32], depth: Image, width: int) -> BoolArray:
