@@ -24,12 +24,8 @@ from spm_pin.display.viewer import robot_scene
 from spm_pin.display.viewer.model import (
     ViewerModel,
     pose_coordinates,
-    pose_of_coordinates,
-    pose_ranges,
-    reading_ranges,
     reading_units,
     sampled_states,
-    state_data,
 )
 from spm_pin.display.viewer.panel import forces_table, instruments, status
 from spm_pin.display.viewer.playback import demo_motion
@@ -114,7 +110,7 @@ def test_limits_are_held_once_the_machine_is_inside_them_and_only_then():
     target = moved(START.pose, shift=(0.0, 0.0, 0.3))
     state = model.drag(target)
     assert "out of reach: beyond the leg limits" in " ".join(state.warnings)
-    assert not state.limit_excess.any()
+    assert not state.shown.limit_excess.any()
     assert state.distance == pytest.approx(spm.workspace.pose_distance(PAPER, state.shown.pose, target))
     np.testing.assert_array_equal(state.target.as_matrix(), target.as_matrix())
     model.hold_limits = False
@@ -161,13 +157,13 @@ def test_legs_drive_the_platform_and_stop_before_a_singularity():
 
 
 def test_equal_legs_have_no_isolated_branch_and_are_left_again():
-    model = ViewerModel(START)
+    model = ViewerModel(START, spm.ClosedChain.from_urdf())
     state = model.set_readings([1.3] * 6)
     assert state.label == ""
     assert state.labels == ()
     assert "continuous family" in " ".join(state.notes)
     assert "inverse" in " ".join(state.warnings)
-    json.loads(to_json(state_data(state, spm.ClosedChain.from_urdf())))  # singular, yet JSON
+    json.loads(to_json(model.data()))  # singular, yet JSON
     assert model.drag(START.pose).label == "TT+"
 
 
@@ -223,13 +219,14 @@ def test_numbers_have_no_negative_zero_and_long_lengths_a_unit_that_fits():
 
 def test_slider_ranges_span_reachable_poses_around_the_state():
     assert (PAPER.limits.margin(sampled_states(PAPER).leg_lengths) >= -1e-12).all()
-    now, ranges = pose_coordinates(START.pose), pose_ranges(START)
+    model = ViewerModel(START)
+    now, ranges = pose_coordinates(START.pose), model.pose_ranges("X-Y-X")
     assert (ranges[:, 0] <= now).all()
     assert (now <= ranges[:, 1]).all()
     assert (np.ptp(ranges, axis=1) < [1.0, 1.0, 1.0, 90.0, 90.0, 90.0]).all()
     assert (np.ptp(ranges, axis=1) > [0.3, 0.3, 0.3, 10.0, 10.0, 10.0]).all()
-    np.testing.assert_allclose(reading_ranges(START), np.tile([1.1, 1.5], (6, 1)), atol=1e-12)
-    free = reading_ranges(spm.inverse_displacement(FREE, START.pose).physical())
+    np.testing.assert_allclose(model.reading_ranges(), np.tile([1.1, 1.5], (6, 1)), atol=1e-12)
+    free = ViewerModel(spm.inverse_displacement(FREE, START.pose).physical()).reading_ranges()
     for k in range(6):
         for end in free[k]:
             assert spm.forward_physical(FREE, np.where(np.arange(6) == k, end, START.leg_lengths)).exists
@@ -237,13 +234,13 @@ def test_slider_ranges_span_reachable_poses_around_the_state():
 
 def test_angles_are_shown_as_roll_pitch_yaw_too():
     rpy = "roll, pitch, yaw"
-    numbers = pose_coordinates(START.pose, rpy)
+    model, numbers = ViewerModel(START), pose_coordinates(START.pose, rpy)
     np.testing.assert_allclose(spm.pose(numbers[:3], rpy=np.deg2rad(numbers[3:])).as_matrix(), START.pose.as_matrix())
-    np.testing.assert_allclose(pose_of_coordinates(numbers, rpy).as_matrix(), START.pose.as_matrix(), atol=1e-12)
-    ranges = pose_ranges(START, rpy)
+    np.testing.assert_allclose(model.pose_of(numbers, rpy).as_matrix(), START.pose.as_matrix(), atol=1e-12)
+    ranges = model.pose_ranges(rpy)
     assert (ranges[:, 0] <= numbers).all()
     assert (numbers <= ranges[:, 1]).all()
-    text = status(ViewerModel(START).state, rpy)
+    text = status(model.state, rpy)
     assert f"roll, pitch, yaw = ({', '.join(fixed(x, 1) for x in numbers[3:])})" in text
 
 
@@ -279,7 +276,9 @@ def test_a_fitted_camera_shows_all_of_the_robot_and_little_else(view, aspect, co
 
 def test_the_exported_command_and_the_exported_json_hold_the_state():
     chain = spm.ClosedChain.from_urdf()
-    content = json.loads(to_json(state_data(ViewerModel(START).load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0]), chain)))
+    model = ViewerModel(START, chain)
+    model.load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
+    content = json.loads(to_json(model.data()))
     np.testing.assert_array_equal(np.array(content["pose"]), START.pose.as_matrix())
     pose = spm.pose(content["translation"], xyx=content["xyx"])
     np.testing.assert_allclose(pose.as_matrix(), START.pose.as_matrix(), atol=1e-14)
@@ -439,7 +438,7 @@ def test_servos_are_shown_in_degrees_and_screws_in_metres():
     screws = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))
     machine = spm.Geometry.of_stages(servos, screws)
     model = ViewerModel(spm.forward_physical(machine, [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]))
-    np.testing.assert_allclose(reading_ranges(model.state.shown), [[-0.5, 1.5]] * 3 + [[-0.05, 0.25]] * 3)
+    np.testing.assert_allclose(model.reading_ranges(), [[-0.5, 1.5]] * 3 + [[-0.05, 0.25]] * 3)
     units = reading_units(machine)
     assert [unit.name for unit in units] == ["°"] * 3 + ["m"] * 3
     assert units[0].factor * np.pi == pytest.approx(180.0)
@@ -451,7 +450,7 @@ def test_servos_are_shown_in_degrees_and_screws_in_metres():
     assert "in N m and N" in forces_table(model.load([0.0, 0.0, -50.0, 0.0, 0.0, 0.0]))
     free = spm.Geometry.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35)), Stage(0.20, 0.25, PRS(rod=0.30)))
     start = starting_configuration(free)
-    for k, ends in enumerate(reading_ranges(start)):
+    for k, ends in enumerate(ViewerModel(start).reading_ranges()):
         assert ends[0] < start.readings[k] < ends[1]
         for end in ends:
             assert spm.forward_physical(free, np.where(np.arange(6) == k, end, start.readings)).exists
@@ -493,7 +492,7 @@ def test_a_stage_dragged_out_of_reach_shows_the_nearest_tilt():
     nearest = spm.stages.nearest_reachable(BALANCER, 0.12, **tilted)
     np.testing.assert_allclose(state.shown.readings, nearest.readings, atol=1e-12)
     np.testing.assert_allclose(state.target.rotation.as_matrix()[:, 2], target.rotation.as_matrix()[:, 2], atol=1e-12)
-    assert not state.limit_excess.any()
+    assert not state.shown.limit_excess.any()
     apart = np.linalg.norm(spm.mechanism.StageConfiguration(BALANCER, state.target).balls - nearest.balls, axis=-1)
     assert state.distance == pytest.approx(np.sqrt((apart**2).mean()))
     assert "Out of reach: beyond the leg limits. Shown: the nearest reachable tilt" in state.warnings[0]
@@ -544,14 +543,33 @@ def test_a_page_that_is_changed_after_its_tab_was_closed_prints_no_warning():
     assert not caught
 
 
-def test_what_is_shared_of_a_stage_finds_it_again():
-    model = of_stage()
-    state = model.drag(model.pose_of(np.array([115.0, -8.0, 5.0]), ROLL))
+@pytest.mark.parametrize(
+    "stage",
+    [BALANCER, spm.Stage(0.15, 0.1, spm.PRS(rod=0.2), limits=(0.05, 0.12)), spm.Stage(0.15, 0.1, spm.RPS())],
+    ids=["RRS", "PRS", "RPS without limits"],
+)
+def test_what_is_shared_of_a_stage_finds_it_again(stage):
+    model = StageModel(spm.stages.inverse_physical(stage, spm.stages.home_height(stage)))
+    model.hold_limits = False
+    height = 1e3 * float(model.state.shown.height)
+    state = model.drag(model.pose_of(np.array([height, -14.0, 5.0]), ROLL))
     content = json.loads(to_json(model.data()))
     np.testing.assert_array_equal(content["pose"], state.shown.pose.as_matrix())
     words = shlex.split(content["command"])
-    (mode,) = json.loads(run(*words[1:], "--json").stdout)["modes"]
-    np.testing.assert_allclose(np.radians(mode["readings"]), state.shown.readings, atol=1e-12)
+    physical = json.loads(run(*words[1:], "--json").stdout)["modes"][0]
+    factor = np.pi / 180.0 if stage.unit == "rad" else 1.0
+    np.testing.assert_allclose(factor * np.array(physical["readings"]), state.shown.readings, atol=1e-12)
+    assert physical["beyond_limits"] == np.flatnonzero(state.shown.limit_excess).tolist()
+
+
+def test_what_is_shared_of_another_machine_needs_its_file():
+    built = BALANCER.perturbed(1)
+    apart = spm.Stage(0.15, 0.1, spm.RPS(), limits=([0.1, 0.1, 0.1], [0.2, 0.2, 0.3]))
+    for stage in (built, apart):
+        model = StageModel(spm.stages.inverse_physical(stage, spm.stages.home_height(stage)))
+        assert model.command().startswith("spm-pin stage inverse --stage FILE --height ")
+    assert "--geometry" not in ViewerModel(START).command()
+    assert ViewerModel(starting_configuration(FREE)).command().endswith(" --geometry FILE")
 
 
 @pytest.mark.parametrize("machine", [name for name in MACHINES if "hanging" not in name])

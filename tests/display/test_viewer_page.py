@@ -261,7 +261,7 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     page.wait_for_selector('[data-spm="warning"]')
     page.wait_for_timeout(300)
     assert "out of reach" in page.inner_text('[data-spm="warning"] >> nth=0')
-    assert not session.model.state.limit_excess.any()
+    assert not session.model.state.shown.limit_excess.any()
     assert session.scene._wanted.visible
     picture(page, "viewer_out_of_reach.png")
     # The way back stands right below the warning.
@@ -477,7 +477,7 @@ def test_the_platform_of_a_stage_is_dragged_and_its_servos_are_moved(browser):
         send(session, "coordinate", (2, 40.0))
         page.wait_for_selector('[data-spm="warning"]')
         assert session.scene._wanted.visible
-        assert not session.model.state.limit_excess.any()
+        assert not session.model.state.shown.limit_excess.any()
         page.wait_for_timeout(500)
         picture(page, "viewer_stage_out_of_reach.png")
         page.get_by_role("button", name="Back to the reachable pose").click()

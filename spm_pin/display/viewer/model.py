@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -39,11 +39,6 @@ SINGULARITIES = ("forward, lower", "forward, upper", "inverse")
 """The singularities that J_b, J_c and K have, in this order."""
 ANGLES: dict[str, Literal["XYX", "xyz"]] = {"X-Y-X": "XYX", "roll, pitch, yaw": "xyz"}
 """Conventions of a platform's three angles, and SciPy's names of them: the paper's, and the fixed axes of a URDF."""
-_COORDINATES: dict[str, tuple[str, ...]] = {
-    "X-Y-X": ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]"),
-    "roll, pitch, yaw": ("x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]"),
-}
-"""Labels of a pose's sliders, by the convention of its angles."""
 NEAR = 0.02
 """A singularity is near where legs moved by this share of d could reach it."""
 
@@ -51,6 +46,12 @@ _REACHED = 1e-6  # of d: distance at which a pose counts as reached
 _SAME_BRANCH = 1e-4  # of d: closer joints are one solution
 _SAMPLES, _NEIGHBOURS = 4000, 400  # states drawn once, and how many of them span a slider of the pose
 _STEPS = 48  # along a leg, to see how far the assembly mode lasts
+
+
+def pose_coordinates(pose: RigidTransform, angles: str = "X-Y-X") -> FloatArray:
+    """Return x, y, z [m] and three angles [degrees] of poses, in a convention of `ANGLES`, shape (..., 6)."""
+    turned = pose.rotation.as_euler(ANGLES[angles], degrees=True, suppress_warnings=True)
+    return np.concatenate([pose.translation, turned], axis=-1) + 0.0
 
 
 @dataclass(frozen=True)
@@ -70,11 +71,6 @@ class SessionState:
     def labels(self) -> tuple[str, ...]:
         """The real branches of the pose of `shown`."""
         return _real_branches(self.solutions)
-
-    @cached_property
-    def limit_excess(self) -> FloatArray:
-        """By how much each reading (6,) is above its largest (positive) or below its least (negative)."""
-        return self.shown.limit_excess
 
     @cached_property
     def is_physical(self) -> bool:
@@ -167,7 +163,12 @@ class ViewerModel:
     `chain` gives q, and `file` is where the geometry came from: for what is shared of a state.
     """
 
-    conventions = _COORDINATES
+    conventions: ClassVar[dict[str, tuple[str, ...]]] = {
+        "X-Y-X": ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]"),
+        "roll, pitch, yaw": ("x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]"),
+    }
+    """Labels of the pose's sliders, by the convention of its angles."""
+    coordinates = staticmethod(pose_coordinates)
     hint = "The paper's X-Y-X, or about the fixed axes X, Y, Z as in a URDF"
     values_name = "q"
 
@@ -183,7 +184,7 @@ class ViewerModel:
         label = self.state.label or FAMILIES[max(int(family(before)), 0)] + "+"
         solutions = inverse_displacement(geometry, target)
         wanted = solutions[label]
-        limited = self.hold_limits and geometry.limits is not None and not self.state.limit_excess.any()
+        limited = self.hold_limits and geometry.limits is not None and not before.limit_excess.any()
         if wanted.exists and not (limited and wanted.limit_excess.any()):
             return self._show(target, wanted, solutions)
         if limited:
@@ -226,25 +227,38 @@ class ViewerModel:
         """Show a configuration, as it is."""
         return self._show(configuration.pose, configuration, jump=True)
 
-    def coordinates(self, pose: RigidTransform, convention: str) -> FloatArray:
-        """Return the values of the pose's sliders."""
-        return pose_coordinates(pose, convention)
-
     def pose_of(self, coordinates: FloatArray, convention: str) -> RigidTransform:
-        """Return the pose of such values."""
-        return pose_of_coordinates(coordinates, convention)
+        """Return the pose of coordinates (6,) as `coordinates` returns them."""
+        turn = Rotation.from_euler(ANGLES[convention], coordinates[3:], degrees=True)
+        return RigidTransform.from_components(coordinates[:3], turn)
 
     def pose_ranges(self, convention: str) -> FloatArray:
-        """Return the ends (6, 2) of the pose's sliders."""
-        return pose_ranges(self.state.shown, convention)
+        """Return the ends (6, 2) of the pose's sliders, those of the sampled states whose poses are nearest.
+
+        x, y, z [m] and the angles [degrees], those around the pose's own.
+        """
+        shown = self.state.shown
+        states, now = sampled_states(shown.geometry), pose_coordinates(shown.pose, convention)
+        gaps = np.linalg.norm(states.platform_joints - shown.platform_joints, axis=-1).max(axis=-1)
+        nearest = states.pose[np.argsort(gaps)[:_NEIGHBOURS]]
+        steps = np.atleast_2d(pose_coordinates(nearest, convention) - now)
+        steps[:, 3:] = (steps[:, 3:] + 180.0) % 360.0 - 180.0
+        ends = now + np.stack([steps.min(axis=0, initial=0.0), steps.max(axis=0, initial=0.0)])
+        ends[:, 3:] = np.clip(ends[:, 3:], -180.0, 180.0)
+        return np.asarray(ends.T)
 
     def reading_ranges(self) -> FloatArray:
         """Return the ends (6, 2) of the legs' sliders, in the units of readings."""
-        return reading_ranges(self.state.shown)
+        shown = self.state.shown
+        return ranges_of_readings(shown, partial(forward_physical, shown.geometry) if self.state.is_physical else None)
 
-    def command(self) -> str:
-        """Return the command line that finds what is shown."""
-        return command_line(self.state.shown, self.file, 7)
+    def command(self, digits: int | None = 7) -> str:
+        """Return the `spm-pin inverse` of what is shown, to so many decimals, or to float64's digits."""
+        values = pose_coordinates(self.state.shown.pose)
+        values = values if digits is None else values.round(digits)
+        is_paper = self.state.shown.geometry == Geometry.paper()
+        file = "FILE" if self.file is None and not is_paper else self.file
+        return inverse_command(values[:3], values[3:], None if file is None else str(file))
 
     def values(self) -> FloatArray:
         """Return q of what is shown, in Pinocchio's order [rad, m]."""
@@ -252,9 +266,33 @@ class ViewerModel:
         return self.chain.joint_values(self.state.shown)
 
     def data(self) -> dict[str, Any]:
-        """Return what is shown as data for JSON."""
+        """Return what is shown as data for JSON, in metres, radians and newtons."""
         assert self.chain is not None
-        return state_data(self.state, self.chain, self.file)
+        state, shown, kind = self.state, self.state.shown, self.state.singularities
+        numbers = {name: getattr(kind, name) for name in ("sigma", "condition", "scaled_determinants")}
+        numbers["leg_travel"] = state.travel
+        return {
+            "geometry": {"leg_limits": None, **shown.geometry.as_data()},
+            "branch": state.label or None,
+            "pose": shown.pose.as_matrix(),
+            "translation": shown.translation,
+            "xyx": np.deg2rad(pose_coordinates(shown.pose)[3:]),
+            "rpy": np.deg2rad(pose_coordinates(shown.pose, "roll, pitch, yaw")[3:]),
+            "reached": state.distance == 0.0,
+            "leg_lengths": dict(zip(LEGS, shown.leg_lengths, strict=True)),
+            "readings": dict(zip(LEGS, shown.readings, strict=True)),
+            "middle_joints": shown.middle_joints,
+            "closure_residual": shown.closure_residual,
+            "q": dict(zip(self.chain.joint_names, self.values(), strict=True)),
+            "physical": state.is_physical,
+            "singularity": {
+                "kind": str(SingularityKind(int(kind.kind))),
+                **{name: dict(zip(("J_b", "J_c", "K"), row, strict=True)) for name, row in numbers.items()},
+            },
+            "wrench": state.wrench,
+            "leg_forces": None if state.forces is None else dict(zip(LEGS, state.forces, strict=True)),
+            "command": self.command(digits=None),
+        }
 
     def _show(
         self,
@@ -365,27 +403,6 @@ def sampled_states(geometry: Geometry) -> Configuration:
     return random_states(geometry, _SAMPLES, np.random.default_rng(0))
 
 
-def pose_ranges(configuration: Configuration, angles: str = "X-Y-X") -> FloatArray:
-    """Return the least and the largest coordinates (6, 2) of the sampled states whose poses are nearest to one.
-
-    x, y, z [m] and the angles [degrees], those around the pose's own.
-    """
-    states, now = sampled_states(configuration.geometry), pose_coordinates(configuration.pose, angles)
-    gaps = np.linalg.norm(states.platform_joints - configuration.platform_joints, axis=-1).max(axis=-1)
-    nearest = states.pose[np.argsort(gaps)[:_NEIGHBOURS]]
-    steps = np.atleast_2d(pose_coordinates(nearest, angles) - now)
-    steps[:, 3:] = (steps[:, 3:] + 180.0) % 360.0 - 180.0
-    ends = now + np.stack([steps.min(axis=0, initial=0.0), steps.max(axis=0, initial=0.0)])
-    ends[:, 3:] = np.clip(ends[:, 3:], -180.0, 180.0)
-    return np.asarray(ends.T)
-
-
-def reading_ranges(configuration: Configuration) -> FloatArray:
-    """Return the least and the largest reading of each leg (6, 2): its limits, or as far as the mode lasts."""
-    solve = partial(forward_physical, configuration.geometry) if physical(configuration) else None
-    return ranges_of_readings(configuration, solve)
-
-
 def ranges_of_readings(
     configuration: Configuration | StageConfiguration, solve: Callable[[FloatArray], Batched] | None
 ) -> FloatArray:
@@ -403,51 +420,3 @@ def ranges_of_readings(
             shares = existing_share(solve, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
             ends[:] = now + shares * (ends - now)
     return np.stack([low, high], axis=-1)
-
-
-def pose_coordinates(pose: RigidTransform, angles: str = "X-Y-X") -> FloatArray:
-    """Return x, y, z [m] and three angles [degrees] of poses, in a convention of `ANGLES`, shape (..., 6)."""
-    turned = pose.rotation.as_euler(ANGLES[angles], degrees=True, suppress_warnings=True)
-    return np.concatenate([pose.translation, turned], axis=-1) + 0.0
-
-
-def pose_of_coordinates(coordinates: FloatArray, angles: str) -> RigidTransform:
-    """Return the pose of coordinates (6,) as `pose_coordinates` returns them."""
-    turn = Rotation.from_euler(ANGLES[angles], coordinates[3:], degrees=True)
-    return RigidTransform.from_components(coordinates[:3], turn)
-
-
-def command_line(configuration: Configuration, geometry_file: Path | None = None, digits: int | None = None) -> str:
-    """Return the `spm-pin inverse` of a single state's pose, to float64's digits, or to so many decimals."""
-    values = pose_coordinates(configuration.pose)
-    values = values if digits is None else values.round(digits)
-    return inverse_command(values[:3], values[3:], None if geometry_file is None else str(geometry_file))
-
-
-def state_data(state: SessionState, chain: ClosedChain, geometry_file: Path | None = None) -> dict[str, Any]:
-    """Return the state as data for JSON, in metres, radians and newtons."""
-    shown, kind = state.shown, state.singularities
-    values = {name: getattr(kind, name) for name in ("sigma", "condition", "scaled_determinants")}
-    values["leg_travel"] = state.travel
-    return {
-        "geometry": {"leg_limits": None, **shown.geometry.as_data()},
-        "branch": state.label or None,
-        "pose": shown.pose.as_matrix(),
-        "translation": shown.translation,
-        "xyx": np.deg2rad(pose_coordinates(shown.pose)[3:]),
-        "rpy": np.deg2rad(pose_coordinates(shown.pose, "roll, pitch, yaw")[3:]),
-        "reached": state.distance == 0.0,
-        "leg_lengths": dict(zip(LEGS, shown.leg_lengths, strict=True)),
-        "readings": dict(zip(LEGS, shown.readings, strict=True)),
-        "middle_joints": shown.middle_joints,
-        "closure_residual": shown.closure_residual,
-        "q": dict(zip(chain.joint_names, chain.joint_values(shown), strict=True)),
-        "physical": state.is_physical,
-        "singularity": {
-            "kind": str(SingularityKind(int(kind.kind))),
-            **{name: dict(zip(("J_b", "J_c", "K"), numbers, strict=True)) for name, numbers in values.items()},
-        },
-        "wrench": state.wrench,
-        "leg_forces": None if state.forces is None else dict(zip(LEGS, state.forces, strict=True)),
-        "command": command_line(shown, geometry_file),
-    }

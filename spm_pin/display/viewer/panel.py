@@ -184,7 +184,7 @@ def status(state: State, convention: str = "X-Y-X") -> str:
     """Return the branch, the position with the angles in a convention, and the notices."""
     tags = ["physical" if state.is_physical else "not physical"]
     if state.shown.mechanism.limits is not None:
-        tags.append("within limits" if not state.limit_excess.any() else "beyond limits")
+        tags.append("within limits" if not state.shown.limit_excess.any() else "beyond limits")
     title = f'<b data-spm="branch">{escape(state.title)}</b> &nbsp;{escape(", ".join(tags))}'
     lines = [
         f'<div style="font-size:0.95rem">{title}</div>',
@@ -228,7 +228,9 @@ def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str 
 def _legs(state: State) -> str:
     machine, readings, cells = state.shown.mechanism, state.shown.readings, []
     legs, units, limits = machine.legs, reading_units(machine), machine.limits
-    for k, (leg, reading, excess, unit) in enumerate(zip(legs.names, readings, state.limit_excess, units, strict=True)):
+    for k, (leg, reading, excess, unit) in enumerate(
+        zip(legs.names, readings, state.shown.limit_excess, units, strict=True)
+    ):
         # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
         ticks = tuple(share for share, limit in ((0.1, low), (0.9, high)) if limit != 0.0 and np.isfinite(limit))

@@ -159,7 +159,7 @@ class RobotScene:
 
     def show(self, state: SessionState | StageState) -> None:
         """Show a state but for its forces; what viser has already is not sent again."""
-        beyond = {f"leg_{leg[2:]}" for leg, excess in zip(self._legs, state.limit_excess, strict=True) if excess}
+        beyond = {f"leg_{leg[2:]}" for leg, excess in zip(self._legs, state.shown.limit_excess, strict=True) if excess}
         nodes = zip(self._robot, self._parts, self._colours, *solid_placements(state.shown), strict=True)
         for handle, part, colour, position, quaternion, scale in nodes:
             handle.position, handle.wxyz, handle.scale = position, quaternion, tuple(scale.tolist())

@@ -49,11 +49,6 @@ class StageState:
     title: ClassVar[str] = "Mode T"
 
     @cached_property
-    def limit_excess(self) -> FloatArray:
-        """By how much each reading (3,) is above its largest (positive) or below its least (negative)."""
-        return self.shown.limit_excess
-
-    @cached_property
     def measures(self) -> list[Measure]:
         """How far the singularities of the platform, and that of the leg nearest to its own, are."""
         found = stages.singularities(self.shown)
@@ -103,7 +98,7 @@ class StageModel:
         """Move to the normal and the height of a pose, or to the nearest reachable ones."""
         stage, normal, height = self._stage, target.rotation.as_matrix()[:, 2], float(target.translation[2])
         wanted = stages.inverse_physical(stage, height, normal=normal)
-        held = self.hold_limits and not self.state.limit_excess.any()
+        held = self.hold_limits and not self.state.shown.limit_excess.any()
         if wanted.exists and not (held and wanted.limit_excess.any()):
             return self._show(wanted)
         free = stage if held else Stage(stage.base_radius, stage.platform_radius, stage.legs)
@@ -173,12 +168,16 @@ class StageModel:
     def command(self) -> str:
         """Return the command line that finds what is shown, its stage in a file where numbers do not describe it."""
         stage, (height, roll, pitch) = self._stage, _coordinates(self.state.shown, _ROLL).tolist()
-        lengths = {"base": stage.base_radius, "platform": stage.platform_radius, **stage.kind.as_data()}
         typed = f"--stage {'FILE' if self.file is None else shlex.quote(str(self.file))}"
-        if self.file is None and stage.is_nominal:
-            lengths["slide"] = math.degrees(lengths.pop("direction", math.nan))
-            numbers = [f"--{name} {x!r}" for name, x in lengths.items() if name != "kind" and x == x]
-            typed = " ".join(numbers)
+        ends = np.empty((2, 0)) if stage.limits is None else stage.limits.ends
+        if self.file is None and stage.is_nominal and (ends == ends[:, :1]).all():
+            lengths = {"base": stage.base_radius, "platform": stage.platform_radius, **stage.kind.as_data()}
+            del lengths["kind"]
+            if "direction" in lengths:
+                lengths["slide"] = math.degrees(lengths.pop("direction"))
+            typed = " ".join(f"--{name} {x!r}" for name, x in lengths.items())
+            for least, most in (ends if stage.unit == "m" else np.degrees(ends)).T[:1].tolist():
+                typed += f" --limits {least!r} {most!r}"
         return f"spm-pin stage inverse {typed} --height {1e-3 * height!r} --roll {roll!r} --pitch {pitch!r}"
 
     def values(self) -> FloatArray:
