@@ -99,6 +99,9 @@ class Readings:
         """Return limits typed [m, rad], with a note on their unit where another one is likely."""
         if hint := self.hint(option, maximum):
             note(hint, "yellow")
+        if (wrong := np.ravel(np.greater_equal(minimum, maximum))).any():
+            low, high = (np.ravel(x)[wrong][0] for x in np.broadcast_arrays(minimum, maximum))
+            raise ArgumentError(option, "minimum < maximum", f"{low:g} {high:g}", "Minimum and maximum exchanged?")
         largest = max([0.0, *self._angles(minimum), *self._angles(maximum)])
         if 0.0 < largest <= MOST_TURNED:
             degrees = f"{np.degrees(largest):.0f}°"
@@ -308,9 +311,9 @@ def unit_hint(option: str, typed: Any, unit: LengthUnit, geometry: Mechanism) ->
     better = likely_unit(geometry, length / unit.per_metre, unit)
     if better is None:
         return ""
-    size = geometry.size * unit.per_metre
+    size = float(f"{geometry.size * unit.per_metre:.3g}")
     return (
-        f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:.3g} {unit}. "
+        f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:g} {unit}. "
         f"In {better} it would be in proportion: --unit {better}, for all lengths."
     )
 

@@ -83,7 +83,8 @@ def forward(
 
     Example: spm-pin stage forward --base 80 --platform 90 --crank 50 --rod 110 --unit mm --readings 20 33 6
     """
-    own = Readings(stage, unit).read("--readings", readings)
+    typed = Readings(stage, unit)
+    own = typed.read("--readings", readings)
     physical = forward_physical(stage, own)
     if every:
         solutions = all_modes(stage, own)
@@ -95,9 +96,10 @@ def forward(
     if json:
         outputs.write_json({**_units(stage, unit), "status": str(status), "modes": records})
         raise typer.Exit(code)
-    typed = ", ".join(Readings(stage, unit).text(x, leg) for leg, x in enumerate(readings))
-    _print_states(stage, records, unit, at=typed)
-    outputs.print_lines([f"status: {status}" + _why(reason), *_remarks(stage, records, physical)])
+    _print_states(stage, records, unit, at=", ".join(typed.text(x, leg) for leg, x in enumerate(readings)))
+    hint = "" if records else typed.hint("--readings", readings)
+    status_line = f"status: {status}" + _why("" if hint else reason)
+    outputs.print_lines([status_line, *filter(None, [hint]), *_remarks(stage, records, physical)])
     raise typer.Exit(code)
 
 

@@ -21,6 +21,7 @@ REFUSED = [
     ("inverse", "Missing option '--translation'"),
     ("inverse --translation 1 2", "requires 3 arguments"),
     ("inverse --translation 0 0 --rpy 0 0 0", "expected 3 numbers, X Y Z, got 0 0 --rpy"),
+    ("stage reach --base 1 --platform 1 --crank 1 --rod 1 --limits 70 -35", "expected minimum < maximum, got 70 -35"),
     ("stage inverse --height high --base 1 --platform 1", "valid number, unable to parse string as a number, got high"),
     ("inverse --translation nan 0 2 --xyx 1 2 3", "error: --translation: expected finite"),
     (f"inverse {PLACE} --xyx -11.08 nan 0", "error: --xyx: expected finite"),

@@ -174,3 +174,9 @@ def test_a_picture_of_what_is_not_reached_is_refused_with_the_nearest(command: l
     assert "--height, --tilt: expected a place that the stage reaches, got none. the ball is out of" in done.message
     nearest = done.message.rpartition("The nearest: ")[2]
     assert run("stage", "inverse", *SIZES[:8], *nearest.split()).returncode == 0
+
+
+def test_readings_typed_in_metres_are_named_where_they_were_read_in_millimetres() -> None:
+    done = run("stage", "forward", "--base", "120", "--platform", "115", "--unit", "mm", "--readings", *["0.125"] * 3)
+    assert done.returncode == 3
+    assert "--readings was read in mm: 0.125 mm, on a machine of 235 mm. In m it would be" in done.stdout
