@@ -44,7 +44,7 @@ def opened(browser, **options) -> Iterator:
     page.close()
 
 
-def enter(page, kind: str, numbers: list[float], **sliders: float) -> None:
+def enter(page, kind: str, numbers: list[float | str], **sliders: float) -> None:
     page.locator(f"#balancer input[value={kind}]").evaluate("it => it.click()")
     for field, number in zip(page.locator(".balancer-numbers input").all(), numbers, strict=True):
         field.fill(str(number))
@@ -179,10 +179,13 @@ def test_what_is_out_of_reach_is_said(browser) -> None:
     with opened(browser) as page:
         enter(page, "RRS", SIZES["RRS"][0], tilt=55.0)
         assert re.fullmatch(r"55\.0° is .*: shown is \d+\.\d°", page.locator(".balancer-status").inner_text())
-        enter(page, "RRS", [70, 95, 5, 10])
-        assert "at no height" in page.locator(".balancer-status").inner_text()
-        assert page.locator(".balancer-header").is_disabled()
-        assert page.locator("#balancer table").is_hidden()
+        for numbers in ([70, 95, 5, 10], [0, 95, 45, 105], ["", 95, 45, 105], [0.07, 0.095, 0.045, 0.105]):
+            enter(page, "RRS", SIZES["RRS"][0])
+            enter(page, "RRS", numbers)
+            assert "at no height" in page.locator(".balancer-status").inner_text()
+            assert page.locator(".balancer-header").is_disabled()
+            assert page.locator(".balancer-copy").is_disabled()
+            assert page.locator("#balancer table").is_hidden()
 
 
 def test_a_phone_shows_it_in_one_column(browser) -> None:

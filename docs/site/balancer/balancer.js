@@ -125,10 +125,9 @@ function start(stage) {
   function showNumbers() {
     find(".balancer-numbers").replaceChildren(...KINDS[kind].numbers.map(([name], k) => {
       const unit = name.endsWith("angle") ? "°" : "mm";
-      const input = element("input", { type: "number", min: 1, step: "any", inputmode: "decimal", value: values[kind][k] });
+      const input = element("input", { type: "number", step: "any", inputmode: "decimal", value: values[kind][k] });
       input.addEventListener("input", () => {
-        if (!(input.valueAsNumber > 0)) return;
-        values[kind][k] = input.valueAsNumber;
+        values[kind][k] = unit === "°" || input.valueAsNumber > 0 ? input.valueAsNumber : NaN;
         rebuild();
       });
       return element("label", {}, element("span", {}, `${name} [${unit}]`), input);
@@ -160,7 +159,8 @@ function start(stage) {
       const height = (most * k) / 800;
       if (stage.inverse([0, 0, 1], height).status === 0) reached.push(height);
     }
-    heights = reached.length ? [reached[0], reached[reached.length - 1]] : null;
+    // A plate below a millimetre was typed in metres.
+    heights = reached.length && machine.plate > 1e-3 ? [reached[0], reached[reached.length - 1]] : null;
     if (heights) {
       const { input } = sliders.height;
       input.min = (1e3 * heights[0]).toFixed(1);
@@ -168,7 +168,7 @@ function start(stage) {
       wanted.height = heights[0] <= machine.home && machine.home <= heights[1] ? machine.home : (heights[0] + heights[1]) / 2;
       machine.home = wanted.height;
     }
-    find(".balancer-header").disabled = !heights;
+    find(".balancer-header").disabled = find(".balancer-copy").disabled = !heights;
     find(".balancer-python").textContent = pythonOf();
     update();
   }
