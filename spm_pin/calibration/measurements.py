@@ -27,8 +27,8 @@ from spm_pin.mechanism.arguments import (
     real_array,
     symmetric_matrices,
 )
+from spm_pin.mechanism.mechanism import unit_hint
 from spm_pin.mechanism.motion_table import POSITION, MotionTable
-from spm_pin.mechanism.units import unit_hint
 
 _SUSPICIOUS = 0.02
 """Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""

@@ -35,8 +35,7 @@ from spm_pin.mechanism import (
 )
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 from spm_pin.mechanism.branch_of_state import branch_sign, family
-from spm_pin.mechanism.mechanism import Mechanism
-from spm_pin.mechanism.units import PER_METRE, likely_unit
+from spm_pin.mechanism.mechanism import PER_METRE, Mechanism, likely_unit
 
 
 class LengthUnit(enum.StrEnum):

@@ -25,8 +25,8 @@ from spm_pin.display.writing import FORMATS, save_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism import LEGS, Geometry, LegLimits
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.mechanism import unit_hint
 from spm_pin.mechanism.motion_table import MotionTable
-from spm_pin.mechanism.units import unit_hint
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
 from spm_pin.workspace.boundary import Boundary, reachable_boundary

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -35,9 +34,8 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.files import file_path, writing
 from spm_pin.mechanism.leg_kinds import KINDS
-from spm_pin.mechanism.legs import drawn_legs
+from spm_pin.mechanism.mechanism import likely_unit
 from spm_pin.mechanism.progress import shown_progress
-from spm_pin.mechanism.units import likely_unit
 from spm_pin.proofs.certificate import free_of_singularities
 from spm_pin.sweeps.domains import Sample, definition_differences, package_version
 from spm_pin.sweeps.metrics import METRICS, Metric, prepare_metrics, resolve_metrics
@@ -351,12 +349,8 @@ class DesignProblem:
             else:
                 for stage in stages:
                     kinds[stage] = dataclasses.replace(kinds[stage], **{of_legs: value})
-        base, platform, side = dimensions.values()
-        limits, legs = (
-            LegLimits(low.tolist(), (low + stroke).tolist()),
-            drawn_legs((base, platform), side / math.sqrt(3.0), tuple(kinds)),
-        )
-        return Geometry(base, platform, side, limits, legs)
+        limits = LegLimits(low.tolist(), (low + stroke).tolist())
+        return Geometry(**dimensions, limits=limits, legs=(kinds[0], kinds[1]))
 
     def values(self, machine: Geometry) -> FloatArray:
         """Return the free variables (k,) of a machine as `machine` makes them, in their order."""

@@ -30,9 +30,9 @@ from spm_pin.mechanism.configuration import Configuration, check_configuration
 from spm_pin.mechanism.geometry import Geometry, check_same_machine
 from spm_pin.mechanism.joint_angles import homes
 from spm_pin.mechanism.legs import Legs
+from spm_pin.mechanism.mechanism import unit_hint
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
-from spm_pin.mechanism.units import unit_hint
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
 """Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""

@@ -7,9 +7,8 @@ terminal platform, z up; {n} at the centre of the middle platform's triangle, x 
 
 from __future__ import annotations
 
-import functools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ import numpy as np
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import FloatArray, check_instance, dimension
-from spm_pin.mechanism.files import read_yaml
 from spm_pin.mechanism.leg_kinds import RPS, LegKind
 from spm_pin.mechanism.legs import (
     AXES,
@@ -30,8 +28,6 @@ from spm_pin.mechanism.legs import (
     Legs,
     StageLimits,
     axis_directions,
-    check_limits,
-    drawn_legs,
 )
 from spm_pin.mechanism.machine_files import (
     legs_as_data,
@@ -40,19 +36,15 @@ from spm_pin.mechanism.machine_files import (
     read_legs,
     read_limits,
     read_mapping,
-    warn_of_size,
 )
 from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.mechanism.stage import Stage
-from spm_pin.mechanism.units import unit_hint
 
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in COMPONENTS)
 """Names of the 54 parameters of RPS legs, nine for each, in the order of `Geometry.parameters`."""
 
 _SAME = 1e-9
 """Machines that differ by less, relative to the middle side, are the same."""
-_LARGEST_MACHINE = 100.0
-"""A machine more times as large as its legs are long is read as one in a wrong unit."""
 
 _DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
 _SYMBOLS = _DIMENSIONS | {"limits": "a key of a stage's file, which spm_pin.Stage.from_yaml reads, and spm-pin stage"}
@@ -66,7 +58,7 @@ def config_directory() -> Path:
     return installed if installed.is_dir() else package.parent / "urdf" / "config"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, init=False, repr=False)
 class Geometry(Mechanism):
     """Dimensions of a manipulator, and its legs: those of the drawing, or those of one machine as built.
 
@@ -78,8 +70,9 @@ class Geometry(Mechanism):
         d, side of the middle platform's triangle b_1 b_2 b_3 [m].
     limits : LegLimits, optional
         Limits of the encoders' readings, which in a drawn machine are the leg lengths. None means unlimited.
-    legs : Legs, optional
-        The legs of a machine as built; branches are named after those of the drawn machine.
+    legs : (LegKind, LegKind) or Legs, optional
+        Kinds of the lower and of the upper legs, `RPS` if not given; or the legs of a machine as built, whose branches
+        are named after those of the drawn machine.
 
     Notes
     -----
@@ -90,54 +83,30 @@ class Geometry(Mechanism):
     base_radius: float
     platform_radius: float
     middle_side: float
-    limits: LegLimits | None = None
-    legs: Legs = None  # type: ignore[assignment]  # drawn below
+    limits: LegLimits | None
+    legs: Legs
 
+    _least_share = 0.01
     _heading = "# A manipulator of two stages, lengths in metres and angles in radians: see Geometry of spm_pin.\n"
 
     @raised_as(GeometryError)
-    def __post_init__(self) -> None:
-        for name in _DIMENSIONS.values():
-            object.__setattr__(self, name, dimension(getattr(self, name), name))
-        legs: Legs | None = self.legs
-        if legs is not None:
-            check_instance(legs, Legs, "legs", "Legs(axes, pivots, balls, offsets), or None")
-        drawn = _drawn(*self.dimensions, (RPS(), RPS()) if legs is None else legs.kinds)
-        # Drawn legs follow the dimensions when these are replaced.
-        if legs is None or legs.is_drawn or legs == drawn:
-            object.__setattr__(self, "legs", drawn)
-        if self.limits is not None:
-            self.check_limits(self.limits)
-
-    def check_limits(self, limits: LegLimits) -> LegLimits:
-        """Return limits, or raise `GeometryError` if no readings of this machine have them or their unit is another."""
-        check_limits(check_instance(limits, LegLimits, "limits", "LegLimits(minimum, maximum), or None"), self.legs)
-        lengths = np.array(self.legs.units) == "m"
-        ends, size = (limits.ends - self.legs.offsets)[:, lengths], self.size
-        if not self.legs.are_rps:
-            ends = np.abs(ends)
-        longest = float(ends.max(initial=0.0, where=np.isfinite(ends)))
-        cause = unit_hint(self, longest)
-        if np.isfinite(ends[1]).any() and 0.0 < longest < size / _LARGEST_MACHINE:
-            cause = f"Lengths are in metres: is the middle side {self.middle_side:g} mm or cm?"
-        if cause:
-            expected = f"limits in proportion to a machine about {size:.3g} m high, or infinity for none"
-            raise GeometryError("limits", expected, f"lengths of up to {longest:g} m", cause)
-        return limits
+    def __init__(
+        self,
+        base_radius: float,
+        platform_radius: float,
+        middle_side: float,
+        limits: LegLimits | None = None,
+        legs: tuple[LegKind, LegKind] | Legs | None = None,
+    ) -> None:
+        for name, value in zip(_DIMENSIONS.values(), (base_radius, platform_radius, middle_side), strict=True):
+            object.__setattr__(self, name, dimension(value, name))
+        self._set_legs((RPS(), RPS()) if legs is None else legs)
+        object.__setattr__(self, "limits", None if limits is None else self.check_limits(limits))
 
     def __repr__(self) -> str:
-        limits = "" if self.limits is None else f", limits={self.limits!r}"
-        text = (
-            f"Geometry(base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}, "
-            f"middle_side={self.middle_side:.6g}{limits}"
-        )
-        if not self.legs.are_rps:
-            text += f", legs={self.legs.kinds[0]!r} below, {self.legs.kinds[1]!r} above"
-        if self.is_nominal:
-            return f"{text})"
-        angles, *lengths = self.legs.deviations(self.nominal.legs)
-        length = max(float(deviations.max()) for deviations in lengths)
-        return f"{text}, legs off the drawing by up to {length:.3g} m, {float(angles.max()):.3g} rad)"
+        sizes = ", ".join(f"{name}={getattr(self, name):.6g}" for name in _DIMENSIONS.values())
+        legs = "" if self.legs.are_rps else f", legs={self.legs.kinds!r}"
+        return f"Geometry({sizes}{legs}{self._repr_end()}"
 
     def _repr_html_(self) -> str:
         dimensions = zip(("E, base radius", "C, platform radius", "d, middle side"), self.dimensions, strict=True)
@@ -159,9 +128,6 @@ class Geometry(Mechanism):
         title = "Geometry as drawn" if self.is_nominal else "Geometry as built"
         return notebook.table(title, ("dimension", ""), rows)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Geometry, (*self.dimensions, self.limits, self.legs)
-
     @classmethod
     @raised_as(GeometryError)
     def of_stages(cls, lower: Stage, upper: Stage) -> Geometry:
@@ -181,7 +147,7 @@ class Geometry(Mechanism):
         low, high = (x.limits or StageLimits(x.kind.least_reading, math.inf) for x in (lower, upper))
         limits = LegLimits(low.minimum + high.minimum[::-1], low.maximum + high.maximum[::-1])
         kinds = lower.kind, upper.kind.turned_over
-        legs = _drawn(*dimensions, kinds)
+        legs: Legs | tuple[LegKind, LegKind] = kinds
         if not (lower.is_nominal and upper.is_nominal):
             pairs = zip(lower.legs.arrays, upper.legs.turned_over.arrays, strict=True)
             axes, pivots, balls, offsets = map(np.concatenate, pairs)
@@ -197,13 +163,24 @@ class Geometry(Mechanism):
         return cls.from_yaml(config_directory() / "geometry.yaml")
 
     @classmethod
-    def from_yaml(cls, path: str | Path) -> Geometry:
-        """Read a geometry from a YAML file, all lengths in metres; `docs/howto/geometry_files.md` describes it.
-
-        A `GeometryError` names the key of what describes no manipulator. A warning is given for dimensions above 20 m,
-        which are often centimetres or millimetres.
-        """
-        return _read(path)
+    def from_data(cls, data: Any, place: str = "data") -> Geometry:
+        """Return the machine of `as_data`; a `GeometryError` names the key in `place` of what describes none."""
+        sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
+        own = {"leg_limits", "legs", *_KIND_KEYS}
+        read = read_mapping(data, place, {"middle_side"}, sizes | own, _SYMBOLS)
+        lengths = {key: dimension(read[key], f"{key} in {place}") for key in read.keys() - own}
+        radii = []
+        for triangle in ("base", "platform"):
+            keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
+            if len(keys) != 1:
+                expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
+                raise GeometryError(place, expected, " and ".join(keys) or "neither")
+            radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
+        limits = read_limits(read["leg_limits"], f"leg_limits in {place}", LegLimits) if "leg_limits" in read else None
+        lower, upper = (read_kind(read[key], f"{key} in {place}") if key in read else RPS() for key in _KIND_KEYS)
+        legs = read_legs(read["legs"], f"legs in {place}", (lower, upper)) if "legs" in read else (lower, upper)
+        with raised_as(GeometryError, place):
+            return cls(radii[0], radii[1], lengths["middle_side"], limits, legs)
 
     def as_data(self) -> dict[str, Any]:
         """Return what `to_yaml` writes."""
@@ -215,12 +192,6 @@ class Geometry(Mechanism):
         if not self.is_nominal:
             data["legs"] = legs_as_data(self.legs)
         return data
-
-    @functools.cached_property
-    def nominal(self) -> Geometry:
-        """The machine as drawn, with the same dimensions and limits."""
-        drawn = _drawn(*self.dimensions, self.legs.kinds)
-        return self if self.is_nominal else Geometry(*self.dimensions, self.limits, drawn)
 
     @property
     def dimensions(self) -> tuple[float, float, float]:
@@ -276,11 +247,6 @@ class Geometry(Mechanism):
         return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
 
 
-def _drawn(base: float, platform: float, side: float, kinds: tuple[LegKind, ...]) -> Legs:
-    """Return the legs of the drawing with the dimensions E, C and d [m], of these kinds."""
-    return drawn_legs((base, platform), side / math.sqrt(3.0), kinds)
-
-
 def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
     """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
     cause = "Computed for another machine?"
@@ -308,27 +274,3 @@ def check_rps(geometry: Geometry, what: str) -> None:
         lower, upper = (kind.name for kind in geometry.legs.kinds)
         cause = "What takes PRS and RRS legs is listed in docs/howto/other_legs.md"
         raise GeometryError("geometry", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)
-
-
-@raised_as(GeometryError)
-def _read(path: str | Path) -> Geometry:
-    sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
-    own = {"leg_limits", "legs", *_KIND_KEYS}
-    data = read_mapping(read_yaml(path), str(path), {"middle_side"}, sizes | own, _SYMBOLS)
-    lengths = {key: dimension(data[key], f"{key} in {path}") for key in data.keys() - own}
-    radii = []
-    for triangle in ("base", "platform"):
-        keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
-        if len(keys) != 1:
-            expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
-            raise GeometryError(str(path), expected, " and ".join(keys) or "neither")
-        radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
-    limits = read_limits(data["leg_limits"], f"leg_limits in {path}", LegLimits) if "leg_limits" in data else None
-    kinds = tuple(read_kind(data[key], f"{key} in {path}") if key in data else RPS() for key in _KIND_KEYS)
-    dimensions = radii[0], radii[1], lengths["middle_side"]
-    legs = read_legs(data["legs"], f"legs in {path}", kinds) if "legs" in data else _drawn(*dimensions, kinds)
-    geometry = Geometry(*dimensions, legs=legs)
-    with raised_as(GeometryError, str(path)):
-        geometry = replace(geometry, limits=limits)
-    warn_of_size(path, lengths)
-    return geometry

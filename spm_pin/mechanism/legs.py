@@ -15,7 +15,6 @@ from spm_pin.errors import ArgumentError, GeometryError, UnreachableError, raise
 from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.operations import bind, on_arrays, rows_of, vector_of
-from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.mechanism.arguments import (
     COLUMNS,
     LARGEST,
@@ -499,11 +498,10 @@ class Legs:
 
 
 @functools.lru_cache(maxsize=64)
-def drawn_legs(radii: tuple[float, ...], middle_radius: float, kinds: tuple[LegKind, ...]) -> Legs:
-    """Return the legs of the drawing, equal in a stage: its pivots at one of `radii`, its balls at another [m]."""
-    count = len(kinds)
-    pivots = np.concatenate([radius * RADIAL for radius in radii])
-    balls, nominal = np.tile(middle_radius * RADIAL, (count, 1)), tuple(kind.nominal for kind in kinds)
+def drawn_legs(radii: tuple[tuple[float, float], ...], kinds: tuple[LegKind, ...]) -> Legs:
+    """Return the legs of the drawing, equal in a stage: its pivots and its balls at the `radii` of each stage [m]."""
+    pivots, balls = (np.concatenate([radius * RADIAL for radius in column]) for column in zip(*radii, strict=True))
+    nominal, count = tuple(kind.nominal for kind in kinds), len(kinds)
     legs = Legs(np.tile(AXES, (count, 1)), pivots, balls, np.zeros(3 * count), nominal)
     object.__setattr__(legs, "is_drawn", True)
     return legs
@@ -536,15 +534,3 @@ def bounded_array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], m
     if (np.abs(array) > LARGEST).any():
         raise ArgumentError(argument, f"{meaning}, at most {LARGEST:g}", f"{np.abs(array).max():g}", "Another unit?")
     return array
-
-
-def check_limits(limits: LegLimits, legs: Legs) -> None:
-    """Raise a GeometryError for limits that no readings of such legs have."""
-    for leg, name in enumerate(limits.legs):
-        kind, low, high = legs.kinds[leg // 3], limits.minimum[leg], limits.maximum[leg]
-        received = f"[{low:g}, {high:g}] for {name}"
-        if isinstance(kind, RPS) and low < 0.0:
-            raise GeometryError("limits", "limits of lengths, 0 <= minimum < maximum, in metres", received)
-        turned = [abs(x - legs.offsets[leg]) for x in (low, high) if math.isfinite(x)]
-        if kind.unit == "rad" and any(x > MOST_TURNED for x in turned):
-            raise GeometryError("limits", f"angles in radians, within ±{MOST_TURNED:g}", received, "In degrees?")

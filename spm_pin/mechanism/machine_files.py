@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -24,8 +22,6 @@ _LEG_KEYS = {
     "ball": "in metres",
     "offset": "a number in the unit of the readings",
 }
-_IMPLAUSIBLE = 20.0
-"""A file with a larger dimension [m] is suspected to be in another unit."""
 
 
 def read_mapping(
@@ -118,11 +114,3 @@ def legs_as_data(legs: Legs) -> dict[str, Any]:
     """Return what a file says of legs as built."""
     rows = zip(*(array.tolist() for array in legs.arrays), strict=True)
     return {leg: dict(zip(_LEG_KEYS, row, strict=True)) for leg, row in zip(legs.names, rows, strict=True)}
-
-
-def warn_of_size(path: str | Path, lengths: Mapping[str, float]) -> None:
-    """Warn of a file's dimensions [m] that are larger than those of a machine."""
-    longest = max(lengths, key=lambda key: lengths[key])
-    if lengths[longest] > _IMPLAUSIBLE:
-        text = f"{path}: {longest} is {lengths[longest]:g} m. Lengths are read as metres"
-        warnings.warn(f"{text}; are these in another unit?", stacklevel=5)

@@ -24,9 +24,9 @@ from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES, branch_sign, f
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
 from spm_pin.mechanism.legs import LEGS
+from spm_pin.mechanism.mechanism import unit_hint
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
 from spm_pin.mechanism.solution_axis import Solutions, Status, following
-from spm_pin.mechanism.units import unit_hint
 
 _FAR_TURN = 45.0
 """A platform turned by more, which few states are, may have been given in another unit of angles [degrees]."""

@@ -9,17 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.mechanism.arguments import dimension, type_and_value
-from spm_pin.mechanism.files import read_yaml
 from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.mechanism.legs import Legs, StageLimits, check_limits, drawn_legs
+from spm_pin.mechanism.legs import Legs, StageLimits
 from spm_pin.mechanism.machine_files import (
     legs_as_data,
     limits_as_data,
@@ -29,7 +26,6 @@ from spm_pin.mechanism.machine_files import (
     read_mapping,
 )
 from spm_pin.mechanism.mechanism import Mechanism
-from spm_pin.mechanism.units import likely_unit
 
 _LENGTHS = RPS()
 _LARGEST = 5.0
@@ -73,6 +69,7 @@ class Stage(Mechanism):
     legs: Legs
     limits: StageLimits | None
 
+    _least_share = 0.0
     _heading = "# A stage of three planar legs, lengths in metres and angles in radians: see Stage of spm_pin.\n"
 
     @raised_as(GeometryError)
@@ -85,24 +82,14 @@ class Stage(Mechanism):
     ) -> None:
         for name, value in (("base_radius", base_radius), ("platform_radius", platform_radius)):
             object.__setattr__(self, name, dimension(value, name))
-        if not isinstance(legs, LegKind | Legs) or (isinstance(legs, Legs) and len(legs.kinds) != 1):
-            expected = "RPS(), PRS(rod=…) or RRS(crank=…, rod=…), or the Legs of three"
-            received = "Legs of six" if isinstance(legs, Legs) else type_and_value(legs)
-            raise GeometryError("legs", expected, received)
-        kind = legs if isinstance(legs, LegKind) else legs.kinds[0]
-        self._check_proportion(kind)
-        drawn = drawn_legs((self.base_radius,), self.platform_radius, (kind,))
-        # Legs whose numbers differ are those of a machine as built.
-        if isinstance(legs, LegKind) and not legs.is_drawn:
-            legs = Legs(*drawn.arrays, (legs,))
-        # Drawn legs follow the dimensions when these are replaced.
-        keeps = isinstance(legs, Legs) and not legs.is_drawn and legs != drawn
-        object.__setattr__(self, "legs", legs if keeps else drawn)
+        self._set_legs((legs,) if isinstance(legs, LegKind) else legs)
+        self._check_proportion()
         self._check_reach()
         object.__setattr__(self, "limits", None if limits is None else self._read_limits(limits))
 
-    def _check_proportion(self, kind: LegKind) -> None:
+    def _check_proportion(self) -> None:
         """Raise `GeometryError` for dimensions that are in another unit than metres, or in several."""
+        kind = self.kind
         own = {name: float(np.mean(getattr(kind, name))) for name in ("crank", "rod") if hasattr(kind, name)}
         lengths = {"base_radius": self.base_radius, "platform_radius": self.platform_radius, **own}
         longest = max(lengths, key=lambda name: lengths[name])
@@ -150,28 +137,12 @@ class Stage(Mechanism):
                 value = StageLimits(pair[0], pair[1])
             except GeometryError as error:
                 raise GeometryError("limits", error.expected, error.received, error.cause) from error
-        check_limits(value, self.legs)
-        ends = np.abs(value.ends - self.legs.offsets)
-        farthest = float(ends.max(initial=0.0, where=np.isfinite(ends)))
-        unit = likely_unit(self, farthest) if self.unit == "m" else None
-        if unit is not None:
-            expected = "limits of readings in m, in proportion to the stage, or infinity for none"
-            cause = f"Lengths are in metres: is it {farthest:g} {unit}?"
-            raise GeometryError("limits", expected, f"{farthest:g} m", cause)
+        self.check_limits(value)
         return value
 
     def __repr__(self) -> str:
-        limits = "" if self.limits is None else f", limits={self.limits!r}"
-        text = f"Stage(base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}"
-        text += f", legs={self.kind!r}{limits}"
-        if self.is_nominal:
-            return f"{text})"
-        angles, *lengths = self.legs.deviations(self.nominal.legs)
-        length = max(float(deviations.max()) for deviations in lengths)
-        return f"{text}, legs off the drawing by up to {length:.3g} m, {float(angles.max()):.3g} rad)"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Stage, (self.base_radius, self.platform_radius, self.legs, self.limits)
+        radii = f"base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}"
+        return f"Stage({radii}, legs={self.kind!r}{self._repr_end()}"
 
     @property
     def kind(self) -> LegKind:
@@ -201,28 +172,17 @@ class Stage(Mechanism):
         """Radii of the drawn triangles, of the pivots and of the balls [m]."""
         return ((self.base_radius, self.platform_radius),)
 
-    @cached_property
-    def nominal(self) -> Stage:
-        """The stage as drawn, with the same dimensions and limits."""
-        return (
-            self if self.is_nominal else Stage(self.base_radius, self.platform_radius, self.kind.nominal, self.limits)
-        )
-
     @classmethod
-    @raised_as(GeometryError)
-    def from_yaml(cls, path: str | Path) -> Stage:
-        """Read a stage from a YAML file, in metres and radians, as `to_yaml` writes it.
-
-        A `GeometryError` names the key of what describes no stage.
-        """
+    def from_data(cls, data: Any, place: str = "data") -> Stage:
+        """Return the stage of `as_data`; a `GeometryError` names the key in `place` of what describes none."""
         keys = {"base_radius", "platform_radius", "legs"}
         other = {"middle_side": "a key of a robot's file, which spm_pin.Geometry.from_yaml reads"}
-        data = read_mapping(read_yaml(path), str(path), keys, {"limits", "as_built"}, other)
-        kind = read_kind(data["legs"], f"legs in {path}")
-        legs = read_legs(data["as_built"], f"as_built in {path}", (kind,)) if "as_built" in data else kind
-        limits = read_limits(data["limits"], f"limits in {path}", StageLimits) if "limits" in data else None
-        with raised_as(GeometryError, str(path)):
-            return cls(data["base_radius"], data["platform_radius"], legs, limits)
+        read = read_mapping(data, place, keys, {"limits", "as_built"}, other)
+        kind = read_kind(read["legs"], f"legs in {place}")
+        legs = read_legs(read["as_built"], f"as_built in {place}", (kind,)) if "as_built" in read else kind
+        limits = read_limits(read["limits"], f"limits in {place}", StageLimits) if "limits" in read else None
+        with raised_as(GeometryError, place):
+            return cls(read["base_radius"], read["platform_radius"], legs, limits)
 
     def as_data(self) -> dict[str, Any]:
         """Return what `to_yaml` writes."""

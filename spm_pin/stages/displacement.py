@@ -23,10 +23,10 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.leg_kinds import RPS
 from spm_pin.mechanism.legs import PlacedLegs
+from spm_pin.mechanism.mechanism import likely_unit
 from spm_pin.mechanism.solution_axis import Status
 from spm_pin.mechanism.stage import Stage
 from spm_pin.mechanism.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration, StageSolutions
-from spm_pin.mechanism.units import likely_unit
 
 _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6

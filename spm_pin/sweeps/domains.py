@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -17,9 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS, Geometry, LegLimits, Legs
+from spm_pin.mechanism import LEGS, Geometry
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, whole_number
-from spm_pin.mechanism.leg_kinds import KINDS
 from spm_pin.sweeps.metrics import STATUS, Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points, Space
 
@@ -36,7 +36,7 @@ _MOST_VALUES = 10**8
 """Values along one axis; they are held in memory."""
 _BLOCK = 8192
 """Points evaluated together: enough for little time outside kernels, few enough to need some megabytes."""
-FORMAT = 5
+FORMAT = 6
 """Version of the layout of a store."""
 
 
@@ -315,35 +315,25 @@ class SweepPlan:
     @classmethod
     def from_definition(cls, content: dict[str, Any]) -> SweepPlan:
         """Make a plan from its `text` as JSON; metrics that are none of this package's are named, but not computed."""
-        sizes, domain = dict(content["geometry"]), content["domain"]
-        lower, upper = (KINDS[kind.pop("kind")](**kind) for kind in map(dict, sizes.pop("kinds")))
-        limits, legs = sizes.pop("limits"), Legs(**sizes.pop("legs"), kinds=(lower, upper))
-        if limits is not None:
-            ends = zip(limits, (-math.inf, math.inf), strict=True)
-            limits = LegLimits(*([none if x is None else x for x in end] for end, none in ends))
+        geometry, domain = Geometry.from_data(content["geometry"], "geometry"), content["domain"]
         axes, sample = tuple(Axis(**axis) for axis in domain["axes"]), domain["sample"]
         domain = Domain(domain["space"], axes, sample and Sample(**sample))
         metrics = tuple(map(Metric.from_definition, content["metrics"]))
         chunk = domain.chunk_shape(math.prod(content["chunk"]))
-        return cls(Geometry(**sizes, limits=limits, legs=legs), domain, metrics, chunk, content["spm_pin"])
+        return cls(geometry, domain, metrics, chunk, content["spm_pin"])
 
     @cached_property
     def text(self) -> str:
         """The inputs that determine the results, as the text of a JSON object; made once, and sent to workers."""
-        geometry, limits = self.geometry, self.geometry.limits
-        sizes = {name: getattr(geometry, name) for name in ("base_radius", "platform_radius", "middle_side")}
-        ends = limits and [[x if math.isfinite(x) else None for x in end] for end in (limits.minimum, limits.maximum)]
-        legs = {name: getattr(geometry.legs, name).tolist() for name in ("axes", "pivots", "balls", "offsets")}
-        kinds = [kind.as_data() for kind in geometry.legs.kinds]
         definition = {
             "format": FORMAT,
             "spm_pin": self.version,
-            "geometry": {**sizes, "limits": ends, "legs": legs, "kinds": kinds},
+            "geometry": self.geometry.as_data(),
             "domain": asdict(self.domain),
             "metrics": [metric.definition() for metric in self.metrics],
             "chunk": self.chunk,
         }
-        return json.dumps(definition, ensure_ascii=False, allow_nan=False)
+        return json.dumps(definition, ensure_ascii=False)  # of numbers limits alone may be infinite
 
     @property
     def variables(self) -> tuple[Metric, ...]:
@@ -417,6 +407,6 @@ def definition_differences(stored: Any, requested: Any, where: str = "", *, of: 
     else:
         if where == "metrics":
             both = tuple([metric["name"] for metric in side] for side in both)
-        old, new = (json.dumps(side, ensure_ascii=False) for side in both)
+        old, new = (textwrap.shorten(json.dumps(side, ensure_ascii=False), 120, placeholder=" …") for side in both)
         return [f"{where} is {old} in the store and {new} in this {of}"]
     return [line for name, old, new in pairs for line in definition_differences(old, new, name, of=of)]

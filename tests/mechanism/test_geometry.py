@@ -58,8 +58,8 @@ def test_limits_contain_their_bounds_and_measure_the_margin() -> None:
 @pytest.mark.parametrize(
     ("dimensions", "limits", "says"),
     [
-        ((692.8, 346.4, 800), (1.1, 1.5), "is the middle side 800 mm or cm"),
-        ((69.28, 34.64, 80), (1.1, 1.5), "is the middle side 80 mm or cm"),
+        ((692.8, 346.4, 800), (1.1, 1.5), "is base_radius 692.8 mm or cm"),
+        ((69.28, 34.64, 80), (1.1, 1.5), "is base_radius 69.28 mm or cm"),
         ((0.69, 0.35, 0.8), (1100, 1500), "is it 1500 mm"),
         ((0.69, 0.35, 0.8), (110, 150), "is it 150 cm"),
     ],

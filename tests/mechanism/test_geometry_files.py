@@ -47,6 +47,14 @@ def test_a_file_gives_its_geometry(tmp_path: Path, text: str, geometry: spm.Geom
     assert spm.Geometry.from_yaml(written(tmp_path / "robot.yaml", text)) == geometry
 
 
+def test_rods_that_differ_from_leg_to_leg_are_those_of_a_machine_as_built(tmp_path: Path) -> None:
+    text = GOOD.replace("leg_limits: [1.10, 1.50]", "upper_legs: {kind: PRS, rod: [1, 1.001, 1]}")
+    machine = spm.Geometry.from_yaml(written(tmp_path / "robot.yaml", text))
+    assert not machine.is_nominal
+    assert machine.legs.kinds == (spm.RPS(), spm.PRS(rod=(1.0, 1.001, 1.0)))
+    assert machine == spm.Geometry(1.2 / Q, 0.6 / Q, 0.8, legs=machine.legs.kinds)
+
+
 def test_a_file_in_centimetres_gives_a_warning(tmp_path: Path) -> None:
     path = written(tmp_path / "robot.yaml", "base_side: 120\nmiddle_side: 80\nplatform_side: 60\n")
     with pytest.warns(UserWarning, match=r"robot\.yaml: base_side is 120 m\. .* another unit\?"):

@@ -13,7 +13,7 @@ import spm_pin as spm
 from spm_pin.errors import SelectionError
 from spm_pin.mechanism.branch_of_state import tilt_cosine_sum
 from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.units import likely_unit
+from spm_pin.mechanism.mechanism import likely_unit
 
 PAPER = spm.Geometry.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))

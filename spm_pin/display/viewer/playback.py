@@ -17,8 +17,8 @@ from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.kinematics.path_following import FollowedPath, follow
 from spm_pin.mechanism import LEGS, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.mechanism import unit_hint
 from spm_pin.mechanism.motion_table import POSITION, QUATERNION, MotionTable
-from spm_pin.mechanism.units import unit_hint
 
 _SECONDS = 10.0  # duration of the demo motion, and of a path without times
 _POINTS = 81
