@@ -169,7 +169,8 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
     Returns
     -------
     State
-        Without `near` that of `spm_pin.forward_physical`.
+        Without `near` that of `spm_pin.forward_physical`, but for strongly tilted states of PRS and RRS legs, one in
+        500, to which Newton's method from the level stages does not lead: these do not exist here.
     """
     library = library_of(geometry=geometry, readings=readings, **state_arrays(near, "near"))
     machine, run = read_machine(library, geometry), library.run

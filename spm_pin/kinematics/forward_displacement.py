@@ -174,7 +174,7 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
     own = zip(legs.stages, _of_stages(checked.reshape(-1, 6)), strict=True)
     state = _joined(geometry, checked.shape[:-1], [physical_balls(*stage) for stage in own])
     if not state.shape and not state.exists:
-        reason = "with these leg lengths no configuration is reached from the home without a forward singularity"
+        reason = "with these readings no configuration is reached from the home without a forward singularity"
         state.missing_reason = f"{reason}. {unit_hint(geometry, checked)}".rstrip(". ")
     return state
 

@@ -116,7 +116,7 @@ def test_states_are_passed_on_the_way_and_each_leg_has_its_limits() -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (ENDS[:-2], "150.0]. With these leg lengths no configuration is reached"),
+        (ENDS[:-2], "150.0]. With these readings no configuration is reached"),
         (ENDS[:-2], "is it 150 cm?"),
         ([*ENDS, "--limits", "110", "140"], "--from: expected a state that keeps the rules"),
         ([*ENDS, "--via", "130,140,120,130,130,155"], "--via[0]: expected a state that keeps"),

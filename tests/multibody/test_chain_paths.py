@@ -254,7 +254,7 @@ def test_targets_that_no_physical_mode_has_are_refused_or_nan() -> None:
     near = "Pass a closed q as near: the solution on the path from there need not be physical."
     lengths = (
         "readings: expected readings that the physical assembly mode can have, got [1.2, 1.2, 1.2, 1.2, 1.2, 9]. "
-        f"With these leg lengths no configuration is reached from the home without a forward singularity. {near}"
+        f"With these readings no configuration is reached from the home without a forward singularity. {near}"
     )
     home, away = spm.pose([0.0, 0.0, 2.3], xyx=[0.0, 0.0, 0.0]), spm.pose([0.1, 0.2, 9.0], xyx=[0.1, 0.2, 0.3])
     turn = ", ".join(f"{angle:.9g}" for angle in away.rotation.as_rotvec())
