@@ -226,7 +226,7 @@ def test_the_hardware_of_the_description_has_the_joints_of_the_controller(packag
 def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_starts_it(
     package: Path, tmp_path: Path
 ) -> None:
-    library = tmp_path / "libspm_kinematics.so"
+    library = tmp_path / "libspm_robot_kinematics.so"
     compile_c(compilers()[0], "-O1", "-fPIC", "-shared", package / "src/spm_kinematics.c", "-lm", "-o", library)
 
     parameters = parameters_of(package)
@@ -386,6 +386,6 @@ def test_the_package_builds_with_cmake_and_stand_ins(package: Path, tmp_path: Pa
     build, install = tmp_path / "build", tmp_path / "install"
     paths = [f"-DCMAKE_MODULE_PATH={tmp_path}", f"-DCMAKE_INSTALL_PREFIX={install}"]
     run_cmake(["-S", package, "-B", build, *paths], ["--build", build], ["--install", build])
-    for place in ("lib/libspm_kinematics.so", "lib/libspm_robot.so", "lib/spm_robot/joint_states.py"):
+    for place in ("lib/libspm_robot_kinematics.so", "lib/libspm_robot.so", "lib/spm_robot/joint_states.py"):
         assert (install / place).is_file()
     assert (install / "share/spm_robot/launch/robot.launch.py").is_file()
