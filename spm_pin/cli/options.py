@@ -19,13 +19,12 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.cli.outputs import note
 from spm_pin.description.masses import Masses
 from spm_pin.display.writing import fixed
-from spm_pin.errors import ArgumentError, GeometryError, PoseError
+from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.mechanism import (
     FAMILIES,
-    LEGS,
     Configuration,
     Geometry,
     SolutionSet,
@@ -116,6 +115,16 @@ class Readings:
         """Return a reading, in its unit, for a table."""
         return fixed(reading, 3) if self.are_angles[leg] else self.unit.text(reading)
 
+    def columns(self, after: str = "") -> dict[str, Any]:
+        """Return the columns of the readings of states in a table, a star beside those beyond their limits."""
+        # The space in the heading stands for the star.
+        return {
+            f"{name}{after} ": lambda row, leg=leg: (
+                self.text(row["readings"][leg], leg) + " *"[leg in row["beyond_limits"]]
+            )
+            for leg, name in enumerate(self.machine.legs.names)
+        }
+
     def hint(self, option: str, typed: Any) -> str:
         """Return `unit_hint` of the lengths among readings typed."""
         lengths = np.abs(np.broadcast_to(typed, self.are_angles.shape)[~self.are_angles])
@@ -165,12 +174,8 @@ def read_geometry(path: Path | None) -> Geometry:
     """Return the geometry of `--geometry`, by default the paper's; warnings about the file are notes on stderr."""
     if path is None:
         return Geometry.paper()
-    try:
-        with warnings_as_notes("--geometry: "):
-            return Geometry.from_yaml(path)
-    except GeometryError as error:
-        where = "--geometry" if error.argument == "path" else f"--geometry: {error.argument}"
-        raise GeometryError(where, error.expected, error.received, error.cause) from error
+    with warnings_as_notes("--geometry: "):
+        return Geometry.from_yaml(path)
 
 
 @contextlib.contextmanager
@@ -271,12 +276,10 @@ def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: b
         raise ArgumentError(argument, f"one orientation, of {names}", f"{len(chosen)} of them" if chosen else "none")
     (name,) = chosen
     value = np.array(typed[name])
-    if name in ("xyx", "rpy", "rotvec") and not np.isfinite(value).all():
-        raise PoseError(f"--{prefix}{name}", "finite angles in degrees", " ".join(f"{x:g}" for x in value))
-    if name in ("xyx", "rpy") and np.isfinite(value).all():
-        value = np.fmod(value, 360.0)
     if name in ("xyx", "rpy", "rotvec"):
-        value = np.deg2rad(value)
+        if not np.isfinite(value).all():
+            raise PoseError(f"--{prefix}{name}", "finite angles in degrees", " ".join(f"{x:g}" for x in value))
+        value = np.deg2rad(value if name == "rotvec" else np.fmod(value, 360.0))
     try:
         shaped = value.reshape(3, 3) if name == "matrix" else value
         return pose(np.array(translation) / unit.per_metre, **{name: shaped})
@@ -315,12 +318,6 @@ def unit_hint(option: str, typed: Any, unit: LengthUnit, geometry: Mechanism) ->
         f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:g} {unit}. "
         f"In {better} it would be in proportion: --unit {better}, for all lengths."
     )
-
-
-def note_unit(option: str, typed: float, unit: LengthUnit, geometry: Geometry) -> None:
-    """Print the hint of `unit_hint` on stderr, if there is one."""
-    if hint := unit_hint(option, typed, unit, geometry):
-        note(hint, "yellow")
 
 
 def pose_remarks(solutions: SolutionSet) -> list[str]:
@@ -432,29 +429,22 @@ def requested_solutions(
     That is the physical one, or else the first; with `legs` the one they determine; with no option at all, a regular
     configuration near the home.
     """
-    if legs is not None and pose is not None:
-        raise ArgumentError("--legs", "readings or a pose", "both")
-    if pose is not None:
-        solutions, remarks = solve_pose(geometry, pose, unit)
-        if not solutions.count:
-            received = f"status {solutions.status}"
-            if solutions.status is Status.UNREACHABLE:
-                remarks = [*remarks, "spm-pin nearest finds the nearest pose that is reached."]
-            raise ArgumentError("--translation", "a pose with a real branch", received, " ".join(remarks))
-        physical = solutions.physical()
-        if physical.exists:
-            return solutions, physical
-        note("no branch of this pose is physical", "yellow")
-        return solutions, solutions.configurations[int(solutions.exists.argmax())]
-    if legs is None:
+    if pose is None and legs is None:
         state = starting_configuration(geometry)
-    else:
-        readings = Readings(geometry, unit)
-        state = forward_physical(geometry, readings.read("--legs", legs))
-        if not state.exists:
-            cause = readings.hint("--legs", legs)
-            raise ArgumentError("--legs", "readings with which the machine can be assembled", "none such", cause)
-    return inverse_displacement(geometry, state.pose), state
+        return inverse_displacement(geometry, state.pose), state
+    solutions, remarks = solve_request(geometry, pose, legs, unit)
+    if not solutions.count:
+        if legs is not None:
+            raise ArgumentError("--legs", "readings with which the machine can be assembled", "none such", *remarks)
+        if solutions.status is Status.UNREACHABLE:
+            remarks.append("spm-pin nearest finds the nearest pose that is reached.")
+        received = f"status {solutions.status}"
+        raise ArgumentError("--translation", "a pose with a real branch", received, " ".join(remarks))
+    state = solutions.physical()
+    if not state.exists:
+        note("no branch of this pose is physical", "yellow")
+        state = solutions.configurations[int(solutions.exists.argmax())]
+    return solutions if legs is None else inverse_displacement(geometry, state.pose), state
 
 
 def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, Configuration]:
@@ -478,13 +468,17 @@ def state_mark(content: dict[str, Any]) -> str:
     return "physical" * bool(content["physical"]) + "*" * (not content["within_limits"])
 
 
-def state_remarks(contents: Sequence[dict[str, Any]], physical: Configuration, what: str) -> list[str]:
+def state_remarks(
+    contents: Sequence[dict[str, Any]], physical: Configuration | StageConfiguration, what: str
+) -> list[str]:
     """Return sentences on the marks of the states shown, and on there being no `physical` one."""
-    remarks, beyond = [], [content["beyond_limits"] for content in contents if not content["within_limits"]]
-    if beyond:
-        legs = ", ".join(LEGS[leg] for leg in beyond[0]) if len(contents) == 1 else "a leg"
-        too = len(contents) > 1 and bool(physical.exists and physical.limit_excess.any())
-        remarks.append(f"* {legs} beyond the limits" + f", of the physical {what} too" * too)
+    names, remarks = physical.mechanism.legs.names, []
+    beyond = [", ".join(names[leg] for leg in content["beyond_limits"]) for content in contents]
+    if any(beyond):
+        own = [legs for legs, content in zip(beyond, contents, strict=True) if content["physical"] and len(beyond) > 1]
+        of_physical = "".join(f"; of the physical {what}: {legs or 'none'}" for legs in own)
+        remarks = [f"* {beyond[0] if len(beyond) == 1 else 'a leg'} beyond the limits{of_physical}"]
     if contents and not physical.exists:
-        remarks.append(f"No {what} is physical: none is reached from the home without a forward singularity.")
+        home = "level platform" if isinstance(physical, StageConfiguration) else "home"
+        remarks.append(f"No {what} is physical: none is reached from the {home} without a forward singularity.")
     return remarks

@@ -59,15 +59,8 @@ def inverse(
         content = options.status_content(solutions, unit)
         outputs.write_json(content | {"discriminants": solutions.discriminants, "branches": branches, "nearest": reach})
         raise typer.Exit(code)
-
-    # The space stands for the mark of a leg beyond its limits.
-    legs = {
-        f"{name} ": lambda record, leg=leg: (
-            shown.text(record["readings"][leg], leg) + " *"[leg in record["beyond_limits"]]
-        )
-        for leg, name in enumerate(LEGS)
-    }
-    columns: dict[str, Any] = {"branch": itemgetter("label"), **legs, "": lambda row: "physical" * row["physical"]}
+    columns: dict[str, Any] = {"branch": itemgetter("label"), **shown.columns()}
+    columns[""] = lambda row: "physical" * row["physical"]
     outputs.print_table(f"Real branches: readings in {shown.heading}", columns, branches, left=[""])
     lines = [options.status_line(solutions, "branches", unit), *remarks]
     lines += options.state_remarks(branches, physical, "branch")

@@ -26,7 +26,7 @@ from spm_pin.stages import inverse as both_modes
 from spm_pin.stages import reach as largest_tilts
 
 Record = dict[str, Any]
-_NOT_PHYSICAL = "Not physical: not reached from the level platform without a forward singularity"
+_NOT_PHYSICAL = "No mode there is reached from the level platform without a forward singularity"
 
 
 @takes_stage()
@@ -51,8 +51,8 @@ def inverse(stage: Stage, place: Record, unit: options.Unit = LengthUnit.M, json
         raise typer.Exit(code)
     _print_states(stage, records, unit)
     hint = _height_hint(stage, place, unit)
-    status = f"status: {solutions.status}{_why('' if hint else solutions.configurations.missing_reason)}"
-    lines = [status, *filter(None, [hint]), *_remarks(stage, records, physical)]
+    lines = _status_lines(solutions.status, solutions.configurations.missing_reason, hint)
+    lines += _remarks(records, physical)
     if nearest is not None and nearest.exists:
         lines += ["The nearest tilt that is reached:", f"  {_options_of(nearest, place, unit)}"]
     outputs.print_lines(lines)
@@ -98,8 +98,7 @@ def forward(
         raise typer.Exit(code)
     _print_states(stage, records, unit, at=", ".join(typed.text(x, leg) for leg, x in enumerate(readings)))
     hint = "" if records else typed.hint("--readings", readings)
-    status_line = f"status: {status}" + _why("" if hint else reason)
-    outputs.print_lines([status_line, *filter(None, [hint]), *_remarks(stage, records, physical)])
+    outputs.print_lines([*_status_lines(status, reason, hint), *_remarks(records, physical)])
     raise typer.Exit(code)
 
 
@@ -181,7 +180,7 @@ def draw(
     """
     state = _state(stage, place, unit)
     save_figure(stage_figure(state), out)
-    for remark in _remarks(stage, [_record("", state, unit)], state):
+    for remark in _remarks([_record("", state, unit)], state):
         outputs.note(remark.removeprefix("* "), "yellow")
     outputs.note(f"wrote {out}")
 
@@ -223,11 +222,6 @@ def _state(stage: Stage, place: Record, unit: LengthUnit) -> StageConfiguration:
     return state
 
 
-def _scale(stage: Stage, unit: LengthUnit) -> float:
-    """Return what a reading in metres or radians is multiplied by to be printed."""
-    return float(Readings(stage, unit).scale[0])
-
-
 def _units(stage: Stage, unit: LengthUnit) -> Record:
     return {"unit": unit, "readings": unit if stage.unit == "m" else "degrees"}
 
@@ -239,7 +233,7 @@ def _record(label: str, state: StageConfiguration, unit: LengthUnit) -> Record:
         **angles,
         "height": state.height * unit.per_metre,
         "shift": state.shift * unit.per_metre,
-        "readings": state.readings * _scale(state.stage, unit),
+        "readings": state.readings * Readings(state.stage, unit).scale,
         "beyond_limits": np.flatnonzero(state.limit_excess),
         "translation": state.translation * unit.per_metre,
         "rotation": state.rotation,
@@ -253,17 +247,14 @@ def _records(solutions: StageSolutions, unit: LengthUnit) -> list[Record]:
 
 def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, at: str = "") -> None:
     """Print states by their readings, or, `at` readings that were typed, by their poses."""
-    angle, readings = "°" if stage.unit == "rad" else str(unit), Readings(stage, unit)
+    angle = "°" if stage.unit == "rad" else str(unit)
     columns: dict[str, Any] = {"mode": lambda row: row["label"]} if len(records) > 1 or not at else {}
     if at:
         for name in ("tilt", "azimuth", "roll", "pitch"):
             columns[f"{name} [°]"] = lambda row, name=name: fixed(row[name], 3)
         columns[f"height [{unit}]"] = lambda row: unit.text(row["height"])
     else:
-        for leg, name in enumerate(stage.legs.names):
-            columns[f"{name} [{angle}] "] = lambda row, leg=leg: (
-                readings.text(row["readings"][leg], leg) + " *"[leg in row["beyond_limits"]]
-            )
+        columns |= Readings(stage, unit).columns(f" [{angle}]")
     for k, axis in enumerate("xy"):
         columns[f"shift {axis} [{unit}]"] = lambda row, k=k: unit.text(row["shift"][k])
     columns["torsion [°]"] = lambda row: fixed(row["torsion"], 3)
@@ -275,18 +266,11 @@ def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, at: 
     outputs.print_table(f"{title}, and its parasitic motion", columns, records, left=[""])
 
 
-def _remarks(stage: Stage, records: list[Record], physical: StageConfiguration) -> list[str]:
-    beyond = [", ".join(stage.legs.names[leg] for leg in record["beyond_limits"]) for record in records]
-    remarks = [f"* {beyond[0]} beyond the limits"] if len(records) == 1 and beyond[0] else []
-    if len(records) > 1 and any(beyond):
-        own = [names for names, record in zip(beyond, records, strict=True) if record["physical"]]
-        remarks = ["* beyond the limits" + "".join(f", of the physical mode {names or 'none'}" for names in own)]
-    if records and not physical.exists:
-        remarks.append(f"{_NOT_PHYSICAL}.")
-        if records[0]["height"] < 0.0:
-            remarks.append(f"{BELOW}.")
-    return remarks
+def _remarks(records: list[Record], physical: StageConfiguration) -> list[str]:
+    is_below = bool(records and not physical.exists and records[0]["height"] < 0.0)
+    return options.state_remarks(records, physical, "mode") + [f"{BELOW}."] * is_below
 
 
-def _why(reason: str) -> str:
-    return f": {reason}" if reason else ""
+def _status_lines(status: object, reason: str, hint: str) -> list[str]:
+    """Return the status with its reason, or, where there is a hint at the unit, with that."""
+    return [f"status: {status}", hint] if hint else [f"status: {status}" + f": {reason}" * bool(reason)]

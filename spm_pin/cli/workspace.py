@@ -269,7 +269,9 @@ def sweep(
         lengths = machine.legs.units if legs else ("m", "m", "m", *("rad",) * 3)
         ends = [axis.start if axis.is_fixed else axis.stop for axis in domain.axes]
         longest = max((abs(end) for end, name in zip(ends, lengths, strict=True) if name == "m"), default=0.0)
-        options.note_unit("--legs" if legs else "--x, --y, --z", longest * unit.per_metre, unit, machine)
+        name = "--legs" if legs else "--x, --y, --z"
+        if hint := options.unit_hint(name, longest * unit.per_metre, unit, machine):
+            outputs.note(hint, "yellow")
         if limits is not None:
             machine = _limited(machine, limits, unit)
         parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}

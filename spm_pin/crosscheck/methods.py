@@ -82,13 +82,8 @@ class ClosedForm(Method):
         """Solve poses (N,)."""
         return inverse_displacement(self.geometry, pose)
 
-    def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
-        """Return J_f (N, 6, 6)."""
-        return inverse_jacobian(configuration)
-
-    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
-        """Return forces (N, 6) [N]."""
-        return leg_forces(configuration, wrench)
+    inverse_jacobian = staticmethod(inverse_jacobian)
+    leg_forces = staticmethod(leg_forces)
 
 
 @dataclass

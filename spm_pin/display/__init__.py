@@ -15,43 +15,25 @@ if TYPE_CHECKING:
         front_figure,
         motion_figure,
         path_figure,
+        reach_figure,
     )
-    from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
+    from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture, stage_figure
     from spm_pin.display.shell_plots import draw_shell, save_mesh, sections_figure, shell_figure
-    from spm_pin.display.stage_figures import reach_figure, stage_figure
     from spm_pin.display.viewer import Playback, Recording, Viewer, read_recording
     from spm_pin.display.writing import save_figure
 
-__all__ = [
-    "Playback",
-    "Recording",
-    "Viewer",
-    "agreement_figure",
-    "calibration_figure",
-    "certificate_figure",
-    "draw",
-    "draw_capability",
-    "draw_shell",
-    "front_figure",
-    "motion_figure",
-    "path_figure",
-    "reach_figure",
-    "read_recording",
-    "save_figure",
-    "save_gallery",
-    "save_mesh",
-    "save_picture",
-    "sections_figure",
-    "shell_figure",
-    "stage_figure",
-]
+__all__ = ["agreement_figure", "calibration_figure", "certificate_figure", "front_figure", "motion_figure"]
+__all__ += ["path_figure", "reach_figure"]
+__all__ += ["draw", "draw_capability", "save_gallery", "save_picture", "stage_figure"]
+__all__ += ["draw_shell", "save_mesh", "sections_figure", "shell_figure"]
+__all__ += ["Playback", "Recording", "Viewer", "read_recording", "save_figure"]
 
 # Imported on first use: each room that a figure shows takes a moment.
 _HOMES = {
-    "figures": "agreement_figure calibration_figure certificate_figure front_figure motion_figure path_figure",
-    "plots": "draw draw_capability save_gallery save_picture",
+    "figures": "agreement_figure calibration_figure certificate_figure front_figure motion_figure path_figure "
+    "reach_figure",
+    "plots": "draw draw_capability save_gallery save_picture stage_figure",
     "shell_plots": "draw_shell save_mesh sections_figure shell_figure",
-    "stage_figures": "reach_figure stage_figure",
     "viewer": "Playback Recording Viewer read_recording",
     "writing": "save_figure",
 }

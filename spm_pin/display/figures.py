@@ -1,4 +1,4 @@
-"""Figures of results: cross-checks, calibrations, followed paths, certificates, motions, and fronts of designs."""
+"""Figures of results: cross-checks, calibrations, paths, tilts, certificates, motions, and fronts of designs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spm_pin.display.writing import legend_below, new_figure
+from spm_pin.display.writing import legend_below, new_figure, write_name
 from spm_pin.mechanism import LEGS, LegLimits, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray, check_instance
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from spm_pin.kinematics import FollowedPath
     from spm_pin.multibody.trajectory import JointTrajectory
     from spm_pin.proofs import Certificate
+    from spm_pin.stages import StageReach
 
 # After Okabe and Ito's palette, distinct with any colour vision.
 _BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE = "#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7"
@@ -112,6 +113,41 @@ def path_figure(path: FollowedPath[Any]) -> Figure:
             ax.axvline(event.parameter, color=colour, ls=style, lw=1.0, label=label)
         ax.spines[["top", "right"]].set_visible(False)
     legend_below(figure, fontsize=8)
+    return figure
+
+
+def reach_figure(reach: StageReach) -> Figure:
+    """Draw the largest tilt in every direction, a line for each height; legs are on the rim at their azimuths.
+
+    Parameters
+    ----------
+    reach : StageReach
+        What `spm_pin.stages.reach` returned.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from spm_pin.stages import StageReach
+
+    found = check_instance(reach, StageReach, "reach", "spm_pin.stages.reach returns one")
+    figure = new_figure(6.0, 5.2, layout="constrained")
+    from matplotlib import colormaps
+
+    ax: Any = figure.add_subplot(projection="polar")
+    count = len(found.heights)
+    for k, (height, tilts) in enumerate(zip(found.heights, found.tilts, strict=True)):
+        around = np.append(found.azimuths, found.azimuths[0] + 2.0 * np.pi)
+        colour = colormaps["viridis"](k / max(count - 1, 1) * 0.92)
+        label = f"{1e3 * height:.4g} mm"
+        ax.plot(around, np.degrees(np.append(tilts, tilts[0])), color=colour, lw=1.5, label=label)
+    ax.set_title("largest tilt [°] by the direction of the lowest point", fontsize=10)
+    ax.set_thetagrids(range(0, 360, 30))
+    top = float(np.nanmax(np.degrees(found.tilts), initial=1.0)) * 1.15
+    ax.set_ylim(0.0, top)
+    for leg, name in zip(found.stage.legs.pivots, found.stage.legs.names, strict=True):
+        write_name(ax, (float(np.arctan2(leg[1], leg[0])), 0.93 * top), f"${name}$", 10, "black", 0.3)
+    legend_below(figure, columns=5, fontsize=8)
     return figure
 
 

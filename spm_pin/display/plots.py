@@ -1,4 +1,4 @@
-"""Pictures of configurations in a 2-D matplotlib Axes, or in a file, alone or side by side."""
+"""Pictures of states of a robot or a stage in a 2-D matplotlib Axes, or in a file, alone or side by side."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from spm_pin.display.rendering import (
     Solid,
     bounds,
     camera_axes,
+    placed_solids,
     render,
     robot_solids,
 )
@@ -33,9 +34,9 @@ from spm_pin.display.writing import (
     write_name,
 )
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism import LEGS
+from spm_pin.mechanism import LEGS, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.mechanism.configuration import Configuration, check_members
 from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.notebook import VIEW
 
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 
 _SECTION: Colour = (0.0, 0.62, 0.451)
 INK: Colour = (0.13, 0.15, 0.18)
-EDGE = 0.45  # width of edges in points
+_EDGE = 0.45  # width of edges in points
 _WIDTH = 4.0  # of a new figure, in inches
 _WIDEST = 6000  # pixels: a picture takes 2 GB and a minute then
 _MARGINS = (0.049, 0.035)  # for labels
@@ -115,7 +116,7 @@ def draw(
     """
     solids, camera = robot_solids(configuration, frames=labels), camera_axes(view)
     margins = _MARGINS if labels else (0.014, 0.01)
-    ax, inch, (image, extent, _) = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=EDGE)
+    ax, inch, (image, extent, _) = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=_EDGE)
     ax.axis("off")
     if labels:
         size = max(float(np.ptp(ax.get_xlim())), float(np.ptp(ax.get_ylim())))
@@ -123,6 +124,36 @@ def draw(
         darkness = image[..., 3] * (1.0 - image[..., :3].mean(axis=-1))
         _label(configuration, _LabelPlacer(ax, darkness, extent, font / 72.0 * inch, font), camera)
     return ax
+
+
+def stage_figure(configuration: StageConfiguration, *, names: bool = True) -> Figure:
+    """Draw a state of a stage: its base, cranks, rails or cylinders, rods, and the platform.
+
+    Parameters
+    ----------
+    configuration : StageConfiguration
+        A single state that exists.
+    names : bool
+        Whether legs have their names.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    state = check_instance(configuration, StageConfiguration, "configuration")
+    check_members(state, "configuration", single=True, existing=True)
+    (solids, size), camera = placed_solids(state), camera_axes(VIEW)
+    ax, *_ = draw_solids(solids, camera, (0.05, 0.05), ax=None, dpi=200.0, edge=_EDGE)
+    ax.axis("off")
+    if names:
+        beside = 0.5 * (state.circle_centres + state.balls) + 0.4 * size * state.stage.legs.planes[0]
+        for name, place in zip(state.stage.legs.names, beside, strict=True):
+            x, y = camera[:2] @ place
+            write_name(ax, (x, y), f"${name}$", 11, "black", 0.3)
+    tilt, azimuth = np.degrees([state.tilt, state.azimuth])
+    text = f"tilt {tilt:.1f}° towards {azimuth:.0f}°, height {1e3 * float(state.height):.1f} mm"
+    ax.text(0.5, 1.0, text, fontsize=8, ha="center", va="top", transform=ax.transAxes)
+    return cast("Figure", ax.figure)
 
 
 def draw_capability(
@@ -154,9 +185,9 @@ def draw_capability(
     # Each face by itself, so that all edges of the polyhedron are drawn.
     shape = Solid("section", _SECTION, place, section.faces)
     camera = camera_axes(view)
-    ax, inch, _ = draw_solids(solids, camera, _MARGINS, ax=ax, dpi=dpi, edge=EDGE)
+    ax, inch, _ = draw_solids(solids, camera, _MARGINS, ax=ax, dpi=dpi, edge=_EDGE)
     low, high = bounds([*solids, shape], camera, _MARGINS)
-    over = render([shape], camera, dpi / inch, EDGE / 72.0 * dpi)
+    over = render([shape], camera, dpi / inch, _EDGE / 72.0 * dpi)
     ax.imshow(over.image, extent=over.extent, interpolation_stage="rgba", alpha=0.6)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     ax.axis("off")

@@ -76,7 +76,7 @@ def test_every_answer_marks_the_physical_branch_and_those_beyond_the_limits(comm
     done = run(*command, *EXAMPLE)
     ends = [line.split()[-1] for line in done.stdout.splitlines() if line.startswith((" T", " F"))]
     assert (done.returncode, ends) == (5, ["physical*", *"*****"])
-    assert "* a leg beyond the limits, of the physical branch too" in done.stdout
+    assert "* a leg beyond the limits; of the physical branch: r_c3" in done.stdout
     content = json.loads(run(*command, *EXAMPLE, "--json").stdout)["branches"]
     assert [label for label, row in content.items() if row["physical"]] == ["TT+"]
     assert (content["TT+"]["within_limits"], content["TT+"]["beyond_limits"]) == (False, [5])

@@ -61,7 +61,7 @@ def test_what_is_not_reached_has_the_nearest_tilt() -> None:
 def test_heights_below_the_pivots_and_in_metres_for_millimetres_have_the_cause() -> None:
     done = run("stage", "inverse", *SIZES, "--height", "-120")
     assert done.returncode == 5
-    assert "Not physical" in done.stdout
+    assert "No mode is physical" in done.stdout
     assert "The height is negative: below the pivots." in done.stdout
     assert "--tilt 0.000 --azimuth 0.00000 --unit mm" in done.stdout
     for sizes, height in ((SIZES, "0.12"), (["--base", "80", "--platform", "90", "--unit", "mm"], "0.12")):

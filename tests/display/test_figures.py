@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
 from spm_pin.design import DesignProblem, Designs, Front
+from spm_pin.display import reach_figure, stage_figure
 from spm_pin.display.figures import agreement_figure, certificate_figure, front_figure, motion_figure, path_figure
 from spm_pin.display.rendering import camera_axes
-from spm_pin.display.stage_figures import reach_figure, stage_figure
 from spm_pin.display.writing import new_figure, save_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.notebook import VIEW
@@ -120,7 +120,7 @@ def test_a_stage_and_its_reach_are_drawn(kind: spm.RPS | spm.PRS | spm.RRS) -> N
         pixels = image.get_array()
         assert pixels[int(row * pixels.shape[0]), int(column * pixels.shape[1]), 3] > 0.9
     assert {text.get_text() for text in ax.texts} >= {"$r_1$", "$r_2$", "$r_3$"}
-    with pytest.raises(spm.ArgumentError, match="a single state that exists"):
+    with pytest.raises(spm.ArgumentError, match="a single configuration, got a batch of shape"):
         stage_figure(spm.stages.inverse_physical(stage, [0.4, 0.5]))
     reach = spm.stages.reach(stage, [0.3, 0.45], directions=24)
     lines = reach_figure(reach).axes[0].lines

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.capability import wrench_polytope
 from spm_pin.description.visuals import part_placements, platforms, section_size, visual_parts
-from spm_pin.display.rendering import camera_axes
 from spm_pin.display.viewer.model import SessionState, sampled_states
 from spm_pin.display.viewer.stage_model import StageState
 from spm_pin.errors import SpmError
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Stage, StageConfiguration
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.notebook import view_axes
 from spm_pin.workspace.paper_shell import workspace_shell
 
 WARN, LOAD = (200, 16, 46), (122, 79, 181)
@@ -324,8 +324,7 @@ def fit_camera(
     `view` is the azimuth and elevation of the viewer [degrees], `aspect` width over height of the whole picture. From
     below something covers the share `covered` of it; `_BORDER` stays empty at every edge.
     """
-    azimuth, elevation = np.deg2rad(view)
-    axes = camera_axes((float(azimuth), float(elevation)))
+    axes = view_axes(*np.deg2rad(view))
     half = np.tan(0.5 * FIELD_OF_VIEW)
     # Tangents of the viewing angles at the edges of the free part.
     high = half * np.array([aspect - 2.0 * _BORDER, 1.0 - 2.0 * _BORDER])
