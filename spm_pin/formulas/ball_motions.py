@@ -62,11 +62,6 @@ class Errors(NamedTuple):
     apart: Vector  # half the errors of the squared distances of the balls 12, 23, 31
 
 
-def leg_vectors(b: Rows, pivots: Rows) -> tuple[Rows, Vector]:
-    """Return the unit vectors from pivots to balls, and the distances."""
-    return directions_and_lengths(differences(b, pivots))
-
-
 def plane_errors(b: Rows, legs: StageLegs) -> Vector:
     """Return the distances of the balls from the planes of their legs."""
     return dots(legs.axes, differences(b, legs.pivots))
@@ -74,9 +69,11 @@ def plane_errors(b: Rows, legs: StageLegs) -> Vector:
 
 def stage_errors(b: Rows, stage: Circles) -> Errors:
     """Return the errors of balls that ought to be on the circles of a stage, along the arms and the axes."""
-    _, distances = leg_vectors(b, stage.centres)
-    planes = dots(stage.axes, differences(b, stage.centres))
-    return Errors(minus(distances, stage.radii), planes, scaled(0.5, minus(squared_sides(b), stage.squares)))
+    arms = differences(b, stage.centres)
+    _, distances = directions_and_lengths(arms)
+    return Errors(
+        minus(distances, stage.radii), dots(stage.axes, arms), scaled(0.5, minus(squared_sides(b), stage.squares))
+    )
 
 
 def structure_errors(b: Rows, c: Rows, lower: StageLegs, upper: StageLegs, squares: Vector) -> Errors:

@@ -32,6 +32,7 @@ from spm_pin.formulas.vectors import (
 from spm_pin.formulas.wrenches import is_stage_at_home
 
 Complex = tuple[float, float]
+Quaternion = tuple[float, float, float, float]
 
 ROUNDING = 2.0**-46
 """Rounding of a pose relative to its size: what is smaller is taken for zero when a family is degenerate."""
@@ -89,22 +90,33 @@ def product(a: Complex, b: Complex) -> Complex:
     return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
 
 
-def quaternion(rotation: Rows) -> tuple[float, float, float, float]:
-    """Return x0, x1, x2, x3 of a rotation matrix, from its largest component."""
+def quaternions(rotation: Rows) -> tuple[Quaternion, Quaternion, Quaternion, Quaternion]:
+    """Return x0, x1, x2, x3 of a rotation matrix, of any length, computed from x0, x3, x2 and x1."""
     (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation
     trace = r00 + r11 + r22
-    x0, x1, x2, x3, largest = 1.0 + trace, r21 - r12, r02 - r20, r10 - r01, trace
-    is_larger = r22 > largest
-    x0, x1, x2 = where(is_larger, r10 - r01, x0), where(is_larger, r20 + r02, x1), where(is_larger, r21 + r12, x2)
-    x3, largest = where(is_larger, 1.0 - trace + 2.0 * r22, x3), where(is_larger, r22, largest)
-    is_larger = r11 > largest
-    x0, x1, x3 = where(is_larger, r02 - r20, x0), where(is_larger, r10 + r01, x1), where(is_larger, r21 + r12, x3)
-    x2, largest = where(is_larger, 1.0 - trace + 2.0 * r11, x2), where(is_larger, r11, largest)
-    is_larger = r00 > largest
-    x0, x2, x3 = where(is_larger, r21 - r12, x0), where(is_larger, r10 + r01, x2), where(is_larger, r20 + r02, x3)
-    x1 = where(is_larger, 1.0 - trace + 2.0 * r00, x1)
+    return (
+        (1.0 + trace, r21 - r12, r02 - r20, r10 - r01),
+        (r10 - r01, r20 + r02, r21 + r12, 1.0 - trace + 2.0 * r22),
+        (r02 - r20, r10 + r01, 1.0 - trace + 2.0 * r11, r21 + r12),
+        (r21 - r12, 1.0 - trace + 2.0 * r00, r10 + r01, r20 + r02),
+    )
+
+
+def quaternion(rotation: Rows) -> Quaternion:
+    """Return x0, x1, x2, x3 of a rotation matrix, from its largest component."""
+    x, by_x3, by_x2, by_x1 = quaternions(rotation)
+    r00, r11, r22 = rotation[0][0], rotation[1][1], rotation[2][2]
+    largest = r00 + r11 + r22
+    x, largest = _chosen(r22 > largest, by_x3, x), larger(r22, largest)
+    x, largest = _chosen(r11 > largest, by_x2, x), larger(r11, largest)
+    x0, x1, x2, x3 = _chosen(r00 > largest, by_x1, x)
     scale = 1.0 / sqrt(x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3)
     return x0 * scale, x1 * scale, x2 * scale, x3 * scale
+
+
+def _chosen(condition: bool, x: Quaternion, y: Quaternion) -> Quaternion:
+    a, b = where(condition, x[0], y[0]), where(condition, x[1], y[1])
+    return a, b, where(condition, x[2], y[2]), where(condition, x[3], y[3])
 
 
 def pose_frame(rotation: Rows, position: Vector, r: float) -> PoseFrame:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from spm_pin.formulas.leg_constants import RADIAL, mean_radius
-from spm_pin.formulas.operations import both, either, sqrt
+from spm_pin.formulas.operations import both, either, sqrt, where
 from spm_pin.formulas.stages import Pairs, pair_inverse
 from spm_pin.formulas.vectors import (
     Rows,
@@ -132,6 +132,14 @@ def has_converged(size: float, last: float) -> bool:
     """
     at_rounding = either(size < 1e-15, both(size < 1e-10, size > 0.5 * last))
     return either(at_rounding, size * size * size < 1e-17 * last * last)
+
+
+def is_next_to_solution(size: float, last: float) -> bool:
+    """Return whether Newton's method began next to a solution, with no other near, by its first step and its second.
+
+    `size` is that of the first step, `last` being NaN, or of the second, which is to be a tenth of the first, `last`.
+    """
+    return size <= where(last == last, larger(0.1 * last, 1e-13), 0.1)
 
 
 def is_stalled(size: float, last: float) -> bool:

@@ -208,10 +208,9 @@ def prs_state(x: float, z: float, numbers: Numbers) -> LegState:
     """Return the state of a PRS leg."""
     room = prs_room(x, z, numbers)
     x, z = _within(x, z, room, numbers[0])
-    reading = prs_reading(x, z, numbers)
-    circle, gain = prs_circle(reading, numbers), _gain(prs_slope(x, z, reading, numbers), 1.0)
-    curvature, slide = 1.0 / circle.radius, (cos(numbers[1]), sin(numbers[1]))
-    return LegState(room, reading, _direction(x, z, circle, curvature), curvature, gain, slide)
+    reading, slide = prs_reading(x, z, numbers), (cos(numbers[1]), sin(numbers[1]))
+    gain = _gain(prs_slope(x, z, reading, numbers), 1.0)
+    return _on_circle(room, reading, x, z, prs_circle(reading, numbers), gain, slide)
 
 
 def rrs_reach(x: float, z: float, numbers: Numbers) -> float:
@@ -232,7 +231,10 @@ def rrs_crank(x: float, z: float, numbers: Numbers) -> tuple[float, float]:
 
 def rrs_reading(x: float, z: float, numbers: Numbers) -> float:
     """Return the angle of an RRS leg's crank from x towards z, from -π/2 to 3π/2; NaN out of its reach."""
-    cosine, sine = rrs_crank(x, z, numbers)
+    return _crank_angle(*rrs_crank(x, z, numbers))
+
+
+def _crank_angle(cosine: float, sine: float) -> float:
     return RIGHT_ANGLE + arctan2(-cosine, sine)
 
 
@@ -286,12 +288,8 @@ def rrs_state(x: float, z: float, numbers: Numbers) -> LegState:
     cosine, sine = rrs_crank(x, z, numbers)
     scale = numbers[0] / (x * x + z * z)
     circle = Circle(scale * cosine, scale * sine, numbers[1])
-    reading, curvature, gain = (
-        RIGHT_ANGLE + arctan2(-cosine, sine),
-        1.0 / circle.radius,
-        _gain(_lever_arm(x, z, circle), numbers[0]),
-    )
-    return LegState(room, reading, _direction(x, z, circle, curvature), curvature, gain, (-circle.z, circle.x))
+    gain = _gain(_lever_arm(x, z, circle), numbers[0])
+    return _on_circle(room, _crank_angle(cosine, sine), x, z, circle, gain, (-circle.z, circle.x))
 
 
 def leg_rates(leg: LegState, x: float, z: float) -> LegRates:
@@ -302,8 +300,12 @@ def leg_rates(leg: LegState, x: float, z: float) -> LegRates:
     return LegRates(reading, turn, leg.room.x * x + leg.room.z * z)
 
 
-def _direction(x: float, z: float, circle: Circle, curvature: float) -> tuple[float, float]:
-    return curvature * (x - circle.x), curvature * (z - circle.z)
+def _on_circle(
+    room: Room, reading: float, x: float, z: float, circle: Circle, gain: float, centre_rate: tuple[float, float]
+) -> LegState:
+    curvature = 1.0 / circle.radius
+    direction = curvature * (x - circle.x), curvature * (z - circle.z)
+    return LegState(room, reading, direction, curvature, gain, centre_rate)
 
 
 def _gain(slope: float, largest_slope: float) -> float:

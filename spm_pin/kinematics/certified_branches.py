@@ -14,7 +14,7 @@ computed with outward rounding. See `docs/theory/proofs.md`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -87,11 +87,12 @@ _ExactFamily = tuple[float, FloatArray, FloatArray]
 def _families_in_balls(rotation: FloatArray, position: FloatArray, side: float) -> list[_ExactFamily | None]:
     """Return the families of a pose from ball arithmetic; None where the sign of a discriminant is not known."""
     solved: list[_ExactFamily | None] = [None] * 4
-    entries, place = ([arb(x) for x in array.ravel().tolist()] for array in (rotation, position))
+    entries: Any = [[arb(x) for x in row] for row in rotation.tolist()]
+    place: Any = [arb(x) for x in position.tolist()]
     for bits in _BITS:
         with ctx.workprec(bits):
             r: Any = arb(side) / arb(3).sqrt()
-            quaternion = _quaternions(entries)[int(_largest_component(rotation))]
+            quaternion = formulas.quaternions(entries)[int(_largest_component(rotation))]
             frame = _in_balls(formulas.pose_frame)(quaternion, place, r)
             if frame.is_vertical:
                 break
@@ -129,21 +130,9 @@ def _rounded(points: Vectors) -> tuple[FloatArray, float]:
 
 
 def _largest_component(rotation: FloatArray) -> IntArray:
-    """Return which of `_quaternions` the kernels take of matrices (..., 3, 3): that of the largest component."""
+    """Return which of `branches.quaternions` kernels take of matrices (..., 3, 3): that of the largest component."""
     a, b, c = np.moveaxis(np.diagonal(rotation, axis1=-2, axis2=-1), -1, 0)
     return np.asarray(np.argmax([a + b + c, c, b, a], axis=0))
-
-
-def _quaternions(rotation: Sequence[Any]) -> tuple[tuple[Any, Any, Any, Any], ...]:
-    """Return x0, x1, x2, x3, of any length, computed from x0, x3, x2 and x1 of the nine entries of a matrix."""
-    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation
-    trace = r00 + r11 + r22
-    return (
-        (1.0 + trace, r21 - r12, r02 - r20, r10 - r01),
-        (r10 - r01, r20 + r02, r21 + r12, 1.0 - trace + 2.0 * r22),
-        (r02 - r20, r10 + r01, 1.0 - trace + 2.0 * r11, r21 + r12),
-        (r21 - r12, 1.0 - trace + 2.0 * r00, r10 + r01, r20 + r02),
-    )
 
 
 def _radii(geometry: Geometry, solved: DrawnBranches | BuiltBranches) -> FloatArray:
@@ -181,10 +170,11 @@ def _drawn_legs(geometry: Geometry) -> tuple[Vectors, Vectors, Vectors, Vectors]
 
 def _enclosed_rotation(rotation: FloatArray) -> Vectors:
     """Return enclosures of R (N,), the rotation of the quaternion that the kernels take of each matrix."""
-    largest, entries = _largest_component(rotation), [Interval.from_numbers(x) for x in rotation.reshape(-1, 9).T]
+    quaternions: Any = formulas.quaternions(_rows(rotation))
+    largest = _largest_component(rotation)
     x0, x1, x2, x3 = (
         Interval(*(np.choose(largest, ends) for ends in ([x.low for x in component], [x.high for x in component])))
-        for component in zip(*_quaternions(entries), strict=True)
+        for component in zip(*quaternions, strict=True)
     )
     components: Vectors = x1, x2, x3, x0
     return rotation_of(*components)

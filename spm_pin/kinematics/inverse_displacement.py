@@ -27,7 +27,7 @@ from spm_pin.kinematics.batches import (
     run_kernel,
     with_batch_shape,
 )
-from spm_pin.mechanism.arguments import FloatArray, as_bool, check_instance, whole_number
+from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, check_instance, whole_number
 from spm_pin.mechanism.branch_of_state import BRANCHES
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
@@ -288,7 +288,7 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
 
 def _find_degeneracy(geometry: Geometry, shape: tuple[int, ...], solved: DrawnBranches) -> Degeneracy:
     """Describe the continuous families, which only poses that are flagged can have; set their status."""
-    from spm_pin.kinematics.kernels.branch_kernels import VERTICAL, continuous_families
+    from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
     rotation, position, flagged = solved.rotation, solved.position, solved.flagged
     n, some = len(flagged), np.flatnonzero(flagged)
@@ -298,9 +298,8 @@ def _find_degeneracy(geometry: Geometry, shape: tuple[int, ...], solved: DrawnBr
     dimension[some] = families[some].any(axis=-1)
     vertical = np.flatnonzero(flagged & VERTICAL)
     if len(vertical):
-        flat, sizes = np.empty((len(vertical), 4), np.uint8), np.empty(len(vertical), np.int8)
-        continuous_families(rotation[vertical], position[vertical], geometry.middle_radius, flat, sizes)
-        families[vertical], dimension[vertical] = flat > 0, sizes
+        sizes = _vertical_families(rotation[vertical], position[vertical] / geometry.middle_radius)
+        families[vertical], dimension[vertical] = sizes > 0, sizes.max(axis=-1)
     moving = np.flatnonzero(dimension)
     if len(moving):
         solved.status[moving] = Status.DEGENERATE
@@ -310,3 +309,35 @@ def _find_degeneracy(geometry: Geometry, shape: tuple[int, ...], solved: DrawnBr
         in_plane = np.abs(places @ axes.T) <= ROUNDING * (geometry.middle_radius + aside)[:, None]
         legs[moving] = parallel & in_plane
     return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))
+
+
+def _vertical_families(rotation: FloatArray, place: FloatArray) -> IntArray:
+    """Return the dimensions (N, 4) of the continuous families TT, TF, FT, FF where the Z axes are parallel; 0 for none.
+
+    `place` is o / r. All legs' planes are vertical then, so a solution can move along Z: there are none, or a
+    continuous family.
+
+    - Platform level, turned by 0 or a half turn: planes in pairs parallel. On the axis they coincide and the middle
+      platform moves with three degrees of freedom, in equal or in opposite modes; off it, nothing.
+    - Platform level, turned by another angle τ: lines vertical. The middle platform stands upside down in both stages,
+      which takes |o| = 2 r |sin τ| in the horizontal.
+    - Platform upside down, turned over about the horizontal axis W: y = i o / r must be on the segment from e_p W⁴ to
+      e_q conj(W²); where that shrinks to a point, (P : Q) is free as well.
+    """
+    mixed, lower = np.array([False, True, True, False]), np.array([1.0, 1.0, -1.0, -1.0])
+    cosine, sine, is_level = rotation[:, 0, :1], rotation[:, 1, :1], rotation[:, 2, 2:] > 0.0
+    x, y = place[:, :1], place[:, 1:2]
+    aside = np.hypot(x, y)
+    tolerance = ROUNDING * (1.0 + aside)
+    # R maps 1 to W², which gives W up to a sign that does not matter.
+    w = np.sqrt(cosine + 1j * sine)
+    cubed, turned = w * w * w, 1j * (x + 1j * y) * w.conj()
+    fixed, across = (np.where(mixed, z.imag, z.real) for z in (cubed, turned))
+    extent, along = (np.abs(np.where(mixed, z.real, z.imag)) for z in (cubed, turned))
+    on_segment = (np.abs(across - lower * fixed) <= tolerance) & (along <= extent + tolerance)
+    on_axis, on_circle = (
+        (aside <= tolerance) & (mixed == (cosine <= 0.0)),
+        np.abs(aside - 2.0 * np.abs(sine)) <= tolerance,
+    )
+    of_level = np.where(np.abs(sine) <= tolerance, 3 * on_axis, on_circle)
+    return np.where(is_level, of_level, on_segment * np.where(extent <= tolerance, 2, 1))

@@ -26,7 +26,7 @@ from spm_pin.formulas.operations import rows_of
 from spm_pin.formulas.vectors import directions
 from spm_pin.formulas.wrenches import determinant, structure_determinant
 from spm_pin.kinematics.batches import run_kernel, run_on_states
-from spm_pin.kinematics.rates_and_forces import SINGULAR, leg_constants, platform_jacobian
+from spm_pin.kinematics.rates_and_forces import SINGULAR, force_matrices, leg_constants, platform_jacobian
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 from spm_pin.mechanism.configuration import Configuration, check_configuration
@@ -153,13 +153,12 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     geometry = check_configuration(configuration).geometry
     exists, side = configuration.exists, geometry.middle_side
     three, six = ((3,), np.float64), ((6,), np.float64)
-    results = (three, three, three, ((3,), np.int8), ((2,), np.bool_), ((3, 6), np.float64), six)
+    results = (three, three, three, ((3,), np.int8), ((), np.bool_), ((3, 6), np.float64), six)
     constants = leg_constants(geometry), side, tolerance, SINGULAR
     described = run_on_states(
         describe_singularities, configuration, constants, results, min_batch=_MIN_BATCH_PER_THREAD
     )
-    dets, largest, smallest, rank, flags, twists, wrench = described
-    dependent, short = flags[..., 0], flags[..., 1]
+    dets, largest, smallest, rank, short, twists, wrench = described
     if short.any():
         if not configuration.shape:
             raise SingularConfigurationError("forward", 0.0)
@@ -169,7 +168,7 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     kind = (
         np.where(rank[..., 2] < 6, SingularityKind.INVERSE, 0)
         | np.where((rank[..., :2] < 6).any(axis=-1), SingularityKind.FORWARD, 0)
-        | np.where(dependent, SingularityKind.CONSTRAINT, 0)
+        | np.where(_have_dependent_constraints(configuration, rank, tolerance), SingularityKind.CONSTRAINT, 0)
     )
     kind = np.where(short, SingularityKind.FORWARD, kind)
     if not geometry.legs.are_rps:
@@ -190,6 +189,16 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
         inner_twist=twists[..., 2, :],
         lost_wrench=wrench,
     )
+
+
+def _have_dependent_constraints(configuration: Configuration, rank: IntArray, tolerance: float) -> BoolArray:
+    """Return in which states (...) the constraints of a stage are dependent, which makes K singular."""
+    dependent = np.asarray(configuration.exists & (rank[..., 2] < 6))
+    if dependent.any():
+        some = configuration[np.nonzero(dependent)] if configuration.shape else configuration
+        values = singular_values(force_matrices(some)[..., :2, 3:, :])
+        dependent[dependent] = (values[..., 2] <= tolerance * values[..., 0]).any(axis=-1)
+    return dependent
 
 
 def singular_values(matrices: npt.ArrayLike) -> FloatArray:

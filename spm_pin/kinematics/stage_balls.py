@@ -62,12 +62,12 @@ def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Mode
 
 def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
     """Return the balls (N, 3, 3) [m] in the home's aspect with readings (N, 3), NaN where there is no such state."""
-    from spm_pin.kinematics.kernels.ball_circles import ELSEWHERE, HOME, home_states
+    from spm_pin.kinematics.kernels.ball_circles import home_states
 
-    locked, results = _circles(stage, readings), (_BALLS, ((), np.int8))
-    balls, aspect = run_kernel(home_states, locked, stage[:3], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    locked, results = _circles(stage, readings), (_BALLS, ((), np.bool_))
+    balls, is_elsewhere = run_kernel(home_states, locked, stage[:3], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
     # From the level stage Newton's method leads to every state of cylinders, and wanders for 1 in 500 of other legs.
-    elsewhere = np.flatnonzero(aspect == ELSEWHERE if isinstance(stage.kind, RPS) else aspect != HOME)
+    elsewhere = np.flatnonzero(is_elsewhere if isinstance(stage.kind, RPS) else np.isnan(balls[:, 0, 0]))
     if len(elsewhere):
         # The state is looked for among all modes.
         centres, radii = (x[elsewhere] for x in locked)

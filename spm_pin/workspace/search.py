@@ -210,8 +210,8 @@ def nearest_states(
 
     inputs = [np.require(array, requirements=("C", "W")) for array in (targets / np.sqrt(len(body)), starts)]
     constants = states.machine(body, SINGULARITY_MARGIN), most
-    results = ((2, 3), np.float64), ((6,), np.float64), ((6,), np.float64), ((2,), np.float64)
-    coordinates, readings, _, quality = run_kernel(search_nearest, inputs, constants, results, 16)
+    results = ((2, 3), np.float64), ((6,), np.float64), ((2,), np.float64)
+    coordinates, readings, quality = run_kernel(search_nearest, inputs, constants, results, 16)
     distance, slope = quality.T
     scale = np.where(distance > RESOLUTION * states.size, distance, np.inf)
     return NearestPoints(coordinates, readings, distance, np.where(np.isinf(slope), np.inf, slope / scale))

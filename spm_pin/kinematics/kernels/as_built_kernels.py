@@ -40,13 +40,27 @@ from spm_pin.formulas.vectors import (
     dot,
     dots,
     minus,
+    multiples,
     rotation_of,
     shifted,
     times,
     turned,
 )
 from spm_pin.kinematics.kernels.branch_kernels import put_complex_branches
-from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
+from spm_pin.kinematics.kernels.compilation import (
+    DEGENERATE,
+    OK,
+    UNREACHABLE,
+    UNSOLVED,
+    ComplexArray,
+    jit,
+    jit_inline,
+    kernel,
+    put_rows,
+    readonly_array,
+    rows_at,
+    vector_at,
+)
 from spm_pin.kinematics.kernels.quadric_newton import (
     CONVERGED,
     FAILED,
@@ -64,13 +78,10 @@ from spm_pin.kinematics.kernels.quadric_newton import (
 from spm_pin.kinematics.kernels.quadric_roots import allocate_elimination, eight_roots
 from spm_pin.mechanism.arguments import FloatArray
 
-ComplexArray = npt.NDArray[np.complex128]
 Planes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Normals (6, 3) and heights (6,) of planes in {B}, the balls (6, 3) in {n} that lie in them, and the factors (6, 9) of
 the normals N = Qᵀ R: R in factors[:3, :3], and Q, whose last three rows are the null space, in factors[:, 3:]."""
 
-# The numbers of `Status`, which stands in a file that the digest of kernels does not cover.
-OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
 _SHORTEST_STEPS = 1.0, 0.02, 1e-7
 """Shortest steps, as shares of the errors, in which branches are followed: one that needs shorter steps meets another.
 The shorter ones are tried only while a real root without a label is left."""
@@ -105,9 +116,8 @@ def _allocate_pose_scratch() -> PoseScratch:
 @jit_inline
 def _between(machines: FloatArray, row: int, i: int, share: float) -> Vector:
     """Return a vector of leg i of a machine with a share of the errors; `machines` is (2, 3, 6, 3)."""
-    x, y = machines[0, row, i], machines[1, row, i]
-    drawn = x[0], x[1], x[2]
-    return combined(drawn, share, minus((y[0], y[1], y[2]), drawn))
+    drawn = vector_at(machines[0, row, i], 0)
+    return combined(drawn, share, minus(vector_at(machines[1, row, i], 0), drawn))
 
 
 @jit
@@ -159,11 +169,10 @@ def _put_quadrics(planes: Planes, forms: FloatArray) -> bool:
             factors[j, k] -= total * pivot
             for i in range(j + 1, 6):
                 factors[i, k] -= total * column[i]
-    lower = StagePlanes(rows_at(normals, 0), (heights[0], heights[1], heights[2]), rows_at(balls, 0))
-    upper = StagePlanes(rows_at(normals, 3), (heights[3], heights[4], heights[5]), rows_at(balls, 3))
+    lower = StagePlanes(rows_at(normals, 0), vector_at(heights, 0), rows_at(balls, 0))
+    upper = StagePlanes(rows_at(normals, 3), vector_at(heights, 3), rows_at(balls, 3))
     for k in range(3):
-        w = factors[3 + k]
-        form = quadric((w[3], w[4], w[5]), (w[6], w[7], w[8]), lower, upper)
+        form = quadric(vector_at(factors[3 + k], 3), vector_at(factors[3 + k], 6), lower, upper)
         square = 0.0
         for i in range(4):
             square += form[i] * form[i]
@@ -185,8 +194,7 @@ def _image(x, planes):
     rotation = rotation_of(x[0], x[1], x[2], x[3])
     s0 = s1 = s2 = 0.0 * rotation[0][0]
     for i in range(6):
-        y = times(rotation, (balls[i, 0], balls[i, 1], balls[i, 2]))
-        gap = heights[i] - (normals[i, 0] * y[0] + normals[i, 1] * y[1] + normals[i, 2] * y[2])
+        gap = heights[i] - dot(vector_at(normals[i], 0), times(rotation, vector_at(balls[i], 0)))
         s0 += factors[0, 3 + i] * gap
         s1 += factors[1, 3 + i] * gap
         s2 += factors[2, 3 + i] * gap
@@ -257,13 +265,6 @@ def _leg_vectors(b: Rows, c: Rows, machine: FloatArray, rotation: Rows, position
 
 
 @jit_inline
-def _put_balls(balls, unit, out):
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = balls[i][j] * unit
-
-
-@jit_inline
 def _put_lengths(lower: Rows, upper: Rows, unit: float, lengths: FloatArray) -> None:
     below, above = dots(lower, lower), dots(upper, upper)
     for i in range(3):
@@ -298,7 +299,7 @@ def as_built_branches(
     scratch, elimination = _allocate_pose_scratch(), allocate_elimination()
     roots, followed = np.empty(8 * POINTS), np.empty(9 * POINTS)
     drawn, joints_of_roots = np.empty((8, 3, 3), np.complex128), np.empty((8, 3, 3), np.complex128)
-    label_of, root_of = np.empty(8, np.int64), np.empty(8, np.int64)
+    label_of, root_of, units = np.empty(8, np.int64), np.empty(8, np.int64), (unit, unit, unit)
     for n in range(len(position)):
         turn, place = _read_pose(rotation, position, n, unit)
         rotation_copy[n], position_copy[n] = rotation[n], position[n]
@@ -333,19 +334,19 @@ def as_built_branches(
             for k in range(8):
                 label_of[k] = max(label_of[k], -1)
                 balls, _ = _image(point(roots, k), scratch.planes)
-                _put_balls(balls, 1.0, joints_of_roots[k])
+                put_rows(balls, joints_of_roots[k])
             _assign_left_over(drawn, joints_of_roots, label_of, root_of)
         status[n] = UNREACHABLE
         for label in range(8):
             k = root_of[label]
             if len(complex_joints):
-                _put_balls(joints_of_roots[k], unit, complex_joints[n, label])
+                put_rows(multiples(units, rows_at(joints_of_roots[k], 0)), complex_joints[n, label])
             if k >= 0 and is_real(roots, k):
                 status[n] = OK
                 is_carried[n, label] = is_carried[n, label] % 2
                 b, c = _image(real_part(roots, k), scratch.planes)
                 lower, upper, _ = _leg_vectors(b, c, machines[1], turn, place)
-                _put_balls(b, unit, joints[n, label])
+                put_rows(multiples(units, b), joints[n, label])
                 _put_lengths(lower, upper, unit, lengths[n, label])
 
 
@@ -432,11 +433,7 @@ def as_built_physical_branch(rotation, position, machines, unit, limits, rotatio
     """
     scratch, elimination, own = _allocate_pose_scratch(), allocate_elimination(), np.empty(6)
     all_roots, nearest = np.empty(8 * POINTS), np.zeros(ROWS * POINTS)
-    axes, error = rows_at(machines[1, 0], 0), 0.0
-    for row in range(3):
-        for i in range(6):
-            for j in range(3):
-                error = max(error, abs(machines[1, row, i, j] - machines[0, row, i, j]))
+    axes, error = rows_at(machines[1, 0], 0), np.abs(machines[1] - machines[0]).max()
     for n in range(len(position)):
         rotation_copy[n], position_copy[n], joints[n], lengths[n] = np.nan, np.nan, np.nan, np.nan
         turn, place = _read_pose(rotation, position, n, unit)
@@ -465,7 +462,7 @@ def as_built_physical_branch(rotation, position, machines, unit, limits, rotatio
                     rank = rank if limits[0, i] <= own[i] <= limits[1, i] else 1.0
                 if is_other_preferred(best_rank, best_tilts, rank, tilts):
                     best_rank, best_tilts = rank, tilts
-                    _put_balls(b, unit, joints[n])
+                    put_rows(multiples((unit, unit, unit), b), joints[n])
                     lengths[n] = own
             if not few:
                 break

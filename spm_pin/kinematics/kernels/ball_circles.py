@@ -33,20 +33,17 @@ from spm_pin.formulas.circles import (
 )
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.vectors import Rows, Vector, combinations, largest
-from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, put_rows, readonly_array, rows_at, vector_at
 from spm_pin.mechanism.arguments import FloatArray
 
 _SHORTEST = 1e-9  # where a step would have to be shorter than this share of the way, a singularity is met
 _MOST_SAFE_STEPS = 250_000  # a bound of the time; a way that needs more is said to meet a singularity
-ABSENT, HOME, ELSEWHERE = 0, 1, 2
-"""Where Newton's method from the level stages ended: nowhere, in the home's aspect, or in another one."""
 
 
 @jit_inline
-def circles_at(axes: FloatArray, centres: FloatArray, radii: FloatArray, squares: Vector, first: int) -> Circles:
-    """Return the circles of three legs, from the leg `first`, of arrays (6, 3), (6, 3) and (6,)."""
-    lengths = radii[first], radii[first + 1], radii[first + 2]
-    return Circles(rows_at(axes, first), rows_at(centres, first), lengths, squares)
+def circles_at(axes: FloatArray, centres: FloatArray, radii: FloatArray, squares: Vector) -> Circles:
+    """Return the circles of three legs from arrays (3, 3), (3, 3) and (3,)."""
+    return Circles(rows_at(axes, 0), rows_at(centres, 0), vector_at(radii, 0), squares)
 
 
 @jit
@@ -65,20 +62,8 @@ def solution(stage: Circles, start: Rows) -> tuple[Rows, Rows, bool]:
 
 
 @jit
-def home_state(stage: Circles, corners: Rows, up: float) -> tuple[Rows, int]:
-    """Return the balls to which Newton's method leads from the level stage, and `HOME`, `ELSEWHERE` or `ABSENT`."""
-    e, b, converged = solution(stage, level_balls(stage, corners, up))
-    if not converged:
-        return b, ABSENT
-    return b, HOME if is_home_state(stage, e, b, up) else ELSEWHERE
-
-
-@jit
-def followed(start: Circles, end: Circles, first: Rows, shortest: float) -> tuple[Rows, bool]:
-    """Follow the balls `first` while the circles change from `start` to `end`; return the balls, and if they got there.
-
-    No step is shorter than `shortest`, a share of the way.
-    """
+def followed(start: Circles, end: Circles, first: Rows) -> tuple[Rows, bool]:
+    """Follow the balls `first` while circles change from `start` to `end`; return the balls, and if they got there."""
     balls, share, length, change = first, 0.0, 1.0, largest_change(start, end)
     for _ in range(_MOST_SAFE_STEPS):
         target = min(share + length, 1.0)
@@ -91,17 +76,9 @@ def followed(start: Circles, end: Circles, first: Rows, shortest: float) -> tupl
                     return balls, True
                 continue
         length *= 0.5
-        if length < shortest:
+        if length < _SHORTEST:
             break
     return balls, False
-
-
-@jit_inline
-def put_rows(rows: Rows, out: FloatArray) -> None:
-    """Write three vectors as rows (3, 3)."""
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = rows[i][j]
 
 
 @kernel(f"void({readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, f8[:,:,::1])")
@@ -112,32 +89,31 @@ def circle_centres(x, z, pivots, planes, centres):
     """
     p, outward, forward = rows_at(pivots, 0), rows_at(planes[0], 0), rows_at(planes[1], 0)
     for n in range(len(x)):
-        put_rows(
-            combinations(combinations(p, (x[n, 0], x[n, 1], x[n, 2]), outward), (z[n, 0], z[n, 1], z[n, 2]), forward),
-            centres[n],
-        )
+        put_rows(combinations(combinations(p, vector_at(x[n], 0), outward), vector_at(z[n], 0), forward), centres[n])
 
 
 @kernel(
     f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, f8, "
-    "f8[:,:,::1], i1[::1])"
+    "f8[:,:,::1], b1[::1])"
 )
-def home_states(centres, radii, axes, balls, up, joints, aspect):
+def home_states(centres, radii, axes, balls, up, joints, is_elsewhere):
     """Find the physical states of N stages by Newton's method from the level ones.
 
     The circles of the legs have `centres` (N, 3, 3) [m], `radii` (N, 3) [m] and `axes` (3, 3), in {B} of a lower stage
     and in {m} of an upper one, of which `up` is -1; `balls` (3, 3) [m] are in the platform's frame. Written are the
-    balls (N, 3, 3) [m], NaN where no physical state was found, and as `aspect` (N,) where Newton's method ended: where
-    it is `ELSEWHERE`, there may be a physical state all the same.
+    balls (N, 3, 3) [m], NaN where no physical state was found, and whether Newton's method ended in another aspect
+    (N,): then there may be a physical state all the same.
     """
     own = rows_at(balls, 0)
     squares = squared_sides(own)
     for n in range(len(radii)):
-        b, aspect[n] = home_state(circles_at(axes, centres[n], radii[n], squares, 0), own, up)
-        if aspect[n] == HOME:
+        stage = circles_at(axes, centres[n], radii[n], squares)
+        e, b, converged = solution(stage, level_balls(stage, own, up))
+        is_home = is_home_state(stage, e, b, up)
+        is_elsewhere[n] = converged and not is_home
+        joints[n] = np.nan
+        if converged and is_home:
             put_rows(b, joints[n])
-        else:
-            joints[n] = np.nan
 
 
 @kernel(
@@ -152,13 +128,12 @@ def follow_states(joints, start, start_radii, end, end_radii, axes, balls, end_j
     """
     squares = squared_sides(rows_at(balls, 0))
     for n in range(len(end_radii)):
-        first = circles_at(axes, start[n], start_radii[n], squares, 0)
-        last = circles_at(axes, end[n], end_radii[n], squares, 0)
-        b, arrived = followed(first, last, rows_at(joints[n], 0), _SHORTEST)
+        first = circles_at(axes, start[n], start_radii[n], squares)
+        last = circles_at(axes, end[n], end_radii[n], squares)
+        b, arrived = followed(first, last, rows_at(joints[n], 0))
+        end_joints[n] = np.nan
         if arrived:
             put_rows(b, end_joints[n])
-        else:
-            end_joints[n] = np.nan
 
 
 @kernel(f"void({readonly_array(3)}, {readonly_array(2)}, f8[:,:,::1], f8[:,::1])")

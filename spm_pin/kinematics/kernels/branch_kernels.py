@@ -5,13 +5,9 @@ A tile is an array (`_ROWS`, `TILE`): its last axis counts poses side by side, i
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.formulas.branches import (
-    ROUNDING,
     Family,
     PoseFrame,
     discriminant,
@@ -28,17 +24,23 @@ from spm_pin.formulas.branches import (
     stands_at_home,
 )
 from spm_pin.formulas.stages import cartesian
-from spm_pin.formulas.vectors import Rows, Vector, cross, dot
+from spm_pin.formulas.vectors import Rows, Vector, cross, dot, transposed
 from spm_pin.kinematics.kernels.compilation import (
+    OK,
     TILE,
+    UNREACHABLE,
+    ComplexArray,
     jit,
     jit_inline,
     kernel,
     matrix,
+    put_rows,
     readonly_array,
     rows_at,
     vector,
+    vector_at,
 )
+from spm_pin.kinematics.kernels.quadric_newton import squared
 from spm_pin.mechanism.arguments import FloatArray
 
 VERTICAL = 16
@@ -57,8 +59,7 @@ def are_valid(rotation, position, exact, farthest):
     """Check N poses: entries of RᵀR - I up to `exact`, det R > 0, |x| + |y| + |z| up to `farthest`."""
     good = True
     for n in range(len(position)):
-        a, b, c = rotation[n, 0], rotation[n, 1], rotation[n, 2]
-        x, y, z = (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
+        x, y, z = transposed(rows_at(rotation[n], 0))
         size = max(abs(dot(x, x) - 1.0), abs(dot(y, y) - 1.0), abs(dot(z, z) - 1.0))
         skew = max(abs(dot(x, y)), abs(dot(x, z)), abs(dot(y, z)))
         # A maximum may lose NaN; the determinant does not.
@@ -159,9 +160,9 @@ def all_branches(
     """Solve N poses R (N, 3, 3), o (N, 3) [m], with circumradii of the middle, base and terminal platforms [m].
 
     Written are the poses; b_i (N, 8, 3, 3) and leg lengths (N, 8, 6) [m]; discriminants over r² (N, 4), and which of
-    their signs are `certain`; which branches are physical, leg limits aside, as `at_home` (N, 8); as `status` (N,) 0 or
-    1, the first two of `Status`, continuous families not counted; as `flagged` (N,) bit k for a continuous family k,
-    and `VERTICAL`. Without memory for the poses only lengths, status and flags are written.
+    their signs are `certain`; which branches are physical, leg limits aside, as `at_home` (N, 8); `Status` (N,),
+    continuous families not counted; as `flagged` (N,) bit k for a continuous family k, and `VERTICAL`. Without memory
+    for the poses only lengths, status and flags are written.
     """
     count, tile, sizes = len(position), np.ones((_ROWS, TILE)), (r, base_radius, platform_radius)
     rotations, joint_rows = rotation_copy.reshape(len(rotation_copy), 9), joints.reshape(len(joints), 72)
@@ -182,7 +183,8 @@ def all_branches(
             _put_homes(tile, sizes)
         # Pose by pose, by loops of constant length: in another order it takes twice the time.
         for k in range(width):
-            status[start + k], flagged[start + k] = (0 if tile[_REAL, k] > 0.0 else 1), np.uint8(tile[_FLAGS, k])
+            status[start + k] = OK if tile[_REAL, k] > 0.0 else UNREACHABLE
+            flagged[start + k] = np.uint8(tile[_FLAGS, k])
             for i in range(48):
                 length_rows[start + k, i] = tile[_LENGTHS + i, k]
             if len(rotations) == 0:
@@ -241,7 +243,7 @@ def physical_branch(
 
 
 @jit
-def put_complex_branches(rotation: Rows, position: Vector, r: float, joints: npt.NDArray[np.complex128]) -> bool:
+def put_complex_branches(rotation: Rows, position: Vector, r: float, joints: ComplexArray) -> bool:
     """Write the b_i of all roots (8, 3, 3), real or complex; return whether no family is continuous."""
     frame = pose_frame(rotation, position, r)
     every, is_regular = families(frame, r), True
@@ -252,16 +254,13 @@ def put_complex_branches(rotation: Rows, position: Vector, r: float, joints: npt
         signed = (family.plus if branch % 2 == 0 else -family.plus) * np.sqrt(complex(radicand, 0.0))
         # Both pairs solve the form; the longer one is free of cancellation.
         u, v, other = signed - family.uv, complex(family.uu, 0.0), -signed - family.uv
-        if _square(u) + _square(v) < _square(other) + family.vv * family.vv:
+        if squared(u) + squared(v) < squared(other) + family.vv * family.vv:
             u, v = complex(family.vv, 0.0), other
         size = u * u + v * v
         # Not a division, which raises an error where the root is at infinity.
-        scale = r * size.conjugate() * (1.0 / _square(size))
+        scale = r * size.conjugate() * (1.0 / squared(size))
         radii, heights = middle_joints(u, v, scale, family, frame, position)
-        b = cartesian(radii, heights)
-        for i in range(3):
-            for j in range(3):
-                joints[branch, i, j] = b[i][j]
+        put_rows(cartesian(radii, heights), joints[branch])
     return is_regular
 
 
@@ -269,58 +268,4 @@ def put_complex_branches(rotation: Rows, position: Vector, r: float, joints: npt
 def complex_branches(rotation, position, r, joints):
     """Solve N poses for all roots (N, 8, 3, 3), real or complex; arguments as for `all_branches`."""
     for n in range(len(position)):
-        o = position[n]
-        put_complex_branches(rows_at(rotation[n], 0), (o[0], o[1], o[2]), r, joints[n])
-
-
-@jit_inline
-def _square(z: complex) -> float:
-    return z.real * z.real + z.imag * z.imag
-
-
-@jit_inline
-def _dimension_upside_down(lower: float, mixed: bool, w: complex, o: complex, tolerance: float) -> int:
-    """Return the dimension of a family with the platform turned over, 0 where it is not continuous.
-
-    `lower` is e of the lower stage; R maps 1 to W², `w` is W, and `o` is (x + iy) / r.
-    """
-    cubed, turned = w * w * w, 1j * o * w.conjugate()
-    fixed, extent = lower * (cubed.imag if mixed else cubed.real), abs(cubed.real if mixed else cubed.imag)
-    across, along = (turned.imag if mixed else turned.real), (turned.real if mixed else turned.imag)
-    is_continuous = (abs(across - fixed) <= tolerance) & (abs(along) <= extent + tolerance)
-    return (2 if extent <= tolerance else 1) if is_continuous else 0
-
-
-@kernel(f"void({readonly_array(3)}, {readonly_array(2)}, f8, u1[:,::1], i1[::1])")
-def continuous_families(rotation, position, r, families, dimension):
-    """Write which of TT, TF, FT, FF (N, 4) are continuous at poses with parallel Z axes, and their dimension (N,).
-
-    All legs' planes are vertical then, so a solution can move along Z: there are none, or a continuous family.
-
-    - Platform level, turned by 0 or a half turn: planes in pairs parallel. On the axis they coincide and the middle
-      platform moves with three degrees of freedom, in equal or in opposite modes; off it, nothing.
-    - Platform level, turned by another angle τ: lines vertical. The middle platform stands upside down in both stages,
-      which takes |o| = 2 r |sin τ| in the horizontal.
-    - Platform upside down, turned over about the horizontal axis W: y = i o / r must be on the segment from e_p W⁴ to
-      e_q conj(W²); where that shrinks to a point, (P : Q) is free as well.
-    """
-    for n in range(len(dimension)):
-        x, y = position[n, 0] / r, position[n, 1] / r
-        cosine, sine = rotation[n, 0, 0], rotation[n, 1, 0]
-        # Up to a sign that does not matter.
-        half = np.sqrt(complex(cosine, sine))
-        aside = math.hypot(x, y)
-        tolerance = ROUNDING * (1.0 + aside)
-        level = rotation[n, 2, 2] > 0.0
-        straight = level & (abs(sine) <= tolerance)
-        dimension[n] = 0
-        for family in range(4):
-            mixed, lower = (family == 1) | (family == 2), (1.0 if family < 2 else -1.0)
-            if straight:
-                size = 3 if (aside <= tolerance) & (mixed == (cosine <= 0.0)) else 0
-            elif level:
-                size = 1 if abs(aside - 2.0 * abs(sine)) <= tolerance else 0
-            else:
-                size = _dimension_upside_down(lower, mixed, half, complex(x, y), tolerance)
-            families[n, family] = 1 if size > 0 else 0
-            dimension[n] = max(dimension[n], size)
+        put_complex_branches(rows_at(rotation[n], 0), vector_at(position[n], 0), r, joints[n])

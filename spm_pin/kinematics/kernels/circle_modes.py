@@ -13,7 +13,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.formulas.ball_motions import frame_of_triangle, pose_of_frames
 from spm_pin.formulas.circles import (
@@ -27,6 +26,7 @@ from spm_pin.formulas.circles import (
     has_converged,
     in_first_angle,
     in_other_angle,
+    is_next_to_solution,
     newton_step,
     pair_forms,
     squared_sides,
@@ -39,20 +39,23 @@ from spm_pin.formulas.leg_constants import mean_radius
 from spm_pin.formulas.stages import pair_adjugate, pair_determinant
 from spm_pin.formulas.vectors import Rows, Vector, combinations, differences, largest, multiples, weighted
 from spm_pin.formulas.wrenches import mean
-from spm_pin.kinematics.kernels.ball_circles import (
-    circles_at,
-    solution,
+from spm_pin.kinematics.kernels.ball_circles import circles_at, solution
+from spm_pin.kinematics.kernels.compilation import (
+    OK,
+    UNREACHABLE,
+    UNSOLVED,
+    ComplexArray,
+    jit,
+    jit_inline,
+    kernel,
+    put_rows,
+    readonly_array,
+    rows_at,
+    vector_at,
 )
-from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, readonly_array, rows_at
-from spm_pin.kinematics.kernels.mode_kernels import (
-    StageScratch,
-    allocate_stage_scratch,
-    is_countable,
-    stage_modes,
-)
+from spm_pin.kinematics.kernels.mode_kernels import StageScratch, allocate_stage_scratch, is_countable, stage_modes
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
-ComplexArray = npt.NDArray[np.complex128]
 Forms = tuple[PairForm, PairForm, PairForm]
 
 MODES = 16
@@ -73,15 +76,12 @@ _LONGEST_LEG = 50.0
 _NEARLY_REAL = 1e-5  # relative imaginary part from which Newton's method is first tried with real angles
 _FITS = 1e-3  # relative error of the third side up to which a pair of angles is tried
 _SHORTEST = 0.02  # a mode that needs steps below this share of the errors is said to meet another
-_FIRST_STEP, _CONTRACTION = 0.1, 0.1
-"""A step of the errors is taken if Newton's first turn is at most `_FIRST_STEP` [rad], and its second at most
-`_CONTRACTION` times the first."""
 _SAME = 1e-3  # distance in units of r up to which a mode that was followed has arrived at a root
 # Rows of the work array of the polynomial's roots.
 _RE, _IM, _VALUE_RE, _VALUE_IM, _SLOPE_RE, _SLOPE_IM, _CROWD_RE, _CROWD_IM, _MOVED, _ROWS = range(10)
 
 
-class Elimination(NamedTuple):
+class ModeScratch(NamedTuple):
     """Arrays that stages are solved in, one after another."""
 
     polynomial: ComplexArray  # (17,)
@@ -91,10 +91,10 @@ class Elimination(NamedTuple):
 
 
 @jit_inline
-def allocate_elimination() -> Elimination:
+def allocate_mode_scratch() -> ModeScratch:
     """Allocate the arrays that stages are solved in, one after another."""
     numbers = np.empty((MODES, 3), np.complex128), np.empty((MODES, 3), np.complex128)
-    return Elimination(np.empty(2 * _DEGREE + 1, np.complex128), np.empty((_ROWS, MODES)), *numbers)
+    return ModeScratch(np.empty(2 * _DEGREE + 1, np.complex128), np.empty((_ROWS, MODES)), *numbers)
 
 
 @jit
@@ -196,8 +196,7 @@ def _polished(forms, sizes, c, s):
         c, s = (c0, c1, c2), (s0, s1, s2)
         if has_converged(longest, last):
             gain, x, y, z = 0.0, _size(c0) + _size(s0), _size(c1) + _size(s1), _size(c2) + _size(s2)
-            for i in range(3):
-                a, b, d = multiples((sizes[0] * x * y, sizes[1] * y * z, sizes[2] * z * x), adjugate)[i]
+            for a, b, d in multiples((sizes[0] * x * y, sizes[1] * y * z, sizes[2] * z * x), adjugate):
                 gain = max(gain, _size(a), _size(b), _size(d))
             return c, s, gain * _size(scale) < _REGULAR
         last = longest
@@ -313,7 +312,7 @@ def _misfit(form, p, q, choice):
 
 
 @jit
-def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[int, bool]:
+def real_modes(stage: Circles, found: ModeScratch, balls: FloatArray) -> tuple[int, bool]:
     """Write the balls of all real modes of a stage (16, 3, 3); return how many they are, and whether these are all."""
     first, second = turn_origins(stage)
     forms, count = pair_forms(stage, first, second), 0
@@ -329,16 +328,13 @@ def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[i
     r1, r2, r3 = stage.radii
     real, complete = 0, count == MODES and max(r1, r2, r3) ** 2 <= _LONGEST_LEG**2 * largest(stage.squares)
     for k in range(count):
-        x, y = found.cosines[k], found.sines[k]
-        c, s = (x[0], x[1], x[2]), (y[0], y[1], y[2])
+        c, s = vector_at(found.cosines[k], 0), vector_at(found.sines[k], 0)
         if _is_real(c, s, 0.0):
             e = combinations(multiples(_real(c), first), _real(s), second)
             # By coordinates of the balls: the forms lose digits where legs are long.
             _, b, converged = solution(stage, balls_at(stage, e))
             complete = complete and converged
-            for i in range(3):
-                for j in range(3):
-                    balls[real, i, j] = b[i][j]
+            put_rows(b, balls[real])
             real += 1
     # Complex ones are pairs.
     return real, complete and real % 2 == 0
@@ -348,7 +344,7 @@ def real_modes(stage: Circles, found: Elimination, balls: FloatArray) -> tuple[i
 def _carried(drawn: Circles, stage: Circles, start: Rows) -> tuple[Rows, bool]:
     """Follow the balls `start` of a mode from the drawn stage to the stage itself; return them, and if they got there.
 
-    The errors grow in steps, each of which is taken if Newton's method begins with a short step and contracts at once.
+    The errors grow in steps, each of which is taken if `circles.is_next_to_solution`.
     """
     b, share, length = start, 0.0, 1.0
     while length >= _SHORTEST:
@@ -357,10 +353,10 @@ def _carried(drawn: Circles, stage: Circles, start: Rows) -> tuple[Rows, bool]:
         e = directions_to(between, b)
         step = newton_step(between, e)
         size = largest(step)
-        if size <= _FIRST_STEP:
+        if is_next_to_solution(size, np.nan):
             e = turned_back(between, e, step)
             step = newton_step(between, e)
-            if largest(step) <= max(_CONTRACTION * size, 1e-13):
+            if is_next_to_solution(largest(step), size):
                 b, share, length = balls_at(between, turned_back(between, e, step)), target, 2.0 * length
                 if share == 1.0:
                     return b, True
@@ -429,10 +425,8 @@ def _put_frames(own: Rows, balls: FloatArray, frames: FloatArray) -> None:
     for k in range(MODES):
         b = rows_at(balls[k], 0)
         turn, place = frame_of_triangle(triangle_axes(b), axes, b, own)
-        for i in range(3):
-            frames[k, 3, i] = place[i]
-            for j in range(3):
-                frames[k, i, j] = turn[i][j]
+        put_rows(turn, frames[k])
+        frames[k, 3, 0], frames[k, 3, 1], frames[k, 3, 2] = place
 
 
 @jit
@@ -443,7 +437,7 @@ def _put_stage(
     is_rps: bool,
     is_drawn: bool,
     scratch: StageScratch,
-    found: Elimination,
+    found: ModeScratch,
     work: FloatArray,
     balls: FloatArray,
     merged: BoolArray,
@@ -487,21 +481,20 @@ def modes_of_stages(
     is not real; which labels are `merged` (N, 16); which of the modes T, F of a drawn stage of RPS legs are
     `continuous` (N, 2); and `Status` (N,), continuous families not counted.
     """
-    found, scratch, work = allocate_elimination(), allocate_stage_scratch(), np.empty((2, MODES, 3, 3))
+    found, scratch, work = allocate_mode_scratch(), allocate_stage_scratch(), np.empty((2, MODES, 3, 3))
     squares, sizes = squared_sides(rows_at(balls, 0)), (r, base_radius, up)
     drawn_squares = squared_sides(rows_at(drawn[2], 0))
     for n in range(len(radii)):
-        stage = circles_at(axes, centres[n], radii[n], squares, 0)
-        before = circles_at(drawn[0], drawn[1], radii[n], drawn_squares, 0)
+        stage = circles_at(axes, centres[n], radii[n], squares)
+        before = circles_at(drawn[0], drawn[1], radii[n], drawn_squares)
         count, is_complete, straight, half_turned = _put_stage(
             stage, before, sizes, is_rps, is_drawn, scratch, found, work, joints[n], merged[n]
         )
         continuous[n, 0], continuous[n, 1] = straight, half_turned
-        status[n] = 3
         if is_complete:
-            status[n] = 0 if count > 0 or straight or half_turned else 1
+            status[n] = OK if count > 0 or straight or half_turned else UNREACHABLE
         else:
-            joints[n], merged[n] = np.nan, False
+            status[n], joints[n], merged[n] = UNSOLVED, np.nan, False
 
 
 @kernel(
@@ -519,15 +512,15 @@ def join_modes(lower, upper, balls, rotation, translation, joints):
         _put_frames(rows_at(balls, 0), lower[n], frames[0])
         _put_frames(rows_at(balls, 3), upper[n], frames[1])
         for i in range(MODES):
-            below = frames[0, i]
-            place = below[3, 0], below[3, 1], below[3, 2]
+            below, b = frames[0, i], rows_at(lower[n, i], 0)
             for j in range(MODES):
                 mode, above = MODES * i + j, frames[1, j]
-                place_m = above[3, 0], above[3, 1], above[3, 2]
-                turn, o = pose_of_frames(rows_at(below, 0), place, rows_at(above, 0), place_m)
-                is_real = o[0] == o[0]
-                for k in range(3):
-                    translation[n, mode, k] = o[k]
-                    for m in range(3):
-                        rotation[n, mode, k, m] = turn[k][m]
-                        joints[n, mode, k, m] = lower[n, i, k, m] if is_real else np.nan
+                turn, o = pose_of_frames(
+                    rows_at(below, 0), vector_at(below[3], 0), rows_at(above, 0), vector_at(above[3], 0)
+                )
+                put_rows(turn, rotation[n, mode])
+                translation[n, mode, 0], translation[n, mode, 1], translation[n, mode, 2] = o
+                joints[n, mode] = np.nan
+                # Not numbers where either mode is not real.
+                if o[0] == o[0]:
+                    put_rows(b, joints[n, mode])

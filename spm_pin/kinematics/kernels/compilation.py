@@ -24,6 +24,9 @@ from spm_pin.formulas.vectors import Rows, Vector
 from spm_pin.mechanism.arguments import FloatArray
 
 ByteArray = npt.NDArray[np.uint8]
+ComplexArray = npt.NDArray[np.complex128]
+OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
+"""The numbers of `Status`, which stands in a file that the digest of kernels does not cover."""
 TILE = 16
 """Problems computed side by side: two or more registers' worth on every processor, and small enough for its cache."""
 
@@ -43,10 +46,23 @@ jit_inline: Callable[[F], F] = register_jitable(error_model="numpy", forceinline
 
 
 @jit_inline
+def vector_at(array: FloatArray, first: int) -> Vector:
+    """Return three numbers of an array (n,) from `first` on."""
+    return array[first], array[first + 1], array[first + 2]
+
+
+@jit_inline
 def rows_at(array: FloatArray, first: int) -> Rows:
-    """Return three rows of an array of vectors as numbers."""
-    x, y, z = array[first], array[first + 1], array[first + 2]
-    return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
+    """Return three rows of an array (n, 3) of vectors from `first` on as numbers."""
+    return vector_at(array[first], 0), vector_at(array[first + 1], 0), vector_at(array[first + 2], 0)
+
+
+@jit_inline
+def put_rows(rows: Rows, array: FloatArray) -> None:
+    """Write three vectors as the rows of an array (3, 3)."""
+    for i in range(3):
+        for j in range(3):
+            array[i, j] = rows[i][j]
 
 
 @jit_inline

@@ -13,7 +13,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from spm_pin.formulas.stages import (
     EPS,
@@ -32,18 +31,15 @@ from spm_pin.formulas.stages import (
     tilt_quadratic,
 )
 from spm_pin.formulas.vectors import Rows, Vector, dot, largest, scaled, times, transposed, weighted
-from spm_pin.kinematics.kernels.compilation import jit, jit_inline
+from spm_pin.kinematics.kernels.compilation import ComplexArray, jit, jit_inline, put_rows, vector_at
 from spm_pin.mechanism.arguments import FloatArray
 
-ComplexArray = npt.NDArray[np.complex128]
 Quartic = tuple[float, float, float, float, float]
 
 SAME = float(4.0 * np.sqrt(EPS))
 """Solutions closer than this, in units of r, are one: rounding resolves a double root no better."""
 PLACES = 4
 """The most solutions of one mode, mirror images apart."""
-STAGE = 4 * PLACES
-"""Assembly modes of a stage: two modes, four places, two sheets."""
 _NEAR_FOLD = 1e3  # gain, see `_polished`, above which a fold or a continuous family is near
 _RESIDUAL_ROUNDING = 4.0 * EPS
 """Largest residual of a solution relative to the largest term of its equations; half of it has been seen."""
@@ -373,25 +369,21 @@ def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, sc
 def stage_modes(
     first: float, second: float, third: float, epsilon: float, above: float, scratch: StageScratch, balls: FloatArray
 ) -> tuple[bool, bool]:
-    """Write the balls of the sixteen modes of a stage (16, 3, 3), NaN where there is none, in units of r.
+    """Write the balls of the modes that a stage has, of at most sixteen (16, 3, 3), in units of r.
 
     Returned is which of T, F is continuous. The sheet + is above the pivots, or below, by the sign of `above`; the
     other is its mirror image.
     """
     kept = scratch.kept
-    for k in range(STAGE):
-        balls[k] = np.nan
     straight = has_continuous_family(first, second, third, epsilon, False, EXACT)
     half_turned = has_continuous_family(first, second, third, epsilon, True, EXACT)
     for m in range(2):
         stage = stage_equations(first, second, third, epsilon if m == 0 else -epsilon)
         for k in range(solve_mode(stage, m == 1, straight if m == 0 else half_turned, scratch)):
-            radii, heights = (kept[k, 5], kept[k, 6], kept[k, 7]), (kept[k, 8], kept[k, 9], kept[k, 10])
+            radii, heights = vector_at(kept[k], 5), vector_at(kept[k], 8)
             for sheet in range(1 if largest(heights) <= SAME else 2):
                 b = cartesian(radii, scaled(above if sheet == 0 else -above, heights))
-                for i in range(3):
-                    for j in range(3):
-                        balls[(m * PLACES + k) * 2 + sheet, i, j] = b[i][j]
+                put_rows(b, balls[(m * PLACES + k) * 2 + sheet])
     return straight, half_turned
 
 

@@ -8,8 +8,6 @@ from spm_pin.formulas.circles import Circles, is_home_state
 from spm_pin.formulas.planar_legs import (
     PRS_LEGS,
     RPS_LEGS,
-    LegPlane,
-    place_in_plane,
     prs_circle,
     prs_reading,
     prs_slope,
@@ -17,13 +15,21 @@ from spm_pin.formulas.planar_legs import (
     rrs_slope,
 )
 from spm_pin.formulas.stage_poses import platform_balls, pose_in_mode, shortest_turn, stage_constants, torsion_equation
-from spm_pin.formulas.vectors import combinations, differences, direction, multiples
-from spm_pin.kinematics.kernels.compilation import TILE, jit, kernel, matrix, readonly_array, rows_at, vector
+from spm_pin.formulas.vectors import combinations, differences, direction, dots, multiples
+from spm_pin.kinematics.kernels.compilation import (
+    TILE,
+    jit,
+    kernel,
+    matrix,
+    readonly_array,
+    rows_at,
+    vector,
+    vector_at,
+)
 from spm_pin.mechanism.arguments import FloatArray
 
-_NORMAL, _HEIGHT, _ROTATION, _POSITION, _X, _Z, _READING, _COSINE, _ROD_X, _ROD_Z, _HOME, _ROWS = (
-    *(0, 3, 4, 13, 16, 19, 22, 25, 28, 31, 34, 35),
-)
+_NORMAL, _HEIGHT, _ROTATION, _POSITION, _X, _Z = 0, 3, 4, 13, 16, 19
+_READING, _COSINE, _ROD_X, _ROD_Z, _HOME, _ROWS = 22, 25, 28, 31, 34, 35
 """Rows of a tile: what is given, the pose, balls in their legs' planes, readings, rods, and whether it is physical."""
 
 
@@ -38,13 +44,13 @@ def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray) -> None:
                 tile[along, k], tile[up, k] = tile[x, k], tile[z, k]
                 tile[reading, k] = np.sqrt(tile[x, k] * tile[x, k] + tile[z, k] * tile[z, k])
         elif kind == PRS_LEGS:
-            fixed = numbers[leg, 0], numbers[leg, 1], numbers[leg, 2]
+            fixed = vector_at(numbers[leg], 0)
             for k in range(TILE):
                 tile[reading, k] = prs_reading(tile[x, k], tile[z, k], fixed)
                 circle = prs_circle(tile[reading, k], fixed)
                 tile[along, k], tile[up, k] = tile[x, k] - circle.x, tile[z, k] - circle.z
         else:
-            fixed = numbers[leg, 0], numbers[leg, 1], numbers[leg, 2]
+            fixed = vector_at(numbers[leg], 0)
             for k in range(TILE):
                 c, s = rrs_crank(tile[x, k], tile[z, k], fixed)
                 scale = fixed[0] / (tile[x, k] * tile[x, k] + tile[z, k] * tile[z, k])
@@ -69,8 +75,6 @@ def poses_of_stages(
     axes, pivots = rows_at(legs[0], 0), rows_at(legs[1], 0)
     stage = stage_constants(axes, pivots, rows_at(legs[2], 0))
     outward, forward = rows_at(planes[0], 0), rows_at(planes[1], 0)
-    first = LegPlane(pivots[0], outward[0], forward[0])
-    second, third = LegPlane(pivots[1], outward[1], forward[1]), LegPlane(pivots[2], outward[2], forward[2])
     tile, modes = np.empty((_ROWS, TILE)), rotation.shape[1]
     for start in range(0, len(heights), TILE):
         size = min(TILE, len(heights) - start)
@@ -84,10 +88,9 @@ def poses_of_stages(
             for k in range(TILE):
                 turn, height = shortest_turn(direction(vector(tile, _NORMAL, k))), tile[_HEIGHT, k]
                 r, t = pose_in_mode(sign, turn, height, torsion_equation(turn, height, stage), stage)
-                b = platform_balls(r, t, stage.balls)
-                tile[_X, k], tile[_Z, k] = place_in_plane(b[0], first)
-                tile[_X + 1, k], tile[_Z + 1, k] = place_in_plane(b[1], second)
-                tile[_X + 2, k], tile[_Z + 2, k] = place_in_plane(b[2], third)
+                arms = differences(platform_balls(r, t, stage.balls), pivots)
+                tile[_X, k], tile[_X + 1, k], tile[_X + 2, k] = dots(outward, arms)
+                tile[_Z, k], tile[_Z + 1, k], tile[_Z + 2, k] = dots(forward, arms)
                 (
                     (tile[_ROTATION, k], tile[_ROTATION + 1, k], tile[_ROTATION + 2, k]),
                     (tile[_ROTATION + 3, k], tile[_ROTATION + 4, k], tile[_ROTATION + 5, k]),
@@ -123,19 +126,14 @@ def working_modes(joints, readings, pivots, planes, kind, numbers, is_own):
     The legs are as for `poses_of_stages`, PRS or RRS; `pivots` (3, 3) [m]. Where a ball is NaN they are not.
     """
     p, outward, forward = rows_at(pivots, 0), rows_at(planes[0], 0), rows_at(planes[1], 0)
-    legs = (
-        LegPlane(p[0], outward[0], forward[0]),
-        LegPlane(p[1], outward[1], forward[1]),
-        LegPlane(p[2], outward[2], forward[2]),
-    )
     for n in range(len(joints)):
-        b, is_own[n] = rows_at(joints[n], 0), True
+        arms = differences(rows_at(joints[n], 0), p)
+        x, z, is_own[n] = dots(outward, arms), dots(forward, arms), True
         for leg in range(3):
-            fixed = numbers[leg, 0], numbers[leg, 1], numbers[leg, 2]
-            x, z = place_in_plane(b[leg], legs[leg])
+            fixed = vector_at(numbers[leg], 0)
             if kind == PRS_LEGS:
-                slope = prs_slope(x, z, readings[n, leg], fixed)
+                slope = prs_slope(x[leg], z[leg], readings[n, leg], fixed)
             else:
-                slope = rrs_slope(x, z, readings[n, leg], fixed)
+                slope = rrs_slope(x[leg], z[leg], readings[n, leg], fixed)
             # The sign of κ is opposite to that of the root in the reading.
             is_own[n] = is_own[n] and fixed[2] * slope < 0.0

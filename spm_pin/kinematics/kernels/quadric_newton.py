@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from spm_pin.formulas.circles import has_converged
+from spm_pin.formulas.circles import has_converged, is_next_to_solution
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -20,9 +20,6 @@ _SIZE, _LAST, STATE, ROWS = 8 * POINTS, 9 * POINTS, 10 * POINTS, 11
 """Where the rows of the last step's size, of the size before and of the states begin; and the number of rows."""
 PENDING, CONVERGED, FAILED = 0.0, 1.0, 2.0
 """States. Steps move the points that are pending."""
-_FIRST_STEP, _CONTRACTION = 0.1, 0.1
-"""A point is next to a root, and no other root is near, if Newton's first step is at most `_FIRST_STEP` and its second
-at most `_CONTRACTION` times the first."""
 
 
 @jit
@@ -30,7 +27,7 @@ def polish(forms: FloatArray, points: FloatArray, imaginary: bool, contracting: 
     """Improve the pending points by Newton's method, in at most `most` steps; in the end each has converged or failed.
 
     `forms` (3, 10) are the quadrics, see `leg_planes.Form`. Imaginary parts are zero unless `imaginary`. If
-    `contracting`, a point that is not next to a root fails, see `_CONTRACTION`.
+    `contracting`, a point fails that is not next to a root by `circles.is_next_to_solution`.
     """
     for number in range(most):
         if imaginary:
@@ -43,10 +40,7 @@ def polish(forms: FloatArray, points: FloatArray, imaginary: bool, contracting: 
                 continue
             size = points[_SIZE + k]
             last = points[_LAST + k] if number > 0 else np.nan
-            longest = 4.0
-            if contracting and number < 2:
-                longest = _FIRST_STEP if number == 0 else max(_CONTRACTION * last, 1e-13)
-            if not size <= longest:
+            if not size <= 4.0 or (contracting and number < 2 and not is_next_to_solution(size, last)):
                 points[STATE + k] = FAILED
             elif has_converged(size, last):
                 points[STATE + k] = CONVERGED

@@ -238,22 +238,6 @@ def _put_columns(first: FloatArray, second: FloatArray, columns: FloatArray) -> 
 
 
 @jit
-def _put_range(block: FloatArray, rows: FloatArray, norms: FloatArray, work: FloatArray) -> None:
-    """Write the largest and the least singular value of three rows (3, 6, lanes) into the first two of `norms`."""
-    count, width, lanes = block.shape
-    # Number by number, for an assignment brings all of NumPy's broadcasting along, which takes long to compile.
-    for i in range(count):
-        for c in range(width):
-            for k in range(lanes):
-                rows[i, c, k] = block[i, c, k]
-    _orthogonalize(rows, work)
-    _put_norms(rows, norms)
-    for k in range(lanes):
-        x, y, z = norms[0, k], norms[1, k], norms[2, k]
-        norms[0, k], norms[1, k] = max(x, y, z), min(x, y, z)
-
-
-@jit
 def _store_twist(right: FloatArray, out: FloatArray, k: int, side: float, twist: FloatArray) -> None:
     """Write the twist (6,) of a right singular vector."""
     angular = scaled(1.0 / side, (right[4, k], right[5, k], right[3, k]))
@@ -290,7 +274,7 @@ def _multiply(matrix: FloatArray, vector: FloatArray, image: FloatArray) -> None
 
 
 @kernel(
-    f"void({STATES}, {MACHINE}, f8, f8, f8, f8[:,::1], f8[:,::1], f8[:,::1], i1[:,::1], b1[:,::1], f8[:,:,::1], "
+    f"void({STATES}, {MACHINE}, f8, f8, f8, f8[:,::1], f8[:,::1], f8[:,::1], i1[:,::1], b1[::1], f8[:,:,::1], "
     "f8[:,::1])"
 )
 def describe_singularities(
@@ -306,7 +290,7 @@ def describe_singularities(
     largest,
     smallest,
     rank,
-    flags,
+    is_short,
     twists,
     wrench,
 ):
@@ -315,11 +299,10 @@ def describe_singularities(
     `centres` (outer, inner, 6, 3) are those of the balls' circles [m], in {B} of lower legs and in {m} of upper ones.
 
     Written are, for each of the three matrices, the determinants [m³], the largest and the smallest singular values and
-    the number of those that are larger than `tolerance` times the largest, (S, 3); as `flags` (S, 2) whether the
-    constraints of a stage are dependent and whether a leg has no length; as `twists` (S, 3, 6) the (v, ω) at o whose
-    (v, dω) at the middle platform's centre are the right singular vectors of the smallest singular values; and as
-    `wrench` (S, 6) the sum of the upper constraints at o, weighted by the left singular vector of K, of |f| = 1, or of
-    |m| = 1 where the force is at most `couple_only` times the moment over d.
+    the number of those that are larger than `tolerance` times the largest, (S, 3); whether a leg has no length (S,); as
+    `twists` (S, 3, 6) the (v, ω) at o whose (v, dω) at the middle platform's centre are the right singular vectors of
+    the smallest singular values; and as `wrench` (S, 6) the sum of the upper constraints at o, weighted by the left
+    singular vector of K, of |f| = 1, or of |m| = 1 where the force is at most `couple_only` times the moment over d.
     """
     lanes = min(LANES, len(determinants))
     tile, blocks, legs = np.ones((INPUTS, lanes)), np.empty((4, 3, WIDTH, lanes)), read_machine(machine)
@@ -355,20 +338,10 @@ def describe_singularities(
                 determinants[start + k, which] = out[which, k]
                 largest[start + k, which], smallest[start + k, which] = most, norms[WIDTH - 1, k]
                 _store_twist(right, out, k, side, twists[start + k, which])
-        doubtful = False
         for k in range(width):
-            flags[start + k, 0], flags[start + k, 1] = False, out[_SHORT, k] > 0.0
-            doubtful = doubtful | (rank[start + k, 2] < WIDTH)
+            is_short[start + k] = out[_SHORT, k] > 0.0
             lever = vector(out, _LEVER, k)
             _store_wrench(blocks[_UPPER_AXES], left[3:], lever, k, side, couple_only, wrench[start + k])
-        if doubtful:
-            # Constraints that are dependent make K singular.
-            for stage in range(2):
-                _put_range(blocks[_LOWER_AXES + stage], rows[:3], norms, work)
-                for k in range(width):
-                    # Not a number is not dependent.
-                    is_dependent = norms[1, k] <= tolerance * norms[0, k]
-                    flags[start + k, 0] |= (rank[start + k, 2] < WIDTH) & is_dependent
 
 
 @kernel(f"void({readonly_array(3)}, f8[:,::1])")

@@ -44,7 +44,7 @@ from spm_pin.formulas.vectors import (
     weighted,
 )
 from spm_pin.formulas.wrenches import pairs
-from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel
+from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, vector_at
 from spm_pin.mechanism.arguments import FloatArray
 
 AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND = 0, 3, 6, 9, 12, 15, 18, 19
@@ -62,12 +62,6 @@ _BEYOND = -0.05
 """Least determinant, in units in which it is about 1 at home, and least room of a leg over r, of a stage that counts as
 slightly beyond a singularity: so far searches may step."""
 _STEPS = 12  # Newton steps for x3 and the centre at most
-
-
-@jit
-def vector_at(array: FloatArray, first: int) -> Vector:
-    """Return three numbers of an array from `first` on."""
-    return array[first], array[first + 1], array[first + 2]
 
 
 @jit

@@ -8,13 +8,14 @@ of the limits of readings and determinants and, where legs have an end of their 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from spm_pin.formulas.stages import ANY_ASPECT
 from spm_pin.formulas.vectors import combined, cross, minus, scaled, times, weighted
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.kinematics.kernels.compilation import jit, kernel, vector
+from spm_pin.kinematics.kernels.compilation import jit, kernel, vector, vector_at
 from spm_pin.kinematics.kernels.stage_states import (
     BEYOND,
     CENTRE,
@@ -30,7 +31,6 @@ from spm_pin.kinematics.kernels.stage_states import (
     evaluate_stage,
     put,
     stage_rotation,
-    vector_at,
 )
 from spm_pin.mechanism.arguments import FloatArray
 
@@ -59,29 +59,52 @@ _UPDATES, _RESTART = 30, 10
 _MULTIPLIER_TOLERANCE, _STALLED = 1e-13, 1e-9
 """Change of the shifts, over the size, at which the multipliers have converged; and at which they may do so slowly."""
 
-Problem = tuple[FloatArray, float, float, FloatArray, FloatArray, FloatArray, FloatArray]
-"""Legs (2, 3, 20) of both stages, r [m], the machine's size [m], the aspects wanted (2,), the K points (K, 3) of the
-upper platform in {m} [m], the diagonal of the half turn between stages of different modes (3,), and limits (3, L),
-L = 8 or 14: least and largest values of six readings, of both determinants and perhaps of six rooms, and how many
-metres of residual a unit of each makes."""
 _PROBLEM = "Tuple((f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1]))"
-Terms = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Values (2, 19) and slopes (2, 13, 3) of both stages, residual (3K + L,) and its Jacobian (3K + L, 6)."""
-Search = tuple[Problem, Terms, Terms, FloatArray, FloatArray]
-"""The problem, the state at the coordinates, one on trial, and memory for a matrix (6, 6) and its factor."""
+
+
+class Problem(NamedTuple):
+    """What is searched; the `constants` of a kernel are a plain tuple of these."""
+
+    legs: FloatArray  # of both stages (2, 3, 20), see `stage_states`
+    radius: float  # r [m]
+    size: float  # of the machine [m]
+    aspects: FloatArray  # the ones wanted (2,)
+    body: FloatArray  # K points (K, 3) of the upper platform in {m} [m]
+    half_turn: FloatArray  # the diagonal of that between stages of different modes (3,)
+    limits: FloatArray
+    """Least and largest values (3, L), L = 8 or 14, of six readings, of both determinants and perhaps of six rooms, and
+    how many metres of residual a unit of each makes."""
+
+
+class Terms(NamedTuple):
+    """What a state at some coordinates is."""
+
+    values: FloatArray  # of both stages (2, 19), see `stage_states`
+    slopes: FloatArray  # (2, 13, 3)
+    residual: FloatArray  # (3K + L,)
+    jacobian: FloatArray  # of the residual (3K + L, 6)
+
+
+class Work(NamedTuple):
+    """A problem, and memory to search in."""
+
+    problem: Problem
+    state: Terms  # at the coordinates
+    trial: Terms
+    matrix: FloatArray  # (6, 6)
+    factor: FloatArray  # of the matrix
 
 
 @jit
 def _new_state(problem: Problem) -> Terms:
-    values, slopes, rows = np.empty((2, STAGE_NUMBERS)), np.empty((2, SLOPE_NUMBERS, 3)), _points_rows(problem)
-    rows += problem[6].shape[1]
-    return values, slopes, np.empty(rows), np.empty((rows, 6))
+    rows = 3 * len(problem.body) + problem.limits.shape[1]
+    values, slopes = np.empty((2, STAGE_NUMBERS)), np.empty((2, SLOPE_NUMBERS, 3))
+    return Terms(values, slopes, np.empty(rows), np.empty((rows, 6)))
 
 
 @jit
-def _points_rows(problem: Problem) -> int:
-    """Return how many rows of a residual are errors of points."""
-    return 3 * len(problem[4])
+def _new_work(problem: Problem) -> Work:
+    return Work(problem, _new_state(problem), _new_state(problem), np.empty((6, 6)), np.empty((6, 6)))
 
 
 @jit
@@ -93,58 +116,51 @@ def _limited(row: int) -> tuple[int, int]:
 
 
 @jit
-def _put_points(
-    values: FloatArray,
-    slopes: FloatArray,
-    body: FloatArray,
-    between: FloatArray,
-    points: FloatArray,
-    jacobian: FloatArray,
-) -> None:
-    """Write the positions of points `body` (K, 3) of {m} in {B}, (3K,), and their derivatives, (3K, 6), over √K.
+def _put_points(problem: Problem, state: Terms, points: FloatArray, jacobian: FloatArray) -> None:
+    """Write the positions of the points of {m} in {B}, (3K,), and their derivatives, (3K, 6), over √K.
 
-    With R_a, t_a of the middle platform in {B} and R_b, t_b in {m}, a point p is at t_a + R_a s, s = R_bᵀ (p - t_b);
-    `between` (3,) is the diagonal of the half turn between stages of different modes.
+    With R_a, t_a of the middle platform in {B} and R_b, t_b in {m}, a point p is at t_a + R_a s, s = R_bᵀ (p - t_b).
     """
+    values, slopes, body, half_turn = state.values, state.slopes, problem.body, problem.half_turn
     scale = 1.0 / math.sqrt(len(body))
     lower, upper = stage_rotation(values[0]), stage_rotation(values[1])
     for n in range(len(body)):
         arm = minus(vector_at(body[n], 0), vector_at(values[1], CENTRE))
         s0, s1, s2 = weighted(arm, upper)
-        turned = times(lower, (between[0] * s0, between[1] * s1, between[2] * s2))
+        turned = times(lower, (half_turn[0] * s0, half_turn[1] * s1, half_turn[2] * s2))
         put(scaled(scale, combined(turned, 1.0, vector_at(values[0], CENTRE))), points, 3 * n)
         for k in range(3):
             spin, spin_m = vector(slopes[0], SPIN, k), vector(slopes[1], SPIN, k)
             moved = combined(vector(slopes[0], VELOCITY, k), 1.0, cross(spin, turned))
             d0, d1, d2 = weighted(combined(vector(slopes[1], VELOCITY, k), 1.0, cross(spin_m, arm)), upper)
-            seen = times(lower, (between[0] * d0, between[1] * d1, between[2] * d2))
+            seen = times(lower, (half_turn[0] * d0, half_turn[1] * d1, half_turn[2] * d2))
             for i in range(3):
                 jacobian[3 * n + i, k], jacobian[3 * n + i, 3 + k] = scale * moved[i], -scale * seen[i]
 
 
 @jit
 def _evaluate_stage(problem: Problem, stage: int, coordinates: FloatArray, state: Terms) -> int:
-    legs, radius, aspects, upward = problem[0], problem[1], problem[3], 1.0 - 2.0 * stage
-    return evaluate_stage(coordinates, legs[stage], radius, upward, aspects[stage], state[0][stage], state[1][stage])
+    legs, upward, aspect = problem.legs[stage], 1.0 - 2.0 * stage, problem.aspects[stage]
+    return evaluate_stage(coordinates, legs, problem.radius, upward, aspect, state.values[stage], state.slopes[stage])
 
 
 @kernel(f"void(f8[:, ::1], {_PROBLEM}, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])")
-def state_terms(coordinates, problem, points, moved, limited, rates, places):
+def state_terms(coordinates, constants, points, moved, limited, rates, places):
     """Write what the state at coordinates (2, 3) is, and the derivatives of all by its six coordinates.
 
     The points of the body (3K,) over √K, and (3K, 6); what is limited (L,), see `Problem`, and (L, 6); and where each
     stage is (2,), see `evaluate_stage`.
     """
-    _, _, _, _, body, between, limits = problem
+    problem = Problem(*constants)
     state = _new_state(problem)
-    values, changes = state[0], state[1]
+    values, slopes = state.values, state.slopes
     for stage in range(2):
         places[stage] = _evaluate_stage(problem, stage, coordinates[stage], state)
     rates[:] = 0.0
-    for row in range(limits.shape[1]):
+    for row in range(len(limited)):
         stage, i = _limited(row)
-        limited[row], rates[row, 3 * stage : 3 * stage + 3] = values[stage, READINGS + i], changes[stage, RATES + i]
-    _put_points(values, changes, body, between, points, moved)
+        limited[row], rates[row, 3 * stage : 3 * stage + 3] = values[stage, READINGS + i], slopes[stage, RATES + i]
+    _put_points(problem, state, points, moved)
 
 
 @jit
@@ -161,7 +177,7 @@ def _put_limits(
 
     If `fixed`, the residual is not written, and derivatives are those of its rows that are not zero.
     """
-    limits, values, slopes = problem[6], state[0], state[1]
+    limits, values, slopes = problem.limits, state.values, state.slopes
     for row in range(limits.shape[1]):
         stage, i = _limited(row)
         unit = limits[2, row]
@@ -237,13 +253,12 @@ def _evaluate(
     problem: Problem, coordinates: FloatArray, target: FloatArray, weight: float, shifts: FloatArray, state: Terms
 ) -> int:
     """Write the stages, the residual and its Jacobian at coordinates (2, 3); return where the worse stage is."""
-    values, slopes, residual, jacobian = state
-    rows, worst = len(target), INSIDE
+    residual, jacobian, rows, worst = state.residual, state.jacobian, len(target), INSIDE
     for stage in range(2):
         worst = min(worst, _evaluate_stage(problem, stage, coordinates[stage], state))
         if worst < BEYOND:
             return worst
-    _put_points(values, slopes, problem[4], problem[5], residual, jacobian)
+    _put_points(problem, state, residual, jacobian)
     for row in range(rows):
         residual[row] -= target[row]
     _put_limits(problem, state, weight, shifts, residual[rows:], jacobian[rows:], False)
@@ -251,16 +266,16 @@ def _evaluate(
 
 
 @jit
-def _put_curvature(search: Search, coordinates: FloatArray, weight: float, shifts: FloatArray) -> bool:
+def _put_curvature(work: Work, coordinates: FloatArray, weight: float, shifts: FloatArray) -> bool:
     """Write the residual times its second derivatives (6, 6), by differences of the gradient.
 
     Each difference changes one stage. False where one of them leads to where there is no state.
     """
-    problem, state, trial, matrix, _ = search
-    residual, rows, gradient, place = state[2], _points_rows(problem), np.empty(6), np.empty(3)
+    problem, state, trial, matrix, _ = work
+    residual, rows, gradient, place = state.residual, 3 * len(problem.body), np.empty(6), np.empty(3)
     values, slopes, points, jacobian = trial
     for stage in range(2):
-        values[:], slopes[:] = state[0], state[1]
+        values[:], slopes[:] = state.values, state.slopes
         for k in range(3):
             row = 3 * stage + k
             matrix[row] = 0.0
@@ -269,7 +284,7 @@ def _put_curvature(search: Search, coordinates: FloatArray, weight: float, shift
                 place[k] += sign * _DIFFERENCE
                 if _evaluate_stage(problem, stage, place, trial) == NO_STATE:
                     return False
-                _put_points(values, slopes, problem[4], problem[5], points, jacobian)
+                _put_points(problem, trial, points, jacobian)
                 _put_limits(problem, trial, weight, shifts, residual[rows:], jacobian[rows:], True)
                 _put_gradient(jacobian, residual, gradient)
                 for j in range(6):
@@ -282,7 +297,7 @@ def _put_curvature(search: Search, coordinates: FloatArray, weight: float, shift
 
 @jit
 def _minimise(
-    search: Search,
+    work: Work,
     coordinates: FloatArray,
     target: FloatArray,
     weight: float,
@@ -292,12 +307,12 @@ def _minimise(
 ) -> tuple[bool, int]:
     """Minimise the residual norm from `coordinates` (2, 3); return whether it is stationary there, and the steps taken.
 
-    The state of `search` is that at the coordinates, before and after. Damped steps, none of which leaves the wanted
+    The state of `work` is that at the coordinates, before and after. Damped steps, none of which leaves the wanted
     aspect, until the gradient is small, the residual vanishes, or hardly decreases any more.
     """
-    problem, state, trial, matrix, factor = search
+    problem, state, trial, matrix, factor = work
     values, slopes, residual, jacobian = state
-    size, gradient, flatter, step, tried = problem[2], np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3))
+    size, gradient, flatter, step, tried = problem.size, np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3))
     damping, norm, rounding, fresh = _DAMPING, _norm(residual), 0.25 * _READING_ROUNDING * size, True
     largest, before = _put_gradient(jacobian, residual, gradient), norm
     for count in range(1, min(most, _STEPS[method]) + 1):
@@ -310,7 +325,7 @@ def _minimise(
                 return stationary, count
             before = norm
         if fresh:
-            if method != NEWTON or not _put_curvature(search, coordinates, weight, shifts):
+            if method != NEWTON or not _put_curvature(work, coordinates, weight, shifts):
                 matrix[:] = 0.0
             _add_products(jacobian, matrix)
             fresh = False
@@ -322,12 +337,12 @@ def _minimise(
         better = False
         if _evaluate(problem, tried, target, weight, shifts, trial) >= BEYOND:
             # At the end, what a step gains is less than the norm's rounding.
-            change = _norm(trial[2]) - norm
-            steepest = _put_gradient(trial[3], trial[2], flatter)
+            change = _norm(trial.residual) - norm
+            steepest = _put_gradient(trial.jacobian, trial.residual, flatter)
             better = change < -rounding or (change < rounding and steepest < largest)
         if better:
-            coordinates[:], values[:], slopes[:] = tried, trial[0], trial[1]
-            residual[:], jacobian[:] = trial[2], trial[3]
+            coordinates[:], values[:], slopes[:] = tried, trial.values, trial.slopes
+            residual[:], jacobian[:] = trial.residual, trial.jacobian
             norm, largest = _norm(residual), _put_gradient(jacobian, residual, gradient)
             damping, fresh = max(0.1 * damping, _LEAST_DAMPING), True
         else:
@@ -336,18 +351,16 @@ def _minimise(
 
 
 @jit
-def _settle(
-    search: Search, coordinates: FloatArray, target: FloatArray, shifts: FloatArray, readings: FloatArray
-) -> bool:
+def _settle(work: Work, coordinates: FloatArray, target: FloatArray, shifts: FloatArray, readings: FloatArray) -> bool:
     """Move the state at `coordinates` within the limits of the readings, by as little as possible; write these (6,).
 
     A leg whose shift is not zero pushes against its limit, and is put at it. Return False if the state then is not in
     the wanted aspect, or the steps have not converged: near forward singularities small changes of readings move the
     state far.
     """
-    problem, state, _, matrix, factor = search
+    problem, state, _, matrix, factor = work
     values, slopes, residual, jacobian = state
-    limits, rounding, rows, place = problem[6], _READING_ROUNDING * problem[2], len(target), INSIDE
+    limits, rounding, rows, place = problem.limits, _READING_ROUNDING * problem.size, len(target), INSIDE
     gradient, step, zeros, gap = np.empty(6), np.empty(6), np.zeros(limits.shape[1]), np.inf
     for _ in range(_SETTLING):
         place = _evaluate(problem, coordinates, target, 1.0, zeros, state)
@@ -375,11 +388,11 @@ def _settle(
         for k in range(6):
             coordinates[k // 3, k % 3] -= step[k]
     certain = min(values[0, DETERMINANT], values[1, DETERMINANT]) > _LEAST_DETERMINANT
-    return gap <= rounding and place == INSIDE and (certain or problem[3][0] == ANY_ASPECT)
+    return gap <= rounding and place == INSIDE and (certain or problem.aspects[0] == ANY_ASPECT)
 
 
 @kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], f8[:, ::1], {_PROBLEM}, f8[:, :, ::1], f8[:, ::1], i8[::1])")
-def search_points(targets, starts, distances, problem, coordinates, readings, outcome):
+def search_points(targets, starts, distances, constants, coordinates, readings, outcome):
     """Search, from `starts` (N, M, 2, 3) one after the other, for a state with o at the `targets` (N, 3).
 
     Starts are left out whose `distances` (N, M) from the target are not finite.
@@ -387,9 +400,10 @@ def search_points(targets, starts, distances, problem, coordinates, readings, ou
     Writes the states, or those with the smallest residual, (N, 2, 3); their readings (N, 6); and the outcome (N,): 1
     with a state, 0 without, -1 if undecided, because a search left the aspect or stalled just short of a state.
     """
-    state, size = _new_state(problem), problem[2]
-    search = problem, state, _new_state(problem), np.empty((6, 6)), np.empty((6, 6))
-    shifts, place, nearest_readings = np.zeros(problem[6].shape[1]), np.empty((2, 3)), np.empty(6)
+    problem = Problem(*constants)
+    work, size = _new_work(problem), problem.size
+    state = work.state
+    shifts, place, nearest_readings = np.zeros(problem.limits.shape[1]), np.empty((2, 3)), np.empty(6)
     for n in range(len(targets)):
         least, target, most = np.inf, targets[n], _STEPS[GAUSS_NEWTON]
         coordinates[n], readings[n], outcome[n] = starts[n, 0], np.nan, 0
@@ -397,13 +411,13 @@ def search_points(targets, starts, distances, problem, coordinates, readings, ou
             place[:] = starts[n, m]
             if distances[n, m] == np.inf or _evaluate(problem, place, target, 1.0, shifts, state) < BEYOND:
                 continue
-            stationary, _ = _minimise(search, place, target, 1.0, shifts, GAUSS_NEWTON, most)
-            norm = _norm(state[2])
+            stationary, _ = _minimise(work, place, target, 1.0, shifts, GAUSS_NEWTON, most)
+            norm = _norm(state.residual)
             if norm < least:
                 least, coordinates[n] = norm, place
             if norm <= RESOLUTION * size:
-                kept = _settle(search, place, target, shifts, nearest_readings)
-                if kept and _norm(state[2][:3]) <= 2.0 * RESOLUTION * size:
+                kept = _settle(work, place, target, shifts, nearest_readings)
+                if kept and _norm(state.residual[:3]) <= 2.0 * RESOLUTION * size:
                     coordinates[n], readings[n], outcome[n] = place, nearest_readings, 1
                     break
                 outcome[n] = -1
@@ -413,17 +427,17 @@ def search_points(targets, starts, distances, problem, coordinates, readings, ou
 
 @jit
 def _polish(
-    search: Search, coordinates: FloatArray, target: FloatArray, stiffness: float, most: int, shifts: FloatArray
-) -> tuple[float, int]:
+    work: Work, coordinates: FloatArray, target: FloatArray, stiffness: float, most: int, shifts: FloatArray
+) -> int:
     """Minimise the distance within the limits, by Newton's method and updates of the multipliers.
 
-    Writes the multipliers over the squared weight, `shifts` (L,); returns the weight and the steps that are left.
+    Writes the multipliers over the squared weight, `shifts` (L,); returns the steps that are left.
     """
-    problem, state, _, _, _ = search
-    size, rows, weight, left, change = problem[2], len(target), 1.0, most, np.inf
+    problem, state, _, _, _ = work
+    size, rows, weight, left, change = problem.size, len(target), 1.0, most, np.inf
     shifts[:] = 0.0
     _evaluate(problem, coordinates, target, 1.0, shifts, state)
-    distance = _norm(state[2][:rows])
+    distance = _norm(state.residual[:rows])
     for update in range(_UPDATES):
         before, farther, last = weight, distance, change
         weight = stiffness * _PENALTY_WEIGHTS[min(update % _RESTART, 2)]
@@ -431,10 +445,10 @@ def _polish(
         for row in range(len(shifts)):
             shifts[row] *= (before / weight) ** 2
         _evaluate(problem, coordinates, target, weight, shifts, state)
-        stationary, steps = _minimise(search, coordinates, target, weight, shifts, NEWTON, left)
-        left, change, distance = left - steps, 0.0, _norm(state[2][:rows])
+        stationary, steps = _minimise(work, coordinates, target, weight, shifts, NEWTON, left)
+        left, change, distance = left - steps, 0.0, _norm(state.residual[:rows])
         for row in range(len(shifts)):
-            shift = state[2][rows + row] / weight
+            shift = state.residual[rows + row] / weight
             change = max(change, abs(shift - shifts[row]))
             shifts[row] = shift
         # Every step leads out of the wanted aspect.
@@ -443,7 +457,7 @@ def _polish(
         converged = change <= _MULTIPLIER_TOLERANCE * size or (change <= _STALLED * size and change > 0.5 * last)
         if left <= 0 or stuck or (converged and (stationary or distance <= RESOLUTION * size)):
             break
-    return weight, left
+    return left
 
 
 @jit
@@ -458,8 +472,8 @@ def _next_end(norms: FloatArray, ends: FloatArray, best: float) -> int:
     return int(chosen)
 
 
-@kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], {_PROBLEM}, i8, f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1])")
-def search_nearest(targets, starts, problem, most, coordinates, readings, multipliers, quality):
+@kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], {_PROBLEM}, i8, f8[:, :, ::1], f8[:, ::1], f8[:, ::1])")
+def search_nearest(targets, starts, constants, most, coordinates, readings, quality):
     """Search for the states within the limits that put the points of the body nearest to the `targets` (N, 3K).
 
     From all `starts` (N, M, 2, 3) by the Gauss-Newton method, limits penalised; then, from the best on, by Newton's
@@ -467,20 +481,21 @@ def search_nearest(targets, starts, problem, most, coordinates, readings, multip
     within the limits; `most` Newton steps at most. Where nothing is nearer than the first of the starts, which has to
     be within the limits, that is the result.
 
-    Writes the states (N, 2, 3), their readings (N, 6), the multipliers of the readings' limits (N, 6), the
-    distance [m] and the gradient of half its square (N, 2), infinite where the start has been taken.
+    Writes the states (N, 2, 3), their readings (N, 6), the distance [m] and the gradient of half its square (N, 2),
+    infinite where the start has been taken.
     """
-    rows, count, size = targets.shape[1], starts.shape[1], problem[2]
-    state = _new_state(problem)
-    search = problem, state, _new_state(problem), np.empty((6, 6)), np.empty((6, 6))
-    shifts, zeros = np.zeros(problem[6].shape[1]), np.zeros(problem[6].shape[1])
+    problem = Problem(*constants)
+    rows, count, size = targets.shape[1], starts.shape[1], problem.size
+    work = _new_work(problem)
+    state = work.state
+    shifts, zeros = np.zeros(problem.limits.shape[1]), np.zeros(problem.limits.shape[1])
     place, nearest_readings = np.empty((2, 3)), np.empty(6)
     ends, norms = np.empty((count, 2, 3)), np.empty(count)
     for n in range(len(targets)):
         target, left = targets[n], most
-        coordinates[n], multipliers[n] = starts[n, 0], 0.0
-        exists = _settle(search, coordinates[n], target, zeros, readings[n])
-        first = _norm(state[2][:rows]) if exists else np.inf
+        coordinates[n] = starts[n, 0]
+        exists = _settle(work, coordinates[n], target, zeros, readings[n])
+        first = _norm(state.residual[:rows]) if exists else np.inf
         best, quality[n, 0], quality[n, 1] = first + RESOLUTION * size, first, np.inf
         for stiffness in _STIFFNESS:
             if quality[n, 1] < np.inf:
@@ -489,19 +504,22 @@ def search_nearest(targets, starts, problem, most, coordinates, readings, multip
                 ends[m], norms[m] = starts[n, m], np.inf
                 if _evaluate(problem, ends[m], target, 1.0, zeros, state) < BEYOND:
                     continue
-                weight = stiffness * math.sqrt(max(1.0, _REMOTE_PENALTY * _norm(state[2][:rows]) / size))
-                state[2][rows:] *= weight
-                state[3][rows:] *= weight
-                _minimise(search, ends[m], target, weight, zeros, GAUSS_NEWTON, _STEPS[GAUSS_NEWTON])
-                norms[m] = _norm(state[2])
+                weight = stiffness * math.sqrt(max(1.0, _REMOTE_PENALTY * _norm(state.residual[:rows]) / size))
+                state.residual[rows:] *= weight
+                state.jacobian[rows:] *= weight
+                _minimise(work, ends[m], target, weight, zeros, GAUSS_NEWTON, _STEPS[GAUSS_NEWTON])
+                norms[m] = _norm(state.residual)
             chosen = _next_end(norms, ends, np.inf)
             while chosen >= 0 and left > 0:
                 place[:] = ends[chosen]
-                weight, left = _polish(search, place, target, stiffness, left, shifts)
-                distance, slope = _norm(state[2][:rows]), _put_gradient(state[3], state[2], nearest_readings)
-                if _settle(search, place, target, shifts, nearest_readings):
-                    before, distance = distance, _norm(state[2][:rows])
+                left = _polish(work, place, target, stiffness, left, shifts)
+                distance, slope = (
+                    _norm(state.residual[:rows]),
+                    _put_gradient(state.jacobian, state.residual, nearest_readings),
+                )
+                if _settle(work, place, target, shifts, nearest_readings):
+                    before, distance = distance, _norm(state.residual[:rows])
                     if distance <= min(best, before + _SAME_STATE * size):
                         best, coordinates[n], readings[n] = distance, place, nearest_readings
-                        multipliers[n], quality[n, 0], quality[n, 1] = weight * weight * shifts[:6], distance, slope
+                        quality[n, 0], quality[n, 1] = distance, slope
                 chosen = _next_end(norms, ends, best)
