@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from spm_pin.calibration.error_model import error_jacobian
 from spm_pin.mechanism import Configuration
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.mechanism.pose import homogeneous
 
 FRAME_PARAMETERS = tuple(f"{frame}.{part}{x}" for frame in ("base", "target") for part in ("", "turn_") for x in "xyz")
 """Names of the changes of both frames: of {B} in its own axes, of the target in those of {m} [m, rad]."""
@@ -61,9 +62,8 @@ class Frames:
 
     def changed(self, by: FloatArray) -> Frames:
         """Return frames changed by `FRAME_PARAMETERS`."""
-        moves = np.tile(np.eye(4), (2, 1, 1))
-        moves[:, :3, :3] = Rotation.from_rotvec(by.reshape(2, 2, 3)[:, 1]).as_matrix()
-        moves[:, :3, 3] = by.reshape(2, 2, 3)[:, 0]
+        shifts, turns = by.reshape(2, 2, 3).swapaxes(0, 1)
+        moves = homogeneous(Rotation.from_rotvec(turns).as_matrix(), shifts)
         target = self.target.copy()
         target[:3, :3] = moves[1, :3, :3] @ target[:3, :3]
         target[:3, 3] += moves[1, :3, 3]

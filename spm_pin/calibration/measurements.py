@@ -29,6 +29,7 @@ from spm_pin.mechanism.arguments import (
 )
 from spm_pin.mechanism.mechanism import unit_hint
 from spm_pin.mechanism.motion_table import POSITION, MotionTable
+from spm_pin.mechanism.pose import homogeneous
 
 _SUSPICIOUS = 0.02
 """Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""
@@ -69,8 +70,7 @@ class Measurements:
         array = as_array(poses) if not isinstance(poses, RigidTransform) else None
         if array is not None and array.shape[-1:] == (3,):
             position = real_array(poses, "poses", (3,), "positions of o in {B} in metres")
-            matrix, components = np.zeros((*position.shape[:-1], 4, 4)) + np.eye(4), 3
-            matrix[..., :3, 3] = position
+            matrix, components = homogeneous(np.eye(3), position), 3
         else:
             matrix, components = as_rigid_transform(poses, "poses").as_matrix(), 6
         read = real_array(readings, "readings", (6,), f"readings of {', '.join(LEGS)} in {geometry.legs.unit_text()}")

@@ -350,7 +350,6 @@ def acceleration_polytope(
     """
     bounds = _limits_of(configuration, force_limits, "force_limits", "efforts of the actuators", "N", "N m")
     matrix = symmetric_matrices(mass, "mass", 6, "in kg, kg m, kg m²", allow_nan=True, positive=True)
-    check_configuration(configuration)
     broadcastable("mass", matrix.shape[:-2], "the configuration", configuration.shape)
     forces = -platform_jacobian(configuration).mT
     offset = _taken(forces, load, "the configuration", configuration.shape) + np.zeros(matrix.shape[:-1])

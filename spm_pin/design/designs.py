@@ -56,7 +56,7 @@ Function = Callable[[Geometry], float]
 """A number of a machine."""
 _STAGES = ("", "lower_", "upper_")
 _DIMENSIONS = ("base_radius", "platform_radius", "middle_side")
-_OF_LEGS = ("minimum", "stroke", *dict.fromkeys(name for kind in KINDS.values() for name in kind.names_of_numbers()))
+_OF_LEGS = ("minimum", "stroke", *dict.fromkeys(name for kind in KINDS.values() for name in kind.identified))
 VARIABLES = (*_DIMENSIONS, *(f"{stage}{name}" for stage in _STAGES for name in _OF_LEGS))
 """Names of variables that may be free: E, C, d [m]; and of all legs, or of a stage's, the least reading, the stroke and
 the numbers that are fixed in PRS and RRS legs, such as "lower_crank" [m, rad]."""
@@ -482,7 +482,7 @@ def pareto_front(
                 raise ArgumentError("store", "the choices of this search", f"others in generation {generation}", cause)
             columns = {name: np.array(column, dtype=float) for name, column in stored[generation]["columns"].items()}
             return Designs(some, columns)
-        designs = evaluate_designs(some, chosen, functions=own, scheduler=client, progress=_silent, **options)
+        designs = evaluate_designs(some, chosen, functions=own, scheduler=client, progress=lambda *_: None, **options)
         numbers = {name: [None if np.isnan(x) else x for x in column] for name, column in designs.columns.items()}
         stored.append({"values": values.tolist(), "columns": numbers})
         # What was there is lost only when the new file is complete, in a folder that is no one else's.
@@ -516,10 +516,6 @@ def pareto_front(
     kept = kept[np.sort(NonDominatedSorting().do(values[kept], only_non_dominated_front=True))]
     best = {name: column[kept] for name, column in columns.items()}
     return Front(problem, Designs(tuple(every.geometries[k] for k in kept), best), every, reference)
-
-
-def _silent(what: str, done: int, total: int) -> None:
-    """Show nothing of the machines of a generation."""
 
 
 def _identity(function: Function) -> str | None:

@@ -1,4 +1,8 @@
-"""Dimensions of the robot, its states, and sets of states. No Pinocchio, CasADi or Numba."""
+"""A `Stage` and a robot of two, a `Geometry`; their states and sets of states. No Pinocchio, CasADi or Numba.
+
+What they share stands once: `Mechanism` is the base of both, with `Legs` of three or six; `Batched` of their states,
+`StageConfiguration` and `Configuration`; `Solutions` of sets of these, `StageSolutions` and `SolutionSet`.
+"""
 
 from spm_pin.mechanism.branch_of_state import BRANCHES, FAMILIES
 from spm_pin.mechanism.configuration import Configuration

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import Any, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -25,8 +25,35 @@ class Batched(ABC):
     missing_reason = ""
     """Why a single state does not exist, where that is known; empty otherwise."""
     _mechanism: Mechanism
-    _rotation: FloatArray
-    _translation: FloatArray
+    _solved: ClassVar[str]
+    """Name of the property, one number for each leg, that a solver may have computed already."""
+
+    def _set(self, mechanism: Mechanism, *arrays: FloatArray) -> None:
+        """Keep rotations and translations of the platform, and of a robot the middle joints."""
+        self._mechanism = mechanism
+        self._arrays = tuple(map(frozen, arrays))
+        self._rotation, self._translation = self._arrays[:2]
+
+    @classmethod
+    @abstractmethod
+    def from_arrays(cls, *arrays: Any) -> Self:
+        """Make a state of the mechanism, arrays as `_set` takes them, and what `_solved` names or None."""
+
+    def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Self:
+        """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
+        solved = self.__dict__.get(self._solved)
+        arrays = (change(array, inner) for array, inner in zip(self._arrays, (2, 1, 2), strict=False))
+        return self.from_arrays(self._mechanism, *arrays, None if solved is None else change(solved, 1))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Copies and unpickled states are read-only too; what is derived is not carried along.
+        state = self._mechanism, *self._arrays, self.__dict__.get(self._solved)
+        return self.from_arrays, state, {"missing_reason": self.missing_reason}
+
+    @property
+    def mechanism(self) -> Any:
+        """The `Geometry` or the `Stage`."""
+        return self._mechanism
 
     @property
     @abstractmethod
@@ -67,10 +94,6 @@ class Batched(ABC):
     @abstractmethod
     def compared_points(self) -> FloatArray:
         """Points by which states are compared, as rows in {B} [m], shape (..., n, 3)."""
-
-    @abstractmethod
-    def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Self:
-        """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
 
     @abstractmethod
     def where(self, kept: BoolArray) -> Self:

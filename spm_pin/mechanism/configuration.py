@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -46,6 +45,9 @@ class Configuration(Batched):
     is by how much.
     """
 
+    _mechanism: Geometry
+    _solved = "leg_lengths"
+
     def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
         check_instance(geometry, Geometry, "geometry")
         transform = as_rigid_transform(pose)
@@ -65,10 +67,6 @@ class Configuration(Batched):
             np.broadcast_to(joints.copy(), (*shape, 3, 3)),
         )
 
-    def _set(self, geometry: Geometry, *arrays: FloatArray) -> None:
-        self._mechanism: Geometry = geometry
-        self._rotation, self._translation, self._middle_joints = map(frozen, arrays)
-
     @classmethod
     def from_arrays(
         cls,
@@ -84,22 +82,6 @@ class Configuration(Batched):
         if leg_lengths is not None:
             self.__dict__["leg_lengths"] = frozen(leg_lengths)
         return self
-
-    def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Configuration:
-        """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
-        lengths = self.known_lengths
-        return Configuration.from_arrays(
-            self.geometry,
-            change(self._rotation, 2),
-            change(self._translation, 1),
-            change(self._middle_joints, 2),
-            None if lengths is None else change(lengths, 1),
-        )
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Copies and unpickled states are read-only too; what is derived is not carried along.
-        state = self.geometry, self._rotation, self._translation, self._middle_joints, self.known_lengths
-        return Configuration.from_arrays, state, {"missing_reason": self.missing_reason}
 
     def _summary(self) -> str:
         readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self.geometry.legs.units, strict=True))
@@ -130,7 +112,7 @@ class Configuration(Batched):
     @property
     def shape(self) -> tuple[int, ...]:
         """Batch shape."""
-        return self._middle_joints.shape[:-2]
+        return self.middle_joints.shape[:-2]
 
     @property
     def geometry(self) -> Geometry:
@@ -138,40 +120,31 @@ class Configuration(Batched):
         return self._mechanism
 
     @property
-    def mechanism(self) -> Geometry:
-        """The manipulator, as `StageConfiguration.mechanism` is the stage."""
-        return self._mechanism
-
-    @property
     def compared_points(self) -> FloatArray:
         """The points by which states are compared, b_i and c_i as rows in {B} [m], shape (..., 6, 3)."""
-        return np.concatenate([self._middle_joints, self.platform_joints], axis=-2)
+        return np.concatenate([self.middle_joints, self.platform_joints], axis=-2)
 
     def where(self, kept: BoolArray) -> Configuration:
         """Return the states where `kept` (...) is true; the others have no joints, and keep their pose."""
-        joints = masked(self._middle_joints, kept, 2)
-        lengths = None if self.known_lengths is None else masked(self.known_lengths, kept, 1)
+        solved = self.__dict__.get(self._solved)
+        lengths = None if solved is None else masked(solved, kept, 1)
+        joints = masked(self.middle_joints, kept, 2)
         return Configuration.from_arrays(self.geometry, self._rotation, self._translation, joints, lengths)
 
     @property
     def middle_joints(self) -> FloatArray:
         """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., 3, 3)."""
-        return self._middle_joints
+        return self._arrays[2]
 
     @property
     def exists(self) -> BoolArray:
         """False for a member of the batch that does not exist, shape (...)."""
-        return ~np.isnan(self._middle_joints[..., 0, 0])
-
-    @property
-    def known_lengths(self) -> FloatArray | None:
-        """`leg_lengths` if they have been computed already, else None."""
-        return self.__dict__.get("leg_lengths")
+        return ~np.isnan(self.middle_joints[..., 0, 0])
 
     @cached_property
     def balls(self) -> FloatArray:
         """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the drawn machine."""
-        lower = self._middle_joints
+        lower = self.middle_joints
         sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
         moved = self.geometry.legs.upper_ball_weights @ np.stack([*sides, np.cross(*sides)], axis=-2)
         return frozen(np.concatenate([lower, lower + moved], axis=-2))
@@ -255,8 +228,8 @@ class Configuration(Batched):
     def middle_pose(self) -> RigidTransform:
         """Pose of the middle platform {n} in {B}; at the centre of a drawn machine's triangle, x along b_3 b_1."""
         corners = self.geometry.legs.balls[:3]
-        frames = triangle_frames(self._middle_joints) @ triangle_frames(corners).T
-        centres = self._middle_joints.mean(axis=-2) - frames @ corners.mean(axis=0)
+        frames = triangle_frames(self.middle_joints) @ triangle_frames(corners).T
+        centres = self.middle_joints.mean(axis=-2) - frames @ corners.mean(axis=0)
         return unchecked_transform(frames, centres)
 
     @cached_property
@@ -265,7 +238,7 @@ class Configuration(Batched):
 
         The distances of each ball from the plane of its leg, Eqs. (5b), (5c), and the errors of the sides, Eq. (12).
         """
-        b, legs = self._middle_joints, self.geometry.legs
+        b, legs = self.middle_joints, self.geometry.legs
         # The axes and the planes' distances from O: exact zeros in a drawn machine, whose planes go through Z.
         lower = (b * legs.axes[:3]).sum(axis=-1) - (legs.pivots[:3] * legs.axes[:3]).sum(axis=-1)
         upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)

@@ -249,23 +249,20 @@ class Geometry(Mechanism):
 
 def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
     """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
+    if geometry.dimensions == expected.dimensions and geometry.legs == expected.legs:
+        return
     cause = "Computed for another machine?"
-    for name in _DIMENSIONS.values():
-        received, wanted = getattr(geometry, name), getattr(expected, name)
-        if abs(received - wanted) > _SAME * expected.middle_side:
-            raise GeometryError(argument, f"the {name} of {owner}, {wanted:.9g} m", f"{received:.9g} m", cause)
     for kind, wanted in zip(geometry.legs.kinds, expected.legs.kinds, strict=True):
-        if kind == wanted:
-            continue
-        if type(kind) is not type(wanted) or not np.allclose(kind.numbers, wanted.numbers, rtol=_SAME, atol=_SAME):
+        if type(kind) is not type(wanted) or getattr(kind, "sign", 0) != getattr(wanted, "sign", 0):
             raise GeometryError(argument, f"the kinds of {owner}, {wanted!r}", repr(kind), cause)
-    for name in ("axes", "pivots", "balls", "offsets"):
-        apart = np.abs(getattr(geometry.legs, name) - getattr(expected.legs, name))
-        unit, scale = ("rad", 1.0) if name == "axes" else ("m", expected.middle_side)
-        if apart.max() > _SAME * scale:
-            leg = LEGS[int(apart.argmax()) * len(LEGS) // apart.size]
-            difference = f"a machine that differs by {apart.max():.1e} {unit} in {leg}"
-            raise GeometryError(argument, f"the {name} of {owner}", difference, cause)
+    names = *_DIMENSIONS.values(), *expected.parameter_names
+    units = "m", "m", "m", *expected.parameter_units
+    own, others = (np.concatenate([machine.dimensions, machine.parameters]) for machine in (geometry, expected))
+    for name, unit, received, number in zip(names, units, own.tolist(), others.tolist(), strict=True):
+        if abs(received - number) > _SAME * (1.0 if unit == "rad" else expected.middle_side):
+            raise GeometryError(
+                argument, f"the {name} of {owner}, {number:.9g} {unit}", f"{received:.9g} {unit}", cause
+            )
 
 
 def check_rps(geometry: Geometry, what: str) -> None:

@@ -58,6 +58,8 @@ class LegKind:
     """Name of the body between them."""
     least_reading: ClassVar[float] = -math.inf
     """Beyond which every reading is, offset aside."""
+    identified: ClassVar[tuple[str, ...]] = ()
+    """Names of the numbers that a maker chooses and a calibration identifies: all but the working mode."""
     turned: ClassVar[tuple[float, ...]]
     """Changes of the offset, and of each of the `identified` numbers, that amount to a unit turn of the leg's links."""
     number: ClassVar[int]
@@ -84,11 +86,6 @@ class LegKind:
         """Return the kind's formulas, each bound by a function such as `on_arrays`."""
         return SimpleNamespace(**{name: bind(formula) for name, formula in vars(cls.formulas).items()})
 
-    @classmethod
-    def names_of_numbers(cls) -> tuple[str, ...]:
-        """Names of the numbers that a machine's maker chooses: all but the working mode."""
-        return tuple(field.name for field in fields(cls) if field.name != "sign")
-
     @property
     def passive(self) -> str:
         """Name of the joint that the actuator does not move, which is revolute."""
@@ -107,11 +104,6 @@ class LegKind:
         return frozen(np.array(rows, dtype=np.float64).reshape(len(rows), 3).T)
 
     @property
-    def identified(self) -> tuple[str, ...]:
-        """Names of the numbers that a calibration identifies: all but the working mode."""
-        return self.names_of_numbers()
-
-    @property
     def is_drawn(self) -> bool:
         """Whether the three legs have equal numbers."""
         return not any(isinstance(getattr(self, field.name), tuple) for field in fields(self))
@@ -119,11 +111,9 @@ class LegKind:
     @property
     def nominal(self) -> LegKind:
         """The legs with the mean of each number in all three."""
-        return (
-            self
-            if self.is_drawn
-            else self.with_numbers(np.tile(self.numbers[:, : len(self.identified)].mean(axis=0), (3, 1)))
-        )
+        if self.is_drawn:
+            return self
+        return self.with_numbers(np.tile(self.numbers[:, : len(self.identified)].mean(axis=0), (3, 1)))
 
     def as_data(self) -> dict[str, Any]:
         """Return what a file says of these legs."""
@@ -224,6 +214,7 @@ class PRS(LegKind):
     joints = ("slide", "knee")
     actuated = "slide"
     body = "carriage"
+    identified = ("rod", "direction")
     turned = (0.0, 0.0, 1.0)
 
 
@@ -254,6 +245,7 @@ class RRS(LegKind):
     joints = ("hip", "knee")
     actuated = "hip"
     body = "crank"
+    identified = ("crank", "rod")
     turned = (-1.0, 0.0, 0.0)
 
 

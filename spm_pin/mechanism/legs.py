@@ -14,7 +14,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError, GeometryError, UnreachableError, raised_as
 from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
 from spm_pin.formulas.joint_values import triangle_axes
-from spm_pin.formulas.operations import bind, on_arrays, rows_of, vector_of
+from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
 from spm_pin.mechanism.arguments import (
     COLUMNS,
     LARGEST,
@@ -36,8 +36,6 @@ LEGS = COLUMNS[6]
 STAGE_LEGS = ("r_1", "r_2", "r_3")
 """Names and order of the legs of a stage alone."""
 
-ORDERED = "minimum < maximum for every leg"
-
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
 
@@ -51,8 +49,7 @@ _triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(circles.squ
 _admitted_readings = on_arrays(leg_constants.admitted_readings)
 _limit_rounding = on_arrays(leg_constants.limit_rounding)
 _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
-_plane_axes = bind(planar_legs.plane_axes, sqrt=math.sqrt)
-_planes_axes = on_arrays(planar_legs.plane_axes)
+_plane_axes = on_arrays(planar_legs.plane_axes)
 _UNIT = 1e-6
 """Largest error of the length of an axis that is taken for rounding."""
 _UNITS = "metres, of RRS legs in radians"
@@ -88,7 +85,8 @@ class LegLimits:
         for leg, low, high in zip(self.legs, self.minimum, self.maximum, strict=True):
             if not low < high:
                 cause = "Minimum and maximum exchanged?" if low > high else ""
-                raise GeometryError("limits", ORDERED, f"[{low:g}, {high:g}] for {leg}", cause)
+                received = f"[{low:g}, {high:g}] for {leg}"
+                raise GeometryError("limits", "minimum < maximum for every leg", received, cause)
 
     @classmethod
     @raised_as(GeometryError)
@@ -322,14 +320,14 @@ class Legs:
 
         As the axes they are in {B} of lower and in {m} of upper legs.
         """
-        outward, forward = zip(
-            *(
-                _plane_axes(tuple(axis), leg_constants.TANGENT_SIGNS[leg % 3], 1.0 - 2.0 * (leg // 3))
-                for leg, axis in enumerate(self.axes.tolist())
-            ),
-            strict=True,
-        )
-        return frozen(np.array(outward)), frozen(np.array(forward))
+        outward, forward = _plane_axes(vector_of(self.axes), *self._signs)
+        return frozen(np.stack(outward, axis=-1)), frozen(np.stack(forward, axis=-1))
+
+    @property
+    def _signs(self) -> tuple[FloatArray, FloatArray]:
+        """Signs of the tangents and of the directions up, of each leg."""
+        count = len(self.kinds)
+        return np.tile(leg_constants.TANGENT_SIGNS, count), np.repeat([1.0, -1.0][:count], 3)
 
     @property
     def turned_over(self) -> Legs:
@@ -422,19 +420,12 @@ class Legs:
 
     @functools.cached_property
     def plane_turns(self) -> FloatArray:
-        """Derivatives by the axes of the turn of each leg's plane about its axis, from x to z, (6, 3)."""
+        """Derivatives by the axes of the turn of each leg's plane about its axis, from x to z, (legs, 3)."""
         tilted = self.axes[:, None] + 1j * _STEP * np.eye(3)
-        signs = np.tile(leg_constants.TANGENT_SIGNS, 2)[:, None], np.repeat([1.0, -1.0], 3)[:, None]
-        outward, _ = _planes_axes(vector_of(tilted), *signs)
+        tangents, up = self._signs
+        outward, _ = _plane_axes(vector_of(tilted), tangents[:, None], up[:, None])
         _, forward = self.planes
         return frozen((np.stack(outward, axis=-1).imag / _STEP * forward[:, None]).sum(axis=-1))
-
-    def rooms(self, places: FloatArray) -> FloatArray:
-        """Return how far balls at x and z (..., 6, 2) are from where their legs are singular [m], (..., 6).
-
-        Negative out of a leg's reach.
-        """
-        return self._of_stages("rooms", places)
 
     @functools.cached_property
     def slope_signs(self) -> FloatArray:

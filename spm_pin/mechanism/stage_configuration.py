@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -40,13 +39,12 @@ class StageConfiguration(Batched):
     Nothing is solved here: balls may be out of their legs' planes, and `closure_residual` is by how much.
     """
 
+    _mechanism: Stage
+    _solved = "readings"
+
     def __init__(self, stage: Stage, pose: PoseLike) -> None:
         matrix = as_rigid_transform(pose).as_matrix()
         self._set(check_instance(stage, Stage, "stage"), matrix[..., :3, :3].copy(), matrix[..., :3, 3].copy())
-
-    def _set(self, stage: Stage, rotation: FloatArray, translation: FloatArray) -> None:
-        self._mechanism: Stage = stage
-        self._rotation, self._translation = frozen(rotation), frozen(translation)
 
     @classmethod
     def from_arrays(
@@ -59,19 +57,9 @@ class StageConfiguration(Batched):
             self.__dict__["readings"] = frozen(readings)
         return self
 
-    def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> StageConfiguration:
-        """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
-        known = self.__dict__.get("readings")
-        arrays = change(self._rotation, 2), change(self._translation, 1), None if known is None else change(known, 1)
-        return StageConfiguration.from_arrays(self.stage, *arrays)
-
     def where(self, kept: BoolArray) -> StageConfiguration:
         """Return the states where `kept` (...) is true; the others are NaN throughout."""
         return self.transformed(lambda array, inner: masked(array, kept, inner))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        state = self.stage, self._rotation, self._translation, self.__dict__.get("readings")
-        return StageConfiguration.from_arrays, state, {"missing_reason": self.missing_reason}
 
     def _summary(self) -> str:
         tilt, azimuth = np.degrees([self.tilt, self.azimuth])
@@ -82,11 +70,6 @@ class StageConfiguration(Batched):
     @property
     def stage(self) -> Stage:
         """The stage."""
-        return self._mechanism
-
-    @property
-    def mechanism(self) -> Stage:
-        """The stage, as `Configuration.mechanism` is the geometry."""
         return self._mechanism
 
     @property

@@ -209,8 +209,7 @@ def leg_grid(
         Readings of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m], of RRS legs [rad]: the
         same for the three, or one after another in a list. A tuple of three numbers is a range.
     """
-    _refuse(others, "lower, upper", "ranges of the lower and of the upper legs, each one or a list of three")
-    return _domain("legs", [*_leg_ranges(lower, "lower"), *_leg_ranges(upper, "upper")])
+    return _domain("legs", _leg_ranges(lower, upper, others))
 
 
 def pose_sample(
@@ -251,8 +250,7 @@ def leg_sample(
     lower, upper
         As for `leg_grid`, with ranges (start, stop).
     """
-    _refuse(others, "lower, upper", "ranges of the lower and of the upper legs, each one or a list of three")
-    return _domain("legs", [*_leg_ranges(lower, "lower"), *_leg_ranges(upper, "upper")], Sample(count, seed))
+    return _domain("legs", _leg_ranges(lower, upper, others), Sample(count, seed))
 
 
 def _domain(space: Space, ranges: list[AxisRange], sample: Sample | None = None) -> Domain:
@@ -274,8 +272,10 @@ def _refuse(others: tuple[AxisRange, ...], argument: str, expected: str) -> None
         raise ArgumentError(argument, expected, f"{len(others)} more ranges one after another")
 
 
-def _leg_ranges(stage: AxisRange | Sequence[AxisRange], argument: str) -> list[AxisRange]:
-    return _three(stage if isinstance(stage, list) else [stage] * 3, argument)
+def _leg_ranges(lower: Any, upper: Any, others: tuple[AxisRange, ...]) -> list[AxisRange]:
+    _refuse(others, "lower, upper", "ranges of the lower and of the upper legs, each one or a list of three")
+    stages = (("lower", lower), ("upper", upper))
+    return [each for name, stage in stages for each in _three(stage if isinstance(stage, list) else [stage] * 3, name)]
 
 
 def _three(ranges: Any, argument: str) -> list[AxisRange]:
@@ -376,8 +376,6 @@ class SweepPlan:
     def evaluate(self, index: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
         """Return the values of all variables on the chunk at `index`, each of the shape of its region."""
         coordinates = self.domain.points(index, self.chunk)
-        # Metrics are given parts of this array.
-        coordinates.flags.writeable = False
         variables, count = self.variables, len(coordinates)
         values = {metric.name: np.empty(count, dtype=metric.dtype) for metric in variables}
         for first in range(0, count, _BLOCK):

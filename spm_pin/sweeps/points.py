@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,11 +19,10 @@ from spm_pin.kinematics import (
     singularities,
 )
 from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, frozen
 
 Space = Literal["pose", "legs"]
 """The coordinates of points: poses of the platform, or six leg lengths."""
-Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 
 class _Poses(NamedTuple):
@@ -49,7 +48,7 @@ class Points:
     def __init__(self, geometry: Geometry, space: Space, coordinates: FloatArray) -> None:
         self.geometry = geometry
         self.space = space
-        self.coordinates = _locked(coordinates)
+        self.coordinates = frozen(coordinates)
         self._singular_values: dict[float, FloatArray] = {}
 
     def __len__(self) -> int:
@@ -65,7 +64,7 @@ class Points:
         """`Status` of the displacement problem of each point, shape (N,)."""
         if self.space == "pose":
             return self._branches[1]
-        return _locked(np.where(self.assembled.exists, Status.OK, Status.UNREACHABLE).astype(np.int8))
+        return frozen(np.where(self.assembled.exists, Status.OK, Status.UNREACHABLE).astype(np.int8))
 
     @cached_property
     def branch_readings(self) -> FloatArray:
@@ -75,7 +74,7 @@ class Points:
     @cached_property
     def branches_within(self) -> BoolArray:
         """Which branches are real and within the leg limits, shape (N, 8)."""
-        return _locked(self.limits.contains(self.branch_readings))
+        return frozen(self.limits.contains(self.branch_readings))
 
     @cached_property
     def solutions(self) -> SolutionSet:
@@ -109,13 +108,13 @@ class Points:
     def _reached(self) -> tuple[BoolArray, Configuration]:
         if self.space == "legs":
             reachable = self.limits.contains(self.coordinates) & self.assembled.exists
-            return _locked(reachable), self.assembled[reachable]
+            return frozen(reachable), self.assembled[reachable]
         # Most points of a box have no branch within the limits: the others alone are solved for the joints.
         reachable = np.asarray(self.branches_within.any(axis=-1))
         states = inverse_physical(self.geometry, _Poses(*(values[reachable] for values in self._poses)))
         is_within = self.limits.contains(states.readings)
         reachable[reachable] = is_within
-        return _locked(reachable), states[is_within]
+        return frozen(reachable), states[is_within]
 
     def spread(self, values: npt.ArrayLike, absent: float = np.nan) -> FloatArray:
         """Return values of the M `reached` points as an array of shape (N,), `absent` elsewhere."""
@@ -124,17 +123,17 @@ class Points:
     @cached_property
     def sigma(self) -> FloatArray:
         """Smallest singular values of J_b, J_c and K of the M `reached` points, shape (M, 3)."""
-        return _locked(singularities(self.reached).sigma)
+        return frozen(singularities(self.reached).sigma)
 
     @cached_property
     def determinants(self) -> FloatArray:
         """Values of det J_b, det J_c and det K over d³ at the M `reached` points, shape (M, 3)."""
-        return _locked(determinants(self.reached) / self.geometry.middle_side**3)
+        return frozen(determinants(self.reached) / self.geometry.middle_side**3)
 
     @cached_property
     def platform_jacobians(self) -> FloatArray:
         """G of the M `reached` points, shape (M, 6, 6), see `platform_jacobian`; NaN at a forward singularity."""
-        return _locked(platform_jacobian(self.reached))
+        return frozen(platform_jacobian(self.reached))
 
     def singular_values(self, length: float | None = None) -> FloatArray:
         """Return those of G for the twist (v, Lω), L = `length` [m] or C, shape (M, 6), falling; NaN as G is.
@@ -145,7 +144,7 @@ class Points:
         if length not in self._singular_values:
             scales = np.repeat([1.0, length], 3)[:, None] / self.geometry.legs.largest_slopes
             scaled = self.platform_jacobians * scales
-            self._singular_values[length] = _locked(singular_values(scaled))
+            self._singular_values[length] = frozen(singular_values(scaled))
         return self._singular_values[length]
 
     @cached_property
@@ -172,7 +171,7 @@ class Points:
             readings, status = np.array(branches.readings), np.array(branches.status)
         if self.space == "legs":
             readings = _spread(readings, self.assembled.exists)
-        return _locked(readings), _locked(status)
+        return frozen(readings), frozen(status)
 
 
 def _xyx_rotations(angles: FloatArray) -> FloatArray:
@@ -193,9 +192,3 @@ def _spread(values: npt.NDArray[Any], mask: BoolArray, absent: float = np.nan) -
     spread = np.full((len(mask), *values.shape[1:]), absent)
     spread[mask] = values
     return spread
-
-
-def _locked(array: Array) -> Array:
-    """Make an array read-only, so that no metric changes what others are given."""
-    array.flags.writeable = False
-    return array
