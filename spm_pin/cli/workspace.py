@@ -170,14 +170,11 @@ def _print_reached(boundary: Boundary, estimate: Estimate, unit: LengthUnit, jso
 def _limit_lines(limits: LegLimits, machine: Geometry, unit: LengthUnit) -> list[str]:
     """Return the limits in words, in a line where those of all legs are in one unit."""
     shown, lines = Readings(machine, unit), []
-    stages = [slice(0, 6)] if len(set(machine.legs.units)) == 1 else [slice(0, 3), slice(3, 6)]
-    for legs, place in zip(stages, ("legs",) if len(stages) == 1 else ("lower legs", "upper legs"), strict=True):
-        name = shown.units[legs.start]
-        ends = [
-            ", ".join(f"{x:g}" for x in (end[:1] if len(set(end)) == 1 else end))
-            for end in ((np.array(end)[legs] * shown.scale[legs]).tolist() for end in (limits.minimum, limits.maximum))
-        ]
-        lines.append(f"{place} from {ends[0]} to {ends[1]} {name}")
+    stages = {"lower legs": slice(0, 3), "upper legs": slice(3, 6)}
+    for place, legs in stages.items() if len(set(shown.units)) > 1 else [("legs", slice(0, 6))]:
+        ends = (limits.ends * shown.scale)[:, legs]
+        least, most = (", ".join(f"{x:g}" for x in (end[:1] if (end == end[0]).all() else end)) for end in ends)
+        lines.append(f"{place} from {least} to {most} {shown.units[legs.start]}")
     return lines
 
 

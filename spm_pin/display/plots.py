@@ -144,7 +144,6 @@ def stage_figure(configuration: StageConfiguration, *, names: bool = True) -> Fi
     check_members(state, "configuration", single=True, existing=True)
     (solids, size), camera = placed_solids(state), camera_axes(VIEW)
     ax, *_ = draw_solids(solids, camera, (0.05, 0.05), ax=None, dpi=200.0, edge=_EDGE)
-    ax.axis("off")
     if names:
         beside = 0.5 * (state.circle_centres + state.balls) + 0.4 * size * state.stage.legs.planes[0]
         for name, place in zip(state.stage.legs.names, beside, strict=True):
@@ -152,7 +151,7 @@ def stage_figure(configuration: StageConfiguration, *, names: bool = True) -> Fi
             write_name(ax, (x, y), f"${name}$", 11, "black", 0.3)
     tilt, azimuth = np.degrees([state.tilt, state.azimuth])
     text = f"tilt {tilt:.1f}° towards {azimuth:.0f}°, height {1e3 * float(state.height):.1f} mm"
-    ax.text(0.5, 1.0, text, fontsize=8, ha="center", va="top", transform=ax.transAxes)
+    ax.text(0.5, 0.99, text, fontsize=8, ha="center", va="top", transform=ax.transAxes)
     return cast("Figure", ax.figure)
 
 
