@@ -122,8 +122,8 @@ def test_readings_of_cranks_are_typed_in_degrees_whatever_the_unit(tmp_path: Pat
     np.testing.assert_allclose(stored.r_b1, np.deg2rad([20.0, 30.0, 40.0]), rtol=1e-15)
     assert float(stored.r_c1) == pytest.approx(np.deg2rad(30.0))
     assert stored.r_b1.attrs["units"] == "rad"
-    limits = json.loads(stored.attrs["spm_pin_sweep"])["geometry"]["limits"]
-    np.testing.assert_allclose(limits, [[np.deg2rad(10.0)] * 6, [np.deg2rad(60.0)] * 6])
+    limits = json.loads(stored.attrs["spm_pin_sweep"])["geometry"]["leg_limits"]
+    np.testing.assert_allclose(limits, np.deg2rad([10.0, 60.0]))
 
 
 POSES = ["--x", "37:44:4", "--y", "-16:-12:3", "--z", "250", "--xyx", "1", "17:20:2", "6", "--unit", "cm"]
@@ -182,7 +182,7 @@ def test_parameters_of_metrics(tmp_path: Path) -> None:
         METRICS["payload_down"](push=900.0),
     ]
     assert definition["metrics"] == [metric.definition() for metric in expected]
-    assert definition["geometry"]["limits"] == [[1.15] * 6, [1.45] * 6]
+    assert definition["geometry"]["leg_limits"] == [1.15, 1.45]
 
 
 @pytest.mark.parametrize(
