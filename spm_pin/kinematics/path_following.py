@@ -177,7 +177,9 @@ def follow(
     if start is not None and not isinstance(start, str):
         check_configuration(start, "start", single=True, existing=True)
     solve, knots, has_legs = _solver(geometry, path)
-    path_followed = followed(watch_of(geometry), solve, knots, start, samples, has_legs=has_legs)
+    # Numbers of modes are names only where legs are not RPS.
+    watch = watch_of(geometry)._replace(has_labels=not has_legs or geometry.legs.are_rps)
+    path_followed = followed(watch, solve, knots, start, samples, has_legs=has_legs)
     if certificate is None:
         return path_followed
     return replace(path_followed, certified=certificate.covers(path_followed.configurations))

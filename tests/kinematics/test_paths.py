@@ -21,6 +21,7 @@ from spm_pin.kinematics.path_following import (
     physical_mode_share,
     watch_of,
 )
+from spm_pin.kinematics.singularity_analysis import determinants
 
 FREE = replace(PAPER, limits=None)
 RESOLUTION = 1e-9
@@ -177,6 +178,21 @@ def test_along_leg_lengths_the_machine_stays_in_its_mode() -> None:
         structure = spm.singularities(spm.forward_physical(PAPER, dense)).scaled_determinants[:, 2]
         crossings = np.linspace(0, 1, 4001)[np.flatnonzero(np.diff(np.sign(structure)))]
         np.testing.assert_allclose(of_kind(found, EventKind.INVERSE_SINGULARITY), crossings, atol=5e-4)
+
+
+def test_along_readings_of_servos_and_screws_events_are_no_numbers_of_modes() -> None:
+    """The numbers of their modes are names only, and change without any event."""
+    servos = spm.Stage(0.30, 0.25, spm.RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
+    screws = spm.Stage(0.20, 0.25, spm.PRS(rod=0.30), limits=(-0.05, 0.25))
+    machine = spm.Geometry.of_stages(servos, screws)
+    ends = np.array([[0.4, 0.5, 0.6, 0.10, 0.12, 0.14], [0.9, 0.1, 0.5, 0.15, 0.02, 0.20]])
+    found = spm.follow(machine, ends)
+    assert found.complete
+    assert {event.kind for event in found.events} <= {EventKind.INVERSE_SINGULARITY}
+    expected = spm.forward_physical(machine, ends[-1])
+    np.testing.assert_allclose(found.configurations.middle_joints[-1], expected.middle_joints, atol=1e-12)
+    signs = np.sign(determinants(found.configurations)[:, 2])
+    assert np.count_nonzero(np.diff(signs)) == len(found.events)
 
 
 def test_leg_lengths_that_can_no_longer_close_end_the_path() -> None:
