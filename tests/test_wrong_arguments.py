@@ -356,18 +356,18 @@ def marked(place: str, function: Callable[..., Any], name: str) -> Any:
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise `TimeoutError` in a call that takes longer."""
+    """Raise `TimeoutError` in a call that computes for longer, whatever else the machine does."""
 
     def stop(*_: object) -> None:
         raise TimeoutError(f"no answer within {seconds:g} s")
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def call(place: str, function: Callable[..., Any], changed: str, value: Any) -> None:

@@ -214,12 +214,13 @@ def write_c(
 
     Files of the same names are replaced.
     """
-    return write_files(directory, c_sources(geometry, prefix=prefix, masses=masses))
+    return write_files(directory, lambda: c_sources(geometry, prefix=prefix, masses=masses))
 
 
-def write_files(directory: str | Path, texts: dict[str, str]) -> list[Path]:
-    """Write texts by their places in a directory; all of them or nothing."""
+def write_files(directory: str | Path, sources: Callable[[], dict[str, str]]) -> list[Path]:
+    """Write the texts that a function makes, by their places in a directory; all of them or nothing."""
     folder = file_path(directory, "directory", expected="the name of a directory")
+    texts = sources()
     existed = folder.is_dir()
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -93,7 +93,7 @@ def write_linuxcnc(machine: Geometry | Stage, directory: str | Path) -> list[Pat
 
     Files of the same names are replaced. Returns the paths.
     """
-    return write_files(directory, linuxcnc_configuration(machine))
+    return write_files(directory, lambda: linuxcnc_configuration(machine))
 
 
 class _Machine(ABC):

@@ -53,8 +53,8 @@ def ros_package(
     """
     name = re.sub(r"[^a-z0-9]+", "_", f"{prefix}spm_".lower()).lstrip("_")
     package = f"{name}robot" if package is None else _checked_name(package, "package")
-    sources = c_sources(geometry, prefix=name, masses=masses)
     urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses)
+    sources = c_sources(geometry, prefix=name, masses=masses)
     names = actuated_joints(geometry), joint_names(geometry)
     fields = machine_fields(geometry)
     slides, joints = ([f"{prefix}{joint}" for joint in each] for each in names)
@@ -109,7 +109,7 @@ def write_ros(
     """
     path = file_path(directory, "directory", expected="the name of a directory")
     package = _checked_name(path.resolve().name, "directory")
-    paths = write_files(directory, ros_package(geometry, prefix=prefix, masses=masses, package=package))
+    paths = write_files(directory, lambda: ros_package(geometry, prefix=prefix, masses=masses, package=package))
     for path in paths:
         if path.parent.name == "scripts":
             path.chmod(0o755)

@@ -65,7 +65,7 @@ def write_stage_c(stage: Stage, directory: str | Path, *, prefix: str = "stage_"
 
     Files of the same names are replaced.
     """
-    return write_files(directory, stage_c_sources(stage, prefix=prefix))
+    return write_files(directory, lambda: stage_c_sources(stage, prefix=prefix))
 
 
 def _renamed(text: str, prefix: str) -> str:

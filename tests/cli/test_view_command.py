@@ -44,13 +44,13 @@ def test_a_taken_port_is_named_and_another_used_until_ctrl_c() -> None:
         try:
             assert f"port {port} is taken" in "".join(lines)
             assert not url.endswith(f":{port}")
-            with urllib.request.urlopen(url, timeout=20) as page:
+            with urllib.request.urlopen(url, timeout=120) as page:
                 assert b"<html" in page.read(2000)
             # Loopback only: the machine's other addresses do not answer.
             assert url.startswith("http://127.0.0.1:")
         finally:
             process.send_signal(signal.SIGINT)
-            _, errors = process.communicate(timeout=30)
+            _, errors = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "Traceback" not in errors
 

@@ -50,7 +50,7 @@ class Bench:
     folder: Path
     environment: dict[str, str]
 
-    def execute(self, *arguments: str, seconds: float = 300.0) -> subprocess.CompletedProcess[str]:
+    def execute(self, *arguments: str, seconds: float = 500.0) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             arguments, cwd=self.folder, env=self.environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
             timeout=seconds, check=False,

@@ -260,17 +260,16 @@ def test_the_sketch_that_follows_is_the_board_of_the_line(tmp_path: Path) -> Non
 
 def test_the_streamer_and_the_sketch_over_a_line_that_loses_doubles_and_spoils_bytes(tmp_path: Path) -> None:
     program, rng = sketch("follow_set_points", tmp_path), np.random.default_rng(5)
-    (host, host_name), (far, far_name) = ((m, os.ttyname(s)) for m, s in (os.openpty(), os.openpty()))
+    (host, near), (far, distant) = os.openpty(), os.openpty()
     for line in (host, far):
         tty.setraw(line)
-    ended = threading.Event()
 
     def carry(source: int, target: int, faults: float) -> None:
-        while not ended.is_set():
+        while True:
             try:
                 data = os.read(source, 64)
             except OSError:
-                return
+                return  # the other ends are closed
             for byte in data:
                 fault = rng.random()
                 if fault < faults:
@@ -278,14 +277,19 @@ def test_the_streamer_and_the_sketch_over_a_line_that_loses_doubles_and_spoils_b
                 byte ^= 0x20 if fault < 2.0 * faults else 0
                 os.write(target, bytes([byte, byte] if fault > 1.0 - faults else [byte]))
 
-    with subprocess.Popen([program, "3000", far_name], stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen([program, "1500", os.ttyname(distant)], stdout=subprocess.PIPE, text=True) as process:
         lines = [threading.Thread(target=carry, args=x, daemon=True) for x in ((host, far, 0.004), (far, host, 0.0))]
         for line in lines:
             line.start()
         points = streamer["circle"](0.2, float(HOME.height), 1.5, 50.0, 1.0)
-        counts = streamer["stream"](host_name, points, 50.0)
-        output, _ = process.communicate(timeout=60)
-    ended.set()
+        counts = streamer["stream"](os.ttyname(near), points, 50.0)
+        output, _ = process.communicate(timeout=300)
+    for end in (near, distant):
+        os.close(end)
+    for line in lines:
+        line.join()
+    for end in (host, far):
+        os.close(end)
     assert counts.total() == 75
     assert counts["ok"] > 40
     assert set(counts) <= {"ok", "unanswered", "repeated"}
@@ -317,8 +321,12 @@ def test_a_port_that_is_none_is_said_in_a_line(tmp_path: Path, port: str) -> Non
 
 def test_a_port_that_vanishes_ends_the_stream() -> None:
     host, board = os.openpty()
-    ended = threading.Timer(0.3, os.close, [host])
-    ended.start()
+
+    def vanish() -> None:
+        os.read(host, 16)
+        os.close(host)
+
+    threading.Thread(target=vanish).start()
     with pytest.raises(OSError, match="Input/output error"):
         streamer["stream"](os.ttyname(board), streamer["circle"](0.2, 0.1, 60.0, 50.0), 50.0)
     os.close(board)
@@ -342,4 +350,6 @@ def test_the_first_answer_to_each_set_point_counts() -> None:
     board.start()
     counts = streamer["stream"](os.ttyname(line), streamer["circle"](0.2, 0.1, 0.3, 100.0), 100.0)
     board.join(timeout=10.0)
+    for end in (host, line):
+        os.close(end)
     assert counts == {"ok": 20, "unanswered": 10}

@@ -5,6 +5,7 @@ Runs in the Python of the system, which has LinuxCNC's module.
 """
 
 import json
+import math
 import time
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import linuxcnc
 command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
 
 
-def settle(condition=lambda: status.inpos, seconds=20.0):
+def settle(condition=lambda: status.inpos, seconds=120.0):
     """Wait until the last command is done and a condition holds."""
     end = time.monotonic() + seconds
     command.wait_complete(seconds)
@@ -24,8 +25,21 @@ def settle(condition=lambda: status.inpos, seconds=20.0):
         status.poll()
 
 
+def rest(seconds=120.0):
+    """Wait until all joints stand where they are commanded to: one that is turned off on its way brakes first."""
+    end, last = time.monotonic() + seconds, (math.inf,) * status.joints
+    while time.monotonic() < end:
+        time.sleep(0.05)
+        status.poll()
+        commanded, actual = status.joint_position, status.joint_actual_position
+        if all(max(abs(a - c), abs(a - b)) < 1e-9 for a, b, c in zip(actual, last, commanded)):
+            return
+        last = actual
+
+
 def report():
-    """Return where the machine is, and the errors since the last report."""
+    """Return where the machine is at rest, and the errors since the last report."""
+    rest()
     texts = []
     while error := errors.poll():
         texts.append(error[1])
@@ -87,7 +101,7 @@ def run(kind, *arguments):
         settle()
         command.program_open(str(Path("program.ngc").resolve()))
         command.auto(linuxcnc.AUTO_RUN, 0)
-        settle(lambda: status.interp_state == linuxcnc.INTERP_IDLE and status.inpos, seconds=60.0)
+        settle(lambda: status.interp_state == linuxcnc.INTERP_IDLE and status.inpos)
     else:  # "joint" or "axis", its number, rate and distance
         command.mode(linuxcnc.MODE_MANUAL)
         settle()
@@ -96,7 +110,6 @@ def run(kind, *arguments):
         command.jog(linuxcnc.JOG_INCREMENT, kind == "joint", *arguments)
         time.sleep(arguments[2] / abs(arguments[1]))
         settle(lambda: status.inpos or status.task_state != linuxcnc.STATE_ON)
-    time.sleep(0.1)
     return report()
 
 

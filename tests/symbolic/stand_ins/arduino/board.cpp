@@ -1,5 +1,6 @@
-/* A board for the sketches. `board MILLISECONDS PORT` runs in the computer's time on a serial port; without a port a
-   millisecond passes at each loop, and the standard input comes in as on a line of 115200 baud. */
+/* A board for the sketches. `board MILLISECONDS PORT` runs in the computer's time on a serial port, until nothing has come
+   for so long; without a port a millisecond passes at each loop, and the standard input comes in as on a line of 115200
+   baud. */
 
 #include "Arduino.h"
 
@@ -16,7 +17,7 @@ void loop();
 
 SerialPort Serial;
 
-static unsigned long now, arrived;
+static unsigned long now, arrived, heard;
 static int port = -1, byte = EOF;
 
 static unsigned long computer_time()
@@ -35,6 +36,7 @@ int SerialPort::available()
     unsigned char one;
     if (byte == EOF && port >= 0) {
         byte = ::read(port, &one, 1) == 1 ? one : EOF;
+        heard = byte == EOF ? heard : now;
     } else if (byte == EOF && arrived < now * 11520 / 1000) {
         byte = getchar();
         ++arrived;
@@ -60,9 +62,10 @@ void Servo::writeMicroseconds(int pulse) { printf("%lu %d %d\n", now, pin, pulse
 
 int main(int count, char **arguments)
 {
-    unsigned long start = computer_time(), end = strtoul(arguments[1], 0, 10);
+    unsigned long start = computer_time(), length = strtoul(arguments[1], 0, 10);
     port = count > 2 ? open(arguments[2], O_RDWR | O_NOCTTY | O_NONBLOCK) : -1;
-    for (setup(); now < end; now = port >= 0 ? computer_time() - start : now + 1) {
+    heard = port >= 0 ? 60000 : 0; /* of the first byte, a minute is waited for */
+    for (setup(); now < heard + length; now = port >= 0 ? computer_time() - start : now + 1) {
         loop();
         if (port >= 0) {
             usleep(200);
