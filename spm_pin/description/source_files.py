@@ -6,6 +6,7 @@ import re
 import tempfile
 import threading
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import yaml
@@ -123,8 +124,6 @@ def urdf_text(
     masses : Masses, optional
         Of the machine's bodies, and a payload. By default assumed ones, in proportion to the machine's size.
     """
-    import xacro
-
     check_prefix(prefix)
     as_bool(ros_constraints, "ros_constraints")
     if meshes is not None and (not isinstance(meshes, str) or not meshes.isprintable()):
@@ -134,13 +133,8 @@ def urdf_text(
     entry, argument = (STAGE_ENTRY, "stage") if isinstance(machine, Stage) else (ENTRY, "geometry")
     if masses is not None:
         check_instance(masses, Masses, "masses")
-    with tempfile.TemporaryDirectory() as folder, _XACRO:
-        path = Path(folder) / "machine.yaml"
-        machine.to_yaml(path)
-        folder_of_meshes = (description_directory() / MESHES).as_posix() if meshes is None else meshes
-        mappings = {"prefix": prefix, argument: str(path), "meshes": folder_of_meshes}
-        expanded = xacro.process_file(str(description_file(entry)), mappings=mappings)
-    text = str(expanded.documentElement.toprettyxml(indent="  "))
+    folder_of_meshes = (description_directory() / MESHES).as_posix() if meshes is None else meshes
+    text = _expanded(entry, argument, machine, prefix, folder_of_meshes)
     if masses is not None:
         text = with_masses(text, masses, prefix)
     if ros_constraints:
@@ -148,6 +142,19 @@ def urdf_text(
         text = text.replace("</robot>", f"{elements}</robot>")
     # xacro's own banner holds the path of this machine's copy.
     return f'<?xml version="1.0" ?>\n<!-- Expanded from {entry}, which is the place for changes. -->\n{text}'
+
+
+@lru_cache(maxsize=16)
+def _expanded(entry: str, argument: str, machine: Mechanism, prefix: str, meshes: str) -> str:
+    """Return the text that xacro makes, which takes a fifth of a second."""
+    import xacro
+
+    with tempfile.TemporaryDirectory() as folder, _XACRO:
+        path = Path(folder) / "machine.yaml"
+        machine.to_yaml(path)
+        mappings = {"prefix": prefix, argument: str(path), "meshes": meshes}
+        expanded = xacro.process_file(str(description_file(entry)), mappings=mappings)
+    return str(expanded.documentElement.toprettyxml(indent="  "))
 
 
 def _ros_constraint(closure: Closure) -> str:

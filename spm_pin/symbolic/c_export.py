@@ -10,6 +10,7 @@ import re
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
@@ -79,8 +80,11 @@ _WEIGHTS = {
 }
 
 
+_gravity = lru_cache(maxsize=1)(functions.gravity)  # made once for all states of an export
+
+
 def _weight_forces(state: Configuration, *weights: FloatArray) -> FloatArray:
-    forces = functions.gravity(state.geometry)(state.middle_joints, state.rotation, state.translation, *weights)
+    forces = _gravity(state.geometry)(state.middle_joints, state.rotation, state.translation, *weights)
     return np.asarray(forces)[:, 0]
 
 
@@ -188,7 +192,7 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
         "STATUS_NAMES": "\n".join(
             f'    case @PREFIX_UPPER@{name}: return "{name.lower().replace("_", " ")}";' for name in STATUSES
         ),
-        "FORMULAS": "\n".join(_c_text(function) for function in _formulas(geometry, available)),
+        "FORMULAS": _formulas(geometry),
         **_known_answers(geometry, available),
     }
     snippets = [values | _snippets(function) for function in available]
@@ -317,8 +321,9 @@ def _legs_texts(geometry: Geometry, masses: Masses | None) -> dict[str, str]:
     }
 
 
-def _formulas(geometry: Geometry, available: list[StateFunction]) -> list[ca.Function]:
-    """Return the functions that the C calls, of flat arrays, matrices row by row."""
+@lru_cache(maxsize=16)
+def _formulas(geometry: Geometry) -> str:
+    """Return the functions that the C calls, of flat arrays, matrices row by row: most of the time of an export."""
     machine = Machine.of_symbols(geometry)
     flat, position, balls = (ca.SX.sym(name, n) for name, n in (("r", 9), ("o", 3), ("balls", 6)))
     joints, rotation = ca.SX.sym("joints", 9), _matrix(flat)
@@ -389,11 +394,11 @@ def _formulas(geometry: Geometry, available: list[StateFunction]) -> list[ca.Fun
     error = ca.mmax(ca.fabs(ca.vertcat(*pairs)))
     made_functions.append(made("drawing_error", [], error))
 
-    for function in available:
+    for function in state_functions(geometry):
         further = [ca.SX.sym(name, len(numbers)) for name, numbers in function.arguments.items()]
         (result,) = function.compute(state, *further).values()
         made_functions.append(made(f"{function.name}_of", [joints, *pose, *further], result))
-    return made_functions
+    return "\n".join(map(_c_text, made_functions))
 
 
 def _stage_formulas() -> list[ca.Function]:

@@ -27,12 +27,12 @@ def settle(condition=lambda: status.inpos, seconds=120.0):
 
 def rest(seconds=120.0):
     """Wait until all joints stand where they are commanded to: one that is turned off on its way brakes first."""
-    end, last = time.monotonic() + seconds, (math.inf,) * status.joints
+    end, last = time.monotonic() + seconds, (math.inf,) * len(status.joint_position)
     while time.monotonic() < end:
         time.sleep(0.05)
         status.poll()
         commanded, actual = status.joint_position, status.joint_actual_position
-        if all(max(abs(a - c), abs(a - b)) < 1e-9 for a, b, c in zip(actual, last, commanded)):
+        if all(max(abs(a - c), abs(a - b)) < 1e-9 for a, b, c in zip(actual, last, commanded, strict=True)):
             return
         last = actual
 
