@@ -108,7 +108,7 @@ def test_a_sweep_killed_at_once_goes_on_without_loss(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_sweep_killed_five_times_ends_with_the_store_of_an_undisturbed_run(tmp_path: Path) -> None:
     rng = random.Random(0)
-    slices = 180
+    slices = 100
     whole, killed = tmp_path / "whole.zarr", tmp_path / "killed.zarr"
     run_long(whole, workers=2, slices=slices)
     kills, done = 0, 0

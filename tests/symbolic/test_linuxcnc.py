@@ -10,7 +10,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,8 @@ class Bench:
 
     folder: Path
     environment: dict[str, str]
+    modules: dict[Machine, bytes] = field(default_factory=dict)
+    """Those that were compiled."""
 
     def execute(self, *arguments: str, seconds: float = 500.0) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
@@ -69,7 +71,12 @@ class Bench:
         option = "--stage" if name == "stage" else "--geometry"
         done = run("export", "linuxcnc", "--out", self.folder, option, self.folder / "machine.yaml")
         assert done.returncode == 0, done.message
-        self.install(f"{name}kins.c")
+        module = MODULES / f"{name}kins.so"
+        if machine in self.modules:
+            module.write_bytes(self.modules[machine])
+        else:
+            self.install(f"{name}kins.c")
+            self.modules[machine] = module.read_bytes()
         return name
 
 
