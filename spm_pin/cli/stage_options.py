@@ -64,7 +64,7 @@ def _read_place(typed: Typed, arguments: Typed) -> Typed:
     for name in place.keys() - {"normal"}:
         if not abs(place[name]) <= 360.0:
             raise ArgumentError(f"--{name}", "an angle in degrees, of at most one turn", f"{place[name]:g}")
-        place[name] = math.radians(place[name])
+        place[name] = math.radians(math.remainder(place[name], 360.0))
     if "azimuth" in place and "tilt" not in place:
         raise ArgumentError("--tilt", "a tilt beside --azimuth", "none")
     if "tilt" in place:

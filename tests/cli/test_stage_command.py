@@ -31,6 +31,8 @@ def test_readings_of_a_tilt_and_the_way_back() -> None:
     back = run("stage", "forward", *SIZES, "--readings", *map(str, mode["readings"]), "--json")
     (state,) = json.loads(back.stdout)["modes"]
     np.testing.assert_allclose([state["roll"], state["pitch"], state["height"]], [8.0, -5.0, 120.0], atol=1e-9)
+    wound = run("stage", "inverse", *SIZES, "--height", "120", "--roll", "-352", "--pitch", "355", "--json")
+    np.testing.assert_allclose(json.loads(wound.stdout)["modes"][0]["readings"], mode["readings"], atol=1e-9)
     every = run("stage", "forward", *SIZES, "--readings", *map(str, mode["readings"]), "--all").stdout
     assert "T2+" in every
     assert f"Tilt and height of the platform at {', '.join(f'{x:.3f}' for x in mode['readings'])} °" in every
