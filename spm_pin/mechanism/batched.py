@@ -182,18 +182,10 @@ class Batched(ABC):
 
 def stacked(states: Sequence[S]) -> S:
     """Return single states of one machine as a batch."""
-    collected = []
-    for state in states:
-        arrays: list[FloatArray] = []
-
-        def keep(array: FloatArray, inner: int, arrays: list[FloatArray] = arrays) -> FloatArray:
-            arrays.append(array)
-            return array
-
-        state.transformed(keep)
-        collected.append(arrays)
-    batches = map(np.stack, zip(*collected, strict=True))
-    return states[0].transformed(lambda array, inner: next(batches))
+    first = states[0]
+    solved: list[Any] = [state.__dict__.get(state._solved) for state in states]
+    arrays = map(np.stack, zip(*(state._arrays for state in states), strict=True))
+    return first.from_arrays(first.mechanism, *arrays, None if any(x is None for x in solved) else np.stack(solved))
 
 
 def batch_index(index: object) -> tuple[Any, ...]:

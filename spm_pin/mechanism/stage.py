@@ -129,12 +129,11 @@ class Stage(Mechanism):
 
     def _read_limits(self, value: StageLimits | Sequence[Any]) -> StageLimits:
         if not isinstance(value, StageLimits):
-            pair = value if isinstance(value, list | tuple | np.ndarray) and len(value) == 2 else None
-            if pair is None:
+            if not (isinstance(value, list | tuple | np.ndarray) and len(value) == 2):
                 expected = f"a pair (minimum, maximum) in {self.unit}, each one number or three"
                 raise GeometryError("limits", expected, type_and_value(value))
             try:
-                value = StageLimits(pair[0], pair[1])
+                value = StageLimits(value[0], value[1])
             except GeometryError as error:
                 raise GeometryError("limits", error.expected, error.received, error.cause) from error
         self.check_limits(value)

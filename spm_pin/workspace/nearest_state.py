@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.workspace.search import SINGULARITY_MARGIN
 from spm_pin.workspace.states import StateSet
 
-_LEAST_DETERMINANT = 3e-7
-"""Of a stage, about 1 at home: nearer to a forward singularity rounding of the readings moves the platform farther."""
 _LEAST_ROOM = 1e-7
 """Least room of a PRS or RRS leg over the machine's size: at the end of its reach a leg is singular."""
 _RIM = 1e-9
@@ -56,7 +55,7 @@ class _Problem:
         self._target, self._size = target / np.sqrt(len(body)), states.size
         # Rows of what is limited, in units of the size: see `state_search.Problem`.
         low, high, metres = np.asarray(self._machine[6])
-        low[6:8], low[8:] = _LEAST_DETERMINANT, _LEAST_ROOM * states.size
+        low[6:8], low[8:] = SINGULARITY_MARGIN, _LEAST_ROOM * states.size
         units = metres / states.size
         below, above = np.isfinite(low), np.isfinite(high)
         self._bounds = np.concatenate([(low * units)[below], -(high * units)[above]])

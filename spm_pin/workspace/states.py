@@ -218,10 +218,14 @@ class StateSet:
 
     def contains(self, stage: int, coordinates: FloatArray) -> BoolArray:
         """Test which coordinates (N, 3) of one stage are states of the set."""
-        stages, legs = self.stages(stage, coordinates), slice(3 * stage, 3 * stage + 3)
-        with np.errstate(invalid="ignore"):
-            within = (stages.readings >= self.minimum[legs]) & (stages.readings <= self.maximum[legs])
+        stages = self.stages(stage, coordinates)
+        within = self.admits(stages.readings, slice(3 * stage, 3 * stage + 3))
         return np.asarray(stages.in_aspect & within.all(axis=-1))
+
+    def admits(self, readings: FloatArray, legs: slice = slice(None)) -> BoolArray:
+        """Return which readings (..., n) of these legs are within their limits, without rounding."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray((readings >= self.minimum[legs]) & (readings <= self.maximum[legs]))
 
     @cached_property
     def _covers(self) -> list[tuple[FloatArray, FloatArray]]:
@@ -272,9 +276,7 @@ class StateSet:
         for ends in (self.minimum, self.maximum):
             centres, radii = (values[legs] for values in self._circle_of(ends))
             distances.append(np.abs(np.linalg.norm(arms - centres, axis=-1) - radii))
-        with np.errstate(invalid="ignore"):
-            within = (stages.readings >= self.minimum[legs]) & (stages.readings <= self.maximum[legs])
-        within &= rooms > 0.0
+        within = self.admits(stages.readings, legs) & (rooms > 0.0)
         return np.asarray(np.where(within, 0.0, np.minimum.reduce(distances)).max(axis=-1))
 
     def draw_stages(self, stage: int, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
@@ -340,8 +342,7 @@ def pose_densities(states: StateSet, coordinates: FloatArray) -> FloatArray:
 def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArray:
     """Return how many physical states within the limits have the pose of each of `configurations` (N,), (N,)."""
     branches = inverse_displacement(states.geometry, configurations.pose).configurations
-    with np.errstate(invalid="ignore"):
-        within = ((branches.readings >= states.minimum) & (branches.readings <= states.maximum)).all(axis=-1)
+    within = states.admits(branches.readings).all(axis=-1)
     # A state at a limit may miss it by rounding: it counts itself at least.
     return np.asarray(np.maximum((physical(branches) & within).sum(axis=-1), 1), dtype=np.intp)
 
