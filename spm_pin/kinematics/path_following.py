@@ -215,20 +215,13 @@ def watch_of(geometry: Geometry) -> Watch:
     return Watch(side, lambda states: determinants(states) / side**3, tuple(kinds))
 
 
-def physical_mode_share(
-    geometry: Geometry, start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
+def existing_share(
+    solve: Callable[[FloatArray], Batched], start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
 ) -> FloatArray:
-    """Return up to which share of each line from readings (6,) to `ends` (n, 6) the physical mode lasts, (n,).
+    """Return up to which share of each line from readings (6,) to `ends` (n, 6) the states that `solve` finds exist.
 
     Each of `rounds` solves one part of every line at the ends of `parts` parts: a shorter gap may be missed.
     """
-    return existing_share(partial(forward_physical, geometry), start, ends, parts=parts, rounds=rounds)
-
-
-def existing_share(
-    solve: Callable[[FloatArray], Batched], start: FloatArray, ends: FloatArray, *, parts: int, rounds: int
-) -> FloatArray:
-    """Return up to which share of each line between readings the states that `solve` finds exist, (n,)."""
     low, high = np.zeros(len(ends)), np.ones(len(ends))
     for _ in range(rounds):
         shares = np.linspace(low, high, parts + 1)[1:]
@@ -245,7 +238,7 @@ def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configurat
     if not physical(start):
         path = follow(geometry, np.stack([first, readings]), start, samples=4)
         return path.configurations[-1], float(path.parameters[-1])
-    share = float(physical_mode_share(geometry, first, readings[None])[0])
+    share = float(existing_share(partial(forward_physical, geometry), first, readings[None])[0])
     return forward_physical(geometry, first + share * (readings - first)) if share else start, share
 
 

@@ -125,17 +125,16 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
         singular = suspect.astype(bool)
         singular[singular] = _are_singular(configuration, np.argwhere(suspect), kind)
         matrices[singular] = np.nan
-    if not configuration.geometry.legs.are_rps:
-        slopes = _slopes(configuration, kind)
-        matrices = matrices / slopes[..., None] if kind == "inverse" else matrices * slopes[..., None, :]
-    return matrices
+    if configuration.geometry.legs.are_rps:
+        return matrices
+    if kind == "forward":
+        return matrices * configuration.slopes[..., None, :]
+    return matrices / _regular_slopes(configuration)[..., None]
 
 
-def _slopes(configuration: Configuration, kind: str) -> FloatArray:
+def _regular_slopes(configuration: Configuration) -> FloatArray:
     """Return κ of the legs (..., 6), NaN where a leg is singular; a single state raises."""
     slopes = configuration.slopes
-    if kind != "inverse":
-        return slopes
     singular = np.abs(slopes) <= SINGULAR * configuration.geometry.legs.largest_slopes
     if singular.any() and not configuration.shape:
         raise SingularConfigurationError("leg", float(np.abs(slopes).min()))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError, GeometryError, SpmError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.kinematics.path_following import physical_mode_share
+from spm_pin.kinematics.path_following import existing_share
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
@@ -312,7 +313,8 @@ def largest_certified_limits(
     rng = np.random.default_rng(0)
     directions = np.concatenate([list(product((-1.0, 1.0), repeat=6)), rng.uniform(-1.0, 1.0, (_LINES, 6))])
     directions /= np.abs(directions).max(axis=-1, keepdims=True)
-    shares = physical_mode_share(geometry, readings, readings + 0.999 * reach * directions)
+    ends = readings + 0.999 * reach * directions
+    shares = existing_share(partial(forward_physical, geometry), readings, ends)
     best, narrow, wide = None, 0.0, 0.999 * reach * float(shares.min())
     half = (1.0 - 0.9 * tolerance) * wide
     while wide - narrow > tolerance * wide:

@@ -93,7 +93,7 @@ class ErrorBounds:
     """|x0 x3|."""
 
 
-class LegValues(NamedTuple):
+class LegEnclosure(NamedTuple):
     """What is known of a leg in states, of all machines; its numbers and those of `StageValues` are arrays."""
 
     reading: Interval
@@ -241,10 +241,10 @@ class StageRegion:
         works = reduce(np.minimum, (leg.slope for leg in legs))
         return StageValues([leg.reading for leg in legs], squares, determinant, reduce(np.logical_or, missed), works)
 
-    def _leg(self, leg: int, x: Interval, z: Interval) -> LegValues:
+    def _leg(self, leg: int, x: Interval, z: Interval) -> LegEnclosure:
         """Return what is known of a leg whose ball is at x and z of its nominal plane."""
         if isinstance(self.legs, RPS):
-            return LegValues((x.square() + z.square()).root(), ZERO, ZERO, np.asarray(False), np.asarray(1.0))
+            return LegEnclosure((x.square() + z.square()).root(), ZERO, ZERO, np.asarray(False), np.asarray(1.0))
         formulas, numbers, limits = _ON_INTERVALS[type(self.legs)], self.numbers[leg], self.readings[leg]
         # By the turn of the leg's plane, see `docs/theory/proofs.md`.
         turned = Interval.within(_PLANE_TURN * self.angle_error * self.longest * _UP)
@@ -257,7 +257,7 @@ class StageRegion:
         )
         circle, slope = formulas.circle(within, numbers), formulas.slope(x, z, within, numbers)
         slope = slope * -numbers[-1]
-        return LegValues(reading, circle.x + turned, circle.z + turned, beyond, slope.low)
+        return LegEnclosure(reading, circle.x + turned, circle.z + turned, beyond, slope.low)
 
 
 _ON_INTERVALS = {kind: kind.bound(partial(bind, **INTERVALS)) for kind in KINDS.values()}

@@ -16,9 +16,9 @@ from spm_pin.kinematics.path_following import (
     EventKind,
     FollowedPath,
     Tracker,
+    existing_share,
     follow,
     last_on_line,
-    physical_mode_share,
     watch_of,
 )
 from spm_pin.kinematics.singularity_analysis import determinants
@@ -256,7 +256,7 @@ def test_the_share_of_a_line_in_the_home_mode_is_that_of_the_followed_path() -> 
     start = spm.inverse_displacement(FREE, in_leg_space(PAPER, 1, seed=3).pose[0]).physical()
     ends = np.random.default_rng(5).uniform(0.2, 3.0, (8, 6))
     ends[0] = 1.05 * start.leg_lengths
-    shares = physical_mode_share(FREE, start.leg_lengths, ends)
+    shares = existing_share(functools.partial(spm.forward_physical, FREE), start.leg_lengths, ends)
     for end, share in zip(ends, shares, strict=True):
         path = follow(FREE, np.stack([start.leg_lengths, end]), start, samples=20)
         singular = [*of_kind(path, EventKind.FORWARD_SINGULARITY), path.parameters[-1]]
@@ -265,9 +265,8 @@ def test_the_share_of_a_line_in_the_home_mode_is_that_of_the_followed_path() -> 
         assert found == share
         np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * (end - start.leg_lengths), atol=1e-9)
     assert [share == 1.0 for share in shares] == [True] + 7 * [False]
-    np.testing.assert_allclose(
-        physical_mode_share(FREE, start.leg_lengths, ends, parts=64, rounds=2), shares, atol=4e-4
-    )
+    finer = existing_share(functools.partial(spm.forward_physical, FREE), start.leg_lengths, ends, parts=64, rounds=2)
+    np.testing.assert_allclose(finer, shares, atol=4e-4)
 
 
 def test_another_mode_is_followed_along_a_line_to_its_end() -> None:

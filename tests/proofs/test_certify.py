@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from itertools import product
 
 import mpmath
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval
-from spm_pin.kinematics.path_following import physical_mode_share
+from spm_pin.kinematics.path_following import existing_share
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs.stage_proof import StageProof, StageRegion, configuration_at, has_one_state, region_coordinates
 
@@ -151,7 +152,7 @@ def test_limits_with_a_known_singularity_are_never_certified(seed: int) -> None:
     geometry = spm.Geometry(size * rng.uniform(0.6, 1.4), size * rng.uniform(0.6, 1.4), size)
     middle = np.full(6, size * rng.uniform(1.5, 2.2))
     ends = np.maximum(middle + 1.5 * size * rng.normal(size=(30, 6)), 0.01 * size)
-    shares = physical_mode_share(geometry, middle, ends, parts=64)
+    shares = existing_share(partial(spm.forward_physical, geometry), middle, ends, parts=64)
     assert shares.min() < 1.0
     fold = middle + shares.min() * (ends[shares.argmin()] - middle)
     limits = spm.LegLimits(tuple(np.minimum(middle, fold) * 0.999), tuple(np.maximum(middle, fold) * 1.001))
@@ -185,7 +186,8 @@ def half_width_of_the_first_fold(geometry: spm.Geometry, middle: float) -> float
     directions[:8, :3] = list(product((-1, 1), repeat=3))
     directions[:, 3:] = 0.0
     ends = middle + 0.999 * middle * directions / np.abs(directions).max(axis=-1, keepdims=True)
-    return 0.999 * middle * float(physical_mode_share(geometry, np.full(6, middle), ends, parts=64).min())
+    shares = existing_share(partial(spm.forward_physical, geometry), np.full(6, middle), ends, parts=64)
+    return 0.999 * middle * float(shares.min())
 
 
 @pytest.mark.slow

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import spm_pin as spm
-from spm_pin.kinematics.path_following import physical_mode_share
+from spm_pin.kinematics.path_following import existing_share
 from spm_pin.proofs import stage_proof
 from spm_pin.proofs.certificate import free_of_singularities
 
@@ -65,7 +67,7 @@ def test_no_machine_that_loses_its_configuration_on_a_line_is_free(seed: int) ->
         if not start.exists:
             continue
         steps = 0.999 * start.readings * directions
-        shares = physical_mode_share(one, start.readings, start.readings + steps)
+        shares = existing_share(partial(spm.forward_physical, one), start.readings, start.readings + steps)
         if shares.min() < 1.0:
             # Of each stage as wide as the line that loses it soonest.
             half = 1e-3 + 1.01 * np.abs(shares.min() * steps[shares.argmin()]).reshape(2, 3).max(axis=-1)
@@ -87,7 +89,7 @@ def test_random_machines_have_the_verdict_of_their_certificates() -> None:
             # The certificate ends at a singular state in its boxes, though it may not be joined to the home.
             low, high = np.array(one.limits.minimum), np.array(one.limits.maximum)
             ends = low + rng.choice([0.0, 0.5, 1.0], (2000, 6)) * (high - low)
-            assert physical_mode_share(one, 0.5 * (low + high), ends).min() == 1.0
+            assert existing_share(partial(spm.forward_physical, one), 0.5 * (low + high), ends).min() == 1.0
 
 
 def test_boxes_that_touch_are_found_at_any_sizes() -> None:

@@ -117,7 +117,7 @@ class StageModel:
         before, solve = self.state.shown.readings, partial(stages.forward_physical, self._stage)
         share, shown = 1.0, solve(wanted)
         if not shown.exists:
-            share = float(existing_share(solve, before, wanted[None], parts=16, rounds=3)[0])
+            share = float(existing_share(solve, before, wanted[None])[0])
             shown = solve(before + share * (wanted - before)) if share else self.state.shown
         return self._show(shown, remarks=readings_remarks(share))
 
