@@ -23,7 +23,7 @@ _is_home_state = on_arrays(formulas.is_home_state)
 _BALLS = ((3, 3), np.float64)
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_FOLLOWED, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 10, 1 << 12
 
-Circles = tuple[FloatArray, FloatArray]
+CentresAndRadii = tuple[FloatArray, FloatArray]
 """Centres (N, 3, 3) and radii (N, 3) [m]."""
 
 
@@ -95,7 +95,7 @@ def followed_balls(stage: PlacedLegs, balls: FloatArray, start: FloatArray, end:
     return _in_working_mode(stage, balls, end)
 
 
-def _circles(stage: PlacedLegs, readings: FloatArray) -> Circles:
+def _circles(stage: PlacedLegs, readings: FloatArray) -> CentresAndRadii:
     """Return the circles that readings (N, 3) leave to the balls."""
     from spm_pin.kinematics.kernels.ball_circles import circle_centres
 
@@ -108,7 +108,7 @@ def _circles(stage: PlacedLegs, readings: FloatArray) -> Circles:
     return centres, radii
 
 
-def _modes(stage: PlacedLegs, locked: Circles, drawing: Drawing) -> Modes:
+def _modes(stage: PlacedLegs, locked: CentresAndRadii, drawing: Drawing) -> Modes:
     from spm_pin.kinematics.kernels.circle_modes import modes_of_stages
 
     constants = stage.axes, stage.balls, *drawing, stage.up

@@ -103,7 +103,7 @@ def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
     readings, places = np.empty(count), np.empty((count, 2))
     for stage, (radius, ball_radius) in enumerate(geometry.stage_radii):
         legs, kind, limits = slice(3 * stage, 3 * stage + 3), geometry.legs.kinds[stage].nominal, geometry.limits
-        low = max(kind.least_reading, *limits.minimum[legs]) if limits else kind.least_reading
+        low = max(limits.minimum[legs]) if limits else kind.least_reading
         high = min(limits.maximum[legs]) if limits else math.inf
         numbers, signs = tuple(kind.numbers[0].tolist()), geometry.legs.slope_signs[legs]
         x, height, middle = ball_radius - radius, ball_radius + radius, 0.5 * (low + high)
