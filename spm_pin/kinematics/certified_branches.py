@@ -31,6 +31,7 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 from spm_pin.mechanism.branch_of_state import physical
 from spm_pin.mechanism.configuration import Configuration
 from spm_pin.mechanism.geometry import Geometry
+from spm_pin.mechanism.solution_axis import Status
 
 Vectors = Any
 """Vectors of intervals or balls instead of numbers, which formulas take as well."""
@@ -74,8 +75,8 @@ def _decide_families(geometry: Geometry, solved: DrawnBranches, undecided: BoolA
             geometry, np.broadcast_to(rotation[n], (8, 3, 3)), np.broadcast_to(position[n], (8, 3)), joints[n]
         )
         lengths[n] = np.where(anew[:, None], branches.leg_lengths, lengths[n])
-        if status[n] < 2:
-            status[n] = 0 if branches.exists.any() else 1
+        if status[n] in (Status.OK, Status.UNREACHABLE):
+            status[n] = Status.OK if branches.exists.any() else Status.UNREACHABLE
         if anew[0]:
             at_home[n, :2] = physical(branches[:2])
 
