@@ -12,9 +12,13 @@ from spm_pin.arrays.displacement import solved_stages
 from spm_pin.arrays.library import Array, library_of, quietly, stage_machine, state_arrays
 from spm_pin.formulas import circles, stage_poses, vectors
 from spm_pin.formulas.circles import Circles
+from spm_pin.formulas.leg_constants import UP
 from spm_pin.formulas.operations import mapped, rows_of, vector_of
 from spm_pin.mechanism import Stage
 from spm_pin.mechanism.arguments import check_instance
+
+_UNIT = 2e-6
+"""Largest error of a normal's squared length that is taken for rounding, of float32 too."""
 
 
 class StageState(NamedTuple):
@@ -39,7 +43,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     stage : Stage
         The stage, drawn or as built.
     normal : array, shape (..., 3)
-        Unit normal of the platform in {B}. It is not checked; -z has no state.
+        Unit normal of the platform in {B}; another length has no state, nor has -z.
     height : array, shape (...)
         Of the platform's origin above the pivots [m].
 
@@ -51,13 +55,18 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     machine = stage_machine(check_instance(stage, Stage, "stage"))
     library = library_of(normal=normal, height=height[..., None] if is_array_api_obj(height) else height)
     run, (axes, pivots) = library.run, machine.legs[0]
+    height, is_height = library.checked(height, 2.0 * machine.farthest, machine.r)
+    up, is_finite = library.checked(vector_of(normal), 2.0, UP)
+    is_normal = is_finite & (abs(vectors.dot(up, up) - 1.0) <= _UNIT) & (up[2] > _UNIT - 1.0)
+    up = mapped(lambda x, y: library.where(is_normal, x, y), up, UP)
     constants = run(stage_poses.stage_constants, axes, pivots, machine.balls[0])
-    turn = run(stage_poses.shortest_turn, vector_of(normal))
+    turn = run(stage_poses.shortest_turn, up)
     equation = run(stage_poses.torsion_equation, turn, height, constants)
     rotation, position = run(stage_poses.pose_in_mode, 1.0, turn, height, equation, constants)
     places = machine.places(library, run(stage_poses.platform_balls, rotation, position, constants.balls))
     reaches = (reach >= 0.0 for reach in machine.of_places(library, "reach", places))
-    exists = functools.reduce(operator.and_, reaches, run(stage_poses.discriminant, equation) >= 0.0)
+    real = run(stage_poses.discriminant, equation) >= 0.0
+    exists = functools.reduce(operator.and_, reaches, real & is_normal & is_height)
     own = zip(machine.of_places(library, "reading", places), machine.offsets, strict=True)
     readings = [x + offset for x, offset in own]
     zero = library.zeros(readings[0])

@@ -151,7 +151,7 @@ def stage_figure(configuration: StageConfiguration, *, names: bool = True) -> Fi
             write_name(ax, (x, y), f"${name}$", 11, "black", 0.3)
     tilt, azimuth = np.degrees([state.tilt, state.azimuth])
     text = f"tilt {tilt:.1f}° towards {azimuth:.0f}°, height {1e3 * float(state.height):.1f} mm"
-    ax.text(0.5, 0.99, text, fontsize=8, ha="center", va="top", transform=ax.transAxes)
+    ax.text(0.5, 0.98, text, fontsize=8, ha="center", va="top", transform=ax.transAxes)
     return cast("Figure", ax.figure)
 
 

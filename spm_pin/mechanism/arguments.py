@@ -33,6 +33,8 @@ COLUMNS = {
     6: ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3"),
 }
 """Names of the columns of a table of positions, quaternions or readings, by their number."""
+STAGE_COLUMNS = ("r_1", "r_2", "r_3")
+"""Those of a table of readings of a stage."""
 
 _PRINTED, _LONGEST = 10**20, 60
 """Larger integers are not written out in messages, and of longer texts their beginnings."""
@@ -272,6 +274,8 @@ def _in_order(value: Any, argument: str, trailing: tuple[int, ...]) -> Any:
     columns = getattr(value, "columns", ())  # of CasADi's matrices a method
     names = [] if callable(columns) else [name for name in columns if isinstance(name, str)]
     order = COLUMNS.get(trailing[-1], ()) if trailing else ()
+    if (argument, trailing) == ("readings", (3,)):
+        order = STAGE_COLUMNS
     if not names or tuple(names) == order:
         return value
     if not order or set(order) - set(names):

@@ -19,6 +19,7 @@ from spm_pin.mechanism.arguments import (
     COLUMNS,
     LARGEST,
     SMALLEST,
+    STAGE_COLUMNS,
     BoolArray,
     FloatArray,
     as_array,
@@ -33,7 +34,7 @@ from spm_pin.mechanism.leg_kinds import RPS, LegKind
 
 LEGS = COLUMNS[6]
 """Names and order of the legs: the lower stage's three, then the upper stage's."""
-STAGE_LEGS = ("r_1", "r_2", "r_3")
+STAGE_LEGS = STAGE_COLUMNS
 """Names and order of the legs of a stage alone."""
 
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.

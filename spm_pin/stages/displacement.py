@@ -221,8 +221,8 @@ def forward_physical(
         balls = followed_balls(half, *start)
     state = _of_balls(stage, shape, balls, read)
     if not shape and not state.exists:
-        reason = "with these readings no state is reached from the level platform without a forward singularity"
-        state.missing_reason = reason
+        origin = "the level platform" if near is None else "`near` in a straight line"
+        state.missing_reason = f"with these readings no state is reached from {origin} without a forward singularity"
     return state
 
 

@@ -41,7 +41,10 @@ def test_a_strict_library_and_a_platform_turned_over() -> None:
     assert bool(found.exists)
     expected = spm.stages.inverse_physical(stage, height).readings
     np.testing.assert_allclose(np.asarray(found.readings), expected, atol=1e-15)
-    assert not arrays.stage_inverse(stage, np.array([[0.0, 0.0, -1.0]]), np.array([height])).exists.any()
+    refused = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    none = arrays.stage_inverse(stage, refused, np.array([height] * 4 + [np.nan]))
+    assert not none.exists.any()
+    assert all(np.isfinite(numbers).all() for numbers in none)
 
 
 @pytest.mark.usefixtures("double_precision")

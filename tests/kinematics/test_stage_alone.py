@@ -333,6 +333,20 @@ def test_numbers_that_are_no_stage_are_refused_with_the_cause(make: object, caus
         make()  # type: ignore[operator]
 
 
+def test_a_table_is_read_by_the_names_of_the_legs() -> None:
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame({"r_3": [0.6], "r_1": [0.2], "r_2": [0.4]})
+    np.testing.assert_array_equal(spm.stages.forward_physical(BALANCER, table).readings, [[0.2, 0.4, 0.6]])
+    with pytest.raises(spm.ArgumentError, match=r"expected columns r_1, r_2, r_3, got a table with x, y, z"):
+        spm.stages.forward_physical(BALANCER, table.set_axis(["x", "y", "z"], axis="columns"))
+
+
+def test_where_a_state_was_sought_from_is_said() -> None:
+    home, apart = spm.stages.inverse_physical(BALANCER, 0.12), [1.5, -1.5, 1.5]
+    assert "from the level platform" in spm.stages.forward_physical(BALANCER, apart).missing_reason
+    assert "from `near` in a straight line" in spm.stages.forward_physical(BALANCER, apart, near=home).missing_reason
+
+
 @pytest.mark.parametrize("machine", MACHINES)
 def test_a_file_holds_every_digit(machine: str, tmp_path: object) -> None:
     stage, _ = stage_and_height(machine)
