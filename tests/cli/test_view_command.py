@@ -110,7 +110,7 @@ def test_event_queue_replaces_pending_events_of_a_kind_and_stops_when_closed() -
 
     async def scenario() -> None:
         queue = EventQueue(errors.append)
-        queue.post("first", lambda: gate.wait(10.0))
+        queue.post("first", lambda: gate.wait(300.0))
         await asyncio.sleep(0.05)
         for k in range(5):
             queue.post("drag", lambda k=k: done.append(f"drag {k}"))
@@ -121,7 +121,7 @@ def test_event_queue_replaces_pending_events_of_a_kind_and_stops_when_closed() -
         assert done == ["drag 4", "select"]
         assert isinstance(errors[0], ZeroDivisionError)
         gate.clear()
-        queue.post("first", lambda: gate.wait(10.0))
+        queue.post("first", lambda: gate.wait(300.0))
         await asyncio.sleep(0.05)
         queue.post("late", lambda: done.append("late"))
         closed = asyncio.ensure_future(queue.close())

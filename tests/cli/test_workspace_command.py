@@ -228,7 +228,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     legs = ["--legs", "1.1:1.5:6", "--chunk", "200", "--workers", "1", "--metric", "conditioning"]
     command = [*COMMAND, "sweep", *legs, "--out", str(store)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 300
         while len(records(store)) < 2 and process.poll() is None and time.monotonic() < deadline:
             time.sleep(0.01)
         os.killpg(process.pid, signal.SIGINT)

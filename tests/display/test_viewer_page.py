@@ -104,7 +104,7 @@ def send(session, name, value=None):
         await session.report(name, value)
         await drained(session.queue)
 
-    asyncio.run_coroutine_threadsafe(done(), session._loop).result(timeout=60.0)
+    asyncio.run_coroutine_threadsafe(done(), session._loop).result(timeout=300.0)
 
 
 def reset(page, session):
@@ -379,7 +379,7 @@ def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
         assert session.model.state.label == "TT+"
         assert page.inner_text('[data-spm="branch"]') == "TT+"
         other.player._repeat = True  # a busy machine may take longer than the path's second to look
-        asyncio.run_coroutine_threadsafe(other.report("play", None), other._loop).result(timeout=60.0)
+        asyncio.run_coroutine_threadsafe(other.report("play", None), other._loop).result(timeout=300.0)
         until(lambda: other.player.playing, "time to run")
         other_page.close()
         until(lambda: viewer.sessions == (session,), "one session less", page=page)
@@ -440,7 +440,7 @@ def test_a_viewer_that_is_stopped_awaits_what_its_pages_still_do(browser, caplog
             moved.append(True)
 
         viewer.server.get_event_loop().call_soon_threadsafe(session.queue.post, "slow", slow)
-        assert begun.wait(10.0)
+        assert begun.wait(300.0)
     assert moved
     gc.collect()
     assert "Task was destroyed" not in caplog.text

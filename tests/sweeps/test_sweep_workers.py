@@ -78,7 +78,7 @@ def start(path: Path, slices: int, progress: str = "None") -> subprocess.Popen[s
 
 def wait_for_records(path: Path, count: int, process: subprocess.Popen[str]) -> None:
     """Wait until there are `count` records, or the process has ended."""
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while len(records(path)) < count and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.005)
 
