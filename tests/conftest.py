@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import signal
 from collections.abc import Generator
 from importlib.util import find_spec
@@ -21,6 +22,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--no-skips", action="store_true", help="what skips itself fails: nothing may be missing")
+
+
+def pytest_collection_finish() -> None:
+    """Take what is imported out of what the garbage collector looks through, again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def refuse_skip(report: pytest.TestReport | pytest.CollectReport, config: pytest.Config, reason: object) -> None:
