@@ -159,7 +159,7 @@ class Certificate:
             if len(boxes):
                 half_sine = float(np.sqrt((boxes[:, :2] ** 2).max(axis=2).sum(axis=1).max()))
                 tilt = np.degrees(2.0 * np.arcsin(min(half_sine, 1.0)))
-                lines.append(f"{len(boxes):,} boxes of the {name} stage, tilted by up to {tilt:.0f}°.")
+                lines.append(f"Undecided: {len(boxes):,} boxes of the {name} stage, tilted by up to {tilt:.0f}°.")
         return "\n".join(lines)
 
     def _readings(self, state: Configuration) -> str:
