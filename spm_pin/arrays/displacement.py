@@ -51,7 +51,7 @@ class Branches(NamedTuple):
 
     def __getitem__(self, index: Any) -> Branches:
         """Index the batch, all fields alike."""
-        return Branches._make(_indexed(self, (3, 2, 1), index))
+        return Branches._make(indexed(self, (3, 2, 1), index))
 
 
 class State(NamedTuple):
@@ -73,10 +73,10 @@ class State(NamedTuple):
 
     def __getitem__(self, index: Any) -> Any:
         """Index the batch, all fields alike."""
-        return State._make(_indexed(self, (2, 1, 2, 1, 0), index))
+        return State._make(indexed(self, (2, 1, 2, 1, 0), index))
 
 
-def _indexed(fields: Iterable[Array], inner: tuple[int, ...], index: Any) -> list[Array]:
+def indexed(fields: Iterable[Array], inner: tuple[int, ...], index: Any) -> list[Array]:
     """Index the batch axes of arrays that have these numbers of inner axes."""
     batch = index if isinstance(index, tuple) else (index,)
     batch = batch if any(part is Ellipsis for part in batch) else (*batch, Ellipsis)

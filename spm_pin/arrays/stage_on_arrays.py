@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import functools
 import operator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from array_api_compat import is_array_api_obj
 
-from spm_pin.arrays.displacement import solved_stages
+from spm_pin.arrays.displacement import indexed, solved_stages
 from spm_pin.arrays.library import Array, library_of, quietly, stage_machine, state_arrays
 from spm_pin.formulas import circles, stage_poses, vectors
 from spm_pin.formulas.circles import Circles
@@ -22,7 +22,7 @@ _UNIT = 2e-6
 
 
 class StageState(NamedTuple):
-    """States (...) of a stage."""
+    """States (...) of a stage, with fields that are read by name: an index is one of the batch, as of `State`."""
 
     rotation: Array
     """Rotation of the platform in {B}, shape (..., 3, 3)."""
@@ -32,6 +32,10 @@ class StageState(NamedTuple):
     """Readings of the encoders, shape (..., 3): [m], of RRS legs [rad]."""
     exists: Array
     """Where there is such a state, shape (...). Elsewhere numbers and derivatives are finite and mean nothing."""
+
+    def __getitem__(self, index: Any) -> Any:
+        """Index the batch, all fields alike."""
+        return StageState._make(indexed(self, (2, 1, 1, 0), index))
 
 
 @quietly

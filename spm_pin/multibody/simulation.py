@@ -1,13 +1,7 @@
 """Motion in time: an explicit method of order eight in all joint coordinates, brought back onto the closures each step.
 
-The joint accelerations keep the loops closed to second order in time, so that errors of the method would open them.
-After each step q goes to the nearest closed one, and v to the admissible one nearest in kinetic energy,
-
-    v ← v - M⁻¹ Jcᵀ (Jc M⁻¹ Jcᵀ)⁻¹ Jc v,
-
-moves as small as the error of the step. Eighteen joints rather than six coordinates: no choice of six is regular
-everywhere, and these pass through inverse and forward singularities alike. The work of all forces is integrated beside
-the state, so that energy less work is constant in every run, driven or not.
+After each step q goes to the nearest closed one, and v to the admissible one nearest in kinetic energy. The work of all
+forces is integrated beside the state. `docs/theory/dynamics.md` says why.
 """
 
 from __future__ import annotations

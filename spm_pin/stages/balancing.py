@@ -93,15 +93,9 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,))
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (len(OBSERVATION),), np.float64)
 
-    @property
-    def limits(self) -> tuple[FloatArray, FloatArray]:
-        """The least and the largest readings (3,) of the stage [m], of RRS legs [rad]."""
-        low, high = self.stage.reading_limits
-        return low.copy(), high.copy()
-
     def action(self, readings: npt.ArrayLike) -> npt.NDArray[np.float32]:
         """Return the action (3,) that leads the actuators to readings (3,) [m], of RRS legs [rad]."""
-        low, high = self.limits
+        low, high = self.stage.reading_limits
         own = real_array(readings, "readings", (3,), f"what the actuators are to read, in {self.stage.unit}")
         return np.clip((2.0 * own - low - high) / (high - low), -1.0, 1.0).astype(np.float32)
 

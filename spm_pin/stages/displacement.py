@@ -82,7 +82,7 @@ def inverse(
     >>> np.rad2deg(solutions.physical().readings).round(2)
     array([19.61, 33.38,  5.64])
     """
-    shape, normals, heights = _read_request(stage, height, tilt, azimuth, roll, pitch, normal)
+    shape, normals, heights = _read_request(stage, height, normals_of_request(tilt, azimuth, roll, pitch, normal))
     rotation, translation, readings, _ = poses(stage, normals, heights, 2)
     reached = np.isfinite(readings).all(axis=-1)
     arrays = with_batch_shape((rotation, translation, readings), shape)
@@ -123,7 +123,7 @@ def inverse_physical(
     >>> spm.stages.inverse_physical(head, height=0.5, tilt=np.deg2rad(20), azimuth=np.pi / 2)
     <StageConfiguration: tilt 20.00° towards 90.0°, height 0.5000 m, readings 0.1634, 0.0686, 0.1634 m>
     """
-    shape, normals, heights = _read_request(stage, height, tilt, azimuth, roll, pitch, normal)
+    shape, normals, heights = _read_request(stage, height, normals_of_request(tilt, azimuth, roll, pitch, normal))
     rotation, translation, readings, physical = (x[:, 0] for x in poses(stage, normals, heights, 1))
     state = StageConfiguration.from_arrays(stage, *with_batch_shape((rotation, translation, readings), shape))
     kept = physical > 0
@@ -262,18 +262,10 @@ def _of_balls(stage: Stage, shape: tuple[int, ...], balls: FloatArray, readings:
 
 
 def _read_request(
-    stage: Stage,
-    height: npt.ArrayLike,
-    tilt: npt.ArrayLike | None,
-    azimuth: npt.ArrayLike | None,
-    roll: npt.ArrayLike | None,
-    pitch: npt.ArrayLike | None,
-    normal: npt.ArrayLike | None,
+    stage: Stage, height: npt.ArrayLike, normals: FloatArray
 ) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
     """Return the batch shape, unit normals (N, 3) and heights (N,)."""
-    check_instance(stage, Stage, "stage")
-    heights = read_heights(stage, height)
-    normals = normals_of_request(tilt, azimuth, roll, pitch, normal)
+    heights = read_heights(check_instance(stage, Stage, "stage"), height)
     shape = broadcastable("height", heights.shape, "the normals", normals.shape[:-1])
     normals = np.broadcast_to(normals, (*shape, 3)).reshape(-1, 3)
     return shape, normals, np.broadcast_to(heights, shape).reshape(-1)

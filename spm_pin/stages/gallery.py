@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS
-from spm_pin.mechanism.legs import AXES, RADIAL, Legs, StageLimits
+from spm_pin.mechanism.legs import Legs
 from spm_pin.mechanism.stage import Stage
 
 
@@ -63,7 +63,11 @@ def gallery() -> dict[str, RealMachine]:
         ),
         "3RRS-Balancing-Robot": RealMachine(
             "3-RRS",
-            (Stage(0.075, 0.09125, RRS(crank=0.05, rod=0.075), _degrees([-40, -20, -22], [140, 160, 158])),),
+            (
+                Stage(
+                    0.075, 0.09125, RRS(crank=0.05, rod=0.075), np.radians([[-40, -20, -22], [140, 160, 158]]).tolist()
+                ),
+            ),
             0.1,
             "reece-stronge/3RRS-Balancing-Robot, balance/pose.py, 3bf7de5",
             "Nothing; limits are those of its servos, 0 to 180°, less their offsets.",
@@ -131,16 +135,8 @@ def gallery() -> dict[str, RealMachine]:
     }
 
 
-def _degrees(minimum: list[float], maximum: list[float]) -> StageLimits:
-    return StageLimits(np.radians(minimum).tolist(), np.radians(maximum).tolist())
-
-
 def _with_legs_across(kind: PRS, radius: float, limits: tuple[float, float]) -> Stage:
     """Return a stage whose legs stand at 0, 90 and 180°."""
-    cosine, sine = np.cos(turns := np.radians([30.0, 0.0, -30.0])), np.sin(turns)
-    axes, radial = (
-        np.stack([cosine * v[:, 0] - sine * v[:, 1], sine * v[:, 0] + cosine * v[:, 1], v[:, 2]], axis=-1)
-        for v in (AXES, RADIAL)
-    )
-    legs = Legs(axes, radius * radial, radius * radial, np.zeros(3), (kind,))
-    return Stage(radius, radius, legs, limits)
+    axes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    places = radius * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    return Stage(radius, radius, Legs(axes, places, places, np.zeros(3), (kind,)), limits)

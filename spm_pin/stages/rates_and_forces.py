@@ -13,19 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.errors import SingularConfigurationError
 from spm_pin.formulas import stage_poses, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
 from spm_pin.kinematics.rates_and_forces import SINGULAR
 from spm_pin.kinematics.singularity_analysis import SingularityKind, kinds_text
-from spm_pin.mechanism.arguments import (
-    FloatArray,
-    broadcastable,
-    check_instance,
-    real_array,
-    real_number,
-)
+from spm_pin.mechanism.arguments import FloatArray, broadcastable, check_instance, real_array, real_number
 from spm_pin.mechanism.batched import masked
+from spm_pin.mechanism.configuration import check_members
 from spm_pin.mechanism.stage_configuration import StageConfiguration
 
 MOTION = slice(2, 5)
@@ -219,9 +214,7 @@ def determinants(state: StageConfiguration) -> FloatArray:
 
 def _read(configuration: Any) -> StageConfiguration:
     state = check_instance(configuration, StageConfiguration, "configuration")
-    if not state.shape and not state.exists:
-        cause = state.missing_reason or "Not a real solution? See .status and .exists of the solutions"
-        raise ArgumentError("configuration", "a configuration that exists", "NaN", cause)
+    check_members(state, "configuration", single=False, existing=not state.shape)
     return state
 
 

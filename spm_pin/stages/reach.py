@@ -143,8 +143,7 @@ def home_height(stage: Stage) -> float:
     usual = math.hypot(radii[0] - radii[1], radii[0] + radii[1]) if stage.kind.name == "RPS" else 0.0
     middle = 0.5 * np.where(is_limited, limits, 0.0).sum(axis=0)
     state = forward_physical(stage, np.where(is_limited, middle, usual + stage.legs.offsets))
-    level = inverse_physical(stage, state.height if state.exists else stage.size, tilt=0.0, azimuth=0.0)
-    if state.exists and level.exists and not level.limit_excess.any():
+    if state.exists and _counts(inverse_physical(stage, state.height)):
         return float(state.height)
     height = sum(height_range(stage)) / 2.0
     if math.isnan(height):

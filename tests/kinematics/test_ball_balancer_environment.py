@@ -52,7 +52,7 @@ def test_a_reset_is_a_closed_state_of_the_stage_with_the_ball_on_its_plate(name:
     stage = balancer.stage
     joints = spm.description.actuated_joints(stage)
     zeros = home_readings(stage) + stage.legs.offsets
-    low, high = balancer.limits
+    low, high = balancer.stage.reading_limits
     places, tilts = [], []
     for seed in range(25):
         observation, info = balancer.reset(seed=seed)
@@ -100,7 +100,7 @@ def test_an_action_leads_the_servos_to_readings_and_no_faster_than_they_turn(bal
     # The servos give way by a quarter of a millimetre.
     np.testing.assert_allclose(observation[4:6], [state.roll, state.pitch], atol=2e-3)
     assert observation[6] == pytest.approx(state.height, abs=5e-4)
-    low, high = balancer.limits
+    low, high = balancer.stage.reading_limits
     np.testing.assert_allclose(np.stack([low, high]), [[-0.6] * 3, [1.2] * 3], atol=1e-12)
     np.testing.assert_allclose([balancer.action(low), balancer.action(high)], [[-1.0] * 3, [1.0] * 3], atol=1e-6)
 
@@ -123,7 +123,7 @@ def test_rates_are_those_of_what_is_observed(balancer: BallBalancer) -> None:
 
 def test_an_episode_ends_where_the_ball_falls_and_after_ten_seconds() -> None:
     env = gymnasium.make(NAME, max_tilt=0.0)
-    low, high = env.unwrapped.limits
+    low, high = env.unwrapped.stage.reading_limits
     tipped = env.unwrapped.action([low[0], high[1], high[2]])
     env.reset(seed=0)
     rewards = []
