@@ -97,7 +97,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         """Return the action (3,) that leads the actuators to readings (3,) [m], of RRS legs [rad]."""
         low, high = self.stage.reading_limits
         own = real_array(readings, "readings", (3,), f"what the actuators are to read, in {self.stage.unit}")
-        return np.clip((2.0 * own - low - high) / (high - low), -1.0, 1.0).astype(np.float32)
+        return np.asarray(np.clip((2.0 * own - low - high) / (high - low), -1.0, 1.0), dtype=np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
