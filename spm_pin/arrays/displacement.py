@@ -13,7 +13,7 @@ import operator
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-from spm_pin.arrays.library import Array, Library, Machine, library_of, quietly, read_machine, state_arrays
+from spm_pin.arrays.library import Array, Library, MachineOnArrays, library_of, quietly, read_machine, state_arrays
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas import ball_motions, branches, circles, joint_values, leg_constants, leg_planes, vectors, wrenches
 from spm_pin.formulas.ball_motions import BallMotions
@@ -202,7 +202,7 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
 
 
 def solved_stages(
-    library: Library, machine: Machine, stages: list[Circles], starts: list[Any], zero: Array, *, is_near: bool
+    library: Library, machine: MachineOnArrays, stages: list[Circles], starts: list[Any], zero: Array, *, is_near: bool
 ) -> tuple[Any, Any, Any, Any]:
     """Return the balls of stages on circles, with derivatives, their platforms' frames, and which are solutions.
 
@@ -338,14 +338,14 @@ def _with_derivatives(
     return library.repeated(corrected, b, _ORDERS)
 
 
-def _physical(library: Library, machine: Machine, pose: Any, b: Any) -> tuple[Any, Any]:
+def _physical(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[Any, Any]:
     c, rods = machine.upper_balls(library, b), rods_of(library, machine, pose, b)
     upper_axes = library.run(vectors.turned, pose[0], machine.legs[1].axes)
     physical = library.run(branches.is_physical, b, c, *rods.vectors, machine.legs[0].axes, upper_axes, *pose)
     return physical, library.run(branches.tilt_cosine_sum, b, pose[0])
 
 
-def _readings(library: Library, machine: Machine, pose: Any, b: Any) -> tuple[list[Any], Any]:
+def _readings(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[list[Any], Any]:
     """Return the readings of balls, and a number that is negative where one is out of reach of its leg."""
     rods = rods_of(library, machine, pose, b)
     reach = functools.reduce(functools.partial(library.run, vectors.larger), (-x for x in rods.reach))
@@ -361,7 +361,7 @@ class Rods(NamedTuple):
     vectors: tuple[Any, Any]  # from circles to lower balls, and from upper balls to circles, in {B}
 
 
-def rods_of(library: Library, machine: Machine, pose: Any, b: Any) -> Rods:
+def rods_of(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> Rods:
     """Return what the legs are at balls b_i in {B} and a pose."""
     run, c = library.run, machine.upper_balls(library, b)
     places = machine.places(library, [*b, *run(ball_motions.points_from_platform, c, *pose)])

@@ -153,7 +153,7 @@ def library_of(*, legs: int = 6, **arguments: Array | Geometry) -> Library:
     return _library(namespace, namespace.result_type(*arrays.values()))
 
 
-class Machine(NamedTuple):
+class MachineOnArrays(NamedTuple):
     """Dimensions and legs; floats, or arrays of any shape of batch."""
 
     radii: tuple[Any, Any]  # E and C
@@ -218,7 +218,7 @@ class Machine(NamedTuple):
         return checked, valid
 
 
-def read_machine(library: Library, geometry: Any) -> Machine:
+def read_machine(library: Library, geometry: Any) -> MachineOnArrays:
     """Return a machine of a `Geometry`, of dimensions (..., 3) E, C, d, or of the parameters of its legs.
 
     Parameters are an array (..., 54), of RPS legs, or a pair of a geometry and of its parameters (..., n).
@@ -243,7 +243,7 @@ def read_machine(library: Library, geometry: Any) -> Machine:
     return _machine_of_parameters(library, _RPS, geometry)
 
 
-def _machine_of_parameters(library: Library, geometry: Geometry, parameters: Array) -> Machine:
+def _machine_of_parameters(library: Library, geometry: Geometry, parameters: Array) -> MachineOnArrays:
     """Return a machine with the kinds, working modes and leg limits of a geometry and these parameters (..., n)."""
     count, drawing = len(geometry.parameters), geometry.nominal
     if parameters.ndim == 0 or parameters.shape[-1] != count:
@@ -277,7 +277,7 @@ def _machine_of_parameters(library: Library, geometry: Geometry, parameters: Arr
 
 def _completed(
     library: Library, radii: Any, r: Any, legs: Any, drawing: Geometry, numbers: Any, *further: Any
-) -> Machine:
+) -> MachineOnArrays:
     """Return the machine of axes, pivots, balls and offsets of six legs, with the kinds and limits of a drawing's.
 
     `numbers` None are the drawing's.
@@ -295,18 +295,18 @@ def _completed(
     lower, upper = (library.run(circles.squared_sides, b) for b in halves)
     weights = library.run(leg_planes.upper_ball_weights, *halves)
     ends = limits.minimum, limits.maximum
-    return Machine(radii, r, stages, halves, (lower, upper), weights, offsets, *of_legs, ends, *further)
+    return MachineOnArrays(radii, r, stages, halves, (lower, upper), weights, offsets, *of_legs, ends, *further)
 
 
 @functools.lru_cache(maxsize=32)
-def _machine_of(geometry: Geometry) -> Machine:
+def _machine_of(geometry: Geometry) -> MachineOnArrays:
     *vectors, offsets = (x.tolist() for x in geometry.legs.arrays)
     legs = *(tuple(map(tuple, x)) for x in vectors), tuple(offsets)
     library, radii = library_of(numbers=np.zeros(1)), (geometry.base_radius, geometry.platform_radius)
     return _completed(library, radii, geometry.middle_radius, legs, geometry, None, geometry.is_nominal, True)
 
 
-def stage_machine(stage: Stage) -> Machine:
+def stage_machine(stage: Stage) -> MachineOnArrays:
     """Return a stage as the lower half of a robot of two, with three legs."""
     both = _machine_of(Geometry.of_stages(stage, stage))
     halves = {name: getattr(both, name)[:1] for name in ("radii", "legs", "balls", "squares")}

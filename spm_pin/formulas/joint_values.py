@@ -63,12 +63,12 @@ def leg_home(
     """
     low, high = limits
     middle = 0.5 * (low + high)
-    stands = both(both(low < high, _home_height(x, middle, slope_sign, numbers, kind) > 0.0), middle < INFINITY)
+    stands = both(both(low < high, ball_height(x, middle, slope_sign, numbers, kind) > 0.0), middle < INFINITY)
     reading = where(stands, middle, kind.home(x, height, low, numbers))
-    return LegHome(reading, x, _home_height(x, reading, slope_sign, numbers, kind))
+    return LegHome(reading, x, ball_height(x, reading, slope_sign, numbers, kind))
 
 
-def _home_height(x: float, reading: float, slope_sign: float, numbers: Numbers, kind: Any) -> float:
+def ball_height(x: float, reading: float, slope_sign: float, numbers: Numbers, kind: Any) -> float:
     """Return z of a ball at x on the circle of a reading: the upper place, or the lower one if that has the mode."""
     circle: Circle = kind.circle(reading, numbers)
     aside = x - circle.x

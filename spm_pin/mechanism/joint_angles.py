@@ -126,7 +126,7 @@ def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
     return frozen(readings), frozen(places)
 
 
-_HOME, _HEIGHT = on_arrays(formulas.leg_home), on_arrays(formulas._home_height)
+_HOME, _HEIGHT = on_arrays(formulas.leg_home), on_arrays(formulas.ball_height)
 _FORMULAS = upper_balls, formulas.leg_values, formulas.leg_frame, formulas.triangle_axes, formulas.ball_angles
 
 

@@ -41,7 +41,7 @@ from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.joint_angles import joint_angles, joint_names, value_names
 from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.symbolic import functions
-from spm_pin.symbolic.machine import Drawn, Machine, State, all_of, fields_of, in_casadi, parts, rows
+from spm_pin.symbolic.machine import Drawn, MachineInCasadi, StateInCasadi, all_of, fields_of, in_casadi, parts, rows
 
 STATUSES = {
     "OK": (0, "the result is whole and finite"),
@@ -62,7 +62,7 @@ class StateFunction:
     """A function of the C that computes numbers from a state."""
 
     name: str
-    compute: Callable[..., dict[str, Any]]  # from a `State` and the arguments
+    compute: Callable[..., dict[str, Any]]  # from a `StateInCasadi` and the arguments
     arguments: dict[str, FloatArray]  # values for the test program
     result: str
     count: int
@@ -326,10 +326,10 @@ def _legs_texts(geometry: Geometry, masses: Masses | None) -> dict[str, str]:
 @lru_cache(maxsize=16)
 def _formulas(geometry: Geometry) -> str:
     """Return the functions that the C calls, of flat arrays, matrices row by row: most of the time of an export."""
-    machine = Machine.of_symbols(geometry)
+    machine = MachineInCasadi.of_symbols(geometry)
     flat, position, balls = (ca.SX.sym(name, n) for name, n in (("r", 9), ("o", 3), ("balls", 6)))
     joints, rotation = ca.SX.sym("joints", 9), _matrix(flat)
-    state, pose = State(machine, _matrix(joints), rotation, position), [flat, position]
+    state, pose = StateInCasadi(machine, _matrix(joints), rotation, position), [flat, position]
     drawing = machine.drawing()
     drawn = Drawn(drawing, rotation, position)
 
@@ -377,7 +377,7 @@ def _formulas(geometry: Geometry) -> str:
     made_functions.append(made("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms))))
     made_functions.append(made("balls_of_root", [quaternion, *pose], coordinates))
     branches = [drawn.branch(label[:2], 1.0 if label[2] == "+" else -1.0) for label in BRANCHES]
-    states = [State(drawing, b, rotation, position) for b in branches]
+    states = [StateInCasadi(drawing, b, rotation, position) for b in branches]
     shown, discriminants = ca.vertcat(*(x.readings for x in states)), ca.vertcat(*map(drawn.discriminant, FAMILIES))
     real = [drawn.is_real(label[:2]) for label in BRANCHES]
     real = ca.vertcat(*(ca.logic_and(x, branch.reach >= 0.0) for x, branch in zip(real, states, strict=True)))

@@ -26,7 +26,7 @@ from spm_pin.formulas import joint_values as values
 from spm_pin.mechanism import BRANCHES, Geometry
 from spm_pin.mechanism.arguments import FloatArray, as_bool, check_instance, choice
 from spm_pin.mechanism.geometry import check_rps
-from spm_pin.symbolic.machine import Drawn, Machine, State, all_of, columns, in_casadi, parts, stages_of
+from spm_pin.symbolic.machine import Drawn, MachineInCasadi, StateInCasadi, all_of, columns, in_casadi, parts, stages_of
 
 Dimensions = Geometry | Literal["symbolic"] | None
 
@@ -59,12 +59,12 @@ def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -
     `exists` is 0 as well for what is no pose, an entry of RᵀR - I being above 1e-6, and for dimensions not within 1e-9
     to 1e9 m. A rotation is not repaired: up to there its error is one of the other outputs too.
     """
-    machine, rotation, position = Machine(geometry, parameters), *_pose()
+    machine, rotation, position = MachineInCasadi(geometry, parameters), *_pose()
     if not machine.is_drawn:
         return _as_built_inverse(machine, rotation, position)
     drawn = Drawn(machine, rotation, position)
     joints = [drawn.branch("TT", sign) for sign in (1.0, -1.0)]
-    states = [State(machine, b, rotation, position) for b in joints]
+    states = [StateInCasadi(machine, b, rotation, position) for b in joints]
     (plus, plus_tilts), (minus, minus_tilts) = (preference(machine, state) for state in states)
     other = in_casadi(formulas.is_other_preferred)(plus, plus_tilts, minus, minus_tilts)
     outputs = {
@@ -96,13 +96,13 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
         If there is no such branch, or `geometry` is a machine as built.
     """
     choice(branch, "branch", BRANCHES)
-    machine, rotation, position = Machine(geometry), *_pose()
+    machine, rotation, position = MachineInCasadi(geometry), *_pose()
     if not machine.is_drawn:
         cause = "The eight roots of a machine as built have no closed form; inverse_physical takes it"
         raise ArgumentError("geometry", "a machine as drawn", "one as built", cause)
     drawn, family = Drawn(machine, rotation, position), branch[:2]
     joints = drawn.branch(family, 1.0 if branch[2] == "+" else -1.0)
-    state = State(machine, joints, rotation, position)
+    state = StateInCasadi(machine, joints, rotation, position)
     outputs = {
         "readings": state.readings,
         "joints": joints,
@@ -129,12 +129,12 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
         are in the aspect of the symmetric home, and all legs in their working mode. Where it is 0 the others are where
         14 steps of Newton's method and `casadi.rootfinder` ended.
     """
-    machine, readings = Machine(geometry, parameters), ca.SX.sym("readings", 6)
+    machine, readings = MachineInCasadi(geometry, parameters), ca.SX.sym("readings", 6)
     unknowns, stages = ca.SX.sym("unknowns", 6), [machine.circles(k, readings) for k in (0, 1)]
     inputs, starts = [readings], [level_balls(machine, k, stage) for k, stage in enumerate(stages)]
     if as_bool(near, "near"):
         inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
-        starts = [list(map(parts, balls)) for balls in State(machine, *inputs[1:]).own_balls()]
+        starts = [list(map(parts, balls)) for balls in StateInCasadi(machine, *inputs[1:]).own_balls()]
     halves = unknowns[:3], unknowns[3:]
     problems = [stage_problem(machine, k, *own) for k, own in enumerate(zip(stages, starts, halves, strict=True))]
     balls, errors, stepped, angles = zip(*problems, strict=True)
@@ -142,7 +142,7 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
     own = ca.vertsplit(readings - machine.offsets)
     # Half the squares of the distances, over d.
     error = ca.vertcat(*errors) / machine.side
-    residual, state = ca.mmax(ca.fabs(error)) / machine.side, State(machine, joints, rotation, position)
+    residual, state = ca.mmax(ca.fabs(error)) / machine.side, StateInCasadi(machine, joints, rotation, position)
     exists = [machine.valid, state.is_physical()[0], residual < 1e-12, state.least_slope(state.slopes_at(own)) > 0.0]
     exists += [radius > 0.0 for stage in stages for radius in stage.radii]
     exists += machine.are_readings(own)
@@ -157,12 +157,12 @@ def inverse_jacobian(geometry: Dimensions = None, *, parameters: bool = False) -
 
     It grows without bound towards an inverse singularity, or a leg's own, and is not a number at one.
     """
-    return _of_state("inverse_jacobian", Machine(geometry, parameters), {}, jacobian_of)
+    return _of_state("inverse_jacobian", MachineInCasadi(geometry, parameters), {}, jacobian_of)
 
 
 def leg_rates(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the leg rates `rates` (6,) of a state for a `twist` (6,), (v, ω) at o in {B}."""
-    return _of_state("leg_rates", Machine(geometry, parameters), {"twist": 6}, rates_of)
+    return _of_state("leg_rates", MachineInCasadi(geometry, parameters), {"twist": 6}, rates_of)
 
 
 def leg_forces(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
@@ -171,7 +171,7 @@ def leg_forces(geometry: Dimensions = None, *, parameters: bool = False) -> ca.F
     `wrench` (6,) is the force [N] and moment [N m] at o in {B}, applied from outside. The forces grow without bound
     towards a forward singularity.
     """
-    return _of_state("leg_forces", Machine(geometry, parameters), {"wrench": 6}, forces_of)
+    return _of_state("leg_forces", MachineInCasadi(geometry, parameters), {"wrench": 6}, forces_of)
 
 
 def gravity(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
@@ -180,7 +180,7 @@ def gravity(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Func
     Further inputs: `bodies` (32,), see `bodies`; `payload` (4,), a mass [kg] and its centre in {m} [m]; `acceleration`
     (3,), of gravity in {B} [m/s²].
     """
-    machine, arguments = Machine(geometry, parameters), {"bodies": 32, "payload": 4, "acceleration": 3}
+    machine, arguments = MachineInCasadi(geometry, parameters), {"bodies": 32, "payload": 4, "acceleration": 3}
     if isinstance(geometry, Geometry):
         check_rps(geometry, "weights of the legs")
     return _of_state("gravity", machine, arguments, gravity_of)
@@ -226,7 +226,7 @@ def closure_residual(geometry: Dimensions = None, *, parameters: bool = False) -
     Distances of the balls from the planes of their lower legs, then of their upper legs; then, for the sides 12, 23,
     31, the error (|b_i - b_j|² - s²)/2s of a side s, smooth everywhere.
     """
-    return _of_state("closure_residual", Machine(geometry, parameters), {}, residual_of)
+    return _of_state("closure_residual", MachineInCasadi(geometry, parameters), {}, residual_of)
 
 
 def joint_values(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
@@ -234,17 +234,19 @@ def joint_values(geometry: Dimensions = None, *, parameters: bool = False) -> ca
 
     `values` (18,) are in the order of `spm_pin.description.JOINTS`: angles [rad], slides [m].
     """
-    return _of_state("joint_values", Machine(geometry, parameters), {}, values_of)
+    return _of_state("joint_values", MachineInCasadi(geometry, parameters), {}, values_of)
 
 
-def _of_state(name: str, machine: Machine, arguments: dict[str, int], compute: Callable[..., Any]) -> ca.Function:
+def _of_state(
+    name: str, machine: MachineInCasadi, arguments: dict[str, int], compute: Callable[..., Any]
+) -> ca.Function:
     """Make a function of a state, `joints`, `rotation` and `position`, and of further arguments."""
     joints, further = ca.SX.sym("joints", 3, 3), [ca.SX.sym(*argument) for argument in arguments.items()]
     pose = _pose()
-    return machine.function(name, [joints, *pose, *further], compute(State(machine, joints, *pose), *further))
+    return machine.function(name, [joints, *pose, *further], compute(StateInCasadi(machine, joints, *pose), *further))
 
 
-def jacobian_of(state: State) -> dict[str, Any]:
+def jacobian_of(state: StateInCasadi) -> dict[str, Any]:
     """Return J_f of a state."""
     (b, c), axes = stages_of(state.balls), stages_of(state.axes)
     lower, upper = stages_of(state.directions)
@@ -256,17 +258,17 @@ def jacobian_of(state: State) -> dict[str, Any]:
     return {"jacobian": ca.vertcat(*(x / slope for x, slope in zip(along, state.slopes, strict=True)))}
 
 
-def rates_of(state: State, twist: Any) -> dict[str, Any]:
+def rates_of(state: StateInCasadi, twist: Any) -> dict[str, Any]:
     """Return the leg rates of a twist in a state."""
     return {"rates": jacobian_of(state)["jacobian"] @ twist}
 
 
-def forces_of(state: State, wrench: Any) -> dict[str, Any]:
+def forces_of(state: StateInCasadi, wrench: Any) -> dict[str, Any]:
     """Return the leg forces that hold a wrench in a state."""
     return {"forces": _forces(state, wrench, wrench)}
 
 
-def _forces(state: State, *wrenches_of_stages: Any) -> Any:
+def _forces(state: StateInCasadi, *wrenches_of_stages: Any) -> Any:
     """Return the forces of the lower legs that hold one wrench at o, and of the upper legs that hold another."""
     forces: list[Any] = []
     vectors = map(stages_of, (state.balls, state.directions, state.axes))
@@ -276,7 +278,7 @@ def _forces(state: State, *wrenches_of_stages: Any) -> Any:
     return ca.vertcat(*(x * slope for x, slope in zip(forces, state.slopes, strict=True)))
 
 
-def gravity_of(state: State, bodies: Any, payload: Any, acceleration: Any) -> dict[str, Any]:
+def gravity_of(state: StateInCasadi, bodies: Any, payload: Any, acceleration: Any) -> dict[str, Any]:
     """Return the leg forces that hold all weights in a state."""
     o = state.position
     turn, origin = frame_of(state.joints, state.machine.balls[:3])
@@ -306,7 +308,7 @@ def gravity_of(state: State, bodies: Any, payload: Any, acceleration: Any) -> di
     return {"forces": _forces(state, lower, upper)}
 
 
-def values_of(state: State) -> dict[str, Any]:
+def values_of(state: StateInCasadi) -> dict[str, Any]:
     """Return the values of the eighteen joints in a state."""
     machine, turned = state.machine, state.rotation.T
     triangle, own = (in_casadi(values.triangle_axes)([parts(b) for b in x]) for x in (state.joints, machine.balls[:3]))
@@ -325,7 +327,7 @@ def values_of(state: State) -> dict[str, Any]:
     return {"values": ca.vertcat(*(by_joint[name] for name in machine.joint_names))}
 
 
-def residual_of(state: State) -> dict[str, Any]:
+def residual_of(state: StateInCasadi) -> dict[str, Any]:
     """Return the closure equations of a state."""
     origins = [0.0] * 3 + [state.position] * 3
     rows = [
@@ -339,13 +341,13 @@ def _pose() -> tuple[Any, Any]:
     return ca.SX.sym("rotation", 3, 3), ca.SX.sym("position", 3)
 
 
-def _side_errors(machine: Machine, balls: Sequence[Any]) -> list[Any]:
+def _side_errors(machine: MachineInCasadi, balls: Sequence[Any]) -> list[Any]:
     """Return (|b_i - b_j|² - s²)/2s [m] of the sides s of the lower balls."""
     squares = in_casadi(circles.squared_sides)([parts(b) for b in balls])
     return [(square - s * s) / (2.0 * s) for square, s in zip(squares, machine.sides(), strict=True)]
 
 
-def closure_equations(machine: Machine, coordinates: Any, rotation: Any, position: Any) -> Any:
+def closure_equations(machine: MachineInCasadi, coordinates: Any, rotation: Any, position: Any) -> Any:
     """Return the errors (6,) [m] of the lower balls' sides, and of the upper balls' distances from their planes."""
     balls = [machine.planes[i].point(coordinates[2 * i : 2 * i + 2]) for i in range(3)]
     planes = [
@@ -355,7 +357,7 @@ def closure_equations(machine: Machine, coordinates: Any, rotation: Any, positio
     return ca.vertcat(*_side_errors(machine, balls), *planes)
 
 
-def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
+def quadrics(machine: MachineInCasadi, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
     """Return the forms (4, 4) of `leg_planes.quadric`, norm 1, and the lower balls of a root in their planes (6,)."""
     normals = ca.horzcat(*machine.axes[:3], *(rotation @ x for x in machine.axes[3:]))
     heights = [ca.dot(plane.x, plane.pivot) for plane in machine.planes]
@@ -382,12 +384,12 @@ def quadrics(machine: Machine, quaternion: Any, rotation: Any, position: Any) ->
     return forms, ca.vertcat(*coordinates)
 
 
-def level_balls(machine: Machine, stage: int, of_readings: circles.Circles) -> Any:
+def level_balls(machine: MachineInCasadi, stage: int, of_readings: circles.Circles) -> Any:
     """Return the balls of the lower stage, 0, or of the upper, 1, at the level start, see `circles.level_balls`."""
     return in_casadi(circles.level_balls)(of_readings, stages_of(machine.balls)[stage], (1.0, -1.0)[stage])
 
 
-def placed(machine: Machine, lower: Sequence[Any], upper: Sequence[Any]) -> tuple[Any, Any, Any]:
+def placed(machine: MachineInCasadi, lower: Sequence[Any], upper: Sequence[Any]) -> tuple[Any, Any, Any]:
     """Return R, o and the b_i (3, 3) of two stages, their balls as formulas take them, in {B} and in {m}."""
     (turn, origin), (turn_m, origin_m) = (
         frame_of(columns(b), own) for b, own in ((lower, machine.balls[:3]), (upper, machine.balls[3:]))
@@ -404,7 +406,7 @@ def frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
     return ca.vertcat(*(ca.horzcat(*row) for row in rotation)), ca.vertcat(*position)
 
 
-def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
+def drawn_starts(machine: MachineInCasadi, drawn: Drawn) -> list[Any]:
     """Return where Newton's method starts: at TT+ and TT- of the drawing, and at both with larger discriminants.
 
     Beside a fold of the drawing the branches of a machine as built are elsewhere, or real where those are not.
@@ -413,13 +415,13 @@ def drawn_starts(machine: Machine, drawn: Drawn) -> list[Any]:
     return [ca.vertcat(*(machine.planes[i].coordinates(b[i, :].T) for i in range(3))) for b in joints]
 
 
-def preference(machine: Machine, state: State) -> tuple[Any, Any]:
+def preference(machine: MachineInCasadi, state: StateInCasadi) -> tuple[Any, Any]:
     """Return 0 where a state is not physical, 1 where it is, 2 where within leg limits too; and how straight it is."""
     is_physical, tilts = state.is_physical()
     return is_physical * (1.0 + all_of(within_limits(machine, state.readings))), tilts
 
 
-def within_limits(machine: Machine, readings: Any) -> list[Any]:
+def within_limits(machine: MachineInCasadi, readings: Any) -> list[Any]:
     """Return which of six readings are within the limits of their legs, rounding apart."""
     inside = []
     for reading, *limits in zip(*map(ca.vertsplit, (readings, machine.minimum, machine.maximum)), strict=True):
@@ -428,13 +430,13 @@ def within_limits(machine: Machine, readings: Any) -> list[Any]:
     return inside
 
 
-def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Function:
+def _as_built_inverse(machine: MachineInCasadi, rotation: Any, position: Any) -> ca.Function:
     """Make `inverse_physical` of a machine as built, by Newton's method from the branches TT of the drawing."""
     drawn, unknowns = Drawn(machine, rotation, position), ca.SX.sym("unknowns", 6)
     starts = drawn_starts(machine, drawn)
     error = closure_equations(machine, unknowns, rotation, position)
     joints = ca.horzcat(*(machine.planes[i].point(unknowns[2 * i : 2 * i + 2]) for i in range(3))).T
-    state = State(machine, joints, rotation, position)
+    state = StateInCasadi(machine, joints, rotation, position)
     (rank, tilts), size = preference(machine, state), machine.side + ca.norm_1(position)
     closed = ca.mmax(ca.fabs(error)) <= 1e-13 * size
     outputs = {"readings": state.readings, "joints": joints, "discriminant": drawn.discriminant("TT")}
@@ -446,7 +448,7 @@ def _as_built_inverse(machine: Machine, rotation: Any, position: Any) -> ca.Func
     return implicit("inverse_physical", known, problem, starts, (rank * closed, tilts))
 
 
-def stage_problem(machine: Machine, k: int, own: circles.Circles, start: Any, unknowns: Any) -> tuple[Any, ...]:
+def stage_problem(machine: MachineInCasadi, k: int, own: circles.Circles, start: Any, unknowns: Any) -> tuple[Any, ...]:
     """Return balls, errors of half their squared distances, and the unknowns after a step, of the lower stage, 0, or 1.
 
     Unknown are the angles (3,) of the legs; the last of all is those of the balls to start from.

@@ -114,7 +114,7 @@ class LegPlane(NamedTuple):
         return self.pivot + coordinates[0] * self.y + coordinates[1] * self.z
 
 
-class Machine:
+class MachineInCasadi:
     """A machine, and the inputs that functions of it have beside their own.
 
     Parameters
@@ -154,7 +154,7 @@ class Machine:
             self._set_legs(axes, pivots, balls, ca.SX(machine.legs.offsets))
 
     @classmethod
-    def of_symbols(cls, geometry: Geometry) -> Machine:
+    def of_symbols(cls, geometry: Geometry) -> MachineInCasadi:
         """Return a machine whose `fields_of` are the inputs, vectors leg by leg; axes may be off unit length.
 
         It has the kinds of legs of `geometry`.
@@ -174,7 +174,7 @@ class Machine:
         machine.minimum, machine.maximum = symbols["minimum"], symbols["maximum"]
         return machine
 
-    def drawing(self) -> Machine:
+    def drawing(self) -> MachineInCasadi:
         """Return a machine whose axes, pivots and balls are those of the drawing, and all else this one's."""
         drawn = copy(self)
         drawn.is_drawn = True
@@ -295,13 +295,13 @@ def _legs_of_parameters(parameters: Any) -> tuple[list[Any], list[Any], list[Any
     return axes, [row[2:5] for row in rows], [row[5:8] for row in rows], ca.vertcat(*(row[8] for row in rows))
 
 
-class State:
+class StateInCasadi:
     """The six legs in {B} of a state: b_i, the rows of `joints` (3, 3), with the rotation and the position of {m}.
 
     The legs' `vectors` and `directions` are those of their rods, from the centres of the balls' circles.
     """
 
-    def __init__(self, machine: Machine, joints: Any, rotation: Any, position: Any) -> None:
+    def __init__(self, machine: MachineInCasadi, joints: Any, rotation: Any, position: Any) -> None:
         self.machine, self.rotation, self.position = machine, rotation, position
         self.joints = [joints[i, :].T for i in range(3)]
         self.balls = machine.all_balls(self.joints)
@@ -368,7 +368,7 @@ class State:
 class Drawn:
     """The closed form of the drawn machine at a pose."""
 
-    def __init__(self, machine: Machine, rotation: Any, position: Any) -> None:
+    def __init__(self, machine: MachineInCasadi, rotation: Any, position: Any) -> None:
         rows = [parts(rotation[i, :]) for i in range(3)]
         self.machine, self._position = machine, parts(position)
         self.frame = in_casadi(branches.pose_frame)(rows, self._position, machine.r)

@@ -8,7 +8,7 @@ from spm_pin.formulas import circles, stage_poses
 from spm_pin.mechanism import Geometry, Stage
 from spm_pin.mechanism.arguments import as_bool, check_instance
 from spm_pin.symbolic.functions import frame_of, implicit, stage_problem
-from spm_pin.symbolic.machine import Machine, all_of, columns, in_casadi, parts, rows
+from spm_pin.symbolic.machine import MachineInCasadi, all_of, columns, in_casadi, parts, rows
 
 
 def stage_inverse(stage: Stage) -> ca.Function:
@@ -83,7 +83,7 @@ def stage_forward(stage: Stage, *, near: bool = False) -> ca.Function:
     return implicit("stage_forward", inputs, (unknowns, error, outputs, stepped), [angles])
 
 
-def _machine(stage: Stage) -> Machine:
+def _machine(stage: Stage) -> MachineInCasadi:
     """Return a robot of two such stages, whose lower half is the stage."""
     check_instance(stage, Stage, "stage")
-    return Machine(Geometry.of_stages(stage, stage))
+    return MachineInCasadi(Geometry.of_stages(stage, stage))
