@@ -34,6 +34,11 @@ class Batched(ABC):
         self._arrays = tuple(map(frozen, arrays))
         self._rotation, self._translation = self._arrays[:2]
 
+    @property
+    def _known(self) -> FloatArray | None:
+        """What `_solved` names, where it has been computed already."""
+        return self.__dict__.get(self._solved)
+
     @classmethod
     @abstractmethod
     def from_arrays(cls, *arrays: Any) -> Self:
@@ -41,13 +46,13 @@ class Batched(ABC):
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Self:
         """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
-        solved = self.__dict__.get(self._solved)
+        solved = self._known
         arrays = (change(array, inner) for array, inner in zip(self._arrays, (2, 1, 2), strict=False))
         return self.from_arrays(self._mechanism, *arrays, None if solved is None else change(solved, 1))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and unpickled states are read-only too; what is derived is not carried along.
-        state = self._mechanism, *self._arrays, self.__dict__.get(self._solved)
+        state = self._mechanism, *self._arrays, self._known
         return self.from_arrays, state, {"missing_reason": self.missing_reason}
 
     @property
@@ -183,9 +188,9 @@ class Batched(ABC):
 def stacked(states: Sequence[S]) -> S:
     """Return single states of one machine as a batch."""
     first = states[0]
-    solved: list[Any] = [state.__dict__.get(state._solved) for state in states]
+    solved = [state._known for state in states if state._known is not None]
     arrays = map(np.stack, zip(*(state._arrays for state in states), strict=True))
-    return first.from_arrays(first.mechanism, *arrays, None if any(x is None for x in solved) else np.stack(solved))
+    return first.from_arrays(first.mechanism, *arrays, np.stack(solved) if len(solved) == len(states) else None)
 
 
 def batch_index(index: object) -> tuple[Any, ...]:

@@ -126,8 +126,7 @@ class Configuration(Batched):
 
     def where(self, kept: BoolArray) -> Configuration:
         """Return the states where `kept` (...) is true; the others have no joints, and keep their pose."""
-        solved = self.__dict__.get(self._solved)
-        lengths = None if solved is None else masked(solved, kept, 1)
+        lengths = None if self._known is None else masked(self._known, kept, 1)
         joints = masked(self.middle_joints, kept, 2)
         return Configuration.from_arrays(self.geometry, self._rotation, self._translation, joints, lengths)
 

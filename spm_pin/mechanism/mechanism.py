@@ -64,7 +64,7 @@ class Mechanism(ABC):
     def _set_legs(self, legs: Legs | tuple[LegKind, ...]) -> None:
         """Read legs: those as built are kept, kinds are drawn, and those that were drawn with other dimensions."""
         kinds, count = legs.kinds if isinstance(legs, Legs) else legs, len(self.stage_radii)
-        if not (isinstance(kinds, tuple) and [isinstance(kind, LegKind) for kind in kinds] == [True] * count):
+        if not (isinstance(kinds, tuple) and len(kinds) == count and all(isinstance(kind, LegKind) for kind in kinds)):
             own = "RPS(), PRS(rod=…) or RRS(crank=…, rod=…), or the Legs of three"
             expected = own if count == 1 else "a pair such as (RPS(), RRS(crank=…, rod=…)), or the Legs of six"
             received = (

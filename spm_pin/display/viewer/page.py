@@ -113,7 +113,7 @@ class Viewer:
         progress("page", 3, 4)
         self.dark = dark
         self._sessions: dict[int, Session] = {}
-        self._opening: set[asyncio.Task[Any] | None] = set()
+        self._opening: set[asyncio.Task[Any]] = set()
         self._stopped = threading.Event()
         self.host = host
         require_extra("viewer", "viser")
@@ -150,6 +150,7 @@ class Viewer:
 
     async def _connected(self, client: Any) -> None:
         task = asyncio.current_task()
+        assert task is not None
         self._opening.add(task)
         try:
             session = await asyncio.to_thread(Session, client, self, asyncio.get_running_loop())
@@ -170,7 +171,7 @@ class Viewer:
 
     async def _close_sessions(self) -> None:
         # The event loop ends with the server, and would drop what its tasks still do.
-        await asyncio.gather(*filter(None, self._opening), *(session.close() for session in self.sessions))
+        await asyncio.gather(*self._opening, *(session.close() for session in self.sessions))
 
     def wait(self) -> None:
         """Serve until `stop` is called, or the process interrupted."""

@@ -63,7 +63,7 @@ _PROBLEM = "Tuple((f8[:, :, ::1], f8, f8, f8[::1], f8[:, ::1], f8[::1], f8[:, ::
 
 
 class Problem(NamedTuple):
-    """What is searched; the `constants` of a kernel are a plain tuple of these."""
+    """A machine, and which of its states to search: the `constants` of the kernels, where they are a plain tuple."""
 
     legs: FloatArray  # of both stages (2, 3, 20), see `stage_states`
     radius: float  # r [m]
@@ -77,7 +77,7 @@ class Problem(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What a state at some coordinates is."""
+    """Both stages at given coordinates, and the residual of the least-squares problem with its derivatives."""
 
     values: FloatArray  # of both stages (2, 19), see `stage_states`
     slopes: FloatArray  # (2, 13, 3)
