@@ -218,7 +218,8 @@ class Legs:
     Parameters
     ----------
     axes : array_like, shape (6, 3)
-        Unit vectors along the revolute axes, of the lower legs in {B}, of the upper legs in {m}.
+        Unit vectors along the revolute axes, of the lower legs in {B}, of the upper legs in {m}. Either sense gives the
+        same machine; the one within a quarter turn of the drawn axis is stored.
     pivots : array_like, shape (6, 3)
         Points of these axes where the legs' lines start [m], in the same frames.
     balls : array_like, shape (6, 3)
@@ -253,24 +254,25 @@ class Legs:
             leg = int(wrong.argmax())
             expected = "unit vectors along the revolute axes"
             raise ArgumentError("axes", expected, f"length {sizes[leg]:g} of {names[leg]}", "Divide it by its length")
-        backward = (axes * np.tile(AXES, (len(kinds), 1))).sum(axis=-1) <= 0.0
-        if backward.any() and not self.are_rps:
-            leg, expected = (
-                int(backward.argmax()),
-                "axes along the drawn ones, from which x and z of a leg's plane follow",
-            )
-            raise ArgumentError("axes", expected, f"the opposite direction of {names[leg]}", "Change its sign")
         # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
         exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
         pivots = bounded_array(self.pivots, "pivots", (count, 3), "points of the revolute axes in metres")
         balls = bounded_array(self.balls, "balls", (count, 3), "ball centres in {n} in metres")
-        for stage, b in zip(("lower", "upper"), balls.reshape(-1, 3, 3), strict=False):
+        triangles = balls.reshape(-1, 3, 3), pivots.reshape(-1, 3, 3)
+        for stage, b, p in zip(("lower", "upper"), *triangles, strict=False):
             longest = triangle_sides(b).max()
             if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
                 expected = "three ball centres of each stage that form a triangle"
                 raise ArgumentError("balls", expected, f"those of the {stage} legs on one line")
+            if all(np.cross(x[1] - x[0], x[2] - x[0])[2] < 0.0 for x in (b, p)):
+                expected = f"{stage} legs 1, 2, 3 counterclockwise about z, as drawn at -30, 90, 210 degrees"
+                cause = "List the legs in the opposite order, in axes, pivots, balls, offsets and numbers of the kind"
+                raise ArgumentError("balls", expected, "a clockwise order", cause)
         offsets = bounded_array(self.offsets, "offsets", (count,), f"offsets of the readings in {_UNITS}")
-        arrays = axes / np.where(exact, 1.0, sizes)[:, None], pivots, balls, offsets
+        # A hinge's axis has no sense; x and z of a leg's plane follow from the sense of the drawn one.
+        backward = (axes * np.tile(AXES, (len(kinds), 1))).sum(axis=-1) < 0.0
+        axes = axes / np.where(backward, -1.0, 1.0)[:, None] / np.where(exact, 1.0, sizes)[:, None]
+        arrays = axes, pivots, balls, offsets
         for name, array in zip(("axes", "pivots", "balls", "offsets"), arrays, strict=True):
             object.__setattr__(self, name, frozen(array.copy()))
 

@@ -83,7 +83,7 @@ def limits_as_data(limits: LegLimits) -> Any:
 def read_kind(data: Any, place: str) -> LegKind:
     """Return the kind of a stage's legs, with their fixed numbers."""
     names = ", ".join(KINDS)
-    if not isinstance(data, dict) or data.get("kind") not in KINDS:
+    if not isinstance(data, dict) or data.get("kind") not in list(KINDS):
         received = repr(data.get("kind")) if isinstance(data, dict) else type_and_value(data)
         raise GeometryError(place, f"a mapping with the key kind, one of {names}, and the kind's numbers", received)
     kind = KINDS[data["kind"]]

@@ -109,9 +109,11 @@ class Mechanism(ABC):
         limits = "" if self.limits is None else f", limits={self.limits!r}"
         if self.is_nominal:
             return f"{limits})"
-        angles, *lengths = self.legs.deviations(self.nominal.legs)
-        length = max(float(deviations.max()) for deviations in lengths)
-        return f"{limits}, legs off the drawing by up to {length:.3g} m, {float(angles.max()):.3g} rad)"
+        angles, pivots, balls, offsets = self.legs.deviations(self.nominal.legs)
+        turns = np.array([unit == "rad" for unit in self.legs.units])
+        length = max(float(x.max()) for x in (pivots, balls, np.where(turns, 0.0, offsets)))
+        angle = max(float(x.max()) for x in (angles, np.where(turns, offsets, 0.0)))
+        return f"{limits}, legs off the drawing by up to {length:.3g} m, {angle:.3g} rad)"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
