@@ -50,6 +50,21 @@ _LARGEST_FILE = 1 << 20
 class _Loader(yaml.BaseLoader):
     """Reads mappings, lists, decimal numbers and texts: no tag has an effect, and no key may occur twice."""
 
+    anchored = 0
+    """Number of nodes with an anchor around the one being read."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        # Aliases within anchored nodes multiply: a few of them expand to billions of members.
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        is_alias = isinstance(event, yaml.AliasEvent)
+        if is_alias and self.anchored:
+            raise yaml.MarkedYAMLError(problem="an alias within an anchored node", problem_mark=event.start_mark)
+        is_anchored = not is_alias and event.anchor is not None
+        self.anchored += is_anchored
+        node = super().compose_node(parent, index)
+        self.anchored -= is_anchored
+        return node
+
     def construct_scalar(self, node: yaml.ScalarNode) -> Any:
         text = super().construct_scalar(node)
         if node.style is None and text in ("", "~", "null"):

@@ -7,10 +7,10 @@ import re
 
 import numpy as np
 import pytest
+from balancers import STAGES
 
 import spm_pin as spm
 from spm_pin.mechanism.legs import Legs
-from balancers import STAGES
 
 
 @pytest.mark.parametrize("machine", STAGES)
@@ -53,3 +53,14 @@ def test_a_kind_that_is_no_text_is_refused(kind: str, tmp_path) -> None:  # type
     file.write_text(f"base_radius: 0.4\nplatform_radius: 0.3\nlegs: {{kind: {kind}}}\n")
     with pytest.raises(spm.GeometryError):
         spm.Stage.from_yaml(file)
+
+
+def test_nested_aliases_are_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    file = tmp_path / "stage.yaml"
+    rows = "".join(f", &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 10))
+    file.write_text(f"base_radius: [&a0 [1.0, 1.0]{rows}]\nplatform_radius: 0.3\nlegs: {{kind: RPS}}\n")
+    with pytest.raises(spm.ArgumentError) as error:
+        spm.Stage.from_yaml(file)
+    assert error.value.expected == "a YAML file"
+    file.write_text("base_radius: &radius 0.4\nplatform_radius: *radius\nlegs: {kind: RPS}\n")
+    assert spm.Stage.from_yaml(file).platform_radius == 0.4
