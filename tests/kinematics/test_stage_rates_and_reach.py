@@ -165,7 +165,8 @@ def test_a_leg_of_no_length_leaves_the_rest_of_a_batch() -> None:
     singular = spm.stages.singularities(states)
     assert singular.kind[0] == SingularityKind.FORWARD
     assert singular.forward[0] == 0.0
-    assert singular.kind[1] == 0 and singular.forward[1] > 1.0
+    assert singular.kind[1] == 0
+    assert singular.forward[1] > 1.0
     jacobian = spm.stages.platform_jacobian(states)
     assert np.isnan(jacobian[0]).all()
     np.testing.assert_allclose(jacobian[1] @ np.ones(3), [0, 0, 1, 0, 0, 0], atol=1e-14)
