@@ -66,18 +66,21 @@ def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
 
     locked, results = _circles(stage, readings), (_BALLS, ((), np.bool_))
     balls, is_elsewhere = run_kernel(home_states, locked, stage[:3], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    # From the level stage Newton's method leads to every state of cylinders, and wanders for 1 in 500 of other legs.
+    # From the level stage Newton's method leads to every state of cylinders, and wanders for 1 in 500 of other legs,
+    # a few into another working mode.
+    balls = _in_working_mode(stage, balls, readings)
     elsewhere = np.flatnonzero(is_elsewhere if isinstance(stage.kind, RPS) else np.isnan(balls[:, 0, 0]))
     if len(elsewhere):
         # The state is looked for among all modes.
         centres, radii = (x[elsewhere] for x in locked)
         unlabelled = Drawing(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
         modes, none = _modes(stage, (centres, radii), unlabelled).balls, np.zeros(3)
+        modes = _in_working_mode(stage, modes, readings[elsewhere, None])
         three: Any = formulas.Circles(rows_of(stage.axes), rows_of(centres[:, None]), none, none)  # type: ignore[arg-type]
         is_home = _is_home_state(three, rows_of(modes - centres[:, None]), rows_of(modes), stage.up)
         found = modes[np.arange(len(modes)), is_home.argmax(axis=-1)]
         balls[elsewhere] = np.where(is_home.any(axis=-1)[:, None, None], found, np.nan)
-    return _in_working_mode(stage, balls, readings)
+    return balls
 
 
 def followed_balls(stage: PlacedLegs, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:

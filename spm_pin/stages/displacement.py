@@ -202,7 +202,8 @@ def forward_physical(
     Notes
     -----
     The home's aspect of a stage of RPS legs as drawn holds one state at most, `docs/theory/uniqueness.md`; that of one
-    of PRS legs may hold two, of which Newton's method from the level platform finds one: give `near`.
+    of PRS legs, or of RRS legs with ``sign=+1``, may hold two, of which Newton's method from the level platform finds
+    one: give `near`.
 
     Examples
     --------

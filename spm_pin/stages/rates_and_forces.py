@@ -188,7 +188,8 @@ def singularities(configuration: StageConfiguration, tolerance: float = SINGULAR
     expected = "a number from 0 to less than 1, the ratio of singular values up to which a state is singular"
     least = real_number(tolerance, "tolerance", expected, least=0.0, below=1.0)
     exists, scale = state.exists[..., None, None], state.stage.platform_radius
-    six = np.where(exists, _six_forces(state), np.eye(6))
+    # A leg of no length has no direction and resists nothing: its row is zero, and the state forward singular.
+    six = np.nan_to_num(np.where(exists, _six_forces(state), np.eye(6)))
     three = np.where(exists, _inverse_matrices(state), np.eye(3))
     _, sizes, right = np.linalg.svd(six)
     own, structure = (np.linalg.svd(x, compute_uv=False) for x in (three, six[..., 3:, :]))

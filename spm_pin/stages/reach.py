@@ -112,6 +112,9 @@ def _height_range(stage: Stage) -> tuple[float, float]:
         ends = np.abs(stage.reading_limits - stage.legs.offsets)
         top = min(top + float(ends.max(initial=0.0, where=np.isfinite(ends))), _HIGHEST * stage.size)
     grid = np.linspace(-top, top, _HEIGHTS)
+    # Narrow limits may lie between two of these heights, but rarely exclude the state in their middle.
+    if (middle := _middle_state(stage)).exists:
+        grid = np.union1d(grid, middle.height)
 
     def counts(heights: FloatArray) -> BoolArray:
         return _counts(inverse_physical(stage, heights))
@@ -136,13 +139,7 @@ def home_height(stage: Stage) -> float:
     There readings are in the middle of their limits, and where these have none cranks are level, carriages at their
     pivots. If that is no state it is the middle of `height_range`; where that is empty an `UnreachableError` is raised.
     """
-    check_instance(stage, Stage, "stage")
-    limits = stage.reading_limits
-    is_limited = np.isfinite(limits).all(axis=0)
-    radii = stage.base_radius, stage.platform_radius
-    usual = math.hypot(radii[0] - radii[1], radii[0] + radii[1]) if stage.kind.name == "RPS" else 0.0
-    middle = 0.5 * np.where(is_limited, limits, 0.0).sum(axis=0)
-    state = forward_physical(stage, np.where(is_limited, middle, usual + stage.legs.offsets))
+    state = _middle_state(check_instance(stage, Stage, "stage"))
     if state.exists and _counts(inverse_physical(stage, state.height)):
         return float(state.height)
     height = sum(height_range(stage)) / 2.0
@@ -150,6 +147,16 @@ def home_height(stage: Stage) -> float:
         expected = "one that holds its platform level at some height within its limits"
         raise UnreachableError("stage", expected, repr(stage), "Limits of other legs, or in degrees?")
     return height
+
+
+def _middle_state(stage: Stage) -> StageConfiguration:
+    """Return the physical state with readings in the middle of their limits, or usual ones where there are none."""
+    limits = stage.reading_limits
+    is_limited = np.isfinite(limits).all(axis=0)
+    radii = stage.base_radius, stage.platform_radius
+    usual = math.hypot(radii[0] - radii[1], radii[0] + radii[1]) if stage.kind.name == "RPS" else 0.0
+    middle = 0.5 * np.where(is_limited, limits, 0.0).sum(axis=0)
+    return forward_physical(stage, np.where(is_limited, middle, usual + stage.legs.offsets))
 
 
 def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int = 72) -> StageReach:

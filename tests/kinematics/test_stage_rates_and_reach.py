@@ -146,3 +146,27 @@ def test_the_nearest_reachable_tilt_is_no_farther_than_any_of_a_grid() -> None:
         spm.stages.reach(BALANCER, heights=120)
     low = spm.stages.nearest_reachable(BALANCER, 0.01, roll=0.1)
     np.testing.assert_allclose(low.height, spm.stages.height_range(BALANCER)[0])
+
+
+def test_limits_narrower_than_the_heights_tried_have_their_range() -> None:
+    # Legs of equal radii are vertical where the platform is level: its height is their length.
+    mirror = spm.Stage(0.05, 0.05, spm.RPS(), limits=(0.09997, 0.10003))
+    np.testing.assert_allclose(spm.stages.height_range(mirror), (0.09997, 0.10003), rtol=2e-8)
+    height, tilt = spm.stages.best_height(mirror, directions=12)
+    np.testing.assert_allclose(height, 0.1, atol=1e-8)
+    # To first order the least stroke of a ball at the radius r, ±r θ, is the limits' half width.
+    np.testing.assert_allclose(tilt, 0.00003 / 0.05, rtol=1e-4)
+    assert spm.stages.nearest_reachable(mirror, 0.1, roll=0.01, pitch=0.0).exists
+
+
+def test_a_leg_of_no_length_leaves_the_rest_of_a_batch() -> None:
+    flat = spm.Stage(0.05, 0.05)
+    states = spm.stages.inverse(flat, [0.0, 0.1])["T"]
+    singular = spm.stages.singularities(states)
+    assert singular.kind[0] == SingularityKind.FORWARD
+    assert singular.forward[0] == 0.0
+    assert singular.kind[1] == 0
+    assert singular.forward[1] > 1.0
+    jacobian = spm.stages.platform_jacobian(states)
+    assert np.isnan(jacobian[0]).all()
+    np.testing.assert_allclose(jacobian[1] @ np.ones(3), [0, 0, 1, 0, 0, 0], atol=1e-14)
