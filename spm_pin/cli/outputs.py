@@ -20,7 +20,7 @@ from typer.models import ArgumentInfo
 
 from spm_pin.display.writing import FORMATS, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism.files import writing
+from spm_pin.mechanism.files import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -170,12 +170,15 @@ def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (),
     reason = ""
     # Folders that do not exist are made when the file is written.
     present = next(place for place in (path, *path.absolute().parents) if place.exists())
+    # A file is replaced by another one in its folder.
+    needed = [present, path.resolve().parent] if path.is_file() else [present]
+    denied = [place for place in needed if not os.access(place, os.W_OK)]
     if path.is_dir():
         reason = "It is a directory"
     elif present != path and not present.is_dir():
         reason = f"{present} is no directory"
-    elif not os.access(present, os.W_OK):
-        reason = f"No permission to write {path if present == path else f'in {present}'}"
+    elif denied:
+        reason = f"No permission to write {path if denied[0] == path else f'in {denied[0]}'}"
     if reason:
         raise ArgumentError(option, "a file that can be written", path, reason)
 
@@ -185,8 +188,7 @@ def write_text(text: str, path: Path | None) -> None:
     if path is None:
         typer.echo(text, nl=False)
         return
-    with writing(path, "--out"):
-        path.write_text(text, encoding="utf-8")
+    write_files({path: text}, "--out")
     note(f"wrote {path}")
 
 

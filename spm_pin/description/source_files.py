@@ -15,7 +15,7 @@ from spm_pin.description.masses import Masses, with_masses
 from spm_pin.errors import DescriptionError, raised_as
 from spm_pin.mechanism import Geometry, Stage
 from spm_pin.mechanism.arguments import as_bool, check_instance
-from spm_pin.mechanism.files import writing
+from spm_pin.mechanism.files import write_files
 from spm_pin.mechanism.geometry import config_directory
 from spm_pin.mechanism.joint_angles import home_readings
 from spm_pin.mechanism.mechanism import Mechanism, check_mechanism
@@ -55,15 +55,14 @@ def copy_meshes(folder: Path) -> None:
 
     A file of the same name with another content is left as it is, and is a `DescriptionError`.
     """
-    target = folder / MESHES
-    for source in sorted((description_directory() / MESHES).iterdir()):
-        copy, content = target / source.name, source.read_bytes()
-        with raised_as(DescriptionError), writing(copy, "out"):
-            if copy.exists() and copy.read_bytes() != content:
-                cause = "Of another version? Move it away"
-                raise DescriptionError("out", "no other meshes beside the file", str(copy), cause)
-            target.mkdir(exist_ok=True)
-            copy.write_bytes(content)
+    sources = sorted((description_directory() / MESHES).iterdir())
+    meshes: dict[Path, str | bytes] = {folder / MESHES / source.name: source.read_bytes() for source in sources}
+    for copy, content in meshes.items():
+        if copy.is_file() and copy.read_bytes() != content:
+            cause = "Of another version? Move it away"
+            raise DescriptionError("out", "no other meshes beside the file", str(copy), cause)
+    with raised_as(DescriptionError):
+        write_files(meshes, "out")
 
 
 def check_prefix(prefix: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
-from spm_pin.mechanism.files import file_path, writing
+from spm_pin.mechanism.files import file_path, write_files
 from spm_pin.mechanism.leg_kinds import KINDS
 from spm_pin.mechanism.mechanism import likely_unit
 from spm_pin.mechanism.progress import shown_progress
@@ -485,11 +484,7 @@ def pareto_front(
         designs = evaluate_designs(some, chosen, functions=own, scheduler=client, progress=lambda *_: None, **options)
         numbers = {name: [None if np.isnan(x) else x for x in column] for name, column in designs.columns.items()}
         stored.append({"values": values.tolist(), "columns": numbers})
-        # What was there is lost only when the new file is complete, in a folder that is no one else's.
-        with writing(path, "store"), tempfile.TemporaryDirectory(prefix=".front", dir=path.parent) as folder:
-            draft = Path(folder, "store")
-            draft.write_text(json.dumps({**definition, "generations": stored}, allow_nan=False), encoding="utf-8")
-            draft.replace(path)
+        write_files({path: json.dumps({**definition, "generations": stored}, allow_nan=False)}, "store")
         return designs
 
     ends = np.array(list(problem.free.values()))

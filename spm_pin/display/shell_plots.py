@@ -15,7 +15,7 @@ from spm_pin.display.rendering import Colour, Rendering, Solid, camera_axes
 from spm_pin.display.writing import legend_below, new_figure, write_name
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.mechanism.arguments import FloatArray, check_instance, type_and_value
-from spm_pin.mechanism.files import file_path, writing
+from spm_pin.mechanism.files import file_path, write_files
 from spm_pin.mechanism.notebook import VIEW
 from spm_pin.workspace.boundary import Boundary
 from spm_pin.workspace.paper_shell import Patch, Shell
@@ -178,8 +178,7 @@ def save_mesh(shell: Shell | Boundary, path: str | Path) -> Path:
         of_faces = np.repeat(colours, [len(part.faces) for part in parts], axis=0) if kind == "ply" else None
         mesh = trimesh.Trimesh(shell.vertices, shell.faces, face_colors=of_faces, process=False)
         content = mesh.export(file_type=kind)
-    with writing(path):
-        path.write_bytes(content.encode() if isinstance(content, str) else cast("bytes", content))
+    write_files({path: cast("str | bytes", content)})
     return path
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.errors import require_extra
-from spm_pin.mechanism.files import file_path, writing
+from spm_pin.mechanism.files import file_path, write_files
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -75,8 +75,10 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, backgro
 
     # Without the date, and with names that do not change from run to run; texts as texts in TrueType, not as outlines.
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
-    with writing(path), rc_context({"svg.hashsalt": "spm-pin", "pdf.fonttype": 42, "svg.fonttype": "none"}):
-        figure.savefig(path, dpi=dpi, facecolor=background, metadata=metadata)
+    content, kind = io.BytesIO(), path.suffix.lower()[1:]
+    with rc_context({"svg.hashsalt": "spm-pin", "pdf.fonttype": 42, "svg.fonttype": "none"}):
+        figure.savefig(content, format=kind, dpi=dpi, facecolor=background, metadata=metadata)
+    write_files({path: content.getvalue()})
     return path
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
-from collections.abc import Collection, Iterator
+import secrets
+import shutil
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +35,41 @@ def file_path(
     return path
 
 
-@contextlib.contextmanager
-def writing(path: Path, argument: str = "path") -> Iterator[None]:
-    """Make the folders of a file, and turn an `OSError` of a block that writes it into an error with the argument."""
+def write_files(contents: Mapping[Path, str | bytes], argument: str = "path") -> None:
+    """Write files, texts in UTF-8, and make their folders: all of them or none.
+
+    Each is written beside its place and moved there when all are complete, so that a full disk or an interrupt leaves
+    the files that were there. Devices and pipes are written to directly. An error names the argument and the file.
+    """
+    drafts: dict[Path, Path] = {}
+    made: list[Path] = []
+    path = Path()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield
+        for path, content in contents.items():
+            data = content.encode() if isinstance(content, str) else content
+            if path.exists() and not path.is_file():
+                path.write_bytes(data)
+                continue
+            place = Path(os.path.realpath(path))  # a link stays, and what it leads to is replaced
+            if place.exists() and not os.access(place, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            made += reversed([folder for folder in place.parents if not folder.exists()])
+            place.parent.mkdir(parents=True, exist_ok=True)
+            drafts[place] = draft = place.with_name(f".spm_pin_{secrets.token_hex(8)}")
+            draft.write_bytes(data)
+            if place.exists():
+                shutil.copymode(place, draft)
+        for path, draft in drafts.items():
+            draft.replace(path)
+        made.clear()
     except OSError as failed:
         raise ArgumentError(argument, "a file that can be written", path, str(failed.strerror)) from failed
+    finally:
+        for draft in drafts.values():
+            draft.unlink(missing_ok=True)
+        for folder in reversed(made):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
 
 
 _NUMBER = re.compile(r"[-+]?((0|[1-9]\d*)(\.\d*)?|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)

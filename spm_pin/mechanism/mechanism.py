@@ -17,7 +17,7 @@ import yaml
 from spm_pin.errors import ArgumentError, GeometryError, raised_as
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.mechanism.arguments import FloatArray, type_and_value
-from spm_pin.mechanism.files import file_path, read_yaml, writing
+from spm_pin.mechanism.files import file_path, read_yaml, write_files
 from spm_pin.mechanism.leg_kinds import RPS, LegKind
 from spm_pin.mechanism.legs import LegLimits, Legs, drawn_legs
 
@@ -175,8 +175,7 @@ class Mechanism(ABC):
         with raised_as(GeometryError):
             path = file_path(path)
             text = yaml.safe_dump(self.as_data(), sort_keys=False, default_flow_style=None, width=120)
-            with writing(path):
-                path.write_text(self._heading + text, encoding="utf-8")
+            write_files({path: self._heading + text})
 
     @classmethod
     @raised_as(GeometryError)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
 from spm_pin.mechanism.arguments import COLUMNS, FloatArray, first_offender
-from spm_pin.mechanism.files import file_path, writing
+from spm_pin.mechanism.files import file_path, write_files
 from spm_pin.mechanism.pose import UNIT, first_wrong_quaternion, pose
 
 TIME, POSITION, QUATERNION = "time", COLUMNS[3], COLUMNS[4]
@@ -144,5 +144,4 @@ def table_text(columns: Mapping[str, FloatArray]) -> str:
 def write_table(columns: Mapping[str, FloatArray], path: str | Path) -> None:
     """Write columns (n,) by their names as a CSV file."""
     path = file_path(path, suffixes=(".csv",))
-    with writing(path):
-        path.write_text(table_text(columns), encoding="utf-8")
+    write_files({path: table_text(columns)})

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, RotationSpline
 from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.mechanism import notebook
 from spm_pin.mechanism.arguments import FloatArray, as_bool, frozen, real_array
-from spm_pin.mechanism.files import file_path, writing
+from spm_pin.mechanism.files import file_path, write_files
 from spm_pin.mechanism.legs import LEGS
 from spm_pin.mechanism.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
 from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
@@ -171,8 +171,7 @@ class JointTrajectory:
         text = json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n"
         if path is not None:
             path = file_path(path)
-            with writing(path):
-                path.write_text(text, encoding="utf-8")
+            write_files({path: text})
         return text
 
     def to_csv(self, path: str | Path | None = None) -> str:

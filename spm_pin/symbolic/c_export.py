@@ -7,7 +7,6 @@ tests, the benchmark and the page's table follow from it; a recipe for one more 
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
@@ -37,7 +36,7 @@ from spm_pin.kinematics.random_states import random_states
 from spm_pin.kinematics.rates_and_forces import SINGULAR
 from spm_pin.mechanism import BRANCHES, FAMILIES, Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray, check_instance
-from spm_pin.mechanism.files import file_path
+from spm_pin.mechanism.files import file_path, write_files
 from spm_pin.mechanism.joint_angles import joint_angles, joint_names, value_names
 from spm_pin.mechanism.mechanism import Mechanism
 from spm_pin.symbolic import functions
@@ -213,32 +212,15 @@ def write_c(
 
     Files of the same names are replaced.
     """
-    return write_files(directory, lambda: c_sources(geometry, prefix=prefix, masses=masses))
+    return write_sources(directory, lambda: c_sources(geometry, prefix=prefix, masses=masses))
 
 
-def write_files(directory: str | Path, sources: Callable[[], dict[str, str]]) -> list[Path]:
+def write_sources(directory: str | Path, sources: Callable[[], dict[str, str]]) -> list[Path]:
     """Write the texts that a function makes, by their places in a directory; all of them or nothing."""
     folder = file_path(directory, "directory", expected="the name of a directory")
-    texts = sources()
-    existed = folder.is_dir()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        # Files are written beside their places, and moved when all are whole.
-        with tempfile.TemporaryDirectory(prefix=".export", dir=folder, ignore_cleanup_errors=True) as beside:
-            for name, text in texts.items():
-                Path(beside, name).parent.mkdir(parents=True, exist_ok=True)
-                Path(beside, name).write_text(text, encoding="utf-8")
-                if (folder / name).is_dir():
-                    raise IsADirectoryError(0, f"{folder / name} is a directory")
-            for name in texts:
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                Path(beside, name).replace(folder / name)
-    except OSError as error:
-        raise ArgumentError("directory", "a directory that can be written", folder, str(error.strerror)) from error
-    finally:
-        if not existed and folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
-    return [folder / name for name in texts]
+    contents: dict[Path, str | bytes] = {folder / name: text for name, text in sources().items()}
+    write_files(contents, "directory")
+    return list(contents)
 
 
 def checked_prefix(prefix: str) -> str:

@@ -13,7 +13,7 @@ from spm_pin.kinematics import forward_physical, inverse_physical
 from spm_pin.mechanism import Geometry, Stage, pose
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.mechanism import check_mechanism
-from spm_pin.symbolic.c_export import c_sources, filled, marks, template, write_files
+from spm_pin.symbolic.c_export import c_sources, filled, marks, template, write_sources
 from spm_pin.symbolic.ros_export import ASSUMED, ends_of_travel, start_readings, travel
 from spm_pin.symbolic.stage_export import stage_c_sources, stage_machine_sources
 
@@ -85,7 +85,7 @@ def write_linuxcnc(machine: Geometry | Stage, directory: str | Path) -> list[Pat
 
     Files of the same names are replaced. Returns the paths.
     """
-    return write_files(directory, lambda: linuxcnc_configuration(machine))
+    return write_sources(directory, lambda: linuxcnc_configuration(machine))
 
 
 class _Machine(ABC):

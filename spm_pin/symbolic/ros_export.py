@@ -16,7 +16,7 @@ from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.joint_angles import actuated_joints, home_readings, homes, joint_names
-from spm_pin.symbolic.c_export import c_sources, filled, machine_fields, marks, write_files
+from spm_pin.symbolic.c_export import c_sources, filled, machine_fields, marks, write_sources
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
 ASSUMED = {"m": (0.1, 1.0), "rad": (1.0, 10.0)}
@@ -105,7 +105,7 @@ def write_ros(
     """
     path = file_path(directory, "directory", expected="the name of a directory")
     package = _checked_name(path.resolve().name, "directory")
-    paths = write_files(directory, lambda: ros_package(geometry, prefix=prefix, masses=masses, package=package))
+    paths = write_sources(directory, lambda: ros_package(geometry, prefix=prefix, masses=masses, package=package))
     for path in paths:
         if path.parent.name == "scripts":
             path.chmod(0o755)

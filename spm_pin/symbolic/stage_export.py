@@ -14,7 +14,7 @@ from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.mechanism import Stage
 from spm_pin.mechanism.arguments import FloatArray, check_instance
-from spm_pin.symbolic.c_export import checked_prefix, filled, machine_text, marks, template, write_files
+from spm_pin.symbolic.c_export import checked_prefix, filled, machine_text, marks, template, write_sources
 
 _CASES = 12
 _TILT, _LIFT = 0.3, 0.15
@@ -63,7 +63,7 @@ def write_stage_c(stage: Stage, directory: str | Path, *, prefix: str = "stage_"
 
     Files of the same names are replaced.
     """
-    return write_files(directory, lambda: stage_c_sources(stage, prefix=prefix))
+    return write_sources(directory, lambda: stage_c_sources(stage, prefix=prefix))
 
 
 def _renamed(text: str, prefix: str) -> str:

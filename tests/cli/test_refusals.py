@@ -69,7 +69,7 @@ REFUSED = [
     ("export --format mjcf --prefix '1 2'", "--prefix: expected a name"),
     ("export c", "--out: expected the directory to write into"),
     ("export c --out ''", "got an empty name"),
-    ("export c --out /dev/null", "--out: expected a directory that can be written"),
+    ("export c --out /dev/null", "--out: expected a file that can be written"),
     ("export c --out c --prefix 1st", "--prefix: expected letters, digits and underscores"),
     ("export c --out c --prefix ''", "--prefix: expected letters, digits and underscores"),
     ("urdf --prefix '1 2'", "error: --prefix: expected"),

@@ -602,7 +602,7 @@ def test_the_command_writes_the_files_of_any_machine(tmp_path: Path) -> None:
 
 def test_a_directory_is_left_as_it_was_where_not_all_can_be_written(tmp_path: Path) -> None:
     (tmp_path / "spm_kinematics_test.c").mkdir()
-    with pytest.raises(ArgumentError, match="directory: expected a directory that can be written"):
+    with pytest.raises(ArgumentError, match="directory: expected a file that can be written"):
         spm.symbolic.write_c(PAPER, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["spm_kinematics_test.c"]
 
