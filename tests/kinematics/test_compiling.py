@@ -24,7 +24,7 @@ import spm_pin as spm
 from spm_pin.kinematics import kernels
 from spm_pin.kinematics.kernels.ball_circles import circle_centres
 from spm_pin.kinematics.kernels.branch_kernels import all_branches
-from spm_pin.kinematics.kernels.compilation import ENVIRONMENT, Kernel, is_worth_compiling
+from spm_pin.kinematics.kernels.compilation import ENVIRONMENT, Kernel, expecting, is_worth_compiling
 from spm_pin.kinematics.singularity_analysis import determinants
 
 PAPER = spm.Geometry.paper()
@@ -112,6 +112,10 @@ def test_little_work_is_interpreted_and_much_is_compiled(monkeypatch: pytest.Mon
     work = (1, 1e-3), (10_000, 10.0), (1_000, 0.05), (1_000, 0.2), (40, 1.0), (60, 1.2), (1, 2.0)
     expected = [False, True, False, True, False, True, True]
     assert [is_worth_compiling(*x) for x in work] == expected
+    with expecting(1_000_000):
+        assert is_worth_compiling(1, 1e-3)
+    with expecting(10):
+        assert not is_worth_compiling(1, 1e-3)
     for forced in ("compiled", "interpreted"):
         monkeypatch.setenv(ENVIRONMENT, forced)
         assert {is_worth_compiling(*x) for x in work} == {forced == "compiled"}

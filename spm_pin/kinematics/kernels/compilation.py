@@ -5,6 +5,7 @@ Numba is imported, and all functions are registered with it, when the first kern
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import inspect
 import logging
@@ -13,7 +14,8 @@ import pkgutil
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -45,6 +47,7 @@ _FOLDERS = Path(__file__).parent, _FORMULAS
 _functions: list[tuple[Callable[..., Any], dict[str, Any]]] = []
 """Functions that kernels may call, with their options, as far as Numba does not know them yet."""
 _lock = threading.Lock()
+_expected: ContextVar[int] = ContextVar("spm_pin_expected_members", default=0)
 
 
 def jit(function: F) -> F:
@@ -174,7 +177,18 @@ def is_worth_compiling(members: int, seconds: float) -> bool:
         raise ArgumentError(ENVIRONMENT, "'compiled' or 'interpreted'", repr(forced))
     if forced:
         return forced == "compiled"
+    members, seconds = members + _expected.get(), seconds + 1e-3 * _expected.get()
     return seconds > _SHORT and (members > _FEW_MEMBERS or seconds > _LONG)
+
+
+@contextlib.contextmanager
+def expecting(members: int) -> Iterator[None]:
+    """Compile inside a ``with`` what is worth compiling for so many members, which other processes compute later."""
+    token = _expected.set(members)
+    try:
+        yield
+    finally:
+        _expected.reset(token)
 
 
 def _register() -> None:
