@@ -1,4 +1,4 @@
-"""Measurements that need a new process: a first import, a first solve, a peak of memory.
+"""Measurements that need a new process: a first import, a first batch, a peak of memory.
 
 Run by the benchmarks; each command prints a JSON object.
 """
@@ -14,8 +14,6 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("numba", "casadi", "pinocchio", "dask", "trimesh", "viser", "matplotlib", "xacro")
-WITH_IMPORTS = "import spm_pin; inverse_displacement"
-FIRST = ("inverse_displacement", "inverse_jacobian", "leg_forces", "forward_physical", "forward_displacement")
 
 
 def measure(command: str, *arguments: str, environment: dict[str, str] | None = None) -> dict[str, Any]:
@@ -34,43 +32,6 @@ def _import() -> dict[str, Any]:
 
     taken = time.perf_counter() - begin
     return {"seconds": taken, "heavy": [name for name in HEAVY if name in sys.modules]}
-
-
-def _first() -> dict[str, Any]:
-    """Time the first call of each function, and the first with all that comes before it: imports, geometry, pose."""
-    start = time.perf_counter()
-    import numpy as np
-
-    import spm_pin as spm
-
-    geometry = spm.Geometry.paper()
-    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-    seconds = {}
-
-    def timed(name: str, *arguments: Any) -> Any:
-        begin = time.perf_counter()
-        answer = getattr(spm, name)(*arguments)
-        _ = getattr(answer, "leg_lengths", None)
-        seconds[name] = time.perf_counter() - begin
-        return answer
-
-    solutions = timed("inverse_displacement", geometry, pose)
-    seconds[WITH_IMPORTS] = time.perf_counter() - start
-    state = solutions.configurations[solutions.exists][0]
-    timed("inverse_jacobian", state)
-    timed("leg_forces", state, np.ones(6))
-    timed("forward_physical", geometry, state.leg_lengths)
-    timed("forward_displacement", geometry, state.leg_lengths)
-    return seconds
-
-
-def _libraries() -> dict[str, Any]:
-    """Time the imports alone of what a first solve cannot do without."""
-    start = time.perf_counter()
-    import numba  # noqa: F401
-    import scipy.spatial.transform  # noqa: F401
-
-    return {"seconds": time.perf_counter() - start}
 
 
 def _peak() -> float:
@@ -92,6 +53,7 @@ def _memory(count: int) -> dict[str, Any]:
     import spm_pin as spm
     from benchmarks.poses import GEOMETRY, tiled
 
+    spm.kinematics.compile_kernels()
     poses = tiled(count)
     _ = spm.inverse_displacement(GEOMETRY, poses[:10]).leg_lengths
     before = _peak()
@@ -105,6 +67,7 @@ def _batch(kind: str, count: int) -> dict[str, Any]:
     import spm_pin as spm
     from benchmarks.poses import GEOMETRY, tiled
 
+    spm.kinematics.compile_kernels()
     poses = tiled(count)
     solve = spm.inverse_displacement if kind == "all" else spm.inverse_physical
     solve(GEOMETRY, poses[:1])
@@ -120,8 +83,6 @@ def main() -> None:
     command, *arguments = sys.argv[1:]
     measured = {
         "import": _import,
-        "first": _first,
-        "libraries": _libraries,
         "memory": lambda: _memory(int(arguments[0])),
         "batch": lambda: _batch(arguments[0], int(arguments[1])),
     }

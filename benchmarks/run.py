@@ -27,6 +27,7 @@ from benchmarks.sections import (
     capability,
     completeness,
     controller,
+    first_answers,
     forward,
     inverse,
     jobs,
@@ -38,6 +39,7 @@ from benchmarks.sections import (
 )
 from benchmarks.targets import check
 from benchmarks.timing import Pace
+from spm_pin.kinematics import compile_kernels
 
 SECTIONS = {
     "inverse": inverse.measure,
@@ -51,6 +53,7 @@ SECTIONS = {
     "completeness": completeness.measure,
     "scaling": scaling.measure,
     "roofline": roofline.measure,
+    "answers": first_answers.measure,
     "startup": startup.measure,
 }
 RESULTS = Path(__file__).resolve().with_name("results.md")
@@ -99,6 +102,8 @@ def main() -> int:
     pace = Pace(7, 0.02, quick=True) if options.quick else Pace(21, 0.1, full=options.full)
 
     progress, facts = Progress(), Facts()
+    progress.part("compiling")
+    compile_kernels()
     done: list[Section] = []
     load = [os.getloadavg()[0]]
     interrupted = ""

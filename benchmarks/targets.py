@@ -84,10 +84,7 @@ TARGETS = (
     Target("one thread / two threads", "scaling/two threads", 1.7),
     Target("`import spm_pin`", "startup/import", 0.5, "s", at_least=False),
     Target("heavy packages loaded with it", "startup/heavy", 0.0, "", at_least=False),
-    Target("first solve, empty cache", "startup/fresh", 5.0, "s", at_least=False),
-    Target("first solve, warm cache", "startup/warm", 0.3, "s", at_least=False),
-    Target("import and first solve, empty cache", "startup/all fresh", 5.5, "s", at_least=False),
-    Target("import and first solve, warm cache", "startup/all warm", 0.8, "s", at_least=False),
+    Target("slowest first answer / importing NumPy and SciPy, CPU", "first/slowest", 3.0, at_least=False),
     Target("one pose through the public function", "startup/one pose", 100.0, "µs", at_least=False),
 )
 

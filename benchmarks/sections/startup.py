@@ -1,9 +1,6 @@
-"""Times of the import, of first calls and of single calls."""
+"""Times of the import and of single calls."""
 
 from __future__ import annotations
-
-import os
-import tempfile
 
 import numpy as np
 
@@ -16,7 +13,7 @@ from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
 
 
 def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
-    """Time imports, first calls and single calls."""
+    """Time imports and single calls."""
     section = Section("Start and single calls")
     repeats = 3 if pace.quick else 7
     imported = []
@@ -32,37 +29,8 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         f"`import spm_pin` in a new process: {spread_of_seconds(loaded)[0]}. Of {of}, it loads "
         f"{', '.join(heavy) or 'none'}."
     )
-    _first(section, 2 if pace.quick else 4, progress, facts)
     _single(section, pace, progress, facts)
     return section
-
-
-def _first(section: Section, repeats: int, progress: Progress, facts: Facts) -> None:
-    """Time first calls in new processes, with an empty cache of compiled kernels and with a full one."""
-    fresh: list[dict[str, float]] = []
-    warm: list[dict[str, float]] = []
-    libraries = []
-    for k in range(repeats):
-        progress(f"first calls, {k + 1} of {repeats}")
-        with tempfile.TemporaryDirectory() as folder:
-            environment = os.environ | {"NUMBA_CACHE_DIR": folder}
-            fresh.append(child.measure("first", environment=environment))
-            warm.append(child.measure("first", environment=environment))
-        libraries.append(child.measure("libraries")["seconds"])
-    rows = []
-    for name in (child.WITH_IMPORTS, *child.FIRST):
-        both = [Spread.of([result[name] for result in runs]) for runs in (fresh, warm)]
-        rows.append([f"`{name}`", *spread_of_seconds(both[0]), *spread_of_seconds(both[1])])
-        if name == "inverse_displacement":
-            facts["startup/fresh"], facts["startup/warm"] = both
-        if name == child.WITH_IMPORTS:
-            facts["startup/all fresh"], facts["startup/all warm"] = both
-    section.add(
-        "First calls of a process, one after the other, with an empty and with a warm cache of compiled kernels. The "
-        "first row is from before `import spm_pin` to the first result; the others leave out what a pose imports. "
-        f"NumPy, SciPy's transforms and Numba alone take {spread_of_seconds(Spread.of(libraries))[0]} to import."
-    )
-    section.add(table(["first call of", "empty cache", "quartiles", "warm cache", "quartiles"], rows))
 
 
 def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> None:
@@ -73,6 +41,8 @@ def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
     state = solutions.configurations[int(np.flatnonzero(solutions.exists)[0])]
     arrays = state.rotation, state.translation, state.middle_joints
     lengths, wrench = state.leg_lengths, np.ones(6)
+    moved, stage = lengths + 1e-3, spm.Stage(0.5, 0.3)
+    stage_state = spm.stages.inverse_physical(stage, 0.6, tilt=0.1, azimuth=0.0)
 
     def new() -> spm.Configuration:
         return spm.Configuration.from_arrays(GEOMETRY, *arrays)
@@ -87,7 +57,11 @@ def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
         "`inverse_jacobian`": lambda: spm.inverse_jacobian(new()),
         "`leg_forces`": lambda: spm.leg_forces(new(), wrench),
         "`forward_physical`": lambda: spm.forward_physical(GEOMETRY, lengths),
+        "`forward_physical`, near a state": lambda: spm.forward_physical(GEOMETRY, moved, near=state),
         "`forward_displacement`": lambda: spm.forward_displacement(GEOMETRY, lengths),
+        "`stages.inverse`": lambda: spm.stages.inverse(stage, 0.6, tilt=0.1, azimuth=0.0),
+        "`stages.forward_physical`": lambda: spm.stages.forward_physical(stage, stage_state.readings),
+        "`stages.forward`": lambda: spm.stages.forward(stage, stage_state.readings),
     }
     timings = time_in_turns([TimedCall(name, call, 1) for name, call in calls.items()], pace, progress)
     first = timings[next(iter(calls))].spread

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import types
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -19,10 +20,17 @@ sqrt: Callable[[float], float] = np.sqrt
 """The square root, NaN of a negative number."""
 cos: Callable[[float], float] = np.cos
 sin: Callable[[float], float] = np.sin
-arctan2: Callable[[float, float], float] = np.arctan2
+arctan2: Callable[[float, float], float] = math.atan2
+# As compiled, to the bit: NumPy may have one of its own.
 
 
-ARRAYS: dict[str, Any] = {"sqrt": np.sqrt, "where": np.where, "both": np.logical_and, "either": np.logical_or}
+ARRAYS: dict[str, Any] = {
+    "sqrt": np.sqrt,
+    "arctan2": np.arctan2,
+    "where": np.where,
+    "both": np.logical_and,
+    "either": np.logical_or,
+}
 """The operations of NumPy's arrays, entry by entry."""
 
 

@@ -86,6 +86,8 @@ BUILT_BRANCHES = BuiltBranches(
 
 def new_result(count: int, result: Result) -> npt.NDArray[Any]:
     """Return memory for one result of `count` members, which begins at a cache line where it is long."""
+    if count == 1:
+        return np.empty((1, *result[0]), result[1])
     shape, dtype = (count, *result[0]), np.dtype(result[1])
     size = math.prod(shape) * dtype.itemsize
     if size < _LONG:
@@ -112,6 +114,10 @@ def run_kernel(
     """
     count = len(inputs[0])
     arrays = [r if isinstance(r, np.ndarray) else new_result(count * packed, r) for r in results]
+    if count == 1:
+        # Without slices: single calls are repeated thousands of times a second.
+        kernel(*inputs, *constants, *arrays)
+        return tuple(arrays)
 
     def work(part: slice) -> None:
         target = slice(part.start * packed, part.stop * packed)
@@ -143,7 +149,7 @@ def run_on_states(
     inner = shape[-1] if len(shape) > 1 else 1
     inputs = []
     for array, trailing in zip(arrays, ((3, 3), (3, 3), (3,), (6, 3), (6,)), strict=False):
-        whole = np.broadcast_to(array, (*shape, *trailing))
+        whole = broadcast(array, (*shape, *trailing))
         inputs.append(whole.reshape(math.prod(shape) // max(inner, 1), inner, *trailing))
     written = run_kernel(kernel, inputs, constants, results, max(min_batch // max(inner, 1), 1), packed=inner)
     return with_batch_shape(written, shape)
@@ -152,7 +158,12 @@ def run_on_states(
 def flat_batch(array: FloatArray, shape: tuple[int, ...], inner: int) -> FloatArray:
     """Return an array with `inner` axes per member, broadcast to a batch of this shape, with one batch axis."""
     trailing = array.shape[array.ndim - inner :]
-    return np.broadcast_to(array, (*shape, *trailing)).reshape(-1, *trailing)
+    return broadcast(array, (*shape, *trailing)).reshape(-1, *trailing)
+
+
+def broadcast(array: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Return `np.broadcast_to(array, shape)`, which takes as long as a kernel, only where there is something to do."""
+    return array if array.shape == shape else np.broadcast_to(array, shape)
 
 
 def with_batch_shape(arrays: Iterable[npt.NDArray[Any]], shape: tuple[int, ...]) -> tuple[Any, ...]:
@@ -264,10 +275,12 @@ def parallel_for(work: Callable[[slice], None], size: int, min_batch: int) -> No
 def compile_kernels() -> None:
     """Compile all functions for this computer, in about a minute, and keep them on disk for later processes.
 
-    Otherwise each is compiled when first called, which delays that call by up to 20 s. Compiled code is kept where
-    `NUMBA_CACHE_DIR` says, else beside the sources, else in the user's cache directory. Call it when a container
-    image is built, or before many processes start. Another processor model, or another version of spm_pin or Numba,
-    compiles anew.
+    Otherwise each is interpreted, with the same results, until a large batch or many calls make it worth compiling,
+    which delays that call by up to 20 s; after this function no call is delayed. Compiled code is kept where
+    `NUMBA_CACHE_DIR` says, else beside the sources, else in the user's cache directory. Call it in a controller that
+    starts, when a container image is built, or before many processes start. Another processor model, or another
+    version of spm_pin or Numba, compiles anew. The environment variable `SPM_PIN_KERNELS` set to "compiled" compiles
+    each kernel at its first call, set to "interpreted" none.
     """
     from spm_pin.kinematics import kernels
     from spm_pin.kinematics.kernels.compilation import Kernel

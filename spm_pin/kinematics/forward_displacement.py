@@ -8,6 +8,7 @@ does not leave it. See `docs/theory/forward_displacement.md`.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -201,8 +202,10 @@ def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArra
     """Read readings (..., n) of these legs, none so large that a machine of this size [m] is lost in its rounding."""
     meaning = f"in {legs.unit_text()}"
     read = real_array(readings, "readings", (len(legs.names),), f"{', '.join(legs.names)} {meaning}")
-    own = np.asarray(read - legs.offsets) if legs.offsets.any() else read
-    short = own <= legs.least_readings
+    own, farthest = np.asarray(read - legs.offsets), _farthest(legs.units, size)
+    short, is_far = own <= legs.least_readings, np.abs(own) > farthest
+    if not np.count_nonzero(short | is_far):
+        return read
     if short.any():
         index = first_offender(short)
         where = f" for {legs.names[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
@@ -212,16 +215,19 @@ def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArra
         cause = "Strokes of the actuators instead of distances between joint centres?"
         expected = f"positive lengths {', '.join(legs.names)} {meaning}"
         raise ArgumentError("readings", expected, f"{own[index]:g}{where}", cause)
-    farthest = np.where([unit == "m" for unit in legs.units], LARGEST_RATIO * size, MOST_TURNED)
-    if (np.abs(own) > farthest).any():
-        index = first_offender(np.abs(own) > farthest)
-        if legs.units[index[-1]] == "rad":
-            expected, cause = f"angles in radians within ±{MOST_TURNED:g} for {legs.names[index[-1]]}", "In degrees?"
-        else:
-            expected = f"lengths in metres up to {LARGEST_RATIO:.0e} times the machine's own {size:.3g} m"
-            cause = "Lengths in another unit?"
-        raise ArgumentError("readings", expected, f"{own[index]:g}", cause)
-    return read
+    index = first_offender(is_far)
+    if legs.units[index[-1]] == "rad":
+        expected, cause = f"angles in radians within ±{MOST_TURNED:g} for {legs.names[index[-1]]}", "In degrees?"
+    else:
+        expected = f"lengths in metres up to {LARGEST_RATIO:.0e} times the machine's own {size:.3g} m"
+        cause = "Lengths in another unit?"
+    raise ArgumentError("readings", expected, f"{own[index]:g}", cause)
+
+
+@functools.lru_cache
+def _farthest(units: tuple[str, ...], size: float) -> FloatArray:
+    """Return the largest readings of legs with these units in a machine of this size [m]."""
+    return np.where([unit == "m" for unit in units], LARGEST_RATIO * size, MOST_TURNED)
 
 
 def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) -> None:

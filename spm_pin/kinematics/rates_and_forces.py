@@ -111,7 +111,7 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
 
     load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
     forces, suspect = _run(stage_forces, configuration, (6,), load)
-    if suspect.any():
+    if np.count_nonzero(suspect):
         # A state is as singular under any wrench.
         forces[np.broadcast_to(_without_hold(configuration), forces.shape[:-1])] = np.nan
     return forces if configuration.geometry.legs.are_rps else forces * configuration.slopes
@@ -121,7 +121,7 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
     """Return the matrices of a kernel, shape (..., 6, 6); NaN at a singularity of this kind, or raise for one state."""
     check_configuration(configuration)
     matrices, suspect = _run(kernel, configuration, (6, 6))
-    if suspect.any():
+    if np.count_nonzero(suspect):
         singular = suspect.astype(bool)
         singular[singular] = _are_singular(configuration, np.argwhere(suspect), kind)
         matrices[singular] = np.nan

@@ -69,8 +69,9 @@ def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
     # From the level stage Newton's method leads to every state of cylinders, and wanders for 1 in 500 of other legs,
     # a few into another working mode.
     balls = _in_working_mode(stage, balls, readings)
-    elsewhere = np.flatnonzero(is_elsewhere if isinstance(stage.kind, RPS) else np.isnan(balls[:, 0, 0]))
-    if len(elsewhere):
+    is_elsewhere = is_elsewhere if isinstance(stage.kind, RPS) else np.isnan(balls[:, 0, 0])
+    if np.count_nonzero(is_elsewhere):
+        elsewhere = np.flatnonzero(is_elsewhere)
         # The state is looked for among all modes.
         centres, radii = (x[elsewhere] for x in locked)
         unlabelled = Drawing(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
@@ -104,7 +105,7 @@ def _circles(stage: PlacedLegs, readings: FloatArray) -> CentresAndRadii:
 
     own = readings - stage.offsets
     if isinstance(stage.kind, RPS):
-        return np.broadcast_to(stage.pivots, (*own.shape, 3)), own
+        return (stage.pivots[None] if len(own) == 1 else np.broadcast_to(stage.pivots, (*own.shape, 3))), own
     x, z, radii = (np.broadcast_to(x, own.shape) for x in stage.kind.on_arrays.circle(own, tuple(stage.kind.numbers.T)))
     constants = stage.pivots, stage.planes
     (centres,) = run_kernel(circle_centres, (x, z), constants, [_BALLS], _MIN_BATCH_PER_THREAD_PHYSICAL)

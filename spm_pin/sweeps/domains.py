@@ -370,8 +370,11 @@ class SweepPlan:
 
     def prepare(self) -> None:
         """Evaluate the metrics at one point; raises `SpmError` where one cannot be computed for this machine."""
+        from spm_pin.kinematics.kernels.compilation import expecting
+
         first = self.domain.points((0,) * len(self.chunk), (1,) * len(self.chunk))
-        prepare_metrics(self.metrics, Points(self.geometry, self.domain.space, first))
+        with expecting(self.domain.size):
+            prepare_metrics(self.metrics, Points(self.geometry, self.domain.space, first))
 
     def evaluate(self, index: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
         """Return the values of all variables on the chunk at `index`, each of the shape of its region."""

@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
-import gc
 import multiprocessing
 import os
+import pkgutil
 import platform
 import re
 import shutil
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from problems import random_branches
+from numba.core.errors import TypingError
 
 import spm_pin as spm
+from spm_pin.kinematics import kernels
+from spm_pin.kinematics.kernels.ball_circles import circle_centres
 from spm_pin.kinematics.kernels.branch_kernels import all_branches
-from spm_pin.kinematics.kernels.compilation import Kernel
+from spm_pin.kinematics.kernels.compilation import ENVIRONMENT, Kernel, expecting, is_worth_compiling
 from spm_pin.kinematics.singularity_analysis import determinants
 
 PAPER = spm.Geometry.paper()
+
+
+def all_kernels() -> list[Kernel]:
+    modules = [import_module(x.name) for x in pkgutil.iter_modules(kernels.__path__, f"{kernels.__name__}.")]
+    return list({x.py_func: x for module in modules for x in vars(module).values() if type(x) is Kernel}.values())
+
+
 # Square roots of several numbers at once, and products and sums contracted into one instruction.
 PACKED, CONTRACTED = {
     "x86_64": (r"\bv?sqrtpd\b", r"\bvfn?m(add|sub)"),
@@ -33,7 +45,7 @@ PACKED, CONTRACTED = {
 
 
 def test_several_problems_share_a_vector_register() -> None:
-    compiled: Any = all_branches._dispatcher(cache=False)
+    compiled: Any = all_branches.dispatcher(cache=False)
     assembly = "".join(compiled.inspect_asm().values())
     assert re.search(PACKED, assembly)
     assert not re.search(CONTRACTED, assembly)
@@ -41,35 +53,128 @@ def test_several_problems_share_a_vector_register() -> None:
 
 # --- The interpreter ----------------------------------------------------------------------------------------------
 
-INTERPRETED = """
-import warnings, sys, numpy as np, spm_pin as spm
-warnings.simplefilter("ignore")
-pose = np.load(sys.argv[1])
-solutions = spm.inverse_displacement(spm.Geometry.paper(), pose)
-state = solutions.configurations
-physical = spm.forward_physical(spm.Geometry.paper(), state[:, 0].leg_lengths)
-singular = spm.singularities(state[:2])
-np.savez(sys.argv[2], joints=solutions.middle_joints, lengths=solutions.leg_lengths, status=solutions.status,
-         discriminants=solutions.discriminants, rates=spm.inverse_jacobian(state),
-         twists=spm.kinematics.platform_jacobian(state),
-         forces=spm.leg_forces(state, [1, 2, 3, 4, 5, 6]), physical=physical.middle_joints,
-         chosen=spm.inverse_physical(spm.Geometry.paper(), pose).middle_joints, sigma=singular.sigma,
-         twist=singular.gained_twist, wrench=singular.lost_wrench)
+
+def use_machine(machine: spm.Geometry, readings: Any) -> None:
+    """Call what has a kernel."""
+    state = spm.forward_physical(machine, readings)
+    spm.forward_physical(machine, readings + 1e-3, near=state)
+    spm.forward_displacement(machine, readings)
+    branches = spm.inverse_displacement(machine, state.pose)
+    spm.inverse_physical(machine, state.pose)
+    spm.kinematics.complex_middle_joints(machine, state.pose)
+    for function in (spm.inverse_jacobian, spm.kinematics.platform_jacobian, spm.determinants, spm.singularities):
+        function(branches.configurations)
+    spm.leg_forces(state, np.arange(6.0))
+
+
+def use_stage(stage: spm.Stage) -> None:
+    """Call what has a kernel of its own for a stage."""
+    height = spm.stages.home_height(stage)
+    states = spm.stages.inverse_physical(stage, height, tilt=[0.0, 0.02, 0.05], azimuth=0.3)
+    assert states.exists.all()
+    spm.stages.forward(stage, states.readings[2])
+    spm.stages.forward_physical(stage, states.readings)
+
+
+def test_every_kernel_computes_the_same_bits_in_the_interpreter(monkeypatch: pytest.MonkeyPatch) -> None:
+    called = set()
+
+    def run_both(self: Kernel, *args: Any) -> Any:
+        copies = [x.copy() if isinstance(x, np.ndarray) else np.float64(x) if type(x) is float else x for x in args]
+        result = self.compile()(*args)
+        # A large batch says nothing more, and takes long.
+        if len(args[-1] if isinstance(args[-1], np.ndarray) else args[0]) <= 50:
+            called.add(self.py_func)
+            with np.errstate(all="ignore"):
+                assert self.py_func(*copies) == result
+            arrays = [pair for pair in zip(copies, args, strict=True) if isinstance(pair[0], np.ndarray)]
+            for interpreted, compiled in arrays:
+                np.testing.assert_array_equal(interpreted, compiled, err_msg=self.py_func.__name__)
+        return result
+
+    monkeypatch.setattr(Kernel, "__call__", run_both)
+    readings = np.random.default_rng(0).uniform(1.1, 1.5, (5, 6))
+    for machine in (PAPER, PAPER.perturbed(0, length=1e-3, angle=1e-3)):
+        use_machine(machine, readings)
+    for kind in (spm.RPS(), spm.PRS(rod=0.5), spm.RRS(crank=0.2, rod=0.4)):
+        drawn = spm.Stage(0.6, 0.5, legs=kind)
+        for stage in (drawn, drawn.perturbed(0)):
+            use_stage(stage)
+    spm.kinematics.singular_values(np.sqrt(np.arange(36.0).reshape(6, 6)))
+    spm.workspace.reachable_position(PAPER, [[0.5, 0.2, 2.1], [0.3, 0.3, 2.3]])
+    spm.workspace.nearest_reachable_pose(PAPER, spm.pose([0.5, 0.2, 2.1], xyx=[0.0, 0.2, 0.0]))
+    assert called == {kernel.py_func for kernel in all_kernels()}
+
+
+def test_little_work_is_interpreted_and_much_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(ENVIRONMENT, raising=False)
+    # Milliseconds, a large batch, many calls of a fast kernel and of a slow one, a single call that takes long.
+    work = (1, 1e-3), (10_000, 10.0), (1_000, 0.05), (1_000, 0.2), (40, 1.0), (60, 1.2), (1, 2.0)
+    expected = [False, True, False, True, False, True, True]
+    assert [is_worth_compiling(*x) for x in work] == expected
+    with expecting(1_000_000):
+        assert is_worth_compiling(1, 1e-3)
+    with expecting(10):
+        assert not is_worth_compiling(1, 1e-3)
+    for forced in ("compiled", "interpreted"):
+        monkeypatch.setenv(ENVIRONMENT, forced)
+        assert {is_worth_compiling(*x) for x in work} == {forced == "compiled"}
+    monkeypatch.setenv(ENVIRONMENT, "compile")
+    with pytest.raises(spm.ArgumentError) as error:
+        is_worth_compiling(1, 0.0)
+    assert error.value.argument == ENVIRONMENT
+
+
+FIRST = """
+import sys, warnings, numpy as np, spm_pin as spm
+warnings.simplefilter("error")
+paper = spm.Geometry.paper()
+for machine in (paper, paper.perturbed(0)):
+    state = spm.forward_physical(machine, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    spm.forward_displacement(machine, state.readings)
+    spm.inverse_displacement(machine, state.pose)
+    spm.leg_forces(state, np.ones(6)), spm.inverse_jacobian(state), spm.singularities(state)
+stage = spm.Stage(0.5, 0.3)
+spm.stages.forward(stage, spm.stages.inverse_physical(stage, 0.6, tilt=0.1, azimuth=0.0).readings)
+print("numba" in sys.modules)
 """
 
 
-def test_the_interpreter_gets_the_same_bits(tmp_path: Path) -> None:
-    pose = random_branches(PAPER, "TT", 5, seed=1).pose.as_matrix()
-    np.save(tmp_path / "pose.npy", pose)
-    results = []
-    for disabled in "01":
-        target = tmp_path / f"{disabled}.npz"
-        command = [sys.executable, "-c", INTERPRETED, tmp_path / "pose.npy", target]
-        subprocess.run(command, check=True, env={**os.environ, "NUMBA_DISABLE_JIT": disabled})
-        results.append(np.load(target))
-    compiled, interpreted = results
-    for name in compiled.files:
-        np.testing.assert_array_equal(compiled[name], interpreted[name], err_msg=name)
+def test_first_answers_need_no_compiler_and_give_no_warnings() -> None:
+    kept = {key: value for key, value in os.environ.items() if key != ENVIRONMENT}
+    done = subprocess.run([sys.executable, "-c", FIRST], check=True, env=kept, text=True, capture_output=True)
+    assert (done.stdout, done.stderr) == ("False\n", "")
+
+
+def test_threads_that_call_a_kernel_for_the_first_time_get_the_same_bits() -> None:
+    kernel = Kernel(circle_centres.py_func, circle_centres._signature, 1e-3)
+    x, pivots, planes = np.random.default_rng(0).normal(size=(200, 3)), np.eye(3), np.ones((2, 3, 3))
+    expected = np.empty((200, 3, 3))
+    circle_centres.py_func(x, x, pivots, planes, expected)
+    barrier = threading.Barrier(8)
+
+    def solve(number: int) -> Any:
+        results = np.empty((200, 3, 3))
+        barrier.wait()
+        # Half of them begin with few members, in the interpreter.
+        first = 200 if number % 2 else 3
+        kernel(x[:first], x[:first], pivots, planes, results[:first])
+        kernel(x, x, pivots, planes, results)
+        return results
+
+    with ThreadPoolExecutor(8) as pool:
+        for results in pool.map(solve, range(8)):
+            np.testing.assert_array_equal(results, expected)
+    assert kernel._compiled is not None
+
+
+def test_a_defect_of_a_kernel_is_no_fault_of_the_cache(caplog: pytest.LogCaptureFixture) -> None:
+    def defective(x: Any) -> None:
+        x.nothing()
+
+    with pytest.raises(TypingError):
+        Kernel(defective, "void(f8[:])", 1e-3).compile()
+    assert not [record for record in caplog.records if "cache" in record.message]
 
 
 # --- The cache ----------------------------------------------------------------------------------------------------
@@ -97,7 +202,7 @@ def package(tmp_path: Path) -> Path:
 
 def start(package: Path, **environment: object) -> subprocess.Popen[str]:
     kept = {key: value for key, value in os.environ.items() if not key.startswith(("NUMBA", "XDG"))}
-    kept |= {"PYTHONPATH": str(package), "PYTHONDONTWRITEBYTECODE": "1"}
+    kept |= {"PYTHONPATH": str(package), "PYTHONDONTWRITEBYTECODE": "1", ENVIRONMENT: "compiled"}
     kept |= {key: str(value) for key, value in environment.items()}
     command = [sys.executable, "-c", SOLVE]
     pipe = subprocess.PIPE
@@ -158,12 +263,9 @@ def test_without_a_place_for_a_cache_every_process_compiles(package: Path, tmp_p
 
 def test_all_kernels_can_be_compiled_in_advance() -> None:
     spm.kinematics.compile_kernels()
-    gc.unfreeze()  # conftest.py
-    # Tests have kernels of their own.
-    found = [member for member in gc.get_objects() if type(member) is Kernel]
-    kernels = [kernel for kernel in found if kernel.py_func.__module__.startswith("spm_pin.")]
-    assert {"all_branches", "modes_of_stages", "as_built_branches"} <= {kernel.py_func.__name__ for kernel in kernels}
-    assert all(kernel._compiled is not None for kernel in kernels)
+    compiled = all_kernels()
+    assert {"all_branches", "modes_of_stages", "as_built_branches"} <= {x.py_func.__name__ for x in compiled}
+    assert all(kernel._compiled is not None for kernel in compiled)
 
 
 def blocked(package: Path) -> None:

@@ -1,13 +1,14 @@
 """Compiled kernels: loops over batches that run `spm_pin.formulas`, and the iterations beside them.
 
-A kernel is a loop over a batch, and the only thing that is compiled on its own. Where a formula is straight-line
+A kernel is a loop over a batch, and the only thing that is compiled on its own, once that pays: see
+`compilation.is_worth_compiling`. Where a formula is straight-line
 arithmetic the loop goes over tiles of `TILE` problems: their numbers are put into the rows of one small array, and the
 results into other rows of it, so that the compiler takes several problems into one vector register, and a single
 problem is computed exactly like a million. With several arrays in a loop the compiler cannot know that they do not
 overlap, and takes one problem after another.
 
-Nothing here checks an argument; the public functions do. The modules import Numba, which takes long, so they are
-imported when a function is first called.
+Nothing here checks an argument; the public functions do. The modules are imported when a function is first called,
+Numba when a kernel is first compiled.
 
 No fast-math flag is set, not even the contraction of a product and a sum into one instruction: NaN marks a solution
 that is not real, infinity a division whose result is discarded, and without contraction straight-line arithmetic gives

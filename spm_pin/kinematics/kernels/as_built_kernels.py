@@ -198,9 +198,10 @@ def _image(x, planes):
         s0 += factors[0, 3 + i] * gap
         s1 += factors[1, 3 + i] * gap
         s2 += factors[2, 3 + i] * gap
-    t2 = s2 / factors[2, 2]
-    t1 = (s1 - factors[1, 2] * t2) / factors[1, 1]
-    t0 = (s0 - factors[0, 1] * t1 - factors[0, 2] * t2) / factors[0, 0]
+    # Numba and NumPy round quotients of complex numbers differently, products alike.
+    t2 = s2 * (1.0 / factors[2, 2])
+    t1 = (s1 - factors[1, 2] * t2) * (1.0 / factors[1, 1])
+    t0 = (s0 - factors[0, 1] * t1 - factors[0, 2] * t2) * (1.0 / factors[0, 0])
     t = t0, t1, t2
     return shifted(turned(rotation, rows_at(balls, 0)), t), shifted(turned(rotation, rows_at(balls, 3)), t)
 
@@ -442,7 +443,7 @@ def as_built_physical_branch(rotation, position, machines, unit, limits, rotatio
             continue
         distance = abs(place[0]) + abs(place[1]) + abs(place[2])
         # Towards a level pose the equations shrink with the tilt, and the errors do not: see `_LEVEL`.
-        few = error <= _LARGE and error * (1.0 + distance) <= _LEVEL * math.hypot(turn[0][2], turn[1][2])
+        few = error <= _LARGE and error * (1.0 + distance) <= _LEVEL * abs(complex(turn[0][2], turn[1][2]))
         few = few and _put_nearest(turn, place, scratch, nearest)
         best_rank, best_tilts = 0.0, -np.inf
         while best_rank == 0.0:

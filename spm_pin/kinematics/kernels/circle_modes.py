@@ -54,6 +54,7 @@ from spm_pin.kinematics.kernels.compilation import (
     vector_at,
 )
 from spm_pin.kinematics.kernels.mode_kernels import StageScratch, allocate_stage_scratch, is_countable, stage_modes
+from spm_pin.kinematics.kernels.quadric_newton import reciprocal
 from spm_pin.mechanism.arguments import BoolArray, FloatArray
 
 Forms = tuple[PairForm, PairForm, PairForm]
@@ -161,7 +162,7 @@ def _size(z):
 @jit_inline
 def _of_exponential(z):
     """Return cosine and sine of the angle whose e^{iθ} is z."""
-    back = _reciprocal(z)
+    back = reciprocal(z)
     return 0.5 * (z + back), complex(0.0, -0.5) * (z - back)
 
 
@@ -173,7 +174,7 @@ def _fitting_angles(coefficients):
     root = cmath.sqrt(n * n - 4.0 * lead * last)
     below, above = n - root, n + root
     larger = -0.5 * (above if _size(above) >= _size(below) else below)
-    first, second = _of_exponential(larger * _reciprocal(lead)), _of_exponential(last * _reciprocal(larger))
+    first, second = _of_exponential(larger * reciprocal(lead)), _of_exponential(last * reciprocal(larger))
     return first[0], first[1], second[0], second[1]
 
 
@@ -186,7 +187,7 @@ def _polished(forms, sizes, c, s):
     last = np.nan
     for _ in range(_MOST_STEPS):
         values, slopes = turn_equations(forms, c, s)
-        adjugate, scale = pair_adjugate(slopes), _reciprocal(pair_determinant(slopes))
+        adjugate, scale = pair_adjugate(slopes), reciprocal(pair_determinant(slopes))
         x, y, z = weighted(values, adjugate)
         x, y, z = scale * x, scale * y, scale * z
         longest = max(_size(x), _size(y), _size(z))
@@ -204,17 +205,11 @@ def _polished(forms, sizes, c, s):
 
 
 @jit_inline
-def _reciprocal(z):
-    """Return 1/z, not a number for zero: Numba's own division would raise."""
-    return np.conj(z) * (1.0 / (z.real * z.real + z.imag * z.imag))
-
-
-@jit_inline
 def _turned(c, s, step):
     """Return cosine and sine of an angle less a step, by the rational map that is a turn to third order."""
     t = 0.5 * step
     square = t * t
-    scale = _reciprocal(1.0 + square)
+    scale = reciprocal(1.0 + square)
     cosine, sine = (1.0 - square) * scale, 2.0 * t * scale
     return c * cosine + s * sine, s * cosine - c * sine
 
@@ -326,7 +321,7 @@ def real_modes(stage: Circles, found: ModeScratch, balls: FloatArray) -> tuple[i
             break
     # Long legs leave too few digits for what is of the triangle's size.
     r1, r2, r3 = stage.radii
-    real, complete = 0, count == MODES and max(r1, r2, r3) ** 2 <= _LONGEST_LEG**2 * largest(stage.squares)
+    real, complete = 0, count == MODES and max(r1 * r1, r2 * r2, r3 * r3) <= _LONGEST_LEG**2 * largest(stage.squares)
     for k in range(count):
         c, s = vector_at(found.cosines[k], 0), vector_at(found.sines[k], 0)
         if _is_real(c, s, 0.0):

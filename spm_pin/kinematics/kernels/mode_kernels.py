@@ -32,6 +32,7 @@ from spm_pin.formulas.stages import (
 )
 from spm_pin.formulas.vectors import Rows, Vector, dot, largest, scaled, times, transposed, weighted
 from spm_pin.kinematics.kernels.compilation import ComplexArray, jit, jit_inline, put_rows, vector_at
+from spm_pin.kinematics.kernels.quadric_newton import reciprocal, squared
 from spm_pin.mechanism.arguments import FloatArray
 
 Quartic = tuple[float, float, float, float, float]
@@ -148,11 +149,11 @@ def _roots(coefficients: Quartic, roots: ComplexArray) -> None:
             crowd = complex(0.0, 0.0)
             for j in range(4):
                 gap = z - roots[j]
-                if j != k and gap != 0.0:
-                    crowd += 1.0 / gap
+                if j != k and squared(gap) > 0.0:
+                    crowd += reciprocal(gap)
             divisor = slope - value * crowd
-            if divisor != 0.0:
-                step = value / divisor
+            if squared(divisor) > 0.0:
+                step = value * reciprocal(divisor)
                 roots[k] = z - step
                 moved = max(moved, abs(step.real) + abs(step.imag))
         if moved <= 1e-13 * (abs(centre) + radius):
@@ -166,11 +167,11 @@ def _approximate_solutions(stage: StageEquations, is_continuous: bool, roots: Co
     `is_continuous` says that the quartic vanishes; `roots` (4,) is overwritten.
     """
     real, imag, kappa = stage.real, stage.imag, 2.0 * stage.epsilon - 1.0
-    size = math.hypot(real, imag)
+    size = abs(complex(real, imag))
     # Without λ there is no direction to count from, and any will do.
     nu = complex(real / size, imag / size) if size > 0.0 else complex(0.6, 0.8)
     mu = nu * nu * nu
-    span = math.hypot(kappa, size)
+    span = abs(complex(kappa, size))
     span = span if span > 0.0 else 1.0
     omega, gain = abs(kappa) / span, (-1.0 if kappa < 0.0 else 1.0) / span
     lead = complex(1.0, 0.0)
@@ -184,9 +185,9 @@ def _approximate_solutions(stage: StageEquations, is_continuous: bool, roots: Co
             turn, a = _SYMMETRIC[k], 0.0
         else:
             tangent = roots[k]
-            if abs(tangent.imag) > 0.01 * (1.0 + tangent.real**2):
+            if abs(tangent.imag) > 0.01 * (1.0 + tangent.real * tangent.real):
                 continue
-            secant = math.hypot(1.0, tangent.real)
+            secant = abs(complex(1.0, tangent.real))
             gamma = complex(1.0 / secant, tangent.real / secant) * lead
             delta = complex(gamma.real, omega * gamma.imag)
             length = abs(delta)
@@ -271,7 +272,7 @@ def has_continuous_family(
     - E = r/2 and equal legs longer than r/2: mode T.
     """
     a, b, c = first * first, second * second, third * third
-    tolerance = relative * ((a + b + c) / 3.0 + (1.0 + epsilon) ** 2)
+    tolerance = relative * ((a + b + c) / 3.0 + (1.0 + epsilon) * (1.0 + epsilon))
     odd, even = 9.0 * epsilon * epsilon, 3.0 - 3.0 * epsilon * epsilon
     distance = min(
         max(abs(a - odd), abs(b - even), abs(c - even)),
@@ -296,9 +297,10 @@ def _distance(first: FloatArray, second: FloatArray) -> float:
     """Return how far the corners of two solutions are apart, or of one and the other's mirror image."""
     across, same, mirrored = 0.0, 0.0, 0.0
     for i in range(3):
-        across += (first[5 + i] - second[5 + i]) ** 2
-        same += (first[8 + i] - second[8 + i]) ** 2
-        mirrored += (first[8 + i] + second[8 + i]) ** 2
+        radius, gap, total = first[5 + i] - second[5 + i], first[8 + i] - second[8 + i], first[8 + i] + second[8 + i]
+        across += radius * radius
+        same += gap * gap
+        mirrored += total * total
     return math.sqrt(across + min(same, mirrored))
 
 

@@ -137,7 +137,7 @@ def solve_bordered(rows, x, u, v, w):
     e = _normal(bc, n)
     determinant = product(a, e)
     # Not a division: complex ones have branches.
-    scale = np.conj(determinant) * (1.0 / squared(determinant))
+    scale = reciprocal(determinant)
     u, v, w = u * scale, v * scale, w * scale
     m01, m02 = u * bc[0] + v * ca[0] + w * ab[0], u * bc[1] + v * ca[1] + w * ab[1]
     m03, m12 = u * bc[2] + v * ca[2] + w * ab[2], u * bc[3] + v * ca[3] + w * ab[3]
@@ -203,6 +203,16 @@ def _joined(re, im):
 def squared(z):
     """Return |z|²."""
     return z.real * z.real + z.imag * z.imag
+
+
+@jit_inline
+def reciprocal(z):
+    """Return 1/z, not a number for zero.
+
+    Complex numbers are divided by this formula alone: Numba and NumPy round their quotients differently, and Numba
+    raises for a divisor of zero.
+    """
+    return np.conj(z) * (1.0 / squared(z))
 
 
 @jit_inline

@@ -297,7 +297,7 @@ def _put_partner(forms: FloatArray, roots: FloatArray, points: FloatArray, k: in
     for i in range(3):
         linear, square = 2.0 * product(slopes[i], y), product(halves[i], y)
         above += np.conj(square) * linear
-        below += abs(square) ** 2
+        below += squared(square)
     step = -above * (1.0 / below) if below > 0.0 else 0.0 * half
     y = unit((x[0] + step * y[0], x[1] + step * y[1], x[2] + step * y[2], x[3] + step * y[3]))
     put_real_part(points, k, (y[0].real, y[1].real, y[2].real, y[3].real))

@@ -33,6 +33,7 @@ from spm_pin.formulas.vectors import (
     combined,
     crosses,
     differences,
+    dot,
     dots,
     largest,
     least,
@@ -230,7 +231,8 @@ def nearby_stages(points, rotations, offsets, table, spacing, stages, cells, dis
                 i, j, m = int(a), int(b), int(c)
                 distance = table[i, j, m]
                 if a != u or b != v or c != w:
-                    distance += spacing * math.sqrt((u - a) ** 2 + (v - b) ** 2 + (w - c) ** 2)
+                    off = u - a, v - b, w - c
+                    distance += spacing * math.sqrt(dot(off, off))
                 if distance < least:
                     least = distance
                     stages[n, group] = k

@@ -443,7 +443,7 @@ def _polish(
         weight = stiffness * _PENALTY_WEIGHTS[min(update % _RESTART, 2)]
         weight *= math.sqrt(max(1.0, _REMOTE_PENALTY * distance / size))
         for row in range(len(shifts)):
-            shifts[row] *= (before / weight) ** 2
+            shifts[row] *= before / weight * (before / weight)
         _evaluate(problem, coordinates, target, weight, shifts, state)
         stationary, steps = _minimise(work, coordinates, target, weight, shifts, NEWTON, left)
         left, change, distance = left - steps, 0.0, _norm(state.residual[:rows])
@@ -472,7 +472,7 @@ def _next_end(norms: FloatArray, ends: FloatArray, best: float) -> int:
     return int(chosen)
 
 
-@kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], {_PROBLEM}, i8, f8[:, :, ::1], f8[:, ::1], f8[:, ::1])")
+@kernel(f"void(f8[:, ::1], f8[:, :, :, ::1], {_PROBLEM}, i8, f8[:, :, ::1], f8[:, ::1], f8[:, ::1])", seconds=1.0)
 def search_nearest(targets, starts, constants, most, coordinates, readings, quality):
     """Search for the states within the limits that put the points of the body nearest to the `targets` (N, 3K).
 
