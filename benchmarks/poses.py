@@ -43,7 +43,7 @@ def mixture(kind: str, count: int, seed: int = 0) -> RigidTransform:
     if kind == "all rotations":
         share = -(-count // 4)
         parts = [
-            random_branches(GEOMETRY, family, share, seed + k).pose for k, family in enumerate(spm.mechanism.FAMILIES)
+            random_branches(GEOMETRY, family, share, seed + k).pose for k, family in enumerate(spm.machine.FAMILIES)
         ]
         return RigidTransform.concatenate(parts)[rng.permutation(4 * share)[:count]]
     r = GEOMETRY.middle_radius

@@ -28,7 +28,7 @@ print("500 N down on the platform:", np.round(spm.leg_forces(machine, [0, 0, -50
 
 figure, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")
 ax.axhspan(1.10, 1.50, color="0.9", label="limits")
-for leg, name in enumerate(spm.mechanism.LEGS):
+for leg, name in enumerate(spm.machine.LEGS):
     lengths = [branches[label].leg_lengths[leg] for label in real]
     ax.plot(real, lengths, "osv"[leg % 3], color="C0" if leg < 3 else "C1", label=name)
 ax.set(xlabel="branch", ylabel="leg length [m]", title="six real branches of one pose")

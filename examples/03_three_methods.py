@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import spm_pin as spm
-from spm_pin.paper import jacobian
+from spm_pin.crosscheck.paper import jacobian
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 geometry = spm.Geometry.paper()

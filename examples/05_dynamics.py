@@ -37,7 +37,7 @@ print(
 print(f"loops open by {fall.closure_gap.max():.0e} m")
 
 figure, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")
-for leg, name in enumerate(spm.mechanism.LEGS):
+for leg, name in enumerate(spm.machine.LEGS):
     ax.plot(times, efforts[:, leg], ["-", "--", ":"][leg % 3], color="C0" if leg < 3 else "C1", label=name)
 ax.set(xlabel="time [s]", ylabel="leg force [N]", title="forces of the legs along a motion")
 ax.legend(loc="center left", bbox_to_anchor=(1, 0.5), frameon=False)

@@ -13,7 +13,7 @@ from spm_pin.display import shell_figure
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 geometry = spm.Geometry.paper()
-shell = spm.workspace.workspace_shell(geometry, resolution=20)
+shell = spm.crosscheck.workspace_shell(geometry, resolution=20)
 print(f"{len(shell.patches)} surfaces, closed: {shell.mesh.is_watertight}, V - E + F = {shell.euler_characteristic}")
 print(f"volume {shell.volume:.6f} m³, to {shell.volume_error:.0e} m³")
 

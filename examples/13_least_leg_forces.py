@@ -24,7 +24,7 @@ straight = spm.forward_physical(geometry, first + (last - first) * (3 * times**2
 guess = np.concatenate([straight.translation, straight.pose.rotation.as_euler("XYX")], axis=-1).T
 label = "TT+"
 assert np.allclose(spm.inverse_displacement(geometry, straight.pose)[label].leg_lengths, straight.leg_lengths)
-inverse, leg_forces = spm.symbolic.inverse_branch(label, geometry), spm.symbolic.leg_forces(geometry)
+inverse, leg_forces = spm.casadi.inverse_branch(label, geometry), spm.casadi.leg_forces(geometry)
 
 # Forces and lengths of one instant, from the coordinates y = (o, X-Y-X angles) and their accelerations.
 y, acceleration = ca.SX.sym("y", 6), ca.SX.sym("a", 6)
@@ -77,7 +77,7 @@ print(f"poses come back to {np.abs(again.translation - found[:3, :-1].T).max():.
 figure, axes = plt.subplots(2, 2, figsize=(9, 6), sharex=True, sharey="row", layout="constrained")
 for column, (name, (f, q, _)) in zip(axes.T, runs.items(), strict=True):
     for leg in range(6):
-        column[0].plot(step * np.arange(count), f[leg] / 1e3, label=spm.mechanism.LEGS[leg])
+        column[0].plot(step * np.arange(count), f[leg] / 1e3, label=spm.machine.LEGS[leg])
         column[1].plot(step * np.arange(count), q[leg])
     column[0].set_title(f"{name}: {np.sqrt((f**2).mean()) / 1e3:.2f} kN rms, {np.abs(f).max() / 1e3:.2f} kN at most")
     column[1].set_xlabel("time [s]")

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import spm_pin as spm
+from spm_pin.crosscheck.paper.published import POSITION, TABLE_2, XYX_DEGREES
 from spm_pin.description import extended_urdf_text, mjcf_text, sdf_text, srdf_text, urdf_text
 from spm_pin.description.source_files import CLOSURES, EXTENDED_URDF, MESHES, MJCF, SDF, SRDF, URDF
-from spm_pin.paper.published import POSITION, TABLE_2, XYX_DEGREES
 
 FOLDER = Path(__file__).resolve().parents[1] / "urdf"
 

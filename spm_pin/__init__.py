@@ -1,11 +1,12 @@
 """Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator and of its stages.
 
 A `Stage`, three planar legs under a platform, is a machine of its own, see `spm_pin.stages`; a `Geometry` is two. The
-names of everyday use are here. All else is in public modules: `spm_pin.mechanism` (dimensions, states, sets of
+names of everyday use are here. All else is in public modules: `spm_pin.machine` (dimensions, states, sets of
 states), `spm_pin.kinematics` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
-`spm_pin.capability`, `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.symbolic`, `spm_pin.arrays` (JAX and others),
-`spm_pin.multibody` (the robot in Pinocchio), `spm_pin.motion`, `spm_pin.design`, `spm_pin.nlp`, `spm_pin.crosscheck`,
-`spm_pin.description` (URDF, MJCF, SDFormat), `spm_pin.display` (pictures, viewer) and `spm_pin.errors`.
+`spm_pin.capability`, `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.casadi`, `spm_pin.arrays` (JAX and others),
+`spm_pin.multibody` (the robot in Pinocchio), `spm_pin.motion`, `spm_pin.design`, `spm_pin.crosscheck` (methods
+compared, the paper line by line, the search by CasADi), `spm_pin.description` (URDF, MJCF, SDFormat),
+`spm_pin.export` (C, ROS 2, LinuxCNC), `spm_pin.display` (pictures, viewer) and `spm_pin.errors`.
 """
 
 from importlib import import_module
@@ -15,20 +16,20 @@ if TYPE_CHECKING:
     from spm_pin import arrays as arrays
     from spm_pin import calibration as calibration
     from spm_pin import capability as capability
+    from spm_pin import casadi as casadi
     from spm_pin import crosscheck as crosscheck
     from spm_pin import description as description
     from spm_pin import design as design
     from spm_pin import display as display
     from spm_pin import errors as errors
+    from spm_pin import export as export
     from spm_pin import kinematics as kinematics
-    from spm_pin import mechanism as mechanism
+    from spm_pin import machine as machine
     from spm_pin import motion as motion
     from spm_pin import multibody as multibody
-    from spm_pin import nlp as nlp
     from spm_pin import proofs as proofs
     from spm_pin import stages as stages
     from spm_pin import sweeps as sweeps
-    from spm_pin import symbolic as symbolic
     from spm_pin import workspace as workspace
     from spm_pin.errors import (
         ArgumentError,
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
     )
     from spm_pin.kinematics.forward_displacement import forward_displacement
     from spm_pin.kinematics.inverse_displacement import inverse_displacement
-    from spm_pin.mechanism import (
+    from spm_pin.machine import (
         PRS,
         RPS,
         RRS,
@@ -83,9 +84,9 @@ __all__ += ["Certificate", "ClosedChain", "PlatformPath", "certify", "follow", "
 __all__ += ["plan", "set_threads", "threads", "time_optimal"]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
-_MODULES = {"calibration", "kinematics", "crosscheck", "errors", "mechanism", "motion", "multibody", "nlp", "proofs"}
-_MODULES |= {"arrays", "capability", "description", "design", "display", "stages", "sweeps", "symbolic", "workspace"}
-_HOMES = ("errors", "mechanism", "kinematics", "proofs", "multibody", "motion")
+_MODULES = {"calibration", "casadi", "crosscheck", "errors", "export", "kinematics", "machine", "motion", "multibody"}
+_MODULES |= {"arrays", "capability", "description", "design", "display", "proofs", "stages", "sweeps", "workspace"}
+_HOMES = ("errors", "machine", "kinematics", "proofs", "multibody", "motion")
 
 
 def __getattr__(name: str) -> Any:

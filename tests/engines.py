@@ -13,7 +13,7 @@ import numpy.typing as npt
 from spm_pin.description import URDF_PATH, actuated_joints
 from spm_pin.description.robot import read_robot
 from spm_pin.description.source_files import read_closures
-from spm_pin.mechanism import Mechanism
+from spm_pin.machine import Mechanism
 
 Array = npt.NDArray[np.float64]
 Values = Mapping[str, float]

@@ -9,7 +9,7 @@ from problems import PAPER
 
 import spm_pin as spm
 from spm_pin.kinematics import platform_jacobian
-from spm_pin.mechanism import PRS, RPS, RRS, Stage
+from spm_pin.machine import PRS, RPS, RRS, Stage
 
 KINDS_OF_STAGES = {"RPS": RPS(), "PRS": PRS(rod=1.6, direction=1.3), "RRS": RRS(crank=1.1, rod=0.9)}
 PAIRS = list(itertools.product(KINDS_OF_STAGES, repeat=2))
@@ -29,7 +29,7 @@ def states(geometry: spm.Geometry, count: int = 60) -> spm.Configuration:
     """Return physical states of a machine, away from singularities."""
     legs = np.random.default_rng(11).uniform(1.15, 1.45, (count, 6))
     other = spm.forward_physical(PAPER, legs)
-    readings = spm.mechanism.Configuration(geometry, other.pose, other.middle_joints).readings
+    readings = spm.machine.Configuration(geometry, other.pose, other.middle_joints).readings
     found = spm.forward_physical(geometry, readings[np.isfinite(readings).all(axis=-1)])
     found = found[found.exists]
     regular = (np.abs(found.slopes) > 0.2 * geometry.legs.largest_slopes).all(axis=-1)

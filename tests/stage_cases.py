@@ -14,7 +14,7 @@ import numpy.typing as npt
 from problems import GEOMETRIES, PAPER, Array, as_built, in_leg_space
 
 import spm_pin as spm
-from spm_pin.mechanism.legs import triangle_frames
+from spm_pin.machine.legs import triangle_frames
 
 ABSENT = np.array([[0.6, 0.6, 2.0, 1.3, 1.3, 1.3], [1.3, 1.3, 1.3, 0.7, 1.9, 1.2], [0.61, 1.9, 1.9, 2.0, 0.7, 0.7]])
 """Lengths [m] with which no stage like the paper's closes in its home's aspect."""

@@ -16,7 +16,7 @@ from spm_pin.kinematics.kernels.mode_kernels import (
     has_continuous_family,
     solve_mode,
 )
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
+from spm_pin.support.arguments import BoolArray, FloatArray
 
 MODES = ("T", "F")
 """The two families of solutions of a stage."""

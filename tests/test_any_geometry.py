@@ -45,7 +45,7 @@ VALUES: dict[str, Callable[[spm.Geometry], Any]] = {
     "inverse_displacement": lambda g: spm.inverse_displacement(g, state(PAPER).pose).physical(state(PAPER)).readings,
     "inverse_jacobian": lambda g: spm.inverse_jacobian(state(g)),
     "inverse_physical": lambda g: held_pose(g).readings,
-    "joint_angles": lambda g: spm.mechanism.joint_angles(state(g)).values,
+    "joint_angles": lambda g: spm.machine.joint_angles(state(g)).values,
     "leg_forces": lambda g: spm.leg_forces(state(g), WRENCH),
     "leg_rates": lambda g: spm.leg_rates(state(g), TWIST),
     "leg_vectors": lambda g: state(g).leg_vectors,
@@ -60,13 +60,13 @@ VALUES: dict[str, Callable[[spm.Geometry], Any]] = {
     "workspace.nearest_reachable_pose": lambda g: (
         spm.workspace.nearest_reachable_pose(g, spm.pose([0.9, 0.1, 2.2], xyx=[0.1, 0.2, 0.1])).configuration.readings
     ),
-    "nlp.search": lambda g: spm.nlp.search(g, state(PAPER).pose).solutions.nearest(state(PAPER)).readings,
+    "nlp.search": lambda g: spm.crosscheck.nlp.search(g, state(PAPER).pose).solutions.nearest(state(PAPER)).readings,
     "workspace.leg_clearance": lambda g: spm.workspace.leg_clearance(state(g)),
     "certify": lambda g: list(spm.certify(g, spm.LegLimits(1.25, 1.35)).bounds),
 }
 
 REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
-    "the paper's shell": lambda g: spm.workspace.workspace_shell(g),
+    "the paper's shell": lambda g: spm.crosscheck.workspace_shell(g),
 }
 
 

@@ -156,7 +156,7 @@ def test_branches_of_serial_arms_have_the_given_pose(arm: str) -> None:
 
 @pytest.mark.parametrize("peer", peers_by_task.JACOBIAN, ids=lambda peer: peer.name)
 def test_every_jacobian_equals_that_of_the_9_by_9(peer: Peer) -> None:
-    from spm_pin.paper.jacobian import J_f
+    from spm_pin.crosscheck.paper.jacobian import J_f
 
     configuration = states(6)
     assert configuration.exists.all()

@@ -12,10 +12,10 @@ import live_page
 import numpy as np
 import pytest
 from browser import chromium, until, watched
+from export.c_poses import spread_poses
 from PIL import Image
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
-from symbolic.c_poses import spread_poses
 
 import spm_pin as spm
 from spm_pin.description.visuals import part_placements, visual_parts
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow  # a browser without a graphics card
 
 ROOT = Path(__file__).parents[1]
 GEOMETRY = spm.Geometry.paper()
-BRANCHES = list(spm.mechanism.BRANCHES)
+BRANCHES = list(spm.machine.BRANCHES)
 
 
 @pytest.fixture(scope="module")
@@ -364,7 +364,7 @@ def test_all_of_it_is_below_200_kilobytes_and_names_no_other_place(file: Path) -
 def test_the_lines_of_the_how_to_make_a_module_that_solves(page, module: bytes, tmp_path: Path) -> None:
     text = (ROOT / "docs/howto/controller.md").read_text(encoding="utf-8")
     shell, script = (re.search(rf"```{kind}\n([^`]*(?:wasm|WebAssembly)[^`]*)```", text) for kind in ("sh", "js"))
-    spm.symbolic.write_c(GEOMETRY, tmp_path / "spm_c")
+    spm.export.write_c(GEOMETRY, tmp_path / "spm_c")
     subprocess.run(["sh", "-ec", shell[1]], cwd=tmp_path, check=True)
     assert (tmp_path / "wasm/math.h").read_bytes() == (ROOT / "docs/site/live/math.h").read_bytes()
     made = (tmp_path / "spm.wasm").read_bytes()

@@ -12,7 +12,7 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.display import draw, path_figure
-from spm_pin.mechanism.notebook import curves, stick_figure, view_axes
+from spm_pin.support.notebook import curves, stick_figure, view_axes
 
 GEOMETRY = spm.Geometry.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))

@@ -85,7 +85,7 @@ def boundary() -> Any:
 
 @functools.cache
 def shell() -> Any:
-    return spm.workspace.workspace_shell(PAPER, resolution=4)
+    return spm.crosscheck.workspace_shell(PAPER, resolution=4)
 
 
 def store() -> str:
@@ -138,7 +138,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("SolutionSet.nearest.near", "SolutionSet.physical.near", "configuration", "state"), lambda: STATE),
     **{f"{function}.near": lambda: STATE for function in ("forward_physical", "inverse_physical")},
     "nearest_reachable_pose.near": lambda: STATE,
-    **dict.fromkeys(("Geometry.of_stages.lower", "Geometry.of_stages.upper"), lambda: spm.mechanism.Stage(0.7, 0.4)),
+    **dict.fromkeys(("Geometry.of_stages.lower", "Geometry.of_stages.upper"), lambda: spm.machine.Stage(0.7, 0.4)),
     **dict.fromkeys(("leg_grid.lower", "leg_grid.upper"), lambda: (1.2, 1.3, 2)),
     "geometry": lambda: PAPER,
     "machine": lambda: PAPER,
@@ -175,7 +175,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Polytope.within.limits": lambda: 100.0,
     "Geometry.check_limits.limits": lambda: spm.LegLimits(1.0, 1.6),
     "Geometry.from_data.data": lambda: BUILT.as_data(),
-    "Stage.check_limits.limits": lambda: spm.mechanism.StageLimits(0.0, 1.0),
+    "Stage.check_limits.limits": lambda: spm.machine.StageLimits(0.0, 1.0),
     "Stage.from_data.data": lambda: STAGE.as_data(),
     "Polytope.contains.points": lambda: np.ones(6),
     "sweeps.condition.metric": lambda: "payload",
@@ -194,7 +194,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "store": lambda: "map.zarr",
     **dict.fromkeys(("sweeps.resume_sweep.store", "sweeps.sweep_status.store"), store),
     "unit": lambda: "m",
-    "derivatives": lambda: spm.nlp.leg_jacobian(PAPER)(STATE.middle_joints.ravel(), STATE.rotation, STATE.translation),
+    "derivatives": lambda: spm.crosscheck.nlp.leg_jacobian(PAPER)(
+        STATE.middle_joints.ravel(), STATE.rotation, STATE.translation
+    ),
     "readings": lambda: STATE.readings,
     "legs": lambda: 1e7,
     "lengths": lambda: LINE,
@@ -336,11 +338,11 @@ SLOW += ("reachable_position", "reachable_volume", "sample_reachable", "workspac
 SLOW += (
     "description.mjcf_text",
     "description.sdf_text",
-    "symbolic.linuxcnc_configuration",
-    "symbolic.write_linuxcnc",
-    "symbolic.ros_package",
-    "symbolic.write_c",
-    "symbolic.write_ros",
+    "export.linuxcnc_configuration",
+    "export.write_linuxcnc",
+    "export.ros_package",
+    "export.write_c",
+    "export.write_ros",
 )
 """Callables, and classes, of which an accepted call takes long."""
 

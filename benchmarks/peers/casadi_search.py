@@ -23,16 +23,16 @@ ITERATIONS = 60
 def ipopt(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     """Prepare IPOPT on the feasibility problem, start by start."""
     required("casadi", "casadi")
-    from spm_pin.nlp.branch_search import IpoptSolver
+    from spm_pin.crosscheck.nlp.branch_search import IpoptSolver
 
     solver = IpoptSolver(problem[0], {"ipopt.tol": 1e-12})
     return search(problem, solver)
 
 
 def mapped_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
-    """`spm_pin.nlp.batched_newton`: equations mapped over the starts, steps by NumPy's batched solve."""
+    """`spm_pin.crosscheck.nlp.batched_newton`: equations mapped over the starts, steps by NumPy's batched solve."""
     required("casadi", "casadi")
-    from spm_pin.nlp.batched_newton import LoopEquations, newton
+    from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, newton
 
     equations = LoopEquations(problem[0])
     return search(problem, lambda starts, matrix: newton(equations, starts, matrix, ITERATIONS)[0])

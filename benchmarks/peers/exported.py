@@ -1,4 +1,4 @@
-"""The exported C of `spm_pin.symbolic`, called pose by pose from a loop in C, and the time of each call."""
+"""The exported C of `spm_pin.casadi`, called pose by pose from a loop in C, and the time of each call."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from benchmarks.peers.c_loop import Arrays, real_branches
 from benchmarks.peers.compiled import address, folder, shared_object
 from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Configuration, Geometry
-from spm_pin.symbolic import write_c
-from spm_pin.symbolic.c_export import STATE_FUNCTIONS
+from spm_pin.casadi import write_c
+from spm_pin.export.c_export import STATE_FUNCTIONS
 
 CALLS = (
     "the clock alone",

@@ -9,7 +9,7 @@ import numpy as np
 import spm_pin as spm
 from benchmarks.peers.package import renewed
 from benchmarks.peers.peer import FloatArray, Prepared, required
-from spm_pin.paper.jacobian import J_alpha, J_lambda
+from spm_pin.crosscheck.paper.jacobian import J_alpha, J_lambda
 
 
 def nine_by_nine(configuration: spm.Configuration) -> Prepared:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Geometry
-from spm_pin.nlp.branch_search import random_starts
+from spm_pin.crosscheck.nlp.branch_search import random_starts
 
 STARTS = 100
 """Starts per pose, for every search."""

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Geometry
-from spm_pin.paper.resultant import Resultant
+from spm_pin.crosscheck.paper.resultant import Resultant
 
 DEGREE = 8
 REAL = 1e-6

@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 import spm_pin as spm
 from benchmarks.peers.c_loop import real_branches
 from benchmarks.peers.peer import FloatArray, Prepared
+from spm_pin.crosscheck.paper import resultant
 from spm_pin.kinematics.inverse_displacement import BranchMemory, branch_lengths
-from spm_pin.paper import resultant
 
 
 def inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:

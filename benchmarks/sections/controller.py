@@ -16,7 +16,7 @@ from benchmarks.report import Facts, Section, count, seconds, spread_of_seconds,
 from benchmarks.sections.jobs import walk
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, TimedCall, time_in_turns
-from spm_pin.mechanism.joint_angles import JOINTS
+from spm_pin.machine.joint_angles import JOINTS
 
 _CHANGE = 1e-3
 _STATES = 10_000

@@ -14,7 +14,7 @@ from uniqueness_figure import uniqueness
 
 import spm_pin as spm
 from spm_pin.display import draw, draw_capability, front_figure
-from spm_pin.mechanism import PRS, RPS, RRS, Stage
+from spm_pin.machine import PRS, RPS, RRS, Stage
 
 IMAGES = Path(__file__).parents[1] / "images"
 GEOMETRY = spm.Geometry.paper()
@@ -231,7 +231,7 @@ def design_front() -> Figure:
 
 def plot_legs(ax: Axes, x: np.ndarray, values: np.ndarray, fontsize: float) -> None:
     """Draw a curve for each leg, the lower ones blue, the upper ones orange."""
-    for k, name in enumerate(spm.mechanism.LEGS):
+    for k, name in enumerate(spm.machine.LEGS):
         colour, style = (LOWER if k < 3 else UPPER), ("-", "--", ":")[k % 3]
         ax.plot(x, values[:, k], color=colour, ls=style, label=f"$r_{{{name[2:]}}}$")
     ax.legend(ncols=2, fontsize=fontsize, frameon=False)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.display import draw, stage_figure
-from spm_pin.mechanism import PRS, RRS
+from spm_pin.machine import PRS, RRS
 from spm_pin.stages import ReachEnd, RealMachine, StageConfiguration, gallery
 
 PAGE = Path(__file__).parents[1] / "howto/gallery.md"
@@ -116,7 +116,7 @@ PROGRAMS: dict[str, tuple[Formula | None, str]] = {
 
 def _slopes(wanted: StageConfiguration) -> Array:
     """Return the normals' components along the legs' radial directions, (n, 3)."""
-    return np.asarray(wanted.normal[:, :2] @ spm.mechanism.legs.RADIAL[:, :2].T)
+    return np.asarray(wanted.normal[:, :2] @ spm.machine.legs.RADIAL[:, :2].T)
 
 
 def _turned(normals: Array, degrees: float) -> Array:

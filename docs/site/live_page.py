@@ -132,7 +132,7 @@ def assembled(folder: Path, data: dict[str, object]) -> str:
 def webassembly() -> bytes | None:
     """Return the exported C of the paper's machine as a WebAssembly module, None where it cannot be compiled."""
     with TemporaryDirectory() as folder:
-        spm.symbolic.write_c(GEOMETRY, folder)
+        spm.export.write_c(GEOMETRY, folder)
         return compiled(Path(folder, "spm_kinematics.c"), EXPORTED)
 
 

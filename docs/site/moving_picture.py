@@ -20,7 +20,7 @@ from PIL import Image
 import spm_pin as spm
 from spm_pin.description.visuals import section_size
 from spm_pin.display.rendering import Colour, Solid, arrow, bounds, camera_axes, render, robot_solids
-from spm_pin.mechanism.notebook import VIEW
+from spm_pin.support.notebook import VIEW
 
 FRAMES, SECONDS = 36, 4.0
 WIDTH, HEIGHT, DPI = 1200, 700, 100
@@ -62,7 +62,7 @@ def _solids(state: spm.Configuration) -> list[Solid]:
 
 def _loaded(state: spm.Configuration, forces: np.ndarray) -> list[Solid]:
     """Return the solids with the tubes of the legs in the colours of their forces, and an arrow for the load."""
-    colours = dict(zip(spm.mechanism.LEGS, FORCES(0.5 + 0.5 * forces / LARGEST)[:, :3], strict=True))
+    colours = dict(zip(spm.machine.LEGS, FORCES(0.5 + 0.5 * forces / LARGEST)[:, :3], strict=True))
     solids = []
     for solid in _solids(state):
         leg = colours.get(f"r_{solid.name[4:6]}") if solid.name.endswith(" tube") else None

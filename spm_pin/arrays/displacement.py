@@ -20,8 +20,8 @@ from spm_pin.formulas.ball_motions import BallMotions
 from spm_pin.formulas.circles import Circles
 from spm_pin.formulas.leg_constants import AXES, UP, drawn_triangle
 from spm_pin.formulas.operations import bind, mapped, rows_of, vector_of
-from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.branch_of_state import FAMILIES
+from spm_pin.machine import Geometry
+from spm_pin.machine.branch_of_state import FAMILIES
 
 _NEWTON_STEPS = 16
 _LONGEST_STEP = 0.4
@@ -40,7 +40,7 @@ _REGULAR_MOTIONS = bind(ball_motions.ball_motions, sqrt=math.sqrt)(_REGULAR, (UP
 
 
 class Branches(NamedTuple):
-    """The eight branches of poses (...), in the order of `spm_pin.mechanism.BRANCHES`; an index is one of the poses."""
+    """The eight branches of poses (...), in the order of `spm_pin.machine.BRANCHES`; an index is one of the poses."""
 
     middle_joints: Array
     """b_i in {B} [m], shape (..., 8, 3, 3)."""

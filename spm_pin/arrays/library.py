@@ -17,10 +17,10 @@ from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
 from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind, mapped, vector_of
 from spm_pin.formulas.planar_legs import MOST_TURNED
-from spm_pin.mechanism import Geometry, LegKind, Stage
-from spm_pin.mechanism.arguments import LARGEST, LARGEST_RATIO, SMALLEST, check_shapes, type_and_value
-from spm_pin.mechanism.joint_angles import joint_names
-from spm_pin.mechanism.leg_kinds import BOUNDS
+from spm_pin.machine import Geometry, LegKind, Stage
+from spm_pin.machine.joint_angles import joint_names
+from spm_pin.machine.leg_kinds import BOUNDS
+from spm_pin.support.arguments import LARGEST, LARGEST_RATIO, SMALLEST, check_shapes, type_and_value
 
 try:
     import array_api_compat as compat

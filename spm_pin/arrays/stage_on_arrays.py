@@ -14,8 +14,8 @@ from spm_pin.formulas import circles, stage_poses, vectors
 from spm_pin.formulas.circles import Circles
 from spm_pin.formulas.leg_constants import UP
 from spm_pin.formulas.operations import mapped, rows_of, vector_of
-from spm_pin.mechanism import Stage
-from spm_pin.mechanism.arguments import check_instance
+from spm_pin.machine import Stage
+from spm_pin.support.arguments import check_instance
 
 _UNIT = 2e-6
 """Largest error of a normal's squared length that is taken for rounding, of float32 too."""

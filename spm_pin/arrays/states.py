@@ -11,8 +11,8 @@ from spm_pin.formulas import ball_motions, leg_constants, leg_planes, vectors, w
 from spm_pin.formulas import joint_values as values
 from spm_pin.formulas.leg_constants import AXES, UP
 from spm_pin.formulas.operations import mapped, rows_of, vector_of
-from spm_pin.mechanism import Configuration, Geometry
-from spm_pin.mechanism.leg_kinds import drawn_numbers
+from spm_pin.machine import Configuration, Geometry
+from spm_pin.machine.leg_kinds import drawn_numbers
 
 
 class _Legs:
@@ -103,7 +103,7 @@ def leg_forces(geometry: Geometry | Array, state: State | Configuration, wrench:
 def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Array:
     """Compute the values of the eighteen joints of the URDF, shape (..., 18), in the order of its tree.
 
-    Of RPS legs that is `JOINTS`, of others `spm_pin.mechanism.joint_angles.joint_names`.
+    Of RPS legs that is `JOINTS`, of others `spm_pin.machine.joint_angles.joint_names`.
 
     Angles in radians, slides in metres: with these a simulator of the open tree is reset to a closed state. Leg limits
     decide where the joints are at zero; dimensions and parameters have none. Arguments are as for `leg_forces`.

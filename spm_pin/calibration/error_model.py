@@ -22,9 +22,9 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.rates_and_forces import stage_inverses
-from spm_pin.mechanism import LEGS, Configuration, Geometry
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number
-from spm_pin.mechanism.configuration import check_configuration
+from spm_pin.machine import LEGS, Configuration, Geometry
+from spm_pin.machine.configuration import check_configuration
+from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, real_array, real_number
 
 
 def error_jacobian(configuration: Configuration) -> FloatArray:

@@ -9,9 +9,9 @@ import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.calibration.error_model import error_jacobian
-from spm_pin.mechanism import Configuration
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.pose import homogeneous
+from spm_pin.machine import Configuration
+from spm_pin.support.arguments import FloatArray
+from spm_pin.support.pose import homogeneous
 
 FRAME_PARAMETERS = tuple(f"{frame}.{part}{x}" for frame in ("base", "target") for part in ("", "turn_") for x in "xyz")
 """Names of the changes of both frames: of {B} in its own axes, of the target in those of {m} [m, rad]."""

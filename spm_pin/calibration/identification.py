@@ -28,10 +28,11 @@ from spm_pin.calibration.frames import FRAME_PARAMETERS, Frames
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform, notebook
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, as_bool, check_instance, choice, generator, whole_number
-from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.legs import RADIAL
+from spm_pin.machine import LEGS, Configuration, Geometry, as_rigid_transform
+from spm_pin.machine.configuration import check_configuration
+from spm_pin.machine.legs import RADIAL
+from spm_pin.support import notebook
+from spm_pin.support.arguments import BoolArray, FloatArray, as_bool, check_instance, choice, generator, whole_number
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
 _UNKNOWN = 0.3

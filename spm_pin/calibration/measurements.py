@@ -17,8 +17,9 @@ from spm_pin.calibration.frames import Frames
 from spm_pin.errors import ArgumentError, SingularConfigurationError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
-from spm_pin.mechanism import LEGS, Configuration, Geometry, as_rigid_transform
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine import LEGS, Configuration, Geometry, as_rigid_transform
+from spm_pin.machine.machine import unit_hint
+from spm_pin.support.arguments import (
     LARGEST,
     BoolArray,
     FloatArray,
@@ -27,9 +28,8 @@ from spm_pin.mechanism.arguments import (
     real_array,
     symmetric_matrices,
 )
-from spm_pin.mechanism.mechanism import unit_hint
-from spm_pin.mechanism.motion_table import POSITION, MotionTable
-from spm_pin.mechanism.pose import homogeneous
+from spm_pin.support.motion_table import POSITION, MotionTable
+from spm_pin.support.pose import homogeneous
 
 _SUSPICIOUS = 0.02
 """Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""

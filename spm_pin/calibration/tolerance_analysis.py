@@ -13,8 +13,9 @@ from spm_pin.calibration.error_model import error_jacobian, pose_errors, prior_d
 from spm_pin.calibration.identification import given_or_drawn
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism import Configuration, Geometry, notebook
-from spm_pin.mechanism.arguments import FloatArray, check_instance, choice, generator, real_number, whole_number
+from spm_pin.machine import Configuration, Geometry
+from spm_pin.support import notebook
+from spm_pin.support.arguments import FloatArray, check_instance, choice, generator, real_number, whole_number
 
 
 @dataclass(frozen=True, repr=False)

@@ -30,8 +30,9 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_jacobian, platform_jacobian
 from spm_pin.kinematics.rates_and_forces import stage_inverses
-from spm_pin.mechanism import Configuration
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine import Configuration
+from spm_pin.machine.configuration import check_configuration
+from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     IntArray,
@@ -41,7 +42,6 @@ from spm_pin.mechanism.arguments import (
     real_array,
     symmetric_matrices,
 )
-from spm_pin.mechanism.configuration import check_configuration
 
 _PARTS = {"linear": slice(3), "angular": slice(3, 6)}
 _CORNERS = (np.arange(64)[:, None] >> np.arange(6)) & 1 == 1

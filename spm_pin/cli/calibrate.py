@@ -14,8 +14,8 @@ from spm_pin.calibration import Calibration, MeasurementError, identify, read_me
 from spm_pin.calibration import tolerance as analyse
 from spm_pin.cli import options, outputs
 from spm_pin.display.figures import calibration_figure
-from spm_pin.mechanism import LEGS
-from spm_pin.mechanism.motion_table import MotionTable
+from spm_pin.machine import LEGS
+from spm_pin.support.motion_table import MotionTable
 
 
 @outputs.name_options(

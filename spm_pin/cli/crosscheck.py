@@ -17,12 +17,12 @@ import typer
 from spm_pin.cli import options, outputs
 from spm_pin.crosscheck import METHODS, POSE, TABLES, PairDifference, Report, Reproduction, Verdict, compare_in_batches
 from spm_pin.crosscheck import reproduce as recompute
+from spm_pin.crosscheck.paper import published
 from spm_pin.display.figures import agreement_figure
 from spm_pin.display.plots import save_gallery
 from spm_pin.display.writing import fixed
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.mechanism import Geometry, pose
-from spm_pin.paper import published
+from spm_pin.machine import Geometry, pose
 
 _TITLES = {
     POSE: "The example's pose (cm, degrees) from the leg lengths 120, 120, 140, 125, 120, 150 cm",

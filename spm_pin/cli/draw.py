@@ -18,7 +18,7 @@ from spm_pin.cli.options import LengthUnit
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
 from spm_pin.display.writing import FORMATS
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism import LEGS
+from spm_pin.machine import LEGS
 
 Host = Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")]
 Port = Annotated[int, Option(help="First port to try; 0 lets the system choose.")]

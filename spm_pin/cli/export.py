@@ -13,7 +13,7 @@ from spm_pin.cli.options import LengthUnit
 from spm_pin.cli.stage_options import takes_stage
 from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import Mechanism, Stage
+from spm_pin.machine import Mechanism, Stage
 
 Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "c-stage", "linuxcnc", "ros"]
 _OWN_OPTIONS: dict[str, set[str]] = {
@@ -101,7 +101,7 @@ def export(
         return
     if out is None:
         raise ArgumentError("--out", "the directory to write into", "none")
-    from spm_pin.symbolic import write_c, write_linuxcnc, write_ros, write_stage_c
+    from spm_pin.export import write_c, write_linuxcnc, write_ros, write_stage_c
 
     if chosen == "linuxcnc":
         if prefix:

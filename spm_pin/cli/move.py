@@ -16,10 +16,10 @@ from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
 from spm_pin.display.figures import certificate_figure, motion_figure
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.mechanism import LEGS, Configuration, LegLimits
-from spm_pin.mechanism.arguments import FloatArray, IntArray
+from spm_pin.machine import LEGS, Configuration, LegLimits
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
+from spm_pin.support.arguments import FloatArray, IntArray
 from spm_pin.workspace import JointLimits
 
 if TYPE_CHECKING:

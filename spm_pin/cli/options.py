@@ -23,7 +23,7 @@ from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics.forward_displacement import forward_physical, set_of_one, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.mechanism import (
+from spm_pin.machine import (
     FAMILIES,
     Configuration,
     Geometry,
@@ -32,9 +32,9 @@ from spm_pin.mechanism import (
     Status,
     pose,
 )
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.branch_of_state import branch_sign, family
-from spm_pin.mechanism.mechanism import PER_METRE, Mechanism, likely_unit
+from spm_pin.machine.branch_of_state import branch_sign, family
+from spm_pin.machine.machine import PER_METRE, Mechanism, likely_unit
+from spm_pin.support.arguments import BoolArray, FloatArray
 
 
 class LengthUnit(enum.StrEnum):

@@ -20,7 +20,7 @@ from typer.models import ArgumentInfo
 
 from spm_pin.display.writing import FORMATS, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism.files import write_files
+from spm_pin.support.files import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -22,7 +22,7 @@ from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
-from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits, SolutionSet, Status
+from spm_pin.machine import LEGS, Configuration, Geometry, LegLimits, SolutionSet, Status
 
 Record = dict[str, Any]
 _MATRICES = ("J_b", "J_c", "K")

@@ -18,8 +18,8 @@ from spm_pin.cli.stage_options import takes_place, takes_stage
 from spm_pin.display import reach_figure, save_figure, stage_figure
 from spm_pin.display.writing import FORMATS, fixed
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism import Stage, StageConfiguration, StageSolutions, Status
-from spm_pin.mechanism.stage_configuration import BELOW
+from spm_pin.machine import Stage, StageConfiguration, StageSolutions, Status
+from spm_pin.machine.stage_configuration import BELOW
 from spm_pin.stages import ReachEnd, best_height, forward_physical, height_range, nearest_reachable
 from spm_pin.stages import forward as all_modes
 from spm_pin.stages import inverse as both_modes

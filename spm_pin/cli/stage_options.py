@@ -11,7 +11,7 @@ from typing import Any
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, OptionTable, Readings, Triple
 from spm_pin.errors import ArgumentError, GeometryError, raised_as
-from spm_pin.mechanism import PRS, RPS, RRS, LegKind, Stage
+from spm_pin.machine import PRS, RPS, RRS, LegKind, Stage
 from spm_pin.stages import home_height
 
 Typed = dict[str, Any]

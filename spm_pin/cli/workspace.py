@@ -18,19 +18,19 @@ from typer import Argument, Option
 from spm_pin import sweeps
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, Readings
+from spm_pin.crosscheck.paper_shell import ERRATA, Shell, sample_positions_near_limits, workspace_shell
 from spm_pin.design import VARIABLES, DesignProblem, Front, Task, pareto_front
 from spm_pin.display.figures import front_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, sections_figure, shell_figure
 from spm_pin.display.writing import FORMATS, save_figure
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism import LEGS, Geometry, LegLimits
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.mechanism import unit_hint
-from spm_pin.mechanism.motion_table import MotionTable
+from spm_pin.machine import LEGS, Geometry, LegLimits
+from spm_pin.machine.machine import unit_hint
+from spm_pin.support.arguments import FloatArray
+from spm_pin.support.motion_table import MotionTable
 from spm_pin.sweeps.domains import Domain
 from spm_pin.sweeps.runner import CHUNK
 from spm_pin.workspace.boundary import Boundary, reachable_boundary
-from spm_pin.workspace.paper_shell import ERRATA, Shell, sample_positions_near_limits, workspace_shell
 from spm_pin.workspace.positions import Estimate
 
 _NAMES = {"store": "--out", "count": "--samples", "metrics": "--metric", "push": "--leg-force"}

@@ -24,9 +24,9 @@ from spm_pin.crosscheck.methods import Method, make_methods
 from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import BRANCHES, Configuration, Geometry, Status
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress, check_instance, whole_number
-from spm_pin.mechanism.pose import inverse_command
+from spm_pin.machine import BRANCHES, Configuration, Geometry, Status
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress, check_instance, whole_number
+from spm_pin.support.pose import inverse_command
 
 LEG_SPACE = 0.8
 """Share of the poses drawn in leg space; the rest have rotations from all of SO(3)."""

@@ -14,14 +14,14 @@ from importlib import import_module
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from spm_pin.crosscheck.paper import resultant
+from spm_pin.crosscheck.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
-from spm_pin.mechanism import Configuration, Geometry, SolutionSet
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.geometry import check_rps
-from spm_pin.paper import resultant
-from spm_pin.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
+from spm_pin.machine import Configuration, Geometry, SolutionSet
+from spm_pin.machine.manipulator import check_rps
+from spm_pin.support.arguments import FloatArray
 
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Closure residual of a backward stable route, relative to the size of the robot: the closed form's worst
@@ -88,7 +88,7 @@ class ClosedForm(Method):
 
 @dataclass
 class Paper(Method):
-    """The paper's octic, its 9 x 9 Jacobian and its statics: `spm_pin.paper`.
+    """The paper's octic, its 9 x 9 Jacobian and its statics: `spm_pin.crosscheck.paper`.
 
     Its route loses branches in floating point, at up to 4 % of all poses: see `docs/theory/inverse_displacement.md`.
     """
@@ -129,15 +129,15 @@ class Paper(Method):
 
 @dataclass
 class _MultiStart(Method):
-    """CasADi's loop equations, solved from many starts: `spm_pin.nlp`."""
+    """CasADi's loop equations, solved from many starts: `spm_pin.crosscheck.nlp`."""
 
     starts: int = 512
     """Starts at each pose."""
     solver: str = "newton"
-    """One of `spm_pin.nlp.SOLVERS`."""
+    """One of `spm_pin.crosscheck.nlp.SOLVERS`."""
 
     def __post_init__(self) -> None:
-        self._nlp = import_module("spm_pin.nlp")
+        self._nlp = import_module("spm_pin.crosscheck.nlp")
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
@@ -159,7 +159,7 @@ class Ipopt(_MultiStart):
 
 @dataclass
 class Nlp(_MultiStart):
-    """CasADi's loop equations, solved by multi-start and differentiated implicitly: `spm_pin.nlp`."""
+    """CasADi's loop equations, solved by multi-start and differentiated implicitly: `spm_pin.crosscheck.nlp`."""
 
     name: str = "nlp"
     miss_rate: float = 1e-3

@@ -15,14 +15,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from spm_pin.crosscheck.paper import published, resultant
+from spm_pin.crosscheck.paper.jacobian import Table5Mistakes, load, table_5
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
-from spm_pin.mechanism import BRANCHES, LEGS, Configuration, Geometry, pose
-from spm_pin.mechanism.arguments import FloatArray, IntArray
-from spm_pin.paper import published, resultant
-from spm_pin.paper.jacobian import Table5Mistakes, load, table_5
+from spm_pin.machine import BRANCHES, LEGS, Configuration, Geometry, pose
+from spm_pin.support.arguments import FloatArray, IntArray
 
 TABLES = (1, 2, 3, 4, 5)
 """Numbers of the paper's tables that can be recomputed."""

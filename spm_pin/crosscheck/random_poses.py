@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.mechanism import Geometry, pose
-from spm_pin.mechanism.arguments import FloatArray, check_instance, generator, whole_number
+from spm_pin.machine import Geometry, pose
+from spm_pin.support.arguments import FloatArray, check_instance, generator, whole_number
 
 
 def in_leg_space(geometry: Geometry, count: int, rng: np.random.Generator | int) -> RigidTransform:

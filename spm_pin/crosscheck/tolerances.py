@@ -26,9 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.support.arguments import BoolArray, FloatArray
 
 ROWS = 3.0
 """√9: from the largest of nine equations to their norm."""
@@ -114,6 +114,6 @@ def _derivatives(configuration: Configuration) -> list[FloatArray]:
 
 @lru_cache(maxsize=4)
 def _leg_jacobian(geometry: Geometry) -> Any:
-    from spm_pin import nlp
+    from spm_pin.crosscheck import nlp
 
     return nlp.leg_jacobian(geometry)

@@ -24,7 +24,7 @@ from spm_pin.description.source_files import (
 )
 from spm_pin.description.tree import extended_urdf_text, joint_values, srdf_text
 from spm_pin.description.write_xml import Ball, mjcf_text, sdf_text
-from spm_pin.mechanism.joint_angles import JOINTS, actuated_joints, joint_names
+from spm_pin.machine.joint_angles import JOINTS, actuated_joints, joint_names
 
 __all__ = [
     "CLOSURES_PATH",

@@ -15,9 +15,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError, DescriptionError, raised_as
-from spm_pin.mechanism.arguments import FloatArray, check_instance, frozen, real_array, real_number, symmetric_matrices
-from spm_pin.mechanism.files import read_yaml
-from spm_pin.mechanism.pose import homogeneous
+from spm_pin.support.arguments import FloatArray, check_instance, frozen, real_array, real_number, symmetric_matrices
+from spm_pin.support.files import read_yaml
+from spm_pin.support.pose import homogeneous
 
 # Some readers of URDFs know Drake's elements by this prefix, not by its namespace.
 ElementTree.register_namespace("drake", "http://drake.mit.edu")

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.description.masses import Masses, Numbers, Placement, numbers, read_inertial, read_placement
 from spm_pin.description.source_files import Closure, read_closures, urdf_text
-from spm_pin.mechanism import Stage
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.mechanism import Mechanism
-from spm_pin.mechanism.pose import homogeneous
+from spm_pin.machine import Stage
+from spm_pin.machine.machine import Mechanism
+from spm_pin.support.arguments import FloatArray
+from spm_pin.support.pose import homogeneous
 
 
 class Shape(NamedTuple):

@@ -13,12 +13,12 @@ import yaml
 
 from spm_pin.description.masses import Masses, with_masses
 from spm_pin.errors import DescriptionError, raised_as
-from spm_pin.mechanism import Geometry, Stage
-from spm_pin.mechanism.arguments import as_bool, check_instance
-from spm_pin.mechanism.files import write_files
-from spm_pin.mechanism.geometry import config_directory
-from spm_pin.mechanism.joint_angles import home_readings
-from spm_pin.mechanism.mechanism import Mechanism, check_mechanism
+from spm_pin.machine import Geometry, Stage
+from spm_pin.machine.joint_angles import home_readings
+from spm_pin.machine.machine import Mechanism, check_mechanism
+from spm_pin.machine.manipulator import config_directory
+from spm_pin.support.arguments import as_bool, check_instance
+from spm_pin.support.files import write_files
 
 # Names of files; `spm_pin.description` says what each is.
 ENTRY = "spm.urdf.xacro"

@@ -9,9 +9,9 @@ import numpy as np
 
 from spm_pin.description.source_files import check_machine, check_prefix, read_closures
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism import Configuration, StageConfiguration, joint_angles
-from spm_pin.mechanism.joint_angles import actuated_joints, check_state, joint_names, value_names
-from spm_pin.mechanism.mechanism import Mechanism
+from spm_pin.machine import Configuration, StageConfiguration, joint_angles
+from spm_pin.machine.joint_angles import actuated_joints, check_state, joint_names, value_names
+from spm_pin.machine.machine import Mechanism
 
 HOME = "home"
 """Name of the state in which all joints are at zero."""

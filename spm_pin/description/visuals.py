@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.description.robot import read_robot
-from spm_pin.mechanism import Configuration, Mechanism, StageConfiguration
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.joint_angles import home_readings
-from spm_pin.mechanism.pose import homogeneous
+from spm_pin.machine import Configuration, Mechanism, StageConfiguration
+from spm_pin.machine.joint_angles import home_readings
+from spm_pin.support.arguments import FloatArray
+from spm_pin.support.pose import homogeneous
 
 
 def platforms(geometry: Mechanism) -> tuple[str, ...]:

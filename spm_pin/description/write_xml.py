@@ -17,10 +17,10 @@ from spm_pin.description.robot import Joint, Link, Robot, Shape, read_robot
 from spm_pin.description.source_files import Closure, check_machine, check_prefix
 from spm_pin.description.tree import machine_of, state_values
 from spm_pin.errors import DescriptionError
-from spm_pin.mechanism import Configuration, Stage, StageConfiguration
-from spm_pin.mechanism.arguments import FloatArray, check_instance, choice, real_number
-from spm_pin.mechanism.joint_angles import home_readings
-from spm_pin.mechanism.mechanism import Mechanism
+from spm_pin.machine import Configuration, Stage, StageConfiguration
+from spm_pin.machine.joint_angles import home_readings
+from spm_pin.machine.machine import Mechanism
+from spm_pin.support.arguments import FloatArray, check_instance, choice, real_number
 
 Value = str | float | Iterable[float]
 

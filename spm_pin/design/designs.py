@@ -17,8 +17,11 @@ import numpy as np
 
 from spm_pin.design.task import Task
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism import Geometry, LegLimits
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine import Geometry, LegLimits
+from spm_pin.machine.leg_kinds import KINDS
+from spm_pin.machine.machine import likely_unit
+from spm_pin.proofs.certificate import free_of_singularities
+from spm_pin.support.arguments import (
     LARGEST,
     SMALLEST,
     BoolArray,
@@ -31,11 +34,8 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
-from spm_pin.mechanism.files import file_path, write_files
-from spm_pin.mechanism.leg_kinds import KINDS
-from spm_pin.mechanism.mechanism import likely_unit
-from spm_pin.mechanism.progress import shown_progress
-from spm_pin.proofs.certificate import free_of_singularities
+from spm_pin.support.files import file_path, write_files
+from spm_pin.support.progress import shown_progress
 from spm_pin.sweeps.domains import Sample, definition_differences, package_version
 from spm_pin.sweeps.metrics import METRICS, Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points

@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_displacement, leg_forces
-from spm_pin.mechanism import Configuration, Geometry, as_rigid_transform
-from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, whole_number
-from spm_pin.mechanism.branch_of_state import physical
+from spm_pin.machine import Configuration, Geometry, as_rigid_transform
+from spm_pin.machine.branch_of_state import physical
+from spm_pin.support.arguments import FloatArray, check_instance, real_array, whole_number
 
 
 @dataclass(frozen=True, eq=False)

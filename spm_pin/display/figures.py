@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.display.writing import legend_below, new_figure, write_name
-from spm_pin.mechanism import LEGS, LegLimits, StageConfiguration
-from spm_pin.mechanism.arguments import FloatArray, check_instance
+from spm_pin.machine import LEGS, LegLimits, StageConfiguration
+from spm_pin.support.arguments import FloatArray, check_instance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

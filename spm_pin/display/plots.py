@@ -34,11 +34,11 @@ from spm_pin.display.writing import (
     write_name,
 )
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism import LEGS, StageConfiguration
-from spm_pin.mechanism.arguments import FloatArray, check_instance, real_number
-from spm_pin.mechanism.configuration import Configuration, check_members
-from spm_pin.mechanism.files import file_path
-from spm_pin.mechanism.notebook import VIEW
+from spm_pin.machine import LEGS, StageConfiguration
+from spm_pin.machine.configuration import Configuration, check_members
+from spm_pin.support.arguments import FloatArray, check_instance, real_number
+from spm_pin.support.files import file_path
+from spm_pin.support.notebook import VIEW
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

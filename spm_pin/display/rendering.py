@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism import StageConfiguration
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.notebook import view_axes
+from spm_pin.machine import StageConfiguration
+from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
+from spm_pin.support.notebook import view_axes
 
 Colour = tuple[float, float, float]
 """Red, green and blue in sRGB, from 0 to 1."""

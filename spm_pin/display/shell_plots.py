@@ -10,15 +10,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from spm_pin.crosscheck.paper_shell import Patch, Shell
 from spm_pin.display.plots import INK, draw_solids
 from spm_pin.display.rendering import Colour, Rendering, Solid, camera_axes
 from spm_pin.display.writing import legend_below, new_figure, write_name
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.mechanism.arguments import FloatArray, check_instance, type_and_value
-from spm_pin.mechanism.files import file_path, write_files
-from spm_pin.mechanism.notebook import VIEW
+from spm_pin.support.arguments import FloatArray, check_instance, type_and_value
+from spm_pin.support.files import file_path, write_files
+from spm_pin.support.notebook import VIEW
 from spm_pin.workspace.boundary import Boundary
-from spm_pin.workspace.paper_shell import Patch, Shell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,7 +43,7 @@ MESH_FORMATS = (".stl", ".ply", ".obj", ".glb")
 """File types that meshes are written in."""
 _REACHED: Colour = (0.337, 0.706, 0.914)
 """Colour of the boundary of what is reached."""
-_MAKE = "Make one with workspace.reachable_boundary(geometry) or workspace.workspace_shell(geometry)"
+_MAKE = "Make one with workspace.reachable_boundary(geometry) or crosscheck.workspace_shell(geometry)"
 _EDGE = 0.6  # width of edges in points
 _FONT = 9.0
 _Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.errors import require_extra
-from spm_pin.mechanism.files import file_path, write_files
+from spm_pin.support.files import file_path, write_files
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -24,10 +24,10 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import PoseError
-from spm_pin.mechanism.arguments import LARGEST_RATIO, FloatArray, check_instance, first_offender, whole_number
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.pose import EXACT, PoseLike, checked_pose, unchecked_pose
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.support.arguments import LARGEST_RATIO, FloatArray, check_instance, first_offender, whole_number
+from spm_pin.support.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 
 _MIN_CHECKED = 1 << 17
 """Poses whose check is worth a thread."""

@@ -27,11 +27,11 @@ from spm_pin.formulas.stages import cartesian
 from spm_pin.formulas.vectors import combined, cross, dot, minus, rotation_of, scaled, times
 from spm_pin.kinematics.batches import BuiltBranches, DrawnBranches
 from spm_pin.kinematics.intervals import SQRT_3, Interval
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
-from spm_pin.mechanism.branch_of_state import physical
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.solution_axis import Status
+from spm_pin.machine.branch_of_state import physical
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.solution_axis import Status
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 Vectors = Any
 """Vectors of intervals or balls instead of numbers, which formulas take as well."""

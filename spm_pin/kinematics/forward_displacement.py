@@ -18,7 +18,14 @@ from spm_pin.errors import ArgumentError
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
 from spm_pin.kinematics.stage_balls import Drawing, Modes, all_modes, followed_balls, physical_balls
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.joint_angles import homes
+from spm_pin.machine.legs import Legs
+from spm_pin.machine.machine import unit_hint
+from spm_pin.machine.manipulator import Geometry, check_same_machine
+from spm_pin.machine.solution_axis import Status
+from spm_pin.machine.solutions import Degeneracy, SolutionSet
+from spm_pin.support.arguments import (
     LARGEST_RATIO,
     FloatArray,
     IntArray,
@@ -27,13 +34,6 @@ from spm_pin.mechanism.arguments import (
     first_offender,
     real_array,
 )
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry, check_same_machine
-from spm_pin.mechanism.joint_angles import homes
-from spm_pin.mechanism.legs import Legs
-from spm_pin.mechanism.mechanism import unit_hint
-from spm_pin.mechanism.solution_axis import Status
-from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
 
 STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
 """Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""

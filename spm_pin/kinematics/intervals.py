@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
+from spm_pin.support.arguments import BoolArray, FloatArray
 
 _PLACE = float(np.finfo(np.float64).eps)
 _LEAST = float(np.finfo(np.float64).tiny)

@@ -27,14 +27,14 @@ from spm_pin.kinematics.batches import (
     run_kernel,
     with_batch_shape,
 )
-from spm_pin.mechanism.arguments import FloatArray, IntArray, as_bool, check_instance, whole_number
-from spm_pin.mechanism.branch_of_state import BRANCHES
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import LEGS
-from spm_pin.mechanism.pose import PoseLike
-from spm_pin.mechanism.solution_axis import Status
-from spm_pin.mechanism.solutions import Degeneracy, SolutionSet
+from spm_pin.machine.branch_of_state import BRANCHES
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.legs import LEGS
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.solution_axis import Status
+from spm_pin.machine.solutions import Degeneracy, SolutionSet
+from spm_pin.support.arguments import FloatArray, IntArray, as_bool, check_instance, whole_number
+from spm_pin.support.pose import PoseLike
 
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 
@@ -77,7 +77,8 @@ def inverse_displacement(
 
     Notes
     -----
-    The paper obtains the same branches from a resultant of degree eight, Eqs. (5)-(20), see `spm_pin.paper.resultant`.
+    The paper obtains the same branches from a resultant of degree eight, Eqs. (5)-(20), see
+    `spm_pin.crosscheck.paper.resultant`.
 
     Examples
     --------

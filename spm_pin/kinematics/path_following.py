@@ -21,8 +21,14 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine.batched import Batched, stacked
+from spm_pin.machine.branch_of_state import physical
+from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.solution_axis import Solutions
+from spm_pin.support import notebook
+from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     as_array,
@@ -31,13 +37,7 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
-from spm_pin.mechanism.batched import Batched, stacked
-from spm_pin.mechanism.branch_of_state import physical
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.mechanism import Mechanism
-from spm_pin.mechanism.pose import as_rigid_transform, pose
-from spm_pin.mechanism.solution_axis import Solutions
+from spm_pin.support.pose import as_rigid_transform, pose
 
 S = TypeVar("S", bound=Batched)
 Solver = Callable[[float], Solutions[S]]

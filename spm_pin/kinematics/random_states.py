@@ -6,10 +6,10 @@ import numpy as np
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.joint_angles import homes
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.joint_angles import homes
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.support.arguments import FloatArray
 
 _SPREAD = 1.33
 """Without limits, readings are those of the home times or divided by at most this."""

@@ -25,9 +25,9 @@ import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.batches import run_on_states
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, broadcastable, leg_values, real_array
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
+from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcastable, leg_values, real_array
 
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.

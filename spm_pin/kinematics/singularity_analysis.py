@@ -27,9 +27,9 @@ from spm_pin.formulas.vectors import directions
 from spm_pin.formulas.wrenches import determinant, structure_determinant
 from spm_pin.kinematics.batches import run_kernel, run_on_states
 from spm_pin.kinematics.rates_and_forces import SINGULAR, force_matrices, leg_constants, platform_jacobian
-from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
-from spm_pin.mechanism.configuration import Configuration, check_configuration
+from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.support import notebook
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 
 _MIN_BATCH_PER_THREAD = 1 << 11
 _MATRICES = ("J_b", "J_c", "K")

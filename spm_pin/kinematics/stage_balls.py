@@ -14,9 +14,9 @@ from spm_pin.formulas import circles as formulas
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.formulas.planar_legs import LONGEST_CHORD
 from spm_pin.kinematics.batches import run_kernel
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.leg_kinds import RPS
-from spm_pin.mechanism.legs import PlacedLegs
+from spm_pin.machine.leg_kinds import RPS
+from spm_pin.machine.legs import PlacedLegs
+from spm_pin.support.arguments import BoolArray, FloatArray
 
 _is_home_state = on_arrays(formulas.is_home_state)
 

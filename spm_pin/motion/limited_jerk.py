@@ -26,9 +26,9 @@ from scipy.interpolate import BPoly, BSpline
 from scipy.special import betaincinv
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, IntArray
 from spm_pin.motion.least_time import Clock, even_grid
 from spm_pin.motion.paths import LimitRows
+from spm_pin.support.arguments import FloatArray, IntArray
 
 _EASE = [Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0]).deriv(order) for order in range(4)]
 """S and its derivatives."""

@@ -20,11 +20,11 @@ from scipy.interpolate import BPoly
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
-from spm_pin.mechanism import LEGS, Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray, IntArray, leg_bounds, leg_values, real_array
+from spm_pin.machine import LEGS, Configuration, Geometry
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.chain_state import ChainState
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
+from spm_pin.support.arguments import FloatArray, IntArray, leg_bounds, leg_values, real_array
 
 ROUNDING = 1e-9
 """Amount by which a rule of a path may be broken, in its unit: a state at its limit keeps it."""

@@ -21,8 +21,14 @@ from spm_pin.errors import ArgumentError, UnreachableError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits, PoseLike, as_rigid_transform, notebook
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine import LEGS, Configuration, Geometry, LegLimits, PoseLike, as_rigid_transform
+from spm_pin.machine.configuration import check_configuration
+from spm_pin.machine.manipulator import check_same_machine
+from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spaced_parameters, states_along
+from spm_pin.multibody.trajectory import PlatformPath
+from spm_pin.proofs import Certificate
+from spm_pin.support import notebook
+from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     as_array,
@@ -34,11 +40,6 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
-from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.geometry import check_same_machine
-from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spaced_parameters, states_along
-from spm_pin.multibody.trajectory import PlatformPath
-from spm_pin.proofs import Certificate
 from spm_pin.workspace.poses import JointLimits
 
 Place = Configuration | PoseLike | npt.ArrayLike

@@ -21,15 +21,15 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.description.masses import Masses, RigidBody
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, real_number, whole_number
-from spm_pin.mechanism.geometry import check_same_machine
-from spm_pin.mechanism.legs import check_path_readings
+from spm_pin.machine.legs import check_path_readings
+from spm_pin.machine.manipulator import check_same_machine
 from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.paths import LegPath, MotionLimits, MotionPath, PathDynamics, path_dynamics
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath, increasing_times
+from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number, whole_number
 
 _Rows = tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray, RigidTransform]
 """Values, velocities, accelerations and efforts of the joints, readings, and poses."""

@@ -26,19 +26,19 @@ from spm_pin.description.tree import srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
-from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, check_instance, first_offender
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.files import file_path
-from spm_pin.mechanism.geometry import Geometry, check_rps, check_same_machine
-from spm_pin.mechanism.joint_angles import joint_angles, value_names
-from spm_pin.mechanism.legs import LEGS, check_path_readings
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform
+from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.joint_angles import joint_angles, value_names
+from spm_pin.machine.legs import LEGS, check_path_readings
+from spm_pin.machine.manipulator import Geometry, check_rps, check_same_machine
 from spm_pin.multibody.chain_state import ChainState, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
 from spm_pin.multibody.constrained_model import AGREEMENT, ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, increasing_times, read_motion
+from spm_pin.support.arguments import FloatArray, IntArray, broadcastable, check_instance, first_offender
+from spm_pin.support.files import file_path
+from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 
 class ClosedChain:

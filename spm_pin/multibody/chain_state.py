@@ -20,8 +20,7 @@ import pinocchio as pin
 from scipy.linalg import LinAlgError, eigh
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, symmetric_matrices
-from spm_pin.mechanism.configuration import Configuration
+from spm_pin.machine.configuration import Configuration
 from spm_pin.multibody.constrained_model import (
     AccelerationSolver,
     ConstrainedModel,
@@ -29,6 +28,7 @@ from spm_pin.multibody.constrained_model import (
     TreeKinematics,
     read_vectors,
 )
+from spm_pin.support.arguments import FloatArray, broadcastable, symmetric_matrices
 
 
 class Energy(NamedTuple):

@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import ClosureError
-from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.multibody.constrained_model import TreeKinematics, largest
+from spm_pin.support.arguments import FloatArray
 
 SHORTEST_NEWTON_SHARE = 2.0**-10
 """Share of a Newton step below which the projection ends without a solution."""

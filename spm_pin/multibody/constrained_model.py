@@ -28,10 +28,10 @@ from scipy.linalg import lapack
 
 from spm_pin.description.source_files import Closure
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
-from spm_pin.mechanism.arguments import FloatArray, IntArray, frozen, real_array
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.joint_angles import actuated_joints, home_readings, joint_names
-from spm_pin.mechanism.legs import LEGS
+from spm_pin.machine.joint_angles import actuated_joints, home_readings, joint_names
+from spm_pin.machine.legs import LEGS
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.support.arguments import FloatArray, IntArray, frozen, real_array
 
 AGREEMENT = 1e-9
 """Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, frozen
 from spm_pin.multibody.chain_state import ConstrainedState
 from spm_pin.multibody.constrained_model import ConstrainedModel, read_vectors
+from spm_pin.support.arguments import FloatArray, IntArray, broadcastable, frozen
 
 
 class MountedChain:

@@ -19,11 +19,11 @@ from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from spm_pin.errors import ClosureError
-from spm_pin.mechanism.arguments import FloatArray, real_number
-from spm_pin.mechanism.legs import LEGS
+from spm_pin.machine.legs import LEGS
 from spm_pin.multibody.closure_solvers import close_loops
 from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.trajectory import increasing_times
+from spm_pin.support.arguments import FloatArray, real_number
 
 ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
 """A function of the time, q (18,) and v (18,): leg forces (6,), or a wrench (6,)."""

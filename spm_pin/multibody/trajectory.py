@@ -13,12 +13,12 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from spm_pin.errors import ArgumentError, PoseError
-from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import FloatArray, as_bool, frozen, real_array
-from spm_pin.mechanism.files import file_path, write_files
-from spm_pin.mechanism.legs import LEGS
-from spm_pin.mechanism.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
-from spm_pin.mechanism.pose import PoseLike, as_rigid_transform, pose
+from spm_pin.machine.legs import LEGS
+from spm_pin.support import notebook
+from spm_pin.support.arguments import FloatArray, as_bool, frozen, real_array
+from spm_pin.support.files import file_path, write_files
+from spm_pin.support.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
+from spm_pin.support.pose import PoseLike, as_rigid_transform, pose
 
 
 class PlatformMotion(NamedTuple):

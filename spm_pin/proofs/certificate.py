@@ -20,11 +20,9 @@ from spm_pin.errors import ArgumentError, GeometryError, SpmError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import existing_share
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism import notebook
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
-from spm_pin.mechanism.configuration import Configuration, check_configuration
-from spm_pin.mechanism.geometry import Geometry
-from spm_pin.mechanism.legs import LegLimits
+from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.legs import LegLimits
+from spm_pin.machine.manipulator import Geometry
 from spm_pin.proofs.stage_proof import (
     DEEPEST,
     Boxes,
@@ -42,6 +40,8 @@ from spm_pin.proofs.stage_proof import (
     region_coordinates,
     rounded_down,
 )
+from spm_pin.support import notebook
+from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
 
 _ROUNDING = 1e-15
 """Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""

@@ -27,12 +27,12 @@ from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
-from spm_pin.mechanism.configuration import Configuration
-from spm_pin.mechanism.geometry import Geometry, check_rps
-from spm_pin.mechanism.legs import LegLimits
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.legs import LegLimits
+from spm_pin.machine.manipulator import Geometry, check_rps
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
 from spm_pin.proofs.stage_proof import Int64Array, StageProof, StageRegion, columns, rounded_down
+from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
 
 Cells = tuple[Interval, Interval]
 """x and y of cells of one stage."""

@@ -42,10 +42,10 @@ from spm_pin.formulas.planar_legs import Circle
 from spm_pin.formulas.stages import pair_determinant
 from spm_pin.formulas.vectors import combined, matrix_product, minus, times
 from spm_pin.kinematics.intervals import INTERVALS, SQRT_3, Interval, as_interval
-from spm_pin.mechanism import Configuration, Geometry
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
-from spm_pin.mechanism.branch_of_state import stage_coordinates
-from spm_pin.mechanism.leg_kinds import KINDS, RPS, LegKind
+from spm_pin.machine import Configuration, Geometry
+from spm_pin.machine.branch_of_state import stage_coordinates
+from spm_pin.machine.leg_kinds import KINDS, RPS, LegKind
+from spm_pin.support.arguments import BoolArray, FloatArray
 
 Int64Array = npt.NDArray[np.int64]
 

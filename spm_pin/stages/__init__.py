@@ -3,7 +3,7 @@
 A stage has three readings, and its platform tilts and rises: what it does besides, a shift and a torsion, follows.
 """
 
-from spm_pin.mechanism.stage_configuration import OPERATION_MODES, StageConfiguration, StageSolutions
+from spm_pin.machine.stage_configuration import OPERATION_MODES, StageConfiguration, StageSolutions
 from spm_pin.stages.displacement import forward, forward_physical, inverse, inverse_physical
 from spm_pin.stages.gallery import RealMachine, gallery
 from spm_pin.stages.path import follow

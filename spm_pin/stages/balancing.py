@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from spm_pin.description import Ball, actuated_joints, joint_values, mjcf_text
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.mechanism import RRS, Stage, StageConfiguration
-from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, real_number
+from spm_pin.machine import RRS, Stage, StageConfiguration
 from spm_pin.stages.displacement import forward_physical, inverse_physical
 from spm_pin.stages.reach import height_range
+from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number
 
 try:
     import gymnasium

@@ -13,7 +13,13 @@ from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_displacement import STAGE_MODES, read_readings
 from spm_pin.kinematics.stage_balls import Drawing, all_modes, followed_balls, physical_balls
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine.leg_kinds import RPS
+from spm_pin.machine.legs import PlacedLegs
+from spm_pin.machine.machine import likely_unit
+from spm_pin.machine.solution_axis import Status
+from spm_pin.machine.stage import Stage
+from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration, StageSolutions
+from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     broadcastable,
@@ -21,12 +27,6 @@ from spm_pin.mechanism.arguments import (
     first_offender,
     real_array,
 )
-from spm_pin.mechanism.leg_kinds import RPS
-from spm_pin.mechanism.legs import PlacedLegs
-from spm_pin.mechanism.mechanism import likely_unit
-from spm_pin.mechanism.solution_axis import Status
-from spm_pin.mechanism.stage import Stage
-from spm_pin.mechanism.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration, StageSolutions
 
 _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS
-from spm_pin.mechanism.legs import Legs
-from spm_pin.mechanism.stage import Stage
+from spm_pin.machine.leg_kinds import PRS, RPS, RRS
+from spm_pin.machine.legs import Legs
+from spm_pin.machine.stage import Stage
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from spm_pin.formulas import stage_poses, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
 from spm_pin.kinematics.rates_and_forces import SINGULAR
 from spm_pin.kinematics.singularity_analysis import SingularityKind, kinds_text
-from spm_pin.mechanism.arguments import FloatArray, broadcastable, check_instance, real_array, real_number
-from spm_pin.mechanism.batched import masked
-from spm_pin.mechanism.configuration import check_members
-from spm_pin.mechanism.stage_configuration import StageConfiguration
+from spm_pin.machine.batched import masked
+from spm_pin.machine.configuration import check_members
+from spm_pin.machine.stage_configuration import StageConfiguration
+from spm_pin.support.arguments import FloatArray, broadcastable, check_instance, real_array, real_number
 
 MOTION = slice(2, 5)
 """Rows of a twist (v, ω) that are the motion (v_z, ω_x, ω_y)."""

@@ -16,9 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, UnreachableError
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, check_instance, whole_number
-from spm_pin.mechanism.stage import Stage
-from spm_pin.mechanism.stage_configuration import StageConfiguration
+from spm_pin.machine.stage import Stage
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.stages.displacement import (
     forward_physical,
     inverse,
@@ -28,6 +27,7 @@ from spm_pin.stages.displacement import (
     poses,
     read_heights,
 )
+from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
 
 _STEP = math.radians(0.5)
 """Tilts that are tried are this far apart [rad]: what is lost and won again in between is not seen."""

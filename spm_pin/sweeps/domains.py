@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import LEGS, Geometry
-from spm_pin.mechanism.arguments import FloatArray, check_instance, real_array, whole_number
+from spm_pin.machine import LEGS, Geometry
+from spm_pin.support.arguments import FloatArray, check_instance, real_array, whole_number
 from spm_pin.sweeps.metrics import STATUS, Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points, Space
 

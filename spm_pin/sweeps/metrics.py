@@ -23,8 +23,8 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_displacement, singular_values
-from spm_pin.mechanism import BRANCHES, Configuration, Status
-from spm_pin.mechanism.arguments import BoolArray, check_instance, choice, real_number
+from spm_pin.machine import BRANCHES, Configuration, Status
+from spm_pin.support.arguments import BoolArray, check_instance, choice, real_number
 from spm_pin.sweeps.points import Points
 
 DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")

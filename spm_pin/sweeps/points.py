@@ -18,8 +18,8 @@ from spm_pin.kinematics import (
     singular_values,
     singularities,
 )
-from spm_pin.mechanism import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, frozen
+from spm_pin.machine import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
+from spm_pin.support.arguments import BoolArray, FloatArray, frozen
 
 Space = Literal["pose", "legs"]
 """The coordinates of points: poses of the platform, or six leg lengths."""

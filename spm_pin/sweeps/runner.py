@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from spm_pin.errors import ArgumentError, SpmError, require_extra
-from spm_pin.mechanism import Geometry
-from spm_pin.mechanism.arguments import check_instance, check_progress, whole_number
-from spm_pin.mechanism.progress import shown_progress
+from spm_pin.machine import Geometry
+from spm_pin.support.arguments import check_instance, check_progress, whole_number
+from spm_pin.support.progress import shown_progress
 from spm_pin.sweeps.domains import Domain, SweepPlan, package_version
 from spm_pin.sweeps.metrics import Metric
 from spm_pin.sweeps.store import (

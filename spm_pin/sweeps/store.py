@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SpmError
-from spm_pin.mechanism.files import file_path
+from spm_pin.support.files import file_path
 from spm_pin.sweeps.domains import FORMAT, SweepPlan, definition_differences
 
 _LOCK = "sweep/lock"

@@ -1,7 +1,6 @@
-"""Workspace of the terminal platform: the paper's 24 surfaces as one shell, and the reachable set itself."""
+"""Workspace of the terminal platform: the set of all poses that are reached within the limits."""
 
 from spm_pin.workspace.boundary import Boundary, BoundaryPoints, reachable_boundary
-from spm_pin.workspace.paper_shell import Convergence, LegSetting, Patch, Shell, workspace_shell
 from spm_pin.workspace.poses import (
     JointLimits,
     NearestPose,
@@ -25,16 +24,12 @@ from spm_pin.workspace.states import sample_reachable
 __all__ = [
     "Boundary",
     "BoundaryPoints",
-    "Convergence",
     "Estimate",
     "JointLimits",
-    "LegSetting",
     "NearestPose",
     "OrientationWorkspace",
-    "Patch",
     "PositionReach",
     "Reachability",
-    "Shell",
     "leg_clearance",
     "nearest_reachable_pose",
     "orientation_workspace",
@@ -45,5 +40,4 @@ __all__ = [
     "reachable_position",
     "reachable_volume",
     "sample_reachable",
-    "workspace_shell",
 ]

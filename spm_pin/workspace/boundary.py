@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.mechanism import Geometry, LegLimits
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine import Geometry, LegLimits
+from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     IntArray,
@@ -30,7 +30,7 @@ from spm_pin.mechanism.arguments import (
     real_number,
     whole_number,
 )
-from spm_pin.mechanism.progress import shown_progress
+from spm_pin.support.progress import shown_progress
 from spm_pin.workspace.search import (
     SINGULARITY_MARGIN,
     NearestPoints,

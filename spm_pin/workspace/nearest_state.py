@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 from spm_pin.workspace.search import SINGULARITY_MARGIN
 from spm_pin.workspace.states import StateSet
 

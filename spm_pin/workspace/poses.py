@@ -1,6 +1,6 @@
 """Which poses are reachable, within limits of passive joints too, and the reachable poses nearest to the others.
 
-Angles are those of `spm_pin.mechanism.joint_angles`: of the description's joints, and of the ball joints of every leg.
+Angles are those of `spm_pin.machine.joint_angles`: of the description's joints, and of the ball joints of every leg.
 Distance is measured where the platform is held: the root of the mean squared displacement of c_1, c_2, c_3.
 """
 
@@ -16,7 +16,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.formulas.stages import HOME_ASPECT
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.mechanism import (
+from spm_pin.machine import (
     BRANCHES,
     FAMILIES,
     Configuration,
@@ -28,7 +28,10 @@ from spm_pin.mechanism import (
     as_rigid_transform,
     joint_angles,
 )
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
+from spm_pin.machine.configuration import check_configuration
+from spm_pin.machine.manipulator import check_same_machine
+from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     IntArray,
@@ -37,9 +40,6 @@ from spm_pin.mechanism.arguments import (
     number_pair,
     real_number,
 )
-from spm_pin.mechanism.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
-from spm_pin.mechanism.configuration import check_configuration
-from spm_pin.mechanism.geometry import check_same_machine
 from spm_pin.workspace.nearest_state import nearest_state
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
@@ -236,7 +236,7 @@ def reachable(
     >>> import numpy as np, spm_pin as spm
     >>> pose = spm.pose([0.614, 0.451, 2.298], xyx=np.deg2rad([-9.72, 29.12, -11.76]))
     >>> answer = spm.workspace.reachable(spm.Geometry.paper(), pose)
-    >>> answer.reachable, spm.mechanism.BRANCHES[answer.branch], float(answer.leg_margin[answer.branch].round(2))
+    >>> answer.reachable, spm.machine.BRANCHES[answer.branch], float(answer.leg_margin[answer.branch].round(2))
     (True, 'TT+', 0.05)
     """
     limits = given_limits(geometry, limits)

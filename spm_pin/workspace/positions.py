@@ -18,8 +18,8 @@ from scipy.spatial import KDTree
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.mechanism import Configuration, Geometry, LegLimits
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine import Configuration, Geometry, LegLimits
+from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     Progress,
@@ -29,7 +29,7 @@ from spm_pin.mechanism.arguments import (
     type_and_value,
     whole_number,
 )
-from spm_pin.mechanism.progress import shown_progress
+from spm_pin.support.progress import shown_progress
 from spm_pin.workspace.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.search import Membership, nearest_points, search_states, start_table
 from spm_pin.workspace.states import StateSet, pose_densities, states_within

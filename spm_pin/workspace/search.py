@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull
 
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray, Progress
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress
 from spm_pin.workspace.states import CENTRE, StateSet
 
 SINGULARITY_MARGIN = 3e-7

@@ -19,8 +19,9 @@ from spm_pin.formulas.stages import ANY_ASPECT, HOME_ASPECT
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.mechanism import LEGS, Configuration, Geometry, LegLimits
-from spm_pin.mechanism.arguments import (
+from spm_pin.machine import LEGS, Configuration, Geometry, LegLimits
+from spm_pin.machine.branch_of_state import FAMILIES, family, physical, stage_coordinates
+from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     IntArray,
@@ -30,8 +31,7 @@ from spm_pin.mechanism.arguments import (
     generator,
     whole_number,
 )
-from spm_pin.mechanism.branch_of_state import FAMILIES, family, physical, stage_coordinates
-from spm_pin.mechanism.progress import shown_progress
+from spm_pin.support.progress import shown_progress
 
 CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""

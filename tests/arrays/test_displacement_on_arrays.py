@@ -15,8 +15,8 @@ from problems import at_end_stops
 
 import spm_pin as spm
 from spm_pin import arrays
-from spm_pin.mechanism import RRS
-from spm_pin.mechanism.joint_angles import joint_names, value_names
+from spm_pin.machine import RRS
+from spm_pin.machine.joint_angles import joint_names, value_names
 
 MACHINES = {"drawn": PAPER, "as built": BUILT}
 COUNTS = (3000, pytest.param(100_000, marks=pytest.mark.slow))
@@ -68,7 +68,7 @@ def test_legs_of_any_kind_are_those_of_the_kernels(lower: str, upper: str, built
     known = states(geometry)
     sigma = spm.singularities(known).sigma.min(axis=-1)[:, None]
     wrench, names = np.random.default_rng(1).normal(size=(len(known), 6)), value_names(geometry)
-    values = spm.mechanism.joint_angles(known, (0,)).values
+    values = spm.machine.joint_angles(known, (0,)).values
     values = values[:, [names.index(name) for name in joint_names(geometry)]]
     for given in (geometry, (geometry, geometry.parameters)):
         state = arrays.forward_physical(given, known.readings)
@@ -98,7 +98,7 @@ def test_balls_out_of_reach_and_other_working_modes_are_no_states() -> None:
     known = states(geometry)
     wound = known.readings + 4.0 * np.pi * (np.array(geometry.legs.units) == "rad")
     assert not arrays.forward_physical(geometry, wound).exists.any()
-    assert spm.symbolic.forward_physical(geometry)(wound[0])[4] == 0.0
+    assert spm.casadi.forward_physical(geometry)(wound[0])[4] == 0.0
     up = known.translation + np.array([0.0, 0.0, 1.5])
     assert not arrays.inverse_physical(geometry, known.rotation, up).exists.any()
     assert not arrays.inverse_displacement(geometry, known.rotation, up).exists[:, :2].any()
@@ -107,8 +107,8 @@ def test_balls_out_of_reach_and_other_working_modes_are_no_states() -> None:
     angle = np.arctan2(places[..., 1], places[..., 0])
     mirrored = np.concatenate([2.0 * angle - known.readings[:, :3], known.readings[:, 3:]], axis=-1)
     other = spm.Geometry.of_stages(
-        spm.mechanism.Stage(geometry.base_radius, geometry.middle_radius, RRS(crank=1.1, rod=0.9, sign=1)),
-        spm.mechanism.Stage(geometry.platform_radius, geometry.middle_radius, geometry.legs.kinds[1]),
+        spm.machine.Stage(geometry.base_radius, geometry.middle_radius, RRS(crank=1.1, rod=0.9, sign=1)),
+        spm.machine.Stage(geometry.platform_radius, geometry.middle_radius, geometry.legs.kinds[1]),
     )
     both = spm.forward_physical(other, mirrored)
     assert both.exists.any()

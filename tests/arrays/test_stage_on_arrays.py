@@ -27,7 +27,7 @@ def test_states_are_those_of_the_kernel(machine: str) -> None:
         assert np.isfinite(getattr(found, name)).all()
     np.testing.assert_array_equal(found[7].readings, found.readings[7])
     np.testing.assert_array_equal(found[:5].rotation, found.rotation[:5])
-    function = spm.symbolic.stage_inverse(stage).map(len(heights))
+    function = spm.casadi.stage_inverse(stage).map(len(heights))
     readings, rotation, position, exists = function(normals.T, heights)
     np.testing.assert_array_equal(np.array(exists)[0] == 1.0, expected.exists)
     own = expected.exists
@@ -66,7 +66,7 @@ def test_derivatives_are_the_rates_of_the_legs(machine: str) -> None:
     expected = spm.stages.inverse_jacobian(states)
     found = np.asarray(by_normal) @ turns + np.asarray(by_height)[..., None] * parasitic[:, 2:3]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
-    function = spm.symbolic.stage_inverse(stage)
+    function = spm.casadi.stage_inverse(stage)
     normal, z = ca.SX.sym("n", 3), ca.SX.sym("z")
     jacobian = ca.Function("j", [normal, z], [ca.jacobian(function(normal, z)[0], ca.vertcat(normal, z))])
     exact = np.concatenate([np.asarray(by_normal)[0], np.asarray(by_height)[0][:, None]], axis=1)
@@ -107,7 +107,7 @@ def test_readings_lead_to_the_states_of_the_kernel(machine: str) -> None:
 def test_readings_lead_to_the_states_of_the_kernel_in_casadi(machine: str) -> None:
     stage, height = stage_and_height(machine)
     states = existing_states(stage, height, 8, seed=3)
-    forward, near = (spm.symbolic.stage_forward(stage, near=near) for near in (False, True))
+    forward, near = (spm.casadi.stage_forward(stage, near=near) for near in (False, True))
     jacobian = forward.jacobian()
     for state in states:
         beside = near(state.readings, state.rotation, np.add(state.translation, [0.0, 0.0, 0.01 * height]))
@@ -137,9 +137,9 @@ def test_cranks_turned_by_more_than_a_turn_are_taken_for_degrees(turns: int) -> 
     for once in (shown - 2.0 * np.pi, shown):
         assert spm.stages.forward_physical(stage, once).exists
         assert arrays.stage_forward(stage, once).exists
-        assert spm.symbolic.stage_forward(stage)(once)[3] == 1.0
+        assert spm.casadi.stage_forward(stage)(once)[3] == 1.0
     assert not arrays.stage_forward(stage, wound).exists
-    assert spm.symbolic.stage_forward(stage)(wound)[3] == 0.0
+    assert spm.casadi.stage_forward(stage)(wound)[3] == 0.0
     for solve in (spm.stages.forward, spm.stages.forward_physical):
         with pytest.raises(spm.ArgumentError, match=r"angles in radians within ±6\.3 for r_1, got .*In degrees"):
             solve(stage, wound)

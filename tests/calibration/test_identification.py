@@ -16,8 +16,8 @@ from scipy.stats import chi2, kstest
 import spm_pin as spm
 from spm_pin import calibration
 from spm_pin.calibration import MeasurementError, identify
-from spm_pin.mechanism import PARAMETERS
-from spm_pin.mechanism.motion_table import table_text
+from spm_pin.machine import PARAMETERS
+from spm_pin.support.motion_table import table_text
 
 
 @pytest.mark.parametrize("positions_only", [pytest.param(False, marks=pytest.mark.slow), True])
@@ -308,7 +308,7 @@ ROW = "0.1,0.2,2.2,0,0,0,1,1.2,1.3,1.4,1.2,1.3,1.4"
 
 def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) -> None:
     poses, readings = measure(PAPER, 1)
-    rotation = spm.mechanism.as_rigid_transform(poses).rotation
+    rotation = spm.machine.as_rigid_transform(poses).rotation
     values = np.concatenate([poses[:, :3, 3], rotation.as_quat(), readings], axis=1)
     columns = dict(sorted(zip(HEADING.split(","), values.T, strict=True)))
     file = tmp_path / "measured.csv"
@@ -363,7 +363,7 @@ def test_named_columns_of_a_table_are_taken_by_their_names() -> None:
     pandas = pytest.importorskip("pandas")
     machine = PAPER.perturbed(1)
     poses, readings = measure(machine, 0)
-    table = pandas.DataFrame(readings, columns=spm.mechanism.LEGS).assign(
+    table = pandas.DataFrame(readings, columns=spm.machine.LEGS).assign(
         z=poses[:, 2, 3], y=poses[:, 1, 3], x=poses[:, 0, 3]
     )
     shuffled = table[sorted(table.columns, reverse=True)]

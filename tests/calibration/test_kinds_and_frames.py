@@ -13,7 +13,7 @@ import spm_pin as spm
 from spm_pin import calibration
 from spm_pin.calibration import MeasurementError, error_jacobian, identify, tolerance
 from spm_pin.calibration.error_model import gauge_directions, parameter_scale
-from spm_pin.mechanism import PRS, RPS, RRS, LegKind, Stage
+from spm_pin.machine import PRS, RPS, RRS, LegKind, Stage
 
 STAGES: dict[str, tuple[LegKind, tuple[float, float]]] = {
     "RPS": (RPS(), (0.30, 0.42)),
@@ -184,7 +184,7 @@ def test_with_tolerances_what_is_seen_badly_stays_as_near_as_machines_are_made()
     """An offset against the height of its pivot: millimetres without, and the platform is known as well."""
     true = PAPER.perturbed(3)
     measurements = measure(true, 1)
-    free, held = (identify(PAPER, *measurements, tolerances=x) for x in (None, dict.fromkeys(spm.mechanism.LEGS, 1e-4)))
+    free, held = (identify(PAPER, *measurements, tolerances=x) for x in (None, dict.fromkeys(spm.machine.LEGS, 1e-4)))
     assert np.abs(free.geometry.parameters - PAPER.parameters).max() > 2e-3
     assert np.abs(held.geometry.parameters - PAPER.parameters).max() < 4e-4
     assert np.abs(held.geometry.parameters - true.parameters).max() < 4e-4

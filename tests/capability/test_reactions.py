@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.capability import joint_reactions, velocity_polytope, wrench_polytope
-from spm_pin.mechanism import PRS, RRS, Stage
+from spm_pin.machine import PRS, RRS, Stage
 
 PAPER = spm.Geometry.paper()
 MACHINE = PAPER.perturbed(2, length=0.01, angle=0.02)
@@ -48,7 +48,7 @@ def test_the_forces_in_the_cut_balls_are_those_of_pinocchio(geometry: spm.Geomet
     forces, _ = leg_loads(states)
     for number, closure in enumerate(chain.closures):
         name = f"{closure.frame_a} {closure.frame_b}"
-        leg = next(k for k, leg in enumerate(spm.mechanism.LEGS) if f"leg_{leg[2:]}_" in name)
+        leg = next(k for k, leg in enumerate(spm.machine.LEGS) if f"leg_{leg[2:]}_" in name)
         # Onto the leg, or onto the middle platform: of an upper leg the force goes on, a lower leg's is answered.
         sign = (1.0 if "leg_" in closure.frame_b else -1.0) * (1.0 if leg >= 3 else -1.0)
         np.testing.assert_allclose(sign * cuts[:, number], forces[:, leg], atol=1e-9)

@@ -13,7 +13,7 @@ from cli import running
 from cli.running import run
 
 import spm_pin as spm
-from spm_pin.paper import published
+from spm_pin.crosscheck.paper import published
 from spm_pin.workspace import poses
 
 EXAMPLE, LEGS = [*running.POSE, "--unit", "cm"], [*running.LEGS, "--unit", "cm"]

@@ -8,8 +8,8 @@ from cli.running import run
 
 import spm_pin as spm
 from spm_pin.crosscheck import METHODS, Method, Paper
-from spm_pin.paper import published
-from spm_pin.paper.jacobian import Table5Mistakes
+from spm_pin.crosscheck.paper import published
+from spm_pin.crosscheck.paper.jacobian import Table5Mistakes
 
 
 def test_all_methods_on_a_few_poses(tmp_path: Path) -> None:

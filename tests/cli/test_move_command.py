@@ -89,7 +89,7 @@ def test_a_machine_as_built_moves_between_its_readings(tmp_path: Path) -> None:
     found = json.loads(done.stdout)
     assert found["certified"] is True
     assert len(found["time"]) == len(found["r_c3"]) == len(found["qw"]) == len(found[f"{SLIDES[5]}.effort"])
-    lengths = np.array([[found[leg][k] for leg in spm.mechanism.LEGS] for k in (0, -1)])
+    lengths = np.array([[found[leg][k] for leg in spm.machine.LEGS] for k in (0, -1)])
     np.testing.assert_allclose(100.0 * lengths.ravel(), [float(x) for x in (*START, *GOAL)], atol=1e-9)
 
 
@@ -103,7 +103,7 @@ def test_states_are_passed_on_the_way_and_each_leg_has_its_limits() -> None:
     )
     assert done.returncode == 0, done.stderr
     content = json.loads(done.stdout)
-    lengths = np.array([content[leg] for leg in spm.mechanism.LEGS]).T
+    lengths = np.array([content[leg] for leg in spm.machine.LEGS]).T
     for text in via:
         state = np.array([float(part) for part in text.split(",")]) / 100.0
         # To the length of a step.

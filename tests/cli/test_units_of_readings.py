@@ -10,7 +10,7 @@ import pytest
 from cli.running import run
 
 import spm_pin as spm
-from spm_pin.mechanism import PRS, RRS, Stage
+from spm_pin.machine import PRS, RRS, Stage
 
 MACHINE = spm.Geometry.of_stages(
     Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(0.1, 0.9)),

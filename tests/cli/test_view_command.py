@@ -19,7 +19,7 @@ import spm_pin as spm
 from spm_pin.display import Viewer
 from spm_pin.display.plots import save_gallery
 from spm_pin.display.viewer.page import EventQueue, free_port
-from spm_pin.mechanism import LEGS
+from spm_pin.machine import LEGS
 
 
 def started(*arguments: str) -> tuple[subprocess.Popen[str], str, list[str]]:

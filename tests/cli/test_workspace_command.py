@@ -18,9 +18,9 @@ from PIL import Image
 from stores import contents, records
 
 import spm_pin as spm
-from spm_pin.mechanism import RRS, Stage
+from spm_pin.crosscheck.paper_shell import workspace_shell
+from spm_pin.machine import RRS, Stage
 from spm_pin.sweeps import METRICS, leg_sample, pose_grid
-from spm_pin.workspace.paper_shell import workspace_shell
 
 FEW = ["workspace", "--paper", "--resolution", "6"]
 
@@ -105,7 +105,7 @@ def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.message.startswith("error: --limits: ")
     assert "The geometry has none of its own" in done.message
-    pairs = {leg: "[1.1, 1.5]" if leg.startswith("r_b") else "[1.2, 1.4]" for leg in spm.mechanism.LEGS}
+    pairs = {leg: "[1.1, 1.5]" if leg.startswith("r_b") else "[1.2, 1.4]" for leg in spm.machine.LEGS}
     limits = ", ".join(f"{leg}: {pair}" for leg, pair in pairs.items())
     path.write_text(f"{text}leg_limits: {{{limits}}}\n", encoding="utf-8")
     assert "legs from 1.1, 1.1, 1.1, 1.2, 1.2, 1.2 to 1.5, 1.5, 1.5, 1.4, 1.4, 1.4 m" in run(
@@ -202,7 +202,7 @@ def test_samples_of_leg_lengths(legs: list[str], ranges: list[float], tmp_path: 
     assert "30 points: sample 30" in out
     found = xarray.open_zarr(tmp_path / "map").load()
     expected = leg_sample(30, ranges[:3], ranges[3:], seed=7).points((0,), (30,))
-    legs_found = np.stack([np.broadcast_to(found[leg], 30) for leg in spm.mechanism.LEGS], axis=-1)
+    legs_found = np.stack([np.broadcast_to(found[leg], 30) for leg in spm.machine.LEGS], axis=-1)
     np.testing.assert_allclose(legs_found, expected, rtol=1e-15)
 
 

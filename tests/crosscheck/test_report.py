@@ -25,9 +25,9 @@ from spm_pin.crosscheck import (
     compare_in_batches,
     compare_methods,
 )
+from spm_pin.crosscheck.nlp import branch_search, loop_equations
+from spm_pin.crosscheck.paper.jacobian import Table5Mistakes
 from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations
-from spm_pin.nlp import branch_search, loop_equations
-from spm_pin.paper.jacobian import Table5Mistakes
 
 
 @pytest.fixture(scope="module")

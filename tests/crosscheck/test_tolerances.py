@@ -5,12 +5,12 @@ import pytest
 from problems import PAPER, at_discriminant, random_branches
 
 import spm_pin as spm
-from spm_pin import nlp
+from spm_pin.crosscheck import nlp
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 
 
 def states(count: int = 40) -> spm.Configuration:
-    parts = [random_branches(PAPER, family, count, 11).configuration for family in spm.mechanism.FAMILIES]
+    parts = [random_branches(PAPER, family, count, 11).configuration for family in spm.machine.FAMILIES]
     return spm.Configuration(
         PAPER,
         np.concatenate([part.pose.as_matrix() for part in parts]),

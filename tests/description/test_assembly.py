@@ -13,7 +13,7 @@ import spm_pin as spm
 from spm_pin.description import urdf_text
 from spm_pin.description.source_files import read_closures
 from spm_pin.description.tree import joint_values
-from spm_pin.mechanism.joint_angles import home_readings
+from spm_pin.machine.joint_angles import home_readings
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()

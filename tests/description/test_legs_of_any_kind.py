@@ -26,8 +26,8 @@ from spm_pin.description import (
     urdf_text,
 )
 from spm_pin.description.robot import read_robot
-from spm_pin.mechanism import PRS, RPS, RRS, Legs, Stage
-from spm_pin.mechanism.joint_angles import home_readings
+from spm_pin.machine import PRS, RPS, RRS, Legs, Stage
+from spm_pin.machine.joint_angles import home_readings
 
 SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
 SCREWS = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))

@@ -78,13 +78,13 @@ def test_all_formats_weigh_the_same() -> None:
     expected = pin.buildModelFromXML(urdf_text(masses=given))
     grounded = sum(mass for name, (mass, *_) in bodies(urdf_text(masses=given)).items() if name.startswith("base"))
     assert model.body_mass.sum() == pytest.approx(pin.computeTotalMass(expected) + grounded, rel=1e-9)
-    parts = spm.symbolic.bodies(masses=given)
+    parts = spm.casadi.bodies(masses=given)
     chain = spm.ClosedChain.from_urdf(masses=given)
     state = STATE.middle_joints, STATE.rotation, STATE.translation
-    forces = spm.symbolic.gravity()(*state, parts, np.zeros(4), [0.0, 0.0, -9.81])
+    forces = spm.casadi.gravity()(*state, parts, np.zeros(4), [0.0, 0.0, -9.81])
     np.testing.assert_allclose(forces.full().ravel(), weights(chain), rtol=1e-9)
     with pytest.raises(spm.ArgumentError, match="masses: expected bodies of leg b2 with their common centres"):
-        spm.symbolic.bodies(masses=Masses({"leg_b2_rod": {"mass": 3.0, "centre": [0.1, 0.0, 0.0]}}))
+        spm.casadi.bodies(masses=Masses({"leg_b2_rod": {"mass": 3.0, "centre": [0.1, 0.0, 0.0]}}))
 
 
 def test_a_file_gives_the_same_masses(tmp_path: Path) -> None:

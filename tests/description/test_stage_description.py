@@ -34,7 +34,7 @@ from spm_pin.description import (
 from spm_pin.description.robot import read_robot
 from spm_pin.description.source_files import MESHES, description_directory
 from spm_pin.errors import ArgumentError, DescriptionError
-from spm_pin.mechanism.joint_angles import home_readings, joint_angles
+from spm_pin.machine.joint_angles import home_readings, joint_angles
 
 Array = np.ndarray
 LIMITS = {"RRS": (-0.6, 1.2), "RRS inwards": (1.6, 3.0), "RPS": (0.8, 1.4), "PRS hanging": (0.6, 1.0)}

@@ -15,7 +15,7 @@ from distributed import LocalCluster
 import spm_pin as spm
 from spm_pin.design import DesignProblem, Front, Task, evaluate_designs, pareto_front
 from spm_pin.display.figures import front_figure
-from spm_pin.mechanism import PRS, RRS, Stage
+from spm_pin.machine import PRS, RRS, Stage
 from spm_pin.multibody import PlatformPath
 from spm_pin.sweeps import METRICS
 

@@ -11,16 +11,16 @@ from matplotlib.figure import Figure
 
 import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
+from spm_pin.crosscheck.paper.jacobian import Table5Mistakes
 from spm_pin.design import DesignProblem, Designs, Front
 from spm_pin.display import reach_figure, stage_figure
 from spm_pin.display.figures import agreement_figure, certificate_figure, front_figure, motion_figure, path_figure
 from spm_pin.display.rendering import camera_axes
 from spm_pin.display.writing import new_figure, save_figure
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism.notebook import VIEW
 from spm_pin.motion import plan, time_optimal
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.paper.jacobian import Table5Mistakes
+from spm_pin.support.notebook import VIEW
 
 GEOMETRY = spm.Geometry.paper()
 

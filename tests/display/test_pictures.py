@@ -25,7 +25,7 @@ from spm_pin.description.visuals import part_placements, read_obj, section_size,
 from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
 from spm_pin.display.rendering import AXIS_COLOURS, TRIAD, camera_axes, robot_solids
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.mechanism.notebook import VIEW
+from spm_pin.support.notebook import VIEW
 
 PAPER = spm.Geometry.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
@@ -79,7 +79,7 @@ def test_labels_name_all_joints_legs_and_frames_within_the_picture():
     ax = draw(STATE, dpi=60)
     texts = {text.get_text() for text in ax.texts}
     assert {f"${letter}_{i}$" for letter in "abc" for i in (1, 2, 3)} <= texts
-    assert {f"$r_{{{leg[2:]}}}$" for leg in spm.mechanism.LEGS} <= texts
+    assert {f"$r_{{{leg[2:]}}}$" for leg in spm.machine.LEGS} <= texts
     assert {f"${axis}$" for axis in "XYZxyz"} | {r"$\{B\}$", r"$\{m\}$"} <= texts
     FigureCanvasAgg(ax.figure).draw()
     boxes = [text.get_window_extent() for text in ax.texts if not text.get_path_effects()]  # without the halos
@@ -160,7 +160,7 @@ def along(vertices, start, end):
 
 @pytest.mark.parametrize("name", problems.GEOMETRIES)
 def test_every_machine_in_every_family_makes_closed_solids(name):
-    for family in spm.mechanism.FAMILIES:
+    for family in spm.machine.FAMILIES:
         built = robot_solids(problems.random_branches(problems.GEOMETRIES[name], family, 1, seed=5).configuration[0])
         assert len({solid.name for solid in built}) == len(built)
         for solid in built:
@@ -205,7 +205,7 @@ def test_a_leg_is_one_leg_whatever_its_length(label, limits):
     geometry = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side, limits)
     state = SOLUTIONS[label]
     built = solids(spm.Configuration(geometry, state.pose, state.middle_joints))
-    for leg, hip, ball in zip(spm.mechanism.LEGS, state.leg_bases, state.balls, strict=True):
+    for leg, hip, ball in zip(spm.machine.LEGS, state.leg_bases, state.balls, strict=True):
         length = np.linalg.norm(ball - hip)
         start, joint, barrel_radius = along(built[f"leg_{leg[2:]}_cylinder tube"].vertices, hip, ball)
         rod_start, end, rod_radius = along(built[f"leg_{leg[2:]}_rod tube"].vertices, hip, ball)
@@ -221,7 +221,7 @@ def test_within_its_limits_a_leg_is_that_of_the_urdf():
     for limits in (PAPER.limits, spm.LegLimits(1.0, 1.9), spm.LegLimits([0.9] * 3 + [0.5] * 3, [1.6] * 3 + [0.9] * 3)):
         geometry = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side, limits)
         tubes = {part.name: np.ptp(part.vertices[:, 2]) for part in visual_parts(geometry) if part.mesh == "tube"}
-        for k, leg in enumerate(spm.mechanism.LEGS):
+        for k, leg in enumerate(spm.machine.LEGS):
             barrel, rod = (tubes[f"leg_{leg[2:]}_{half} tube"] for half in ("cylinder", "rod"))
             assert barrel + rod > limits.maximum[k]
             assert max(barrel, rod) < limits.minimum[k]
@@ -245,7 +245,7 @@ def test_pins_lie_on_the_revolute_axes_and_legs_go_from_pivots_to_balls(size):
     state = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     built = solids(state)
     place = state.pose.as_matrix()
-    for k, leg in enumerate(spm.mechanism.LEGS):
+    for k, leg in enumerate(spm.machine.LEGS):
         pivot, axis = machine.legs.pivots[k], machine.legs.axes[k]
         if k >= 3:
             pivot, axis = place[:3, :3] @ pivot + place[:3, 3], place[:3, :3] @ axis

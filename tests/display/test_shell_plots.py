@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
+from spm_pin.crosscheck.paper_shell import workspace_shell
 from spm_pin.display.shell_plots import (
     FAMILY_COLOURS,
     VIEWS,
@@ -24,7 +25,6 @@ from spm_pin.display.shell_plots import (
 )
 from spm_pin.display.writing import save_figure
 from spm_pin.errors import ArgumentError
-from spm_pin.workspace.paper_shell import workspace_shell
 
 SHELL = workspace_shell(spm.Geometry.paper(), resolution=10)
 NAMES = [patch.name for patch in SHELL.patches]

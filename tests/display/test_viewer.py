@@ -40,7 +40,7 @@ from spm_pin.display.viewer.robot_scene import (
 from spm_pin.display.viewer.stage_model import StageModel
 from spm_pin.display.writing import fixed, to_json
 from spm_pin.kinematics.forward_displacement import starting_configuration
-from spm_pin.mechanism import PRS, RRS, Stage
+from spm_pin.machine import PRS, RRS, Stage
 
 PAPER = spm.Geometry.paper()
 FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
@@ -131,10 +131,10 @@ def test_without_limits_a_level_platform_is_all_but_reached():
 def test_a_branch_that_does_not_reach_a_pose_names_those_that_do():
     target = spm.pose([0.4, -0.4, 2.2], xyx=np.deg2rad([10.0, 25.0, 30.0]))
     solutions, beginning = spm.inverse_displacement(FREE, target), spm.inverse_displacement(FREE, START.pose)
-    absent = [label for label in spm.mechanism.BRANCHES if not solutions[label].exists]
+    absent = [label for label in spm.machine.BRANCHES if not solutions[label].exists]
     absent.sort(key=lambda label: not beginning[label].exists)
     assert 0 < solutions.count < 8, "the example has lost its point"
-    others = ", ".join(label for label in spm.mechanism.BRANCHES if label not in absent)
+    others = ", ".join(label for label in spm.machine.BRANCHES if label not in absent)
     message = " ".join(ViewerModel(beginning[absent[0]]).drag(target).warnings)
     assert f"{absent[0]} does not reach it" in message
     assert f"Other branches there: {others}." in message
@@ -353,7 +353,7 @@ def csv(names, *columns):
     return "\n".join([names, *(", ".join(map(repr, map(float, row))) for row in rows)])
 
 
-R, POSES = ", ".join(spm.mechanism.LEGS), np.hstack([STATES.translation, STATES.pose.rotation.as_quat()])
+R, POSES = ", ".join(spm.machine.LEGS), np.hstack([STATES.translation, STATES.pose.rotation.as_quat()])
 FILES = ["# a comment\n" + csv(f"{R}, time", LEGS, TIMES), csv("time, x, y, z, qx, qy, qz, qw", TIMES, POSES)]
 
 
@@ -493,7 +493,7 @@ def test_a_stage_dragged_out_of_reach_shows_the_nearest_tilt():
     np.testing.assert_allclose(state.shown.readings, nearest.readings, atol=1e-12)
     np.testing.assert_allclose(state.target.rotation.as_matrix()[:, 2], target.rotation.as_matrix()[:, 2], atol=1e-12)
     assert not state.shown.limit_excess.any()
-    apart = np.linalg.norm(spm.mechanism.StageConfiguration(BALANCER, state.target).balls - nearest.balls, axis=-1)
+    apart = np.linalg.norm(spm.machine.StageConfiguration(BALANCER, state.target).balls - nearest.balls, axis=-1)
     assert state.distance == pytest.approx(np.sqrt((apart**2).mean()))
     assert "Out of reach: beyond the leg limits. Shown: the nearest reachable tilt" in state.warnings[0]
     model.hold_limits = False

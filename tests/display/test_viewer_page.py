@@ -244,7 +244,7 @@ def test_legs_beyond_their_limits_are_red(client):
     legs = [handle for handle, part in parts if part.body.startswith("leg_")]
     assert {tuple(handle.color) for handle in legs} == {(0xC8, 0x10, 0x2E)}
     # No text is cut off or overlaps another.
-    for leg in spm.mechanism.LEGS:
+    for leg in spm.machine.LEGS:
         length = page.locator(f'[data-spm="{leg}"]')
         mark = length.locator("xpath=following-sibling::span[1]")
         assert mark.inner_text().startswith("⚠ ")

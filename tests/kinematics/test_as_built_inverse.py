@@ -26,7 +26,7 @@ def along(size: float) -> spm.Geometry:
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_all_eight_roots_are_certified(name: str, size: float, machines: int, poses: int) -> None:
-    geometry, families = GEOMETRIES[name], spm.mechanism.FAMILIES
+    geometry, families = GEOMETRIES[name], spm.machine.FAMILIES
     for seed in range(machines):
         built = as_built(geometry, size, seed)
         pose = random_branches(geometry, families[seed % 4], poses, seed=1000 + seed).pose
@@ -303,7 +303,7 @@ def test_certified_radii_hold_the_roots_of_ball_arithmetic(size: float) -> None:
 @pytest.mark.parametrize("family", range(4))
 def test_near_double_roots_labels_and_radii_hold(family: int) -> None:
     """Branches meet where det K vanishes, so under a label that was carried it has the sign of the drawn machine."""
-    poses = random_branches(PAPER, spm.mechanism.FAMILIES[family], 25, seed=21).pose
+    poses = random_branches(PAPER, spm.machine.FAMILIES[family], 25, seed=21).pose
     lost = 0
     for beyond, share in product((1e-3, 1e-6, 1e-9), (1e-2, 1.0)):
         pose = RigidTransform.concatenate([at_discriminant(pose, family, beyond, PAPER) for pose in poses])

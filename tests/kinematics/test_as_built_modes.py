@@ -51,7 +51,7 @@ def test_labels_are_carried_while_the_errors_grow(size: float, count: int) -> No
         axes = drawn.axes + share * (built.axes - drawn.axes)
         axes /= np.linalg.norm(axes, axis=1)[:, None]
         arrays = (a + share * (b - a) for a, b in zip(drawn.arrays[1:3], built.arrays[1:3], strict=True))
-        legs = spm.mechanism.Legs(axes, *arrays, np.zeros(6))
+        legs = spm.machine.Legs(axes, *arrays, np.zeros(6))
         between = spm.forward_displacement(spm.Geometry(*PAPER.dimensions, legs=legs), lengths)
         gaps = np.linalg.norm(between.middle_joints[:, None] - points[:, :, None], axis=-1).max(axis=-1)
         nearest = np.nan_to_num(gaps, nan=np.inf).argmin(axis=-1)

@@ -14,7 +14,7 @@ import pytest
 import spm_pin as spm
 from spm_pin.description import Ball
 from spm_pin.errors import ArgumentError
-from spm_pin.mechanism import home_readings
+from spm_pin.machine import home_readings
 
 gymnasium = pytest.importorskip("gymnasium")
 mujoco = pytest.importorskip("mujoco")

@@ -38,7 +38,7 @@ def folds(geometry: spm.Geometry, family: int, count: int, seed: int, beyond: fl
 
     The discriminant is a quadratic in the shift of o along the common normal of the Z axes.
     """
-    poses = random_branches(geometry, spm.mechanism.FAMILIES[family], count, seed).pose
+    poses = random_branches(geometry, spm.machine.FAMILIES[family], count, seed).pose
     rotation, position = poses.rotation.as_matrix(), poses.translation
     normal = np.stack([-rotation[:, 1, 2], rotation[:, 0, 2], np.zeros(count)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)

@@ -96,7 +96,7 @@ def test_some_lengths_have_all_256_modes() -> None:
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
+@pytest.mark.parametrize("modes", spm.machine.FAMILIES)
 def test_a_known_configuration_is_found_from_its_lengths(name: str, modes: str) -> None:
     problem = random_branches(GEOMETRIES[name], modes, 300, seed=2)
     assert_found(problem)
@@ -121,7 +121,7 @@ def test_a_short_leg_keeps_its_digits() -> None:
 @pytest.mark.parametrize("name", GEOMETRIES)
 def test_round_trips_of_many_random_states(name: str) -> None:
     for seed in range(2):
-        for modes in spm.mechanism.FAMILIES:
+        for modes in spm.machine.FAMILIES:
             assert_found(random_branches(GEOMETRIES[name], modes, 1_000, seed=100 + seed))
 
 

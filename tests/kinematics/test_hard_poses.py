@@ -12,9 +12,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
-from spm_pin import nlp
-from spm_pin.mechanism.branch_of_state import family
-from spm_pin.paper import resultant
+from spm_pin.crosscheck import nlp
+from spm_pin.crosscheck.paper import resultant
+from spm_pin.machine.branch_of_state import family
 
 EPS = np.finfo(float).eps
 RADIAL, AXES = PAPER.radial_directions, PAPER.revolute_axes
@@ -56,7 +56,7 @@ def test_nearly_level_platforms_keep_the_digits_that_are_there(tilt: float) -> N
 @pytest.mark.parametrize("index", range(4))
 @pytest.mark.parametrize("distance", [1e-6, 1e-9, 1e-12])
 def test_folds(index: int, distance: float) -> None:
-    problem = random_branches(PAPER, spm.mechanism.FAMILIES[index], 40, seed=3)
+    problem = random_branches(PAPER, spm.machine.FAMILIES[index], 40, seed=3)
     separations = []
     for n in range(40):
         for sign in (1, -1):
@@ -195,7 +195,7 @@ def test_families_are_named_and_nothing_is_picked_from_them(name: str) -> None:
     solutions = spm.inverse_displacement(PAPER, pose)
     assert solutions.status is spm.Status.DEGENERATE
     assert int(solutions.degeneracy.dimension) == dimension
-    expected = np.isin(spm.mechanism.FAMILIES, families.split())
+    expected = np.isin(spm.machine.FAMILIES, families.split())
     np.testing.assert_array_equal(solutions.degeneracy.families, expected)
     np.testing.assert_array_equal(solutions.degeneracy.legs, np.isin(range(3), legs))
     assert not solutions.exists.reshape(4, 2)[expected].any()
@@ -204,7 +204,7 @@ def test_families_are_named_and_nothing_is_picked_from_them(name: str) -> None:
     freedoms: dict[str, list[int]] = {}
     for joints, freedom in members(pose, 30, seed=0):
         state = spm.Configuration(PAPER, pose, joints)
-        of = spm.mechanism.FAMILIES[int(family(state))]
+        of = spm.machine.FAMILIES[int(family(state))]
         freedoms.setdefault(of, []).append(freedom)
         if of not in families.split():
             np.testing.assert_allclose(solutions.nearest(state).middle_joints, joints, atol=1e-6)

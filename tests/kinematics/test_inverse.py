@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints, inverse_physical
-from spm_pin.mechanism import branch_of_state
-from spm_pin.mechanism.branch_of_state import branch_sign, family
+from spm_pin.machine import branch_of_state
+from spm_pin.machine.branch_of_state import branch_sign, family
 
 EPS = np.finfo(float).eps
 
@@ -26,7 +26,7 @@ def assert_closed(solutions: spm.SolutionSet) -> None:
     assert (solutions.residual[exists] <= 64 * EPS * size).all()
 
 
-@pytest.mark.parametrize(("name", "modes"), [("paper", "in leg space"), *product(GEOMETRIES, spm.mechanism.FAMILIES)])
+@pytest.mark.parametrize(("name", "modes"), [("paper", "in leg space"), *product(GEOMETRIES, spm.machine.FAMILIES)])
 def test_the_known_branch_is_among_those_found(name: str, modes: str) -> None:
     by_legs = modes == "in leg space"
     problem = in_leg_space(PAPER, 10_000, 2) if by_legs else random_branches(GEOMETRIES[name], modes, 5_000, seed=1)
@@ -41,7 +41,7 @@ def test_the_known_branch_is_among_those_found(name: str, modes: str) -> None:
         assert set(np.unique(solutions.count)) == {4, 6, 8}
     else:
         # And it is found under its own name.
-        assert (family(found) == spm.mechanism.FAMILIES.index(modes)).all()
+        assert (family(found) == spm.machine.FAMILIES.index(modes)).all()
 
 
 @pytest.mark.parametrize(("count", "seed"), [(1_200, 5), pytest.param(5_000, 6, marks=pytest.mark.slow)])
@@ -53,7 +53,7 @@ def test_the_number_of_branches_is_certified(count: int, seed: int) -> None:
     anywhere = Problem(PAPER, pose, np.full((count // 2, 3, 3), np.nan))
     problems = [anywhere, in_leg_space(PAPER, count, seed=seed)]
     for k, geometry in enumerate(GEOMETRIES.values()):
-        problems += [random_branches(geometry, modes, count // 16, seed + k) for modes in spm.mechanism.FAMILIES]
+        problems += [random_branches(geometry, modes, count // 16, seed + k) for modes in spm.machine.FAMILIES]
     for problem in problems:
         solutions = spm.inverse_displacement(problem.geometry, problem.pose)
         assert_closed(solutions)
@@ -66,7 +66,7 @@ def test_every_label_says_what_its_branch_is() -> None:
     solutions = spm.inverse_displacement(PAPER, random_branches(PAPER, "TT", 5_000, seed=8).pose)
     for k, label in enumerate(solutions.labels):
         state = solutions[label][solutions.exists[:, k]]
-        assert (family(state) == spm.mechanism.FAMILIES.index(label[:2])).all()
+        assert (family(state) == spm.machine.FAMILIES.index(label[:2])).all()
         assert (branch_sign(state) * (1 if label[2] == "+" else -1) > 0.0).all()
 
 

@@ -107,7 +107,7 @@ def test_a_limit_is_crossed_where_the_leg_is_as_long_as_it_may_be() -> None:
         for event in found.events:
             if event.kind is not EventKind.LIMIT:
                 continue
-            leg = spm.mechanism.LEGS.index(event.detail.split()[0])
+            leg = spm.machine.LEGS.index(event.detail.split()[0])
             bound = 1.5 if "maximum" in event.detail else 1.1
             beyond = functools.partial(excess, ends=problem.pose, label=label, leg=leg, bound=bound)
             low, high = event.parameter - 1e-5, event.parameter + 1e-5

@@ -20,8 +20,8 @@ import spm_pin as spm
 from spm_pin.formulas.operations import ARRAYS, bind
 from spm_pin.formulas.planar_legs import LegPlane, place_in_plane
 from spm_pin.kinematics import compliance, determinant_gradients, platform_jacobian
-from spm_pin.mechanism import PRS, RPS, RRS, Legs, Stage
-from spm_pin.mechanism.leg_kinds import KINDS
+from spm_pin.machine import PRS, RPS, RRS, Legs, Stage
+from spm_pin.machine.leg_kinds import KINDS
 
 SIGNS = [PRS(rod=1.6, direction=1.3, sign=1), RRS(crank=1.1, rod=0.9, sign=1), *KINDS_OF_STAGES.values()]
 BALL = 0.3, 1.2
@@ -155,7 +155,7 @@ def test_a_leg_is_singular_where_rod_and_crank_are_in_line() -> None:
     kind = RRS(crank=(reach - 0.9, 1.1, 1.1), rod=0.9)
     legs = Legs(*geometry.legs.arrays, (kind, RPS()))
     built = spm.Geometry(*geometry.dimensions, legs=legs)
-    stretched = spm.mechanism.Configuration(built, state.pose, state.middle_joints)
+    stretched = spm.machine.Configuration(built, state.pose, state.middle_joints)
     kind_of = spm.kinematics.SingularityKind
     assert kind_of(int(spm.singularities(stretched, tolerance=1e-6).kind)) & kind_of.LEG
     assert not kind_of(int(spm.singularities(state, tolerance=1e-6).kind)) & kind_of.LEG
@@ -214,10 +214,10 @@ def test_wrong_legs_are_refused_with_the_cause(name: str) -> None:
 
 REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
     "certify_inverse": lambda g: spm.proofs.certify_inverse(g, spm.LegLimits(1.2, 1.3)),
-    "weights in CasADi": lambda g: spm.symbolic.gravity(g),
+    "weights in CasADi": lambda g: spm.casadi.gravity(g),
     "the paper's method": lambda g: spm.crosscheck.compare_methods(g, poses=2, methods=["paper"]),
-    "the paper's Jacobian": lambda g: spm.paper.jacobian.J_f(states(g)[0]),
-    "weights in C": lambda g: spm.symbolic.bodies(g),
+    "the paper's Jacobian": lambda g: spm.crosscheck.paper.jacobian.J_f(states(g)[0]),
+    "weights in C": lambda g: spm.casadi.bodies(g),
 }
 
 

@@ -139,7 +139,7 @@ def test_gained_twist_leaves_the_leg_lengths() -> None:
 
 
 @pytest.mark.parametrize("name", [*GEOMETRIES, "as built"])
-@pytest.mark.parametrize("modes", spm.mechanism.FAMILIES)
+@pytest.mark.parametrize("modes", spm.machine.FAMILIES)
 def test_determinants_are_those_of_the_matrices_and_of_the_jacobian(name: str, modes: str) -> None:
     if name == "as built":
         branches = spm.inverse_displacement(as_built(PAPER, 5e-3), in_leg_space(PAPER, 60, seed=1).pose)

@@ -15,7 +15,7 @@ from scipy.optimize import fsolve
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
-from spm_pin.mechanism import LegKind, Stage, StageConfiguration
+from spm_pin.machine import LegKind, Stage, StageConfiguration
 
 BALANCER = STAGES["RRS"]
 
@@ -264,7 +264,7 @@ def test_limits_mark_and_choose() -> None:
     assert list(np.sign(state.limit_excess)) == [1.0, 0.0, 1.0]
     solutions = spm.stages.inverse(stage, 0.12, tilt=0.2, azimuth=np.pi / 2)
     assert not solutions.within().exists.any()
-    assert solutions.within(spm.mechanism.StageLimits(-1.0, 1.0)).exists.any()
+    assert solutions.within(spm.machine.StageLimits(-1.0, 1.0)).exists.any()
 
 
 def test_why_there_is_no_solution_is_said() -> None:

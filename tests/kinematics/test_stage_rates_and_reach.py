@@ -9,7 +9,7 @@ from finite_differences import extrapolated
 
 import spm_pin as spm
 from spm_pin.kinematics import SingularityKind
-from spm_pin.mechanism import Stage
+from spm_pin.machine import Stage
 from spm_pin.stages import MOTION, ReachEnd
 
 BALANCER = Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))

@@ -8,9 +8,9 @@ import problems
 import pytest
 
 import spm_pin as spm
+from spm_pin.crosscheck.paper import jacobian as paper
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
-from spm_pin.paper import jacobian as paper
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()

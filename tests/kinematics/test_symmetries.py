@@ -22,7 +22,7 @@ def regular(solutions: spm.SolutionSet) -> np.ndarray:
     return np.asarray((np.abs(solutions.discriminants) > 1e-4).all(axis=-1) & (tilt > 0.05))
 
 
-@given(st.sampled_from(spm.mechanism.FAMILIES), st.integers(0, 2**32 - 1), st.sampled_from(sorted(GEOMETRIES)))
+@given(st.sampled_from(spm.machine.FAMILIES), st.integers(0, 2**32 - 1), st.sampled_from(sorted(GEOMETRIES)))
 def test_images_of_a_pose_have_the_images_of_its_branches(family: str, seed: int, name: str) -> None:
     geometry, third, mirror = GEOMETRIES[name], Rotation.from_euler("z", 120, degrees=True), np.diag([-1.0, 1.0, 1.0])
     pose = random_branches(geometry, family, 20, seed).pose

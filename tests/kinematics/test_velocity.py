@@ -19,7 +19,7 @@ from spm_pin.kinematics.singularity_analysis import determinant_gradients
 
 EPS = np.finfo(float).eps
 PAPER = spm.Geometry.paper()
-EVERY_FAMILY = [(name, family) for name in problems.GEOMETRIES for family in spm.mechanism.FAMILIES]
+EVERY_FAMILY = [(name, family) for name in problems.GEOMETRIES for family in spm.machine.FAMILIES]
 
 
 def smallest(matrix: np.ndarray) -> np.ndarray:

@@ -41,7 +41,7 @@ def placed(name: str, count: int, seed: int) -> list[tuple[spm.Configuration, Ar
     if not geometry.is_nominal:
         readings = geometry.legs.offsets + np.random.default_rng(seed).uniform(1.15, 1.45, (3 * count, 6))
         return [(state, chain(name).joint_values(state)) for state in spm.forward_physical(geometry, readings)]
-    for family in spm.mechanism.FAMILIES:
+    for family in spm.machine.FAMILIES:
         for state in problems.random_branches(problems.GEOMETRIES[name], family, count, seed).configuration:
             q = chain(name).joint_values(state)
             if np.abs(q[chain(name).joint_indices(*BALL_ANGLES)]).max() <= np.deg2rad(85.0):

@@ -190,7 +190,7 @@ def test_a_trajectory_in_files(tmp_path: Path) -> None:
     rows = list(csv.reader(io.StringIO(found.to_csv(tmp_path / "all.csv"))))
     assert (tmp_path / "all.csv").read_text(encoding="utf-8") == found.to_csv()
     assert len(rows) == 4
-    names = ["time", *spm.mechanism.LEGS, "x", "y", "z", "qx", "qy", "qz", "qw"]
+    names = ["time", *spm.machine.LEGS, "x", "y", "z", "qx", "qy", "qz", "qw"]
     assert rows[0][:15] == [*names, f"{robot.joint_names[0]}.position"]
     table = np.array(rows[1:], dtype=float)
     parts = [found.times[:, None], robot.readings(found.positions), table[:, 7:14]]

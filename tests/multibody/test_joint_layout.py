@@ -15,7 +15,7 @@ from multibody.chains import EPS, PAPER, chain, placed, random_q, rounding, six_
 import spm_pin as spm
 from spm_pin.description import actuated_joints, urdf_text
 from spm_pin.errors import ArgumentError, DescriptionError, GeometryError
-from spm_pin.mechanism.joint_angles import JOINTS
+from spm_pin.machine.joint_angles import JOINTS
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -28,7 +28,7 @@ HOME = np.zeros(18)
 def test_round_trip_in_every_family(name: str) -> None:
     robot = chain(name)
     slides, lower, upper = robot.leg_indices, robot.model.lowerPositionLimit, robot.model.upperPositionLimit
-    for family in spm.mechanism.FAMILIES:
+    for family in spm.machine.FAMILIES:
         for state in problems.random_branches(robot.geometry, family, 50, seed=71).configuration:
             q = robot.joint_values(state)
             assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.description import actuated_joints, joint_values, mjcf_text, urdf_text
-from spm_pin.mechanism import PRS, RPS, RRS, Stage
-from spm_pin.mechanism.joint_angles import home_readings
+from spm_pin.machine import PRS, RPS, RRS, Stage
+from spm_pin.machine.joint_angles import home_readings
 
 WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
 SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
@@ -147,7 +147,7 @@ def test_a_trajectory_says_in_which_units_legs_are() -> None:
 def test_states_of_other_legs_and_lengths_that_no_leg_has_are_refused() -> None:
     chain, state, _ = start("servos below")
     kinds = RRS(crank=0.16, rod=0.35), PRS(rod=0.30)
-    other = spm.Geometry(*state.geometry.dimensions, legs=spm.mechanism.Legs(*state.geometry.legs.arrays, kinds))
+    other = spm.Geometry(*state.geometry.dimensions, legs=spm.machine.Legs(*state.geometry.legs.arrays, kinds))
     with pytest.raises(spm.GeometryError, match=r"r_b1\.crank of the chain, 0\.15 m, got 0\.16 m"):
         chain.joint_values(spm.Configuration(other, state.pose, state.middle_joints))
     with pytest.raises(spm.GeometryError, match="RPS legs for lengths of the legs in q"):

@@ -10,7 +10,7 @@ from multibody.chains import EPS, NAMES, Array, chain, frame_jacobian, placed, r
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.paper import jacobian as paper
+from spm_pin.crosscheck.paper import jacobian as paper
 
 pinocchio = pytest.importorskip("pinocchio")
 

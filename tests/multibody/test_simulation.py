@@ -191,7 +191,7 @@ def test_a_leg_of_no_length_ends_a_run() -> None:
     robot, rest = chain(), np.zeros(18)
     run = robot.simulate(rest, rest, np.full(6, -3000.0), np.linspace(0.0, 2.0, 21))
     assert run.end is SimulationEnd.COLLAPSE
-    assert run.detail in spm.mechanism.LEGS
+    assert run.detail in spm.machine.LEGS
     assert run.readings[-1].min() == pytest.approx(1e-6 * robot.geometry.middle_side, rel=1e-6)
 
 

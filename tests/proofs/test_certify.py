@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.kinematics.path_following import existing_share
-from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.proofs.stage_proof import StageProof, StageRegion, configuration_at, has_one_state, region_coordinates
+from spm_pin.support.arguments import FloatArray
 
 PAPER = spm.Geometry.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)

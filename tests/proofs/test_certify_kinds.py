@@ -8,7 +8,7 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval, angle, cosine, sine
-from spm_pin.mechanism import PRS, RPS, RRS, Stage
+from spm_pin.machine import PRS, RPS, RRS, Stage
 from spm_pin.proofs.certificate import stage_regions
 from spm_pin.proofs.stage_proof import region_coordinates
 

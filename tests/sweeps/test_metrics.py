@@ -10,7 +10,7 @@ from problems import PAPER_TILTS, singular_state
 from scipy.optimize import linprog
 
 import spm_pin as spm
-from spm_pin.mechanism.branch_of_state import BRANCHES
+from spm_pin.machine.branch_of_state import BRANCHES
 from spm_pin.sweeps import METRICS, Metric, Points
 from spm_pin.sweeps.metrics import resolve_metrics
 from spm_pin.sweeps.points import Space

@@ -121,11 +121,11 @@ def test_a_sample_of_leg_lengths_keeps_its_points(tmp_path: Path) -> None:
     domain = leg_sample(700, (1.1, 1.5), [1.2, (1.1, 1.5), 1.3], seed=4)
     found = run_sweep(GEOMETRY, domain, ["o_x", "o_y", "o_z", "branches"], tmp_path / "a", workers=1, chunk=256).load()
     assert dict(found.sizes) == {"sample": 700}
-    legs = np.stack([np.broadcast_to(found[leg], 700) for leg in spm.mechanism.LEGS], axis=-1)
+    legs = np.stack([np.broadcast_to(found[leg], 700) for leg in spm.machine.LEGS], axis=-1)
     state = spm.forward_physical(GEOMETRY, legs)
     np.testing.assert_array_equal(np.stack([found[f"o_{k}"] for k in "xyz"], axis=-1), state.translation)
     assert found.r_b1.attrs["units"] == "m"
-    assert set(found.coords) == set(spm.mechanism.LEGS)
+    assert set(found.coords) == set(spm.machine.LEGS)
     poses = run_sweep(
         GEOMETRY, pose_sample(50, (-1, 1), 0, 2, xyx=[0.1, (0.2, 0.5), 0]), ["branches"], tmp_path / "b", workers=1
     )
@@ -366,7 +366,7 @@ DEFINITIONS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "metric": lambda definition: definition.update(metrics=[{"unit": "m"}]),
     "axis": lambda definition: definition["domain"]["axes"][0].pop("count"),
     "format": lambda definition: definition.update(format=99),
-    "legs without numbers": lambda definition: definition["geometry"].update(legs=dict.fromkeys(spm.mechanism.LEGS)),
+    "legs without numbers": lambda definition: definition["geometry"].update(legs=dict.fromkeys(spm.machine.LEGS)),
     "another key": lambda definition: definition.update(points=630),
 }
 TEXTS = ("", "[]", '{"attributes": 3}', "[" * 100_000)

@@ -10,8 +10,8 @@ from kinds_of_legs import machine
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.mechanism import LegLimits
-from spm_pin.mechanism.branch_of_state import physical
+from spm_pin.machine import LegLimits
+from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import leg_clearance, nearest_reachable_pose, pose_distance, reachable, reachable_position
 from spm_pin.workspace.states import StateSet, states_within
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.mechanism.branch_of_state import physical
+from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import nearest_reachable_pose, pose_distance
 
 PAPER = spm.Geometry.paper()
@@ -48,10 +48,10 @@ def test_nothing_within_the_limits_is_nearer(geometry, near):
     assert max(nearer) < 2e-5
 
 
-@pytest.mark.parametrize("family", spm.mechanism.FAMILIES)
+@pytest.mark.parametrize("family", spm.machine.FAMILIES)
 def test_without_limits_the_branch_is_real_and_nothing_found_at_random_is_nearer(family):
-    rng = np.random.default_rng(spm.mechanism.FAMILIES.index(family))
-    place = 2 * spm.mechanism.FAMILIES.index(family)
+    rng = np.random.default_rng(spm.machine.FAMILIES.index(family))
+    place = 2 * spm.machine.FAMILIES.index(family)
     tried = 0
     while tried < 4:
         target = spm.pose(rng.normal([0.0, 0.0, 2.2], [0.9, 0.9, 0.3]), xyx=rng.normal(0.0, 0.6, 3))

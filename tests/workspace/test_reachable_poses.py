@@ -11,8 +11,8 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.mechanism import joint_angles
-from spm_pin.mechanism.branch_of_state import physical
+from spm_pin.machine import joint_angles
+from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import JointLimits, leg_clearance, reachable, sample_reachable
 from spm_pin.workspace.states import pose_multiplicity, states_within
 
@@ -56,7 +56,7 @@ def test_any_branch_reaches_more_than_the_physical_one() -> None:
     physical, every = (reachable(PAPER, problem.pose, wide, branch=which) for which in ("physical", "any"))
     assert (every.allowed >= physical.allowed).all()
     assert every.reachable.sum() > physical.reachable.sum() + 30
-    named = [reachable(PAPER, problem.pose, wide, branch=label).allowed for label in spm.mechanism.BRANCHES]
+    named = [reachable(PAPER, problem.pose, wide, branch=label).allowed for label in spm.machine.BRANCHES]
     np.testing.assert_array_equal(np.any(named, axis=0), every.allowed)
     for place, allowed in enumerate(named):
         assert not np.delete(allowed, place, axis=-1).any()

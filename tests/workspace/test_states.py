@@ -7,7 +7,7 @@ import pytest
 from problems import GEOMETRIES, PAPER
 
 import spm_pin as spm
-from spm_pin.mechanism.branch_of_state import FAMILIES, family, physical
+from spm_pin.machine.branch_of_state import FAMILIES, family, physical
 from spm_pin.workspace.states import StateSet, free_states, states_within
 
 BUILT = PAPER.perturbed(1, length=5e-3, angle=5e-3)

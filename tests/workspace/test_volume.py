@@ -8,8 +8,8 @@ from problems import PAPER
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
+from spm_pin.crosscheck.paper_shell import workspace_shell
 from spm_pin.workspace import orientation_workspace, reachable, reachable_boundary
-from spm_pin.workspace.paper_shell import workspace_shell
 from spm_pin.workspace.positions import (
     ROTATIONS,
     Estimate,

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.mechanism.branch_of_state import physical
+from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import pose_volume
 from spm_pin.workspace.positions import reachable_position, reachable_volume
 from spm_pin.workspace.search import search_states, start_table

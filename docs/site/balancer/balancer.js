@@ -179,7 +179,7 @@ function start(stage) {
     const legs = ["RPS()", `PRS(rod=${m(rod)}${direction})`, `RRS(crank=${m(crank)}, rod=${m(rod)})`][kind];
     const ends = Number.isFinite(limits[0]) ? `, limits=(${limits.join(", ")})` : "";
     const lines = ["import spm_pin as spm", "", `stage = spm.Stage(${m(base)}, ${m(plate)}, spm.${legs}${ends})`];
-    return [...lines, 'spm.symbolic.write_stage_c(stage, "board")'].join("\n");
+    return [...lines, 'spm.export.write_stage_c(stage, "board")'].join("\n");
   }
 
   // What the machine can do of what is wanted: at an azimuth and a height tilts from zero on.

@@ -27,12 +27,12 @@ from spm_pin.kinematics import (
 from spm_pin.kinematics.forward_displacement import read_readings
 from spm_pin.kinematics.path_following import existing_share, last_on_line
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.mechanism import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Stage, StageConfiguration, Status
-from spm_pin.mechanism.arguments import BoolArray, FloatArray, real_array
-from spm_pin.mechanism.batched import Batched
-from spm_pin.mechanism.branch_of_state import family, physical
-from spm_pin.mechanism.pose import inverse_command
+from spm_pin.machine import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Stage, StageConfiguration, Status
+from spm_pin.machine.batched import Batched
+from spm_pin.machine.branch_of_state import family, physical
 from spm_pin.multibody.chain import ClosedChain
+from spm_pin.support.arguments import BoolArray, FloatArray, real_array
+from spm_pin.support.pose import inverse_command
 from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance
 
 SINGULARITIES = ("forward, lower", "forward, upper", "inverse")

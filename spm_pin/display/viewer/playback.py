@@ -15,10 +15,10 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.kinematics.path_following import FollowedPath, follow
-from spm_pin.mechanism import LEGS, Configuration, Geometry
-from spm_pin.mechanism.arguments import FloatArray
-from spm_pin.mechanism.mechanism import unit_hint
-from spm_pin.mechanism.motion_table import POSITION, QUATERNION, MotionTable
+from spm_pin.machine import LEGS, Configuration, Geometry
+from spm_pin.machine.machine import unit_hint
+from spm_pin.support.arguments import FloatArray
+from spm_pin.support.motion_table import POSITION, QUATERNION, MotionTable
 
 _SECONDS = 10.0  # duration of the demo motion, and of a path without times
 _POINTS = 81

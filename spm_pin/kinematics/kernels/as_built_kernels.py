@@ -76,7 +76,7 @@ from spm_pin.kinematics.kernels.quadric_newton import (
     real_part,
 )
 from spm_pin.kinematics.kernels.quadric_roots import allocate_elimination, eight_roots
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 Planes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Normals (6, 3) and heights (6,) of planes in {B}, the balls (6, 3) in {n} that lie in them, and the factors (6, 9) of

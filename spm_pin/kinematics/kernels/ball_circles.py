@@ -34,7 +34,7 @@ from spm_pin.formulas.circles import (
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.vectors import Rows, Vector, combinations, largest
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, put_rows, readonly_array, rows_at, vector_at
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 _SHORTEST = 1e-9  # where a step would have to be shorter than this share of the way, a singularity is met
 _MOST_SAFE_STEPS = 250_000  # a bound of the time; a way that needs more is said to meet a singularity

@@ -41,7 +41,7 @@ from spm_pin.kinematics.kernels.compilation import (
     vector_at,
 )
 from spm_pin.kinematics.kernels.quadric_newton import squared
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 VERTICAL = 16
 """Flag of a pose, besides bit k for a continuous family k: the two Z axes are parallel, without a common normal."""

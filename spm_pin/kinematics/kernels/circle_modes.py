@@ -55,7 +55,7 @@ from spm_pin.kinematics.kernels.compilation import (
 )
 from spm_pin.kinematics.kernels.mode_kernels import StageScratch, allocate_stage_scratch, is_countable, stage_modes
 from spm_pin.kinematics.kernels.quadric_newton import reciprocal
-from spm_pin.mechanism.arguments import BoolArray, FloatArray
+from spm_pin.support.arguments import BoolArray, FloatArray
 
 Forms = tuple[PairForm, PairForm, PairForm]
 

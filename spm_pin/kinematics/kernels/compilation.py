@@ -28,7 +28,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.formulas import operations
 from spm_pin.formulas.operations import F
 from spm_pin.formulas.vectors import Rows, Vector
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 ByteArray = npt.NDArray[np.uint8]
 ComplexArray = npt.NDArray[np.complex128]

@@ -35,7 +35,7 @@ from spm_pin.kinematics.kernels.compilation import (
     rows_at,
     vector,
 )
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 STATES = f"{readonly_array(4)}, {readonly_array(4)}, {readonly_array(3)}, {readonly_array(4)}"
 MACHINE = "f8[:,::1]"

@@ -33,7 +33,7 @@ from spm_pin.formulas.stages import (
 from spm_pin.formulas.vectors import Rows, Vector, dot, largest, scaled, times, transposed, weighted
 from spm_pin.kinematics.kernels.compilation import ComplexArray, jit, jit_inline, put_rows, vector_at
 from spm_pin.kinematics.kernels.quadric_newton import reciprocal, squared
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 Quartic = tuple[float, float, float, float, float]
 

@@ -26,7 +26,7 @@ from spm_pin.kinematics.kernels.compilation import (
     vector,
     vector_at,
 )
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 _NORMAL, _HEIGHT, _ROTATION, _POSITION, _X, _Z = 0, 3, 4, 13, 16, 19
 _READING, _COSINE, _ROD_X, _ROD_Z, _HOME, _ROWS = 22, 25, 28, 31, 34, 35

@@ -13,7 +13,7 @@ import numpy as np
 
 from spm_pin.formulas.circles import has_converged, is_next_to_solution
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 POINTS = 8
 _SIZE, _LAST, STATE, ROWS = 8 * POINTS, 9 * POINTS, 10 * POINTS, 11

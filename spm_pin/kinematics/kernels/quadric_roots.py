@@ -39,7 +39,7 @@ from spm_pin.kinematics.kernels.quadric_newton import (
     symmetric_product,
     unit,
 )
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 Elimination = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 """Arrays to compute in: a matrix in turned coordinates (4, 4), the equations (3, 10), the polynomial (9,), and the

@@ -26,7 +26,7 @@ from spm_pin.kinematics.kernels.jacobian_kernels import (
     state_forces,
     three_determinants,
 )
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 LANES = 64
 """Matrices in a tile: more than elsewhere, for the loops are many and short."""

@@ -46,7 +46,7 @@ from spm_pin.formulas.vectors import (
 )
 from spm_pin.formulas.wrenches import pairs
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, vector_at
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND = 0, 3, 6, 9, 12, 15, 18, 19
 """Where a leg's numbers begin in a row (20,) of `legs`: see `mechanism.Legs`, and `LegKind.number`."""

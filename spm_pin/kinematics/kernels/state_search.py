@@ -32,7 +32,7 @@ from spm_pin.kinematics.kernels.stage_states import (
     put,
     stage_rotation,
 )
-from spm_pin.mechanism.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray
 
 GAUSS_NEWTON, NEWTON = 0, 1
 _STEPS = (40, 120)  # steps of a search at most, of both methods

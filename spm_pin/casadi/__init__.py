@@ -1,0 +1,30 @@
+"""The formulas in CasADi: functions with derivatives of any order, of the manipulator and of a stage."""
+
+from spm_pin.casadi.functions import (
+    bodies,
+    closure_residual,
+    forward_physical,
+    gravity,
+    inverse_branch,
+    inverse_jacobian,
+    inverse_physical,
+    joint_values,
+    leg_forces,
+    leg_rates,
+)
+from spm_pin.casadi.stage_in_casadi import stage_forward, stage_inverse
+
+__all__ = [
+    "bodies",
+    "closure_residual",
+    "forward_physical",
+    "gravity",
+    "inverse_branch",
+    "inverse_jacobian",
+    "inverse_physical",
+    "joint_values",
+    "leg_forces",
+    "leg_rates",
+    "stage_forward",
+    "stage_inverse",
+]

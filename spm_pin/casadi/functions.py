@@ -1,0 +1,505 @@
+"""The kinematics as CasADi functions, for optimisation and optimal control, with derivatives of any order.
+
+Arguments of all: `geometry` is the machine that is built in, drawn or as built, of legs of any kind; None is the
+paper's machine, and `"symbolic"` a drawn one of RPS legs whose `dimensions` (3,) = E, C, d [m] are one more input. With
+`parameters` the parameters of the legs, see `spm_pin.Geometry.parameters`, are one more input instead, and `geometry`
+is the drawing. Readings are in metres, of RRS legs in radians; so are rates, and forces are then torques [N m].
+
+Functions of a state have the inputs `joints` (3, 3), rows b_i in {B} [m], `rotation` (3, 3) from {m} to {B} and
+`position` (3,) of o in {B} [m], and then what they say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from spm_pin.casadi.symbolic_machine import (
+    Drawn,
+    MachineInCasadi,
+    StateInCasadi,
+    all_of,
+    columns,
+    in_casadi,
+    parts,
+    stages_of,
+)
+from spm_pin.description.masses import Masses
+from spm_pin.description.robot import read_robot
+from spm_pin.errors import ArgumentError
+from spm_pin.formulas import ball_motions, circles, leg_constants, leg_planes, vectors, wrenches
+from spm_pin.formulas import branches as formulas
+from spm_pin.formulas import joint_values as values
+from spm_pin.machine import BRANCHES, Geometry
+from spm_pin.machine.manipulator import check_rps
+from spm_pin.support.arguments import FloatArray, as_bool, check_instance, choice
+
+Dimensions = Geometry | Literal["symbolic"] | None
+
+_LEG_NAMES = ("b1", "b2", "b3", "c1", "c2", "c3")
+_NEWTON_STEPS = 14
+_LONGEST_STEP = 0.3
+"""Of a step of Newton's method, in units of d."""
+
+
+def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the inverse displacement in the physical branch.
+
+    Returns
+    -------
+    casadi.Function
+        Inputs: `rotation` and `position`. Outputs: `readings` (6,) of the encoders; `joints`; `discriminant` (1,),
+        dimensionless, not negative where the branches TT of the drawn machine are real; and `exists` (1,), 1 where the
+        physical branch does and 0 where not.
+
+    Notes
+    -----
+    The leg limits of `geometry` decide between two physical branches, as in `spm_pin.inverse_physical`. Where none is
+    physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. A negative
+    `discriminant` is taken for zero, and so is what a rod is too short by, so readings are those of a machine that does
+    not close, and their derivatives finite: constrain the first to be positive. At a level platform they are finite and
+    mean nothing; `exists` is 0. Of a drawn machine nothing is NaN for finite arguments. One as built is solved by
+    Newton's method from the branches TT of the drawing, and then by `casadi.rootfinder`, through which CasADi
+    differentiates implicitly.
+
+    `exists` is 0 as well for what is no pose, an entry of RᵀR - I being above 1e-6, and for dimensions not within 1e-9
+    to 1e9 m. A rotation is not repaired: up to there its error is one of the other outputs too.
+    """
+    machine, rotation, position = MachineInCasadi(geometry, parameters), *_pose()
+    if not machine.is_drawn:
+        return _as_built_inverse(machine, rotation, position)
+    drawn = Drawn(machine, rotation, position)
+    joints = [drawn.branch("TT", sign) for sign in (1.0, -1.0)]
+    states = [StateInCasadi(machine, b, rotation, position) for b in joints]
+    (plus, plus_tilts), (minus, minus_tilts) = (preference(machine, state) for state in states)
+    other = in_casadi(formulas.is_other_preferred)(plus, plus_tilts, minus, minus_tilts)
+    outputs = {
+        "readings": ca.if_else(other, states[1].readings, states[0].readings),
+        "joints": ca.if_else(other, joints[1], joints[0]),
+        "discriminant": drawn.discriminant("TT"),
+        "exists": all_of([plus + minus > 0.0, drawn.is_real("TT"), machine.takes(rotation, position)]),
+    }
+    return machine.function("inverse_physical", [rotation, position], outputs)
+
+
+def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
+    """Make the inverse displacement of a drawn machine in one branch.
+
+    Parameters
+    ----------
+    branch : str
+        One of `spm_pin.machine.BRANCHES`.
+
+    Returns
+    -------
+    casadi.Function
+        As `inverse_physical`; `discriminant` is that of the branch's family, and `exists` 1 where the branch is real
+        and all balls are in reach.
+
+    Raises
+    ------
+    ArgumentError
+        If there is no such branch, or `geometry` is a machine as built.
+    """
+    choice(branch, "branch", BRANCHES)
+    machine, rotation, position = MachineInCasadi(geometry), *_pose()
+    if not machine.is_drawn:
+        cause = "The eight roots of a machine as built have no closed form; inverse_physical takes it"
+        raise ArgumentError("geometry", "a machine as drawn", "one as built", cause)
+    drawn, family = Drawn(machine, rotation, position), branch[:2]
+    joints = drawn.branch(family, 1.0 if branch[2] == "+" else -1.0)
+    state = StateInCasadi(machine, joints, rotation, position)
+    outputs = {
+        "readings": state.readings,
+        "joints": joints,
+        "discriminant": drawn.discriminant(family),
+        "exists": all_of([drawn.is_real(family), state.reach >= 0.0, machine.takes(rotation, position)]),
+    }
+    return machine.function("inverse_branch", [rotation, position], outputs)
+
+
+def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, near: bool = False) -> ca.Function:
+    """Make the forward displacement, an implicit function with exact derivatives.
+
+    Parameters
+    ----------
+    near : bool
+        Whether Newton's method begins from a state, given as three more inputs `near_joints` (3, 3), `near_rotation`
+        and `near_position`, and not from the level one; the result may then be in another aspect.
+
+    Returns
+    -------
+    casadi.Function
+        Input: `readings` (6,). Outputs: `rotation`, `position`, `joints`; `residual` (1,), the largest error of the
+        stages' equations in units of d, below 1e-12 at a solution; and `exists` (1,), 1 where that is so, both stages
+        are in the aspect of the symmetric home, and all legs in their working mode. Where it is 0 the others are where
+        14 steps of Newton's method and `casadi.rootfinder` ended.
+    """
+    machine, readings = MachineInCasadi(geometry, parameters), ca.SX.sym("readings", 6)
+    unknowns, stages = ca.SX.sym("unknowns", 6), [machine.circles(k, readings) for k in (0, 1)]
+    inputs, starts = [readings], [level_balls(machine, k, stage) for k, stage in enumerate(stages)]
+    if as_bool(near, "near"):
+        inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
+        starts = [list(map(parts, balls)) for balls in StateInCasadi(machine, *inputs[1:]).own_balls()]
+    halves = unknowns[:3], unknowns[3:]
+    problems = [stage_problem(machine, k, *own) for k, own in enumerate(zip(stages, starts, halves, strict=True))]
+    balls, errors, stepped, angles = zip(*problems, strict=True)
+    rotation, position, joints = placed(machine, *balls)
+    own = ca.vertsplit(readings - machine.offsets)
+    # Half the squares of the distances, over d.
+    error = ca.vertcat(*errors) / machine.side
+    residual, state = ca.mmax(ca.fabs(error)) / machine.side, StateInCasadi(machine, joints, rotation, position)
+    exists = [machine.valid, state.is_physical()[0], residual < 1e-12, state.least_slope(state.slopes_at(own)) > 0.0]
+    exists += [radius > 0.0 for stage in stages for radius in stage.radii]
+    exists += machine.are_readings(own)
+    outputs = {"rotation": rotation, "position": position, "joints": joints}
+    outputs |= {"residual": residual, "exists": all_of(exists)}
+    problem = unknowns, error, outputs, ca.vertcat(*stepped)
+    return implicit("forward_physical", [*inputs, *machine.inputs], problem, [ca.vertcat(*angles)])
+
+
+def inverse_jacobian(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make J_f, of a state: `jacobian` (6, 6), which maps the platform's twist (v, ω) at o in {B} to the leg rates.
+
+    It grows without bound towards an inverse singularity, or a leg's own, and is not a number at one.
+    """
+    return _of_state("inverse_jacobian", MachineInCasadi(geometry, parameters), {}, jacobian_of)
+
+
+def leg_rates(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the leg rates `rates` (6,) of a state for a `twist` (6,), (v, ω) at o in {B}."""
+    return _of_state("leg_rates", MachineInCasadi(geometry, parameters), {"twist": 6}, rates_of)
+
+
+def leg_forces(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the leg forces `forces` (6,) that hold a `wrench` on the platform in a state; positive increases readings.
+
+    `wrench` (6,) is the force [N] and moment [N m] at o in {B}, applied from outside. The forces grow without bound
+    towards a forward singularity.
+    """
+    return _of_state("leg_forces", MachineInCasadi(geometry, parameters), {"wrench": 6}, forces_of)
+
+
+def gravity(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the leg forces `forces` (6,) [N] that hold the weight of the machine and of a payload at rest in a state.
+
+    Further inputs: `bodies` (32,), see `bodies`; `payload` (4,), a mass [kg] and its centre in {m} [m]; `acceleration`
+    (3,), of gravity in {B} [m/s²].
+    """
+    machine, arguments = MachineInCasadi(geometry, parameters), {"bodies": 32, "payload": 4, "acceleration": 3}
+    if isinstance(geometry, Geometry):
+        check_rps(geometry, "weights of the legs")
+    return _of_state("gravity", machine, arguments, gravity_of)
+
+
+def bodies(geometry: Geometry | None = None, masses: Masses | None = None) -> FloatArray:
+    """Return masses as `gravity` takes them: those given, or the assumed ones of the description.
+
+    Returns
+    -------
+    ndarray, shape (32,)
+        Mass [kg] and first moments [kg m] of the middle platform in {n}, with all balls, and of the terminal platform
+        in {m}; then for each leg the mass of its cylinder, and times the distance of its centre from the pivot, and the
+        mass of its rod, and times the distance of its centre from the ball.
+    """
+    machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
+    check_rps(machine, "weights of the bodies in CasADi and C")
+    robot = read_robot(machine, masses=masses)
+    moments: dict[str, Any] = {}
+    bodies_of_carriers = {robot.carrier(name)[0]: name for name in ("middle_platform", "terminal_platform")}
+    for name, link in robot.links.items():
+        carrier, pose = robot.carrier(name)
+        body = bodies_of_carriers.get(carrier, carrier)
+        centre = np.linalg.solve(robot.carrier(body)[1], pose @ [*link.inertial.xyz, 1.0])[:3]
+        if name.startswith("ball_"):
+            # Its centre is that of a ball, which the middle platform carries.
+            body, centre = "middle_platform", machine.legs.balls[_LEG_NAMES.index(name[5:7])]
+        moments[body] = moments.get(body, 0.0) + link.mass * np.array([1.0, *centre])
+    rows = [moments["middle_platform"], moments["terminal_platform"]]
+    for leg in _LEG_NAMES:
+        cylinder, rod = moments[f"leg_{leg}_cylinder"], moments[f"leg_{leg}_rod"]
+        aside = float(np.abs([*cylinder[1:3], *rod[1:3]]).max())
+        if aside > 1e-9 * (cylinder[0] + rod[0]):
+            expected = f"bodies of leg {leg} with their common centres on its axis, as in the formula of `gravity`"
+            raise ArgumentError("masses", expected, f"a first moment of {aside:.3g} kg m beside it")
+        rows.append([cylinder[0], cylinder[3], rod[0], -rod[3]])
+    return np.concatenate(rows)
+
+
+def closure_residual(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the nine closure equations of a state, `residual` (9,) [m].
+
+    Distances of the balls from the planes of their lower legs, then of their upper legs; then, for the sides 12, 23,
+    31, the error (|b_i - b_j|² - s²)/2s of a side s, smooth everywhere.
+    """
+    return _of_state("closure_residual", MachineInCasadi(geometry, parameters), {}, residual_of)
+
+
+def joint_values(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+    """Make the values of the description's eighteen joints in a state.
+
+    `values` (18,) are in the order of `spm_pin.description.JOINTS`: angles [rad], slides [m].
+    """
+    return _of_state("joint_values", MachineInCasadi(geometry, parameters), {}, values_of)
+
+
+def _of_state(
+    name: str, machine: MachineInCasadi, arguments: dict[str, int], compute: Callable[..., Any]
+) -> ca.Function:
+    """Make a function of a state, `joints`, `rotation` and `position`, and of further arguments."""
+    joints, further = ca.SX.sym("joints", 3, 3), [ca.SX.sym(*argument) for argument in arguments.items()]
+    pose = _pose()
+    return machine.function(name, [joints, *pose, *further], compute(StateInCasadi(machine, joints, *pose), *further))
+
+
+def jacobian_of(state: StateInCasadi) -> dict[str, Any]:
+    """Return J_f of a state."""
+    (b, c), axes = stages_of(state.balls), stages_of(state.axes)
+    lower, upper = stages_of(state.directions)
+    if state.machine.is_drawn:
+        rows = in_casadi(wrenches.drawn_inverse_jacobian)(b, lower, upper, *axes, parts(state.position))
+    else:
+        rows = in_casadi(wrenches.inverse_jacobian)(b, c, lower, upper, *axes, parts(state.position))
+    along = [ca.horzcat(*force, *moment) for stage in rows for force, moment in stage]
+    return {"jacobian": ca.vertcat(*(x / slope for x, slope in zip(along, state.slopes, strict=True)))}
+
+
+def rates_of(state: StateInCasadi, twist: Any) -> dict[str, Any]:
+    """Return the leg rates of a twist in a state."""
+    return {"rates": jacobian_of(state)["jacobian"] @ twist}
+
+
+def forces_of(state: StateInCasadi, wrench: Any) -> dict[str, Any]:
+    """Return the leg forces that hold a wrench in a state."""
+    return {"forces": _forces(state, wrench, wrench)}
+
+
+def _forces(state: StateInCasadi, *wrenches_of_stages: Any) -> Any:
+    """Return the forces of the lower legs that hold one wrench at o, and of the upper legs that hold another."""
+    forces: list[Any] = []
+    vectors = map(stages_of, (state.balls, state.directions, state.axes))
+    for b, f, axes, wrench in zip(*vectors, wrenches_of_stages, strict=True):
+        twists = in_casadi(wrenches.stage_twists)(b, f, axes, parts(state.position))
+        forces += in_casadi(wrenches.stage_forces)(twists, (parts(wrench[:3]), parts(wrench[3:])))
+    return ca.vertcat(*(x * slope for x, slope in zip(forces, state.slopes, strict=True)))
+
+
+def gravity_of(state: StateInCasadi, bodies: Any, payload: Any, acceleration: Any) -> dict[str, Any]:
+    """Return the leg forces that hold all weights in a state."""
+    o = state.position
+    turn, origin = frame_of(state.joints, state.machine.balls[:3])
+
+    def wrench(mass: Any, moments: Any) -> Any:
+        return ca.vertcat(mass * acceleration, ca.cross(moments - mass * o, acceleration))
+
+    middle = turn @ bodies[1:4] + bodies[0] * origin
+    mass = bodies[4] + payload[0]
+    upper = wrench(mass, state.rotation @ (bodies[5:8] + payload[0] * payload[1:]) + mass * o)
+    lower = upper + wrench(bodies[0], middle)
+    for leg in range(6):
+        cylinder, cylinder_moment, rod, rod_moment = ca.vertsplit(bodies[8 + 4 * leg : 12 + 4 * leg])
+        pivot, ball = state.bases[leg], state.balls[leg]
+        along = state.directions[leg] if leg < 3 else -state.directions[leg]
+        across = acceleration - ca.dot(along, acceleration) * along
+        swing = (cylinder_moment - rod_moment) / state.lengths[leg] * across
+        # A leg turns about the end that stays; what its other end feels of the weights is a force there.
+        if leg < 3:
+            force = rod * acceleration + swing
+            lower += ca.vertcat(force, ca.cross(ball - o, force))
+        else:
+            force = cylinder * acceleration - swing
+            upper += ca.vertcat(force, ca.cross(pivot - o, force))
+            moments = cylinder * pivot + cylinder_moment * along + rod * ball - rod_moment * along
+            lower += wrench(cylinder + rod, moments)
+    return {"forces": _forces(state, lower, upper)}
+
+
+def values_of(state: StateInCasadi) -> dict[str, Any]:
+    """Return the values of the eighteen joints in a state."""
+    machine, turned = state.machine, state.rotation.T
+    triangle, own = (in_casadi(values.triangle_axes)([parts(b) for b in x]) for x in (state.joints, machine.balls[:3]))
+    seen = [parts(turned @ ca.vertcat(*x)) for x in triangle]
+    by_joint: dict[str, Any] = {}
+    frames = [frame for stage in (0, 1) for frame in machine.leg_frames(stage, own)]
+    for k, (name, leg) in enumerate(zip(_LEG_NAMES, frames, strict=True)):
+        kind, up = machine.kinds[k // 3], 1.0 - 2.0 * (k // 3)
+        ball = state.balls[k] if k < 3 else turned @ (state.balls[k] - state.position)
+        of_leg = in_casadi(values.leg_values)(parts(ball), leg, machine.formulas[k // 3])
+        by_joint[f"leg_{name}_{kind.passive}"] = ca.atan2(*of_leg.passive)
+        by_joint[f"leg_{name}_{kind.actuated}"] = of_leg.actuated
+        if k % 3 == 0:
+            angles = in_casadi(values.ball_angles)(of_leg, leg, triangle if k < 3 else seen, up)
+            by_joint |= {f"ball_{name}_{x}": ca.atan2(*angle) for x, angle in zip("xyz", angles, strict=True)}
+    return {"values": ca.vertcat(*(by_joint[name] for name in machine.joint_names))}
+
+
+def residual_of(state: StateInCasadi) -> dict[str, Any]:
+    """Return the closure equations of a state."""
+    origins = [0.0] * 3 + [state.position] * 3
+    rows = [
+        ca.dot(ball - origin, axis) - ca.dot(plane.x, plane.pivot)
+        for ball, origin, axis, plane in zip(state.balls, origins, state.axes, state.machine.planes, strict=True)
+    ]
+    return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, state.joints))}
+
+
+def _pose() -> tuple[Any, Any]:
+    return ca.SX.sym("rotation", 3, 3), ca.SX.sym("position", 3)
+
+
+def _side_errors(machine: MachineInCasadi, balls: Sequence[Any]) -> list[Any]:
+    """Return (|b_i - b_j|² - s²)/2s [m] of the sides s of the lower balls."""
+    squares = in_casadi(circles.squared_sides)([parts(b) for b in balls])
+    return [(square - s * s) / (2.0 * s) for square, s in zip(squares, machine.sides(), strict=True)]
+
+
+def closure_equations(machine: MachineInCasadi, coordinates: Any, rotation: Any, position: Any) -> Any:
+    """Return the errors (6,) [m] of the lower balls' sides, and of the upper balls' distances from their planes."""
+    balls = [machine.planes[i].point(coordinates[2 * i : 2 * i + 2]) for i in range(3)]
+    planes = [
+        ca.dot(rotation @ plane.x, ball - position) - ca.dot(plane.x, plane.pivot)
+        for plane, ball in zip(machine.planes[3:], machine.all_balls(balls)[3:], strict=True)
+    ]
+    return ca.vertcat(*_side_errors(machine, balls), *planes)
+
+
+def quadrics(machine: MachineInCasadi, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
+    """Return the forms (4, 4) of `leg_planes.quadric`, norm 1, and the lower balls of a root in their planes (6,)."""
+    normals = ca.horzcat(*machine.axes[:3], *(rotation @ x for x in machine.axes[3:]))
+    heights = [ca.dot(plane.x, plane.pivot) for plane in machine.planes]
+    heights = ca.vertcat(*heights[:3], *(h + ca.dot(normals[:, 3 + i], position) for i, h in enumerate(heights[3:])))
+    stages = [
+        leg_planes.StagePlanes(
+            (parts(normals[:, i]), parts(normals[:, i + 1]), parts(normals[:, i + 2])),
+            parts(heights[i : i + 3]),
+            (parts(machine.balls[i]), parts(machine.balls[i + 1]), parts(machine.balls[i + 2])),
+        )
+        for i in (0, 3)
+    ]
+    forms, weights = [], ca.nullspace(normals)
+    for k in range(3):
+        w = weights[:, k]
+        xx, yy, zz, ww, xy, xz, yz, xw, yw, zw = in_casadi(leg_planes.quadric)(parts(w[:3]), parts(w[3:]), *stages)
+        form = ca.blockcat([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]])
+        forms.append(form / ca.norm_fro(form))
+    turn = ca.vertcat(*(ca.horzcat(*row) for row in in_casadi(vectors.rotation_of)(*ca.vertsplit(quaternion))))
+    turned = [turn @ ball for ball in machine.balls]
+    gaps = heights - ca.vertcat(*(ca.dot(normals[:, i], turned[i]) for i in range(6)))
+    shift = ca.solve(normals @ normals.T, normals @ gaps)
+    coordinates = [machine.planes[i].coordinates(turned[i] + shift) for i in range(3)]
+    return forms, ca.vertcat(*coordinates)
+
+
+def level_balls(machine: MachineInCasadi, stage: int, of_readings: circles.Circles) -> Any:
+    """Return the balls of the lower stage, 0, or of the upper, 1, at the level start, see `circles.level_balls`."""
+    return in_casadi(circles.level_balls)(of_readings, stages_of(machine.balls)[stage], (1.0, -1.0)[stage])
+
+
+def placed(machine: MachineInCasadi, lower: Sequence[Any], upper: Sequence[Any]) -> tuple[Any, Any, Any]:
+    """Return R, o and the b_i (3, 3) of two stages, their balls as formulas take them, in {B} and in {m}."""
+    (turn, origin), (turn_m, origin_m) = (
+        frame_of(columns(b), own) for b, own in ((lower, machine.balls[:3]), (upper, machine.balls[3:]))
+    )
+    rotation = turn @ turn_m.T
+    return rotation, origin - rotation @ origin_m, ca.horzcat(*columns(lower)).T
+
+
+def frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
+    """Return rotation and position of the frame in which the balls at b are `own`."""
+    balls = [[parts(x) for x in points] for points in (b, own)]
+    axes = map(in_casadi(values.triangle_axes), balls)
+    rotation, position = in_casadi(ball_motions.frame_of_triangle)(*axes, *balls)
+    return ca.vertcat(*(ca.horzcat(*row) for row in rotation)), ca.vertcat(*position)
+
+
+def drawn_starts(machine: MachineInCasadi, drawn: Drawn) -> list[Any]:
+    """Return where Newton's method starts: at TT+ and TT- of the drawing, and at both with larger discriminants.
+
+    Beside a fold of the drawing the branches of a machine as built are elsewhere, or real where those are not.
+    """
+    joints = [drawn.branch("TT", sign, least) for least in (0.0, 1e-3, 1e-1) for sign in (1.0, -1.0)]
+    return [ca.vertcat(*(machine.planes[i].coordinates(b[i, :].T) for i in range(3))) for b in joints]
+
+
+def preference(machine: MachineInCasadi, state: StateInCasadi) -> tuple[Any, Any]:
+    """Return 0 where a state is not physical, 1 where it is, 2 where within leg limits too; and how straight it is."""
+    is_physical, tilts = state.is_physical()
+    return is_physical * (1.0 + all_of(within_limits(machine, state.readings))), tilts
+
+
+def within_limits(machine: MachineInCasadi, readings: Any) -> list[Any]:
+    """Return which of six readings are within the limits of their legs, rounding apart."""
+    inside = []
+    for reading, *limits in zip(*map(ca.vertsplit, (readings, machine.minimum, machine.maximum)), strict=True):
+        low, high = in_casadi(leg_constants.admitted_readings)(*limits)
+        inside.append(ca.logic_and(reading >= low, reading <= high))
+    return inside
+
+
+def _as_built_inverse(machine: MachineInCasadi, rotation: Any, position: Any) -> ca.Function:
+    """Make `inverse_physical` of a machine as built, by Newton's method from the branches TT of the drawing."""
+    drawn, unknowns = Drawn(machine, rotation, position), ca.SX.sym("unknowns", 6)
+    starts = drawn_starts(machine, drawn)
+    error = closure_equations(machine, unknowns, rotation, position)
+    joints = ca.horzcat(*(machine.planes[i].point(unknowns[2 * i : 2 * i + 2]) for i in range(3))).T
+    state = StateInCasadi(machine, joints, rotation, position)
+    (rank, tilts), size = preference(machine, state), machine.side + ca.norm_1(position)
+    closed = ca.mmax(ca.fabs(error)) <= 1e-13 * size
+    outputs = {"readings": state.readings, "joints": joints, "discriminant": drawn.discriminant("TT")}
+    outputs["exists"] = all_of([rank > 0.0, closed, machine.takes(rotation, position)])
+    step = -ca.solve(ca.jacobian(error, unknowns), error)
+    step = step / ca.fmax(1.0, ca.norm_inf(step) / (_LONGEST_STEP * machine.side))
+    problem = unknowns, error, outputs, unknowns + step
+    known = [rotation, position, *machine.inputs]
+    return implicit("inverse_physical", known, problem, starts, (rank * closed, tilts))
+
+
+def stage_problem(machine: MachineInCasadi, k: int, own: circles.Circles, start: Any, unknowns: Any) -> tuple[Any, ...]:
+    """Return balls, errors of half their squared distances, and the unknowns after a step, of the lower stage, 0, or 1.
+
+    Unknown are the angles (3,) of the legs; the last of all is those of the balls to start from.
+    """
+    e = machine.directions(k, unknowns)
+    balls = in_casadi(circles.balls_at)(own, e)
+    step = in_casadi(circles.limited)(in_casadi(circles.newton_step)(own, e))
+    angles = machine.angles(k, in_casadi(circles.directions_to)(own, start))
+    return balls, ca.vertcat(*in_casadi(circles.errors)(own, balls)), unknowns - ca.vertcat(*step), angles
+
+
+def implicit(
+    name: str,
+    known: list[Any],
+    problem: tuple[Any, Any, dict[str, Any], Any],
+    starts: list[Any],
+    preference: tuple[Any, Any] | None = None,
+) -> ca.Function:
+    """Make a function of the solution of equations.
+
+    `problem` has the unknowns, the equations, the results, and the unknowns after a step of Newton's method, which goes
+    `_NEWTON_STEPS` steps from each start; the end of the largest rank is taken, of several the straightest.
+    `casadi.rootfinder`, through which CasADi differentiates implicitly, goes on from there.
+    """
+    unknowns, error, outputs, stepped = problem
+    names = [x[0].name().rsplit("_", 1)[0] for x in known]
+    symbols = [ca.MX.sym(name, *x.shape) for name, x in zip(names, known, strict=True)]
+    newton = ca.Function("newton", [unknowns, *known], [stepped])
+    ends = ca.Function("starts", known, starts).call(symbols)
+    for _ in range(_NEWTON_STEPS):
+        ends = [newton(end, *symbols) for end in ends]
+    best = ends[0]
+    if preference is not None:
+        rated = ca.Function("rated", [unknowns, *known], list(preference))
+        rank, tilts = rated.call([best, *symbols])
+        for end in ends[1:]:
+            other_rank, other_tilts = rated.call([end, *symbols])
+            other = in_casadi(formulas.is_other_preferred)(rank, tilts, other_rank, other_tilts)
+            best, rank = ca.if_else(other, end, best), ca.if_else(other, other_rank, rank)
+            tilts = ca.if_else(other, other_tilts, tilts)
+    equations = ca.Function("equations", [unknowns, *known], [error])
+    options = {"error_on_fail": False, "abstol": 1e-15, "max_iter": 4}
+    solved = ca.rootfinder("root", "fast_newton", equations, options)(best, *symbols)
+    results = ca.Function("results", [unknowns, *known], list(outputs.values())).call([solved, *symbols])
+    return ca.Function(name, symbols, results, names, list(outputs))

@@ -1,0 +1,400 @@
+"""A machine in CasADi: its drawing and its six legs as numbers or symbols, and the equations that hold it together.
+
+A ball lies in the plane of its leg, normal to the leg's revolute axis: on a circle where the reading is known, else
+with two coordinates, see `LegPlane`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import fields
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from spm_pin.errors import ArgumentError
+from spm_pin.formulas import (
+    ball_motions,
+    branches,
+    circles,
+    joint_values,
+    leg_constants,
+    leg_planes,
+    planar_legs,
+    stages,
+    vectors,
+    wrenches,
+)
+from spm_pin.formulas.operations import bind
+from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.machine import FAMILIES, Geometry, LegKind
+from spm_pin.machine.joint_angles import joint_names
+from spm_pin.machine.leg_kinds import BOUNDS, drawn_numbers
+from spm_pin.machine.legs import AXES, RADIAL
+from spm_pin.support.arguments import LARGEST, SMALLEST, as_bool, type_and_value
+from spm_pin.support.pose import ORTHONORMALITY_TOLERANCE
+
+FLOOR = 1e-40
+"""Least radicand of a square root: its root is far below rounding, and its powers in derivatives are finite."""
+FIELDS = {"dimensions": 3, "axes": 18, "pivots": 18, "balls": 18, "offsets": 6, "minimum": 6, "maximum": 6}
+"""How many numbers describe a machine of RPS legs: E, C, d, the six legs and the limits of their readings."""
+
+
+def sqrt(x: Any) -> Any:
+    """Return the square root, that of zero for negative numbers."""
+    return ca.sqrt(ca.fmax(x, FLOOR))
+
+
+def _arctan2(y: Any, x: Any) -> Any:
+    """Return the angle of a vector, zero of that of no length, where derivatives are finite too."""
+    return ca.atan2(y, ca.if_else(x * x + y * y > 0.0, x, 1.0))
+
+
+def _where(condition: Any, yes: Any, no: Any) -> Any:
+    return ca.if_else(condition, yes, no) if isinstance(condition, ca.SX) else (yes if condition else no)
+
+
+def in_casadi(formula: Any) -> Any:
+    """Return a formula of `spm_pin.formulas` as a function of CasADi's expressions."""
+    operations = {"sqrt": sqrt, "cos": ca.cos, "sin": ca.sin, "arctan2": _arctan2, "where": _where}
+    return bind(formula, both=ca.logic_and, either=ca.logic_or, magnitude=ca.fabs, **operations)
+
+
+def fields_of(kinds: Sequence[LegKind]) -> dict[str, int]:
+    """Return how many numbers describe a machine of these legs: `FIELDS`, and those that are fixed in the legs."""
+    stages = zip(("lower", "upper"), kinds, strict=True)
+    numbers = {f"{stage}_{kind.name.lower()}": kind.numbers.size for stage, kind in stages}
+    return FIELDS | {name: count for name, count in numbers.items() if count}
+
+
+def parts(vector: Any) -> tuple[Any, Any, Any]:
+    """Return the three components, as formulas take a vector."""
+    return vector[0], vector[1], vector[2]
+
+
+def columns(rows: Sequence[Any]) -> list[Any]:
+    """Return the vectors of a formula as columns (3,)."""
+    return [ca.vertcat(*row) for row in rows]
+
+
+def rows(vectors: Sequence[Any]) -> Any:
+    """Return three vectors as formulas take them."""
+    return tuple(map(parts, vectors))
+
+
+def stages_of(vectors: Sequence[Any]) -> tuple[list[Any], list[Any]]:
+    """Return six vectors as formulas take them: those of the lower legs, and those of the upper."""
+    return [parts(x) for x in vectors[:3]], [parts(x) for x in vectors[3:]]
+
+
+def all_of(conditions: Sequence[Any]) -> Any:
+    """Return 1 where all conditions hold, else 0."""
+    every = ca.SX(1)
+    for condition in conditions:
+        every = ca.logic_and(every, condition)
+    return every
+
+
+class LegPlane(NamedTuple):
+    """The plane of a leg's lines: its normal x, the revolute axis, and the axes y, z of `leg_constants.leg_axes`."""
+
+    x: Any
+    y: Any
+    z: Any
+    pivot: Any
+
+    def coordinates(self, point: Any) -> Any:
+        """Return where a point is in the plane of the leg (2,)."""
+        return ca.vertcat(ca.dot(self.y, point - self.pivot), ca.dot(self.z, point - self.pivot))
+
+    def point(self, coordinates: Any) -> Any:
+        """Return the point of the plane that has these coordinates."""
+        return self.pivot + coordinates[0] * self.y + coordinates[1] * self.z
+
+
+class MachineInCasadi:
+    """A machine, and the inputs that functions of it have beside their own.
+
+    Parameters
+    ----------
+    geometry : Geometry, "symbolic" or None
+        As for `spm_pin.casadi.inverse_physical`.
+    parameters : bool
+        Whether the parameters of the legs are an input.
+    """
+
+    def __init__(self, geometry: Geometry | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
+        self.inputs: list[Any] = []
+        self.valid: Any = 1
+        parameters = as_bool(parameters, "parameters")
+        self.is_drawn = not parameters
+        if isinstance(geometry, str) and geometry == "symbolic" and not parameters:
+            self._set_kinds(Geometry(1.0, 1.0, 1.0))
+            self.inputs = [ca.SX.sym("dimensions", 3)]
+            self._draw(*ca.vertsplit(self.inputs[0]))
+            return
+        if not isinstance(geometry, Geometry | None):
+            raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))
+        machine = geometry or Geometry.paper()
+        self._set_kinds(machine)
+        self._draw(*machine.nominal.dimensions)
+        if parameters:
+            self.inputs = [ca.SX.sym("parameters", len(machine.parameters))]
+            self._set_legs(*_legs_of_parameters(self.inputs[0][:54]))
+            further = ca.vertsplit(self.inputs[0][54:])
+            for leg, own in enumerate(self.numbers):
+                count = len(self.kinds[leg // 3].identified)
+                self.numbers[leg], further = (*further[:count], *own[count:]), further[count:]
+            self._check_numbers()
+        elif not machine.is_nominal:
+            self.is_drawn = False
+            axes, pivots, balls = ([ca.SX(v) for v in array] for array in machine.legs.arrays[:3])
+            self._set_legs(axes, pivots, balls, ca.SX(machine.legs.offsets))
+
+    @classmethod
+    def of_symbols(cls, geometry: Geometry) -> MachineInCasadi:
+        """Return a machine whose `fields_of` are the inputs, vectors leg by leg; axes may be off unit length.
+
+        It has the kinds of legs of `geometry`.
+        """
+        machine, kinds = cls(), geometry.legs.kinds
+        symbols = {name: ca.SX.sym(name, count) for name, count in fields_of(kinds).items()}
+        machine.inputs, machine.is_drawn = list(symbols.values()), False
+        machine._set_kinds(geometry)
+        numbers = ca.vertsplit(ca.vertcat(*machine.inputs[len(FIELDS) :]))
+        for leg, fixed in enumerate(machine.numbers):
+            machine.numbers[leg], numbers = tuple(numbers[: len(fixed)]), numbers[len(fixed) :]
+        machine._draw(*ca.vertsplit(symbols["dimensions"]))
+        machine._check_numbers()
+        axes, pivots, balls = (ca.vertsplit(symbols[name], 3) for name in ("axes", "pivots", "balls"))
+        units = [ca.vertcat(*in_casadi(vectors.direction)(parts(x))) for x in axes]
+        machine._set_legs(units, pivots, balls, symbols["offsets"])
+        machine.minimum, machine.maximum = symbols["minimum"], symbols["maximum"]
+        return machine
+
+    def drawing(self) -> MachineInCasadi:
+        """Return a machine whose axes, pivots and balls are those of the drawing, and all else this one's."""
+        drawn = copy(self)
+        drawn.is_drawn = True
+        drawn._draw(self.base, self.platform, self.side)
+        drawn.offsets, drawn.valid = self.offsets, self.valid
+        return drawn
+
+    def _set_kinds(self, geometry: Geometry) -> None:
+        self.kinds = kinds = geometry.legs.kinds
+        self.joint_names = joint_names(geometry)
+        limits = geometry.limits or geometry.legs.free_limits
+        self.minimum, self.maximum = ca.SX(limits.minimum), ca.SX(limits.maximum)
+        self.formulas = [kind.bound(in_casadi) for kind in kinds]
+        self.numbers = [tuple(row) for kind in kinds for row in kind.numbers.tolist()]
+
+    def _check_numbers(self) -> None:
+        """Make the machine invalid where a constant of a leg is beyond its bounds."""
+        for leg, numbers in enumerate(self.numbers):
+            for name, x in zip(fields(self.kinds[leg // 3]), numbers, strict=True):
+                low, high = BOUNDS[name.name]
+                within = x * x == 1.0 if name.name == "sign" else ca.logic_and(x >= low, x <= high)
+                self.valid = ca.logic_and(self.valid, within)
+
+    def _draw(self, base: Any, platform: Any, side: Any) -> None:
+        self.base, self.platform, self.side, self.r = base, platform, side, side / np.sqrt(3.0)
+        self.valid = all_of([ca.logic_and(x >= SMALLEST, x <= LARGEST) for x in (base, platform, side)])
+        corners = [self.r * ca.SX(v) for v in RADIAL]
+        pivots = [radius * ca.SX(v) for radius in (base, platform) for v in RADIAL]
+        self._set_legs([ca.SX(v) for v in (*AXES, *AXES)], pivots, corners + corners, ca.SX.zeros(6))
+
+    def _set_legs(self, axes: list[Any], pivots: list[Any], balls: list[Any], offsets: Any) -> None:
+        self.axes, self.pivots, self.balls, self.offsets = axes, pivots, balls, offsets
+        self.planes, self._own_planes = [], []
+        for leg, (axis, pivot) in enumerate(zip(axes, pivots, strict=True)):
+            x, y, z = columns(in_casadi(leg_constants.leg_axes)(parts(axis)))
+            self.planes.append(LegPlane(x, y, z, pivot))
+            # Radially outwards, and towards the middle platform: see `planar_legs.plane_axes`.
+            outward, forward = -leg_constants.TANGENT_SIGNS[leg % 3] * y, (1.0, -1.0)[leg // 3] * z
+            self._own_planes.append(planar_legs.LegPlane(parts(pivot), parts(outward), parts(forward)))
+
+    def function(self, name: str, inputs: list[Any], outputs: dict[str, Any]) -> ca.Function:
+        """Make a function; inputs are named as their symbols are."""
+        every = [*inputs, *self.inputs]
+        names = [x[0].name().rsplit("_", 1)[0] for x in every]
+        return ca.Function(name, every, list(outputs.values()), names, list(outputs))
+
+    def takes(self, rotation: Any, position: Any) -> Any:
+        """Return 1 where the package accepts a pose and the dimensions, else 0."""
+        errors = ca.fabs(rotation.T @ rotation - ca.SX.eye(3))
+        rigid = all_of([e <= ORTHONORMALITY_TOLERANCE for e in ca.vertsplit(ca.vec(errors))])
+        finite = all_of([ca.fabs(x) < np.inf for x in ca.vertsplit(position)])
+        return all_of([self.valid, rigid, finite, ca.det(rotation) > 0.0])
+
+    def sides(self) -> list[Any]:
+        """Return the distances of the lower legs' balls 12, 23, 31."""
+        return [sqrt(x) for x in in_casadi(circles.squared_sides)(stages_of(self.balls)[0])]
+
+    def ball_weights(self) -> Any:
+        """Return the weights of `spm_pin.formulas.leg_planes.upper_balls`."""
+        if self.is_drawn:
+            return [(0.0, 0.0, 0.0)] * 3
+        return in_casadi(leg_planes.upper_ball_weights)(*stages_of(self.balls))
+
+    def all_balls(self, b: Sequence[Any]) -> list[Any]:
+        """Return the six balls from those of the lower legs, seen from the same frame."""
+        upper = in_casadi(leg_planes.upper_balls)([parts(x) for x in b], self.ball_weights())
+        return [*b, *columns(upper)]
+
+    def circles(self, stage: int, readings: Any) -> circles.Circles:
+        """Return the circles of the balls of the lower stage, 0, or of the upper, 1, for the readings (6,)."""
+        legs = slice(3 * stage, 3 * stage + 3)
+        squares = in_casadi(circles.squared_sides)(stages_of(self.balls)[stage])
+        centres, radii = zip(*(self.circle(leg, (readings - self.offsets)[leg]) for leg in range(6)[legs]), strict=True)
+        return circles.Circles(rows(self.axes[legs]), rows(centres), radii, squares)
+
+    def circle(self, leg: int, reading: Any) -> tuple[Any, Any]:
+        """Return the centre and the radius of a ball's circle for a reading without its offset."""
+        x, z, radius = self.formulas[leg // 3].circle(reading, self.numbers[leg])
+        return ca.vertcat(*in_casadi(planar_legs.point_of_plane)(x, z, self._own_planes[leg])), radius
+
+    def of_ball(self, name: str, leg: int, ball: Any, *further: Any) -> Any:
+        """Return the value of a formula of the leg's kind, such as "reading", for a ball in {B} or {m}, as its leg."""
+        place = in_casadi(planar_legs.place_in_plane)(parts(ball), self._own_planes[leg])
+        return getattr(self.formulas[leg // 3], name)(*place, *further, self.numbers[leg])
+
+    def are_readings(self, own: Sequence[Any]) -> list[Any]:
+        """Return where readings of the first legs, without offsets, are finite, and those of cranks within a turn."""
+        most = (MOST_TURNED if self.kinds[leg // 3].unit == "rad" else np.inf for leg in range(len(own)))
+        return [ca.fabs(reading) < bound for reading, bound in zip(own, most, strict=True)]
+
+    def angles(self, stage: int, e: Sequence[Any]) -> Any:
+        """Return the angles (3,) of directions in the planes of a stage's legs, from their axes y towards z."""
+        planes = zip(self.planes[3 * stage : 3 * stage + 3], columns(e), strict=True)
+        return ca.vertcat(*(ca.atan2(ca.dot(plane.z, x), ca.dot(plane.y, x)) for plane, x in planes))
+
+    def directions(self, stage: int, angles: Any) -> list[Any]:
+        """Return the directions at these angles (3,)."""
+        planes = self.planes[3 * stage : 3 * stage + 3]
+        return [parts(ca.cos(angles[i]) * plane.y + ca.sin(angles[i]) * plane.z) for i, plane in enumerate(planes)]
+
+    def leg_frames(self, stage: int, own_axes: Any) -> Sequence[joint_values.LegFrame]:
+        """Return the constants of a stage's legs; `own_axes` are the axes of the lower balls' triangle in {n}."""
+        legs, radius = slice(3 * stage, 3 * stage + 3), (self.base, self.platform)[stage]
+        limits = ca.mmax(self.minimum[legs]), ca.mmin(self.maximum[legs])
+        numbers = drawn_numbers(self.numbers[legs], len(self.kinds[stage].identified)), self.numbers[legs]
+        placed = leg_planes.StageLegs(rows(self.axes[legs]), rows(self.pivots[legs]))
+        triangles, up = (radius, self.r), (1.0, -1.0)[stage]
+        formula, kind = in_casadi(joint_values.stage_frames), self.formulas[stage]
+        frames: Sequence[joint_values.LegFrame] = formula(placed, own_axes, triangles, limits, numbers, up, kind)
+        return frames
+
+
+def _legs_of_parameters(parameters: Any) -> tuple[list[Any], list[Any], list[Any], Any]:
+    """Return axes, pivots, balls and offsets of 54 parameters; see `Geometry.parameters`."""
+    rows = [parameters[9 * i : 9 * i + 9] for i in range(6)]
+    turned = in_casadi(leg_constants.turned_axis)
+    axes = [ca.vertcat(*turned(axis, row[0], row[1])) for row, axis in zip(rows, 2 * leg_constants.AXES, strict=True)]
+    return axes, [row[2:5] for row in rows], [row[5:8] for row in rows], ca.vertcat(*(row[8] for row in rows))
+
+
+class StateInCasadi:
+    """The six legs in {B} of a state: b_i, the rows of `joints` (3, 3), with the rotation and the position of {m}.
+
+    The legs' `vectors` and `directions` are those of their rods, from the centres of the balls' circles.
+    """
+
+    def __init__(self, machine: MachineInCasadi, joints: Any, rotation: Any, position: Any) -> None:
+        self.machine, self.rotation, self.position = machine, rotation, position
+        self.joints = [joints[i, :].T for i in range(3)]
+        self.balls = machine.all_balls(self.joints)
+        self.bases = self._in_base(machine.pivots)
+        self.axes = [*machine.axes[:3], *(rotation @ a for a in machine.axes[3:])]
+        self._own = [x for stage in self.own_balls() for x in stage]
+        own = [machine.of_ball("reading", leg, ball) for leg, ball in enumerate(self._own)]
+        self.readings, self.slopes = ca.vertcat(*own) + machine.offsets, self.slopes_at(own)
+        centres = self._in_base([machine.circle(leg, reading)[0] for leg, reading in enumerate(own)])
+        self.vectors = [self.balls[i] - centres[i] for i in range(3)]
+        self.vectors += [centres[i] - self.balls[i] for i in range(3, 6)]
+        (lower, lower_lengths), (upper, upper_lengths) = map(
+            in_casadi(vectors.directions_and_lengths), stages_of(self.vectors)
+        )
+        self.directions = columns([*lower, *upper])
+        self.lengths = ca.vertcat(*lower_lengths, *upper_lengths)
+
+    def _in_base(self, points: Sequence[Any]) -> list[Any]:
+        """Return points of the lower legs' base and of {m} in {B}."""
+        return [*points[:3], *(self.position + self.rotation @ p for p in points[3:])]
+
+    @property
+    def reach(self) -> Any:
+        """The least of the legs' reaches, negative where a ball is out of reach."""
+        return ca.mmin(ca.vertcat(*(self.machine.of_ball("reach", leg, ball) for leg, ball in enumerate(self._own))))
+
+    def slopes_at(self, readings: Sequence[Any]) -> list[Any]:
+        """Return κ of the legs with these readings, without their offsets."""
+        balls = enumerate(zip(self._own, readings, strict=True))
+        return [self.machine.of_ball("slope", leg, ball, reading) for leg, (ball, reading) in balls]
+
+    def least_slope(self, slopes: Sequence[Any]) -> Any:
+        """Return the least κ over the largest of the working mode: zero where a leg is singular, below in another."""
+        machine = self.machine
+        largest = [machine.formulas[leg // 3].largest_slope(machine.numbers[leg]) for leg in range(6)]
+        return ca.mmin(ca.vertcat(*(slope / most for slope, most in zip(slopes, largest, strict=True))))
+
+    def own_balls(self) -> tuple[list[Any], list[Any]]:
+        """Return the lower balls in {B} and the upper ones in {m}."""
+        return self.balls[:3], [self.rotation.T @ (b - self.position) for b in self.balls[3:]]
+
+    def in_planes(self) -> Any:
+        """Return the coordinates (6,) of the lower balls in their legs' planes."""
+        places = zip(self.machine.planes[:3], self.balls[:3], strict=True)
+        return ca.vertcat(*(plane.coordinates(b) for plane, b in places))
+
+    def force_rows(self, directions: Sequence[Any]) -> Any:
+        """Return forces of size one through the six balls as rows (f, (b - p) x f / d), p the mean of the b_i."""
+        balls, rows = stages_of(self.balls), []
+        centre = in_casadi(wrenches.mean)(balls[0])
+        for f, b in zip(stages_of(directions), balls, strict=True):
+            arms = in_casadi(wrenches.arms)(b, centre, self.machine.side)
+            rows += in_casadi(wrenches.force_rows)(f, arms, ball_motions.NONE)
+        return ca.vertcat(*(ca.horzcat(*force, *moment) for force, moment in rows))
+
+    def is_physical(self) -> tuple[Any, Any]:
+        """Return whether the state is physical, leg limits aside, and the sum of the cosines of both stages' tilts."""
+        turn, (b, c) = [parts(self.rotation[i, :]) for i in range(3)], stages_of(self.balls)
+        legs = *stages_of(self.vectors), *stages_of(self.axes)
+        physical = in_casadi(branches.is_physical)(b, c, *legs, turn, parts(self.position))
+        return ca.logic_and(physical, self.reach >= 0.0), in_casadi(branches.tilt_cosine_sum)(b, turn)
+
+
+class Drawn:
+    """The closed form of the drawn machine at a pose."""
+
+    def __init__(self, machine: MachineInCasadi, rotation: Any, position: Any) -> None:
+        rows = [parts(rotation[i, :]) for i in range(3)]
+        self.machine, self._position = machine, parts(position)
+        self.frame = in_casadi(branches.pose_frame)(rows, self._position, machine.r)
+        families = in_casadi(branches.families)(self.frame, machine.r)
+        self.families = dict(zip(FAMILIES, families, strict=True))
+
+    def discriminant(self, family: str) -> Any:
+        """Return uv² - uu vv over r²."""
+        return in_casadi(branches.discriminant)(self.families[family]) / self.machine.r**2
+
+    def is_continuous(self, family: str) -> Any:
+        """Return whether a family is continuous, or the Z axes are parallel."""
+        vanishes = in_casadi(branches.is_continuous)(self.families[family], self.frame.noise)
+        return ca.logic_or(vanishes, self.frame.is_vertical)
+
+    def is_real(self, family: str) -> Any:
+        """Return whether the two branches of a family are real and isolated."""
+        return ca.logic_and(self.discriminant(family) >= 0.0, ca.logic_not(self.is_continuous(family)))
+
+    def branch(self, family: str, sign: float, least: float = 0.0) -> Any:
+        """Return the b_i (3, 3) of the branch of a sign; a discriminant below `least` times r² is taken for that."""
+        form = self.families[family]
+        radicand = ca.fmax(in_casadi(branches.discriminant)(form), least * self.machine.r**2)
+        u, v, square = in_casadi(branches.root)(form, sign, sqrt(radicand))
+        radii, heights = in_casadi(branches.middle_joints)(
+            u, v, self.machine.r / square, form, self.frame, self._position
+        )
+        rows = in_casadi(stages.cartesian)(radii, heights)
+        return ca.vertcat(*(ca.horzcat(*row) for row in rows))

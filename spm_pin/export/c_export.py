@@ -1,0 +1,541 @@
+"""The kinematics in C99, for controllers: one header, one source file, a test program and a CMake file.
+
+`STATE_FUNCTIONS` is the table of what the C computes from a state. Header, source, test program, the bindings of the
+tests, the benchmark and the page's table follow from it; a recipe for one more is in CONTRIBUTING.md.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from spm_pin.casadi import functions
+from spm_pin.casadi.symbolic_machine import (
+    Drawn,
+    MachineInCasadi,
+    StateInCasadi,
+    all_of,
+    fields_of,
+    in_casadi,
+    parts,
+    rows,
+)
+from spm_pin.description.masses import Masses
+from spm_pin.errors import ArgumentError
+from spm_pin.formulas import circles, vectors
+from spm_pin.formulas.planar_legs import LONGEST_CHORD, MOST_TURNED
+from spm_pin.kinematics import (
+    forward_physical,
+    inverse_displacement,
+    inverse_jacobian,
+    inverse_physical,
+    leg_forces,
+    leg_rates,
+)
+from spm_pin.kinematics.random_states import random_states
+from spm_pin.kinematics.rates_and_forces import SINGULAR
+from spm_pin.machine import BRANCHES, FAMILIES, Configuration, Geometry
+from spm_pin.machine.joint_angles import joint_angles, joint_names, value_names
+from spm_pin.machine.machine import Mechanism
+from spm_pin.support.arguments import FloatArray, check_instance
+from spm_pin.support.files import file_path, write_files
+
+STATUSES = {
+    "OK": (0, "the result is whole and finite"),
+    "UNREACHABLE": (1, "no real solution, none that is physical, or a ball is out of reach of its leg"),
+    "DEGENERATE": (2, "the Z axes are parallel, or a family is continuous: the pose leaves the legs undetermined"),
+    "SINGULAR": (3, "the state or the way to it is singular to rounding, or branches of a pose cannot be told apart"),
+    "NOT_FINITE": (-1, "an argument is NaN or infinite"),
+    "NOT_A_ROTATION": (-2, "an entry of R^T R - I is above 1e-6, or R is a reflection"),
+    "OUT_OF_RANGE": (-3, "a length <= 0, a crank past a turn, a place past 1e5 (E + C + d), or a result infinite"),
+    "BAD_GEOMETRY": (-4, "numbers that are no machine; of `all_branches` legs elsewhere than drawn"),
+    "BAD_NEAR": (-5, "the state to begin from does not close to 1e-6 d"),
+}
+"""Value and meaning of what each function returns; negative ones are errors of the caller."""
+
+
+@dataclass(frozen=True)
+class StateFunction:
+    """A function of the C that computes numbers from a state."""
+
+    name: str
+    compute: Callable[..., dict[str, Any]]  # from a `StateInCasadi` and the arguments
+    arguments: dict[str, FloatArray]  # values for the test program
+    result: str
+    count: int
+    singular: str  # the singularities it is refused at: "forward", "inverse" or none
+    answer: Callable[..., npt.ArrayLike]  # from a `Configuration` and the arguments
+    meaning: str
+    is_of_rps: bool = False  # whether machines of RPS legs alone have it
+
+
+_WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
+_TWIST = np.array([0.1, -0.2, 0.3, 0.2, -0.3, 0.1])
+_WEIGHTS = {
+    "bodies": np.linspace(0.3, 0.9, 32),
+    "payload": np.array([2.0, 0.1, -0.2, 0.3]),
+    "acceleration": np.array([0.5, -1.0, -9.7]),
+}
+
+
+_gravity = lru_cache(maxsize=1)(functions.gravity)  # made once for all states of an export
+
+
+def _weight_forces(state: Configuration, *weights: FloatArray) -> FloatArray:
+    forces = _gravity(state.geometry)(state.middle_joints, state.rotation, state.translation, *weights)
+    return np.asarray(forces)[:, 0]
+
+
+def _joint_values(state: Configuration) -> FloatArray:
+    named = dict(zip(value_names(state.geometry), joint_angles(state, corners=(0,)).values, strict=True))
+    return np.array([named[name] for name in joint_names(state.geometry)])
+
+
+STATE_FUNCTIONS = (
+    StateFunction(
+        *("inverse_jacobian", functions.jacobian_of, {}, "jacobian", 36, "inverse", inverse_jacobian),
+        "J_f (6 x 6, row by row), from the platform's twist (v of o, omega) in {B} to the leg rates",
+    ),
+    StateFunction(
+        *("leg_forces", functions.forces_of, {"wrench": _WRENCH}, "forces", 6, "forward", leg_forces),
+        "the leg forces that hold a wrench (force, moment at o) in {B}, applied to the platform; positive pushes",
+    ),
+    StateFunction(
+        *("leg_rates", functions.rates_of, {"twist": _TWIST}, "rates", 6, "inverse", leg_rates),
+        "the leg rates of the platform's twist (v of o, omega) in {B}",
+    ),
+    StateFunction(
+        *("gravity", functions.gravity_of, _WEIGHTS, "forces", 6, "forward", _weight_forces),
+        "the leg forces that hold the weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
+        is_of_rps=True,
+    ),
+    StateFunction(
+        *("joint_values", functions.values_of, {}, "values", 18, ""),
+        _joint_values,
+        "the values of the description's eighteen joints [rad, m], in the order of its tree",
+    ),
+)
+
+_BODIES = """\
+/* Masses for `@PREFIX@gravity` [kg, kg m], assumed ones unless the export was given others: mass and first moments of
+   the middle platform in {n}, with all balls, and of the terminal platform in {m}; then of each leg the mass of the
+   cylinder, and times the distance of its centre from the pivot, and the mass of the rod, and times the distance of its
+   centre from the ball. */
+extern const double @PREFIX@bodies[32];
+
+"""
+_NAMES = "kinematics.h", "kinematics.c", "kinematics_test.c", "read_machine.h"
+_CASES = 12
+_SPREAD = 1e3
+_LEAST_SLOPE, _LARGEST_RATE = 0.1, 1e3
+"""Least slopes of legs over the largest ones, and largest entries of J_f in units of d, of states with ten digits."""
+MOST_STEPS, SHORTEST = 2_000, 1e-7
+"""Steps along a way at most, those tried in vain counted; and the shortest, as a part of it: before a singularity."""
+ROOT_STEPS = 400
+"""Steps at most along each of the eight ways on which all branches of a pose are found."""
+
+
+def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None = None) -> dict[str, str]:
+    """Return the C library of a machine, without memory allocation, dependent on `math.h` alone.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The machine that is built in, drawn or as built. The functions take others too.
+    prefix : str
+        What all names begin with.
+    masses : Masses, optional
+        Of the bodies, for the weights; assumed ones by default, see `urdf_text`.
+
+    Returns
+    -------
+    dict of str
+        The texts of `spm_kinematics.h`, `spm_kinematics.c`, `spm_kinematics_test.c` and `CMakeLists.txt` by their
+        names, of `spm_machine.txt`, the numbers of the machine, and of `spm_read_machine.h`, which reads them.
+    """
+    check_instance(geometry, Geometry, "geometry")
+    smallest, largest = min(geometry.dimensions), max(geometry.dimensions)
+    if largest > _SPREAD * smallest:
+        expected = f"dimensions within a factor of {_SPREAD:g}, for the answers of the test program to keep ten digits"
+        raise ArgumentError("geometry", expected, f"{smallest:g} to {largest:g} m", "Another unit in one of them?")
+    prefix = checked_prefix(prefix)
+    available = state_functions(geometry)
+    values = {
+        **marks(geometry, prefix),
+        "HEADER": "@PREFIX@kinematics.h",
+        "NUMBERS": "(double *)geometry",
+        "IS_MACHINE": "@PREFIX@forward(geometry, geometry->offsets, NULL, &state) != @PREFIX_UPPER@BAD_GEOMETRY",
+        "SINGULAR": repr(SINGULAR),
+        "LEAST": _row(geometry.legs.least_readings),
+        "TURNS": _row([float(unit == "rad") for unit in geometry.legs.units]),
+        "CHORD": repr(LONGEST_CHORD),
+        "MOST_TURNED": repr(MOST_TURNED),
+        "MOST_STEPS": str(MOST_STEPS),
+        "NEWTON_STEPS": str(circles.MOST_STEPS),
+        "SEARCH_STEPS": str(circles.SEARCH_STEPS),
+        "WANDERING": repr(circles.WANDERING),
+        "SHORTEST": repr(SHORTEST),
+        "ROOT_STEPS": str(ROOT_STEPS),
+        "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(geometry).values()),
+        **_legs_texts(geometry, masses),
+        "STATUSES": ",\n".join(
+            f"    /* {meaning} */\n    @PREFIX_UPPER@{name} = {value}" for name, (value, meaning) in STATUSES.items()
+        ),
+        "STATUS_NAMES": "\n".join(
+            f'    case @PREFIX_UPPER@{name}: return "{name.lower().replace("_", " ")}";' for name in STATUSES
+        ),
+        "FORMULAS": _formulas(geometry),
+        **_known_answers(geometry, available),
+    }
+    snippets = [values | _snippets(function) for function in available]
+    for key, of_one in (
+        ("STATE_FUNCTIONS", template("state_function.c")),
+        ("PROTOTYPES", "/* @COMMENT@. */\nint @PREFIX@@NAME@(@PARAMETERS@);\n\n"),
+        (
+            "CALLS",
+            '    expect("@NAME@", n, @PREFIX@@NAME@(@CALL@), @PREFIX_UPPER@OK);\n'
+            '    compare("@NAME@", n, numbers, @NAME@_answers[n], @COUNT@);\n',
+        ),
+    ):
+        values[key] = "".join(filled(of_one, snippet) for snippet in snippets)
+    texts = {f"{prefix}{name}": filled(template(name), values) for name in _NAMES}
+    texts[f"{prefix}machine.txt"] = machine_text(values["MACHINE_FILE"], machine_fields(geometry))
+    return texts | {"CMakeLists.txt": filled(template("CMakeLists.txt"), values)}
+
+
+def write_c(
+    geometry: Geometry, directory: str | Path, *, prefix: str = "spm_", masses: Masses | None = None
+) -> list[Path]:
+    """Write what `c_sources` returns into a directory, made if need be; all of it or nothing. Returns the paths.
+
+    Files of the same names are replaced.
+    """
+    return write_sources(directory, lambda: c_sources(geometry, prefix=prefix, masses=masses))
+
+
+def write_sources(directory: str | Path, sources: Callable[[], dict[str, str]]) -> list[Path]:
+    """Write the texts that a function makes, by their places in a directory; all of them or nothing."""
+    folder = file_path(directory, "directory", expected="the name of a directory")
+    contents: dict[Path, str | bytes] = {folder / name: text for name, text in sources().items()}
+    write_files(contents, "directory")
+    return list(contents)
+
+
+def checked_prefix(prefix: str) -> str:
+    """Return what names in C are to begin with, if they can."""
+    if not isinstance(prefix, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix, re.ASCII):
+        raise ArgumentError("prefix", "letters, digits and underscores that can begin a name in C", repr(prefix))
+    return prefix
+
+
+def template(name: str) -> str:
+    """Return the text of a template, its marks not filled in."""
+    return (files("spm_pin.export") / "templates" / name).read_text(encoding="utf-8")
+
+
+def filled(text: str, known: dict[str, str]) -> str:
+    """Return a template with texts in place of its marks, and of the marks in these."""
+    while found := re.search(r"@(\w+)@", text):
+        text = text.replace(found[0], known[found[1]])
+    return text
+
+
+def marks(machine: Mechanism, prefix: str) -> dict[str, str]:
+    """Return what the templates of all exports have in place of marks; `prefix` is that of names in C.
+
+    `TITLE` names a machine after its legs, such as "3RPS-3SPR manipulator" or "3-RRS stage". `MACHINE_FILE` is the
+    first line of the file of a machine, by which C knows it: version of the format, kind, units.
+    """
+    version, (lower, *upper) = import_module("spm_pin").__version__, [kind.name for kind in machine.legs.kinds]
+    title = f"3{lower}-3{upper[0][::-1]} manipulator" if upper else f"3-{lower} stage"
+    return {
+        "VERSION": version,
+        "ORIGIN": f"Generated by spm_pin {version} for {machine!r}.",
+        "TITLE": title,
+        "MACHINE_FILE": f"spm_pin machine file 1: {title}, in metres and radians",
+        "PREFIX": prefix,
+        "PREFIX_UPPER": prefix.upper(),
+    }
+
+
+def machine_text(header: str, fields: dict[str, FloatArray]) -> str:
+    """Return the file of the numbers of a machine, after its first line, by the names of its fields."""
+    lines = [f"{name} {' '.join(map(repr, numbers.tolist()))}" for name, numbers in fields.items()]
+    return "\n".join([header, *lines, ""])
+
+
+def machine_fields(geometry: Geometry) -> dict[str, FloatArray]:
+    """Return the numbers of an `spm_geometry` by the names of its fields."""
+    kinds = geometry.legs.kinds
+    limits = geometry.limits or geometry.legs.free_limits
+    arrays: list[npt.ArrayLike] = [geometry.dimensions, *geometry.legs.arrays, limits.minimum, limits.maximum]
+    arrays += [kind.numbers for kind in kinds if kind.numbers.size]
+    return {name: np.asarray(x, dtype=float).ravel() for name, x in zip(fields_of(kinds), arrays, strict=True)}
+
+
+def state_functions(geometry: Geometry) -> list[StateFunction]:
+    """Return the functions of the table that machines with these kinds of legs have."""
+    return [x for x in STATE_FUNCTIONS if geometry.legs.are_rps or not x.is_of_rps]
+
+
+def _legs_texts(geometry: Geometry, masses: Masses | None) -> dict[str, str]:
+    """Return what depends on the kinds of the legs in the texts of header and source."""
+    kinds = geometry.legs.kinds
+    stages = [(stage, kind) for stage, kind in zip(("lower", "upper"), kinds, strict=True)]
+    shown = [f"of the {stage} legs, {kind.name}, {kind.meaning} [{kind.unit}]" for stage, kind in stages]
+    members = [
+        f"    double {stage}_{kind.name.lower()}[{kind.numbers.size}]; /* {', '.join(x.name for x in fields(kind))} of"
+        f" each {stage} leg in turn; the sign is the working mode, +1 or -1 */\n"
+        for stage, kind in stages
+        if kind.numbers.size
+    ]
+    bodies, declared = "", ""
+    if geometry.legs.are_rps:
+        bodies = f"const double @PREFIX@bodies[32] = {{{_row(functions.bodies(geometry, masses))}}};\n\n"
+        declared = _BODIES
+    return {
+        "LEGS": ", ".join(f"(g)->{name}" for name in fields_of(kinds)),
+        "FIELDS": ", ".join(f'{{"{name}", {count}}}' for name, count in fields_of(kinds).items()),
+        "MEMBERS": "".join(members),
+        "READINGS": f"{kinds[0].meaning} [m]" if geometry.legs.are_rps else "; ".join(shown),
+        "BODIES": bodies,
+        "BODIES_DECLARED": declared,
+    }
+
+
+@lru_cache(maxsize=16)
+def _formulas(geometry: Geometry) -> str:
+    """Return the functions that the C calls, of flat arrays, matrices row by row: most of the time of an export."""
+    machine = MachineInCasadi.of_symbols(geometry)
+    flat, position, balls = (ca.SX.sym(name, n) for name, n in (("r", 9), ("o", 3), ("balls", 6)))
+    joints, rotation = ca.SX.sym("joints", 9), _matrix(flat)
+    state, pose = StateInCasadi(machine, _matrix(joints), rotation, position), [flat, position]
+    drawing = machine.drawing()
+    drawn = Drawn(drawing, rotation, position)
+
+    def made(name: str, inputs: list[Any], *outputs: Any) -> ca.Function:
+        dense = ca.cse([_flat(x) for x in outputs])
+        return ca.Function(name, [*inputs, *machine.inputs], dense)
+
+    made_functions = _stage_formulas()
+    readings = ca.SX.sym("readings", 6)
+    stages = [machine.circles(k, readings) for k in (0, 1)]
+    made_functions.append(
+        made("circles_of_readings", [readings], *(_column([stage[k] for stage in stages]) for k in (1, 2, 3)))
+    )
+    made_functions.append(made("limits_hold", [readings], ca.vertcat(*functions.within_limits(machine, readings))))
+    # Of the closure: how far terms of second order go, and how the planes of the upper legs move.
+    error = functions.closure_equations(machine, balls, rotation, position)
+    points = [machine.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
+    upper, weights = machine.all_balls(points)[3:], [[ca.fabs(x) for x in w] for w in machine.ball_weights()]
+    arms = ca.norm_2(points[1] - points[0]) + ca.norm_2(points[2] - points[0])
+    curvature = ca.vertcat(*(2.0 / s for s in machine.sides()), *(4.0 * w for _, _, w in weights))
+    tilt = ca.vertcat(0, 0, 0, *(1.0 + 2.0 * (u + v + w * arms) for u, v, w in weights))
+    lever = ca.vertcat(0, 0, 0, *(ca.norm_2(p - position) for p in upper))
+    made_functions.append(made("closure", [balls, *pose], error, ca.jacobian(error, balls), curvature, tilt, lever))
+    made_functions.append(made("lower_balls", [balls], ca.vertcat(*points)))
+
+    both = [ca.SX.sym(name, 9) for name in ("lower", "upper")]
+    placed_rotation, placed_position, _ = functions.placed(machine, *map(_rows, both))
+    made_functions.append(made("placed_platform", both, placed_rotation, placed_position))
+    levels = [functions.level_balls(machine, k, stage) for k, stage in enumerate(stages)]
+    made_functions.append(made("level_stages", [readings], *map(_column, levels)))
+    gap = ca.mmax(ca.fabs(functions.residual_of(state)["residual"])) / machine.side
+    seen = ca.vertcat(*state.own_balls()[1])
+    made_functions.append(made("own_places", [joints, *pose], state.in_planes(), seen, gap))
+    made_functions.append(made("describe", [joints, *pose], state.readings, *functions.preference(machine, state)))
+    made_functions.append(made("own_limits", [joints, *pose], state.reach, state.least_slope(state.slopes)))
+    slopes = state.slopes_at(ca.vertsplit(readings - machine.offsets))
+    made_functions.append(made("working_mode", [joints, *pose, readings], state.least_slope(slopes)))
+    forces = [state.force_rows(x) for x in (state.directions, state.axes)]
+    made_functions.append(made("force_rows", [joints, *pose], *forces))
+
+    starts = ca.vertcat(*functions.drawn_starts(machine, drawn)[:2])
+    made_functions.append(made("drawn_branches", pose, starts, drawn.is_continuous("TT")))
+    quaternion = ca.SX.sym("quaternion", 4)
+    forms, coordinates = functions.quadrics(machine, quaternion, rotation, position)
+    made_functions.append(made("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms))))
+    made_functions.append(made("balls_of_root", [quaternion, *pose], coordinates))
+    branches = [drawn.branch(label[:2], 1.0 if label[2] == "+" else -1.0) for label in BRANCHES]
+    states = [StateInCasadi(drawing, b, rotation, position) for b in branches]
+    shown, discriminants = ca.vertcat(*(x.readings for x in states)), ca.vertcat(*map(drawn.discriminant, FAMILIES))
+    real = [drawn.is_real(label[:2]) for label in BRANCHES]
+    real = ca.vertcat(*(ca.logic_and(x, branch.reach >= 0.0) for x, branch in zip(real, states, strict=True)))
+    continuous = 1.0 - all_of([ca.logic_not(drawn.is_continuous(family)) for family in FAMILIES])
+    every = ca.vertcat(*(_flat(b) for b in branches))
+    made_functions.append(made("all_drawn_branches", pose, every, shown, discriminants, real, continuous))
+
+    areas = []
+    for b in (machine.balls[:3], machine.balls[3:]):
+        sides = in_casadi(circles.squared_sides)([parts(x) for x in b])
+        areas.append(ca.norm_2(ca.cross(b[1] - b[0], b[2] - b[0])) / ca.mmax(ca.vertcat(*sides)))
+    made_functions.append(made("numbers_of_machine", [], ca.vertcat(*areas), machine.valid))
+    size, pairs = machine.base + machine.platform + machine.side, []
+    for name, unit in (("axes", 1.0), ("pivots", size), ("balls", size)):
+        pairs += [(a - b) / unit for a, b in zip(getattr(machine, name), getattr(drawing, name), strict=True)]
+    error = ca.mmax(ca.fabs(ca.vertcat(*pairs)))
+    made_functions.append(made("drawing_error", [], error))
+
+    for function in state_functions(geometry):
+        further = [ca.SX.sym(name, len(numbers)) for name, numbers in function.arguments.items()]
+        (result,) = function.compute(state, *further).values()
+        made_functions.append(made(f"{function.name}_of", [joints, *pose, *further], result))
+    return "\n".join(map(_c_text, made_functions))
+
+
+def _stage_formulas() -> list[ca.Function]:
+    """Return the functions of `spm_pin.formulas.circles` that the C calls, of flat arrays."""
+    e, b, axes, share, next_share = (ca.SX.sym(n, k) for n, k in (("e", 9), ("b", 9), ("axes", 9), ("s", 1), ("t", 1)))
+    names = ("centres", 9), ("radii", 3), ("squares", 3)
+    ends = [[ca.SX.sym(f"{end}_{name}", count) for name, count in names] for end in ("start", "end")]
+    start, end = (circles.Circles(_rows(axes), _rows(x[0]), parts(x[1]), parts(x[2])) for x in ends)
+    step = in_casadi(circles.newton_step)(end, _rows(e))
+    turned = in_casadi(circles.turned_back)(end, _rows(e), in_casadi(circles.limited)(step))
+    between = [in_casadi(circles.circles_between)(start, end, x) for x in (0.5 * (share + next_share), next_share)]
+    change = in_casadi(circles.largest_change)(start, end) * (next_share - share)
+    is_safe = in_casadi(circles.is_safe_step)(*between, _rows(b), change)
+    size, last = ca.SX.sym("size"), ca.SX.sym("last")
+    direction, balls = in_casadi(circles.directions_to)(end, _rows(b)), in_casadi(circles.balls_at)(end, _rows(e))
+    table = (
+        ("newton_step", [e, axes, *ends[1]], turned, in_casadi(vectors.largest)(step)),
+        ("directions_to", [b, axes, ends[1][0]], direction),
+        ("balls_at", [e, *ends[1][:2]], balls),
+        ("squared_sides", [b], in_casadi(circles.squared_sides)(_rows(b))),
+        ("is_safe_step", [b, axes, *ends[0], *ends[1], share, next_share], is_safe),
+        ("has_converged", [size, last], in_casadi(circles.has_converged)(size, last)),
+        ("is_stalled", [size, last], in_casadi(circles.is_stalled)(size, last)),
+        ("is_closed", [e, axes, *ends[1]], in_casadi(circles.is_closed)(end, _rows(e))),
+    )
+    return [ca.Function(name, inputs, ca.cse([_column(x) for x in outputs])) for name, inputs, *outputs in table]
+
+
+def _rows(numbers: Any) -> Any:
+    """Return three vectors as formulas take them, of nine numbers."""
+    return rows([numbers[k : k + 3] for k in (0, 3, 6)])
+
+
+def _column(numbers: Any) -> Any:
+    """Return a number, a vector or three vectors of a formula as a column."""
+    return ca.densify(ca.vertcat(*map(_column, numbers)) if isinstance(numbers, tuple | list) else ca.SX(numbers))
+
+
+def _matrix(numbers: Any) -> Any:
+    return ca.reshape(numbers, 3, 3).T
+
+
+def _flat(matrix: Any) -> Any:
+    """Return a matrix as a column, row by row."""
+    dense = ca.densify(ca.SX(matrix))
+    return ca.vec(dense.T)
+
+
+def _c_text(function: ca.Function) -> str:
+    """Return a function in C, of arrays of arguments and of results."""
+    generator = ca.CodeGenerator("generated.c", {"with_header": False, "with_export": False, "casadi_int": "int"})
+    generator.add(function)
+    text = re.sub(r"\bcasadi_real\b", "double", generator.dump())
+    (body,) = re.findall(r"^static int casadi_f0\([^)]*\) {\n(.*?)^  return 0;\n}", text, re.MULTILINE | re.DOTALL)
+    # No argument is ever left out.
+    body = re.sub(r"(arg\[\d+\])\? (arg\[\d+\]\[\d+\]) : 0;", r"\2;", body)
+    body = re.sub(r"if \(res\[\d+\]!=0\) ", "", body).replace("casadi_inf", "INFINITY").replace("casadi_fabs", "fabs")
+    # Numbers that stand for conditions are compared, as clang asks for.
+    body = re.sub(r"\((a\d+)(?=\?)", r"(\1!=0.0", body)
+    body = re.sub(r"(a\d+)(&&|\|\|)(a\d+)", r"\1!=0.0\2\3!=0.0", body)
+    body = re.sub(r"!(a\d+)", r"\1==0.0", body)
+    unused = "" if "arg[" in body else "  (void)arg;\n"
+    head = f"static void {function.name()}(const double *const *arg, double *const *res)"
+    return f"{head}\n{{\n{body.rstrip()}\n{unused}}}\n"
+
+
+def _snippets(function: StateFunction) -> dict[str, str]:
+    """Return what a function of the table puts in place of the marks in texts about it."""
+    constants = [f"const double {name}[{len(x)}]" for name, x in function.arguments.items()]
+    head = ["const @PREFIX@geometry *geometry", "const @PREFIX@state *state", *constants]
+    checks = "".join(
+        f"    status = status != @PREFIX_UPPER@OK ? status : check_numbers({name}, {len(x)}, DBL_MAX);\n"
+        for name, x in function.arguments.items()
+    )
+    singular = f"is_singular(geometry, state, {int(function.singular == 'forward')})" if function.singular else "0"
+    return {
+        "NAME": function.name,
+        "COMMENT": function.meaning[0].upper() + function.meaning[1:],
+        "PARAMETERS": ", ".join([*head, f"double {function.result}[{function.count}]"]),
+        "CHECKS": checks,
+        "SINGULAR_CALL": singular,
+        "MOVES": str(int(function.singular == "inverse")),
+        "ARGUMENTS": "".join(f", {name}" for name in function.arguments),
+        "CALL": ", ".join(["machine", "&state", *(f"{function.name}_{x}" for x in function.arguments), "numbers"]),
+        "RESULT": function.result,
+        "COUNT": str(function.count),
+    }
+
+
+def _known_answers(geometry: Geometry, available: list[StateFunction]) -> dict[str, str]:
+    """Return the tables of the test program."""
+    rng, rise = np.random.default_rng(17), sum(geometry.dimensions)
+    # In the home's aspect; then poses anywhere, and one out of reach.
+    held = _held_states(geometry, rng)[: _CASES - 4]
+    turned = Rotation.random(3, rng=rng)
+    far = RigidTransform.from_components(rise * rng.uniform(-1.0, 1.0, (3, 3)), turned)
+    away = RigidTransform.from_components([100.0 * rise, 0.0, 0.0], Rotation.from_euler("x", 0.3))
+    pose = RigidTransform.concatenate([held.pose, far, away])
+    branches = inverse_displacement(geometry, pose).readings
+    states = [inverse_physical(geometry, pose[n]) for n in range(len(pose))]
+
+    def padded(count: int, compute: Callable[..., npt.ArrayLike], *arguments: FloatArray) -> str:
+        return _table([np.ravel(compute(s, *arguments)) if s.exists else np.zeros(count) for s in states])
+
+    answers = []
+    for f in available:
+        answers += [f"static const double {f.name}_{x}[{len(n)}] = {{{_row(n)}}};" for x, n in f.arguments.items()]
+        known = padded(f.count, f.answer, *f.arguments.values())
+        answers.append(f"static const double {f.name}_answers[CASES][{f.count}] = {{\n{known}\n}};")
+    return {
+        "CASES": str(len(pose)),
+        "HEIGHT": repr(rise),
+        "DRAWN": str(int(_is_drawn(geometry))),
+        "ROTATIONS": _table(pose.rotation.as_matrix().reshape(-1, 9)),
+        "POSITIONS": _table(pose.translation),
+        "BRANCH_READINGS": _table(branches.reshape(len(pose), -1)),
+        "JOINTS": padded(9, lambda state: state.middle_joints),
+        "ANSWERS": "\n".join(answers),
+    }
+
+
+def _held_states(geometry: Geometry, rng: np.random.Generator) -> Configuration:
+    """Return physical states with ten digits."""
+    drawn = random_states(replace(geometry, limits=None), 64, rng)
+    states = inverse_physical(geometry, drawn.pose)
+    again = forward_physical(geometry, states.readings[states.exists])
+    states = states[states.exists]
+    largest, unit = geometry.legs.largest_slopes, np.repeat([1.0, geometry.middle_side], 3)
+    rates = np.abs(inverse_jacobian(states) * largest[:, None] / unit).max(axis=(-1, -2))
+    regular = (rates < _LARGEST_RATE) & (np.abs(states.slopes) / largest > _LEAST_SLOPE).all(axis=-1)
+    apart = np.abs(again.middle_joints - states.middle_joints).max(axis=(-1, -2))
+    return states[regular & (apart < 1e-9 * geometry.middle_side)]
+
+
+def _is_drawn(geometry: Geometry) -> bool:
+    """Return whether axes, pivots and balls are those of the drawing."""
+    legs = zip(geometry.legs.arrays[:3], geometry.nominal.legs.arrays[:3], strict=True)
+    return all(np.array_equal(own, drawn) for own, drawn in legs)
+
+
+def _row(numbers: npt.ArrayLike) -> str:
+    texts = (repr(float(x)) for x in np.ravel(numbers))
+    return ", ".join(text.replace("inf", "INFINITY").replace("nan", "NAN") for text in texts)
+
+
+def _table(rows: Any) -> str:
+    return ",\n".join(f"    {{{_row(row)}}}" for row in rows)

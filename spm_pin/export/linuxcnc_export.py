@@ -1,0 +1,251 @@
+"""A configuration of LinuxCNC for a robot or a stage: a kinematics module on the exported C, and simulated joints."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spm_pin import stages
+from spm_pin.export.c_export import c_sources, filled, marks, template, write_sources
+from spm_pin.export.ros_export import ASSUMED, ends_of_travel, start_readings, travel
+from spm_pin.export.stage_export import stage_c_sources, stage_machine_sources
+from spm_pin.kinematics import forward_physical, inverse_physical
+from spm_pin.machine import Geometry, Stage, pose
+from spm_pin.machine.machine import check_mechanism
+from spm_pin.support.arguments import FloatArray
+
+_FILES = {"kins.c": "@NAME@kins.c", "machine.ini": "@NAME@.ini", "machine.hal": "@NAME@.hal"}
+_UNITS = {"m": ("UNITS_PER_METRE", 1e3, "LINEAR"), "rad": ("1.0 / DEGREE", np.rad2deg(1.0), "ANGULAR")}
+"""How many units of a joint are one of a reading, in C and as a number, and the joint's type."""
+_SAMPLES = 4096
+_STEP = 1e-4
+"""Step of finite differences of the axes [mm, degrees]."""
+_TURN = np.linspace(0.0, 2.0 * np.pi, 13)[:, None]
+"""Angles at which the program has points on the circle that the tilt goes round [rad]."""
+_SIZES = 0.5 ** np.arange(10)
+"""Sizes of that circle that are tried, from the largest on, until the joints can follow."""
+_SHARES = np.linspace(0.0, 1.0, 9)[:, None]
+"""Shares of the way from one point of the program to the next at which the joints are looked at."""
+
+
+def linuxcnc_configuration(machine: Geometry | Stage) -> dict[str, str]:
+    """Return a configuration of LinuxCNC 2.9 that simulates a machine, with the source of its kinematics module.
+
+    Parameters
+    ----------
+    machine : Geometry or Stage
+        The robot or the stage alone, drawn or as built, with legs of any kind.
+
+    Returns
+    -------
+    dict of str
+        The texts of the files by their names: `spm.ini` and `spm.hal`, the sources of the module `spmkins`, the numbers
+        of the machine `spm_machine.txt`, which it reads when LinuxCNC starts, a program `demo.ngc` and a tool table.
+        Those of a stage are `stage.ini`, `stagekins.c` and so on. Lengths are in millimetres, angles in degrees. The
+        axes of a robot are X Y Z A B C, those of a stage Z A B: the height, roll and pitch of `stages.inverse`.
+    """
+    check_mechanism(machine, "machine")
+    known = _Robot(machine) if isinstance(machine, Geometry) else _StageAlone(machine)
+    joints, rates = range(len(known.home)), known.axis_rates()
+    home = dict(zip(known.axes, known.axis_values(known.home), strict=True))
+    sections = [
+        f"[AXIS_{axis}]\nMIN_LIMIT = {low:.0f}\nMAX_LIMIT = {high:.0f}\n"
+        f"MAX_VELOCITY = {rate:.4g}\nMAX_ACCELERATION = {acceleration:.4g}\n"
+        for axis, low, high, (rate, acceleration) in zip(known.axes, *known.reached_box(), rates, strict=True)
+    ]
+    is_angle = np.isin([*known.axes], [*"ABC"])
+    values = {
+        **marks(machine, f"{known.name}_"),
+        "NAME": known.name,
+        "JOINTS_MEANING": f"0 to {joints[-1]} are the readings of the legs {', '.join(machine.legs.names)}",
+        "AXES_MEANING": known.meaning,
+        "INCLUDES": known.includes,
+        "SOURCES": ", ".join(name for name in known.sources if name.endswith((".c", ".h"))),
+        "POSES": template(f"linuxcnc/{known.name}_poses.c"),
+        "JOINTS": str(len(joints)),
+        "UNITS": ", ".join(_UNITS[unit][0] for unit in machine.legs.units),
+        "TURNS": known.turns,
+        "COORDINATES": " ".join(known.axes),
+        "HOME": " ".join(_number(home.get(axis, 0.0)) for axis in "XYZABC"),
+        "LINEAR_VELOCITY": f"{rates[~is_angle, 0].max():.4g}",
+        "ANGULAR_VELOCITY": f"{rates[is_angle, 0].max():.4g}",
+        "AXIS_SECTIONS": "\n".join(sections),
+        "JOINT_SECTIONS": "\n".join(map(known.joint_section, joints)).rstrip("\n"),
+        "ACTUATORS": "".join(map(_actuator, joints)),
+    }
+    files = {filled(name, values): filled(template(f"linuxcnc/{file}"), values) for file, name in _FILES.items()}
+    return files | known.sources | {"demo.ngc": known.program(), "tool.tbl": ""}
+
+
+def write_linuxcnc(machine: Geometry | Stage, directory: str | Path) -> list[Path]:
+    """Write what `linuxcnc_configuration` returns into a directory, made if need be; all of it or nothing.
+
+    Files of the same names are replaced. Returns the paths.
+    """
+    return write_sources(directory, lambda: linuxcnc_configuration(machine))
+
+
+class _Machine(ABC):
+    """A machine as LinuxCNC's configuration describes it. Values of axes are in millimetres and degrees."""
+
+    machine: Any
+    name: str
+    """Prefix of the names of its files."""
+    axes: str
+    meaning: str
+    """Sentence on what the values of the axes describe, for the comments of the configuration."""
+    feed: str
+    """Sentence on the unit of the feed rate F, for the comment of the demo program."""
+    blending: str
+    """G-code by which the demo program passes its points without a stop."""
+    turns: str
+    """The axes in the order in which AXIS applies them, [DISPLAY]GEOMETRY: C before A for Rz(C) Ry(B) Rx(A)."""
+    includes: str
+    sources: dict[str, str]
+    home: FloatArray
+    """Readings that LinuxCNC homes at, shape (joints,)."""
+    ends: tuple[FloatArray, FloatArray]
+    """Least and largest readings, assumed where there is no limit."""
+
+    @abstractmethod
+    def axis_values(self, readings: FloatArray) -> FloatArray:
+        """Return the values of the axes (..., axes) of readings (..., joints), NaN where there is no state."""
+
+    @abstractmethod
+    def readings(self, values: FloatArray) -> FloatArray:
+        """Return the readings of values of the axes near the home."""
+
+    @abstractmethod
+    def circle(self, size: float) -> FloatArray:
+        """Return values of the axes (n, axes) where the platform's tilt goes round a circle, of size 1 or smaller."""
+
+    def axis_rates(self) -> FloatArray:
+        """Return rates and accelerations (axes, 2) at which no joint takes more than half of its own, at the home."""
+        home, steps = self.axis_values(self.home), _STEP * np.eye(len(self.axes))
+        changes = np.abs(self.readings(home + steps) - self.readings(home - steps)) / (2.0 * _STEP)
+        assumed = np.array([ASSUMED[unit] for unit in self.machine.legs.units])
+        return np.asarray(0.5 / (changes[..., None] / assumed).max(axis=1))
+
+    def reached_box(self) -> tuple[FloatArray, FloatArray]:
+        """Return the smallest and largest values of the axes in states within the limits, with a margin."""
+        values = self.axis_values(np.random.default_rng(0).uniform(*self.ends, (_SAMPLES, len(self.home))))
+        low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
+        return np.floor(low - 0.1 * (high - low)), np.ceil(high + 0.1 * (high - low))
+
+    def joint_section(self, joint: int) -> str:
+        """Return the section of `machine.ini` about a joint."""
+        unit, limits = self.machine.legs.units[joint], self.machine.reading_limits
+        (_, scale, joint_type), (rate, acceleration) = _UNITS[unit], ASSUMED[unit]
+        home = _number(scale * self.home[joint])
+        ends = zip(("MIN", "MAX"), limits[:, joint], strict=True)
+        lines = [f"[JOINT_{joint}]", f"TYPE = {joint_type}"]
+        lines += [f"{end}_LIMIT = {_number(scale * x)}" for end, x in ends if np.isfinite(x)]
+        lines += [f"MAX_VELOCITY = {scale * rate:.6g}", f"MAX_ACCELERATION = {scale * acceleration:.6g}"]
+        lines += ["FERROR = 1.0", "MIN_FERROR = 0.1"]
+        lines += [f"HOME = {home}", f"HOME_OFFSET = {home}", "HOME_SEQUENCE = 0", ""]
+        return "\n".join(lines)
+
+    def can_follow(self, way: FloatArray) -> bool:
+        """Return whether the joints can follow straight lines between points (n, axes), the axes at their rates."""
+        if not np.isfinite(way).all():
+            return False
+        steps, rates = np.diff(way, axis=0), np.array([ASSUMED[unit][0] for unit in self.machine.legs.units])
+        times = (np.abs(steps) / self.axis_rates()[:, 0]).max(axis=-1)[:, None, None] / (len(_SHARES) - 1)
+        readings, (low, high) = self.readings(way[:-1, None] + _SHARES * steps[:, None]), self.ends
+        is_slow = np.abs(np.diff(readings, axis=1)) <= rates * times
+        return bool(is_slow.all() and ((readings > low) & (readings < high)).all())
+
+    def program(self) -> str:
+        """Return a program in which the platform's tilt goes round a small circle, from the home and back."""
+        home = self.axis_values(self.home)
+        ways = (np.array([home, *self.circle(size), home]) for size in _SIZES)
+        way = next(filter(self.can_follow, ways), np.array([home]))
+        lines = ["(The platform's tilt goes round a small circle. Turn the machine on and home all joints first.)"]
+        lines += [f"({self.feed})", f"G21 G90 G94 {self.blending} F600"]
+        for row in way:
+            lines.append("G1 " + " ".join(f"{name}{_number(x)}" for name, x in zip(self.axes, row, strict=True)))
+        return "\n".join([*lines, "M2", ""])
+
+
+class _Robot(_Machine):
+    name, axes, turns = "spm", "XYZABC", "XYZCBA"
+    meaning = "X Y Z is the centre o of the platform in {B}, and R = Rz(C) Ry(B) Rx(A) its rotation."
+    feed = "F is in millimetres per minute along X Y Z, and A B C turn meanwhile."
+    blending = "G64 P0.1"
+    includes = """\
+#include "spm_read_machine.h"
+
+/* halcompile makes a module of one source. The largest frame on the stack, 2.6 kB, is just above its warning. */
+#pragma GCC diagnostic ignored "-Wframe-larger-than="
+#include "spm_kinematics.c\""""
+
+    def __init__(self, geometry: Geometry) -> None:
+        self.machine, self.ends = geometry, travel(geometry)
+        readings, _ = start_readings(geometry)
+        self.home, self.state = np.array(readings), forward_physical(geometry, readings)
+        sources = c_sources(geometry)
+        names = "kinematics.c", "kinematics.h", "read_machine.h", "machine.txt"
+        self.sources = {f"spm_{name}": sources[f"spm_{name}"] for name in names}
+
+    def axis_values(self, readings: FloatArray) -> FloatArray:
+        state = forward_physical(self.machine, readings)
+        (r11, _, _), (r21, _, _), (r31, r32, r33) = np.moveaxis(state.rotation, (-2, -1), (0, 1))
+        angles = np.arctan2(r32, r33), np.arctan2(-r31, np.hypot(r32, r33)), np.arctan2(r21, r11)
+        return np.concatenate([1e3 * state.translation, np.rad2deg(np.stack(angles, axis=-1))], axis=-1)
+
+    def readings(self, values: FloatArray) -> FloatArray:
+        wanted = pose(1e-3 * values[..., :3], rpy=np.deg2rad(values[..., 3:]))
+        return inverse_physical(self.machine, wanted, near=self.state).readings
+
+    def circle(self, size: float) -> FloatArray:
+        turn, home = _TURN[1:-1], self.home.reshape(2, 3)
+        along = home - home.mean(axis=1, keepdims=True)
+        across = np.ptp(home, axis=1, keepdims=True) * np.array([1.0, -2.0, 1.0]) / np.sqrt(3.0)
+        turned = 0.2 * along.ravel() * (np.cos(turn) - 1.0) + 0.1 * np.sin(turn) * across.ravel()
+        return self.axis_values(self.home + size * turned)
+
+
+class _StageAlone(_Machine):
+    name, axes, turns = "stage", "ZAB", "ZAB"
+    meaning = "Z is the height of the platform's centre, and Rx(A) Ry(B) z its normal: A is the roll, B the pitch."
+    feed = "F is in degrees per minute: only A and B turn. G64 has no P, which is a tolerance of X Y Z."
+    blending = "G64"
+    includes = '#define STAGE_DOUBLE\n#include "stage_read_machine.h"'
+
+    def __init__(self, stage: Stage) -> None:
+        level = stages.inverse_physical(stage, stages.home_height(stage))
+        self.machine, self.home = stage, level.readings
+        stroke = np.hypot(*level.places.T) / np.abs(stage.legs.largest_slopes)
+        self.ends = ends_of_travel(stage.reading_limits, self.home, stroke)
+        self.sources = {"stage.h": stage_c_sources(stage)["stage.h"], **stage_machine_sources(stage)}
+
+    def axis_values(self, readings: FloatArray) -> FloatArray:
+        state = stages.forward_physical(self.machine, readings)
+        return np.stack([1e3 * state.height, np.rad2deg(state.roll), np.rad2deg(state.pitch)], axis=-1)
+
+    def readings(self, values: FloatArray) -> FloatArray:
+        height, roll, pitch = 1e-3 * values[..., 0], np.deg2rad(values[..., 1]), np.deg2rad(values[..., 2])
+        return stages.inverse_physical(self.machine, height, roll=roll, pitch=pitch).readings
+
+    def circle(self, size: float) -> FloatArray:
+        height, tilt = np.full_like(_TURN, self.axis_values(self.home)[0]), 5.0 * size  # degrees
+        return np.concatenate([height, tilt * np.cos(_TURN), tilt * np.sin(_TURN)], axis=-1)
+
+
+def _number(x: float) -> str:
+    """Return a number of millimetres or degrees in nine decimals at most."""
+    return np.format_float_positional(round(float(x), 9) + 0.0, trim="0")
+
+
+def _actuator(joint: int) -> str:
+    """Return the lines of `machine.hal` about an actuator."""
+    return f"""
+addf limit3.{joint} servo-thread
+setp limit3.{joint}.maxv [JOINT_{joint}]MAX_VELOCITY
+setp limit3.{joint}.maxa [JOINT_{joint}]MAX_ACCELERATION
+net J{joint}:pos-cmd <= joint.{joint}.motor-pos-cmd => limit3.{joint}.in
+net J{joint}:pos-fb <= limit3.{joint}.out => joint.{joint}.motor-pos-fb
+"""

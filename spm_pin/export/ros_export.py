@@ -1,0 +1,166 @@
+"""A ROS 2 package of a machine: description, a node for its joint states, and a controller on the exported C."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from spm_pin.description import srdf_text, urdf_text
+from spm_pin.description.masses import Masses
+from spm_pin.description.source_files import MESHES, description_directory
+from spm_pin.errors import ArgumentError
+from spm_pin.export.c_export import c_sources, filled, machine_fields, marks, write_sources
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.machine import Configuration, Geometry
+from spm_pin.machine.joint_angles import actuated_joints, home_readings, homes, joint_names
+from spm_pin.support.arguments import FloatArray
+from spm_pin.support.files import file_path
+
+_TEMPLATES = Path(__file__).parent / "templates" / "ros"
+ASSUMED = {"m": (0.1, 1.0), "rad": (1.0, 10.0)}
+"""Largest rate [1/s] and acceleration [1/s²] of readings that exported files begin with; a geometry knows none."""
+_PATTERN = np.array([-1.0, 0.0, 1.0, -1.0, 0.0, 1.0])
+"""How the readings at the start lie about the middle of the limits: of three steps each those of the smallest J_f."""
+_STEP = 0.1
+"""The largest step of a reading between two set-points that exported files begin with, in strokes, see `_stroke`."""
+_SHARE = 0.1
+"""The largest deviation of these readings from the middle, in lengths of the legs at home."""
+
+
+def ros_package(
+    geometry: Geometry, *, prefix: str = "", masses: Masses | None = None, package: str | None = None
+) -> dict[str, str]:
+    """Return a ROS 2 package that shows a machine and controls the pose of its platform.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The machine, drawn or as built.
+    prefix : str
+        Put before the name of every link, joint and function in C.
+    masses : Masses, optional
+        Of the bodies; assumed ones by default, see `urdf_text`.
+    package : str, optional
+        Name of the package; by default `spm_robot`, with the prefix in lower case before it.
+
+    Returns
+    -------
+    dict of str
+        The texts of the files by their places in the package.
+    """
+    name = re.sub(r"[^a-z0-9]+", "_", f"{prefix}spm_".lower()).lstrip("_")
+    package = f"{name}robot" if package is None else _checked_name(package, "package")
+    urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses)
+    sources = c_sources(geometry, prefix=name, masses=masses)
+    names = actuated_joints(geometry), joint_names(geometry)
+    fields = machine_fields(geometry)
+    slides, joints = ([f"{prefix}{joint}" for joint in each] for each in names)
+    zeros = (home_readings(geometry) + geometry.legs.offsets).tolist()
+    readings, goal = start_readings(geometry)
+    position, quaternion = goal.translation, goal.pose.rotation.as_quat()
+    values = {
+        **marks(geometry, name),
+        "PACKAGE": package,
+        "BASE": f"{prefix}base",
+        "SLIDES": ", ".join(slides),
+        "JOINTS": repr(joints),
+        "ZEROS": ", ".join(map(repr, zeros)),
+        "RATES": ", ".join(repr(ASSUMED[unit][0]) for unit in geometry.legs.units),
+        "ACCELERATIONS": ", ".join(repr(ASSUMED[unit][1]) for unit in geometry.legs.units),
+        "STEPS": ", ".join(map(repr, (_STEP * _stroke(geometry)).round(4).tolist())),
+        "MACHINE": "\n".join(
+            f"      {name}: [{', '.join(map(repr, numbers.tolist())).replace('inf', '.inf')}]"
+            for name, numbers in fields.items()
+        ),
+        "MACHINE_FIELDS": repr({name: len(numbers) for name, numbers in fields.items()}),
+        "START": ", ".join(f"{reading - zero:.9g}" for reading, zero in zip(readings, zeros, strict=True)),
+        "POSITION": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyz", position, strict=True)),
+        "ORIENTATION": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyzw", quaternion, strict=True)),
+    }
+    package_files = {
+        path.relative_to(_TEMPLATES).as_posix().removesuffix(".in"): filled(path.read_text(encoding="utf-8"), values)
+        for path in sorted(_TEMPLATES.rglob("*.*"))
+        if path.is_file()
+    }
+    hardware = _hardware(geometry, package, slides, zeros, readings)
+    package_files["urdf/spm.urdf"] = urdf.replace("</robot>", f"{hardware}</robot>")
+    package_files["urdf/spm.srdf"] = srdf_text(geometry=geometry, prefix=prefix)
+    package_files |= {
+        f"src/{name}": sources[name] for name in sources if name.endswith(("kinematics.c", "kinematics.h"))
+    }
+    folder = description_directory()
+    for path in (folder / "LICENSE", folder / "rviz" / "spm.rviz", *sorted((folder / MESHES).iterdir())):
+        package_files[path.relative_to(folder).as_posix()] = path.read_text(encoding="utf-8")
+    return package_files
+
+
+def write_ros(
+    geometry: Geometry, directory: str | Path, *, prefix: str = "", masses: Masses | None = None
+) -> list[Path]:
+    """Write what `ros_package` returns into a directory, made if need be; all of it or nothing. Returns the paths.
+
+    The package has the name of the directory. Files of the same names are replaced.
+    """
+    path = file_path(directory, "directory", expected="the name of a directory")
+    package = _checked_name(path.resolve().name, "directory")
+    paths = write_sources(directory, lambda: ros_package(geometry, prefix=prefix, masses=masses, package=package))
+    for path in paths:
+        if path.parent.name == "scripts":
+            path.chmod(0o755)
+    return paths
+
+
+def _checked_name(name: str, argument: str) -> str:
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name):
+        expected = "a name of a ROS 2 package: lower-case letters, digits and single underscores, a letter first"
+        raise ArgumentError(argument, expected, repr(name))
+    return name
+
+
+def travel(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
+    """Return the least and largest readings, where there is no limit those of a `_stroke` from the home."""
+    home = home_readings(geometry) + geometry.legs.offsets
+    limits = geometry.limits or geometry.legs.free_limits
+    return ends_of_travel(limits.ends, home, _stroke(geometry))
+
+
+def ends_of_travel(limits: FloatArray, home: FloatArray, stroke: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the least and largest readings of limits (2, legs), where there is none a stroke from the home."""
+    minimum, maximum = limits
+    low = np.where(np.isfinite(minimum), minimum, home - stroke)
+    return low, np.minimum(maximum, np.maximum(low, home) + stroke)
+
+
+def _stroke(geometry: Geometry) -> FloatArray:
+    """Return the change of each reading (6,) that moves a ball by its distance from the pivot at home, at most."""
+    _, places = homes(geometry)
+    return np.asarray(np.hypot(*places.T) / np.abs(geometry.legs.largest_slopes))
+
+
+def start_readings(geometry: Geometry) -> tuple[list[float], Configuration]:
+    """Return readings to start from, away from the ends of the limits and from a level platform, and a state nearby."""
+    low, high = travel(geometry)
+    middle, reach = 0.5 * (low + high), np.minimum(0.25 * (high - low), _SHARE * _stroke(geometry))
+    for share in (1.0, 0.5, 0.2):
+        readings = (middle + share * reach * _PATTERN).round(12)  # 1.2, not 1.2000000000000002
+        states = forward_physical(geometry, [readings, 0.5 * (middle + readings)])
+        if states.exists.all():
+            return readings.tolist(), states[1]
+    raise ArgumentError("geometry", "leg limits with a state in their middle", geometry)
+
+
+def _hardware(geometry: Geometry, name: str, slides: list[str], zeros: list[float], readings: list[float]) -> str:
+    """Return the description's `<ros2_control>`: six actuated joints, their zeros and units the description's."""
+    limits = geometry.limits or geometry.legs.free_limits
+    lines = [f'  <ros2_control name="{name}" type="system">', "    <hardware>"]
+    lines += ["      <plugin>mock_components/GenericSystem</plugin>", "    </hardware>"]
+    for leg, (slide, zero, reading) in enumerate(zip(slides, zeros, readings, strict=True)):
+        lines += [f'    <joint name="{slide}">', '      <command_interface name="position">']
+        ends = (("min", limits.minimum[leg]), ("max", limits.maximum[leg]))
+        lines += [f'        <param name="{end}">{x - zero!r}</param>' for end, x in ends if np.isfinite(x)]
+        lines += ["      </command_interface>", '      <state_interface name="position">']
+        lines += [f'        <param name="initial_value">{reading - zero!r}</param>', "      </state_interface>"]
+        lines += ["    </joint>"]
+    return "\n".join([*lines, "  </ros2_control>", ""])

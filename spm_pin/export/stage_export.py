@@ -1,0 +1,142 @@
+"""The kinematics of a stage alone in C99, for microcontrollers: one header, and a test program with known answers."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin import stages
+from spm_pin.export.c_export import checked_prefix, filled, machine_text, marks, template, write_sources
+from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
+from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.machine import Stage
+from spm_pin.support.arguments import FloatArray, check_instance
+
+_CASES = 12
+_TILT, _LIFT = 0.3, 0.15
+"""Largest tilt [rad] of the known answers, and change of height in units of the platform's radius."""
+_CLEAR = 0.2
+"""Least slope of a leg, over its largest, in a known answer: far from where digits are lost."""
+
+
+def stage_c_sources(stage: Stage, *, prefix: str = "stage_") -> dict[str, str]:
+    """Return the C library of a stage: a header that needs nothing but `math.h`, and a test program.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage that is built in, drawn or as built. The functions take others too.
+    prefix : str
+        What all names begin with, and the files.
+
+    Returns
+    -------
+    dict of str
+        The texts of `stage.h` and `stage_test.c` by their names.
+
+    Notes
+    -----
+    Numbers are float, or double where `STAGE_DOUBLE` is defined. An `UnreachableError` is raised for a stage that does
+    not hold its platform level at any height within its limits.
+    """
+    check_instance(stage, Stage, "stage")
+    prefix = checked_prefix(prefix)
+    numbers = stage_numbers(stage)
+    values = {
+        **marks(stage, prefix),
+        "LIMIT_ROUNDING": repr(LIMIT_ROUNDING),
+        "MOST_TURNED": repr(MOST_TURNED),
+        "MACHINE": _machine(stage.kind.name, numbers),
+        **_known_answers(stage, numbers[1]),
+    }
+    return {
+        _renamed(name, prefix): _renamed(filled(template(name), values), prefix) for name in ("stage.h", "stage_test.c")
+    }
+
+
+def write_stage_c(stage: Stage, directory: str | Path, *, prefix: str = "stage_") -> list[Path]:
+    """Write what `stage_c_sources` returns into a directory, made if need be; all of it or nothing. Returns the paths.
+
+    Files of the same names are replaced.
+    """
+    return write_sources(directory, lambda: stage_c_sources(stage, prefix=prefix))
+
+
+def _renamed(text: str, prefix: str) -> str:
+    """Return a text with another prefix; a file's name has no underscore between prefix and suffix."""
+    text = re.sub(r"\bstage(_test)?(\.[ch]\b)", lambda found: f"{prefix.rstrip('_')}{found[1] or ''}{found[2]}", text)
+    return re.sub(r"\bSTAGE_", prefix.upper(), re.sub(r"\bstage_(?!test\.c)", prefix, text))
+
+
+def stage_numbers(stage: Stage) -> FloatArray:
+    """Return the numbers of a `stage_geometry` (63,): `up`, the height at home, and twenty of each leg."""
+    legs, kind = stage.legs, stage.kind
+    angle = np.broadcast_to(getattr(kind, "direction", np.nan), 3)
+    fixed = [np.broadcast_to(getattr(kind, name, 0.0), 3) for name in ("crank", "rod")]
+    fixed += [np.nan_to_num(np.cos(angle)), np.nan_to_num(np.sin(angle))]
+    fixed += [np.broadcast_to(getattr(kind, "sign", 0.0), 3), legs.offsets, *stage.reading_limits]
+    numbers = np.concatenate([legs.pivots, *legs.planes, legs.balls, np.stack(fixed, axis=-1)], axis=-1)
+    return np.concatenate([[stage.up, stages.home_height(stage)], numbers.ravel()])
+
+
+def stage_machine_sources(stage: Stage) -> dict[str, str]:
+    """Return the numbers of a stage as a file, `stage_machine.txt`, and the C that reads it, `stage_read_machine.h`."""
+    numbers = stage_numbers(stage)
+    fields = {"up": numbers[:1], "home_height": numbers[1:2]}
+    fields |= dict(zip(("leg_1", "leg_2", "leg_3"), numbers[2:].reshape(3, -1), strict=True))
+    values = {
+        **marks(stage, "stage_"),
+        "HEADER": "stage.h",
+        "FIELDS": ", ".join(f'{{"{name}", {len(x)}}}' for name, x in fields.items()),
+        "NUMBERS": "&geometry->up",
+        "IS_MACHINE": "stage_tilt(geometry, 0, 0, geometry->home_height, &state) == STAGE_OK\n"
+        "            && stage_forward(geometry, state.readings, &state, &state) == STAGE_OK",
+    }
+    reader = filled(template("read_machine.h"), values)
+    return {"stage_machine.txt": machine_text(values["MACHINE_FILE"], fields), "stage_read_machine.h": reader}
+
+
+def _machine(kind: str, numbers: FloatArray) -> str:
+    """Return a `stage_geometry` in C."""
+    rows = []
+    for leg in numbers[2:].reshape(3, -1):
+        pivot, outward, upward, ball = (f"{{{_numbers(x)}}}" for x in leg[:12].reshape(4, 3))
+        last = f"{ball}, {_numbers(leg[12:14])}, {{{_numbers(leg[14:16])}}}, {_numbers(leg[16:])}"
+        rows.append(f"        {{{pivot}, {outward}, {upward},\n            {last}}}")
+    return f"    STAGE_{kind}, {_numbers(numbers[:2])},\n    {{\n" + ",\n".join(rows) + "\n    }"
+
+
+def _numbers(numbers: npt.ArrayLike) -> str:
+    """Return numbers in C, of the type that the header has."""
+
+    def text(x: float) -> str:
+        if math.isinf(x):
+            return "STAGE_NO_LIMIT" if x > 0.0 else "-STAGE_NO_LIMIT"
+        return str(int(x)) if x == int(x) else f"STAGE_R({x!r})"
+
+    return ", ".join(text(float(x)) for x in np.ravel(numbers))
+
+
+def _known_answers(stage: Stage, home: float) -> dict[str, str]:
+    """Return the tables of the test program: states about home, found by the package."""
+    rng, count = np.random.default_rng(17), 4096
+    share = np.linspace(1.0, 0.0, count)
+    tilt, azimuth = _TILT * share * rng.random(count), rng.uniform(-np.pi, np.pi, count)
+    height = home + _LIFT * stage.platform_radius * share * rng.uniform(-1.0, 1.0, count)
+    states = stages.inverse_physical(stage, height, tilt=tilt, azimuth=azimuth)
+    slopes = np.abs(stage.legs.slopes(states.places, states.readings)) / stage.legs.largest_slopes
+    (low, high), readings = stage.reading_limits, states.readings
+    good = states.exists & ((readings > low) & (readings < high) & (slopes > _CLEAR)).all(axis=-1)
+    states = states[np.flatnonzero(good)[:_CASES]]
+    readings, size = states.readings, stage.base_radius + stage.platform_radius
+    rows = np.concatenate([states.normal, states.translation[:, 2:], states.translation[:, :2], readings], axis=-1)
+    return {
+        "CASES": str(len(rows)),
+        "ANSWERS": ",\n".join(f"    {{{_numbers(row)}}}" for row in rows),
+        "SIZE": repr(float(size)),
+        "READING_SIZE": repr(float(max(np.abs(readings).max(), 1.0 if stage.unit == "rad" else size))),
+    }

@@ -1,0 +1,49 @@
+"""A `Stage` and a robot of two, a `Geometry`; their states and sets of states. No Pinocchio, CasADi or Numba.
+
+What they share stands once: `Mechanism` is the base of both, with `Legs` of three or six; `Batched` of their states,
+`StageConfiguration` and `Configuration`; `Solutions` of sets of these, `StageSolutions` and `SolutionSet`.
+"""
+
+from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.joint_angles import JointAngles, home_readings, joint_angles
+from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
+from spm_pin.machine.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs, StageLimits
+from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.manipulator import PARAMETERS, Geometry
+from spm_pin.machine.solution_axis import Status
+from spm_pin.machine.solutions import Degeneracy, SolutionSet
+from spm_pin.machine.stage import Stage
+from spm_pin.machine.stage_configuration import StageConfiguration, StageSolutions
+from spm_pin.support.pose import PoseLike, as_rigid_transform, pose
+
+__all__ = [
+    "BRANCHES",
+    "FAMILIES",
+    "LEGS",
+    "PARAMETERS",
+    "PRS",
+    "RPS",
+    "RRS",
+    "STAGE_LEGS",
+    "Configuration",
+    "Degeneracy",
+    "Geometry",
+    "JointAngles",
+    "LegKind",
+    "LegLimits",
+    "Legs",
+    "Mechanism",
+    "PlacedLegs",
+    "PoseLike",
+    "SolutionSet",
+    "Stage",
+    "StageConfiguration",
+    "StageLimits",
+    "StageSolutions",
+    "Status",
+    "as_rigid_transform",
+    "home_readings",
+    "joint_angles",
+    "pose",
+]

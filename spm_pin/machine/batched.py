@@ -1,0 +1,204 @@
+"""The base class of `Configuration` and `StageConfiguration`: the platform's pose, and indexing of batches."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, Self, TypeVar
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.errors import SelectionError
+from spm_pin.machine.legs import LegLimits
+from spm_pin.machine.machine import Mechanism
+from spm_pin.support.arguments import BoolArray, FloatArray, frozen, type_and_value
+from spm_pin.support.pose import unchecked_transform
+
+S = TypeVar("S", bound="Batched")
+
+
+class Batched(ABC):
+    """A state, or a batch of states, read-only."""
+
+    missing_reason = ""
+    """Why a single state does not exist, where that is known; empty otherwise."""
+    _mechanism: Mechanism
+    _solved: ClassVar[str]
+    """Name of the property, one number for each leg, that a solver may have computed already."""
+
+    def _set(self, mechanism: Mechanism, *arrays: FloatArray) -> None:
+        """Keep rotations and translations of the platform, and of a robot the middle joints."""
+        self._mechanism = mechanism
+        self._arrays = tuple(map(frozen, arrays))
+        self._rotation, self._translation = self._arrays[:2]
+
+    @property
+    def _known(self) -> FloatArray | None:
+        """What `_solved` names, where it has been computed already."""
+        return self.__dict__.get(self._solved)
+
+    @classmethod
+    @abstractmethod
+    def from_arrays(cls, *arrays: Any) -> Self:
+        """Make a state of the mechanism, arrays as `_set` takes them, and what `_solved` names or None."""
+
+    def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Self:
+        """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
+        solved = self._known
+        arrays = (change(array, inner) for array, inner in zip(self._arrays, (2, 1, 2), strict=False))
+        return self.from_arrays(self._mechanism, *arrays, None if solved is None else change(solved, 1))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Copies and unpickled states are read-only too; what is derived is not carried along.
+        state = self._mechanism, *self._arrays, self._known
+        return self.from_arrays, state, {"missing_reason": self.missing_reason}
+
+    @property
+    def mechanism(self) -> Any:
+        """The `Geometry` or the `Stage`."""
+        return self._mechanism
+
+    @property
+    @abstractmethod
+    def shape(self) -> tuple[int, ...]:
+        """Batch shape."""
+
+    @property
+    @abstractmethod
+    def exists(self) -> BoolArray:
+        """False for a member of the batch that does not exist, shape (...)."""
+
+    @property
+    @abstractmethod
+    def balls(self) -> FloatArray:
+        """Centres of the legs' balls as rows in {B} [m], shape (..., legs, 3)."""
+
+    @property
+    @abstractmethod
+    def leg_bases(self) -> FloatArray:
+        """Pivots of the legs as rows in {B} [m]."""
+
+    @property
+    @abstractmethod
+    def leg_axes(self) -> FloatArray:
+        """Unit revolute axes of the legs as rows in {B}."""
+
+    @property
+    @abstractmethod
+    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
+        """The axes x and z of the legs' planes as rows in {B}."""
+
+    @property
+    @abstractmethod
+    def readings(self) -> FloatArray:
+        """Readings of the legs' encoders, shape (..., legs)."""
+
+    @property
+    @abstractmethod
+    def compared_points(self) -> FloatArray:
+        """Points by which states are compared, as rows in {B} [m], shape (..., n, 3)."""
+
+    @abstractmethod
+    def where(self, kept: BoolArray) -> Self:
+        """Return the states where `kept` (...) is true; the others do not exist."""
+
+    @abstractmethod
+    def _summary(self) -> str:
+        """Return a single state in a line."""
+
+    def __repr__(self) -> str:
+        if self.shape:
+            return f"<{type(self).__name__}: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
+        if not self.exists:
+            return f"<{type(self).__name__}: {self._absence()}>"
+        beyond = ", ".join(self._mechanism.legs.names[leg] for leg in np.flatnonzero(self.limit_excess))
+        return f"<{type(self).__name__}: {self._summary()}{beyond and f', beyond the limits: {beyond}'}>"
+
+    def _absence(self) -> str:
+        return f"does not exist{self.missing_reason and ': '}{self.missing_reason}"
+
+    def __getitem__(self, index: object) -> Self:
+        """Index the batch axes as NumPy would."""
+        if not self.shape:
+            raise SelectionError("index", "a batch of configurations", "a single one", "It has no batch axes to index")
+        batch = batch_index(index)
+        try:
+            return self.transformed(lambda array, inner: array[(*batch, *(slice(None),) * inner)])
+        except Exception as error:  # whatever NumPy makes of a foreign object
+            expected = f"an index of the batch axes {self.shape}"
+            raise SelectionError("index", expected, type_and_value(index), str(error)) from error
+
+    def __iter__(self) -> Iterator[Self]:
+        return (self[i] for i in range(len(self)))
+
+    def __len__(self) -> int:
+        if not self.shape:
+            raise TypeError("a single configuration has no length and no batch axes to iterate over")
+        return self.shape[0]
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Rotation of the platform in {B}, shape (..., 3, 3)."""
+        return self._rotation
+
+    @property
+    def translation(self) -> FloatArray:
+        """Position of the platform's origin in {B} [m], shape (..., 3)."""
+        return self._translation
+
+    @cached_property
+    def pose(self) -> RigidTransform:
+        """Pose of the platform in {B}; NaN where a member has no pose."""
+        return unchecked_transform(self._rotation, self._translation)
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """Balls in their legs' planes, from the pivots: x radially outwards, z to the middle [m], (..., legs, 2)."""
+        arms = self.balls - self.leg_bases
+        return frozen(np.stack([(arms * axes).sum(axis=-1) for axes in self.leg_planes], axis=-1))
+
+    @property
+    def centre_rates(self) -> FloatArray:
+        """Derivatives of `circle_centres` by their own readings, seen from the legs' plates, in {B}, (..., legs, 3)."""
+        outward, forward = self.leg_planes
+        rates = self._mechanism.legs.centre_rates(self.readings)
+        return np.asarray(rates[..., :1] * outward + rates[..., 1:] * forward)
+
+    @property
+    def limits(self) -> LegLimits | None:
+        """Limits of the mechanism's readings."""
+        return self._mechanism.limits
+
+    @cached_property
+    def limit_excess(self) -> FloatArray:
+        """By how much readings are above their limits, or below (negative), in their units, (..., legs); 0 within."""
+        return frozen(np.zeros(self.readings.shape) if self.limits is None else self.limits.excess(self.readings))
+
+    @cached_property
+    def slopes(self) -> FloatArray:
+        """κ of the legs, shape (..., legs): the speed along each of `leg_vectors` per unit rate of the reading.
+
+        Dimensionless, or [m/rad] of RRS legs; 1 of RPS legs. Where it is zero the leg itself is singular.
+        """
+        return frozen(self._mechanism.legs.slopes(self.places, self.readings))
+
+
+def stacked(states: Sequence[S]) -> S:
+    """Return single states of one machine as a batch."""
+    first = states[0]
+    solved = [state._known for state in states if state._known is not None]
+    arrays = map(np.stack, zip(*(state._arrays for state in states), strict=True))
+    return first.from_arrays(first.mechanism, *arrays, np.stack(solved) if len(solved) == len(states) else None)
+
+
+def batch_index(index: object) -> tuple[Any, ...]:
+    """Return an index of batch axes with an Ellipsis, so that an index of the inner axes may follow."""
+    batch = index if isinstance(index, tuple) else (index,)
+    return batch if any(part is Ellipsis for part in batch) else (*batch, Ellipsis)
+
+
+def masked(array: FloatArray, kept: BoolArray, inner: int) -> FloatArray:
+    """Return an array with `inner` axes per member, NaN where `kept` (...) is false."""
+    return np.where(np.reshape(kept, (*kept.shape, *(1,) * inner)), array, np.nan)

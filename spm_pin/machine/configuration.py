@@ -1,0 +1,268 @@
+"""A state of the manipulator, the platform's pose and the ball joints, and what follows from it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.errors import ArgumentError
+from spm_pin.machine.batched import Batched, masked
+from spm_pin.machine.legs import LEGS, triangle_frames, triangle_sides
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.support import notebook
+from spm_pin.support.arguments import (
+    BoolArray,
+    FloatArray,
+    broadcastable,
+    check_instance,
+    first_offender,
+    frozen,
+    real_array,
+)
+from spm_pin.support.pose import PoseLike, as_rigid_transform, unchecked_transform
+
+
+class Configuration(Batched):
+    """One state of the manipulator, or a batch of states; read-only.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        The manipulator.
+    pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
+        Pose of the terminal platform {m} in the base {B}.
+    middle_joints : array_like, shape (..., 3, 3)
+        Centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m]: those of the lower legs' balls. A member
+        that does not exist is NaN throughout. Leading axes broadcast with those of `pose`.
+
+    Notes
+    -----
+    The arrays are copied. Nothing is solved here: the state may violate the loop equations, and `closure_residual`
+    is by how much.
+    """
+
+    _mechanism: Geometry
+    _solved = "leg_lengths"
+
+    def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
+        check_instance(geometry, Geometry, "geometry")
+        transform = as_rigid_transform(pose)
+        joints = real_array(
+            middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3 in {B} in metres", allow_nan=True
+        )
+        incomplete = np.isnan(joints).any(axis=(-1, -2)) & ~np.isnan(joints).all(axis=(-1, -2))
+        if incomplete.any():
+            expected = "all nine coordinates finite, or all NaN for a member that does not exist"
+            raise ArgumentError("middle_joints", expected, f"some NaN at index {first_offender(incomplete)}")
+        matrix = transform.as_matrix()
+        shape = broadcastable("middle_joints", joints.shape[:-2], "the pose", transform.shape)
+        self._set(
+            geometry,
+            np.broadcast_to(matrix[..., :3, :3], (*shape, 3, 3)),
+            np.broadcast_to(matrix[..., :3, 3], (*shape, 3)),
+            np.broadcast_to(joints.copy(), (*shape, 3, 3)),
+        )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        geometry: Geometry,
+        rotation: FloatArray,
+        translation: FloatArray,
+        middle_joints: FloatArray,
+        leg_lengths: FloatArray | None = None,
+    ) -> Configuration:
+        """Make a configuration from valid arrays with equal leading axes, without checks or copies."""
+        self = cls.__new__(cls)
+        self._set(geometry, rotation, translation, middle_joints)
+        if leg_lengths is not None:
+            self.__dict__["leg_lengths"] = frozen(leg_lengths)
+        return self
+
+    def _summary(self) -> str:
+        readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self.geometry.legs.units, strict=True))
+        return f"readings {', '.join(readings)}"
+
+    def _repr_html_(self) -> str:
+        if not self.shape:
+            picture = notebook.stick_figure(self.leg_bases, self.balls) if self.exists else ""
+            return notebook.table(repr(self), self._columns, [self._cells()] if self.exists else [], picture)
+        rows = notebook.first_rows(self.shape, lambda index: self[index]._cells())
+        return notebook.table(repr(self), ("index", *self._columns), rows)
+
+    @property
+    def _columns(self) -> tuple[str, ...]:
+        """Heading of a notebook's table."""
+        readings = (f"{leg} [{unit}]" for leg, unit in zip(LEGS, self.geometry.legs.units, strict=True))
+        return "o in {B} [m]", "roll, pitch, yaw [°]", *readings
+
+    def _cells(self) -> tuple[str, ...]:
+        """Return the cells of a single state in a notebook's table."""
+        if not self.exists:
+            return (self._absence(),)
+        x, y, z = self.translation
+        roll, pitch, yaw = self.pose.rotation.as_euler("xyz", degrees=True)
+        lengths = (f"{length:.4f}" for length in self.readings)
+        return (f"{x:.4f}, {y:.4f}, {z:.4f}", f"{roll:.2f}, {pitch:.2f}, {yaw:.2f}", *lengths)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Batch shape."""
+        return self.middle_joints.shape[:-2]
+
+    @property
+    def geometry(self) -> Geometry:
+        """The manipulator."""
+        return self._mechanism
+
+    @property
+    def compared_points(self) -> FloatArray:
+        """The points by which states are compared, b_i and c_i as rows in {B} [m], shape (..., 6, 3)."""
+        return np.concatenate([self.middle_joints, self.platform_joints], axis=-2)
+
+    def where(self, kept: BoolArray) -> Configuration:
+        """Return the states where `kept` (...) is true; the others have no joints, and keep their pose."""
+        lengths = None if self._known is None else masked(self._known, kept, 1)
+        joints = masked(self.middle_joints, kept, 2)
+        return Configuration.from_arrays(self.geometry, self._rotation, self._translation, joints, lengths)
+
+    @property
+    def middle_joints(self) -> FloatArray:
+        """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., 3, 3)."""
+        return self._arrays[2]
+
+    @property
+    def exists(self) -> BoolArray:
+        """False for a member of the batch that does not exist, shape (...)."""
+        return ~np.isnan(self.middle_joints[..., 0, 0])
+
+    @cached_property
+    def balls(self) -> FloatArray:
+        """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the drawn machine."""
+        lower = self.middle_joints
+        sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
+        moved = self.geometry.legs.upper_ball_weights @ np.stack([*sides, np.cross(*sides)], axis=-2)
+        return frozen(np.concatenate([lower, lower + moved], axis=-2))
+
+    @cached_property
+    def leg_bases(self) -> FloatArray:
+        """Pivots of the six legs, a_1 to a_3 and c_1 to c_3, as rows in {B} [m], shape (..., 6, 3). Eqs. (1), (2)."""
+        pivots = self.geometry.legs.pivots
+        upper = pivots[3:] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
+        return frozen(np.concatenate([np.broadcast_to(pivots[:3], upper.shape), upper], axis=-2))
+
+    @property
+    def platform_joints(self) -> FloatArray:
+        """Upper revolute joints c_1, c_2, c_3, or pivots, as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
+        return self.leg_bases[..., 3:, :]
+
+    @cached_property
+    def leg_axes(self) -> FloatArray:
+        """Unit revolute axes of the six legs as rows in {B}, shape (..., 6, 3). Eq. (4)."""
+        axes = self.geometry.legs.axes
+        upper = axes[3:] @ np.swapaxes(self._rotation, -1, -2)
+        return frozen(np.concatenate([np.broadcast_to(axes[:3], upper.shape), upper], axis=-2))
+
+    @property
+    def platform_axes(self) -> FloatArray:
+        """Unit revolute axes at c_1, c_2, c_3 as rows in {B}, shape (..., 3, 3). Eq. (4b)."""
+        return self.leg_axes[..., 3:, :]
+
+    @cached_property
+    def leg_vectors(self) -> FloatArray:
+        """Vectors from circle centres to lower balls, and from upper balls to circle centres, in {B} [m], (..., 6, 3).
+
+        Along them the legs push: an RPS leg has its pivot for the centre, other legs have rods.
+        """
+        centres, balls = self.circle_centres, self.balls
+        return frozen(np.concatenate([(balls - centres)[..., :3, :], (centres - balls)[..., 3:, :]], axis=-2))
+
+    @property
+    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
+        """The axes x and z of the legs' planes as rows in {B}, (..., 6, 3) each."""
+        back = np.swapaxes(self._rotation, -1, -2)
+        lower = np.broadcast_to(np.eye(3), back.shape)
+        outward, forward = (
+            np.concatenate([axes[:3] @ lower, axes[3:] @ back], axis=-2) for axes in self.geometry.legs.planes
+        )
+        return outward, forward
+
+    @property
+    def own_circle_centres(self) -> FloatArray:
+        """`circle_centres` as rows in {B} of the lower legs, and in {m} of the upper legs [m], shape (..., 6, 3)."""
+        centres, _ = self.geometry.legs.circles(self.readings)
+        return centres
+
+    @cached_property
+    def circle_centres(self) -> FloatArray:
+        """Centres of the circles that the locked actuators leave to the balls, as rows in {B} [m], shape (..., 6, 3).
+
+        The `leg_bases` of RPS legs, the joints of carriage and rod of PRS legs, and the knees of RRS legs.
+        """
+        if self.geometry.legs.are_rps:
+            return self.leg_bases
+        centres = self.own_circle_centres
+        upper = centres[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
+        return frozen(np.concatenate([centres[..., :3, :], upper], axis=-2))
+
+    @cached_property
+    def leg_lengths(self) -> FloatArray:
+        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., 6): distances of balls and pivots. Eq. (20)."""
+        return frozen(np.sqrt(((self.balls - self.leg_bases) ** 2).sum(axis=-1)))
+
+    @cached_property
+    def readings(self) -> FloatArray:
+        """Readings of the legs' encoders, shape (..., 6): [m], of RRS legs [rad]; NaN for a ball out of a leg's reach.
+
+        Of RPS legs they are `leg_lengths` plus the offsets of the machine.
+        """
+        legs = self.geometry.legs
+        return frozen(self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places))
+
+    @cached_property
+    def middle_pose(self) -> RigidTransform:
+        """Pose of the middle platform {n} in {B}; at the centre of a drawn machine's triangle, x along b_3 b_1."""
+        corners = self.geometry.legs.balls[:3]
+        frames = triangle_frames(self.middle_joints) @ triangle_frames(corners).T
+        centres = self.middle_joints.mean(axis=-2) - frames @ corners.mean(axis=0)
+        return unchecked_transform(frames, centres)
+
+    @cached_property
+    def closure_residual(self) -> FloatArray:
+        """Largest violation of the nine closure equations [m], shape (...); NaN where a member does not exist.
+
+        The distances of each ball from the plane of its leg, Eqs. (5b), (5c), and the errors of the sides, Eq. (12).
+        """
+        b, legs = self.middle_joints, self.geometry.legs
+        # The axes and the planes' distances from O: exact zeros in a drawn machine, whose planes go through Z.
+        lower = (b * legs.axes[:3]).sum(axis=-1) - (legs.pivots[:3] * legs.axes[:3]).sum(axis=-1)
+        upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)
+        sides = triangle_sides(b) - legs.sides
+        return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
+
+
+def check_configuration(
+    value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False
+) -> Configuration:
+    """Return `value` if it is a configuration, no batch if `single`, without absent members if `existing`."""
+    several = hasattr(type(value), "physical")
+    cause = "Choose one of its solutions: .physical(), .nearest(near), or a label such as ['TT+']" if several else ""
+    configuration = check_instance(value, Configuration, argument, cause)
+    check_members(configuration, argument, single=single, existing=existing)
+    return configuration
+
+
+def check_members(configuration: Batched, argument: str, *, single: bool, existing: bool) -> None:
+    """Raise `ArgumentError` for a batch if one state is wanted, or for absent members if all have to exist."""
+    if single and configuration.shape:
+        cause = f"Choose one by its index: {argument}[0]"
+        raise ArgumentError(argument, "a single configuration", f"a batch of shape {configuration.shape}", cause)
+    if existing and not configuration.exists.all():
+        index = first_offender(~configuration.exists)
+        where = f" at batch index {index}" if index else ""
+        cause = configuration.missing_reason or "Not a real solution? See .status and .exists of the SolutionSet"
+        raise ArgumentError(argument, "a configuration that exists", f"NaN{where}", cause)

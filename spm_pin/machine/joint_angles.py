@@ -1,0 +1,323 @@
+"""Values of the revolute, prismatic and ball joints of configurations, and the frames and home they are measured from.
+
+A leg's frame stands at its pivot, x along the revolute axis, z as near to the normal of {B} or {m} as that allows. The
+frame at a ball is turned in {n} as the drawn machine's leg frames are in {B}: x along the middle platform's tangent, z
+along its normal. A leg's actuated joint, an RPS leg's slide for one, has the value of its reading less the encoder's
+offset and the reading at the symmetric home; its passive joint turns about the revolute axis, from the direction of leg
+or rod there. The ball joint of a lower leg turns the rod into the middle platform about the leg's revolute axis (x),
+the middle axis (y) and the platform's normal (z), in this order. That of an upper leg turns the middle platform into
+the rod, in the order z, y, x. The home of a machine as built is that of the drawn one.
+
+A stage alone is as the lower stage of a robot, its platform in the place of the middle one.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from spm_pin.errors import ArgumentError, GeometryError
+from spm_pin.formulas import joint_values as formulas
+from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
+from spm_pin.formulas.leg_planes import upper_balls
+from spm_pin.formulas.operations import ARRAYS, bind, on_arrays
+from spm_pin.formulas.vectors import dot, minus, times, transposed
+from spm_pin.machine.configuration import Configuration, check_configuration, check_members
+from spm_pin.machine.leg_kinds import KINDS, RPS, LegKind
+from spm_pin.machine.legs import LEGS
+from spm_pin.machine.machine import Mechanism, check_mechanism
+from spm_pin.machine.stage_configuration import StageConfiguration
+from spm_pin.support.arguments import FloatArray, frozen, type_and_value, whole_number
+
+# Configurations computed together: intermediate arrays stay in the processor's cache.
+_BLOCK = 2048
+
+
+def leg_joints(geometry: Mechanism | None = None) -> dict[str, tuple[str, str]]:
+    """Return the names of each leg's two joints, from its plate to its ball, by the names of the legs."""
+    names: dict[str, tuple[str, str]] = {}
+    for leg, kind in _legs(geometry):
+        first, second = kind.joints
+        names[leg] = f"leg_{leg[2:]}_{first}", f"leg_{leg[2:]}_{second}"
+    return names
+
+
+def _legs(geometry: Mechanism | None) -> list[tuple[str, LegKind]]:
+    """Return the names of the legs, with their kinds."""
+    if geometry is None:
+        return [(leg, RPS()) for leg in LEGS]
+    legs = check_mechanism(geometry).legs
+    return [(leg, legs.kinds[k // 3]) for k, leg in enumerate(legs.names)]
+
+
+def joint_names(geometry: Mechanism | None = None) -> tuple[str, ...]:
+    """Return the names of the joints of a machine's URDF: eighteen, by default of RPS legs, or nine of a `Stage`.
+
+    Up the first legs to the platform that moves, then those of the other lower and upper legs.
+    """
+    legs = leg_joints(geometry)
+    lower, *upper = ((*legs[leg], *(f"ball_{leg[2:]}_{x}" for x in "xyz")) for leg in list(legs)[::3])
+    others = (joint for k, joints in enumerate(legs.values()) if k % 3 for joint in joints)
+    return *lower, *(joint for chain in upper for joint in chain[::-1]), *others
+
+
+def actuated_joints(geometry: Mechanism | None = None) -> tuple[str, ...]:
+    """Return the names of the joints that the actuators move, in the order of the legs; see `joint_names`."""
+    return tuple(f"leg_{leg[2:]}_{kind.actuated}" for leg, kind in _legs(geometry))
+
+
+def value_names(geometry: Mechanism | None = None) -> tuple[str, ...]:
+    """Return the names of the joints in the order of `JointAngles.values` for the balls of the first legs."""
+    passive = [f"leg_{leg[2:]}_{kind.passive}" for leg, kind in _legs(geometry)]
+    balls = (f"ball_{leg[2:]}_{axis}" for axis in "xyz" for leg in list(leg_joints(geometry))[::3])
+    return *passive, *balls, *actuated_joints(geometry)
+
+
+JOINTS = joint_names()
+"""The eighteen joints of a URDF of RPS legs; see `joint_names`."""
+
+
+def home_readings(geometry: Mechanism) -> FloatArray:
+    """Return the readings (6,), of a stage (3,), of the symmetric home, offsets aside: [m], of RRS legs [rad].
+
+    All platforms are level there. The reading is the middle of the limits that the stage's three legs share, if the
+    stage stands there, in a robot above its pivots. Otherwise, and without limits, RPS legs are as long as the shortest
+    allowed and those of a stage as high as the sum of its two radii together, carriages are at their pivots, and balls
+    in the middle of the reach of crank and rod. A `GeometryError` is raised for a stage that does not stand there
+    either.
+    """
+    readings, _ = homes(check_mechanism(geometry))
+    return readings
+
+
+@functools.lru_cache(maxsize=64)
+def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
+    """Return `home_readings`, and the balls' places there (6, 2), x and z in the planes of the legs [m]."""
+    count = len(geometry.legs.names)
+    readings, places = np.empty(count), np.empty((count, 2))
+    for stage, (radius, ball_radius) in enumerate(geometry.stage_radii):
+        legs, kind, limits = slice(3 * stage, 3 * stage + 3), geometry.legs.kinds[stage].nominal, geometry.limits
+        low = max(limits.minimum[legs]) if limits else kind.least_reading
+        high = min(limits.maximum[legs]) if limits else math.inf
+        numbers, signs = tuple(kind.numbers[0].tolist()), geometry.legs.slope_signs[legs]
+        x, height, middle = ball_radius - radius, ball_radius + radius, 0.5 * (low + high)
+        with np.errstate(invalid="ignore"):
+            at_home = _HOME(x, height, (low, high), signs[0], numbers, kind.on_arrays)
+            # A stage alone may be below its pivots, hanging or not.
+            is_alone = len(geometry.stage_radii) == 1
+            if is_alone and low < high and math.isfinite(middle):
+                z = _HEIGHT(x, middle, signs[0], numbers, kind.on_arrays)
+                at_home = at_home if np.isnan(z) else formulas.LegHome(middle, x, z)
+        places[legs] = x, at_home.z
+        # Legs of the other working mode have another reading in the same place.
+        own = kind.readings(places[legs])
+        readings[legs] = np.where(signs == signs[0], at_home.reading, own)
+        if not ((at_home.z > 0.0 or is_alone) and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
+            ends = f" between {low:g} and {high:g} {kind.unit}" if limits else ""
+            expected = "a machine whose platforms are level at the middle of its limits"
+            cause = "A rod too short, another sign, or limits about a place where the stage does not stand?"
+            raise GeometryError("geometry", expected, f"{kind!r} on radii of {radius:g} m{ends}", cause)
+    return frozen(readings), frozen(places)
+
+
+_HOME, _HEIGHT = on_arrays(formulas.leg_home), on_arrays(formulas.ball_height)
+_FORMULAS = upper_balls, formulas.leg_values, formulas.leg_frame, formulas.triangle_axes, formulas.ball_angles
+
+
+def _of_numbers(function: Callable[..., Any]) -> Callable[..., float]:
+    """Return a function of NumPy's arrays as one of Python's numbers, with the same bits."""
+    return lambda *numbers: float(function(*numbers))
+
+
+def _runner(**operations: Callable[..., Any]) -> SimpleNamespace:
+    """Return the formulas with these operations by their names, and those of each kind of legs."""
+    bound = {formula.__name__: bind(formula, **operations) for formula in _FORMULAS}
+    kinds = {kind: kind.bound(lambda formula: bind(formula, **operations)) for kind in KINDS.values()}
+    return SimpleNamespace(sqrt=operations["sqrt"], kinds=kinds, **bound)
+
+
+_ON_ARRAYS = _runner(**ARRAYS)
+_ON_NUMBERS = _runner(
+    sqrt=lambda x: math.sqrt(x) if x >= 0.0 else math.nan,
+    **{name: _of_numbers(getattr(np, name)) for name in ("cos", "sin", "arctan2")},
+)
+
+
+class _Constants(NamedTuple):
+    legs: tuple[formulas.LegFrame, ...]
+    sides: tuple[float, ...]  # b_1 b_2, b_2 b_3 and b_3 b_1
+    weights: Any  # see `upper_ball_weights`; None of a stage alone
+    kinds: tuple[type[LegKind], ...]  # of the legs
+
+
+@functools.lru_cache(maxsize=16)
+def _constants(geometry: Mechanism) -> _Constants:
+    axes, pivots, balls = map(_tuples, geometry.legs.arrays[:3])
+    own_axes, legs, kinds = _ON_NUMBERS.triangle_axes(balls[:3]), [], []
+    readings, places = homes(geometry)
+    for leg in range(len(readings)):
+        kind, signs = geometry.legs.kinds[leg // 3], (TANGENT_SIGNS[leg % 3], (1.0, -1.0)[leg // 3])
+        kinds.append(type(kind))
+        numbers = tuple(tuple(x.numbers[leg % 3].tolist()) for x in (kind.nominal, kind))
+        at_home = formulas.LegHome(readings[leg].item(), *places[leg].tolist())
+        placement, run = (axes[leg], pivots[leg]), _ON_NUMBERS
+        drawn_axis, of_kind = AXES[leg % 3], run.kinds[type(kind)]
+        legs.append(run.leg_frame(placement, drawn_axis, own_axes, signs, at_home, numbers, of_kind))
+    weights = _tuples(geometry.legs.upper_ball_weights) if len(geometry.stage_radii) == 2 else None
+    return _Constants(tuple(legs), tuple(geometry.legs.sides.tolist()), weights, tuple(kinds))
+
+
+def _tuples(matrix: FloatArray) -> Any:
+    return tuple(map(tuple, matrix.tolist()))
+
+
+@dataclass(frozen=True)
+class JointAngles:
+    """Joint values of configurations; NaN where one does not exist."""
+
+    values: FloatArray
+    """The passive joints; the balls' angles about x, y and z, of n lower and then n upper legs; the actuated joints;
+    shape (..., 12 + 6 n), of a stage alone (..., 6 + 3 n). Their names are `value_names`."""
+    closure_residual: FloatArray
+    """`Configuration.closure_residual` [m], shape (...)."""
+    legs: int = 6
+    """Number of the legs, 3 of a stage alone."""
+
+    @property
+    def passive(self) -> FloatArray:
+        """Angles of the revolute joints without an actuator [rad] in [-π, π], in the order of the legs, (..., legs).
+
+        The hips of RPS legs, the knees of PRS and RRS legs.
+        """
+        return self.values[..., : self.legs]
+
+    @property
+    def ball_x(self) -> FloatArray:
+        """First angles of the ball joints [rad] in [-π, π], shape (..., 2 n)."""
+        return self._balls[..., 0, :]
+
+    @property
+    def ball_y(self) -> FloatArray:
+        """Middle angles of the ball joints [rad] in [-π/2, π/2], shape (..., 2 n)."""
+        return self._balls[..., 1, :]
+
+    @property
+    def ball_z(self) -> FloatArray:
+        """Third angles of the ball joints [rad] in [-π, π], shape (..., 2 n)."""
+        return self._balls[..., 2, :]
+
+    @property
+    def actuated(self) -> FloatArray:
+        """Readings less offsets and the readings at home, shape (..., legs): [m], of RRS legs [rad]."""
+        return self.values[..., -self.legs :]
+
+    @property
+    def _balls(self) -> FloatArray:
+        balls = self.values[..., self.legs : -self.legs]
+        return balls.reshape(*balls.shape[:-1], 3, balls.shape[-1] // 3)
+
+
+def check_state(
+    value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False
+) -> Configuration | StageConfiguration:
+    """Return `value` if it is a configuration of a robot or of a stage; see `check_configuration`."""
+    if not isinstance(value, StageConfiguration):
+        return check_configuration(value, argument, single=single, existing=existing)
+    check_members(value, argument, single=single, existing=existing)
+    return value
+
+
+def joint_angles(
+    configuration: Configuration | StageConfiguration, corners: tuple[int, ...] = (0, 1, 2)
+) -> JointAngles:
+    """Return the joint values of configurations of shape (...), closed or not.
+
+    The ball joints are those of the legs `corners`, 0 to 2, of each stage. The values of a member are bit for bit the
+    same in any batch.
+    """
+    check_state(configuration)
+    if not isinstance(corners, tuple | list):
+        raise ArgumentError("corners", "a tuple of legs, 0 to 2", type_and_value(corners))
+    corners = tuple(whole_number(corner, "corners", "legs, 0 to 2", most=2) for corner in corners)
+    shape, constants = configuration.shape, _constants(configuration.mechanism)
+    legs = len(constants.legs)
+    count = 2 * legs + legs * len(corners)
+    if isinstance(configuration, StageConfiguration):
+        state = [configuration.balls]
+    else:
+        state = [configuration.rotation, configuration.translation, configuration.middle_joints]
+    if not shape:
+        return _single(state, constants, corners)
+    size = math.prod(shape)
+    arrays = [a.reshape(size, math.prod(a.shape[len(shape) :])) for a in state]
+    values, residual = np.empty((size, count)), np.empty(size)
+    rows = np.empty((count, min(size, _BLOCK)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for begin in range(0, size, _BLOCK):
+            block = slice(begin, begin + _BLOCK)
+            # Components first: each operation runs along the configurations of a block.
+            parts = [tuple(np.ascontiguousarray(a[block].T)) for a in arrays]
+            angles, actuated, errors = _values(_rows(parts), constants, corners, _ON_ARRAYS)
+            rows = rows[:, : len(parts[0][0])]
+            for row, (sine, cosine) in zip(rows, angles, strict=False):
+                np.arctan2(sine, cosine, out=row)
+            rows[-legs:] = actuated
+            values[block] = rows.T
+            residual[block] = functools.reduce(np.maximum, errors)
+    return JointAngles(values.reshape(*shape, count), residual.reshape(shape), legs)
+
+
+def _single(state: list[FloatArray], constants: _Constants, corners: tuple[int, ...]) -> JointAngles:
+    """Return the values of one state, computed in Python's numbers: NumPy takes longer for arrays of one."""
+    legs = len(constants.legs)
+    try:
+        parts = [tuple(a.ravel().tolist()) for a in state]
+        angles, actuated, errors = _values(_rows(parts), constants, corners, _ON_NUMBERS)
+    except ZeroDivisionError:  # balls in one place or in a line
+        return JointAngles(np.full(2 * legs + legs * len(corners), np.nan), np.array(np.nan), legs)
+    return JointAngles(np.concatenate([np.arctan2(*zip(*angles, strict=True)), actuated]), np.array(max(errors)), legs)
+
+
+def _rows(parts: Sequence[Sequence[Any]]) -> Sequence[Any]:
+    """Return b_i as formulas take them, and of a robot R and o before, from their components."""
+    *pose, b = parts
+    triangle = b[:3], b[3:6], b[6:]
+    if not pose:
+        return (triangle,)
+    rotation, position = pose
+    return (rotation[:3], rotation[3:6], rotation[6:]), position, triangle
+
+
+def _values(
+    state: Sequence[Any], constants: _Constants, corners: tuple[int, ...], run: SimpleNamespace
+) -> tuple[list[formulas.Angle], list[Any], list[Any]]:
+    """Return angles as multiples of (sine, cosine), actuated joints, and closure errors: of numbers, or of arrays (n,).
+
+    The angles are those of the passive joints, then the balls' x, y and z. `state` is that of `_rows`.
+    """
+    *pose, b = state
+    axes, balls = run.triangle_axes(b), [*b]
+    seen = [(0, axes, 1.0)]
+    if pose:
+        rotation, position = pose
+        columns = transposed(rotation)
+        balls += [times(columns, minus(ball, position)) for ball in run.upper_balls(b, constants.weights)]
+        seen.append((3, tuple(times(columns, x) for x in axes), -1.0))
+    kinds = [run.kinds[kind] for kind in constants.kinds]
+    legs = [run.leg_values(*leg) for leg in zip(balls, constants.legs, kinds, strict=True)]
+    edges = minus(b[0], b[1]), minus(b[1], b[2]), minus(b[2], b[0])
+    errors = [abs(leg.plane_distance) for leg in legs]
+    errors += [abs(run.sqrt(dot(edge, edge)) - side) for edge, side in zip(edges, constants.sides, strict=True)]
+    turns = [
+        run.ball_angles(legs[k], constants.legs[k], own_axes, sign)
+        for first, own_axes, sign in seen
+        for k in (first + corner for corner in corners)
+    ]
+    angles = [leg.passive for leg in legs] + [turn[k] for k in range(3) for turn in turns]
+    return angles, [leg.actuated for leg in legs], errors

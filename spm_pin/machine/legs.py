@@ -1,0 +1,530 @@
+"""The three legs of a stage, or the six of a machine: names, kinds and limits, axes, pivots, balls and offsets."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError, GeometryError, UnreachableError, raised_as
+from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
+from spm_pin.formulas.joint_values import triangle_axes
+from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
+from spm_pin.machine.leg_kinds import RPS, LegKind
+from spm_pin.support.arguments import (
+    COLUMNS,
+    LARGEST,
+    SMALLEST,
+    STAGE_COLUMNS,
+    BoolArray,
+    FloatArray,
+    as_array,
+    frozen,
+    generator,
+    number_pair,
+    real_array,
+    real_number,
+    type_and_value,
+)
+
+LEGS = COLUMNS[6]
+"""Names and order of the legs: the lower stage's three, then the upper stage's."""
+STAGE_LEGS = STAGE_COLUMNS
+"""Names and order of the legs of a stage alone."""
+
+# Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
+RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
+
+COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
+"""Names of the nine parameters of an RPS leg."""
+_MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
+"""Largest standard deviations of random errors: normal numbers then do not leave the ranges accepted."""
+
+_turned_axis = on_arrays(leg_constants.turned_axis)
+_triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(circles.squared_sides)
+_admitted_readings = on_arrays(leg_constants.admitted_readings)
+_limit_rounding = on_arrays(leg_constants.limit_rounding)
+_upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
+_plane_axes = on_arrays(planar_legs.plane_axes)
+_UNIT = 1e-6
+"""Largest error of the length of an axis that is taken for rounding."""
+_UNITS = "metres, of RRS legs in radians"
+_STEP = 1e-100
+"""Imaginary step of a derivative."""
+_FLAT = 1e-6
+"""Smallest height of the triangle of three balls, in units of its longest side."""
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class LegLimits:
+    """Smallest and largest reading of each leg.
+
+    Parameters
+    ----------
+    minimum, maximum : float or sequence of six floats
+        In the order of `LEGS`: in metres, of RRS legs in radians. They may be infinite. `StageLimits` are of three.
+
+    Notes
+    -----
+    A reading beyond a limit by rounding is within it, everywhere in this package and in what it exports: by at most
+    1e-8 of the larger of the leg's finite limits.
+    """
+
+    minimum: tuple[float, ...]
+    maximum: tuple[float, ...]
+    legs: ClassVar[tuple[str, ...]] = LEGS
+    """Names of the legs."""
+
+    def __init__(self, minimum: float | Sequence[float], maximum: float | Sequence[float]) -> None:
+        object.__setattr__(self, "minimum", _of_legs(minimum, "minimum", self.legs))
+        object.__setattr__(self, "maximum", _of_legs(maximum, "maximum", self.legs))
+        for leg, low, high in zip(self.legs, self.minimum, self.maximum, strict=True):
+            if not low < high:
+                cause = "Minimum and maximum exchanged?" if low > high else ""
+                received = f"[{low:g}, {high:g}] for {leg}"
+                raise GeometryError("limits", "minimum < maximum for every leg", received, cause)
+
+    @classmethod
+    @raised_as(GeometryError)
+    def stages(cls, lower: Sequence[float], upper: Sequence[float]) -> LegLimits:
+        """Make limits from (minimum, maximum) of the lower legs and of the upper ones [m], of RRS legs [rad]."""
+        pairs = [number_pair(lower, "lower", _UNITS)] * 3 + [number_pair(upper, "upper", _UNITS)] * 3
+        return LegLimits(*zip(*pairs, strict=True))
+
+    def __repr__(self) -> str:
+        pairs = [f"{low:.6g}, {high:.6g}" for low, high in zip(self.minimum, self.maximum, strict=True)]
+        name = type(self).__name__
+        if len(set(pairs)) == 1:
+            return f"{name}({pairs[0]})"
+        if len(set(pairs[:3])) == len(set(pairs[3:])) == 1:
+            return f"LegLimits.stages(({pairs[0]}), ({pairs[3]}))"
+        bounds = (f"[{', '.join(f'{end:.6g}' for end in ends)}]" for ends in (self.minimum, self.maximum))
+        return f"{name}({', '.join(bounds)})"
+
+    @functools.cached_property
+    def ends(self) -> FloatArray:
+        """Minima and maxima as rows (2, 6)."""
+        return frozen(np.array([self.minimum, self.maximum]))
+
+    @property
+    def are_finite(self) -> bool:
+        """True if every reading is limited on both sides."""
+        return bool(np.isfinite(self.ends).all())
+
+    @functools.cached_property
+    def admitted(self) -> FloatArray:
+        """Ends (2, 6) of the readings that count as within the limits: these and what rounding adds."""
+        return frozen(np.array(_admitted_readings(*self.ends)))
+
+    @property
+    def rounding(self) -> FloatArray:
+        """By how much readings (6,) may be beyond the limits and count as within them."""
+        return np.asarray(_limit_rounding(*self.ends))
+
+    def contains(self, readings: npt.ArrayLike) -> BoolArray:
+        """Return which sets of readings (..., 6) respect all limits, to rounding; NaN does not."""
+        lengths, (low, high) = self._read(readings), self.admitted
+        return np.asarray(_least(np.minimum(lengths - low, high - lengths)) >= 0.0)
+
+    def excess(self, readings: npt.ArrayLike) -> FloatArray:
+        """Return by how much each of (..., 6) is above its limits, or below (negative), in its unit; 0 within them."""
+        lengths, (low, high) = self._read(readings), self.admitted
+        beyond = np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0)
+        return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
+
+    def margin(self, readings: npt.ArrayLike, scale: npt.ArrayLike | None = None) -> FloatArray:
+        """Return the distance of the worst leg of (..., 6) to its limits; negative outside, NaN for NaN.
+
+        `scale` (6,) is what a unit of each reading counts, 1 if not given.
+        """
+        lengths, (low, high) = self._read(readings), self.admitted
+        room = np.minimum(lengths - self.minimum, self.maximum - lengths)
+        if scale is not None:
+            room = room * real_array(scale, "scale", (len(self.legs),), "what a unit of each reading counts")
+        return _least(np.where((lengths >= low) & (lengths <= high), np.maximum(room, 0.0), room))
+
+    def _read(self, readings: npt.ArrayLike) -> FloatArray:
+        shape = (len(self.legs),)
+        return real_array(readings, "readings", shape, f"what the encoders show, in {_UNITS}", allow_nan=True)
+
+
+class StageLimits(LegLimits):
+    """Smallest and largest reading of the three legs of a `Stage`: one number for all, or three; see `LegLimits`."""
+
+    legs = STAGE_LEGS
+
+
+def check_path_readings(
+    limits: LegLimits | None, units: Sequence[str], readings: FloatArray, argument: str, places: FloatArray, what: str
+) -> None:
+    """Raise `UnreachableError` at the first of `places` (n,) where readings (n, 6) are beyond the limits, if any."""
+    excess = np.zeros(readings.shape) if limits is None else limits.excess(readings)
+    if excess.any():
+        k = int(excess.any(axis=-1).argmax())
+        leg = int(np.abs(excess[k]).argmax())
+        received = f"{LEGS[leg]} of {readings[k, leg]:.6g} {units[leg]} at {what} {places[k]:.4g}"
+        raise UnreachableError(argument, f"readings within the machine's {limits}", received)
+
+
+def _least(of_legs: FloatArray) -> FloatArray:
+    # Leg by leg: NumPy takes several times as long to reduce a short last axis.
+    return np.asarray(functools.reduce(np.minimum, np.moveaxis(of_legs, -1, 0)))
+
+
+def _of_legs(value: float | Sequence[float], argument: str, legs: tuple[str, ...]) -> tuple[float, ...]:
+    count = {6: "six", 3: "three"}[len(legs)]
+    expected = f"one reading or {count} in the order {', '.join(legs)}, in {_UNITS}"
+    array = as_array(value)
+    if array is None or array.dtype.kind not in "fiu":
+        raise GeometryError(argument, expected, type_and_value(value))
+    if array.shape not in ((), (len(legs),)):
+        raise GeometryError(argument, expected, f"shape {array.shape}")
+    if np.isnan(array).any():
+        raise GeometryError(argument, expected, "NaN", "Use infinity, or 0 for a least length, where there is no limit")
+    return tuple(float(x) for x in np.broadcast_to(array, len(legs)))
+
+
+class PlacedLegs(NamedTuple):
+    """The legs of one stage, a lower or an upper one, in the frame of the plate that carries them."""
+
+    axes: FloatArray
+    """Revolute axes of the legs, as rows (3, 3)."""
+    balls: FloatArray
+    """Centres of the balls in the platform's frame, as rows (3, 3) [m]."""
+    up: float
+    """-1 where the platform is below the circles' centres at home."""
+    pivots: FloatArray
+    planes: FloatArray
+    """Unit vectors x and z of the legs' planes (2, 3, 3)."""
+    kind: LegKind
+    offsets: FloatArray
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Legs:
+    """Kinds, axes, pivots, balls and encoder offsets of the six legs of a machine, or the three of a stage; read-only.
+
+    They are in the order of `LEGS`. Those of a `Stage` alone have one kind, and are a lower stage's.
+
+    Leg i moves in the plane through its pivot that is normal to its axis, the direction of its revolute joints, and
+    holds the centre of a ball of the middle platform there. Its reading is that of its kind, plus the offset: of an RPS
+    leg |ball - pivot| + offset.
+
+    Parameters
+    ----------
+    axes : array_like, shape (6, 3)
+        Unit vectors along the revolute axes, of the lower legs in {B}, of the upper legs in {m}. Either sense gives the
+        same machine; the one within a quarter turn of the drawn axis is stored.
+    pivots : array_like, shape (6, 3)
+        Points of these axes where the legs' lines start [m], in the same frames.
+    balls : array_like, shape (6, 3)
+        Centres of the balls [m] in {n}. Those of a lower and of an upper leg need not coincide.
+    offsets : array_like, shape (6,)
+        What each reading exceeds that of its leg's own dimensions by [m], or [rad] of RRS legs.
+    kinds : pair of LegKind, or one
+        What the lower and the upper legs are, with the numbers fixed in them: `RPS`, `PRS` or `RRS`.
+
+    A `GeometryError` is raised for a number beyond 1e9 m, an axis that is no unit vector, and balls of the lower or of
+    the upper legs that are on one line.
+    """
+
+    axes: FloatArray
+    pivots: FloatArray
+    balls: FloatArray
+    offsets: FloatArray
+    kinds: tuple[LegKind, ...] = (RPS(), RPS())
+    is_drawn: bool = field(default=False, init=False)
+    """True for legs that a `Geometry` or a `Stage` has drawn from its dimensions."""
+
+    @raised_as(GeometryError)
+    def __post_init__(self) -> None:
+        kinds = self.kinds
+        if not (isinstance(kinds, tuple) and len(kinds) in (1, 2) and all(isinstance(x, LegKind) for x in kinds)):
+            raise ArgumentError("kinds", "a pair of kinds of legs, such as (RPS(), RPS())", type_and_value(kinds))
+        names, count = self.names, len(self.names)
+        axes = bounded_array(self.axes, "axes", (count, 3), "unit vectors along the revolute axes")
+        sizes = np.sqrt((axes**2).sum(axis=-1))
+        wrong = np.abs(sizes - 1.0) > _UNIT
+        if wrong.any():
+            leg = int(wrong.argmax())
+            expected = "unit vectors along the revolute axes"
+            raise ArgumentError("axes", expected, f"length {sizes[leg]:g} of {names[leg]}", "Divide it by its length")
+        # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
+        exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
+        pivots = bounded_array(self.pivots, "pivots", (count, 3), "points of the revolute axes in metres")
+        balls = bounded_array(self.balls, "balls", (count, 3), "ball centres in {n} in metres")
+        triangles = balls.reshape(-1, 3, 3), pivots.reshape(-1, 3, 3)
+        for stage, b, p in zip(("lower", "upper"), *triangles, strict=False):
+            longest = triangle_sides(b).max()
+            if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
+                expected = "three ball centres of each stage that form a triangle"
+                raise ArgumentError("balls", expected, f"those of the {stage} legs on one line")
+            if all(np.cross(x[1] - x[0], x[2] - x[0])[2] < 0.0 for x in (b, p)):
+                expected = f"{stage} legs 1, 2, 3 counterclockwise about z, as drawn at -30, 90, 210 degrees"
+                cause = "List the legs in the opposite order, in axes, pivots, balls, offsets and numbers of the kind"
+                raise ArgumentError("balls", expected, "a clockwise order", cause)
+        offsets = bounded_array(self.offsets, "offsets", (count,), f"offsets of the readings in {_UNITS}")
+        # A hinge's axis has no sense; x and z of a leg's plane follow from the sense of the drawn one.
+        backward = (axes * np.tile(AXES, (len(kinds), 1))).sum(axis=-1) < 0.0
+        axes = axes / np.where(backward, -1.0, 1.0)[:, None] / np.where(exact, 1.0, sizes)[:, None]
+        arrays = axes, pivots, balls, offsets
+        for name, array in zip(("axes", "pivots", "balls", "offsets"), arrays, strict=True):
+            object.__setattr__(self, name, frozen(array.copy()))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the legs: `LEGS`, or `STAGE_LEGS` of those of a stage alone."""
+        return LEGS if len(self.kinds) == 2 else STAGE_LEGS
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Axes, pivots, balls and offsets."""
+        return self.axes, self.pivots, self.balls, self.offsets
+
+    @functools.cached_property
+    def are_rps(self) -> bool:
+        """Whether all legs are RPS: their circles have the pivots for centres, and readings are lengths."""
+        return all(isinstance(kind, RPS) for kind in self.kinds)
+
+    @functools.cached_property
+    def units(self) -> tuple[str, ...]:
+        """Units of the readings, "m" or "rad", in the order of `LEGS`."""
+        return tuple(kind.unit for kind in self.kinds for _ in range(3))
+
+    def unit_text(self, lengths: str = "metres", angles: str = "radians") -> str:
+        """Return the unit of what is read of the legs, for messages: one, where all have it."""
+        if "rad" not in self.units:
+            return lengths
+        return angles if "m" not in self.units else f"{lengths}, of RRS legs in {angles}"
+
+    @functools.cached_property
+    def least_readings(self) -> FloatArray:
+        """Bounds of the readings (6,), offsets aside: RPS legs have no negative length."""
+        return frozen(np.repeat([kind.least_reading for kind in self.kinds], 3))
+
+    @functools.cached_property
+    def stages(self) -> tuple[PlacedLegs, ...]:
+        """The legs of each stage: of a robot's lower and upper one, or of the only one."""
+        planes, stages = np.stack(self.planes), []
+        for k, kind in enumerate(self.kinds):
+            own = slice(3 * k, 3 * k + 3)
+            arrays = self.axes[own], self.balls[own], 1.0 - 2.0 * k, self.pivots[own], planes[:, own]
+            stages.append(PlacedLegs(*arrays, kind, self.offsets[own]))
+        return tuple(stages)
+
+    @functools.cached_property
+    def planes(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors x, radially outwards, and z, towards the balls, of the legs' planes, (6, 3) or (3, 3) each.
+
+        As the axes they are in {B} of lower and in {m} of upper legs.
+        """
+        outward, forward = _plane_axes(vector_of(self.axes), *self._signs)
+        return frozen(np.stack(outward, axis=-1)), frozen(np.stack(forward, axis=-1))
+
+    @property
+    def _signs(self) -> tuple[FloatArray, FloatArray]:
+        """Signs of the tangents and of the directions up, of each leg."""
+        count = len(self.kinds)
+        return np.tile(leg_constants.TANGENT_SIGNS, count), np.repeat([1.0, -1.0][:count], 3)
+
+    @property
+    def turned_over(self) -> Legs:
+        """The three legs of a stage that is turned over about its y axis, as upper legs: in the order 3, 2, 1."""
+        (kind,), turn = self.kinds, np.array([-1.0, 1.0, -1.0])
+        # The axis of leg 2 then points backwards.
+        axes = (self.axes * turn * [[1.0], [-1.0], [1.0]])[::-1]
+        vectors = axes, (self.pivots * turn)[::-1], (self.balls * turn)[::-1]
+        return Legs(*vectors, self.offsets[::-1], (kind.turned_over,))
+
+    @property
+    def parameters(self) -> FloatArray:
+        """Nine numbers of each leg, then those fixed in PRS and RRS legs: see `Geometry.parameters`."""
+        drawn, first, second = axis_directions(len(self.kinds))
+        across = np.stack([(self.axes * first).sum(axis=-1), (self.axes * second).sum(axis=-1)], axis=-1)
+        sine = np.sqrt((across**2).sum(axis=-1))
+        angle = np.arctan2(sine, (self.axes * drawn).sum(axis=-1))
+        turn = across * np.divide(angle, sine, out=np.ones(len(sine)), where=sine > 0.0)[:, None]
+        numbers = [kind.numbers[:, : len(kind.identified)].ravel() for kind in self.kinds]
+        rows = np.concatenate([turn, self.pivots, self.balls, self.offsets[:, None]], axis=-1)
+        return np.concatenate([rows.ravel(), *numbers])
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the `parameters`, such as `r_b1.pivot_x`, and of PRS and RRS legs `r_b1.rod`."""
+        own = (f"{leg}.{component}" for leg in self.names for component in COMPONENTS)
+        stages = zip(self.kinds, (self.names[:3], self.names[3:]), strict=False)
+        return *own, *(f"{leg}.{name}" for kind, legs in stages for leg in legs for name in kind.identified)
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Units of the `parameters`, "m" or "rad"."""
+        offsets = dict(zip((f"{leg}.offset" for leg in self.names), self.units, strict=True))
+        return tuple(offsets.get(name, "rad" if ".direction" in name else "m") for name in self.parameter_names)
+
+    @raised_as(GeometryError)
+    def from_parameters(self, parameters: npt.ArrayLike) -> Legs:
+        """Return legs with these `parameters`, in the same working modes."""
+        count, meaning = len(self.parameter_names), "radians and metres, see parameter_names"
+        read, first = bounded_array(parameters, "parameters", (count,), meaning), len(COMPONENTS) * len(self.names)
+        values, kinds = read[:first].reshape(-1, len(COMPONENTS)), []
+        for kind in self.kinds:
+            last = first + 3 * len(kind.identified)
+            kinds.append(kind.with_numbers(read[first:last].reshape(3, -1)))
+            first = last
+        angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
+        if (angle > np.pi / 2.0).any():
+            leg = int(angle.argmax())
+            expected = "directions of the axes within a quarter turn of the drawn ones, in radians"
+            raise GeometryError("parameters", expected, f"{angle[leg]:g} rad at {self.names[leg]}", "Given in degrees?")
+        drawn = tuple(np.tile(AXES, (len(self.kinds), 1)).T)
+        axes = np.stack(_turned_axis(drawn, values[:, 0], values[:, 1]), axis=-1)
+        return Legs(axes, values[:, 2:5], values[:, 5:8], values[:, 8], tuple(kinds))
+
+    def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Legs:
+        """Return legs with independent normal errors added to all `parameters`; see `Geometry.perturbed`."""
+        random = generator(rng)
+        expected = f"a standard deviation from 0 to {_MOST_LENGTH:g} m"
+        spread = real_number(length, "length", expected, least=0.0, most=_MOST_LENGTH)
+        expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
+        turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
+        scale = np.array([turn if unit == "rad" else spread for unit in self.parameter_units])
+        return self.from_parameters(self.parameters + scale * random.standard_normal(len(scale)))
+
+    def deviations(self, drawn: Legs) -> tuple[FloatArray, ...]:
+        """Return by how much each leg is off the drawn one: axis [rad], and pivot, ball and offset [m]."""
+        sine = np.sqrt((np.cross(self.axes, drawn.axes) ** 2).sum(axis=-1))
+        angles = np.arctan2(sine, (self.axes * drawn.axes).sum(axis=-1))
+        _, pivots, balls, offsets = map(np.abs, map(np.subtract, self.arrays, drawn.arrays))
+        return angles, pivots.max(axis=-1), balls.max(axis=-1), offsets
+
+    def readings(self, places: FloatArray) -> FloatArray:
+        """Return what the encoders show (..., 6) of balls at x and z (..., 6, 2) [m]; NaN out of a leg's reach."""
+        return self._of_stages("readings", places) + self.offsets
+
+    def slopes(self, places: FloatArray, readings: FloatArray) -> FloatArray:
+        """Return κ (..., 6), the speed of each ball away from its circle's centre per unit rate of the reading."""
+        return self._of_stages("slopes", places, readings - self.offsets)
+
+    def circle_derivatives(self, readings: FloatArray) -> list[FloatArray]:
+        """Return the derivatives of x, z and radius of the circles of both stages, (..., 3, 3, 1 + n) each.
+
+        By the readings (..., 6), then by each of the numbers that are fixed in the legs.
+        """
+        return self._by_stage("circle_derivatives", readings - self.offsets)
+
+    def centre_rates(self, readings: FloatArray) -> FloatArray:
+        """Return the derivatives of the circles' centres by readings (..., 6) in the legs' planes, (..., 6, 2)."""
+        return np.concatenate([x[..., :2, 0] for x in self.circle_derivatives(readings)], axis=-2)
+
+    @functools.cached_property
+    def plane_turns(self) -> FloatArray:
+        """Derivatives by the axes of the turn of each leg's plane about its axis, from x to z, (legs, 3)."""
+        tilted = self.axes[:, None] + 1j * _STEP * np.eye(3)
+        tangents, up = self._signs
+        outward, _ = _plane_axes(vector_of(tilted), tangents[:, None], up[:, None])
+        _, forward = self.planes
+        return frozen((np.stack(outward, axis=-1).imag / _STEP * forward[:, None]).sum(axis=-1))
+
+    @functools.cached_property
+    def slope_signs(self) -> FloatArray:
+        """Signs of κ in the working modes of the legs, (6,)."""
+        return frozen(np.sign(np.concatenate([kind.largest_slopes for kind in self.kinds])))
+
+    @property
+    def free_limits(self) -> LegLimits:
+        """Limits that exclude nothing."""
+        return LegLimits([kind.least_reading for kind in self.kinds for _ in range(3)], math.inf)
+
+    @functools.cached_property
+    def largest_slopes(self) -> FloatArray:
+        """The largest κ of each leg, (6,): 1, of RRS legs the crank's length [m]."""
+        return frozen(np.abs(np.concatenate([kind.largest_slopes for kind in self.kinds])))
+
+    def circles(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the centres (..., 6, 3), in {B} or {m}, and radii (..., 6) [m] of the circles that readings leave."""
+        if self.are_rps:
+            radii = readings - self.offsets
+            return np.broadcast_to(self.pivots, (*radii.shape, 3)), radii
+        stages = self._by_stage("circles", readings - self.offsets)
+        x, z = np.moveaxis(np.concatenate([centres for centres, _ in stages], axis=-2)[..., None], -2, 0)
+        outward, forward = self.planes
+        return self.pivots + x * outward + z * forward, np.concatenate([radii for _, radii in stages], axis=-1)
+
+    def _by_stage(self, name: str, *arguments: Any) -> list[Any]:
+        """Apply a method of each stage's kind to its part of arrays whose axis of length six counts the legs."""
+        stages = (slice(0, 3), slice(3, 6))[: len(self.kinds)]
+        return [
+            getattr(kind, name)(*(x[..., legs, :] if x.shape[-1] == 2 else x[..., legs] for x in arguments))
+            for kind, legs in zip(self.kinds, stages, strict=True)
+        ]
+
+    def _of_stages(self, name: str, *arguments: FloatArray) -> FloatArray:
+        return np.concatenate(self._by_stage(name, *arguments), axis=-1)
+
+    @functools.cached_property
+    def sides(self) -> FloatArray:
+        """Distances 12, 23, 31 of the lower legs' balls [m], shape (3,)."""
+        return frozen(triangle_sides(self.balls[:3]))
+
+    @functools.cached_property
+    def _key(self) -> tuple[object, ...]:
+        # -0.0 and 0.0 are equal.
+        return *((array + 0.0).tobytes() for array in self.arrays), *self.kinds
+
+    @functools.cached_property
+    def upper_ball_weights(self) -> FloatArray:
+        """Weights of `formulas.leg_planes.upper_balls`, as rows (3, 3)."""
+        return frozen(np.array(_upper_ball_weights(rows_of(self.balls[:3]), rows_of(self.balls[3:]))))
+
+    def __eq__(self, other: object) -> bool:
+        return self._key == other._key if isinstance(other, Legs) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Legs, (*self.arrays, self.kinds)
+
+
+@functools.lru_cache(maxsize=64)
+def drawn_legs(radii: tuple[tuple[float, float], ...], kinds: tuple[LegKind, ...]) -> Legs:
+    """Return the legs of the drawing, equal in a stage: its pivots and its balls at the `radii` of each stage [m]."""
+    pivots, balls = (np.concatenate([radius * RADIAL for radius in column]) for column in zip(*radii, strict=True))
+    nominal, count = tuple(kind.nominal for kind in kinds), len(kinds)
+    legs = Legs(np.tile(AXES, (count, 1)), pivots, balls, np.zeros(3 * count), nominal)
+    object.__setattr__(legs, "is_drawn", True)
+    return legs
+
+
+def axis_directions(stages: int = 2) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return each leg's drawn axis and the two directions perpendicular to it, radial and along z, (6, 3) each."""
+    axes = np.tile(AXES, (stages, 1))
+    up = np.broadcast_to([0.0, 0.0, 1.0], axes.shape)
+    return axes, np.cross(up, axes), up
+
+
+def triangle_frames(b: FloatArray) -> FloatArray:
+    """Return the axes (..., 3, 3) of triangles b_1, b_2, b_3: x along b_3 b_1, y towards b_2, z normal, as columns."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        axes = _triangle_axes(rows_of(b))
+    return np.stack([np.stack(axis, axis=-1) for axis in axes], axis=-1)
+
+
+def triangle_sides(b: FloatArray) -> FloatArray:
+    """Return the sides b_1 b_2, b_2 b_3 and b_3 b_1 (..., 3) of triangles (..., 3, 3)."""
+    return np.asarray(np.sqrt(np.stack(_squared_sides(rows_of(b)), axis=-1)))
+
+
+def bounded_array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning: str) -> FloatArray:
+    """Read finite numbers of this shape, none above the largest dimension."""
+    array = real_array(value, argument, shape, meaning)
+    if array.shape != shape:
+        raise ArgumentError(argument, f"shape {shape}, {meaning}", f"shape {array.shape}")
+    if (np.abs(array) > LARGEST).any():
+        raise ArgumentError(argument, f"{meaning}, at most {LARGEST:g}", f"{np.abs(array).max():g}", "Another unit?")
+    return array

@@ -1,0 +1,222 @@
+"""The base class of `Stage` and `Geometry`: legs, their parameters and limits, files, and lengths in proportion."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from abc import ABC, abstractmethod
+from dataclasses import fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from spm_pin.errors import ArgumentError, GeometryError, raised_as
+from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.machine.leg_kinds import RPS, LegKind
+from spm_pin.machine.legs import LegLimits, Legs, drawn_legs
+from spm_pin.support.arguments import FloatArray, type_and_value
+from spm_pin.support.files import file_path, read_yaml, write_files
+
+PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
+"""Units of length, and how many of them are a metre."""
+_PROPORTION = 10.0
+"""Lengths this many times the machine's size are read as a wrong unit."""
+_IMPLAUSIBLE = 20.0
+"""A file with a larger dimension [m] is suspected to be in another unit."""
+_USUAL = 0.4
+"""Share of the machine's size that heights, readings and positions usually have."""
+
+
+class Mechanism(ABC):
+    """A `Stage`, or a `Geometry` of two: dimensions and legs, as drawn or as built."""
+
+    base_radius: float
+    legs: Legs
+    limits: LegLimits | None
+    _heading: ClassVar[str]
+    """First line of its files."""
+    _least_share: ClassVar[float]
+    """Share of its size from which on limits of lengths are in the unit of its dimensions."""
+
+    @property
+    @abstractmethod
+    def size(self) -> float:
+        """About its height [m]."""
+
+    @property
+    @abstractmethod
+    def stage_radii(self) -> tuple[tuple[float, float], ...]:
+        """Radii of the drawn triangles of each stage, of its pivots and of its balls [m]."""
+
+    @abstractmethod
+    def as_data(self) -> dict[str, Any]:
+        """Return what `to_yaml` writes."""
+
+    @classmethod
+    @abstractmethod
+    def from_data(cls, data: Any, place: str = "data") -> Self:
+        """Return the machine of `as_data`; errors name what is wrong in `place`."""
+
+    def _set_legs(self, legs: Legs | tuple[LegKind, ...]) -> None:
+        """Read legs: those as built are kept, kinds are drawn, and those that were drawn with other dimensions."""
+        kinds, count = legs.kinds if isinstance(legs, Legs) else legs, len(self.stage_radii)
+        if not (isinstance(kinds, tuple) and len(kinds) == count and all(isinstance(kind, LegKind) for kind in kinds)):
+            own = "RPS(), PRS(rod=…) or RRS(crank=…, rod=…), or the Legs of three"
+            expected = own if count == 1 else "a pair such as (RPS(), RRS(crank=…, rod=…)), or the Legs of six"
+            received = (
+                f"Legs of {'three' if len(kinds) == 1 else 'six'}" if isinstance(legs, Legs) else type_and_value(legs)
+            )
+            raise GeometryError("legs", expected, received)
+        drawn = drawn_legs(self.stage_radii, kinds)
+        # Legs whose numbers differ are those of a machine as built.
+        if not isinstance(legs, Legs) and not all(kind.is_drawn for kind in kinds):
+            legs = Legs(*drawn.arrays, kinds)
+        is_built = isinstance(legs, Legs) and not legs.is_drawn and legs != drawn
+        object.__setattr__(self, "legs", legs if is_built else drawn)
+
+    def check_limits(self, limits: LegLimits) -> LegLimits:
+        """Return limits, or raise `GeometryError` if no readings of this machine have them or their unit is another."""
+        legs = self.legs
+        if not isinstance(limits, LegLimits) or limits.legs != legs.names:
+            own = "LegLimits" if len(legs.kinds) == 2 else "StageLimits"
+            raise GeometryError("limits", f"{own}(minimum, maximum)", type(limits).__name__)
+        ends = np.abs(limits.ends - legs.offsets)
+        ends = np.where(np.isfinite(ends), ends, 0.0)
+        for leg, name in enumerate(legs.names):
+            kind, low, high = legs.kinds[leg // 3], limits.minimum[leg], limits.maximum[leg]
+            received = f"[{low:g}, {high:g}] for {name}"
+            if isinstance(kind, RPS) and low < 0.0:
+                raise GeometryError("limits", "limits of lengths, 0 <= minimum < maximum, in metres", received)
+            if kind.unit == "rad" and ends[:, leg].max() > MOST_TURNED:
+                raise GeometryError("limits", f"angles in radians, within ±{MOST_TURNED:g}", received, "In degrees?")
+        lengths = ends[:, np.array(legs.units) == "m"]
+        longest = float(lengths.max(initial=0.0))
+        cause = f"is it {longest:g} {unit}?" if (unit := likely_unit(self, longest)) else ""
+        if lengths[1].any() and longest < self._least_share * self.size:
+            cause = f"is base_radius {self.base_radius:g} mm or cm?"
+        if cause:
+            expected = f"limits in proportion to a machine about {self.size:.3g} m high, or infinity for none"
+            cause = f"Lengths are in metres: {cause}"
+            raise GeometryError("limits", expected, f"lengths of up to {longest:g} m", cause)
+        return limits
+
+    def _repr_end(self) -> str:
+        """Return limits, and how far legs as built are off the drawing, as the end of the machine's text."""
+        limits = "" if self.limits is None else f", limits={self.limits!r}"
+        if self.is_nominal:
+            return f"{limits})"
+        angles, pivots, balls, offsets = self.legs.deviations(self.nominal.legs)
+        turns = np.array([unit == "rad" for unit in self.legs.units])
+        length = max(float(x.max()) for x in (pivots, balls, np.where(turns, 0.0, offsets)))
+        angle = max(float(x.max()) for x in (angles, np.where(turns, offsets, 0.0)))
+        return f"{limits}, legs off the drawing by up to {length:.3g} m, {angle:.3g} rad)"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
+
+    @cached_property
+    def nominal(self) -> Self:
+        """The machine as drawn, with the same dimensions and limits."""
+        return self if self.is_nominal else self._with_legs(drawn_legs(self.stage_radii, self.legs.kinds))
+
+    @property
+    def is_nominal(self) -> bool:
+        """True if the legs are those of the drawing."""
+        return self.legs.is_drawn
+
+    @property
+    def parameters(self) -> FloatArray:
+        """The parameters of the legs, named in `parameter_names`: per leg direction (2), pivot, ball (3 each), offset.
+
+        After these follow the numbers that are fixed in PRS and RRS legs, leg by leg. The direction is the turn of the
+        axis from the drawn one about the two directions perpendicular to it [rad]: the tangent coordinates of the
+        shortest arc. Units are in `parameter_units`.
+        """
+        return self.legs.parameters
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the `parameters`: of a robot `PARAMETERS`, and of PRS and RRS legs numbers such as `r_b1.rod`."""
+        return self.legs.parameter_names
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Units of the `parameters`, "m" or "rad"."""
+        return self.legs.parameter_units
+
+    @property
+    def reading_limits(self) -> FloatArray:
+        """Smallest and largest readings (2, legs), infinite where there is no limit."""
+        if self.limits is None:
+            return np.tile([[-np.inf], [np.inf]], len(self.legs.names))
+        return self.limits.ends
+
+    def from_parameters(self, parameters: npt.ArrayLike) -> Self:
+        """Return the machine of the same dimensions and limits whose legs have these `parameters`."""
+        return self._with_legs(self.legs.from_parameters(parameters))
+
+    def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Self:
+        """Return a machine with independent normal errors added to all parameters of the legs.
+
+        Their standard deviations are `length`, of each coordinate of pivots and balls and of the offsets [m], up to
+        1e7, and `angle`, of the turn of each axis about either direction perpendicular to it [rad], up to 0.2.
+        """
+        return self._with_legs(self.legs.perturbed(rng, length=length, angle=angle))
+
+    def _with_legs(self, legs: Legs) -> Self:
+        return replace(self, legs=legs)  # type: ignore[type-var]  # both are dataclasses
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Write the machine to a YAML file that `from_yaml` reads, every number with all its digits."""
+        with raised_as(GeometryError):
+            path = file_path(path)
+            text = yaml.safe_dump(self.as_data(), sort_keys=False, default_flow_style=None, width=120)
+            write_files({path: self._heading + text})
+
+    @classmethod
+    @raised_as(GeometryError)
+    def from_yaml(cls, path: str | Path) -> Self:
+        """Read a machine from a YAML file, in metres and radians; `docs/howto/geometry_files.md` describes it.
+
+        A `GeometryError` names the key of what describes no machine. A warning is given for dimensions above 20 m,
+        which are often centimetres or millimetres.
+        """
+        data = read_yaml(path)
+        machine = cls.from_data(data, str(path))
+        longest, key = max((length, key) for key, length in data.items() if isinstance(length, float))
+        if longest > _IMPLAUSIBLE:
+            text = f"{path}: {key} is {longest:g} m. Lengths are read as metres; are these in another unit?"
+            warnings.warn(text, stacklevel=3)
+        return machine
+
+
+def check_mechanism(value: Any, argument: str = "geometry") -> Mechanism:
+    """Return `value` if it is a `Geometry` or a `Stage`."""
+    if not isinstance(value, Mechanism):
+        raise ArgumentError(argument, "a Geometry or a Stage", type(value).__name__)
+    return value
+
+
+def likely_unit(machine: Mechanism, length: float, unit: str = "m") -> str | None:
+    """Return the unit in which a length [m], if it was typed in `unit`, would be in proportion; None if it is."""
+
+    def disproportion(tried: str, share: float = _USUAL) -> float:
+        return abs(math.log(length * PER_METRE[unit] / PER_METRE[tried] / (share * machine.size)))
+
+    if not (np.isfinite(length) and length > 0.0) or disproportion(unit, 1.0) < math.log(_PROPORTION):
+        return None
+    better = min(PER_METRE, key=disproportion)
+    return better if better != unit else None
+
+
+def unit_hint(machine: Mechanism, lengths: npt.ArrayLike) -> str:
+    """Return a sentence on the unit that the largest of these lengths [m] may be in; empty if in proportion."""
+    length = float(np.abs(lengths).max())
+    unit = likely_unit(machine, length)
+    if unit is None:
+        return ""
+    return f"Lengths are in metres, and {length:g} m are out of proportion to this machine; is it {length:g} {unit}?"

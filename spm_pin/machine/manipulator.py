@@ -1,0 +1,273 @@
+"""The dimensions of a manipulator and its parameters, as drawn or as built, its files, and lengths that fit its size.
+
+Frames (Fig. 1 and Eq. (1) of the paper): {B} at the centre O of the base triangle, Z up; {m} at the centre o of the
+terminal platform, z up; {n} at the centre of the middle platform's triangle, x along b_3 b_1 and z normal to it. Legs
+1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in all three.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spm_pin.errors import GeometryError, raised_as
+from spm_pin.machine.leg_kinds import RPS, LegKind
+from spm_pin.machine.legs import (
+    AXES,
+    COMPONENTS,
+    LEGS,
+    RADIAL,
+    LegLimits,
+    Legs,
+    StageLimits,
+    axis_directions,
+)
+from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.machine_files import (
+    legs_as_data,
+    limits_as_data,
+    read_kind,
+    read_legs,
+    read_limits,
+    read_mapping,
+)
+from spm_pin.machine.stage import Stage
+from spm_pin.support import notebook
+from spm_pin.support.arguments import FloatArray, check_instance, dimension
+
+PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in COMPONENTS)
+"""Names of the 54 parameters of RPS legs, nine for each, in the order of `Geometry.parameters`."""
+
+_SAME = 1e-9
+"""Machines that differ by less, relative to the middle side, are the same."""
+
+_DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
+_SYMBOLS = _DIMENSIONS | {"limits": "a key of a stage's file, which spm_pin.Stage.from_yaml reads, and spm-pin stage"}
+_KIND_KEYS = "lower_legs", "upper_legs"
+
+
+def config_directory() -> Path:
+    """Return the folder of the YAML files of the description, in an installed package or in a checkout."""
+    package = Path(str(resources.files("spm_pin")))
+    installed = package / "share" / "spm_description" / "config"
+    return installed if installed.is_dir() else package.parent / "urdf" / "config"
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class Geometry(Mechanism):
+    """Dimensions of a manipulator, and its legs: those of the drawing, or those of one machine as built.
+
+    Parameters
+    ----------
+    base_radius, platform_radius : float
+        E and C, from the centres O and o of base and terminal platform to their revolute joints a_i and c_i [m].
+    middle_side : float
+        d, side of the middle platform's triangle b_1 b_2 b_3 [m].
+    limits : LegLimits, optional
+        Limits of the encoders' readings, which in a drawn machine are the leg lengths. None means unlimited.
+    legs : (LegKind, LegKind) or Legs, optional
+        Kinds of the lower and of the upper legs, `RPS` if not given; or the legs of a machine as built, whose branches
+        are named after those of the drawn machine.
+
+    Notes
+    -----
+    A dimension is a number from 1e-9 to 1e9 m: then no product of lengths in this package over- or underflows. Six of
+    the 54 parameters of the legs are the choice of {n} and change no reading.
+    """
+
+    base_radius: float
+    platform_radius: float
+    middle_side: float
+    limits: LegLimits | None
+    legs: Legs
+
+    _least_share = 0.01
+    _heading = "# A manipulator of two stages, lengths in metres and angles in radians: see Geometry of spm_pin.\n"
+
+    @raised_as(GeometryError)
+    def __init__(
+        self,
+        base_radius: float,
+        platform_radius: float,
+        middle_side: float,
+        limits: LegLimits | None = None,
+        legs: tuple[LegKind, LegKind] | Legs | None = None,
+    ) -> None:
+        for name, value in zip(_DIMENSIONS.values(), (base_radius, platform_radius, middle_side), strict=True):
+            object.__setattr__(self, name, dimension(value, name))
+        self._set_legs((RPS(), RPS()) if legs is None else legs)
+        object.__setattr__(self, "limits", None if limits is None else self.check_limits(limits))
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{name}={getattr(self, name):.6g}" for name in _DIMENSIONS.values())
+        legs = "" if self.legs.are_rps else f", legs={self.legs.kinds!r}"
+        return f"Geometry({sizes}{legs}{self._repr_end()}"
+
+    def _repr_html_(self) -> str:
+        dimensions = zip(("E, base radius", "C, platform radius", "d, middle side"), self.dimensions, strict=True)
+        rows = [(name, f"{value:.6g} m") for name, value in dimensions]
+        limits = self.limits or LegLimits(-math.inf, math.inf)
+        ends = zip(limits.minimum, limits.maximum, self.legs.units, strict=True)
+        pairs = [f"{low:.6g} to {high:.6g} {unit}" for low, high, unit in ends if self.limits is not None]
+        if len(set(pairs)) <= 1:
+            rows.append(("leg limits", pairs[0] if pairs else "none"))
+        else:
+            rows += [(f"limits of {leg}", pair) for leg, pair in zip(LEGS, pairs, strict=True)]
+        if not self.is_nominal:
+            for name, deviations in zip(
+                ("axes", "pivots", "balls", "offsets"), self.legs.deviations(self.nominal.legs), strict=True
+            ):
+                leg = int(deviations.argmax())
+                unit = "m" + {"axes": "rad", "offsets": self.legs.units[leg]}.get(name, "m")
+                rows.append((f"{name} off the drawing", f"up to {1e3 * deviations[leg]:.3g} {unit}, {LEGS[leg]}"))
+        title = "Geometry as drawn" if self.is_nominal else "Geometry as built"
+        return notebook.table(title, ("dimension", ""), rows)
+
+    @classmethod
+    @raised_as(GeometryError)
+    def of_stages(cls, lower: Stage, upper: Stage) -> Geometry:
+        """Return the machine of two stages, of legs of either kind, whose platforms are one triangle of balls.
+
+        The upper stage is turned over about its y axis, with its base for the terminal platform, and so stands on the
+        same balls: its legs 3, 2, 1 are `r_c1` to `r_c3`. Of stages as built the platforms' frames become one, {n}.
+        """
+        check_instance(lower, Stage, "lower")
+        check_instance(upper, Stage, "upper")
+        if not math.isclose(lower.platform_radius, upper.platform_radius, rel_tol=_SAME):
+            expected = (
+                f"the platform_radius of the lower stage, {lower.platform_radius:g} m: both stand on one triangle"
+            )
+            raise GeometryError("upper", expected, f"{upper.platform_radius:g} m")
+        dimensions = lower.base_radius, upper.base_radius, math.sqrt(3.0) * lower.platform_radius
+        low, high = (x.limits or StageLimits(x.kind.least_reading, math.inf) for x in (lower, upper))
+        limits = LegLimits(low.minimum + high.minimum[::-1], low.maximum + high.maximum[::-1])
+        kinds = lower.kind, upper.kind.turned_over
+        legs: Legs | tuple[LegKind, LegKind] = kinds
+        if not (lower.is_nominal and upper.is_nominal):
+            pairs = zip(lower.legs.arrays, upper.legs.turned_over.arrays, strict=True)
+            axes, pivots, balls, offsets = map(np.concatenate, pairs)
+            legs = Legs(axes, pivots, balls, offsets, kinds)
+        return cls(*dimensions, limits if lower.limits or upper.limits else None, legs)
+
+    @classmethod
+    def paper(cls) -> Geometry:
+        """Return the paper's manipulator: E = 1.2/√3 m, C = 0.6/√3 m, d = 0.8 m, legs from 1.10 to 1.50 m.
+
+        The paper prints no leg limits; these are the project's own, see `urdf/config/geometry.yaml`.
+        """
+        return cls.from_yaml(config_directory() / "geometry.yaml")
+
+    @classmethod
+    def from_data(cls, data: Any, place: str = "data") -> Geometry:
+        """Return the machine of `as_data`; a `GeometryError` names the key in `place` of what describes none."""
+        sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
+        own = {"leg_limits", "legs", *_KIND_KEYS}
+        read = read_mapping(data, place, {"middle_side"}, sizes | own, _SYMBOLS)
+        lengths = {key: dimension(read[key], f"{key} in {place}") for key in read.keys() - own}
+        radii = []
+        for triangle in ("base", "platform"):
+            keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
+            if len(keys) != 1:
+                expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
+                raise GeometryError(place, expected, " and ".join(keys) or "neither")
+            radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
+        limits = read_limits(read["leg_limits"], f"leg_limits in {place}", LegLimits) if "leg_limits" in read else None
+        lower, upper = (read_kind(read[key], f"{key} in {place}") if key in read else RPS() for key in _KIND_KEYS)
+        legs = read_legs(read["legs"], f"legs in {place}", (lower, upper)) if "legs" in read else (lower, upper)
+        with raised_as(GeometryError, place):
+            return cls(radii[0], radii[1], lengths["middle_side"], limits, legs)
+
+    def as_data(self) -> dict[str, Any]:
+        """Return what `to_yaml` writes."""
+        data: dict[str, Any] = dict(zip(_DIMENSIONS.values(), self.dimensions, strict=True))
+        if self.limits is not None:
+            data["leg_limits"] = limits_as_data(self.limits)
+        if not self.legs.are_rps:
+            data |= {key: kind.as_data() for key, kind in zip(_KIND_KEYS, self.legs.kinds, strict=True)}
+        if not self.is_nominal:
+            data["legs"] = legs_as_data(self.legs)
+        return data
+
+    @property
+    def dimensions(self) -> tuple[float, float, float]:
+        """E, C and d [m]."""
+        return self.base_radius, self.platform_radius, self.middle_side
+
+    @property
+    def size(self) -> float:
+        """E + C + 2 d [m], about the height of a machine."""
+        return self.base_radius + self.platform_radius + 2.0 * self.middle_side
+
+    @property
+    def stage_radii(self) -> tuple[tuple[float, float], ...]:
+        """Radii of the drawn triangles of the lower and of the upper stage, of pivots and of balls [m]."""
+        return (self.base_radius, self.middle_radius), (self.platform_radius, self.middle_radius)
+
+    @property
+    def middle_radius(self) -> float:
+        """Radius r = d/√3 of the drawn middle platform, from its centre to a ball joint b_i [m]."""
+        return self.middle_side / math.sqrt(3.0)
+
+    @property
+    def base_joints(self) -> FloatArray:
+        """Lower revolute joints a_1..a_3 of the drawing as rows (3, 3) [m] in {B}. Eq. (1a)."""
+        return self.base_radius * RADIAL
+
+    @property
+    def platform_joints(self) -> FloatArray:
+        """Upper revolute joints c_1..c_3 of the drawing as rows (3, 3) [m] in {m}. Eq. (1b)."""
+        return self.platform_radius * RADIAL
+
+    @property
+    def radial_directions(self) -> FloatArray:
+        """Unit vectors from O towards the drawn a_i in {B}, equally from o towards c_i in {m}, as rows (3, 3)."""
+        return RADIAL.copy()
+
+    @property
+    def revolute_axes(self) -> FloatArray:
+        """Unit revolute axes of the drawn legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
+        return AXES.copy()
+
+    @property
+    def axis_derivatives(self) -> FloatArray:
+        """Derivatives of the axes with respect to the two coordinates of their direction in `parameters`, (6, 3, 2)."""
+        drawn, first, second = axis_directions()
+        turn = self.parameters[:54].reshape(6, 9)[:, None, :2]
+        angle = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
+        sinc, across = np.sinc(angle / np.pi), np.stack([first, second], axis=-1)
+        # (cos a - sin a / a) / a², which is -1/3 at zero.
+        small = angle < 1e-3
+        curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
+        along = (across * turn).sum(axis=-1, keepdims=True)
+        return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
+
+
+def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
+    """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
+    if geometry.dimensions == expected.dimensions and geometry.legs == expected.legs:
+        return
+    cause = "Computed for another machine?"
+    for kind, wanted in zip(geometry.legs.kinds, expected.legs.kinds, strict=True):
+        if type(kind) is not type(wanted) or getattr(kind, "sign", 0) != getattr(wanted, "sign", 0):
+            raise GeometryError(argument, f"the kinds of {owner}, {wanted!r}", repr(kind), cause)
+    names = *_DIMENSIONS.values(), *expected.parameter_names
+    units = "m", "m", "m", *expected.parameter_units
+    own, others = (np.concatenate([machine.dimensions, machine.parameters]) for machine in (geometry, expected))
+    for name, unit, received, number in zip(names, units, own.tolist(), others.tolist(), strict=True):
+        if abs(received - number) > _SAME * (1.0 if unit == "rad" else expected.middle_side):
+            raise GeometryError(
+                argument, f"the {name} of {owner}, {number:.9g} {unit}", f"{received:.9g} {unit}", cause
+            )
+
+
+def check_rps(geometry: Geometry, what: str) -> None:
+    """Raise a `GeometryError` unless all legs are RPS, which `what` is known for alone."""
+    if not geometry.legs.are_rps:
+        lower, upper = (kind.name for kind in geometry.legs.kinds)
+        cause = "What takes PRS and RRS legs is listed in docs/howto/other_legs.md"
+        raise GeometryError("geometry", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)

@@ -1,0 +1,260 @@
+"""The solutions of one problem, or of a batch of problems, along one axis: of a robot, or of a stage."""
+
+from __future__ import annotations
+
+import enum
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Generic, Self, TypeVar, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from spm_pin.errors import ArgumentError, NotOneSolutionError, SelectionError
+from spm_pin.machine.batched import Batched, batch_index
+from spm_pin.machine.legs import LegLimits
+from spm_pin.support.arguments import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    boolean_array,
+    check_instance,
+    first_offender,
+    real_array,
+    type_and_value,
+)
+
+S = TypeVar("S", bound=Batched)
+
+
+class Status(enum.IntEnum):
+    """Outcome of one problem."""
+
+    OK = 0
+    """At least one real solution, and all solutions are isolated."""
+    UNREACHABLE = 1
+    """No real solution."""
+    DEGENERATE = 2
+    """Some solutions form a continuous family, of which none is picked; those of the other families are kept."""
+    UNSOLVED = 3
+    """The method failed: nothing is known about the problem."""
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solutions(ABC, Generic[S]):
+    """States along one axis, their labels, and the status of each problem; see `SolutionSet`."""
+
+    configurations: S
+    labels: tuple[str, ...]
+    status: Status | npt.NDArray[np.int8]
+
+    _kind: ClassVar[type[Batched]]
+    """The states of which it is a set."""
+
+    def __post_init__(self) -> None:
+        shape = check_instance(self.configurations, self._kind, "configurations").shape
+        count = len(self.labels)
+        if not shape or shape[-1] != count:
+            raise ArgumentError("configurations", f"a last axis of {count}, one per label", f"shape {shape}")
+        status = np.broadcast_to(np.asarray(self.status, dtype=np.int8), shape[:-1])
+        object.__setattr__(self, "labels", tuple(self.labels))
+        object.__setattr__(self, "status", status if self.shape else Status(int(status)))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Batch shape, without the axis of solutions."""
+        return self.configurations.shape[:-1]
+
+    @property
+    def exists(self) -> BoolArray:
+        """True for the solutions that are real, shape (..., n)."""
+        return self.configurations.exists
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Rotations of the platform in {B}, shape (..., n, 3, 3)."""
+        return self.configurations.rotation
+
+    @property
+    def translation(self) -> FloatArray:
+        """Positions of the platform's origin in {B} [m], shape (..., n, 3)."""
+        return self.configurations.translation
+
+    @property
+    def readings(self) -> FloatArray:
+        """Readings of the legs' encoders [m], shape (..., n, 6)."""
+        return self.configurations.readings
+
+    @property
+    def count(self) -> IntArray:
+        """Number of real solutions, shape (...)."""
+        return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
+
+    @overload
+    def __getitem__(self, index: str) -> S: ...
+    @overload
+    def __getitem__(self, index: Any) -> S | Self: ...
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, str):
+            if index not in self.labels:
+                labels = ", ".join(self.labels[:8]) + ", …" * (len(self.labels) > 8)
+                raise SelectionError("index", f"a label: {labels}", repr(index))
+            return self.configurations[..., self.labels.index(index)]
+        if not self.shape:
+            return self.configurations[index]
+        batch = batch_index(index)
+        inner = (*batch, slice(None))
+        try:
+            chosen = self.configurations[inner]
+        except SelectionError as error:
+            expected = f"a label, or an index of the problems {self.shape}"
+            raise SelectionError("index", expected, type_and_value(index), error.cause) from error
+        return replace(self, configurations=chosen, status=np.asarray(self.status)[index], **self._details(batch))
+
+    def __iter__(self) -> Iterator[S]:
+        if self.shape:
+            raise TypeError("a batch of problems is indexed, not iterated over: solutions[i] is problem i")
+        return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
+
+    def __len__(self) -> int:
+        """Return the number of real solutions, which an iteration yields; of a batch, the length of its first axis."""
+        return self.shape[0] if self.shape else int(self.count)
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        if self.shape:
+            tally = ", ".join(f"{np.count_nonzero(self.status == s)} {s}" for s in Status)
+            return f"<{name}: {self.shape} problems ({tally}), {len(self.labels)} solutions each>"
+        real = [label for label, real in zip(self.labels, self.exists, strict=True) if real]
+        shown = (", ".join(real[:8]) + ", …" * (len(real) > 8)) or "none"
+        hint = self._hint(()) if self.status is Status.UNREACHABLE else ""
+        return f"<{name}: {self.status}, {self.count} of {len(self.labels)} real: {shown}{hint}>"
+
+    def pick(self, index: IntArray, exists: BoolArray) -> S:
+        """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False."""
+        everywhere = bool(exists.all())
+        # For a single problem a slice, so that nothing shares memory with the others.
+        places = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
+
+        def take(array: FloatArray, inner: int) -> FloatArray:
+            values = array[places].reshape(*self.shape, *array.shape[-inner:])
+            if everywhere and self.shape:
+                return values
+            return np.where(exists.reshape(*self.shape, *(1,) * inner), values, np.nan)
+
+        selected = self.configurations.transformed(take)
+        if not self.shape and not exists:
+            selected.missing_reason = self._reason_for_none()
+        return selected
+
+    def where(self, mask: npt.ArrayLike) -> Self:
+        """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN."""
+        return replace(self, configurations=self.configurations.where(boolean_array(mask, "mask", self.exists.shape)))
+
+    def within(self, limits: LegLimits | None = None) -> Self:
+        """Keep the solutions inside limits of the legs, by default the machine's own; `status` stays as it is."""
+        own = self.configurations.limits
+        kind = LegLimits if own is None else type(own)
+        limits = own if limits is None else check_instance(limits, kind, "limits")
+        return self if limits is None else self.where(limits.contains(self.readings))
+
+    def nearest(self, near: S | npt.ArrayLike) -> S:
+        """Return the solution whose joints are nearest to those of `near`; NaN where none exists.
+
+        The largest displacement of a joint is compared: of all `compared_points` of a state, or of the first three if
+        only these are given, as rows (..., 3, 3) [m].
+        """
+        points = self.configurations.compared_points
+        if isinstance(near, Batched):
+            target = near.compared_points
+        else:
+            target = real_array(near, "near", (3, 3), "a state, or rows b_1, b_2, b_3 in metres")
+        points = points[..., : target.shape[-2], :]
+        absent = np.isnan(target).any(axis=(-1, -2))
+        if absent.any():
+            raise ArgumentError("near", "states that exist", f"NaN at index {first_offender(absent)}")
+        boolean_array(absent, "near", self.shape)  # leading axes that broadcast to those of the problems
+        distance = np.sqrt(((points - target[..., None, :, :]) ** 2).sum(axis=-1)).max(axis=-1)
+        distance = np.where(self.exists, distance, np.inf)
+        return self.pick(distance.argmin(axis=-1), np.asarray(self.exists.any(axis=-1)))
+
+    @property
+    @abstractmethod
+    def is_physical(self) -> BoolArray:
+        """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
+
+        If several are, and some respect the machine's limits, the others are dropped; chain ``.within().physical()``
+        to exclude all that do not.
+        """
+
+    @property
+    def ambiguous(self) -> Any:
+        """True if several solutions of a problem are physical, shape (...); `physical` then takes one."""
+        several = np.count_nonzero(self.is_physical, axis=-1) > 1
+        return several if self.shape else bool(several)
+
+    def physical(self, near: S | npt.ArrayLike | None = None) -> S:
+        """Return the physical solution; NaN where there is none.
+
+        Of those in `is_physical`, the nearest to `near` if it is given. Without it two may be left, on
+        either side of an inverse singularity: the one whose stages are tilted least, and `ambiguous` is true.
+        """
+        candidates = self.is_physical
+        if near is not None:
+            return self.where(candidates).nearest(near)
+        score = self._preference(candidates)
+        return self.pick(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
+
+    @abstractmethod
+    def _preference(self, candidates: BoolArray) -> FloatArray:
+        """Return a number for each solution (..., n), the largest for the one to take; -inf for no candidate."""
+
+    def one(self) -> S:
+        """Return the only solution of every problem.
+
+        Raises
+        ------
+        NotOneSolutionError
+            If a problem has none or several.
+        """
+        wrong = self.count != 1
+        if wrong.any():
+            index = first_offender(wrong)
+            labels = tuple(np.array(self.labels)[self.exists[index]])
+            raise NotOneSolutionError(labels, index, "" if labels else self._reason_for_none(index))
+        return self.pick(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))
+
+    def _reason_for_none(self, index: tuple[int, ...] = ()) -> str:
+        """Return the reason why no solution of a problem can be chosen."""
+        status = Status(int(np.asarray(self.status)[index]))
+        if status is Status.DEGENERATE:
+            return self._degenerate(index)
+        if status is Status.OK:
+            none = "none of the solutions is physical, or .within(limits) and .where(mask) excluded them"
+            return none + self._hint(index)
+        if status is Status.UNREACHABLE:
+            return f"out of reach: no solution is real{self._hint(index)}"
+        return "the method failed here"
+
+    def _degenerate(self, index: tuple[int, ...]) -> str:
+        return "the problem is singular, its solutions are a continuous family"
+
+    def _hint(self, index: tuple[int, ...]) -> str:
+        """Return sentences, each after a stop, on why a problem has no solution, and where one is; empty if unknown."""
+        return following([self.configurations.missing_reason])
+
+    def _details(self, batch: tuple[Any, ...]) -> dict[str, Any]:
+        """Return the fields of the problems at an index of the batch axes, besides states and status."""
+        return {}
+
+
+def following(sentences: Iterable[str]) -> str:
+    """Return sentences that are not empty as they follow another one, without its stop and theirs."""
+    text = ""
+    for sentence in filter(None, sentences):
+        text += f"{'' if text.endswith('?') else '.'} {sentence[0].upper()}{sentence[1:]}"
+    return text

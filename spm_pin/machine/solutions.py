@@ -1,0 +1,253 @@
+"""Several solutions of one problem side by side: the branches of a pose, or the assembly modes of leg lengths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.errors import ArgumentError
+from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.legs import LEGS
+from spm_pin.machine.machine import unit_hint
+from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.solution_axis import Solutions, Status, following
+from spm_pin.support import notebook
+from spm_pin.support.arguments import (
+    BoolArray,
+    FloatArray,
+    boolean_array,
+    broadcastable,
+    check_instance,
+    first_offender,
+    real_array,
+)
+from spm_pin.support.pose import PoseLike, as_rigid_transform
+
+_FAR_TURN = 45.0
+"""A platform turned by more, which few states are, may have been given in another unit of angles [degrees]."""
+
+
+@dataclass(frozen=True)
+class Degeneracy:
+    """Description of the continuous families of solutions, where there are any."""
+
+    dimension: npt.NDArray[np.int8]
+    """Dimension of the family, shape (...); 0 where all solutions are isolated."""
+    families: BoolArray
+    """True for those of TT, TF, FT, FF that are continuous, shape (..., 4)."""
+    legs: BoolArray
+    """Legs whose lower and upper plane coincide, so that b_i is bound to no line, shape (..., 3)."""
+
+    def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
+        inner = (*batch, slice(None))
+        return Degeneracy(self.dimension[batch], self.families[inner], self.legs[inner])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SolutionSet(Solutions[Configuration]):
+    """The solutions of one problem, or of a batch of problems, along one axis.
+
+    Parameters
+    ----------
+    configurations : Configuration
+        Batch of shape (..., n): the solutions, NaN where one is not real.
+    labels : sequence of n str
+        Names of the places along the axis.
+    status : array_like of Status, shape (...)
+        Outcome of each problem; `Status` of a single problem, an int8 array of them for a batch.
+    discriminants : ndarray, shape (..., 4), optional
+        Of the families TT, TF, FT, FF, for inverse displacement: real iff not negative.
+    certain : ndarray of bool, shape (..., 4), optional
+        Families that are proved to be real, or not, as `exists` says: their discriminant is larger than all that
+        rounding can have changed. False for a continuous family, and where the Z axes of {B} and {m} are parallel to
+        1e-12 rad.
+    at_home : ndarray of bool, shape (..., n), optional
+        True for solutions reached from the symmetric home without a forward singularity, leg limits aside; looked for
+        if not given.
+    degeneracy : Degeneracy, optional
+        Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
+    merged : ndarray of bool, shape (..., n), optional
+        For a machine as built: True where the branch or mode of this label met another while the errors grew from zero
+        to those of the machine. It has ended, or is a root left over, whose label is a name only.
+    radius : ndarray, shape (..., n), optional
+        Radius [m] around each middle joint within which the exact one is, NaN where not proved; exactly one solution
+        has all three joints within it. Given if the solver was asked to certify.
+
+    Notes
+    -----
+    A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as NumPy
+    would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that solution of every
+    problem. What selects nothing is a `SelectionError`. Iterating over a single problem yields the solutions that
+    exist.
+    """
+
+    discriminants: FloatArray | None = None
+    certain: BoolArray | None = None
+    at_home: BoolArray | None = None
+    degeneracy: Degeneracy | None = None
+    merged: BoolArray | None = None
+    radius: FloatArray | None = None
+
+    _kind = Configuration
+
+    @classmethod
+    def from_unordered(
+        cls, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike, solved: npt.ArrayLike = True
+    ) -> SolutionSet:
+        """Make a set of real branches, in any order, under the canonical labels.
+
+        Parameters
+        ----------
+        geometry : Geometry
+            The manipulator.
+        pose : pose of shape (...)
+            The pose that was solved.
+        middle_joints : array_like, shape (..., n, 3, 3)
+            Up to eight distinct solutions each [m] in {B}, NaN in places not used.
+        solved : array_like of bool, shape (...)
+            False where the method failed. There, and where a family has more than two solutions, the status is
+            `Status.UNSOLVED` and nothing exists.
+        """
+        check_instance(geometry, Geometry, "geometry")
+        transform = as_rigid_transform(pose)
+        joints = real_array(middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3", allow_nan=True)
+        if joints.ndim < 3 or joints.shape[-3] == 0:
+            raise ArgumentError("middle_joints", "shape (..., n, 3, 3) with n from 1", f"shape {joints.shape}")
+        shape = broadcastable("middle_joints", joints.shape[:-3], "the pose", transform.shape)
+        good = boolean_array(solved, "solved", shape)
+        with np.errstate(over="ignore", invalid="ignore"):
+            normal = np.cross(joints[..., 0, :] - joints[..., 2, :], joints[..., 1, :] - joints[..., 2, :])
+        size = np.abs(normal).max(axis=-1) / geometry.middle_side**2
+        if (wrong := (size < 1e-9) | (size > 1e9)).any():
+            index = first_offender(wrong)
+            cause = f"They are the corners of the middle platform, {geometry.middle_side:g} m from each other."
+            received = f"{joints[index].tolist()} at index {index}"
+            raise ArgumentError("middle_joints", "three points that are not in a line", received, cause)
+        branches, status = _in_canonical_order(geometry, transform, joints, good)
+        return cls(branches, BRANCHES, status)
+
+    @property
+    def geometry(self) -> Geometry:
+        """The manipulator."""
+        return self.configurations.geometry
+
+    @property
+    def middle_joints(self) -> FloatArray:
+        """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real."""
+        return self.configurations.middle_joints
+
+    @property
+    def leg_lengths(self) -> FloatArray:
+        """r_b1 to r_c3 [m], shape (..., n, 6); NaN where not real."""
+        return self.configurations.leg_lengths
+
+    @property
+    def residual(self) -> FloatArray:
+        """Closure residual of each solution [m], shape (..., n)."""
+        return self.configurations.closure_residual
+
+    def _repr_html_(self) -> str:
+        if self.shape:
+            tally = [(str(status), np.count_nonzero(self.status == status)) for status in Status]
+            return notebook.table(repr(self), ("status", "problems"), [(name, f"{count:,}") for name, count in tally])
+        places = np.flatnonzero(self.exists)[: notebook.MOST_ROWS]
+        names = {int(k): self.labels[k] + ", physical" * bool(self.is_physical[k]) for k in places}
+        if self.labels == BRANCHES:
+            header = ("branch", *(f"{leg} [m]" for leg in LEGS))
+            rows = [[names[k], *(f"{length:.4f}" for length in self.readings[k])] for k in names]
+        else:  # assembly modes: they share their leg lengths and differ in their pose
+            header = ("mode", "x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]")
+            angles = self.configurations[places].pose.rotation.as_euler("xyz", degrees=True)
+            rows = [
+                [name, *(f"{x:.4f}" for x in self.translation[k]), *(f"{angle:.2f}" for angle in turn)]
+                for (k, name), turn in zip(names.items(), angles, strict=True)
+            ]
+        if self.count > len(rows):
+            rows.append([f"and {self.count - len(rows)} more"])
+        legs = self.configurations
+        pictures = "".join(notebook.stick_figure(legs.leg_bases[k], legs.balls[k], names[k]) for k in list(names)[:8])
+        return notebook.table(repr(self), header, rows, pictures)
+
+    def where(self, mask: npt.ArrayLike) -> SolutionSet:
+        """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN."""
+        kept = super().where(mask)
+        radius = None if self.radius is None else np.where(kept.exists, self.radius, np.nan)
+        return replace(kept, radius=radius)
+
+    @property
+    def is_physical(self) -> BoolArray:
+        """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
+
+        If several are, and some respect the machine's limits, the others are dropped; chain ``.within().physical()``
+        to exclude all that do not.
+        """
+        mode = physical(self.configurations) if self.at_home is None else self.at_home & self.exists
+        limits = self.geometry.limits
+        if limits is None:
+            return mode
+        # Of branches the first two as a rule: readings of the others are not computed.
+        some = slice(int(np.flatnonzero(mode.reshape(-1, len(self.labels)).any(axis=0))[-1:].sum()) + 1)
+        inside = mode.copy()
+        inside[..., some] &= limits.contains(self.configurations[..., some].readings)
+        return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
+
+    def _preference(self, candidates: BoolArray) -> FloatArray:
+        """Prefer of two, which are on either side of an inverse singularity, the one whose stages are tilted least."""
+        score = np.where(candidates, 0.0, -np.inf)
+        several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
+        if several.any():
+            score[several] = tilt_cosine_sum(self.configurations[several])
+        return score
+
+    def _degenerate(self, index: tuple[int, ...]) -> str:
+        if self.labels == BRANCHES and self.degeneracy is not None and self.degeneracy.legs[index].all():
+            return (
+                "a level platform over the axis of the base is singular for the inverse, its solutions are a "
+                "continuous family. Give leg lengths to forward_physical instead; or tilt the pose, which makes "
+                "the solutions isolated, and choose with .nearest(near)"
+            )
+        return "the pose or the leg lengths are singular, the solutions are a continuous family; see .degeneracy"
+
+    def _hint(self, index: tuple[int, ...]) -> str:
+        reasons = [self.configurations.missing_reason or unit_hint(self.geometry, self.translation[index][0])]
+        if self.labels == BRANCHES:
+            turn = np.degrees(np.arccos(np.clip((np.trace(self.rotation[index][0]) - 1.0) / 2.0, -1.0, 1.0)))
+            if turn > _FAR_TURN:
+                reasons.append(f"The platform is turned by {turn:.0f}° against the base: angles are in radians")
+            reasons.append("For the nearest pose that is reached see spm_pin.workspace.nearest_reachable_pose")
+        return following(reasons)
+
+    def _details(self, batch: tuple[Any, ...]) -> dict[str, Any]:
+        inner = (*batch, slice(None))
+        values: dict[str, Any] = {"degeneracy": None if self.degeneracy is None else self.degeneracy[batch]}
+        for name in ("discriminants", "certain", "at_home", "merged", "radius"):
+            array = getattr(self, name)
+            values[name] = None if array is None else array[inner]
+        return values
+
+
+def _in_canonical_order(
+    geometry: Geometry, pose: RigidTransform, joints: FloatArray, solved: BoolArray
+) -> tuple[Configuration, npt.NDArray[np.int8]]:
+    """Return branches (..., 8) in the order of `BRANCHES`, and the status (...)."""
+    matrix = pose.as_matrix()[..., None, :, :]
+    unordered = Configuration(geometry, matrix, joints)
+    signs = branch_sign(unordered)[..., None, :]
+    member = family(unordered)[..., None, :] == np.arange(len(FAMILIES))[:, None]
+    count = member.sum(axis=-1)
+    good = solved & (count <= 2).all(axis=-1)
+    top, bottom = np.where(member, signs, -np.inf).argmax(axis=-1), np.where(member, signs, np.inf).argmin(axis=-1)
+    # Two members are distinguished by their order, which is right also where rounding hides a sign.
+    upper = np.take_along_axis(signs, top[..., None], axis=-1)[..., 0] >= 0.0
+    present = np.stack([(count == 2) | ((count == 1) & upper), (count == 2) | ((count == 1) & ~upper)], axis=-1)
+    present &= good[..., None, None]
+    places = np.stack([top, bottom], axis=-1).reshape(*good.shape, len(BRANCHES), 1, 1)
+    ordered = np.take_along_axis(unordered.middle_joints, places, axis=-3)
+    branches = Configuration(geometry, matrix, np.where(present.reshape(places.shape), ordered, np.nan))
+    reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)
+    return branches, np.where(good, reached, Status.UNSOLVED)

@@ -1,0 +1,194 @@
+"""A stage: three planar legs of one kind on a plate, and the triangle of balls that they hold.
+
+It is a machine of its own, a ball balancer, a tripod head or the mount of a mirror, and half of a `Geometry`. Its base
+has the frame {B} at the centre of the pivots, z towards the platform; the platform has {n} at the centre of the balls.
+Legs 1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spm_pin.errors import GeometryError, raised_as
+from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
+from spm_pin.machine.legs import Legs, StageLimits
+from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.machine_files import (
+    legs_as_data,
+    limits_as_data,
+    read_kind,
+    read_legs,
+    read_limits,
+    read_mapping,
+)
+from spm_pin.support.arguments import dimension, type_and_value
+
+_LENGTHS = RPS()
+_LARGEST = 5.0
+"""A stage with a larger dimension [m] is read as one in another unit."""
+_PROPORTION = 100.0
+"""Lengths of one stage that are this many times another are read as being in another unit."""
+_LEVEL = 1e-9
+"""Sine of the rise of a slide up to which it is level."""
+
+
+@dataclass(frozen=True, init=False, repr=False)
+class Stage(Mechanism):
+    """Three planar legs of one kind on a base, and a platform on their balls: as drawn, or one machine as built.
+
+    Parameters
+    ----------
+    base_radius, platform_radius : float
+        From the centre of the base to the legs' pivots, and from that of the platform to its balls [m]; to 5 m.
+    legs : LegKind or Legs
+        Of a machine as drawn `RPS()`, `PRS(rod=…)` or `RRS(crank=…, rod=…)`; of one as built `Legs` of three, with
+        their axes, pivots, balls and offsets.
+    limits : (minimum, maximum) or StageLimits, optional
+        Of the readings, each one number or three: [m], of RRS legs [rad]. None means unlimited.
+
+    Notes
+    -----
+    Two of them on one triangle of balls are a `Geometry`. `spm_pin.stages` has the displacements both ways, rates,
+    forces, singularities and the reach. A stage whose platform hangs is described turned over, z downwards.
+
+    Examples
+    --------
+    >>> import spm_pin as spm
+    >>> balancer = spm.Stage(base_radius=0.08, platform_radius=0.09, legs=spm.RRS(crank=0.05, rod=0.11))
+    >>> state = spm.stages.inverse_physical(balancer, height=0.12, tilt=0.2, azimuth=0.0)
+    >>> state.readings.round(4)
+    array([0.0547, 0.3299, 0.6472])
+    """
+
+    base_radius: float
+    platform_radius: float
+    legs: Legs
+    limits: StageLimits | None
+
+    _least_share = 0.0
+    _heading = "# A stage of three planar legs, lengths in metres and angles in radians: see Stage of spm_pin.\n"
+
+    @raised_as(GeometryError)
+    def __init__(
+        self,
+        base_radius: float,
+        platform_radius: float,
+        legs: LegKind | Legs = _LENGTHS,
+        limits: StageLimits | Sequence[Any] | None = None,
+    ) -> None:
+        for name, value in (("base_radius", base_radius), ("platform_radius", platform_radius)):
+            object.__setattr__(self, name, dimension(value, name))
+        self._set_legs((legs,) if isinstance(legs, LegKind) else legs)
+        self._check_proportion()
+        self._check_reach()
+        object.__setattr__(self, "limits", None if limits is None else self._read_limits(limits))
+
+    def _check_proportion(self) -> None:
+        """Raise `GeometryError` for dimensions that are in another unit than metres, or in several."""
+        kind = self.kind
+        own = {name: float(np.mean(getattr(kind, name))) for name in ("crank", "rod") if hasattr(kind, name)}
+        lengths = {"base_radius": self.base_radius, "platform_radius": self.platform_radius, **own}
+        longest = max(lengths, key=lambda name: lengths[name])
+        if lengths[longest] > _LARGEST:
+            value, shorter = lengths[longest], min(lengths.values())
+            cause = f"Lengths are in metres: {value:g} mm are {1e-3 * value:g}, {value:g} cm {1e-2 * value:g}"
+            expected = f"a length in metres, to {_LARGEST:g}"
+            if value > _PROPORTION * shorter:
+                expected += f", in proportion to the others, of which one is {shorter:g} m"
+            raise GeometryError(longest, expected, f"{value:g}", cause)
+        shortest = min(lengths, key=lambda name: lengths[name])
+        if lengths[longest] > _PROPORTION * lengths[shortest]:
+            expected = f"lengths in one unit, metres: {longest} is {lengths[longest]:g} m"
+            raise GeometryError(shortest, expected, f"{lengths[shortest]:g} m", "In another unit?")
+
+    def _check_reach(self) -> None:
+        """Raise `GeometryError` for a leg that does not reach its ball at any height of the level platform."""
+        pivots, balls = self.legs.pivots, self.legs.balls
+        outward, _ = self.legs.planes
+        x = ((balls - pivots) * outward).sum(axis=-1)
+        kind, numbers = self.kind, self.kind.numbers
+        if isinstance(kind, RRS):
+            reach, needed = numbers[:, 0] + numbers[:, 1], np.abs(x)
+        elif isinstance(kind, PRS):
+            # Along a slide that rises the carriage follows the ball; else the height is free and the rod has to span z.
+            vertical = np.abs(np.cos(numbers[:, 1])) < _LEVEL
+            reach, needed = numbers[:, 0], np.where(vertical, np.abs(x), 0.0)
+        else:
+            return
+        if (short := reach <= needed).any():
+            leg = int(short.argmax())
+            what = "crank and rod" if isinstance(kind, RRS) else "a rod"
+            expected = (
+                f"{what} longer than {needed[leg]:.4g} m, the radial distance from pivot to ball of the level platform"
+            )
+            raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", "In another unit?")
+
+    def _read_limits(self, value: StageLimits | Sequence[Any]) -> StageLimits:
+        if not isinstance(value, StageLimits):
+            if not (isinstance(value, list | tuple | np.ndarray) and len(value) == 2):
+                expected = f"a pair (minimum, maximum) in {self.unit}, each one number or three"
+                raise GeometryError("limits", expected, type_and_value(value))
+            try:
+                value = StageLimits(value[0], value[1])
+            except GeometryError as error:
+                raise GeometryError("limits", error.expected, error.received, error.cause) from error
+        self.check_limits(value)
+        return value
+
+    def __repr__(self) -> str:
+        radii = f"base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}"
+        return f"Stage({radii}, legs={self.kind!r}{self._repr_end()}"
+
+    @property
+    def kind(self) -> LegKind:
+        """What the three legs are, with the numbers that are fixed in them."""
+        return self.legs.kinds[0]
+
+    @property
+    def unit(self) -> str:
+        """Of the readings: "m" or "rad"."""
+        return self.kind.unit
+
+    @property
+    def up(self) -> float:
+        """-1 where the rods hang at home: of PRS legs whose carriages are ahead of the balls on slides that rise."""
+        kind = self.kind
+        hangs = isinstance(kind, PRS) and float(np.mean(kind.numbers[:, 2] * np.sin(kind.numbers[:, 1]))) > _LEVEL
+        return -1.0 if hangs else 1.0
+
+    @property
+    def size(self) -> float:
+        """About the height of the stage [m]."""
+        own = [float(np.max(getattr(self.kind, name))) for name in ("crank", "rod") if hasattr(self.kind, name)]
+        return self.base_radius + self.platform_radius + sum(own)
+
+    @property
+    def stage_radii(self) -> tuple[tuple[float, float], ...]:
+        """Radii of the drawn triangles, of the pivots and of the balls [m]."""
+        return ((self.base_radius, self.platform_radius),)
+
+    @classmethod
+    def from_data(cls, data: Any, place: str = "data") -> Stage:
+        """Return the stage of `as_data`; a `GeometryError` names the key in `place` of what describes none."""
+        keys = {"base_radius", "platform_radius", "legs"}
+        other = {"middle_side": "a key of a robot's file, which spm_pin.Geometry.from_yaml reads"}
+        read = read_mapping(data, place, keys, {"limits", "as_built"}, other)
+        kind = read_kind(read["legs"], f"legs in {place}")
+        legs = read_legs(read["as_built"], f"as_built in {place}", (kind,)) if "as_built" in read else kind
+        limits = read_limits(read["limits"], f"limits in {place}", StageLimits) if "limits" in read else None
+        with raised_as(GeometryError, place):
+            return cls(read["base_radius"], read["platform_radius"], legs, limits)
+
+    def as_data(self) -> dict[str, Any]:
+        """Return what `to_yaml` writes."""
+        data: dict[str, Any] = {"base_radius": self.base_radius, "platform_radius": self.platform_radius}
+        data["legs"] = self.kind.as_data()
+        if self.limits is not None:
+            data["limits"] = limits_as_data(self.limits)
+        if not self.is_nominal:
+            data["as_built"] = legs_as_data(self.legs)
+        return data

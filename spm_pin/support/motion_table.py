@@ -1,0 +1,147 @@
+"""CSV tables of motions and measurements: a heading that names the columns, then rows of numbers in SI units.
+
+`time` [s]; `r_b1` to `r_c3`, readings of the legs [m]; `x`, `y`, `z`, the position of o in {B} [m]; `qx`, `qy`, `qz`,
+`qw`, the rotation from {m} to {B} as a unit quaternion, scalar last; joints as `name.position` and so on. Each reader
+takes the columns that it needs by their names, in any order; `MotionTable.unused` are the others.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.errors import ArgumentError
+from spm_pin.support.arguments import COLUMNS, FloatArray, first_offender
+from spm_pin.support.files import file_path, write_files
+from spm_pin.support.pose import UNIT, first_wrong_quaternion, pose
+
+TIME, POSITION, QUATERNION = "time", COLUMNS[3], COLUMNS[4]
+NAMES = TIME, *POSITION, *QUATERNION, *COLUMNS[6]
+"""Names of columns that readers take."""
+
+
+class MotionTable:
+    """A table read from a file; columns become numbers when they are taken."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = file_path(path, suffixes=(".csv",))
+        try:
+            with self.path.open(encoding="utf-8-sig", newline="") as file:
+                reader = csv.reader(file)
+                lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+        except (OSError, UnicodeDecodeError, csv.Error) as failed:
+            reason = getattr(failed, "strerror", None) or str(failed)
+            raise ArgumentError(str(self.path), "a readable CSV file in UTF-8", reason) from failed
+        comments = [row for _, row in lines if row and row[0].startswith("#")]
+        lines = [(number, row) for number, row in lines if any(row) and not row[0].startswith("#")]
+        if len(lines) < 2:
+            expected = "a heading that names the columns, then rows of numbers"
+            raise ArgumentError(str(self.path), expected, f"{len(lines)} lines")
+        (number, self.names), *self._rows = lines
+        place = f"{self.path}:{number}"
+        self._taken: set[str] = set()
+        if not np.isnan([_number(name) for name in self.names]).any():
+            cause = "The first line looks like numbers: no heading?"
+            if any(set(NAMES) & {cell.strip("# ") for cell in row} for row in comments):
+                cause = "The heading is a comment: take away its #, as numpy.savetxt does with comments=''"
+            raise ArgumentError(place, "a heading that names the columns", ", ".join(self.names[:3]) + ", …", cause)
+        if len(self.names) == 1 and (separator := next((x for x in ";\t" if x in self.names[0]), "")):
+            name = {";": "Semicolons", "\t": "Tabs"}[separator]
+            cause = f"{name} instead of commas? Write numbers with points and separate them by commas"
+            raise ArgumentError(place, "a heading of names separated by commas", self.names[0][:60], cause)
+        twice = [name for name, count in Counter(self.names).items() if count > 1]
+        if twice:
+            raise ArgumentError(place, "a heading with each column once", f"twice {', '.join(twice[:3])}")
+        for number, cells in self._rows:
+            if len(cells) != len(self.names):
+                expected = f"{len(self.names)} values, one per column of the heading"
+                cause = "Decimal commas?" if len(cells) == 2 * len(self.names) else ""
+                raise ArgumentError(f"{self.path}:{number}", expected, len(cells), cause)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def lines(self) -> list[int]:
+        """The lines of the file on which the rows end."""
+        return [line for line, _ in self._rows]
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Columns that nobody has taken so far."""
+        return tuple(name for name in self.names if name not in self._taken)
+
+    def has(self, names: Sequence[str]) -> bool:
+        """Return whether the table has one of these columns at least."""
+        return not set(names).isdisjoint(self.names)
+
+    def columns(self, names: Sequence[str]) -> FloatArray:
+        """Return columns as an array (n, number of names)."""
+        missing = [name for name in names if name not in self.names]
+        if missing:
+            expected = f"a heading with the columns {', '.join(names)}"
+            raise ArgumentError(f"{self.path}:1", expected, f"one without {', '.join(missing)}")
+        self._taken.update(names)
+        places = [self.names.index(name) for name in names]
+        numbers = np.array([[_number(cells[place]) for place in places] for _, cells in self._rows])
+        wrong = ~np.isfinite(numbers)
+        if wrong.any():
+            row, column = first_offender(wrong)
+            line, cells = self._rows[row]
+            cell = cells[places[column]]
+            cause = "A decimal comma?" if "," in cell else ""
+            where = f"column {names[column]} in {self.path}:{line}"
+            raise ArgumentError(where, "a finite number", repr(cell) if cell else "nothing", cause)
+        return numbers
+
+    def poses(self) -> RigidTransform | FloatArray | None:
+        """Return poses (n,), or positions (n, 3) if there is no quaternion; None if there are no positions."""
+        if not self.has(POSITION + QUATERNION):
+            return None
+        position = self.columns(POSITION)
+        if not self.has(QUATERNION):
+            return position
+        quaternion = self.columns(QUATERNION)
+        wrong = first_wrong_quaternion(quaternion)
+        if wrong is not None:
+            (row,), received, cause = wrong
+            raise ArgumentError(f"columns qx to qw in {self.path}:{self.lines[row]}", UNIT, received, cause)
+        return pose(position, quat=quaternion)
+
+    def times(self) -> FloatArray | None:
+        """Return increasing times (n,) [s]; None if there are none."""
+        if not self.has([TIME]):
+            return None
+        times = self.columns([TIME])[:, 0]
+        backward = np.diff(times) <= 0.0
+        if backward.any():
+            row = 1 + int(backward.argmax())
+            place = f"column {TIME} in {self.path}:{self.lines[row]}"
+            raise ArgumentError(place, "increasing times in seconds", f"{times[row]:g} after {times[row - 1]:g}")
+        return np.asarray(times)
+
+
+def _number(cell: str) -> float:
+    """Return a number, or NaN where a cell holds none."""
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
+
+
+def table_text(columns: Mapping[str, FloatArray]) -> str:
+    """Return columns (n,) by their names as the text of a CSV file, with the digits that float64 needs."""
+    rows = np.column_stack(list(columns.values())) + 0.0  # no negative zeros
+    return "".join(",".join(row) + "\n" for row in (list(columns), *(map(repr, row) for row in rows.tolist())))
+
+
+def write_table(columns: Mapping[str, FloatArray], path: str | Path) -> None:
+    """Write columns (n,) by their names as a CSV file."""
+    path = file_path(path, suffixes=(".csv",))
+    write_files({path: table_text(columns)})
