@@ -1,0 +1,1 @@
+"""Any closed chain on Pinocchio."""
