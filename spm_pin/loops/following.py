@@ -1,0 +1,218 @@
+"""Forward and inverse problems of a chain, set up once: which joints are unknown, and what leads to which target."""
+
+from __future__ import annotations
+
+import copy
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg import lapack
+
+from spm_pin.errors import ArgumentError, ClosureError
+from spm_pin.loops.constraint_rows import FORMS, ROTATION, ConstraintRows, LoopKinematics
+from spm_pin.loops.continuation import OPEN_START, SINGULAR_START, make_follower
+from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
+
+REGULAR = 1e-7
+"""Smallest pivot of a Jacobian of full rank, relative to the largest."""
+DEPENDENT = 1e-7
+"""Singular values of a Jacobian below this, relative to the largest, are zero when an error is explained."""
+
+
+class Problem:
+    """What the functions of `continuation` read: an interpreted problem, over Pinocchio.
+
+    Attributes
+    ----------
+    columns : ndarray of int, shape (p,)
+        Unknown velocities.
+    driven_rates : ndarray, shape (nv,)
+        Change of each driven joint along the whole path, dimensionless.
+    pose : int
+        The closure that stands for a target's pose, -1 if there is none.
+    pose_turn : float
+        Angle of the target's turn along the whole path [rad].
+    first_rows, position_counts, row_counts : ndarray of int, shape (closures,)
+        Where the equations of each closure begin, and how many there are, of positions and in all.
+    """
+
+    def __init__(self, rows: ConstraintRows, columns: IntArray, driven: IntArray, driven_in_v: IntArray) -> None:
+        self.rows, self.columns, self.driven, self.driven_in_v = rows, columns, driven, driven_in_v
+        self.pose = rows.pose
+        self._at_frame = rows.placements[rows.pose][1] if rows.pose >= 0 else None
+        closures = len(rows.closures)
+        loops = rows.forms // FORMS
+        self.row_counts = np.bincount(loops, minlength=closures)
+        self.position_counts = np.bincount(loops[rows.forms % FORMS < ROTATION], minlength=closures)
+        self.first_rows = np.cumsum(self.row_counts) - self.row_counts
+        self.driven_rates, self.pose_turn = np.zeros(rows.model.nv), 0.0
+        self.kinematics = LoopKinematics(rows)
+        self._all = np.zeros(rows.model.nv)
+
+    def aim(self, q: FloatArray, target: FloatArray) -> None:
+        """Set the path from q to a target: values of the driven joints, or the matrix (4, 4) of a pose."""
+        if self.pose < 0:
+            self.values = q[self.driven], target
+            self.driven_rates[self.driven_in_v] = (target - q[self.driven]) / self.rows.units[self.driven_in_v]
+            return
+        rows = self.rows
+        pin.forwardKinematics(rows.model, self.kinematics.data, q)
+        placement = self.kinematics.data.oMi[rows.joints[self.pose][1]] * self._at_frame
+        self.start, self.end = placement, pin.SE3(target)
+        self.turn = pin.log3(self.end.rotation @ placement.rotation.T)
+        self.pose_turn = float(np.linalg.norm(self.turn))
+
+    def place(self, s: float) -> None:
+        """Move the pose that is to be reached to its place at a share of the path."""
+        rotation = self.end.rotation if s == 1.0 else pin.exp3(s * self.turn) @ self.start.rotation
+        start, end = self.start.translation, self.end.translation
+        at = end if s == 1.0 else start + s * (end - start)
+        turned = self._at_frame * pin.SE3(rotation.T, np.zeros(3))
+        self.kinematics.rows.placements[self.pose] = [pin.SE3(np.eye(3), at), turned]
+
+
+def residual(problem: Problem, q: FloatArray, s: float) -> FloatArray:
+    """Return the equations' left sides (m,), dimensionless, at a share of the path."""
+    if problem.pose >= 0:
+        problem.place(s)
+    return problem.kinematics.residual(q)
+
+
+def linearised(problem: Problem, q: FloatArray, s: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return left sides (m,), their Jacobian (m, p), and speeds and turns (closures, nv)."""
+    if problem.pose >= 0:
+        problem.place(s)
+    found = problem.kinematics.linearised(q)
+    return found.residual, found.jacobian[:, problem.columns], found.speeds, found.turns
+
+
+def moved(problem: Problem, q: FloatArray, s: float, x: FloatArray) -> FloatArray:
+    """Return q after the unknown joints have moved by x (p,), the driven ones where they are at a share of the path."""
+    problem._all[problem.columns] = x * problem.rows.units[problem.columns]
+    q = pin.integrate(problem.rows.model, q, problem._all)
+    if problem.pose < 0:
+        start, end = problem.values
+        q[problem.driven] = end if s == 1.0 else start + s * (end - start)
+    return np.asarray(q)
+
+
+def left_inverse(jacobian: FloatArray) -> tuple[FloatArray, bool]:
+    """Return (Jᵀ J)⁻¹ Jᵀ, and whether J (m, p) has full column rank."""
+    rows, columns = jacobian.shape
+    if not columns:
+        return np.zeros((0, rows)), True
+    factor, info = lapack.dpotrf(jacobian.T @ jacobian)
+    diagonal = factor.diagonal().tolist()
+    if info or min(diagonal) <= REGULAR * max(diagonal):
+        return np.zeros((columns, rows)), False
+    return np.asarray(lapack.dpotrs(factor, jacobian.T)[0]), True
+
+
+follow = make_follower(residual, linearised, moved, left_inverse)
+
+
+class Follower:
+    """Paths of one chain to values of its actuated joints, or to poses of a frame."""
+
+    def __init__(self, chain: Any, frame: str | None, chosen: Sequence[int]) -> None:
+        model, self.chain = chain.model, chain
+        self.rows: ConstraintRows = chain.rows
+        unknown = np.ones(model.nv, dtype=bool)
+        unknown[chain.indices_in_v(*chain.held)] = False
+        if frame is None:
+            unknown[chain.actuated_in_v] = False
+        else:
+            self.rows = ConstraintRows(model, chain.closures, chain.equalities, chain.q0, (frame, chosen))
+            unknown &= self.rows.coupled_with_pose()
+        moves = chain.rows.concerns()
+        for joint in list(model.joints)[1:]:
+            columns = slice(joint.idx_v, joint.idx_v + joint.nv)
+            # A base that no loop holds stays where it is.
+            if joint.shortname() == "JointModelFreeFlyer" and not moves[columns].any():
+                unknown[columns] = False
+        self.frame = frame
+        self.columns = np.flatnonzero(unknown)
+        # All that moves on the way.
+        self._movable = np.union1d(self.columns, chain.actuated_in_v) if frame is None else self.columns
+        if frame is None:
+            self._check_determined(unknown & ~moves)
+        driven = (chain.actuated_in_q, chain.actuated_in_v) if frame is None else (np.zeros(0, np.intp),) * 2
+        self._problem = Problem(self.rows, self.columns, *driven)
+        self._local = threading.local()
+
+    def _check_determined(self, free: BoolArray) -> None:
+        names = [self.chain.joint_of_velocity(int(k)) for k in np.flatnonzero(free)]
+        if names:
+            cause = "They are in no loop: name them as actuated or held"
+            raise ArgumentError(
+                "actuated", "joints that determine all others", f"free ones: {', '.join(dict.fromkeys(names))}", cause
+            )
+
+    def problem(self) -> Problem:
+        """Return the problem of this thread."""
+        found = getattr(self._local, "problem", None)
+        if found is None:
+            found = copy.copy(self._problem)
+            found.rows = copy.copy(found.rows)
+            found.rows.placements = list(found.rows.placements)
+            found.kinematics = LoopKinematics(found.rows)
+            found.driven_rates, found._all = found.driven_rates.copy(), found._all.copy()
+            self._local.problem = found
+        return found
+
+    def run(self, starts: FloatArray, targets: FloatArray, is_path: bool) -> FloatArray:
+        """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq)."""
+        problem, results = self.problem(), np.empty((len(targets), self.chain.model.nq))
+        q = starts
+        for k, target in enumerate(targets):
+            if not is_path:
+                q = starts[k]
+            problem.aim(q, target)
+            q, status, done, steps = follow(problem, q)
+            if status:
+                raise self.explained(q, k, status, done, steps, target)
+            results[k] = q
+        return results
+
+    def explained(
+        self, q: FloatArray, k: int, status: int, done: float, steps: int, target: FloatArray
+    ) -> ArgumentError | ClosureError:
+        """Return the error that says why a path ends at q, after a share `done` of the way to target k."""
+        chain, problem = self.chain, self.problem()
+        problem.aim(q, target)
+        if status == OPEN_START:
+            gaps, _, loop = LoopKinematics(chain.rows).open_closures(q)
+            cause = "near is to be closed: `close` makes it so"
+            return ClosureError(float(gaps.max(initial=0.0)), 0, cause, loop)
+        jacobian = linearised(problem, q, 0.0)[1]
+        loops = LoopKinematics(chain.rows).linearised(q).jacobian[:, self._movable]
+        freedoms = len(self._movable) - _rank(loops)
+        argument, received = "actuated", len(chain.actuated)
+        if self.frame is not None:
+            argument, received = "rows", int(self.rows.count - chain.rows.count)
+        names = []
+        if len(self.columns):
+            vectors = np.linalg.svd(jacobian)[2][_rank(jacobian) :]
+            names = [chain.joint_of_velocity(int(j)) for j in self.columns[(np.abs(vectors) > 0.05).any(axis=0)]]
+        listed = ", ".join(dict.fromkeys(names))
+        expected = f"{freedoms}, as many as there are freedoms"
+        if status == SINGULAR_START and received < freedoms:
+            return ArgumentError(argument, expected, f"{received}", f"These joints are not determined: {listed}")
+        if received > freedoms:
+            return ArgumentError(
+                argument, expected, f"{received}", "Such targets contradict each other unless they fit"
+            )
+        where = f"No further than {100.0 * done:.3g} % of the way"
+        where += f" to member {k}" if k else ""
+        cause = f"{where}: a singularity, or the end of this assembly mode"
+        cause += f". Not determined there: {listed}" if listed else ""
+        gap = float(np.abs(residual(problem, q, 1.0) * self.rows.row_units).max(initial=0.0))
+        return ClosureError(gap, steps, cause, problem.kinematics.open_closures(q)[2])
+
+
+def _rank(jacobian: FloatArray) -> int:
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    return int((values > DEPENDENT * max(values.max(initial=0.0), 1e-300)).sum())
