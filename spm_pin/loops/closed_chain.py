@@ -76,6 +76,10 @@ class ClosedChain:
     ) -> None:
         if not isinstance(model, pin.Model):
             raise ArgumentError("model", "a pinocchio.Model", type(model).__name__)
+        for k in range(2, model.njoints):
+            if model.parents[k] not in model.supports[k - 1]:
+                cause = "Pinocchio's dynamics are silently wrong otherwise. Add each joint before its parent's next one"
+                raise ArgumentError("model", "joints in depth-first order", repr(model.names[k]), cause)
         self.model = model.copy()
         self.q0 = pin.neutral(self.model) if q0 is None else self._read_q(q0, "q0", single=True).copy()
         self.q0.flags.writeable = False

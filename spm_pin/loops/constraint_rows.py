@@ -7,7 +7,7 @@ A closure holds frame 2, at p2 with the axes R2, on frame 1, at p1 with the axes
     rotation    half the skew part of R, sin θ u = 0          weld
 
 of which each has an exact derivative: where the joints move frame 2 against frame 1 at (v, ω), v at p2, all in the axes
-R1, the left sides change at v, at ω x (third column of R) and at (tr(R) I - Rᵀ) ω / 2. Joints that carry both frames
+R1, the left sides change at v, at ω x (third column of R) and at (tr(R) I - R) ω / 2. Joints that carry both frames
 move them alike and have no part in it. Angles of 180° solve the equations of axis and rotation too, so
 `ConstraintRows.is_reversed` says where an axis or a frame is the wrong way round.
 """
@@ -230,7 +230,7 @@ class ConstraintRows:
         r = relative[:, :3, :3]
         maps = np.zeros((len(r), FORMS, 6))
         maps[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        maps[:, 3:6, 3:] = -0.5 * r.swapaxes(1, 2)
+        maps[:, 3:6, 3:] = -0.5 * r
         maps[:, [3, 4, 5], [3, 4, 5]] += 0.5 * np.trace(r, axis1=1, axis2=2)[:, None]
         maps[:, 6, 4], maps[:, 6, 5] = r[:, 2, 2], -r[:, 1, 2]
         maps[:, 7, 5], maps[:, 7, 3] = r[:, 0, 2], -r[:, 2, 2]
