@@ -39,6 +39,12 @@ def closure(kind: ClosureKind, first: str, at_first: Any, second: str, at_second
     return Closure(kind, Anchor(first, at_first), Anchor(second, at_second), name)
 
 
+def closed(model: Any, loops: list[Closure], actuated: list[str], guess: Any) -> ClosedChain:
+    """Return a chain whose `q0` is closed, near a guess."""
+    q0 = ClosedChain(model, loops, actuated, q0=guess).close()
+    return ClosedChain(model, loops, actuated, q0=q0)
+
+
 def four_bar(kind: ClosureKind = "hinge", lengths: tuple[float, ...] = (0.3, 0.1, 0.35, 0.25)) -> ClosedChain:
     """Return a planar four-bar: the ground's length, the crank's, the coupler's and the rocker's."""
     ground, crank, coupler, rocker = lengths
@@ -47,8 +53,7 @@ def four_bar(kind: ClosureKind = "hinge", lengths: tuple[float, ...] = (0.3, 0.1
     hinge(model, "crank", "coupler", at(crank))
     hinge(model, "universe", "rocker", at(ground))
     loop = closure(kind, "coupler", at(coupler), "rocker", at(rocker), "tip")
-    chain = ClosedChain(model, [loop], ["crank"], q0=np.array([0.6, 0.4, 1.2]))
-    return ClosedChain(model, [loop], ["crank"], q0=chain.close())
+    return closed(model, [loop], ["crank"], np.array([0.6, 0.4, 1.2]))
 
 
 def five_bar() -> ClosedChain:
@@ -60,7 +65,7 @@ def five_bar() -> ClosedChain:
     hinge(model, "right", "right_rod", at(0.2))
     model.addFrame(pin.Frame("tip", model.getJointId("left_rod"), at(0.3), pin.FrameType.OP_FRAME))
     loop = closure("point", "left_rod", at(0.3), "right_rod", at(0.3), "tip")
-    return ClosedChain(model, [loop], ["left", "right"], q0=np.array([2.2, -1.0, 0.9, 1.0]))
+    return closed(model, [loop], ["left", "right"], np.array([2.2, -1.0, 0.9, 1.0]))
 
 
 def ankle(base: bool = False) -> ClosedChain:
@@ -78,7 +83,7 @@ def ankle(base: bool = False) -> ClosedChain:
         loops.append(closure("point", f"{side}_rod_x", at(0.0, 0.0, -0.3), "roll", at(-0.05, y, 0.0), side))
         guess += [0.0, 0.0, 0.0]
     q0 = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, *guess] if base else guess)
-    return ClosedChain(model, loops, ["left_crank", "right_crank"], q0=q0)
+    return closed(model, loops, ["left_crank", "right_crank"], q0)
 
 
 def stewart() -> ClosedChain:
@@ -96,8 +101,7 @@ def stewart() -> ClosedChain:
         x, y, z = np.array([*(ball - foot), 0.0]) + q0[:3]
         length = float(np.linalg.norm([x, y, z]))
         q0 += [float(np.arctan2(-y, z)), float(np.arcsin(x / length)), length]
-    chain = ClosedChain(model, loops, actuated, q0=np.array(q0))
-    return ClosedChain(model, loops, actuated, q0=chain.close())
+    return closed(model, loops, actuated, np.array(q0))
 
 
 def delta() -> ClosedChain:
@@ -126,8 +130,7 @@ def delta() -> ClosedChain:
             ball = at(turned=yaw) * at(0.05, y, 0.0)
             loops.append(closure("point", f"{rod}_x", at(0.0, 0.0, -0.5), turn, ball, f"{rod}_ball"))
             guess += [0.6, 0.0]
-    chain = ClosedChain(model, loops, actuated, q0=np.array(guess))
-    return ClosedChain(model, loops, actuated, q0=chain.close())
+    return closed(model, loops, actuated, np.array(guess))
 
 
 ROBOTS = {"four_bar": four_bar, "five_bar": five_bar, "ankle": ankle, "stewart": stewart, "delta": delta}
