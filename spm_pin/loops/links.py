@@ -134,8 +134,12 @@ def describe(
     actuated: Iterable[str],
     configurations: Mapping[str, FloatArray],
     source: str,
+    rest: FloatArray | None = None,
 ) -> RobotDescription:
-    """Return what a reader has found, after the checks that hold for every format."""
+    """Return what a reader has found, after the checks that hold for every format.
+
+    q0 is the first configuration, without one the rest pose, by default Pinocchio's neutral one.
+    """
     check_unique([closure.name for closure in closures if closure.name], "closure", source)
     for number, closure in enumerate(closures):
         loop = repr(closure.name) if closure.name else str(number)
@@ -160,7 +164,7 @@ def describe(
     for name in actuated:
         if not is_scalar(model, name):
             raise DescriptionError(f"{source}, actuators", "a joint of one degree of freedom", repr(name))
-    q0 = next(iter(configurations.values()), pin.neutral(model))
+    q0 = next(iter(configurations.values()), pin.neutral(model) if rest is None else rest)
     return RobotDescription(
         model, tuple(closures), tuple(equalities), actuated, q0.copy(), dict(configurations), source
     )

@@ -87,10 +87,9 @@ class _Mjcf:
         model.gravity.linear = np.zeros(3) if weightless else m.opt.gravity
         closures, equalities = self._equalities()
         keys = {m.key(i).name or f"key{i}": self._configuration(model, m.key_qpos[i]) for i in range(m.nkey)}
-        rest = {} if keys else {"rest": self._configuration(model, m.qpos0)}
+        rest = self._configuration(model, m.qpos0)
         names = self._actuated() if actuated is None else actuated
-        found = describe(model, closures, equalities, names, keys or rest, self.source)
-        return found if keys else found._replace(configurations={})
+        return describe(model, closures, equalities, names, keys, self.source, rest)
 
     def _links(self) -> Iterator[Link]:
         m = self.model
