@@ -245,7 +245,7 @@ class StateKinematics:
         bias = self.bias(v)
         least, missed = self.space.solve(-bias)
         if missed and missed > COMPATIBLE * (largest(bias / self.row_units) + largest(v / self.units) ** 2):
-            raise SingularConfigurationError("constraint", self.space.sigma)
+            raise SingularConfigurationError("constraint", self.space.least)
         return least
 
     def accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray:
@@ -280,6 +280,9 @@ class LoopState:
     Twists (v, ω) [m/s, rad/s] and wrenches (f, m) [N, N m] are at the origin of a frame, in the axes of the world,
     linear first. `wrenches` are a mapping from names of frames to what acts there, (..., 6). Springs, damping and
     friction of joints are left out; armatures are part of the masses.
+
+    Methods that use rates or forces take a closed q, and raise `SingularConfigurationError` at a singularity of the
+    loops, where some velocities that their equations admit lead to no motion.
 
     Joints that the chain holds stand still. A free base does so where rates of the actuators are given, as all joints
     in no loop that are not actuated; in dynamics they move freely.
@@ -364,11 +367,13 @@ class LoopState:
         return outcome
 
     def _each_closed_member(self, function: Callable[..., Result], shape: Any, **arrays: FloatArray) -> Result:
-        """Return the same as `_each_member` for a function that takes q closed, and v that keeps it so."""
+        """Return the same as `_each_member` for a function that takes a regular q, closed, and v that keeps it so."""
+        from spm_pin.loops.mobility import check_regular
 
         def member(*arguments: FloatArray) -> Result:
             if not self._is_closed:
                 self.kinematics.check_closed(self._rates)
+                check_regular(self._chain, self.kinematics)
                 self._is_closed = True
             return function(*arguments)
 
@@ -469,8 +474,7 @@ class LoopState:
     def forward_dynamics(self, tau: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the accelerations of all joints (..., nv) under actuators, gravity and wrenches.
 
-        `tau` (..., n) [N, N m] is in the order of the actuators. Raises `SingularConfigurationError` where the closures
-        admit velocities to which they admit no acceleration: a singularity of theirs.
+        `tau` (..., n) [N, N m] is in the order of the actuators.
         """
 
         def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.errors import ArgumentError, ClosureError
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.loop_state import DEPENDENCE, DETERMINED, StateKinematics, read_joint_values
 from spm_pin.loops.null_space import INDEPENDENT
 from spm_pin.mechanism.arguments import FloatArray
@@ -130,9 +131,27 @@ def _others(model: Any, names: list[str]) -> tuple[str, ...]:
     return tuple(name for name in list(model.names)[1:] if name not in names)
 
 
+_REGULAR: WeakKeyDictionary[Any, int] = WeakKeyDictionary()
+"""Degrees of freedom of chains at regular configurations."""
+
+
+def check_regular(chain: Any, kinematics: StateKinematics) -> None:
+    """Raise `SingularConfigurationError` at a singularity of the loops, where some velocities lead to no motion."""
+    space = kinematics.space
+    dof = space.basis.shape[1]
+    # Where all rows are independent there is none.
+    if space.rank == len(kinematics.labels) or dof <= _REGULAR.get(chain, -1):
+        return
+    other = StateKinematics(chain)
+    other.evaluate(kinematics.q)
+    _REGULAR[chain] = _regular_dof(chain, other, space.basis)
+    if dof > _REGULAR[chain]:
+        raise SingularConfigurationError("constraint", space.least)
+
+
 def _regular_dof(chain: Any, kinematics: StateKinematics, basis: FloatArray) -> int:
     """Return the least number of degrees of freedom at closed configurations nearby; where none is found, that at q."""
-    least, count, q, rng = basis.shape[1], 0, kinematics.q, np.random.default_rng(0)
+    least, count, q, rng = int(basis.shape[1]), 0, kinematics.q, np.random.default_rng(0)
     held = chain.indices_in_q(*chain.held)
     for size in NEIGHBOURS if least else ():
         direction = basis @ rng.normal(size=basis.shape[1])
@@ -144,7 +163,7 @@ def _regular_dof(chain: Any, kinematics: StateKinematics, basis: FloatArray) -> 
             continue
         if np.abs(pin.difference(chain.model, q, near) / kinematics.units).max() >= 0.25 * size:
             kinematics.evaluate(near)
-            least, count = min(least, _spaces(kinematics)[1].shape[1]), count + 1
+            least, count = min(least, int(_spaces(kinematics)[1].shape[1])), count + 1
             if count == ENOUGH:
                 break
     return least

@@ -29,9 +29,8 @@ class NullSpace:
         Number of independent rows.
     basis : ndarray, shape (nv, nv - rank)
         Velocities that J maps to zero, orthonormal in units of `units`.
-    sigma : float
-        Distance of the last independent row from the span of the others, dimensionless: at least the smallest singular
-        value that is not zero.
+    least : float
+        Largest distance of a row from the span of the independent ones, dimensionless: zero to rounding.
     """
 
     def __init__(self, jacobian: FloatArray, row_units: FloatArray, units: FloatArray, tolerance: float) -> None:
@@ -39,7 +38,7 @@ class NullSpace:
         self._row_units, self._units = row_units, units
         rows, nv = jacobian.shape
         self.scaled = jacobian / row_units[:, None] * units
-        self.rank, self.sigma = 0, 1.0
+        self.rank, self.least = 0, 0.0
         rotation = np.eye(nv)
         if rows and nv:
             factors, pivots, tau, *_ = lapack.dgeqp3(self.scaled.T)
@@ -47,8 +46,8 @@ class NullSpace:
             least = max(tolerance, INDEPENDENT) * max(diagonal[0], 1e-300)
             self.rank = rank = sum(x > least for x in diagonal)
             self._pivots, self._factors = pivots - 1, factors
+            self.least = diagonal[rank] if rank < len(diagonal) else 0.0
             if rank:
-                self.sigma = diagonal[rank - 1]
                 rotation = np.zeros((nv, nv), order="F")
                 rotation[:, :rank] = factors[:, :rank]
                 rotation = lapack.dorgqr(rotation, tau[:rank], overwrite_a=1)[0]

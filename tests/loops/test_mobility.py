@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from loops.mechanisms import MAKERS, Tree, at, mechanism, rotation, states
 
-from spm_pin.errors import ArgumentError, ClosureError
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import Anchor, Closure
 
@@ -78,6 +78,9 @@ def test_a_singularity_of_the_loops_is_told_from_dependent_equations() -> None:
     flat, regular = chain.mobility(np.zeros(4)), chain.mobility(states("parallelogram")[0][0])
     assert (flat.dof, flat.regular_dof, flat.is_singular) == (2, 1, True)
     assert (regular.dof, regular.regular_dof, regular.is_singular) == (1, 1, False)
+    with pytest.raises(SingularConfigurationError) as raised:
+        chain.state(np.zeros(4)).forward_dynamics(np.zeros(3))
+    assert raised.value.kind == "constraint"
 
 
 def test_the_text_says_what_is_wrong() -> None:
