@@ -242,11 +242,14 @@ class ClosedChain:
 
         return mobility(self, q)
 
-    def simulate(self, q: npt.ArrayLike, v: npt.ArrayLike, tau: Any, times: npt.ArrayLike) -> Any:
-        """Return the motion from q (nq,) and v (nv,) under actuator forces `tau`; see `spm_pin.loops.simulation`."""
-        from spm_pin.loops.simulation import simulate
+    def simulate(self, q: npt.ArrayLike, v: npt.ArrayLike, tau: Any, times: npt.ArrayLike, **options: Any) -> Any:
+        """Return the motion from q (nq,) and v (nv,) under actuator forces `tau`, a `LoopMotion`.
 
-        return simulate(self, q, v, tau, times)
+        Options, such as `wrenches` and `period`, are those of `spm_pin.loops.forward_simulation.simulate`.
+        """
+        from spm_pin.loops.forward_simulation import simulate
+
+        return simulate(self, q, v, tau, times, **options)
 
     def _read_q(self, q: npt.ArrayLike, argument: str, *, single: bool = False) -> FloatArray:
         meaning = "joint values in rad and m in Pinocchio's order"

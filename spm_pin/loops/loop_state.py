@@ -87,7 +87,8 @@ class StateKinematics:
 
     `q` (nq,) are the joint values of the last `evaluate`; `data`, a pinocchio.Data, has the joint placements, Jacobians
     and frames there, and other algorithms may work in it at the same q. Rows are those of the chain's closures and
-    joint equalities, then one for each velocity of joints that are held.
+    joint equalities, then one for each velocity of joints that are held. `rank` of them are independent; with None, as
+    many as seem so at q, which is right in closed loops alone.
     """
 
     def __init__(self, chain: Any) -> None:
@@ -95,6 +96,7 @@ class StateKinematics:
         self.data = self.model.createData()
         self.q, self.zero_velocity = np.zeros(0), np.zeros(self.model.nv)
         self._values: bytes | None = None
+        self.rank: int | None = None
         rows, nv, held = self.rows, self.model.nv, chain.indices_in_v(*chain.held)
         self._held = np.eye(nv)[held]
         self.labels = (*rows.labels, *(name for name in chain.held for _ in chain.indices_in_v(name)))
@@ -170,7 +172,7 @@ class StateKinematics:
     @cached_property
     def space(self) -> NullSpace:
         """The velocities that the closures admit."""
-        return NullSpace(self.jacobian, self.row_units, self.units, DEPENDENCE * self.widest_gap)
+        return NullSpace(self.jacobian, self.row_units, self.units, DEPENDENCE * self.widest_gap, self.rank)
 
     @cached_property
     def actuation(self) -> Drive:

@@ -31,23 +31,36 @@ class NullSpace:
         Velocities that J maps to zero, orthonormal in units of `units`.
     least : float
         Largest distance of a row from the span of the independent ones, dimensionless: zero to rounding.
+    sigma : float
+        Distance of the last independent row from the span of those before it, dimensionless.
     """
 
-    def __init__(self, jacobian: FloatArray, row_units: FloatArray, units: FloatArray, tolerance: float) -> None:
-        """Factorise J; `row_units` (m,) and `units` (nv,) are sizes of order one of each row and of each joint."""
+    def __init__(
+        self,
+        jacobian: FloatArray,
+        row_units: FloatArray,
+        units: FloatArray,
+        tolerance: float,
+        rank: int | None = None,
+    ) -> None:
+        """Factorise J; `row_units` (m,) and `units` (nv,) are sizes of order one of each row and of each joint.
+
+        The rank, if it is not given, is the number of rows that are independent to `tolerance`.
+        """
         self._row_units, self._units = row_units, units
         rows, nv = jacobian.shape
         self.scaled = jacobian / row_units[:, None] * units
-        self.rank, self.least = 0, 0.0
+        self.rank, self.least, self.sigma = 0, 0.0, 1.0
         rotation = np.eye(nv)
         if rows and nv:
             factors, pivots, tau, *_ = lapack.dgeqp3(self.scaled.T)
             diagonal = [abs(x) for x in factors.diagonal().tolist()]
             least = max(tolerance, INDEPENDENT) * max(diagonal[0], 1e-300)
-            self.rank = rank = sum(x > least for x in diagonal)
+            self.rank = rank = sum(x > least for x in diagonal) if rank is None else rank
             self._pivots, self._factors = pivots - 1, factors
             self.least = diagonal[rank] if rank < len(diagonal) else 0.0
             if rank:
+                self.sigma = diagonal[rank - 1]
                 rotation = np.zeros((nv, nv), order="F")
                 rotation[:, :rank] = factors[:, :rank]
                 rotation = lapack.dorgqr(rotation, tau[:rank], overwrite_a=1)[0]
