@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from loops.mechanisms import MAKERS, Array, ankle, mechanism, states
+from loops.mechanisms import MAKERS, Array, admissible, ankle, mechanism, states
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
@@ -268,3 +268,59 @@ def test_fewer_actuators_than_freedoms_bear_what_they_can() -> None:
     with pytest.raises(ArgumentError) as raised:
         state.holding_forces()
     assert "shank" in raised.value.received
+
+
+GEARED_ANKLE = """<mujoco>
+  <option gravity="0.5 -1 -9.81" tolerance="1e-14" iterations="200" jacobian="dense"><flag contact="disable"/></option>
+  <default><equality solimp="0.9999 0.9999 0.001"/><geom density="800"/></default>
+  <worldbody>
+    <body name="foot" pos="0 0 -0.4">
+      <joint name="pitch" axis="0 1 0" armature="0.01"/><joint name="roll" axis="1 0 0"/>
+      <geom type="box" size="0.1 0.04 0.02"/>
+    </body>
+    <body name="left" pos="0 0.05 -0.1">
+      <joint name="left" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 -0.05 0 0" size="0.02"/>
+      <body name="left_rod" pos="-0.05 0 0"><joint name="left_ball" type="ball"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/></body></body>
+    <body name="right" pos="0 -0.05 -0.2">
+      <joint name="right" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 -0.05 0 0" size="0.02"/>
+      <body name="right_rod" pos="-0.05 0 0"><joint name="right_ball" type="ball"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02"/></body></body>
+    <body name="wheel" pos="1 0 0"><joint name="wheel" axis="0 0 1"/>
+      <geom type="box" pos="0.1 0 0" size="0.1 0.05 0.05"/></body>
+    <body name="tool" pos="1 0 1"><joint name="tool" type="slide" axis="1 1 1"/><geom size="0.05"/></body>
+  </worldbody>
+  <equality>
+    <connect name="left" body1="foot" body2="left_rod" anchor="-0.05 0.05 0"/>
+    <connect name="right" body1="foot" body2="right_rod" anchor="-0.05 -0.05 0"/>
+    <joint name="screw" joint1="tool" joint2="wheel" polycoef="0 0.2 0.1 0 0"/>
+  </equality>
+  <actuator><motor joint="left"/><motor joint="right"/><motor joint="wheel"/></actuator>
+</mujoco>"""
+
+
+def test_mujoco_accelerates_alike() -> None:
+    """At rest, as its constraints leave J̇ v out: its matrices with hard constraints, and as it solves them, softly."""
+    mujoco = pytest.importorskip("mujoco")
+    chain, rng = ClosedChain.from_mjcf(GEARED_ANKLE), np.random.default_rng(8)
+    engine = mujoco.MjModel.from_xml_string(GEARED_ANKLE)
+    data, q = mujoco.MjData(engine), chain.close()
+    joints = list(zip(chain.joint_names, list(chain.model.joints)[1:], strict=True))
+    places = np.concatenate([np.arange(j.nv) + engine.joint(name).dofadr[0] for name, j in joints])
+    for _ in range(3):
+        q = chain.close(pin.integrate(chain.model, q, 0.2 * admissible(chain, q) @ rng.normal(size=chain.model.nv)))
+        tau = rng.normal(size=3)
+        for name, joint in joints:
+            index, own = engine.joint(name).qposadr[0], q[joint.idx_q : joint.idx_q + joint.nq]
+            data.qpos[index : index + joint.nq] = np.roll(own, 1) if joint.nq == 4 else own
+        data.ctrl[:] = tau
+        mujoco.mj_forward(engine, data)
+        mass, jacobian = np.zeros((engine.nv, engine.nv)), data.efc_J.reshape(-1, engine.nv)
+        mujoco.mj_fullM(engine, data, mass)
+        matrix = np.block([[mass, jacobian.T], [jacobian, np.zeros((data.nefc, data.nefc))]])
+        forces = data.qfrc_actuator - data.qfrc_bias
+        expected = np.linalg.solve(matrix, np.concatenate([forces, np.zeros(data.nefc)]))[places]
+        a = chain.state(q).forward_dynamics(tau)
+        assert np.abs(a - expected).max() <= 1e-9 * np.abs(a).max()
+        assert np.abs(a - data.qacc[places]).max() <= 2e-3 * np.abs(a).max()
+        assert chain.mobility(q).undriven == ("left_ball", "right_ball")
