@@ -2,21 +2,29 @@
 
 On the way a share s from 0 to 1 of the change of the driven joints, or of the target's pose, is done. Unknown are the
 other joints x, and the equations c(x, s) = 0 have a Jacobian J of full column rank: it may have more rows than columns,
-of which some depend on others. With A = (Jᵀ J)⁻¹ Jᵀ at the end of a step, A c(x, s) = 0 has as many equations as
+of which some depend on others. With A = (Jᵀ J)⁻¹ Jᵀ in one place of a step, A c(x, s) = 0 has as many equations as
 unknowns, and Krawczyk's theorem says where it has one solution. Where a box of radii r about the chord from the start
 to the end of the step, at every s, satisfies
 
-    |A c| + |A J - 1| r < r,
+    |A c| + |A J - 1| r <= r,
 
 one branch of solutions leads from the start to the end, J is regular all along, and no other solution is in the box:
 neither a fold nor another mode. All quantities are dimensionless, absolute values are of each element. Bounds:
 
-- c vanishes at both ends and is computed in the middle, J is computed at both ends. In between, c differs from a
-  parabola by at most 0.0081 of a bound of its third derivative, J from a straight line by 1/8 of that of its second.
-- Let a joint i turn frame 2 of a closure by ρ_i and move its point by τ_i, per unit, at the end of the step. A joint
-  nearer to frame 1 only turns what the others do: |∂²p/∂x_i∂x_j| <= ρ_i τ_j, with the farther one as j. For
-  displacements u and w, with ρ(u) = Σ ρ_i |u_i| and τ(u) alike, second derivatives are at most ρ(u) τ(w) + ρ(w) τ(u),
-  of angles ρ(u) ρ(w), third ones are alike, and on the way τ_i grows by at most e^ρ τ of all the displacement.
+Let a joint j turn frame 2 of a closure by t_j and move its point by n_j per radian, or a slide by n_j per unit, at that
+place. In the order from frame 1 to frame 2, derivatives of p2 by several joints are no larger than the n_j of
+the last, whose direction the others only turn. With U_j the sum of t_i |u_i| up to j, and W_j that of displacements w,
+derivatives along u, a times, and w, b times, sum up to at most
+
+    Σ_j n_j (U_j^a W_j^b - U_(j-1)^a W_(j-1)^b),
+
+and for a slide to what u_j and w_j add to the first order. On the way, n_j of a hinge grows by less than the
+exponential of all turns times the sum of all motions. Angles have U^a W^b of all joints. A step is safe
+
+- if bounds from its end alone say so: c, zero at both ends, is at most 1/8 of its second derivative, and J changes by
+  no more than its first. That costs no evaluation, and is enough for a path that is sampled densely;
+- or if c in the quarters and J at the ends say so, with A of the middle and with bounds of the fifth derivative of c
+  and the third of J.
 
 The theorem is for hinges and slides. In ball and free joints, whose rotations do not commute, and in joint equalities
 of a degree above one, whose curvature is not in the bounds, it is a rule of thumb. Where c = 0 has rows that depend on
@@ -46,6 +54,13 @@ CLOSED, ROUNDED = 1e-10, 1e-9
 """Loops are closed if their equations, dimensionless, hold to `CLOSED`; mostly they do so to rounding, a few 1e-16. At
 the start of a path, joint values that were rounded are taken for closed to `ROUNDED`."""
 ROUNDING = 1e-15
+INNER, QUINTIC = 1.87, 3.0e-5
+"""Largest value of a polynomial of degree four that is zero at 0 and 1 and at most 1 in the quarters, and of the
+product of the distances from all five, over 5!: parts of c and of its fifth derivative."""
+CUBIC = 8.1e-3
+"""The same of three distances, over 3!, for what a parabola through 0, 1/2 and 1 leaves of J; where it is zero in the
+middle, it is nowhere larger than at the ends."""
+MOST_BOXES = 8
 
 
 def same(function: Any) -> Any:
@@ -77,76 +92,151 @@ def make_follower(
     """
 
     @jit
-    def is_safe(problem, middle, jacobian, inverse, speeds, turns, x, share):  # type: ignore[no-untyped-def]
-        """Return the left side of Krawczyk's inequality as a share of the right one; a step is safe below 1."""
-        unknown = problem.columns
-        moved_by = np.abs(problem.driven_rates) * share
-        moved_by[unknown] = np.abs(x)
-        rho, tau = turns @ moved_by, speeds @ moved_by
-        # A pose to be reached turns like one joint more.
-        if problem.pose >= 0:
-            rho[problem.pose] += problem.pose_turn * share
-        position = np.empty((len(unknown), len(problem.first_rows)))
-        rotation = np.empty((len(unknown), len(problem.first_rows)))
-        for k in range(len(problem.first_rows)):
-            first = problem.first_rows[k]
-            between, last = first + problem.position_counts[k], first + problem.row_counts[k]
-            position[:, k] = np.sqrt((inverse[:, first:between] ** 2).sum(axis=1))
-            rotation[:, k] = np.abs(inverse[:, between:last]).sum(axis=1)
-        cubic = position @ (3.0 * rho * rho * tau) + rotation @ (rho * rho * rho)
-        eta = np.abs(inverse @ middle) + 0.0081 * cubic + ROUNDING
-        radii = 2.0 * eta + 0.5 * eta.max()
-        wide = np.zeros(len(moved_by))
-        wide[unknown] = radii
-        rho_r, tau_r = turns @ wide, speeds @ wide
-        growth = np.exp(rho + rho_r) * (tau + tau_r)
-        tau, tau_r = tau + growth * rho, tau_r + growth * rho_r
-        cubic = position @ (3.0 * rho * rho * tau) + rotation @ (rho * rho * rho)
-        eta = np.abs(inverse @ middle) + 0.0081 * cubic + ROUNDING
-        change = inverse @ jacobian
-        for k in range(len(radii)):
-            change[k, k] -= 1.0
-        spread = np.abs(change) @ radii
-        spread += position @ (0.125 * (rho * rho * tau_r + 2.0 * rho * rho_r * tau) + 2.0 * rho_r * tau_r)
-        spread += rotation @ (0.125 * rho * rho * rho_r + rho_r * rho_r)
-        return ((eta + spread) / radii).max()
+    def monomial(x, a, y, b):  # type: ignore[no-untyped-def]
+        """Return x^a y^b for small whole numbers, much faster than by `**`."""
+        result = 1.0
+        for _ in range(a):
+            result *= x
+        for _ in range(b):
+            result *= y
+        return result
 
     @jit
-    def step(problem, q, done, share, jacobian, inverse):  # type: ignore[no-untyped-def]
-        """Return whether a step has converged, q, J and A at its end, its size, and the share of `is_safe`."""
-        end = done + share
-        if end > 1.0 - 1e-12:
-            end = 1.0
+    def bounds(problem, speeds, turns, u, w, a, b, reach):  # type: ignore[no-untyped-def]
+        """Return bounds (closures, 2) of derivatives of positions and angles, a times along u and b times along w.
+
+        Speeds are those at a share `reach` of u from where bounds are to hold.
+        """
+        found = np.empty((len(problem.first_rows), 2))
+        for k in range(len(problem.first_rows)):
+            total, motion, all_u, all_w = 0.0, 0.0, 0.0, 0.0
+            if k == problem.pose:
+                # A pose to be reached turns like one joint more; it does not move the frame's place.
+                all_u = problem.pose_turn[0] * problem.pose_share[0]
+            for place in range(problem.first_columns[k], problem.first_columns[k + 1]):
+                j = problem.loop_columns[place]
+                turn, speed, before = turns[k, j], speeds[k, j], monomial(all_u, a, all_w, b)
+                motion += speed * (reach * u[j] + w[j])
+                if turn > 0.0:
+                    all_u, all_w = all_u + turn * u[j], all_w + turn * w[j]
+                    total += speed / turn * (monomial(all_u, a, all_w, b) - before)
+                else:
+                    # Without a turn before, a slide has no part in higher derivatives.
+                    total += speed * a * monomial(all_u, a - 1, all_w, b) * u[j]
+                    total += speed * b * monomial(all_u, a, all_w, b - 1) * w[j]
+            power = monomial(all_u, a, all_w, b)
+            found[k, 0], found[k, 1] = total + np.exp(reach * all_u + all_w) * motion * power, power
+        return found
+
+    @jit
+    def spread(sizes, bound):  # type: ignore[no-untyped-def]
+        """Return bounds (p,) of A times what has bounds (closures, 2)."""
+        return sizes[0] @ np.ascontiguousarray(bound[:, 0]) + sizes[1] @ np.ascontiguousarray(bound[:, 1])
+
+    @jit
+    def sizes_of(problem, inverse):  # type: ignore[no-untyped-def]
+        """Return sizes (2, p, closures) of the parts of A that multiply positions and angles of each closure."""
+        count, loops = len(problem.columns), len(problem.first_rows)
+        sizes = np.zeros((2, count, loops))
+        for k in range(loops):
+            first = problem.first_rows[k]
+            between, last = first + problem.position_counts[k], first + problem.row_counts[k]
+            for i in range(count):
+                sizes[0, i, k] = np.sqrt((inverse[i, first:between] ** 2).sum())
+                sizes[1, i, k] = np.abs(inverse[i, between:last]).sum()
+        return sizes
+
+    @jit
+    def box(problem, sizes, speeds, turns, u, eta, change, weight, power, reach):  # type: ignore[no-untyped-def]
+        """Return whether some radii satisfy the inequality, and by which factor a step may be longer or be shorter.
+
+        `change` bounds |A J - 1| on the chord, beside what `weight` times derivatives along u, `power` times, add.
+        """
+        w, radii, fits = np.zeros(len(u)), 1.5 * eta + 0.01 * eta.max(), False
+        linear, square = radii, radii
+        for _ in range(MOST_BOXES):
+            for i in range(len(radii)):
+                w[problem.columns[i]] = radii[i]
+            linear = change @ radii + weight * spread(sizes, bounds(problem, speeds, turns, u, w, power, 1, reach))
+            square = spread(sizes, bounds(problem, speeds, turns, u, w, 0, 2, reach))
+            total = eta + linear + square
+            if not total.max() < 1.0:
+                break
+            if (total <= radii).all():
+                fits = True
+                break
+            radii = 1.2 * total
+        # Parts of the inequality that grow with the length of the step and its square, where most is used.
+        k = ((linear + square) / radii).argmax()
+        first, second = linear[k] / radii[k], square[k] / radii[k] + 1e-9
+        return fits, 1.2 / (first + np.sqrt(first * first + 2.4 * second))
+
+    @jit
+    def safety(problem, q, done, end, x, jacobian, at_end, inverse, speeds, turns):  # type: ignore[no-untyped-def]
+        """Return whether a step is safe, and the factor of the next one."""
+        count = len(problem.columns)
+        u, none = np.abs(problem.driven_rates) * (end - done), np.zeros(len(problem.driven_rates))
+        problem.pose_share[0] = end - done
+        for i in range(count):
+            u[problem.columns[i]] = abs(x[i])
+        sizes = sizes_of(problem, inverse)
+        eta = 0.125 * spread(sizes, bounds(problem, speeds, turns, u, none, 2, 0, 1.0)) + ROUNDING
+        fits, factor = box(problem, sizes, speeds, turns, u, eta, np.zeros((count, count)), 1.0, 1, 1.0)
+        if fits:
+            return fits, factor
+        half = 0.5 * (done + end)
+        c, middle, speeds, turns = linearised(problem, moved(problem, q, half, 0.5 * x), half)
+        inverse, regular = left_inverse(middle)
+        if not regular:
+            return False, 0.5
+        largest = np.abs(inverse @ c)
+        for share in (0.25, 0.75):
+            s = done + share * (end - done)
+            largest = np.maximum(largest, np.abs(inverse @ residual(problem, moved(problem, q, s, share * x), s)))
+        sizes = sizes_of(problem, inverse)
+        eta = INNER * largest + QUINTIC * spread(sizes, bounds(problem, speeds, turns, u, none, 5, 0, 0.5)) + ROUNDING
+        first, last = inverse @ jacobian, inverse @ at_end
+        for i in range(count):
+            first[i, i] -= 1.0
+            last[i, i] -= 1.0
+        change = np.maximum(np.abs(first), np.abs(last))
+        return box(problem, sizes, speeds, turns, u, eta, change, CUBIC, 3, 0.5)
+
+    @jit
+    def step(problem, q, done, end, jacobian, inverse):  # type: ignore[no-untyped-def]
+        """Return whether a step is safe, q, J and A at its end, its size, and the next one's factor."""
         x = np.zeros(len(problem.columns))
         tried = moved(problem, q, end, x)
         change = -(inverse @ residual(problem, tried, end))
         size = np.abs(change).max() if len(change) else 0.0
         if not size <= LONGEST:
-            return False, q, jacobian, inverse, size, 2.0 * size
+            return False, q, jacobian, inverse, size, 0.5 * LONGEST / size
         x += change
         tried = moved(problem, tried, end, change)
         c, at_end, speeds, turns = linearised(problem, tried, end)
         new, regular = left_inverse(at_end)
         if not regular:
-            return False, q, jacobian, inverse, size, 4.0
-        last = np.inf
+            return False, q, jacobian, inverse, size, 0.5
+        last, converged = max(size, 1e-300), False
         for _ in range(MOST_CORRECTIONS):
             change = -(new @ c)
             correction = np.abs(change).max() if len(change) else 0.0
-            if not correction <= 0.5 * last or correction <= ROUNDING:
+            if not correction <= max(0.5 * last, 1e-13):
                 break
             x += change
             tried = moved(problem, tried, end, change)
+            # The next correction is smaller by as much again: below rounding it is left out.
+            if correction * min(1.0, correction / last) <= ROUNDING:
+                converged = len(c) == 0 or np.abs(c).max() <= max(CLOSED, 2.0 * correction)
+                break
+            last = max(correction, 1e-300)
             c = residual(problem, tried, end)
-            last = correction
-        if not (correction <= 1e-9 and (len(c) == 0 or np.abs(c).max() <= CLOSED)):
-            return False, q, jacobian, inverse, size, 4.0
+        if not converged:
+            return False, q, jacobian, inverse, size, 0.5
         if size <= 1e-12 or len(x) == 0:
-            return True, tried, at_end, new, size, 0.0
-        half = 0.5 * (done + end)
-        middle = residual(problem, moved(problem, q, half, 0.5 * x), half)
-        used = is_safe(problem, middle, jacobian, new, speeds, turns, x, end - done)
-        return used <= 1.0, tried, at_end, new, size, used
+            return True, tried, at_end, new, size, 4.0
+        safe, factor = safety(problem, q, done, end, x, jacobian, at_end, new, speeds, turns)
+        return safe, tried, at_end, new, size, factor
 
     @jit
     def follow(problem, q):  # type: ignore[no-untyped-def]
@@ -159,18 +249,16 @@ def make_follower(
             return q, SINGULAR_START, 0.0, 0
         done, share, steps = 0.0, 1.0, 0
         while done < 1.0:
-            share = min(share, 1.0 - done)
-            accepted, end, at_end, new, size, used = step(problem, q, done, share, jacobian, inverse)
+            end = done + share
+            if end > 1.0 - 1e-12:
+                end = 1.0
+            accepted, reached, at_end, new, size, factor = step(problem, q, done, end, jacobian, inverse)
             steps += 1
             if accepted:
-                q, jacobian, inverse = end, at_end, new
-                done += share
-                if done > 1.0 - 1e-12:
-                    done = 1.0
-                # What is used of the bounds grows with the step: the next one is to use most of it.
-                share *= min(4.0, 0.7 / max(used, 0.1))
+                q, jacobian, inverse, done = reached, at_end, new, end
+                share *= max(0.5, min(4.0, factor))
                 continue
-            share *= max(0.1, min(0.5, 0.7 / used)) if used == used else 0.1
+            share *= max(0.1, min(0.7, factor)) if factor == factor else 0.1
             if share < SHORTEST_SHARE or size < SHORTEST_STEP:
                 return q, NO_FURTHER, done, steps
         return q, DONE, done, steps

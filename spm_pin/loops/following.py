@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import sys
 import threading
 from collections.abc import Sequence
 from typing import Any
@@ -18,6 +19,9 @@ from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 
 REGULAR = 1e-7
 """Smallest pivot of a Jacobian of full rank, relative to the largest."""
+FEW = 64
+"""Targets that Pinocchio and NumPy answer, each in about a millisecond, while the kernel is not loaded: that takes half
+a second, or 20 s where it has to be compiled."""
 DEPENDENT = 1e-7
 """Singular values of a Jacobian below this, relative to the largest, are zero when an error is explained."""
 
@@ -33,8 +37,12 @@ class Problem:
         Change of each driven joint along the whole path, dimensionless.
     pose : int
         The closure that stands for a target's pose, -1 if there is none.
-    pose_turn : float
+    first_columns, loop_columns : ndarray of int
+        Where the velocities of each closure begin, and the velocities, from frame 1 to frame 2.
+    pose_turn : ndarray, shape (1,)
         Angle of the target's turn along the whole path [rad].
+    pose_share : ndarray, shape (1,)
+        Part of the path that is asked for.
     first_rows, position_counts, row_counts : ndarray of int, shape (closures,)
         Where the equations of each closure begin, and how many there are, of positions and in all.
     """
@@ -42,13 +50,18 @@ class Problem:
     def __init__(self, rows: ConstraintRows, columns: IntArray, driven: IntArray, driven_in_v: IntArray) -> None:
         self.rows, self.columns, self.driven, self.driven_in_v = rows, columns, driven, driven_in_v
         self.pose = rows.pose
-        self._at_frame = rows.placements[rows.pose][1] if rows.pose >= 0 else None
+        self.at_frame = rows.placements[rows.pose][1] if rows.pose >= 0 else None
         closures = len(rows.closures)
         loops = rows.forms // FORMS
         self.row_counts = np.bincount(loops, minlength=closures)
         self.position_counts = np.bincount(loops[rows.forms % FORMS < ROTATION], minlength=closures)
         self.first_rows = np.cumsum(self.row_counts) - self.row_counts
-        self.driven_rates, self.pose_turn = np.zeros(rows.model.nv), 0.0
+        self.driven_rates, self.pose_turn = np.zeros(rows.model.nv), np.zeros(1)
+        self.pose_share = np.zeros(1)
+        # Joints in the order from frame 1 to frame 2.
+        loops_columns = [np.r_[np.flatnonzero(sign < 0.0)[::-1], np.flatnonzero(sign > 0.0)] for sign in rows.signs]
+        self.first_columns = np.cumsum([0, *map(len, loops_columns)])
+        self.loop_columns = np.concatenate([*loops_columns, np.zeros(0, np.intp)]).astype(np.intp)
         self.kinematics = LoopKinematics(rows)
         self._all = np.zeros(rows.model.nv)
 
@@ -60,17 +73,17 @@ class Problem:
             return
         rows = self.rows
         pin.forwardKinematics(rows.model, self.kinematics.data, q)
-        placement = self.kinematics.data.oMi[rows.joints[self.pose][1]] * self._at_frame
+        placement = self.kinematics.data.oMi[rows.joints[self.pose][1]] * self.at_frame
         self.start, self.end = placement, pin.SE3(target)
         self.turn = pin.log3(self.end.rotation @ placement.rotation.T)
-        self.pose_turn = float(np.linalg.norm(self.turn))
+        self.pose_turn[0] = np.linalg.norm(self.turn)
 
     def place(self, s: float) -> None:
         """Move the pose that is to be reached to its place at a share of the path."""
         rotation = self.end.rotation if s == 1.0 else pin.exp3(s * self.turn) @ self.start.rotation
         start, end = self.start.translation, self.end.translation
         at = end if s == 1.0 else start + s * (end - start)
-        turned = self._at_frame * pin.SE3(rotation.T, np.zeros(3))
+        turned = self.at_frame * pin.SE3(rotation.T, np.zeros(3))
         self.kinematics.rows.placements[self.pose] = [pin.SE3(np.eye(3), at), turned]
 
 
@@ -112,6 +125,12 @@ def left_inverse(jacobian: FloatArray) -> tuple[FloatArray, bool]:
 
 
 follow = make_follower(residual, linearised, moved, left_inverse)
+
+
+def _kernel() -> Any:
+    from spm_pin.loops import tree_kernel
+
+    return tree_kernel
 
 
 class Follower:
@@ -159,23 +178,36 @@ class Follower:
             found.rows = copy.copy(found.rows)
             found.rows.placements = list(found.rows.placements)
             found.kinematics = LoopKinematics(found.rows)
-            found.driven_rates, found._all = found.driven_rates.copy(), found._all.copy()
+            for name in ("driven_rates", "_all", "pose_turn", "pose_share"):
+                setattr(found, name, getattr(found, name).copy())
             self._local.problem = found
         return found
 
     def run(self, starts: FloatArray, targets: FloatArray, is_path: bool) -> FloatArray:
         """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq)."""
-        problem, results = self.problem(), np.empty((len(targets), self.chain.model.nq))
-        q = starts
-        for k, target in enumerate(targets):
-            if not is_path:
-                q = starts[k]
-            problem.aim(q, target)
-            q, status, done, steps = follow(problem, q)
-            if status:
-                raise self.explained(q, k, status, done, steps, target)
-            results[k] = q
+        results = np.empty((len(targets), self.chain.model.nq))
+        starts, k, status, done, steps = np.array(starts, order="C", ndmin=2), 0, 0, 1.0, 0
+        kernel = _kernel() if len(targets) > FEW else sys.modules.get(f"{__package__}.tree_kernel")
+        if kernel is not None and (kernel.run.is_loaded or len(targets) > FEW):
+            aims = np.array(targets, order="C").reshape(len(targets), -1)
+            k, status, done, steps = kernel.run(self._tree(kernel), starts, aims, is_path, results)
+        else:
+            problem, q = self.problem(), starts[0]
+            for k, target in enumerate(targets):
+                problem.aim(q if is_path else starts[k], target)
+                q, status, done, steps = follow(problem, q if is_path else starts[k])
+                results[k] = q
+                if status:
+                    break
+        if status:
+            raise self.explained(results[k], k, status, done, steps, targets[k])
         return results
+
+    def _tree(self, kernel: Any) -> Any:
+        """Return the problem of this thread as arrays."""
+        if not hasattr(self._local, "tree"):
+            self._local.tree = kernel.tree_of(self._problem)
+        return self._local.tree
 
     def explained(
         self, q: FloatArray, k: int, status: int, done: float, steps: int, target: FloatArray
