@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import DescriptionError
-from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
+from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
 from spm_pin.mechanism.arguments import FloatArray
 
 JointKind = Literal["hinge", "slide", "ball", "free"]
@@ -168,6 +168,29 @@ def describe(
     return RobotDescription(
         model, tuple(closures), tuple(equalities), actuated, q0.copy(), dict(configurations), source
     )
+
+
+def hinges_of_points(closures: Iterable[Closure]) -> list[Closure]:
+    """Return closures in which two points between the same links, equally far apart on both, are a hinge."""
+    closures = list(closures)
+    by_links: dict[tuple[str, ...], list[Closure]] = {}
+    for closure in closures:
+        by_links.setdefault((closure.first.frame, closure.second.frame), []).append(closure)
+    for pair in by_links.values():
+        if [closure.kind for closure in pair] != ["point", "point"]:
+            continue
+        ends = [[getattr(c, end).placement for c in pair] for end in ("first", "second")]
+        apart = [other.translation - one.translation for one, other in ends]
+        sizes = [float(np.linalg.norm(direction)) for direction in apart]
+        if min(sizes) < 1e-6 or abs(sizes[0] - sizes[1]) > 1e-9 * sizes[0]:
+            continue
+        anchors = []
+        for closure_end, (one, _), direction, size in zip(("first", "second"), ends, apart, sizes, strict=True):
+            turned = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction / size)
+            anchors.append(Anchor(getattr(pair[0], closure_end).frame, place(one.translation, turned.matrix())))
+        closures[closures.index(pair[0])] = Closure("hinge", anchors[0], anchors[1], pair[0].name)
+        closures.remove(pair[1])
+    return closures
 
 
 def is_scalar(model: Any, name: str) -> bool:

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from spm_pin.errors import DescriptionError, require_extra
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
-from spm_pin.loops.links import Joint, JointKind, Link, build_model, describe, place
+from spm_pin.loops.links import Joint, JointKind, Link, build_model, describe, hinges_of_points, place
 from spm_pin.mechanism.arguments import FloatArray
 
 
@@ -28,7 +28,8 @@ def read_mjcf(source: Any, *, actuated: Sequence[str] | None = None) -> RobotDes
     Notes
     -----
     Read are bodies, all joints, sites, active `connect`, `weld` and `joint` equalities, actuators, keyframes, joint
-    limits, armature, damping and friction, and gravity. q is MuJoCo's `qpos`, `ref` included, but quaternions have
+    limits, armature, damping and friction, and gravity. Two `connect`s between the same bodies, as far apart on one as
+    on the other, are read as the hinge that they make. q is MuJoCo's `qpos`, `ref` included, but quaternions have
     their scalar last, as in Pinocchio. A joint without a name is called after its body, `shin_joint1`; a site with the
     name of a body `foot_site`. Not part of the model are contacts, springs, tendons' forces and gears of actuators.
     Equalities between tendons or flexes are refused.
@@ -148,7 +149,7 @@ class _Mjcf:
                 one, other = (Anchor(frame, at) for frame, at in zip(frames, places, strict=True))
             name = name or f"{'weld' if weld else 'connect'}{i}"
             closures.append(Closure("weld" if weld else "point", one, other, name))
-        return closures, equalities
+        return hinges_of_points(closures), equalities
 
     def _actuated(self) -> Iterable[str]:
         m, kinds = self.model, self.mujoco.mjtTrn

@@ -186,7 +186,7 @@ class _Sdf:
         for link, joint in floating.items():
             start = model.joints[model.getJointId(joint)].idx_q
             rest[start : start + 7] = pin.SE3ToXYZQUAT(self.poses["world"].inverse() * self.pose(link))
-        closures = [self._closure(name) for name in closing] + list(drake_closures(self.model, self.where))
+        closures = [self._closure(name) for name in closing] + drake_closures(self.model, self.where)
         hinged = {joint.name for link in links for joint in link.joints if joint.kind in ("hinge", "slide")}
         if actuated is None:
             actuated = [name for name in self.joints if name in hinged and self._is_driven(name)]

@@ -12,7 +12,7 @@ import yaml
 
 from spm_pin.errors import DescriptionError
 from spm_pin.loops.closures import Anchor, Closure, ClosureKind, JointEquality, RobotDescription
-from spm_pin.loops.links import Joint, JointKind, Link, build_model, check_unique, describe, place
+from spm_pin.loops.links import Joint, JointKind, Link, build_model, check_unique, describe, hinges_of_points, place
 from spm_pin.loops.xml_input import inertia_of, name_of, number, numbers, read_source, read_xml, unit_axis
 
 _KINDS: dict[str, JointKind | None] = {
@@ -68,7 +68,7 @@ def read_urdf(
     if isinstance(closures, str | Path):
         loops, extras = _read_yaml(closures)
     else:
-        loops = list(drake_closures(root, where) if closures is None else closures)
+        loops = drake_closures(root, where) if closures is None else list(closures)
     links = list(_links(root, where, free_base, extras))
     model = build_model(root.get("name", ""), links, {}, where)
     if actuated is None:
@@ -218,8 +218,9 @@ def _mimics(root: Element, where: str) -> Iterator[JointEquality]:
             yield JointEquality(name_of(joint, at), None if driver in fixed else driver, coefficients)
 
 
-def drake_closures(root: Element, where: str) -> Iterator[Closure]:
-    """Yield what Drake's ball constraints close; their values are attributes in URDF files, texts in SDF files."""
+def drake_closures(root: Element, where: str) -> list[Closure]:
+    """Return what Drake's ball constraints close; their values are attributes in URDF files, texts in SDF files."""
+    found, links = [], {node.get("name") for node in root.iter("link")}
     for count, node in enumerate(root.iter("drake_ball_constraint")):
         at, said = f"{where}, drake:ball_constraint {count}", []
         for key in ("body_A", "p_AP", "body_B", "p_BQ"):
@@ -228,8 +229,10 @@ def drake_closures(root: Element, where: str) -> Iterator[Closure]:
             if not value.strip():
                 raise DescriptionError(at, f"a tag drake:ball_constraint_{key}", "none")
             said.append(value.strip())
-        first, second = (Anchor(said[k], place(numbers(said[k + 1], 3, at))) for k in (0, 2))
-        yield Closure("point", first, second, f"ball_constraint{count}")
+        ends = ["universe" if said[k] == "world" and said[k] not in links else said[k] for k in (0, 2)]
+        first, second = (Anchor(ends[k], place(numbers(said[2 * k + 1], 3, at))) for k in (0, 1))
+        found.append(Closure("point", first, second, f"ball_constraint{count}"))
+    return hinges_of_points(found)
 
 
 def _read_yaml(source: str | Path) -> tuple[list[Closure], dict[str, Any]]:
