@@ -71,9 +71,9 @@ def linkage() -> RobotDescription:
     closures = [
         Closure(kind, at(one, meeting), at(other, meeting), kind)
         for kind, one, other in (
-            ("point", "c", "e"),
+            ("point", "e", "c"),
             ("hinge", "tag", "c"),
-            ("planar", "d", "universe"),
+            ("planar", "universe", "d"),
             ("weld", "e", "b"),
         )
     ]
