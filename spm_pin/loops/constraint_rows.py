@@ -107,6 +107,8 @@ class ConstraintRows:
                     sign[model.joints[joint].idx_v : model.joints[joint].idx_v + model.joints[joint].nv] += value
         kinds = [forms_of_pose if k == self.pose else _FORMS_OF_KIND[c.kind] for k, c in enumerate(self.closures)]
         self.forms: IntArray = np.array([FORMS * k + form for k, forms in enumerate(kinds) for form in forms], np.intp)
+        self._form_signs = self.signs[self.forms // FORMS]
+        self._has_angles = bool((self.forms % FORMS >= ROTATION).any())
         self._read_equalities()
         self.count = len(self.forms) + len(self.equalities)
         self.names = tuple(names)
@@ -216,26 +218,34 @@ class ConstraintRows:
         places = self.equality_places[:, 2]
         return np.where(places >= 0, q[places] - self.zeros[:, 1], 0.0)
 
-    def jacobian(self, q: FloatArray, data: Any, placed: tuple[FloatArray, ...]) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives (m, nv), and the twists of frames 2 against frames 1 at p2 (closures, 6, nv).
+    def wrenches(self, placed: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the wrench about the world's origin (closures' equations, 6) that each equation exerts on frame 2.
 
-        `data` has the joint Jacobians at q, `placed` is what `placements_of` returns there.
+        Times the twist of frame 2 against frame 1, about the world's origin too, it is the rate of the left side.
         """
         first, tip, relative = placed
-        world = data.J * self.signs[:, None, :]
-        # (v, ω) of the point p2, seen along the axes of frame 1.
-        linear = world[:, :3] - np.cross(tip[:, :, None], world[:, 3:], axis=1)
-        axes = first.swapaxes(1, 2)
-        twists = np.concatenate([axes @ linear, axes @ world[:, 3:]], axis=1)
-        r = relative[:, :3, :3]
-        maps = np.zeros((len(r), FORMS, 6))
-        maps[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        maps[:, 3:6, 3:] = -0.5 * r
-        maps[:, [3, 4, 5], [3, 4, 5]] += 0.5 * np.trace(r, axis1=1, axis2=2)[:, None]
-        maps[:, 6, 4], maps[:, 6, 5] = r[:, 2, 2], -r[:, 1, 2]
-        maps[:, 7, 5], maps[:, 7, 3] = r[:, 0, 2], -r[:, 2, 2]
-        rows = np.zeros((self.count, self.model.nv))
-        rows[: len(self.forms)] = (maps @ twists).reshape(-1, self.model.nv)[self.forms]
+        axes, r = first.swapaxes(1, 2), relative[:, :3, :3]
+        wrenches = np.zeros((len(r), FORMS, 6))
+        wrenches[:, :3, :3] = axes
+        # The moment of a force n at p is p x n: rows of forces times the transpose of p's cross product matrix.
+        arms = np.zeros((len(r), 3, 3))
+        arms[:, [1, 2, 0], [2, 0, 1]], arms[:, [2, 0, 1], [1, 2, 0]] = tip, -tip
+        wrenches[:, :3, 3:] = axes @ arms
+        if self._has_angles:
+            maps = np.zeros((len(r), FORMS - ROTATION, 3))
+            maps[:, :3] = -0.5 * r
+            maps[:, [0, 1, 2], [0, 1, 2]] += 0.5 * np.trace(r, axis1=1, axis2=2)[:, None]
+            maps[:, 3, 1], maps[:, 3, 2] = r[:, 2, 2], -r[:, 1, 2]
+            maps[:, 4, 2], maps[:, 4, 0] = r[:, 0, 2], -r[:, 2, 2]
+            wrenches[:, ROTATION:, 3:] = maps @ axes
+        return np.asarray(wrenches.reshape(-1, 6)[self.forms])
+
+    def jacobian(self, q: FloatArray, data: Any, placed: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the derivatives (m, nv); `data` has the joint Jacobians at q, `placed` is of `placements_of` there."""
+        rows = self.wrenches(placed) @ data.J * self._form_signs
+        if not len(self.equalities):
+            return np.asarray(rows)
+        rows = np.concatenate([rows, np.zeros((len(self.equalities), self.model.nv))])
         for k, (_, joint, place, driver) in enumerate(self.equality_places.tolist()):
             rows[len(self.forms) + k, joint] = 1.0
             if place >= 0:
@@ -243,7 +253,15 @@ class ConstraintRows:
                     np.polynomial.polynomial.polyder(self.polynomials[k])[None], self._driver_values(q)[k]
                 )
                 rows[len(self.forms) + k, driver] -= slope[0]
-        return rows, twists
+        return rows
+
+    def twists(self, data: Any, placed: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the twists of frames 2 against frames 1 at p2, along the axes of frames 1 (closures, 6, nv)."""
+        first, tip, _ = placed
+        world = data.J * self.signs[:, None, :]
+        linear = world[:, :3] - np.cross(tip[:, :, None], world[:, 3:], axis=1)
+        axes = first.swapaxes(1, 2)
+        return np.concatenate([axes @ linear, axes @ world[:, 3:]], axis=1)
 
     def is_reversed(self, relative: FloatArray) -> list[str]:
         """Return the names of hinges and welds that hold the wrong way round: by 180°."""
@@ -272,8 +290,8 @@ class LoopKinematics:
         rows = self.rows
         pin.computeJointJacobians(rows.model, self.data, q)
         placed = rows.placements_of(self.data)
-        jacobian, twists = rows.jacobian(q, self.data, placed)
-        scaled = twists * rows.units
+        jacobian = rows.jacobian(q, self.data, placed)
+        scaled = rows.twists(self.data, placed) * rows.units
         speeds = np.sqrt((scaled[:, :3] ** 2).sum(axis=1)) / (0.25 * rows.loop_lengths[:, None])
         turns = np.sqrt((scaled[:, 3:] ** 2).sum(axis=1))
         return Linearised(rows.left_sides(q, placed[2]) / rows.row_units, jacobian * self._columns, speeds, turns)

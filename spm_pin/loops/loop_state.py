@@ -37,6 +37,11 @@ DETERMINED = 1e-9
 COMPATIBLE = 1e-6
 """Largest disagreement of dependent rows on accelerations, relative to the terms; more at a singularity."""
 
+_HATS = np.zeros((6, 16))
+"""Rows of 4 x 4 matrices of the unit twists."""
+_HATS[[0, 1, 2], [3, 7, 11]] = 1.0
+_HATS[[3, 4, 5], [9, 2, 4]], _HATS[[3, 4, 5], [6, 8, 1]] = 1.0, -1.0
+
 Result = TypeVar("Result")
 
 
@@ -140,23 +145,23 @@ class StateKinematics:
     @cached_property
     def jacobian(self) -> FloatArray:
         """J, joint velocities (nv,) to the rates of the left sides, shape (m, nv); exact at any q."""
-        return np.concatenate([self.rows.jacobian(self.q, self.data, self._placed)[0], self._held])
+        rows = self.rows.jacobian(self.q, self.data, self._placed)
+        return np.concatenate([rows, self._held]) if len(self._held) else rows
 
     def bias(self, v: FloatArray) -> FloatArray:
         """Return J̇ v (m,), the second derivatives of the left sides where no joint accelerates; exact at any q."""
         rows, data = self.rows, self.data
         pin.computeJointJacobiansTimeVariation(self.model, data, self.q, v)
-        across = (rows.signs * v).T
-        relative, change, first = (
-            _hats(columns.T) for columns in (data.J.dot(across), data.dJ.dot(across), data.J.dot((self._first * v).T))
-        )
-        # X = M1⁻¹ M2 of the placements in the world; its second derivative is M1⁻¹ (...) M2 = M1⁻¹ (...) M1 X.
-        inner = change + relative @ (relative + first) - first @ relative
+        across, count = (rows.signs * v).T, len(rows.joints)
+        columns = [data.J.dot(across), data.dJ.dot(across), data.J.dot((self._first * v).T)]
+        hats = np.concatenate(columns, axis=1).T.dot(_HATS).reshape(3, count, 4, 4)
+        relative, change, first = hats
+        # X = M1⁻¹ M2 of the placements in the world; its second derivative is M1⁻¹ (...) M2, with a last row of zeros.
+        inner = (change + relative @ (relative + first) - first @ relative)[:, :3]
         axes, tip, placed = self._placed
-        frame = np.zeros_like(placed)
-        frame[:, :3, :3], frame[:, 3, 3] = axes, 1.0
-        frame[:, :3, 3] = tip - (axes @ placed[:, :3, 3:])[:, :, 0]
-        second = np.linalg.solve(frame, inner @ frame) @ placed
+        moved = np.array(placed)
+        moved[:, :3, :3], moved[:, :3, 3] = axes @ placed[:, :3, :3], tip
+        second = axes.swapaxes(1, 2) @ inner @ moved
         # Left sides of closures are linear in X.
         bias = np.concatenate([rows.left_sides(self.q, second), np.zeros(len(self._held))])
         for k, (_, _, place, driver) in enumerate(rows.equality_places.tolist()):
@@ -618,15 +623,6 @@ class LoopState:
         for frame, load in zip(frames, loads, strict=True):
             forces += self.kinematics.frame_jacobian(frame).T.dot(load)
         return forces
-
-
-def _hats(twists: FloatArray) -> FloatArray:
-    """Return the matrices (n, 4, 4) of twists (n, 6)."""
-    hats = np.zeros((len(twists), 4, 4))
-    hats[:, :3, 3] = twists[:, :3]
-    hats[:, [2, 0, 1], [1, 2, 0]] = twists[:, 3:]
-    hats[:, [1, 2, 0], [2, 0, 1]] = -twists[:, 3:]
-    return hats
 
 
 def frame_index(model: Any, name: str) -> int:
