@@ -20,6 +20,8 @@ MOST_STEPS, LONGEST_STEP = 200, 0.5
 SEARCHES, DISTURBANCE = 8, 0.05
 """Where a search ends with open loops, the next begins from a guess disturbed by a multiple of this, dimensionless."""
 ROUNDING = 4e-16
+LEAST_DAMPING = 1e-16
+"""Relative to the squared largest singular value: rows that depend on each other have none below rounding."""
 
 
 def assemble(kinematics: LoopKinematics, guess: FloatArray, free: IntArray) -> FloatArray:
@@ -69,7 +71,8 @@ def _search(kinematics: LoopKinematics, q: FloatArray, free: IntArray) -> tuple[
         u, sigma, vt = np.linalg.svd(kinematics.linearised(q).jacobian[:, free], full_matrices=False)
         along, decreased = u.T @ c, False
         while damping < 1e8:
-            move = -vt.T @ (along * sigma / (sigma**2 + damping * size**2 + 1e-30))
+            least = LEAST_DAMPING * sigma.max(initial=0.0) ** 2 + 1e-300
+            move = -vt.T @ (along * sigma / (sigma**2 + max(damping * size**2, least)))
             move *= min(1.0, LONGEST_STEP / max(np.abs(move).max(initial=0.0), 1e-300))
             away[free] = move * rows.units[free]
             tried = pin.integrate(rows.model, q, away)
@@ -77,7 +80,7 @@ def _search(kinematics: LoopKinematics, q: FloatArray, free: IntArray) -> tuple[
             if np.linalg.norm(at_tried) < (1.0 - 1e-4) * size:
                 decreased = True
                 break
-            if size <= CLOSED or np.abs(move).max(initial=0.0) < 1e-12:
+            if np.abs(move).max(initial=0.0) < ROUNDING:
                 break
             damping *= 8.0
         if not decreased:

@@ -176,7 +176,7 @@ class ClosedChain:
             The loops do not close from there. It has the gap, the loop that is open most, and the likely cause.
         """
         q = self._read_q(self.q0 if q_guess is None else q_guess, "q_guess", single=True)
-        free = np.setdiff1d(np.arange(self.model.nv), self._held_in_v)
+        free = np.setdiff1d(np.flatnonzero(self.rows.concerns()), self._held_in_v)
         return assemble(LoopKinematics(self.rows), q, free)
 
     def forward(self, values: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:

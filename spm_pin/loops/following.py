@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import sys
 import threading
@@ -13,6 +14,7 @@ import pinocchio as pin
 from scipy.linalg import lapack
 
 from spm_pin.errors import ArgumentError, ClosureError
+from spm_pin.loops.assembly import assemble
 from spm_pin.loops.constraint_rows import FORMS, ROTATION, ConstraintRows, LoopKinematics
 from spm_pin.loops.continuation import OPEN_START, SINGULAR_START, make_follower
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
@@ -220,8 +222,7 @@ class Follower:
             cause = "near is to be closed: `close` makes it so"
             return ClosureError(float(gaps.max(initial=0.0)), 0, cause, loop)
         jacobian = linearised(problem, q, 0.0)[1]
-        loops = LoopKinematics(chain.rows).linearised(q).jacobian[:, self._movable]
-        freedoms = len(self._movable) - _rank(loops)
+        freedoms = self._freedoms(q)
         argument, received = "actuated", len(chain.actuated)
         if self.frame is not None:
             argument, received = "rows", int(self.rows.count - chain.rows.count)
@@ -243,6 +244,18 @@ class Follower:
         cause += f". Not determined there: {listed}" if listed else ""
         gap = float(np.abs(residual(problem, q, 1.0) * self.rows.row_units).max(initial=0.0))
         return ClosureError(gap, steps, cause, problem.kinematics.open_closures(q)[2])
+
+    def _freedoms(self, q: FloatArray) -> int:
+        """Return the degrees of freedom of what moves, at closed joint values q or, if more rows count there, near q."""
+        kinematics, random, model = LoopKinematics(self.chain.rows), np.random.default_rng(0), self.chain.model
+        rank = _rank(kinematics.linearised(q).jacobian[:, self._movable])
+        for _ in range(3):
+            away = np.zeros(model.nv)
+            away[self._movable] = random.uniform(-0.1, 0.1, len(self._movable)) * self.rows.units[self._movable]
+            with contextlib.suppress(ClosureError):
+                near = assemble(kinematics, pin.integrate(model, q, away), self._movable)
+                rank = max(rank, _rank(kinematics.linearised(near).jacobian[:, self._movable]))
+        return len(self._movable) - rank
 
 
 def _rank(jacobian: FloatArray) -> int:
