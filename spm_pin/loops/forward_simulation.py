@@ -22,7 +22,8 @@ from scipy.integrate import DOP853
 from scipy.linalg import lapack
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
-from spm_pin.loops.loop_state import LoopState, StateKinematics, frame_index, largest
+from spm_pin.loops.loop_state import LoopState
+from spm_pin.loops.state_kinematics import StateKinematics, frame_index, largest
 from spm_pin.mechanism.arguments import FloatArray, Progress, real_array, real_number
 from spm_pin.mechanism.progress import shown_progress
 

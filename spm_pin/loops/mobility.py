@@ -11,8 +11,8 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
-from spm_pin.loops.loop_state import DEPENDENCE, DETERMINED, StateKinematics, read_joint_values
 from spm_pin.loops.null_space import INDEPENDENT
+from spm_pin.loops.state_kinematics import DEPENDENCE, DETERMINED, StateKinematics, read_joint_values
 from spm_pin.mechanism.arguments import FloatArray
 
 NEIGHBOURS = (0.02, 0.05, 0.1) * 4

@@ -16,8 +16,9 @@ from scipy.linalg import lapack
 
 from spm_pin.mechanism.arguments import FloatArray
 
-INDEPENDENT = 1e-11
-"""A row is independent of others if it differs from their span by more than this, relative to the largest row."""
+INDEPENDENT = 1e-9
+"""A row is independent of others if it differs from their span by more than this, relative to the largest row: the axes
+of a planar loop are parallel to no more digits than a file has."""
 
 
 class NullSpace:
