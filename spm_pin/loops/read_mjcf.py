@@ -140,7 +140,10 @@ class _Mjcf:
                 raise DescriptionError(f"{self.source}, equality {name or i}", kept, kind.name, cause)
             weld = kind == kinds.mjEQ_WELD
             if self.mujoco.mjtObj(m.eq_objtype[i]) == self.mujoco.mjtObj.mjOBJ_SITE:
-                one, other = Anchor(self.sites[first]), Anchor(self.sites[second])
+                # By bodies, so that two points on the same bodies are seen as such.
+                poses = [_pose(m.site_pos[k], m.site_quat[k]) for k in (first, second)]
+                carriers = [self.bodies[m.site_bodyid[k]] or "universe" for k in (first, second)]
+                one, other = (Anchor(body, pose) for body, pose in zip(carriers, poses, strict=True))
             else:
                 frames = [self.bodies[k] or "universe" for k in (first, second)]
                 places = [place(data[:3]), place(data[3:6])]
