@@ -38,8 +38,9 @@ CLOSING_STEPS = 10
 """Newton's steps back onto the closures; one is the rule."""
 CLOSED = 1e-14
 """Gap, relative to the loops, or Newton's step, relative to the joints' units, after which loops are closed."""
-LEAST_CONSTRAINED = 1e-5
-"""Independence of the rows, as `NullSpace.sigma`, at which a run ends: the forces of closures grow as its inverse."""
+LEAST_CONSTRAINED, LEAST_SHARE = 1e-5, 1e-2
+"""Independence of the rows, as `NullSpace.sigma`, at which a run ends: the forces of closures grow as its inverse. In
+loops that are nearly dependent at the start, this share of what it is there."""
 
 
 class SimulationEnd(enum.StrEnum):
@@ -76,10 +77,13 @@ class LoopMotion:
     """Largest residual of a closure or joint equality, relative to the size of its loop, shape (k,)."""
     end: SimulationEnd
     """Why it ended there."""
+    detail: str
+    """What stopped a run that is not complete; else empty."""
 
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
-        return f"<LoopMotion: {self.times.size} times to {last}, {self.end}>"
+        detail = f": {self.detail}" if self.detail else ""
+        return f"<LoopMotion: {self.times.size} times to {last}, {self.end}{detail}>"
 
     @property
     def complete(self) -> bool:
@@ -108,7 +112,8 @@ def simulate(
     """Return the motion from q (nq,) and v (nv,) under actuators, gravity and wrenches.
 
     By SciPy's DOP853 with projection onto the closures after each step. It ends early at a singularity of the loops,
-    and where velocities or forces have no bound; `end` of the result says so. Limits of joints play no part.
+    and where velocities or forces have no bound; `end` and `detail` of the result say so. Singularities are looked for
+    where rates are computed: a motion goes straight on through one that is between. Limits of joints play no part.
 
     Parameters
     ----------
@@ -159,7 +164,7 @@ def simulate(
         if end is not SimulationEnd.COMPLETE:
             break
     report("simulation", 1000, 1000)
-    columns: list[Any] = [*map(np.array, zip(*run.records, strict=True)), end]
+    columns: list[Any] = [*map(np.array, zip(*run.records, strict=True)), end, run.detail]
     return LoopMotion(*columns)
 
 
@@ -199,6 +204,8 @@ class _Run:
         self._chain, self._kinematics = chain, StateKinematics(chain)
         self._kinematics.rank = state.kinematics.space.rank
         self._loads, self._tolerance = loads, tolerance
+        self._least_sigma = min(LEAST_CONSTRAINED, LEAST_SHARE * state.kinematics.space.sigma)
+        self.detail = ""
         self._nq, self._is_flat = chain.model.nq, chain.model.nq == chain.model.nv
         self.records: list[tuple[Any, ...]] = []  # what is recorded: the first fields of `LoopMotion`
 
@@ -228,7 +235,7 @@ class _Run:
         """Return y with q closed, and v admissible: a move of the size of the step's error."""
         kinematics, (q, v) = self._kinematics, self.parts(y)
         if not largest(y) < LARGEST_RATE:
-            raise _UnboundedRateError
+            raise _UnboundedRateError("velocities, accelerations or power above 1e100")
         for _ in range(CLOSING_STEPS):
             kinematics.evaluate(q)
             if kinematics.widest_gap <= CLOSED:
@@ -239,7 +246,7 @@ class _Run:
                 kinematics.evaluate(q)
                 break
         kinematics.check_closed()
-        if kinematics.space.rank and not kinematics.space.sigma > LEAST_CONSTRAINED:
+        if kinematics.space.rank and not kinematics.space.sigma > self._least_sigma:
             raise SingularConfigurationError("constraint", kinematics.space.sigma)
         basis, mass = kinematics.space.basis, kinematics.mass_matrix()
         if basis.shape[1]:
@@ -260,7 +267,7 @@ class _Run:
             along = v if self._is_flat else pin.tangentMap(model, q) @ v
             rates = np.concatenate([along, a, [power]])
             if not largest(rates) < LARGEST_RATE:
-                raise _UnboundedRateError
+                raise _UnboundedRateError("velocities, accelerations or power above 1e100")
             return rates
 
         waiting = 0
@@ -269,6 +276,7 @@ class _Run:
             while solver.status == "running":
                 # It returns a message where its status becomes "failed".
                 if solver.step() is not None:
+                    self.detail = "no step is short enough"
                     return y, SimulationEnd.STALLED
                 # Of the step as it was, before its end is moved onto the closures.
                 dense, t = solver.dense_output(), float(solver.t)
@@ -280,8 +288,10 @@ class _Run:
                 y = closed
                 solver.y, solver.f = closed, rate(t, closed)
                 tell(t)
-        except (_UnboundedRateError, ClosureError):
+        except (_UnboundedRateError, ClosureError) as error:
+            self.detail = str(error)
             return y, SimulationEnd.STALLED
-        except SingularConfigurationError:
+        except SingularConfigurationError as error:
+            self.detail = str(error)
             return y, SimulationEnd.SINGULARITY
         return y, SimulationEnd.COMPLETE

@@ -91,6 +91,9 @@ def mobility(chain: Any, q: npt.ArrayLike) -> Mobility:
     left_driven, sizes, right = np.linalg.svd(driven)
     rank = int((sizes > DETERMINED).sum())
     repeated = np.abs(left_driven[:, rank:]).max(axis=1, initial=0.0) > DETERMINED
+    # Some joints stand still for a moment, as at a dead centre.
+    nearby = [basis, *_nearby(chain, values, basis)]
+    moving = {name for near in nearby for name in _moving(chain.model, near / kinematics.units[:, None])}
     return Mobility(
         dof=basis.shape[1],
         rows=len(kinematics.labels),
@@ -102,8 +105,8 @@ def mobility(chain: Any, q: npt.ArrayLike) -> Mobility:
         redundant=tuple(
             name for name, is_repeated in zip(chain.actuated, repeated.tolist(), strict=True) if is_repeated
         ),
-        locked=_others(chain.model, _moving(chain.model, scaled)),
-        regular_dof=_regular_dof(chain, kinematics, basis),
+        locked=tuple(name for name in chain.joint_names if name not in moving),
+        regular_dof=min(near.shape[1] for near in nearby),
     )
 
 
@@ -127,10 +130,6 @@ def _moving(model: Any, scaled: FloatArray) -> list[str]:
     return [name for name, j in joints if sizes[j.idx_v : j.idx_v + j.nv].max() > DETERMINED]
 
 
-def _others(model: Any, names: list[str]) -> tuple[str, ...]:
-    return tuple(name for name in list(model.names)[1:] if name not in names)
-
-
 _REGULAR: WeakKeyDictionary[Any, int] = WeakKeyDictionary()
 """Degrees of freedom of chains at regular configurations."""
 
@@ -142,18 +141,17 @@ def check_regular(chain: Any, kinematics: StateKinematics) -> None:
     # Where all rows are independent there is none.
     if space.rank == len(kinematics.labels) or dof <= _REGULAR.get(chain, -1):
         return
-    other = StateKinematics(chain)
-    other.evaluate(kinematics.q)
-    _REGULAR[chain] = _regular_dof(chain, other, space.basis)
+    _REGULAR[chain] = min([dof, *(near.shape[1] for near in _nearby(chain, kinematics.q, space.basis))])
     if dof > _REGULAR[chain]:
         raise SingularConfigurationError("constraint", space.least)
 
 
-def _regular_dof(chain: Any, kinematics: StateKinematics, basis: FloatArray) -> int:
-    """Return the least number of degrees of freedom at closed configurations nearby; where none is found, that at q."""
-    least, count, q, rng = int(basis.shape[1]), 0, kinematics.q, np.random.default_rng(0)
+def _nearby(chain: Any, q: FloatArray, basis: FloatArray) -> list[FloatArray]:
+    """Return the admissible velocities (nv, any) at some closed configurations near q, of those at q (nv, dof)."""
+    bases: list[FloatArray] = []
+    kinematics, rng = StateKinematics(chain), np.random.default_rng(0)
     held = chain.indices_in_q(*chain.held)
-    for size in NEIGHBOURS if least else ():
+    for size in NEIGHBOURS if basis.shape[1] else ():
         direction = basis @ rng.normal(size=basis.shape[1])
         guess = pin.integrate(chain.model, q, size * direction / np.abs(direction / kinematics.units).max())
         guess[held] = q[held]
@@ -163,7 +161,7 @@ def _regular_dof(chain: Any, kinematics: StateKinematics, basis: FloatArray) -> 
             continue
         if np.abs(pin.difference(chain.model, q, near) / kinematics.units).max() >= 0.25 * size:
             kinematics.evaluate(near)
-            least, count = min(least, int(_spaces(kinematics)[1].shape[1])), count + 1
-            if count == ENOUGH:
+            bases.append(_spaces(kinematics)[1])
+            if len(bases) == ENOUGH:
                 break
-    return least
+    return bases

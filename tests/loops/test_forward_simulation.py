@@ -100,6 +100,25 @@ def test_a_run_ends_where_nothing_is_bounded() -> None:
     motion = simulate(chain, q, v, lambda t, q, v: 1e3 * v[:1] ** 3, [0.0, 10.0])
     assert motion.end is SimulationEnd.STALLED
     assert motion.times.tolist() == [0.0]
+    assert motion.detail
+
+
+def test_a_parallelogram_becomes_flat() -> None:
+    """There it could go on in two ways: a run ends if it looks there, and else goes straight on in its mode.
+
+    Without gravity in its plane it moves at a constant rate, and is flat after 0.1 s.
+    """
+    chain = mechanism("parallelogram")
+    q = chain.close([0.3, -0.3, 0.3, 0.3])
+    v = chain.state(q).joint_rates([-3.0] * 3)
+    motion = simulate(chain, q, v, None, [0.0, 0.05, 0.1, 0.2])
+    assert motion.end is SimulationEnd.SINGULARITY
+    assert motion.times.tolist() == [0.0, 0.05]
+    assert "singularity" in motion.detail
+    motion = simulate(chain, q, v, None, [0.0, 0.13, 0.2])
+    assert motion.complete
+    assert motion.q[:, 2] == pytest.approx(0.3 - 3.0 * motion.times, abs=1e-8)
+    assert np.abs(motion.energy_error).max() <= 1e-8 * motion.kinetic.max()
 
 
 def test_bad_input_is_refused() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -10,6 +12,7 @@ from loops.mechanisms import MAKERS, Tree, at, mechanism, rotation, states
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import Anchor, Closure
+from spm_pin.loops.read_sdf import read_sdf
 
 KNOWN = {
     # Degrees of freedom, equations, rank, driven ones.
@@ -81,6 +84,51 @@ def test_a_singularity_of_the_loops_is_told_from_dependent_equations() -> None:
     with pytest.raises(SingularConfigurationError) as raised:
         chain.state(np.zeros(4)).forward_dynamics(np.zeros(3))
     assert raised.value.kind == "constraint"
+
+
+EXAMPLES = {"four_bar": 1, "five_bar": 2, "ankle": 2, "delta": 3, "tricept": 5, "stewart": 6}
+EXAMPLES |= dict.fromkeys(("two_3rps", "two_3spr", "two_3upu"), 6)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_robots_of_the_examples_are_fully_driven(name: str) -> None:
+    """At their rest pose as well, where some joints stand still for a moment."""
+    pytest.importorskip("mujoco")
+    chain = ClosedChain.from_mjcf(Path(__file__).parents[2] / "examples" / "robots" / f"{name}.xml")
+    found = chain.mobility(chain.close())
+    assert (found.dof, found.actuated_rank, found.actuators) == (EXAMPLES[name],) * 3
+    assert found.is_fully_driven
+    assert not found.is_singular
+    assert found.undriven == found.redundant == found.locked == ()
+    tau = np.arange(1.0, 1.0 + found.actuators)
+    state = chain.state(chain.close())
+    assert state.inverse_dynamics(state.forward_dynamics(tau)) == pytest.approx(tau, rel=1e-10)
+
+
+CASSIE = {
+    "cassie_reduced": (11, 12, 12, 8),
+    "cassie_wo_gearbox_spring": (13, 16, 14, 10),
+    "cassie_v2": (18, 12, 10, 10),
+}
+
+
+@pytest.mark.parametrize("name", CASSIE)
+def test_published_files_have_their_faults(name: str) -> None:
+    """Of two Cassies, the planar loops repeat an equation each; in the third they lock both feet."""
+    data = pytest.importorskip("example_robot_data")
+    robot = read_sdf(
+        data.getModelPath(f"cassie_description/robots/{name}.sdf") + f"/cassie_description/robots/{name}.sdf"
+    )
+    motors = [f"{side}-{motor}-op" for side in ("left", "right") for motor in ("roll", "yaw", "pitch", "knee", "foot")]
+    chain = ClosedChain(robot.model, robot.closures, motors, equalities=robot.equalities, q0=robot.q0)
+    found = chain.mobility(chain.close())
+    assert (found.dof, found.rows, found.rank, found.actuated_rank) == CASSIE[name]
+    assert not found.is_singular
+    is_locked = name == "cassie_reduced"
+    assert found.redundant == (("left-foot-op", "right-foot-op") if is_locked else ())
+    assert set(found.redundant) <= set(found.locked)
+    planar = {} if is_locked else {"left-plantar-foot-joint": 1, "right-plantar-foot-joint": 1}
+    assert found.dependent == planar
 
 
 def test_the_text_says_what_is_wrong() -> None:
