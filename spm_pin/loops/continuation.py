@@ -60,7 +60,8 @@ product of the distances from all five, over 5!: parts of c and of its fifth der
 CUBIC = 8.1e-3
 """The same of three distances, over 3!, for what a parabola through 0, 1/2 and 1 leaves of J; where it is zero in the
 middle, it is nowhere larger than at the ends."""
-MOST_BOXES = 8
+MOST_BOXES, HOPELESS = 8, 3.0
+"""Boxes tried, and their largest radius, dimensionless; at turns of 9 rad in all bounds are far beyond it."""
 
 
 def same(function: Any) -> Any:
@@ -125,7 +126,7 @@ def make_follower(
                     total += speed * a * monomial(all_u, a - 1, all_w, b) * u[j]
                     total += speed * b * monomial(all_u, a, all_w, b - 1) * w[j]
             power = monomial(all_u, a, all_w, b)
-            found[k, 0], found[k, 1] = total + np.exp(reach * all_u + all_w) * motion * power, power
+            found[k, 0], found[k, 1] = total + np.exp(min(reach * all_u + all_w, 9.0)) * motion * power, power
         return found
 
     @jit
@@ -138,12 +139,15 @@ def make_follower(
         """Return sizes (2, p, closures) of the parts of A that multiply positions and angles of each closure."""
         count, loops = len(problem.columns), len(problem.first_rows)
         sizes = np.zeros((2, count, loops))
-        for k in range(loops):
-            first = problem.first_rows[k]
-            between, last = first + problem.position_counts[k], first + problem.row_counts[k]
-            for i in range(count):
-                sizes[0, i, k] = np.sqrt((inverse[i, first:between] ** 2).sum())
-                sizes[1, i, k] = np.abs(inverse[i, between:last]).sum()
+        for i in range(count):
+            for k in range(loops):
+                first, squares = problem.first_rows[k], 0.0
+                between = first + problem.position_counts[k]
+                for row in range(first, between):
+                    squares += inverse[i, row] * inverse[i, row]
+                sizes[0, i, k] = np.sqrt(squares)
+                for row in range(between, first + problem.row_counts[k]):
+                    sizes[1, i, k] += abs(inverse[i, row])
         return sizes
 
     @jit
@@ -153,18 +157,18 @@ def make_follower(
         `change` bounds |A J - 1| on the chord, beside what `weight` times derivatives along u, `power` times, add.
         """
         w, radii, fits = np.zeros(len(u)), 1.5 * eta + 0.01 * eta.max(), False
-        linear, square = radii, radii
+        linear, square, last = radii, radii, np.inf
         for _ in range(MOST_BOXES):
             for i in range(len(radii)):
                 w[problem.columns[i]] = radii[i]
             linear = change @ radii + weight * spread(sizes, bounds(problem, speeds, turns, u, w, power, 1, reach))
             square = spread(sizes, bounds(problem, speeds, turns, u, w, 0, 2, reach))
             total = eta + linear + square
-            if not total.max() < 1.0:
+            used = (total / radii).max()
+            fits = used <= 1.0
+            if fits or not used < last or not total.max() < HOPELESS:
                 break
-            if (total <= radii).all():
-                fits = True
-                break
+            last = used
             radii = 1.2 * total
         # Parts of the inequality that grow with the length of the step and its square, where most is used.
         k = ((linear + square) / radii).argmax()

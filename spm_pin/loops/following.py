@@ -246,7 +246,7 @@ class Follower:
         return ClosureError(gap, steps, cause, problem.kinematics.open_closures(q)[2])
 
     def _freedoms(self, q: FloatArray) -> int:
-        """Return the degrees of freedom of what moves, at closed joint values q or, if more rows count there, near q."""
+        """Return the degrees of freedom of what moves, at closed q or, if more rows count there, near q."""
         kinematics, random, model = LoopKinematics(self.chain.rows), np.random.default_rng(0), self.chain.model
         rank = _rank(kinematics.linearised(q).jacobian[:, self._movable])
         for _ in range(3):

@@ -147,14 +147,14 @@ def _vector(array, k):  # type: ignore[no-untyped-def]
 @inlined
 def _matrix(array, k):  # type: ignore[no-untyped-def]
     """Return a rotation matrix, row by row, of the first nine numbers of a row."""
-    a = array[k]
-    return a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8]
+    m = array
+    return m[k, 0], m[k, 1], m[k, 2], m[k, 3], m[k, 4], m[k, 5], m[k, 6], m[k, 7], m[k, 8]
 
 
 @inlined
 def _put(matrix, array, k):  # type: ignore[no-untyped-def]
-    a = array[k]
-    a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8] = matrix
+    for i in range(9):
+        array[k, i] = matrix[i]
 
 
 @inlined
@@ -234,7 +234,7 @@ def _of_quaternion(x, y, z, w):  # type: ignore[no-untyped-def]
     )
 
 
-@jit
+@inlined
 def _placed(tree, q):  # type: ignore[no-untyped-def]
     """Return rotation matrices (joints, 9) and origins (joints, 3) of the joints' frames in the world."""
     count = len(tree.kinds)
@@ -267,24 +267,17 @@ def _placed(tree, q):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _end(tree, rotations, origins, loop, which):  # type: ignore[no-untyped-def]
-    """Return where frame 1 or 2 of a closure is in the world: its rotation matrix and its origin."""
-    joint, end = tree.ends[loop, which], 2 * loop + which
-    rotation, place = _matrix(tree.end_rotations, end), _vector(tree.end_places, end)
-    if joint >= 0:
-        carrier = _matrix(rotations, joint)
-        place = _sum(_times(carrier, place), _vector(origins, joint))
-        rotation = _product(carrier, rotation)
-    return rotation, place
+def _axes(tree, rotations, loop, which):  # type: ignore[no-untyped-def]
+    """Return the rotation matrix of frame 1 or 2 of a closure in the world."""
+    joint, own = tree.ends[loop, which], _matrix(tree.end_rotations, 2 * loop + which)
+    return _product(_matrix(rotations, joint), own) if joint >= 0 else own
 
 
 @inlined
-def _relative(tree, rotations, origins, loop):  # type: ignore[no-untyped-def]
-    """Return R1ᵀ, p2, R1ᵀ (p2 - p1) and R of a closure."""
-    first, p1 = _end(tree, rotations, origins, loop, 0)
-    second, p2 = _end(tree, rotations, origins, loop, 1)
-    axes = _transposed(first)
-    return axes, p2, _times(axes, (p2[0] - p1[0], p2[1] - p1[1], p2[2] - p1[2])), _product(axes, second)
+def _point(tree, rotations, origins, loop, which):  # type: ignore[no-untyped-def]
+    """Return the origin of frame 1 or 2 of a closure in the world."""
+    joint, own = tree.ends[loop, which], _vector(tree.end_places, 2 * loop + which)
+    return _sum(_times(_matrix(rotations, joint), own), _vector(origins, joint)) if joint >= 0 else own
 
 
 @inlined
@@ -340,7 +333,7 @@ def _aim_pose(tree, s):  # type: ignore[no-untyped-def]
     _put(_product(_matrix(tree.frame_rotation, 0), _transposed(rotation)), tree.end_rotations, end + 1)
 
 
-@jit
+@inlined
 def _equalities(tree, q, c):  # type: ignore[no-untyped-def]
     first = len(tree.forms)
     for k in range(len(tree.zeros)):
@@ -360,7 +353,10 @@ def _residual(tree, q, s):  # type: ignore[no-untyped-def]
     rotations, origins = _placed(tree, q)
     c, row = np.empty(len(tree.row_units)), 0
     for loop in range(len(tree.ends)):
-        _, _, gap, r = _relative(tree, rotations, origins, loop)
+        axes = _transposed(_axes(tree, rotations, loop, 0))
+        r = _product(axes, _axes(tree, rotations, loop, 1))
+        p2 = _point(tree, rotations, origins, loop, 1)
+        gap = _times(axes, _sum(p2, _scaled(_point(tree, rotations, origins, loop, 0), -1.0)))
         for _ in range(tree.row_counts[loop]):
             c[row] = _left_side(tree.forms[row], gap, r) / tree.row_units[row]
             row += 1
@@ -378,7 +374,10 @@ def _linearised(tree, q, s):  # type: ignore[no-untyped-def]
     speeds, turns = np.zeros((loops, nv)), np.zeros((loops, nv))
     start = 0
     for loop in range(loops):
-        axes, p2, gap, r = _relative(tree, rotations, origins, loop)
+        axes = _transposed(_axes(tree, rotations, loop, 0))
+        r = _product(axes, _axes(tree, rotations, loop, 1))
+        p2 = _point(tree, rotations, origins, loop, 1)
+        gap = _times(axes, _sum(p2, _scaled(_point(tree, rotations, origins, loop, 0), -1.0)))
         end = start + tree.row_counts[loop]
         for row in range(start, end):
             c[row] = _left_side(tree.forms[row], gap, r) / tree.row_units[row]
