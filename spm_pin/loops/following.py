@@ -155,6 +155,8 @@ class Follower:
             if joint.shortname() == "JointModelFreeFlyer" and not moves[columns].any():
                 unknown[columns] = False
         self.frame = frame
+        # Numbers of a target: a matrix (4, 4), or values.
+        self._width = len(chain.actuated) if frame is None else 16
         self.columns = np.flatnonzero(unknown)
         # All that moves on the way.
         self._movable = np.union1d(self.columns, chain.actuated_in_v) if frame is None else self.columns
@@ -191,7 +193,7 @@ class Follower:
         starts, k, status, done, steps = np.array(starts, order="C", ndmin=2), 0, 0, 1.0, 0
         kernel = _kernel() if len(targets) > FEW else sys.modules.get(f"{__package__}.tree_kernel")
         if kernel is not None and (kernel.run.is_loaded or len(targets) > FEW):
-            aims = np.array(targets, order="C").reshape(len(targets), -1)
+            aims = np.array(targets, order="C").reshape(len(targets), self._width)
             k, status, done, steps = kernel.run(self._tree(kernel), starts, aims, is_path, results)
         else:
             problem, q = self.problem(), starts[0]
@@ -204,6 +206,14 @@ class Follower:
         if status:
             raise self.explained(results[k], k, status, done, steps, targets[k])
         return results
+
+    def compile(self) -> None:
+        """Compile the kernel, or load it."""
+        empty = np.zeros((0, self._width))
+        kernel = _kernel()
+        kernel.run(
+            self._tree(kernel), np.array(self.chain.q0, ndmin=2), empty, True, np.zeros((0, self.chain.model.nq))
+        )
 
     def _tree(self, kernel: Any) -> Any:
         """Return the problem of this thread as arrays."""

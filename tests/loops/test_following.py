@@ -248,6 +248,16 @@ def test_copies_and_threads_answer_alike() -> None:
         assert_array_equal(result, expected[k::4])
 
 
+def test_empty_batches_have_empty_results() -> None:
+    chain = five_bar()
+    assert chain.forward(np.zeros((0, 2)), chain.q0).shape == (0, 4)
+    assert chain.forward(np.zeros((3, 0, 2)), np.zeros((3, 0, 4))).shape == (3, 0, 4)
+    chain.compile()
+    assert chain.forward(np.zeros((0, 2)), chain.q0).shape == (0, 4)
+    passive = ClosedChain(chain.model, chain.closures, [], held=["left", "right"], q0=chain.q0)
+    assert_allclose(passive.forward(np.zeros((2, 0)), chain.q0), [chain.q0] * 2, atol=1e-14)
+
+
 def test_model_is_a_copy() -> None:
     chain = five_bar()
     model = chain.model.copy()
