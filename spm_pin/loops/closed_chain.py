@@ -19,7 +19,10 @@ from spm_pin.loops.assembly import assemble
 from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
 from spm_pin.loops.constraint_rows import ConstraintRows, LoopKinematics
 from spm_pin.loops.following import Follower
+from spm_pin.loops.forward_simulation import LoopMotion, simulate
 from spm_pin.loops.links import find_frame
+from spm_pin.loops.loop_state import LoopState
+from spm_pin.loops.mobility import Mobility, mobility
 from spm_pin.mechanism.arguments import FloatArray, IntArray, broadcastable, real_array
 
 
@@ -239,25 +242,21 @@ class ClosedChain:
         """
         self._follower(None, ()).compile()
 
-    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Any:
+    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> LoopState:
         """Return the `LoopState` at joint values q (..., nq) and velocities v (..., nv), zero by default."""
-        from spm_pin.loops.loop_state import LoopState
-
         return LoopState(self, q, v)
 
-    def mobility(self, q: npt.ArrayLike) -> Any:
+    def mobility(self, q: npt.ArrayLike) -> Mobility:
         """Return degrees of freedom, dependent equations and joints that are not driven at a closed q (nq,)."""
-        from spm_pin.loops.mobility import mobility
-
         return mobility(self, q)
 
-    def simulate(self, q: npt.ArrayLike, v: npt.ArrayLike, tau: Any, times: npt.ArrayLike, **options: Any) -> Any:
+    def simulate(
+        self, q: npt.ArrayLike, v: npt.ArrayLike, tau: Any, times: npt.ArrayLike, **options: Any
+    ) -> LoopMotion:
         """Return the motion from q (nq,) and v (nv,) under actuator forces `tau`, a `LoopMotion`.
 
         Options, such as `wrenches` and `period`, are those of `spm_pin.loops.forward_simulation.simulate`.
         """
-        from spm_pin.loops.forward_simulation import simulate
-
         return simulate(self, q, v, tau, times, **options)
 
     def _read_q(self, q: npt.ArrayLike, argument: str, *, single: bool = False) -> FloatArray:
