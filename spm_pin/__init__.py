@@ -5,7 +5,8 @@ names of everyday use are here. All else is in public modules: `spm_pin.mechanis
 states), `spm_pin.kinematics` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
 `spm_pin.capability`, `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.symbolic`, `spm_pin.arrays` (JAX and others),
 `spm_pin.multibody` (the robot in Pinocchio), `spm_pin.motion`, `spm_pin.design`, `spm_pin.nlp`, `spm_pin.crosscheck`,
-`spm_pin.description` (URDF, MJCF, SDFormat), `spm_pin.display` (pictures, viewer) and `spm_pin.errors`.
+`spm_pin.description` (URDF, MJCF, SDFormat), `spm_pin.display` (pictures, viewer) and `spm_pin.errors`. Any other robot
+with closed loops is a chain of `spm_pin.loops`.
 """
 
 from importlib import import_module
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from spm_pin import display as display
     from spm_pin import errors as errors
     from spm_pin import kinematics as kinematics
+    from spm_pin import loops as loops
     from spm_pin import mechanism as mechanism
     from spm_pin import motion as motion
     from spm_pin import multibody as multibody
@@ -84,7 +86,8 @@ __all__ += ["plan", "set_threads", "threads", "time_optimal"]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"calibration", "kinematics", "crosscheck", "errors", "mechanism", "motion", "multibody", "nlp", "proofs"}
-_MODULES |= {"arrays", "capability", "description", "design", "display", "stages", "sweeps", "symbolic", "workspace"}
+_MODULES |= {"arrays", "capability", "description", "design", "display", "loops", "stages", "sweeps", "symbolic"}
+_MODULES |= {"workspace"}
 _HOMES = ("errors", "mechanism", "kinematics", "proofs", "multibody", "motion")
 
 
