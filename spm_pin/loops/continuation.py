@@ -75,8 +75,8 @@ def make_follower(
     moved: Callable[..., Any],
     left_inverse: Callable[..., Any],
     jit: Callable[[Any], Any] = same,
-) -> Callable[..., Any]:
-    """Return `follow(problem, q)`, which leads from a closed q to the problem's target.
+) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Return `follow(problem, q)`, from a closed q to the problem's target, and `go_on`, which has J and A there.
 
     Parameters
     ----------
@@ -243,14 +243,12 @@ def make_follower(
         return safe, tried, at_end, new, size, factor
 
     @jit
-    def follow(problem, q):  # type: ignore[no-untyped-def]
-        """Return q at the end of the path, or as far as it leads, the status, the share of the path, and the steps."""
-        c, jacobian, _, _ = linearised(problem, q, 0.0)
-        if len(c) > 0 and not np.abs(c).max() <= ROUNDED:
-            return q, OPEN_START, 0.0, 0
-        inverse, regular = left_inverse(jacobian)
-        if not regular:
-            return q, SINGULAR_START, 0.0, 0
+    def go_on(problem, q, jacobian, inverse):  # type: ignore[no-untyped-def]
+        """Return q, J and A at the end of the path, or as far as it leads, the status, the share, and the steps.
+
+        J and A at its start are known. Where the next path leads to other values of driven joints, they are those that
+        this path ends with.
+        """
         done, share, steps = 0.0, 1.0, 0
         while done < 1.0:
             end = done + share
@@ -264,8 +262,19 @@ def make_follower(
                 continue
             share *= max(0.1, min(0.7, factor)) if factor == factor else 0.1
             if share < SHORTEST_SHARE or size < SHORTEST_STEP:
-                return q, NO_FURTHER, done, steps
-        return q, DONE, done, steps
+                return q, jacobian, inverse, NO_FURTHER, done, steps
+        return q, jacobian, inverse, DONE, done, steps
 
-    following: Callable[..., Any] = follow
-    return following
+    @jit
+    def follow(problem, q):  # type: ignore[no-untyped-def]
+        """Return q at the end of the path, or as far as it leads, the status, the share of the path, and the steps."""
+        c, jacobian, _, _ = linearised(problem, q, 0.0)
+        if len(c) > 0 and not np.abs(c).max() <= ROUNDED:
+            return q, OPEN_START, 0.0, 0
+        inverse, regular = left_inverse(jacobian)
+        if not regular:
+            return q, SINGULAR_START, 0.0, 0
+        q, _, _, status, done, steps = go_on(problem, q, jacobian, inverse)
+        return q, status, done, steps
+
+    return follow, go_on

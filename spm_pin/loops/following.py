@@ -126,7 +126,7 @@ def left_inverse(jacobian: FloatArray) -> tuple[FloatArray, bool]:
     return np.asarray(lapack.dpotrs(factor, jacobian.T)[0]), True
 
 
-follow = make_follower(residual, linearised, moved, left_inverse)
+follow, _ = make_follower(residual, linearised, moved, left_inverse)
 
 
 def _kernel() -> Any:
@@ -252,8 +252,11 @@ class Follower:
         where += f" to member {k}" if k else ""
         cause = f"{where}: a singularity, or the end of this assembly mode"
         cause += f". Not determined there: {listed}" if listed else ""
-        gap = float(np.abs(residual(problem, q, 1.0) * self.rows.row_units).max(initial=0.0))
-        return ClosureError(gap, steps, cause, problem.kinematics.open_closures(q)[2])
+        # How open the loops, or how far the pose, would be with the target from here.
+        there = moved(problem, q, 1.0, np.zeros(len(self.columns)))
+        residual(problem, there, 1.0)
+        gaps, _, loop = problem.kinematics.open_closures(there)
+        return ClosureError(float(gaps.max(initial=0.0)), steps, cause, loop)
 
     def _freedoms(self, q: FloatArray) -> int:
         """Return the degrees of freedom of what moves, at closed q or, if more rows count there, near q."""

@@ -556,17 +556,25 @@ def _aim(tree, q, target):  # type: ignore[no-untyped-def]
     tree.pose_turn[0] = _norm(tree.turn)
 
 
-_follow = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, jit)
+_follow, _go_on = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, jit)
 
 
 def _run(tree, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
     """Write q of all targets; return the number of those reached, and the status, share and steps of the last path."""
-    q = starts[0]
+    q, status, done, steps = starts[0], continuation.DONE, 1.0, 0
+    jacobian = np.empty((0, 0))
+    inverse = jacobian
     for k in range(len(targets)):
         if not is_path:
             q = starts[k]
         _aim(tree, q, targets[k])
-        q, status, done, steps = _follow(tree, q)
+        if k > 0 and is_path and tree.pose < 0:
+            q, jacobian, inverse, status, done, steps = _go_on(tree, q, jacobian, inverse)
+        else:
+            q, status, done, steps = _follow(tree, q)
+            if is_path and tree.pose < 0 and status == continuation.DONE:
+                _, jacobian, _, _ = _linearised(tree, q, 1.0)
+                inverse, _ = _left_inverse(jacobian)
         results[k] = q
         if status != continuation.DONE:
             return k, status, done, steps
