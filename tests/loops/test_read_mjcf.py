@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -197,3 +198,30 @@ def test_actuators_that_are_named_are_not_read(robot: RobotDescription) -> None:
     with pytest.raises(DescriptionError) as caught:
         read_mjcf(EVERYTHING, actuated=["shoulder"])
     assert caught.value.received == "'shoulder'"
+
+
+def test_without_any_of_its_elements_a_file_is_read_or_refused() -> None:
+    whole = ElementTree.fromstring(EVERYTHING)
+    refused = 0
+    parents = {child: parent for parent in whole.iter() for child in parent}
+    for element, parent in parents.items():
+        at = list(parent).index(element)
+        parent.remove(element)
+        try:
+            read_mjcf(ElementTree.tostring(whole, encoding="unicode"))
+        except DescriptionError:
+            refused += 1
+        parent.insert(at, element)
+    assert 0 < refused < len(parents)
+
+
+def test_two_points_on_an_axis_are_a_hinge() -> None:
+    text = """<mujoco><worldbody><body name="a"><joint/><geom size=".1"/></body>
+      <body name="b" pos="0 1 0"><joint axis="1 0 0"/><geom size=".1"/></body></worldbody>
+      <equality><connect name="pin" body1="a" body2="b" anchor=".1 0 0"/>
+      <connect body1="a" body2="b" anchor=".1 .3 .4"/></equality></mujoco>"""
+    (closure,) = read_mjcf(text).closures
+    assert (closure.kind, closure.name) == ("hinge", "pin")
+    for anchor, origin in ((closure.first, [0.1, 0.0, 0.0]), (closure.second, [0.1, -1.0, 0.0])):
+        np.testing.assert_allclose(anchor.placement.translation, origin, atol=1e-15)
+        np.testing.assert_allclose(anchor.placement.rotation[:, 2], [0.0, 0.6, 0.8], atol=1e-15)
