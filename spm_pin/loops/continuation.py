@@ -54,6 +54,8 @@ CLOSED, ROUNDED = 1e-10, 1e-9
 """Loops are closed if their equations, dimensionless, hold to `CLOSED`; mostly they do so to rounding, a few 1e-16. At
 the start of a path, joint values that were rounded are taken for closed to `ROUNDED`."""
 ROUNDING = 1e-15
+REGULAR = 1e-7
+"""Smallest pivot of a Jacobian of full rank, relative to the largest."""
 INNER, QUINTIC = 1.87, 3.0e-5
 """Largest value of a polynomial of degree four that is zero at 0 and 1 and at most 1 in the quarters, and of the
 product of the distances from all five, over 5!: parts of c and of its fifth derivative."""

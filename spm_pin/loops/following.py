@@ -16,11 +16,9 @@ from scipy.linalg import lapack
 from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.loops.assembly import assemble
 from spm_pin.loops.constraint_rows import FORMS, ROTATION, ConstraintRows, LoopKinematics
-from spm_pin.loops.continuation import OPEN_START, SINGULAR_START, make_follower
+from spm_pin.loops.continuation import OPEN_START, REGULAR, SINGULAR_START, make_follower
 from spm_pin.mechanism.arguments import BoolArray, FloatArray, IntArray
 
-REGULAR = 1e-7
-"""Smallest pivot of a Jacobian of full rank, relative to the largest."""
 FEW = 64
 """Targets that Pinocchio and NumPy answer, each in about a millisecond, while the kernel is not loaded: that takes half
 a second, or 20 s where it has to be compiled."""

@@ -22,7 +22,6 @@ from numba.extending import register_jitable
 
 from spm_pin.loops import continuation
 from spm_pin.loops.constraint_rows import FORMS
-from spm_pin.loops.following import REGULAR, Problem
 from spm_pin.mechanism.arguments import FloatArray, IntArray
 
 HINGE, SLIDE, UNBOUNDED, BALL, FREE, TRANSLATION, PLANAR = range(7)
@@ -80,8 +79,8 @@ class Tree(NamedTuple):
     pose_places: FloatArray
 
 
-def tree_of(problem: Problem) -> Tree:
-    """Return a problem as arrays."""
+def tree_of(problem: Any) -> Tree:
+    """Return a `following.Problem` as arrays."""
     rows, joints = problem.rows, list(problem.rows.model.joints)[1:]
     linear, angular = rows.screws
     placements = [rows.model.jointPlacements[joint.id] for joint in joints]
@@ -501,7 +500,7 @@ def _left_inverse(jacobian):  # type: ignore[no-untyped-def]
             else:
                 return inverse, False
     for i in range(columns):
-        if not factor[i, i] > REGULAR * largest:
+        if not factor[i, i] > continuation.REGULAR * largest:
             return inverse, False
     for i in range(columns):
         for j in range(i):
