@@ -6,7 +6,8 @@ states), `spm_pin.kinematics` (branches, assembly modes, singularities, paths), 
 `spm_pin.capability`, `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.casadi`, `spm_pin.arrays` (JAX and others),
 `spm_pin.multibody` (the robot in Pinocchio), `spm_pin.motion`, `spm_pin.design`, `spm_pin.crosscheck` (methods
 compared, the paper line by line, the search by CasADi), `spm_pin.description` (URDF, MJCF, SDFormat),
-`spm_pin.export` (C, ROS 2, LinuxCNC), `spm_pin.display` (pictures, viewer) and `spm_pin.errors`.
+`spm_pin.export` (C, ROS 2, LinuxCNC), `spm_pin.display` (pictures, viewer) and `spm_pin.errors`. Any other robot with
+closed loops is a chain of `spm_pin.loops`.
 """
 
 from importlib import import_module
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from spm_pin import errors as errors
     from spm_pin import export as export
     from spm_pin import kinematics as kinematics
+    from spm_pin import loops as loops
     from spm_pin import machine as machine
     from spm_pin import motion as motion
     from spm_pin import multibody as multibody
@@ -85,7 +87,8 @@ __all__ += ["plan", "set_threads", "threads", "time_optimal"]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"calibration", "casadi", "crosscheck", "errors", "export", "kinematics", "machine", "motion", "multibody"}
-_MODULES |= {"arrays", "capability", "description", "design", "display", "proofs", "stages", "sweeps", "workspace"}
+_MODULES |= {"arrays", "capability", "description", "design", "display", "loops", "proofs", "stages", "sweeps"}
+_MODULES |= {"workspace"}
 _HOMES = ("errors", "machine", "kinematics", "proofs", "multibody", "motion")
 
 

@@ -141,18 +141,21 @@ class SingularConfigurationError(SpmError):
         Smallest singular value of the matrix concerned, scaled to be dimensionless; of a leg its slope κ.
     index : tuple of int
         Batch index of the first such member; empty for a single configuration.
+    cause : str
+        Which joints of a chain of `spm_pin.loops` move although the actuators stand still; empty otherwise.
     """
 
-    def __init__(self, kind: str, sigma_min: float, index: tuple[int, ...] = ()) -> None:
-        self.kind, self.sigma_min, self.index = kind, sigma_min, index
+    def __init__(self, kind: str, sigma_min: float, index: tuple[int, ...] = (), cause: str = "") -> None:
+        self.kind, self.sigma_min, self.index, self.cause = kind, sigma_min, index, cause
         meaning = {
             "inverse": "the twist of the platform does not determine the leg rates",
-            "forward": "the legs do not hold the platform",
-            "constraint": "the revolute joints of a stage do not constrain its platform",
+            "forward": "the actuators do not hold the platform",
+            "constraint": "the closures do not constrain the mechanism as elsewhere",
             "leg": "the actuator of a leg does not move its ball",
         }
         where = f" at batch index {index}" if index else ""
-        super().__init__(f"{kind} singularity{where}: {meaning[kind]} (smallest singular value {sigma_min:.1e})")
+        message = f"{kind} singularity{where}: {meaning[kind]} (smallest singular value {sigma_min:.1e})"
+        super().__init__(f"{message}. {cause}" if cause else message)
 
 
 class MissingExtraError(SpmError, ImportError):
@@ -190,11 +193,14 @@ class ClosureError(SpmError):
         Largest distance of two frames that a closure should hold together, where the search ended [m].
     iterations : int
         Number of steps.
+    loop : str
+        Name of the closure that is open most, where loops have names.
     """
 
-    def __init__(self, residual: float, iterations: int, cause: str = "") -> None:
+    def __init__(self, residual: float, iterations: int, cause: str = "", loop: str = "") -> None:
         self.residual = residual
         self.iterations = iterations
         self.cause = cause
+        self.loop = loop
         message = f"the closures are still {residual:.1e} m open after {iterations} iterations"
         super().__init__(f"{message}. {cause}" if cause else message)

@@ -48,6 +48,7 @@ PUBLIC = {
     "spm_pin.calibration": "machines as built identified from measurements, and what tolerances cost",
     "spm_pin.proofs": "leg limits proved free of singularities, by interval arithmetic",
     "spm_pin.sweeps": "metrics over any number of poses or leg lengths",
+    "spm_pin.loops": "any robot with closed loops in Pinocchio: files, closing, mobility, dynamics",
     "spm_pin.multibody": "the robot in Pinocchio: states, dynamics, simulation, mounting on another robot",
     "spm_pin.motion": "paths from one state to another, and the fastest motion along them",
     "spm_pin.crosscheck.nlp": "the loop equations in CasADi, and the branches found from them by multi-start",
@@ -69,6 +70,7 @@ INTERNAL = {
     "machine": "the types of machines, states and sets of states",
     "kinematics": "solvers and kernels",
     "description": "the robot of the URDF as data, and its writers",
+    "loops": "any closed chain in Pinocchio, its readers and writers",
     "multibody": "the robot in Pinocchio, its loops closed by constraints",
     "stages": "a stage alone",
     "workspace": "the reachable set",
@@ -171,7 +173,7 @@ def _contents(found: dict[str, str]) -> str:
     """Return the tables of contents: what stands first, and then whatever else a folder holds."""
     kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
     theory = ("README", *kinematics, "literature_checks", "workspace", "reachable_set", "proofs", "as_built")
-    guides = ("ball_balancer", "gallery", "batches", "paths", "motion", "workspace", "viewer", "pipelines")
+    guides = ("ball_balancer", "gallery", "batches", "paths", "motion", "workspace", "viewer", "pipelines", "loops")
     guides += ("load_elsewhere", "controller", "microcontroller", "sweep")
     chapters = {
         "How to": _ordered(found, "howto", guides),

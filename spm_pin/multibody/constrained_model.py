@@ -444,8 +444,8 @@ class AccelerationSolver:
         for constraint in self._constraints:
             self._states.append(constraint.createData())
         pin.initConstraintDynamics(model, self._data, self._constraints, self._states)
-        # No proximal term: one step is a direct solution.
-        self._settings = pin.ProximalSettings(0.0, 0.0, 1)
+        # A direct solution is NaN where rows of the closures depend on each other; this one is as accurate elsewhere.
+        self._settings = pin.ProximalSettings(0.0, 1e-12, 20)
 
     def accelerations(self, q: FloatArray, v: FloatArray, torques: FloatArray) -> FloatArray:
         """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included."""

@@ -45,6 +45,18 @@ def test_forward_dynamics_is_the_plain_solution(name: str) -> None:
         assert error <= 1e-10 * np.abs(expected).max() / robot.state(q).singular_values().constraint
 
 
+def test_closures_that_repeat_each_other_do_not_change_the_motion() -> None:
+    from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel
+
+    robot, rng = chain(), np.random.default_rng(202)
+    repeated = ConstrainedModel(robot.model, robot.closures * 2, robot.geometry, robot.prefix)
+    for q, v in states("paper", 5, seed=203):
+        force = 500.0 * rng.normal(size=18)
+        expected = plain_accelerations(robot.model, robot.closures, q, v, force)
+        error = np.abs(AccelerationSolver(repeated).accelerations(q, v, force) - expected).max()
+        assert error <= 1e-10 * np.abs(expected).max() / robot.state(q).singular_values().constraint
+
+
 @pytest.mark.parametrize("name", ["paper", "as built"])
 @pytest.mark.parametrize("engine", [Mujoco, Drake])
 def test_two_other_engines_accelerate_alike(engine: Any, name: str, tmp_path: Path) -> None:

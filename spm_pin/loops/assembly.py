@@ -1,0 +1,89 @@
+"""Closing of loops from a guess: Newton's method with the damping of Levenberg and Marquardt.
+
+Equations may depend on each other, and near a closed configuration only to the size of the gaps: what a plain Newton
+step divides rounding by. A damping that goes to zero as the squared error keeps the convergence quadratic there (Fan
+and Yuan, 2005).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from spm_pin.errors import ClosureError
+from spm_pin.loops.constraint_rows import LoopKinematics
+from spm_pin.loops.continuation import CLOSED
+from spm_pin.support.arguments import FloatArray, IntArray
+
+MOST_STEPS, LONGEST_STEP = 200, 0.5
+"""Steps of one search, and the largest in any joint, dimensionless."""
+SEARCHES, DISTURBANCE = 8, 0.05
+"""Where a search ends with open loops, the next begins from a guess disturbed by a multiple of this, dimensionless."""
+ROUNDING = 4e-16
+LEAST_DAMPING = 1e-16
+"""Relative to the squared largest singular value: rows that depend on each other have none below rounding."""
+
+
+def assemble(kinematics: LoopKinematics, guess: FloatArray, free: IntArray) -> FloatArray:
+    """Return closed joint values near a guess (nq,), moving only the velocities `free`, or raise `ClosureError`."""
+    rows, random = kinematics.rows, np.random.default_rng(0)
+    nearest, least, steps, is_reversed = guess, np.inf, 0, [""]
+    for search in range(SEARCHES):
+        q = guess
+        if search:
+            # At a guess where the loops' Jacobian is singular, as with all links in line, no step may lead on.
+            away = np.zeros(rows.model.nv)
+            away[free] = random.uniform(-1.0, 1.0, len(free)) * DISTURBANCE * search
+            q = pin.integrate(rows.model, guess, away * rows.units)
+        q, size, taken = _search(kinematics, q, free)
+        steps += taken
+        if size < least:
+            nearest, least = q, size
+            is_reversed = _reversed(kinematics, q)
+        if size <= CLOSED and not _reversed(kinematics, q):
+            return q
+    gaps, angles, loop = kinematics.open_closures(nearest)
+    cause = f"The loop {loop!r} stays open: no closed configuration near the guess, or lengths that cannot close?"
+    if least <= CLOSED:
+        cause = (
+            f"The closure {is_reversed[0]!r} is closed the wrong way round, turned by 180°: start from another guess"
+        )
+    elif gaps.max(initial=0.0) < 1e-9 * rows.size:
+        cause += f" It is turned by {np.degrees(angles.max(initial=0.0)):.2g}°."
+    raise ClosureError(float(gaps.max(initial=0.0)), steps, cause, loop)
+
+
+def _reversed(kinematics: LoopKinematics, q: FloatArray) -> list[str]:
+    pin.forwardKinematics(kinematics.rows.model, kinematics.data, q)
+    return kinematics.rows.is_reversed(kinematics.rows.placements_of(kinematics.data)[2])
+
+
+def _search(kinematics: LoopKinematics, q: FloatArray, free: IntArray) -> tuple[FloatArray, float, int]:
+    """Return the end of a search, the largest error there, dimensionless, and the number of steps."""
+    rows, damping, away = kinematics.rows, 1.0, np.zeros(kinematics.rows.model.nv)
+    c = kinematics.residual(q)
+    steps = 0
+    while steps < MOST_STEPS:
+        steps += 1
+        size = float(np.linalg.norm(c))
+        if size <= ROUNDING:
+            break
+        u, sigma, vt = np.linalg.svd(kinematics.linearised(q).jacobian[:, free], full_matrices=False)
+        along, decreased = u.T @ c, False
+        while damping < 1e8:
+            least = LEAST_DAMPING * sigma.max(initial=0.0) ** 2 + 1e-300
+            move = -vt.T @ (along * sigma / (sigma**2 + max(damping * size**2, least)))
+            move *= min(1.0, LONGEST_STEP / max(np.abs(move).max(initial=0.0), 1e-300))
+            away[free] = move * rows.units[free]
+            tried = pin.integrate(rows.model, q, away)
+            at_tried = kinematics.residual(tried)
+            if np.linalg.norm(at_tried) < (1.0 - 1e-4) * size:
+                decreased = True
+                break
+            if np.abs(move).max(initial=0.0) < ROUNDING:
+                break
+            damping *= 8.0
+        if not decreased:
+            break
+        q, c, damping = tried, at_tried, max(damping / 8.0, 1e-3)
+    return q, float(np.abs(c).max(initial=0.0)), steps

@@ -1,0 +1,322 @@
+"""Any robot with closed loops: a tree of Pinocchio, what closes its loops, and the joints that are actuated."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import threading
+from collections.abc import Iterable, Sequence
+from os import PathLike
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+from scipy.spatial.transform import RigidTransform
+
+from spm_pin.errors import ArgumentError, DescriptionError
+from spm_pin.loops.assembly import assemble
+from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
+from spm_pin.loops.constraint_rows import ConstraintRows, LoopKinematics
+from spm_pin.loops.following import Follower
+from spm_pin.loops.forward_simulation import LoopMotion, simulate
+from spm_pin.loops.links import find_frame
+from spm_pin.loops.loop_state import LoopState
+from spm_pin.loops.mobility import Mobility, mobility
+from spm_pin.support.arguments import FloatArray, IntArray, broadcastable, real_array
+
+
+class ClosedChain:
+    """A robot with closed loops on Pinocchio; read-only.
+
+    q (nq,) and v (nv,) are Pinocchio's, of the tree `model`; closures and joint equalities say which q are possible.
+    Answers are closed to rounding and stay in the assembly mode that they start from, or an error says why not.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Spanning tree, copied. Its joints are hinges, slides, balls, planar or free.
+    closures : sequence of Closure
+        What closes the loops, between frames of the model.
+    actuated : sequence of str
+        Names of the actuated joints, of one degree of freedom each; `values` and forces are in this order.
+    equalities : sequence of JointEquality
+        Joints that follow others, as gears and mimic joints do.
+    held : sequence of str
+        Joints that `close`, `forward` and `inverse` leave where they are, such as springs or the spin of a rod.
+    q0 : array_like, shape (nq,), optional
+        A configuration of typical size, at best closed; by default Pinocchio's neutral one.
+
+    Attributes
+    ----------
+    model : pinocchio.Model
+        The spanning tree.
+    closures, equalities, actuated, held : tuple
+        As given.
+    q0 : ndarray, shape (nq,)
+        Where `close` starts by default.
+    rows : ConstraintRows
+        The scalar equations of closures and equalities.
+
+    Raises
+    ------
+    ArgumentError
+        Names, joints or closures that cannot be; the message names them.
+
+    See Also
+    --------
+    spm_pin.ClosedChain : The serial-parallel manipulator as such a chain.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        closures: Sequence[Closure],
+        actuated: Sequence[str],
+        *,
+        equalities: Sequence[JointEquality] = (),
+        held: Sequence[str] = (),
+        q0: npt.ArrayLike | None = None,
+    ) -> None:
+        if not isinstance(model, pin.Model):
+            raise ArgumentError("model", "a pinocchio.Model", type(model).__name__)
+        for k in range(2, model.njoints):
+            if model.parents[k] not in model.supports[k - 1]:
+                cause = "Pinocchio's dynamics are silently wrong otherwise. Add each joint before its parent's next one"
+                raise ArgumentError("model", "joints in depth-first order", repr(model.names[k]), cause)
+        self.model = model.copy()
+        self.q0 = pin.neutral(self.model) if q0 is None else self._read_q(q0, "q0", single=True).copy()
+        self.q0.flags.writeable = False
+        self.closures, self.equalities = tuple(closures), tuple(equalities)
+        self.rows = ConstraintRows(self.model, self.closures, self.equalities, self.q0)
+        self.actuated, self.held = _names(actuated, "actuated"), _names(held, "held")
+        both = set(self.actuated) & set(self.held)
+        if both:
+            raise ArgumentError("held", "joints that are not actuated", ", ".join(sorted(both)))
+        for name in self.actuated:
+            if self._joint(name, "actuated").nq != 1:
+                raise ArgumentError("actuated", "joints of one degree of freedom", repr(name))
+        self.actuated_in_q = self.indices_in_q(*self.actuated)
+        self.actuated_in_v = self.indices_in_v(*self.actuated)
+        self._held_in_v = self.indices_in_v(*self.held)
+        self._followers: dict[Any, Follower] = {}
+        self._lock = threading.Lock()
+
+    @classmethod
+    def from_description(cls, description: RobotDescription, *, held: Sequence[str] = ()) -> Self:
+        """Return the chain of what a reader has found in a file."""
+        try:
+            return cls(
+                description.model,
+                description.closures,
+                description.actuated,
+                equalities=description.equalities,
+                held=held,
+                q0=description.q0,
+            )
+        except ArgumentError as error:
+            where = f"{error.argument} in {description.source}"
+            raise DescriptionError(where, error.expected, error.received, error.cause) from error
+
+    @classmethod
+    def from_mjcf(cls, source: Any, *, actuated: Sequence[str] | None = None, held: Sequence[str] = ()) -> Self:
+        """Return the chain of an MJCF file, its text, or a `mujoco.MjModel`; `spm_pin.loops.read_mjcf` reads it."""
+        from spm_pin.loops.read_mjcf import read_mjcf
+
+        return cls.from_description(read_mjcf(source, actuated=actuated), held=held)
+
+    @classmethod
+    def from_urdf(cls, urdf: str | PathLike[str], closures: Any = None, *, held: Sequence[str] = ()) -> Self:
+        """Return the chain of a URDF file and of what closes its loops; `spm_pin.loops.read_urdf` reads them."""
+        from spm_pin.loops.read_urdf import read_urdf
+
+        return cls.from_description(read_urdf(urdf, closures), held=held)
+
+    @classmethod
+    def from_sdf(cls, path: str | PathLike[str], *, held: Sequence[str] = ()) -> Self:
+        """Return the chain of an SDF file; `spm_pin.loops.read_sdf` reads it."""
+        from spm_pin.loops.read_sdf import read_sdf
+
+        return cls.from_description(read_sdf(path), held=held)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (type(self), self.model, self.closures, self.actuated, self.equalities, self.held, self.q0)
+
+    def __repr__(self) -> str:
+        loops, joints = len(self.closures), self.model.njoints - 1
+        return f"<ClosedChain {self.model.name!r}: {joints} joints, {loops} closures, {len(self.actuated)} actuators>"
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of all joints in Pinocchio's order."""
+        return tuple(self.model.names)[1:]
+
+    def indices_in_q(self, *names: str) -> IntArray:
+        """Return where joints are in q."""
+        joints = [self._joint(name, "names") for name in names]
+        return np.array([j.idx_q + k for j in joints for k in range(j.nq)], dtype=np.intp)
+
+    def indices_in_v(self, *names: str) -> IntArray:
+        """Return where joints are in v."""
+        joints = [self._joint(name, "names") for name in names]
+        return np.array([j.idx_v + k for j in joints for k in range(j.nv)], dtype=np.intp)
+
+    def _joint(self, name: str, argument: str) -> Any:
+        if name not in self.joint_names:
+            close = difflib.get_close_matches(str(name), self.joint_names, n=3)
+            cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else f"Its joints: {self.joint_names}"
+            raise ArgumentError(argument, "names of joints", repr(name), cause)
+        return self.model.joints[self.model.getJointId(name)]
+
+    def close(self, q_guess: npt.ArrayLike | None = None) -> FloatArray:
+        """Return closed joint values (nq,) near a guess (nq,), by default near `q0`.
+
+        Joints that are held, or in no loop, stay. Damped Newton's method takes the shortest way, so the result is near
+        the guess rather than the nearest of all.
+
+        Raises
+        ------
+        ClosureError
+            The loops do not close from there. It has the gap, the loop that is open most, and the likely cause.
+        """
+        q = self._read_q(self.q0 if q_guess is None else q_guess, "q_guess", single=True)
+        free = np.setdiff1d(np.flatnonzero(self.rows.concerns()), self._held_in_v)
+        return assemble(LoopKinematics(self.rows), q, free)
+
+    def forward(self, values: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
+        """Return all joint values (..., nq) for those of the actuated joints (..., n) [rad, m].
+
+        From one closed configuration `near` (nq,), the actuated joints move in proportion to the first member of
+        `values`, and on to each from the one before, in C order. With several (..., nq), each member of the batch
+        starts from its own. A free base and joints that are held stay. `near` is by default `close()`.
+
+        The way is followed in the assembly mode it starts in: see `spm_pin.loops.continuation`.
+
+        Raises
+        ------
+        ClosureError
+            `near` is not closed, or the way does not lead to the values: it ends at a singularity, where a mode ends.
+        ArgumentError
+            The actuated joints do not determine the others, or there are more than freedoms; the message names joints.
+        """
+        targets = real_array(values, "values", (len(self.actuated),), "of the actuated joints in rad and m")
+        return self._follow(self._follower(None, ()), targets, 1, near, "values")
+
+    def inverse(
+        self, frame: str, pose: Any, near: npt.ArrayLike | None = None, rows: Sequence[int] = (0, 1, 2, 3, 4, 5)
+    ) -> FloatArray:
+        """Return all joint values (..., nq) that place a frame of the model.
+
+        Parameters
+        ----------
+        frame : str
+            Name of a link or frame.
+        pose : pinocchio.SE3, scipy.spatial.transform.RigidTransform or array_like of shape (..., 4, 4)
+            Where the frame is to be in the world.
+        near : array_like, shape (nq,) or (..., nq)
+            Closed configurations to start from, as in `forward`.
+        rows : sequence of int
+            Which parts of the pose are to be reached: 0 to 2 the position, 3 to 5 the rotation vector from the frame's
+            orientation to the one given, in the axes of the world.
+
+        Raises
+        ------
+        ClosureError, ArgumentError
+            As `forward`.
+        """
+        chosen = tuple(sorted(set(rows)))
+        if not chosen or not set(chosen) <= set(range(6)) or len(chosen) != len(tuple(rows)):
+            raise ArgumentError("rows", "different numbers from 0, 1, 2 (position) and 3, 4, 5 (rotation)", repr(rows))
+        if find_frame(self.model, frame) is None:
+            names = [f.name for f in self.model.frames]
+            close = difflib.get_close_matches(str(frame), names, n=3)
+            cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else ""
+            raise ArgumentError("frame", "the name of a frame of the model", repr(frame), cause)
+        return self._follow(self._follower(frame, chosen), _matrices(pose), 2, near, "pose")
+
+    def compile(self) -> None:
+        """Compile the loops over paths and batches, once for all robots and sessions: about 20 s, later half a second.
+
+        Batches do so by themselves. A control loop calls this before it starts: its single calls never wait for the
+        compiler, and take a millisecond, instead of some ten microseconds, as long as nothing is compiled.
+        """
+        self._follower(None, ()).compile()
+
+    def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> LoopState:
+        """Return the `LoopState` at joint values q (..., nq) and velocities v (..., nv), zero by default."""
+        return LoopState(self, q, v)
+
+    def mobility(self, q: npt.ArrayLike) -> Mobility:
+        """Return degrees of freedom, dependent equations and joints that are not driven at a closed q (nq,)."""
+        return mobility(self, q)
+
+    def simulate(
+        self, q: npt.ArrayLike, v: npt.ArrayLike, tau: Any, times: npt.ArrayLike, **options: Any
+    ) -> LoopMotion:
+        """Return the motion from q (nq,) and v (nv,) under actuator forces `tau`, a `LoopMotion`.
+
+        Options, such as `wrenches` and `period`, are those of `spm_pin.loops.forward_simulation.simulate`.
+        """
+        return simulate(self, q, v, tau, times, **options)
+
+    def _read_q(self, q: npt.ArrayLike, argument: str, *, single: bool = False) -> FloatArray:
+        meaning = "joint values in rad and m in Pinocchio's order"
+        array = real_array(q, argument, (self.model.nq,), meaning)
+        if single and array.ndim != 1:
+            raise ArgumentError(argument, f"shape ({self.model.nq},), {meaning}", f"shape {array.shape}")
+        if not pin.isNormalized(self.model, array, 1e-6) if array.ndim == 1 else False:
+            raise ArgumentError(argument, "quaternions of unit length", "others", "pinocchio.normalize scales them")
+        return array
+
+    def _follower(self, frame: str | None, chosen: tuple[int, ...]) -> Follower:
+        """Return what follows actuated joints, or the pose of a frame, made once."""
+        key = frame, chosen
+        with self._lock:
+            if key not in self._followers:
+                self._followers[key] = Follower(self, frame, chosen)
+            return self._followers[key]
+
+    def _follow(
+        self, follower: Follower, targets: FloatArray, axes: int, near: npt.ArrayLike | None, argument: str
+    ) -> FloatArray:
+        starts = self.close() if near is None else self._read_q(near, "near")
+        batch, is_path = targets.shape[: targets.ndim - axes], starts.ndim == 1
+        if not is_path:
+            batch = broadcastable(argument, batch, "near", starts.shape[:-1])
+            starts = np.broadcast_to(starts, (*batch, self.model.nq)).reshape(math.prod(batch), self.model.nq)
+        shape = targets.shape[targets.ndim - axes :]
+        targets = np.broadcast_to(targets, (*batch, *shape)).reshape(math.prod(batch), *shape)
+        return follower.run(starts, targets, is_path).reshape(*batch, self.model.nq)
+
+    def joint_of_velocity(self, index: int) -> str:
+        """Return the name of the joint that an element of v belongs to."""
+        for joint in list(self.model.joints)[1:]:
+            if joint.idx_v <= index < joint.idx_v + joint.nv:
+                return str(self.model.names[joint.id])
+        raise ArgumentError("index", f"an index of v, below {self.model.nv}", index)
+
+
+def _matrices(pose: Any) -> FloatArray:
+    """Return the homogeneous matrices (..., 4, 4) of a pose."""
+    if isinstance(pose, pin.SE3):
+        return np.asarray(pose.homogeneous)
+    matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
+    matrices = real_array(matrix, "pose", (4, 4), "homogeneous matrices of poses in the world")
+    rotations = matrices[..., :3, :3]
+    products = rotations @ rotations.swapaxes(-1, -2) - np.eye(3)
+    if np.abs(products).max(initial=0.0) > 1e-9 or (np.linalg.det(rotations) < 0.0).any():
+        raise ArgumentError("pose", "homogeneous matrices of rigid transforms", "others", "Rotations that are rounded?")
+    return matrices
+
+
+def _restored(cls: Any, model: Any, closures: Any, actuated: Any, equalities: Any, held: Any, q0: Any) -> Any:
+    return cls(model, closures, actuated, equalities=equalities, held=held, q0=q0)
+
+
+def _names(names: Iterable[str], argument: str) -> tuple[str, ...]:
+    if isinstance(names, str):
+        raise ArgumentError(argument, "a sequence of names of joints", repr(names), f"[{names!r}]?")
+    listed = tuple(names)
+    if len(set(listed)) != len(listed):
+        raise ArgumentError(argument, "each joint once", ", ".join(listed))
+    return listed

@@ -1,0 +1,69 @@
+"""How the links of a robot close into loops: the data that a `ClosedChain` adds to the tree of a `pinocchio.Model`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+ClosureKind = Literal["point", "hinge", "planar", "weld"]
+ROWS = {"point": 3, "hinge": 5, "planar": 2, "weld": 6}
+"""Number of scalar equations of each kind of closure."""
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """A place on a link: a frame of the model by its name, and a placement (`pinocchio.SE3`) in that frame."""
+
+    frame: str
+    placement: Any = field(default_factory=pin.SE3.Identity)
+
+
+@dataclass(frozen=True, eq=False)
+class Closure:
+    """A joint that closes a loop: two anchors on two links, and what holds them together.
+
+    `point`: the origins coincide, as in a ball joint (3 equations). `hinge`: the origins and the z axes coincide (5).
+    `planar`: the origins coincide as seen along the z axis of the first anchor (2), the hinge of a planar linkage whose
+    other joints keep it in its plane already. `weld`: the frames coincide (6).
+    """
+
+    kind: ClosureKind
+    first: Anchor
+    second: Anchor
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class JointEquality:
+    """A joint that follows another by a polynomial, as a gear or a mimic joint does.
+
+    q_joint - zero = Σ_k coefficients[k] (q_driver - driver_zero)^k; without a driver q_joint = zero + coefficients[0].
+    Both are joints of one degree of freedom, values in rad or m.
+    """
+
+    joint: str
+    driver: str | None
+    coefficients: tuple[float, ...]
+    zero: float = 0.0
+    driver_zero: float = 0.0
+    name: str = ""
+
+
+class RobotDescription(NamedTuple):
+    """What a reader finds in a file: enough to make a `ClosedChain`, and for a writer to write it again."""
+
+    model: Any
+    """`pinocchio.Model`, a copy that nobody else changes; all frames are added already."""
+    closures: tuple[Closure, ...]
+    equalities: tuple[JointEquality, ...]
+    actuated: tuple[str, ...]
+    """Names of the actuated joints, in the order of the file's actuators."""
+    q0: np.ndarray
+    """Configuration (nq,) of the file's rest pose or first keyframe, at which `close` may start."""
+    configurations: dict[str, np.ndarray]
+    """Named configurations of the file (nq,): keyframes, group states."""
+    source: str
+    """Path of the file, for messages."""

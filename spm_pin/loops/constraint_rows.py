@@ -1,0 +1,322 @@
+"""The scalar equations of closures and joint equalities at a configuration, and their derivatives, from Pinocchio.
+
+A closure holds frame 2, at p2 with the axes R2, on frame 1, at p1 with the axes R1. With R = R1ᵀ R2 its equations are
+
+    position    R1ᵀ (p2 - p1) = 0                             point, hinge, weld; x and y for planar
+    axis        x and y of the third column of R = 0          hinge
+    rotation    half the skew part of R, sin θ u = 0          weld
+
+of which each has an exact derivative: where the joints move frame 2 against frame 1 at (v, ω), v at p2, all in the axes
+R1, the left sides change at v, at ω x (third column of R) and at (tr(R) I - R) ω / 2. Joints that carry both frames
+move them alike and have no part in it. Angles of 180° solve the equations of axis and rotation too, so
+`ConstraintRows.is_reversed` says where an axis or a frame is the wrong way round.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from spm_pin.errors import ArgumentError
+from spm_pin.loops.closures import Anchor, Closure, JointEquality
+from spm_pin.loops.links import find_frame
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
+
+POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
+"""Where the equations of a closure begin among the eight that it can have, and their number."""
+_FORMS_OF_KIND = {"point": (0, 1, 2), "hinge": (0, 1, 2, 6, 7), "planar": (0, 1), "weld": (0, 1, 2, 3, 4, 5)}
+_TURNING = ("RX", "RY", "RZ", "RevoluteUnaligned", "PX", "PY", "PZ", "PrismaticUnaligned", "RUBX", "RUBY", "RUBZ")
+_JOINT_KINDS = (*_TURNING, "RevoluteUnboundedUnaligned", "Spherical", "Translation", "Planar", "FreeFlyer")
+
+
+class Linearised(NamedTuple):
+    """Equations, scaled to be dimensionless, at one configuration."""
+
+    residual: FloatArray
+    """Left sides (m,)."""
+    jacobian: FloatArray
+    """Derivatives by all joint velocities (m, nv), in units of `ConstraintRows.units`."""
+    speeds: FloatArray
+    """Speed of p2 that each velocity brings about (closures, nv)."""
+    turns: FloatArray
+    """Angular speed of frame 2 that each velocity brings about (closures, nv)."""
+
+
+class ConstraintRows:
+    """Equations of a model's closures and joint equalities; immutable.
+
+    Attributes
+    ----------
+    count : int
+        Number m of equations.
+    labels : tuple of str
+        Name of the loop or joint equality of each equation.
+    row_units : ndarray, shape (m,)
+        Size of each equation's left side: a fourth of the loop's length [m], or 1 for angles.
+    units : ndarray, shape (nv,)
+        Size of a step of order one of each velocity: 1 rad, or a fourth of a loop's length [m].
+    signs : ndarray, shape (closures, nv)
+        1 for velocities that move frame 2 alone, -1 for those that move frame 1 alone, 0 for the others.
+    size : float
+        Length of the longest loop [m].
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        closures: Sequence[Closure],
+        equalities: Sequence[JointEquality],
+        q: FloatArray,
+        pose: tuple[str, Sequence[int]] | None = None,
+    ) -> None:
+        """Read the anchors; `q` is a configuration of typical size, from which loops are measured.
+
+        A pose to be reached, of a frame, is a weld more to the universe, of which some equations hold; frame 1 has the
+        axes of the world, and `placements` moves with the target.
+        """
+        for joint in list(model.joints)[1:]:
+            if joint.shortname().removeprefix("JointModel") not in _JOINT_KINDS:
+                expected = "joints that are hinges, slides, balls, planar or free"
+                raise ArgumentError("model", expected, f"{joint.shortname()} {model.names[joint.id]!r}")
+        self.model, self.closures, self.equalities = model, tuple(closures), tuple(equalities)
+        self.pose = -1
+        forms_of_pose: tuple[int, ...] = ()
+        if pose is not None:
+            self.pose, forms_of_pose = len(self.closures), tuple(pose[1])
+            self.closures += (Closure("weld", Anchor("universe"), Anchor(pose[0]), f"pose of {pose[0]}"),)
+        self.joints, self.placements, names = [], [], []
+        for k, closure in enumerate(self.closures):
+            if closure.kind not in _FORMS_OF_KIND:
+                raise ArgumentError("closures", f"kinds {', '.join(_FORMS_OF_KIND)}", repr(closure.kind))
+            names.append(closure.name or f"{closure.kind} of {closure.first.frame} and {closure.second.frame}")
+            ends = [self._anchor(anchor, names[k]) for anchor in (closure.first, closure.second)]
+            if ends[0][0] == ends[1][0]:
+                cause = "Fixed joints alone hold them together: the loop has no joint that moves"
+                received = f"{closure.first.frame!r} and {closure.second.frame!r}"
+                raise ArgumentError(f"closure {names[k]!r}", "frames of two links that can move", received, cause)
+            self.joints.append([joint for joint, _ in ends])
+            self.placements.append([placement for _, placement in ends])
+        self.signs = np.zeros((len(self.closures), model.nv))
+        for sign, (first, second) in zip(self.signs, self.joints, strict=True):
+            for end, value in ((first, -1.0), (second, 1.0)):
+                for joint in _support(model, end):
+                    sign[model.joints[joint].idx_v : model.joints[joint].idx_v + model.joints[joint].nv] += value
+        kinds = [forms_of_pose if k == self.pose else _FORMS_OF_KIND[c.kind] for k, c in enumerate(self.closures)]
+        self.forms: IntArray = np.array([FORMS * k + form for k, forms in enumerate(kinds) for form in forms], np.intp)
+        self._form_signs = self.signs[self.forms // FORMS]
+        self._has_angles = bool((self.forms % FORMS >= ROTATION).any())
+        self._read_equalities()
+        self.count = len(self.forms) + len(self.equalities)
+        self.names = tuple(names)
+        self.labels = tuple(names[form // FORMS] for form in self.forms)
+        self.labels += tuple(equality.name or f"equality of {equality.joint}" for equality in self.equalities)
+        self._measure(q)
+
+    def _anchor(self, anchor: Any, loop: str) -> tuple[int, Any]:
+        frame = find_frame(self.model, anchor.frame)
+        if frame is None:
+            raise ArgumentError(f"closure {loop!r}", "frames of the model", repr(anchor.frame))
+        found = self.model.frames[frame]
+        return int(found.parentJoint), pin.SE3(found.placement * anchor.placement)
+
+    def _read_equalities(self) -> None:
+        """Note where the joints of equalities are, and their polynomials, highest power first."""
+        model, places = self.model, []
+        for equality in self.equalities:
+            for name in (equality.joint, equality.driver):
+                if name is not None and not (model.existJointName(name) and _joint(model, name).nq == 1):
+                    raise ArgumentError("equalities", "joints of one degree of freedom", repr(name))
+            driver = _joint(model, equality.driver) if equality.driver is not None else None
+            joint = _joint(model, equality.joint)
+            places.append([joint.idx_q, joint.idx_v, driver.idx_q if driver else -1, driver.idx_v if driver else -1])
+        self.equality_places: IntArray = np.array(places, dtype=np.intp).reshape(-1, 4)
+        degree = max((len(e.coefficients) for e in self.equalities), default=1)
+        self.polynomials = np.zeros((len(self.equalities), max(degree, 1)))
+        for row, equality in zip(self.polynomials, self.equalities, strict=True):
+            row[: len(equality.coefficients)] = equality.coefficients
+        self.zeros = np.array([[e.zero, e.driver_zero] for e in self.equalities]).reshape(-1, 2)
+
+    def _measure(self, q: FloatArray) -> None:
+        """Measure the loops at q: their lengths are the units of equations and slides."""
+        model, data = self.model, self.model.createData()
+        pin.forwardKinematics(model, data, q)
+        lengths = []
+        for sign, (first, second), (at_first, at_second) in zip(self.signs, self.joints, self.placements, strict=True):
+            total, origin = 0.0, {}
+            for end, placement in ((first, at_first), (second, at_second)):
+                point = (data.oMi[end] * placement).translation
+                for joint in reversed([j for j in _support(model, end) if sign[model.joints[j].idx_v]]):
+                    total += float(np.linalg.norm(point - data.oMi[joint].translation))
+                    point = data.oMi[joint].translation.copy()
+                origin[end] = point
+            lengths.append(total + float(np.linalg.norm(np.subtract(*origin.values()))))
+        self.size = max(lengths, default=0.0) or 1.0
+        self.loop_lengths = np.maximum(lengths, 1e-3 * self.size)
+        is_slide = self._subspace()[0]
+        self.units = np.ones(model.nv)
+        for column in np.flatnonzero(is_slide):
+            loops = self.loop_lengths[self.signs[:, column] != 0.0]
+            self.units[column] = 0.25 * (loops.min() if len(loops) else self.size)
+        units = [0.25 * self.loop_lengths[f // FORMS] if f % FORMS < ROTATION else 1.0 for f in self.forms.tolist()]
+        self.row_units = np.array([*units, *self.units[self.equality_places[:, 1]]])
+
+    def _subspace(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return which velocities are of translations (nv,), and velocities and angular velocities (nv, 3) of each."""
+        linear, angular = np.zeros((2, self.model.nv, 3))
+        data = self.model.createData()
+        for joint, state in list(zip(self.model.joints, data.joints, strict=True))[1:]:
+            columns = slice(joint.idx_v, joint.idx_v + joint.nv)
+            linear[columns], angular[columns] = state.S[:3].T, state.S[3:].T
+        return (angular == 0.0).all(axis=1), linear, angular
+
+    @property
+    def screws(self) -> tuple[FloatArray, FloatArray]:
+        """Velocities and angular velocities (nv, 3) of the joints, in their own frames."""
+        return self._subspace()[1:]
+
+    def concerns(self) -> BoolArray:
+        """Return which velocities (nv,) the equations depend on."""
+        involved = (self.signs != 0.0).any(axis=0)
+        involved[self.equality_places[:, [1, 3]][self.equality_places[:, [0, 2]] >= 0]] = True
+        return np.asarray(involved)
+
+    def coupled_with_pose(self) -> BoolArray:
+        """Return which velocities (nv,) the pose depends on, directly or by loops that share joints."""
+        groups = [np.flatnonzero(sign) for sign in self.signs]
+        groups += [places[places >= 0] for places in self.equality_places[:, [1, 3]]]
+        coupled = self.signs[self.pose] != 0.0
+        for _ in groups:
+            for group in groups:
+                coupled[group] |= coupled[group].any()
+        return np.asarray(coupled)
+
+    def placements_of(self, data: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return R1 (closures, 3, 3), p2 (closures, 3) and the homogeneous matrices of frames 2 in frames 1."""
+        first, tip, relative = np.empty((len(self.joints), 3, 3)), np.empty((len(self.joints), 3)), []
+        for k, ((a, b), (at_a, at_b)) in enumerate(zip(self.joints, self.placements, strict=True)):
+            one, two = data.oMi[a] * at_a, data.oMi[b] * at_b
+            first[k], tip[k] = one.rotation, two.translation
+            relative.append(one.actInv(two).homogeneous)
+        return first, tip, np.array(relative).reshape(-1, 4, 4)
+
+    def left_sides(self, q: FloatArray, relative: FloatArray) -> FloatArray:
+        """Return the left sides (m,) in m and rad of the frames 2 in frames 1 (closures, 4, 4)."""
+        r = relative[:, :3, :3]
+        skew = [r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]]
+        forms = [*relative[:, :3, 3].T, *(0.5 * part for part in skew), r[:, 0, 2], r[:, 1, 2]]
+        closures = np.array(forms).T.ravel()[self.forms]
+        if not len(self.equalities):
+            return np.asarray(closures)
+        joint, driver = q[self.equality_places[:, 0]] - self.zeros[:, 0], self._driver_values(q)
+        return np.concatenate([closures, joint - _polynomial(self.polynomials, driver)])
+
+    def _driver_values(self, q: FloatArray) -> FloatArray:
+        places = self.equality_places[:, 2]
+        return np.where(places >= 0, q[places] - self.zeros[:, 1], 0.0)
+
+    def wrenches(self, placed: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the wrench about the world's origin (closures' equations, 6) that each equation exerts on frame 2.
+
+        Times the twist of frame 2 against frame 1, about the world's origin too, it is the rate of the left side.
+        """
+        first, tip, relative = placed
+        axes, r = first.swapaxes(1, 2), relative[:, :3, :3]
+        wrenches = np.zeros((len(r), FORMS, 6))
+        wrenches[:, :3, :3] = axes
+        # The moment of a force n at p is p x n: rows of forces times the transpose of p's cross product matrix.
+        arms = np.zeros((len(r), 3, 3))
+        arms[:, [1, 2, 0], [2, 0, 1]], arms[:, [2, 0, 1], [1, 2, 0]] = tip, -tip
+        wrenches[:, :3, 3:] = axes @ arms
+        if self._has_angles:
+            maps = np.zeros((len(r), FORMS - ROTATION, 3))
+            maps[:, :3] = -0.5 * r
+            maps[:, [0, 1, 2], [0, 1, 2]] += 0.5 * np.trace(r, axis1=1, axis2=2)[:, None]
+            maps[:, 3, 1], maps[:, 3, 2] = r[:, 2, 2], -r[:, 1, 2]
+            maps[:, 4, 2], maps[:, 4, 0] = r[:, 0, 2], -r[:, 2, 2]
+            wrenches[:, ROTATION:, 3:] = maps @ axes
+        return np.asarray(wrenches.reshape(-1, 6)[self.forms])
+
+    def jacobian(self, q: FloatArray, data: Any, placed: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the derivatives (m, nv); `data` has the joint Jacobians at q, `placed` is of `placements_of` there."""
+        rows = self.wrenches(placed) @ data.J * self._form_signs
+        if not len(self.equalities):
+            return np.asarray(rows)
+        rows = np.concatenate([rows, np.zeros((len(self.equalities), self.model.nv))])
+        for k, (_, joint, place, driver) in enumerate(self.equality_places.tolist()):
+            rows[len(self.forms) + k, joint] = 1.0
+            if place >= 0:
+                slope = _polynomial(
+                    np.polynomial.polynomial.polyder(self.polynomials[k])[None], self._driver_values(q)[k]
+                )
+                rows[len(self.forms) + k, driver] -= slope[0]
+        return rows
+
+    def twists(self, data: Any, placed: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the twists of frames 2 against frames 1 at p2, along the axes of frames 1 (closures, 6, nv)."""
+        first, tip, _ = placed
+        world = data.J * self.signs[:, None, :]
+        linear = world[:, :3] - np.cross(tip[:, :, None], world[:, 3:], axis=1)
+        axes = first.swapaxes(1, 2)
+        return np.concatenate([axes @ linear, axes @ world[:, 3:]], axis=1)
+
+    def is_reversed(self, relative: FloatArray) -> list[str]:
+        """Return the names of hinges and welds that hold the wrong way round: by 180°."""
+        reversed_axes = []
+        for closure, name, r in zip(self.closures, self.names, relative[:, :3, :3], strict=True):
+            if (closure.kind == "hinge" and r[2, 2] < 0.0) or (closure.kind == "weld" and np.trace(r) < 1.0):
+                reversed_axes.append(name)
+        return reversed_axes
+
+
+class LoopKinematics:
+    """Equations of a `ConstraintRows` at one configuration after another, and the `pinocchio.Data` they use."""
+
+    def __init__(self, rows: ConstraintRows) -> None:
+        self.rows, self.data = rows, rows.model.createData()
+        self._columns = rows.units / rows.row_units[:, None]
+
+    def residual(self, q: FloatArray) -> FloatArray:
+        """Return the left sides (m,), dimensionless."""
+        pin.forwardKinematics(self.rows.model, self.data, q)
+        relative = self.rows.placements_of(self.data)[2]
+        return np.asarray(self.rows.left_sides(q, relative) / self.rows.row_units)
+
+    def linearised(self, q: FloatArray) -> Linearised:
+        """Return the left sides and their derivatives, dimensionless."""
+        rows = self.rows
+        pin.computeJointJacobians(rows.model, self.data, q)
+        placed = rows.placements_of(self.data)
+        jacobian = rows.jacobian(q, self.data, placed)
+        scaled = rows.twists(self.data, placed) * rows.units
+        speeds = np.sqrt((scaled[:, :3] ** 2).sum(axis=1)) / (0.25 * rows.loop_lengths[:, None])
+        turns = np.sqrt((scaled[:, 3:] ** 2).sum(axis=1))
+        return Linearised(rows.left_sides(q, placed[2]) / rows.row_units, jacobian * self._columns, speeds, turns)
+
+    def open_closures(self, q: FloatArray) -> tuple[FloatArray, FloatArray, str]:
+        """Return gaps [m] and angles [rad] of all closures, and the name of the loop that is open most."""
+        pin.forwardKinematics(self.rows.model, self.data, q)
+        sides = np.abs(self.rows.left_sides(q, self.rows.placements_of(self.data)[2]))
+        gaps, angles = np.zeros((2, len(self.rows.closures)))
+        for form, side in zip(self.rows.forms.tolist(), sides.tolist(), strict=False):
+            target = gaps if form % FORMS < ROTATION else angles
+            target[form // FORMS] = math.hypot(target[form // FORMS], side)
+        worst = int(np.argmax(sides / self.rows.row_units)) if len(sides) else -1
+        return gaps, angles, self.rows.labels[worst] if worst >= 0 else ""
+
+
+def _polynomial(coefficients: FloatArray, x: FloatArray) -> FloatArray:
+    """Return the values of polynomials (n, degree + 1), lowest power first, at x (n,)."""
+    return np.asarray(np.polynomial.polynomial.polyval(x, coefficients.T, tensor=False))
+
+
+def _joint(model: Any, name: str) -> Any:
+    return model.joints[model.getJointId(name)]
+
+
+def _support(model: Any, joint: int) -> list[int]:
+    """Return the joints from the universe to a joint, without the universe."""
+    return list(model.supports[joint])[1:]

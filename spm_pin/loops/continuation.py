@@ -1,0 +1,282 @@
+"""From one closed configuration to another without leaving the mode: Newton's method in steps that a theorem accepts.
+
+On the way a share s from 0 to 1 of the change of the driven joints, or of the target's pose, is done. Unknown are the
+other joints x, and the equations c(x, s) = 0 have a Jacobian J of full column rank: it may have more rows than columns,
+of which some depend on others. With A = (Jᵀ J)⁻¹ Jᵀ in one place of a step, A c(x, s) = 0 has as many equations as
+unknowns, and Krawczyk's theorem says where it has one solution. Where a box of radii r about the chord from the start
+to the end of the step, at every s, satisfies
+
+    |A c| + |A J - 1| r <= r,
+
+one branch of solutions leads from the start to the end, J is regular all along, and no other solution is in the box:
+neither a fold nor another mode. All quantities are dimensionless, absolute values are of each element. Bounds:
+
+Let a joint j turn frame 2 of a closure by t_j and move its point by n_j per radian, or a slide by n_j per unit, at that
+place. In the order from frame 1 to frame 2, derivatives of p2 by several joints are no larger than the n_j of
+the last, whose direction the others only turn. With U_j the sum of t_i |u_i| up to j, and W_j that of displacements w,
+derivatives along u, a times, and w, b times, sum up to at most
+
+    Σ_j n_j (U_j^a W_j^b - U_(j-1)^a W_(j-1)^b),
+
+and for a slide to what u_j and w_j add to the first order. On the way, n_j of a hinge grows by less than the
+exponential of all turns times the sum of all motions. Angles have U^a W^b of all joints. A step is safe
+
+- if bounds from its end alone say so: c, zero at both ends, is at most 1/8 of its second derivative, and J changes by
+  no more than its first. That costs no evaluation, and is enough for a path that is sampled densely;
+- or if c in the quarters and J at the ends say so, with A of the middle and with bounds of the fifth derivative of c
+  and the third of J.
+
+The theorem is for hinges and slides. In ball and free joints, whose rotations do not commute, and in joint equalities
+of a degree above one, whose curvature is not in the bounds, it is a rule of thumb. Where c = 0 has rows that depend on
+others, a solution of A c = 0 is one of c = 0 as long as they do so; that c is zero is checked at the end of each step.
+
+The functions are compiled for a tree of arrays, and interpreted over Pinocchio: `make_follower` takes what they differ
+in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+DONE, SINGULAR_START, NO_FURTHER, OPEN_START = 0, 1, 2, 3
+"""How a path ends: at its target; nowhere, since the unknown joints are not determined; in between; or nowhere, since
+the loops are open at its start."""
+LONGEST = 1.0
+"""Largest step tried in any joint, dimensionless: in rad, or in units of `ConstraintRows.units`."""
+SHORTEST_STEP = 1e-7
+"""Size of a step, dimensionless, below which a path ends: nearer to a singularity rounding is no small part of it."""
+SHORTEST_SHARE = 2.0**-36
+MOST_CORRECTIONS = 12
+CLOSED, ROUNDED = 1e-10, 1e-9
+"""Loops are closed if their equations, dimensionless, hold to `CLOSED`; mostly they do so to rounding, a few 1e-16. At
+the start of a path, joint values that were rounded are taken for closed to `ROUNDED`."""
+ROUNDING = 1e-15
+REGULAR = 1e-7
+"""Smallest pivot of a Jacobian of full rank, relative to the largest."""
+INNER, QUINTIC = 1.87, 3.0e-5
+"""Largest value of a polynomial of degree four that is zero at 0 and 1 and at most 1 in the quarters, and of the
+product of the distances from all five, over 5!: parts of c and of its fifth derivative."""
+CUBIC = 8.1e-3
+"""The same of three distances, over 3!, for what a parabola through 0, 1/2 and 1 leaves of J; where it is zero in the
+middle, it is nowhere larger than at the ends."""
+MOST_BOXES, HOPELESS = 8, 3.0
+"""Boxes tried, and their largest radius, dimensionless; at turns of 9 rad in all bounds are far beyond it."""
+
+
+def same(function: Any) -> Any:
+    """Return the function: it is interpreted."""
+    return function
+
+
+def make_follower(
+    residual: Callable[..., Any],
+    linearised: Callable[..., Any],
+    moved: Callable[..., Any],
+    left_inverse: Callable[..., Any],
+    jit: Callable[[Any], Any] = same,
+) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Return `follow(problem, q)`, from a closed q to the problem's target, and `go_on`, which has J and A there.
+
+    Parameters
+    ----------
+    residual : callable
+        c (m,) of (problem, q, s).
+    linearised : callable
+        c, J (m, p), and speeds and turns (closures, nv) of (problem, q, s).
+    moved : callable
+        q of (problem, q, s, x): after unknown joints have moved by x (p,) from q, and with driven joints at s.
+    left_inverse : callable
+        A (p, m) of J, and whether J is of full column rank.
+    jit : callable
+        Applied to each function: Numba's compiler, or nothing.
+    """
+
+    @jit
+    def monomial(x, a, y, b):  # type: ignore[no-untyped-def]
+        """Return x^a y^b for small whole numbers, much faster than by `**`."""
+        result = 1.0
+        for _ in range(a):
+            result *= x
+        for _ in range(b):
+            result *= y
+        return result
+
+    @jit
+    def bounds(problem, speeds, turns, u, w, a, b, reach):  # type: ignore[no-untyped-def]
+        """Return bounds (closures, 2) of derivatives of positions and angles, a times along u and b times along w.
+
+        Speeds are those at a share `reach` of u from where bounds are to hold.
+        """
+        found = np.empty((len(problem.first_rows), 2))
+        for k in range(len(problem.first_rows)):
+            total, motion, all_u, all_w = 0.0, 0.0, 0.0, 0.0
+            if k == problem.pose:
+                # A pose to be reached turns like one joint more; it does not move the frame's place.
+                all_u = problem.pose_turn[0] * problem.pose_share[0]
+            for place in range(problem.first_columns[k], problem.first_columns[k + 1]):
+                j = problem.loop_columns[place]
+                turn, speed, before = turns[k, j], speeds[k, j], monomial(all_u, a, all_w, b)
+                motion += speed * (reach * u[j] + w[j])
+                if turn > 0.0:
+                    all_u, all_w = all_u + turn * u[j], all_w + turn * w[j]
+                    total += speed / turn * (monomial(all_u, a, all_w, b) - before)
+                else:
+                    # Without a turn before, a slide has no part in higher derivatives.
+                    total += speed * a * monomial(all_u, a - 1, all_w, b) * u[j]
+                    total += speed * b * monomial(all_u, a, all_w, b - 1) * w[j]
+            power = monomial(all_u, a, all_w, b)
+            found[k, 0], found[k, 1] = total + np.exp(min(reach * all_u + all_w, 9.0)) * motion * power, power
+        return found
+
+    @jit
+    def spread(sizes, bound):  # type: ignore[no-untyped-def]
+        """Return bounds (p,) of A times what has bounds (closures, 2)."""
+        return sizes[0] @ np.ascontiguousarray(bound[:, 0]) + sizes[1] @ np.ascontiguousarray(bound[:, 1])
+
+    @jit
+    def sizes_of(problem, inverse):  # type: ignore[no-untyped-def]
+        """Return sizes (2, p, closures) of the parts of A that multiply positions and angles of each closure."""
+        count, loops = len(problem.columns), len(problem.first_rows)
+        sizes = np.zeros((2, count, loops))
+        for i in range(count):
+            for k in range(loops):
+                first, squares = problem.first_rows[k], 0.0
+                between = first + problem.position_counts[k]
+                for row in range(first, between):
+                    squares += inverse[i, row] * inverse[i, row]
+                sizes[0, i, k] = np.sqrt(squares)
+                for row in range(between, first + problem.row_counts[k]):
+                    sizes[1, i, k] += abs(inverse[i, row])
+        return sizes
+
+    @jit
+    def box(problem, sizes, speeds, turns, u, eta, change, weight, power, reach):  # type: ignore[no-untyped-def]
+        """Return whether some radii satisfy the inequality, and by which factor a step may be longer or be shorter.
+
+        `change` bounds |A J - 1| on the chord, beside what `weight` times derivatives along u, `power` times, add.
+        """
+        w, radii, fits = np.zeros(len(u)), 1.5 * eta + 0.01 * eta.max(), False
+        linear, square, last = radii, radii, np.inf
+        for _ in range(MOST_BOXES):
+            for i in range(len(radii)):
+                w[problem.columns[i]] = radii[i]
+            linear = change @ radii + weight * spread(sizes, bounds(problem, speeds, turns, u, w, power, 1, reach))
+            square = spread(sizes, bounds(problem, speeds, turns, u, w, 0, 2, reach))
+            total = eta + linear + square
+            used = (total / radii).max()
+            fits = used <= 1.0
+            if fits or not used < last or not total.max() < HOPELESS:
+                break
+            last = used
+            radii = 1.2 * total
+        # Parts of the inequality that grow with the length of the step and its square, where most is used.
+        k = ((linear + square) / radii).argmax()
+        first, second = linear[k] / radii[k], square[k] / radii[k] + 1e-9
+        return fits, 1.2 / (first + np.sqrt(first * first + 2.4 * second))
+
+    @jit
+    def safety(problem, q, done, end, x, jacobian, at_end, inverse, speeds, turns):  # type: ignore[no-untyped-def]
+        """Return whether a step is safe, and the factor of the next one."""
+        count = len(problem.columns)
+        u, none = np.abs(problem.driven_rates) * (end - done), np.zeros(len(problem.driven_rates))
+        problem.pose_share[0] = end - done
+        for i in range(count):
+            u[problem.columns[i]] = abs(x[i])
+        sizes = sizes_of(problem, inverse)
+        eta = 0.125 * spread(sizes, bounds(problem, speeds, turns, u, none, 2, 0, 1.0)) + ROUNDING
+        fits, factor = box(problem, sizes, speeds, turns, u, eta, np.zeros((count, count)), 1.0, 1, 1.0)
+        if fits:
+            return fits, factor
+        half = 0.5 * (done + end)
+        c, middle, speeds, turns = linearised(problem, moved(problem, q, half, 0.5 * x), half)
+        inverse, regular = left_inverse(middle)
+        if not regular:
+            return False, 0.5
+        largest = np.abs(inverse @ c)
+        for share in (0.25, 0.75):
+            s = done + share * (end - done)
+            largest = np.maximum(largest, np.abs(inverse @ residual(problem, moved(problem, q, s, share * x), s)))
+        sizes = sizes_of(problem, inverse)
+        eta = INNER * largest + QUINTIC * spread(sizes, bounds(problem, speeds, turns, u, none, 5, 0, 0.5)) + ROUNDING
+        first, last = inverse @ jacobian, inverse @ at_end
+        for i in range(count):
+            first[i, i] -= 1.0
+            last[i, i] -= 1.0
+        change = np.maximum(np.abs(first), np.abs(last))
+        return box(problem, sizes, speeds, turns, u, eta, change, CUBIC, 3, 0.5)
+
+    @jit
+    def step(problem, q, done, end, jacobian, inverse):  # type: ignore[no-untyped-def]
+        """Return whether a step is safe, q, J and A at its end, its size, and the next one's factor."""
+        x = np.zeros(len(problem.columns))
+        tried = moved(problem, q, end, x)
+        change = -(inverse @ residual(problem, tried, end))
+        size = np.abs(change).max() if len(change) else 0.0
+        if not size <= LONGEST:
+            return False, q, jacobian, inverse, size, 0.5 * LONGEST / size
+        x += change
+        tried = moved(problem, tried, end, change)
+        c, at_end, speeds, turns = linearised(problem, tried, end)
+        new, regular = left_inverse(at_end)
+        if not regular:
+            return False, q, jacobian, inverse, size, 0.5
+        last, converged = max(size, 1e-300), False
+        for _ in range(MOST_CORRECTIONS):
+            change = -(new @ c)
+            correction = np.abs(change).max() if len(change) else 0.0
+            if not correction <= max(0.5 * last, 1e-13):
+                break
+            x += change
+            tried = moved(problem, tried, end, change)
+            # The next correction is smaller by as much again: below rounding it is left out.
+            if correction * min(1.0, correction / last) <= ROUNDING:
+                converged = len(c) == 0 or np.abs(c).max() <= max(CLOSED, 2.0 * correction)
+                break
+            last = max(correction, 1e-300)
+            c = residual(problem, tried, end)
+        if not converged:
+            return False, q, jacobian, inverse, size, 0.5
+        if size <= 1e-12 or len(x) == 0:
+            return True, tried, at_end, new, size, 4.0
+        safe, factor = safety(problem, q, done, end, x, jacobian, at_end, new, speeds, turns)
+        return safe, tried, at_end, new, size, factor
+
+    @jit
+    def go_on(problem, q, jacobian, inverse):  # type: ignore[no-untyped-def]
+        """Return q, J and A at the end of the path, or as far as it leads, the status, the share, and the steps.
+
+        J and A at its start are known. Where the next path leads to other values of driven joints, they are those that
+        this path ends with.
+        """
+        done, share, steps = 0.0, 1.0, 0
+        while done < 1.0:
+            end = done + share
+            if end > 1.0 - 1e-12:
+                end = 1.0
+            accepted, reached, at_end, new, size, factor = step(problem, q, done, end, jacobian, inverse)
+            steps += 1
+            if accepted:
+                q, jacobian, inverse, done = reached, at_end, new, end
+                share *= max(0.5, min(4.0, factor))
+                continue
+            share *= max(0.1, min(0.7, factor)) if factor == factor else 0.1
+            if share < SHORTEST_SHARE or size < SHORTEST_STEP:
+                return q, jacobian, inverse, NO_FURTHER, done, steps
+        return q, jacobian, inverse, DONE, done, steps
+
+    @jit
+    def follow(problem, q):  # type: ignore[no-untyped-def]
+        """Return q at the end of the path, or as far as it leads, the status, the share of the path, and the steps."""
+        c, jacobian, _, _ = linearised(problem, q, 0.0)
+        if len(c) > 0 and not np.abs(c).max() <= ROUNDED:
+            return q, OPEN_START, 0.0, 0
+        inverse, regular = left_inverse(jacobian)
+        if not regular:
+            return q, SINGULAR_START, 0.0, 0
+        q, _, _, status, done, steps = go_on(problem, q, jacobian, inverse)
+        return q, status, done, steps
+
+    return follow, go_on

@@ -1,0 +1,274 @@
+"""Forward and inverse problems of a chain, set up once: which joints are unknown, and what leads to which target."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import sys
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg import lapack
+
+from spm_pin.errors import ArgumentError, ClosureError
+from spm_pin.loops.assembly import assemble
+from spm_pin.loops.constraint_rows import FORMS, ROTATION, ConstraintRows, LoopKinematics
+from spm_pin.loops.continuation import OPEN_START, REGULAR, SINGULAR_START, make_follower
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
+
+FEW = 64
+"""Targets that Pinocchio and NumPy answer, each in about a millisecond, while the kernel is not loaded: that takes half
+a second, or 20 s where it has to be compiled."""
+DEPENDENT = 1e-7
+"""Singular values of a Jacobian below this, relative to the largest, are zero when an error is explained."""
+
+
+class Problem:
+    """What the functions of `continuation` read: an interpreted problem, over Pinocchio.
+
+    Attributes
+    ----------
+    columns : ndarray of int, shape (p,)
+        Unknown velocities.
+    driven_rates : ndarray, shape (nv,)
+        Change of each driven joint along the whole path, dimensionless.
+    pose : int
+        The closure that stands for a target's pose, -1 if there is none.
+    first_columns, loop_columns : ndarray of int
+        Where the velocities of each closure begin, and the velocities, from frame 1 to frame 2.
+    pose_turn : ndarray, shape (1,)
+        Angle of the target's turn along the whole path [rad].
+    pose_share : ndarray, shape (1,)
+        Part of the path that is asked for.
+    first_rows, position_counts, row_counts : ndarray of int, shape (closures,)
+        Where the equations of each closure begin, and how many there are, of positions and in all.
+    """
+
+    def __init__(self, rows: ConstraintRows, columns: IntArray, driven: IntArray, driven_in_v: IntArray) -> None:
+        self.rows, self.columns, self.driven, self.driven_in_v = rows, columns, driven, driven_in_v
+        self.pose = rows.pose
+        self.at_frame = rows.placements[rows.pose][1] if rows.pose >= 0 else None
+        closures = len(rows.closures)
+        loops = rows.forms // FORMS
+        self.row_counts = np.bincount(loops, minlength=closures)
+        self.position_counts = np.bincount(loops[rows.forms % FORMS < ROTATION], minlength=closures)
+        self.first_rows = np.cumsum(self.row_counts) - self.row_counts
+        self.driven_rates, self.pose_turn = np.zeros(rows.model.nv), np.zeros(1)
+        self.pose_share = np.zeros(1)
+        # Joints in the order from frame 1 to frame 2.
+        loops_columns = [np.r_[np.flatnonzero(sign < 0.0)[::-1], np.flatnonzero(sign > 0.0)] for sign in rows.signs]
+        self.first_columns = np.cumsum([0, *map(len, loops_columns)])
+        self.loop_columns = np.concatenate([*loops_columns, np.zeros(0, np.intp)]).astype(np.intp)
+        self.kinematics = LoopKinematics(rows)
+        self._all = np.zeros(rows.model.nv)
+
+    def aim(self, q: FloatArray, target: FloatArray) -> None:
+        """Set the path from q to a target: values of the driven joints, or the matrix (4, 4) of a pose."""
+        if self.pose < 0:
+            self.values = q[self.driven], target
+            self.driven_rates[self.driven_in_v] = (target - q[self.driven]) / self.rows.units[self.driven_in_v]
+            return
+        rows = self.rows
+        pin.forwardKinematics(rows.model, self.kinematics.data, q)
+        placement = self.kinematics.data.oMi[rows.joints[self.pose][1]] * self.at_frame
+        self.start, self.end = placement, pin.SE3(target)
+        self.turn = pin.log3(self.end.rotation @ placement.rotation.T)
+        self.pose_turn[0] = np.linalg.norm(self.turn)
+
+    def place(self, s: float) -> None:
+        """Move the pose that is to be reached to its place at a share of the path."""
+        rotation = self.end.rotation if s == 1.0 else pin.exp3(s * self.turn) @ self.start.rotation
+        start, end = self.start.translation, self.end.translation
+        at = end if s == 1.0 else start + s * (end - start)
+        turned = self.at_frame * pin.SE3(rotation.T, np.zeros(3))
+        self.kinematics.rows.placements[self.pose] = [pin.SE3(np.eye(3), at), turned]
+
+
+def residual(problem: Problem, q: FloatArray, s: float) -> FloatArray:
+    """Return the equations' left sides (m,), dimensionless, at a share of the path."""
+    if problem.pose >= 0:
+        problem.place(s)
+    return problem.kinematics.residual(q)
+
+
+def linearised(problem: Problem, q: FloatArray, s: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return left sides (m,), their Jacobian (m, p), and speeds and turns (closures, nv)."""
+    if problem.pose >= 0:
+        problem.place(s)
+    found = problem.kinematics.linearised(q)
+    return found.residual, found.jacobian[:, problem.columns], found.speeds, found.turns
+
+
+def moved(problem: Problem, q: FloatArray, s: float, x: FloatArray) -> FloatArray:
+    """Return q after the unknown joints have moved by x (p,), the driven ones where they are at a share of the path."""
+    problem._all[problem.columns] = x * problem.rows.units[problem.columns]
+    q = pin.integrate(problem.rows.model, q, problem._all)
+    if problem.pose < 0:
+        start, end = problem.values
+        q[problem.driven] = end if s == 1.0 else start + s * (end - start)
+    return np.asarray(q)
+
+
+def left_inverse(jacobian: FloatArray) -> tuple[FloatArray, bool]:
+    """Return (Jᵀ J)⁻¹ Jᵀ, and whether J (m, p) has full column rank."""
+    rows, columns = jacobian.shape
+    if not columns:
+        return np.zeros((0, rows)), True
+    factor, info = lapack.dpotrf(jacobian.T @ jacobian)
+    diagonal = factor.diagonal().tolist()
+    if info or min(diagonal) <= REGULAR * max(diagonal):
+        return np.zeros((columns, rows)), False
+    return np.asarray(lapack.dpotrs(factor, jacobian.T)[0]), True
+
+
+follow, _ = make_follower(residual, linearised, moved, left_inverse)
+
+
+def _kernel() -> Any:
+    from spm_pin.loops import tree_kernel
+
+    return tree_kernel
+
+
+class Follower:
+    """Paths of one chain to values of its actuated joints, or to poses of a frame."""
+
+    def __init__(self, chain: Any, frame: str | None, chosen: Sequence[int]) -> None:
+        model, self.chain = chain.model, chain
+        self.rows: ConstraintRows = chain.rows
+        unknown = np.ones(model.nv, dtype=bool)
+        unknown[chain.indices_in_v(*chain.held)] = False
+        if frame is None:
+            unknown[chain.actuated_in_v] = False
+        else:
+            self.rows = ConstraintRows(model, chain.closures, chain.equalities, chain.q0, (frame, chosen))
+            unknown &= self.rows.coupled_with_pose()
+        moves = chain.rows.concerns()
+        for joint in list(model.joints)[1:]:
+            columns = slice(joint.idx_v, joint.idx_v + joint.nv)
+            # A base that no loop holds stays where it is.
+            if joint.shortname() == "JointModelFreeFlyer" and not moves[columns].any():
+                unknown[columns] = False
+        self.frame = frame
+        # Numbers of a target: a matrix (4, 4), or values.
+        self._width = len(chain.actuated) if frame is None else 16
+        self.columns = np.flatnonzero(unknown)
+        # All that moves on the way.
+        self._movable = np.union1d(self.columns, chain.actuated_in_v) if frame is None else self.columns
+        if frame is None:
+            self._check_determined(unknown & ~moves)
+        driven = (chain.actuated_in_q, chain.actuated_in_v) if frame is None else (np.zeros(0, np.intp),) * 2
+        self._problem = Problem(self.rows, self.columns, *driven)
+        self._local = threading.local()
+
+    def _check_determined(self, free: BoolArray) -> None:
+        names = [self.chain.joint_of_velocity(int(k)) for k in np.flatnonzero(free)]
+        if names:
+            cause = "They are in no loop: name them as actuated or held"
+            raise ArgumentError(
+                "actuated", "joints that determine all others", f"free ones: {', '.join(dict.fromkeys(names))}", cause
+            )
+
+    def problem(self) -> Problem:
+        """Return the problem of this thread."""
+        found = getattr(self._local, "problem", None)
+        if found is None:
+            found = copy.copy(self._problem)
+            found.rows = copy.copy(found.rows)
+            found.rows.placements = list(found.rows.placements)
+            found.kinematics = LoopKinematics(found.rows)
+            for name in ("driven_rates", "_all", "pose_turn", "pose_share"):
+                setattr(found, name, getattr(found, name).copy())
+            self._local.problem = found
+        return found
+
+    def run(self, starts: FloatArray, targets: FloatArray, is_path: bool) -> FloatArray:
+        """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq)."""
+        results = np.empty((len(targets), self.chain.model.nq))
+        starts, k, status, done, steps = np.array(starts, order="C", ndmin=2), 0, 0, 1.0, 0
+        kernel = _kernel() if len(targets) > FEW else sys.modules.get(f"{__package__}.tree_kernel")
+        if kernel is not None and (kernel.run.is_loaded or len(targets) > FEW):
+            aims = np.array(targets, order="C").reshape(len(targets), self._width)
+            k, status, done, steps = kernel.run(self._tree(kernel), starts, aims, is_path, results)
+        else:
+            problem, q = self.problem(), starts[0]
+            for k, target in enumerate(targets):
+                problem.aim(q if is_path else starts[k], target)
+                q, status, done, steps = follow(problem, q if is_path else starts[k])
+                results[k] = q
+                if status:
+                    break
+        if status:
+            raise self.explained(results[k], k, status, done, steps, targets[k])
+        return results
+
+    def compile(self) -> None:
+        """Compile the kernel, or load it."""
+        empty = np.zeros((0, self._width))
+        kernel = _kernel()
+        kernel.run(
+            self._tree(kernel), np.array(self.chain.q0, ndmin=2), empty, True, np.zeros((0, self.chain.model.nq))
+        )
+
+    def _tree(self, kernel: Any) -> Any:
+        """Return the problem of this thread as arrays."""
+        if not hasattr(self._local, "tree"):
+            self._local.tree = kernel.boxed(kernel.tree_of(self._problem))
+        return self._local.tree
+
+    def explained(
+        self, q: FloatArray, k: int, status: int, done: float, steps: int, target: FloatArray
+    ) -> ArgumentError | ClosureError:
+        """Return the error that says why a path ends at q, after a share `done` of the way to target k."""
+        chain, problem = self.chain, self.problem()
+        problem.aim(q, target)
+        if status == OPEN_START:
+            gaps, _, loop = LoopKinematics(chain.rows).open_closures(q)
+            cause = "near is to be closed: `close` makes it so"
+            return ClosureError(float(gaps.max(initial=0.0)), 0, cause, loop)
+        jacobian = linearised(problem, q, 0.0)[1]
+        freedoms = self._freedoms(q)
+        argument, received = "actuated", len(chain.actuated)
+        if self.frame is not None:
+            argument, received = "rows", int(self.rows.count - chain.rows.count)
+        names = []
+        if len(self.columns):
+            vectors = np.linalg.svd(jacobian)[2][_rank(jacobian) :]
+            names = [chain.joint_of_velocity(int(j)) for j in self.columns[(np.abs(vectors) > 0.05).any(axis=0)]]
+        listed = ", ".join(dict.fromkeys(names))
+        expected = f"{freedoms}, as many as there are freedoms"
+        if status == SINGULAR_START and received < freedoms:
+            return ArgumentError(argument, expected, f"{received}", f"These joints are not determined: {listed}")
+        if received > freedoms:
+            return ArgumentError(
+                argument, expected, f"{received}", "Such targets contradict each other unless they fit"
+            )
+        where = f"No further than {100.0 * done:.3g} % of the way"
+        where += f" to member {k}" if k else ""
+        cause = f"{where}: a singularity, or the end of this assembly mode"
+        cause += f". Not determined there: {listed}" if listed else ""
+        # How open the loops, or how far the pose, would be with the target from here.
+        there = moved(problem, q, 1.0, np.zeros(len(self.columns)))
+        residual(problem, there, 1.0)
+        gaps, _, loop = problem.kinematics.open_closures(there)
+        return ClosureError(float(gaps.max(initial=0.0)), steps, cause, loop)
+
+    def _freedoms(self, q: FloatArray) -> int:
+        """Return the degrees of freedom of what moves, at closed q or, if more rows count there, near q."""
+        kinematics, random, model = LoopKinematics(self.chain.rows), np.random.default_rng(0), self.chain.model
+        rank = _rank(kinematics.linearised(q).jacobian[:, self._movable])
+        for _ in range(3):
+            away = np.zeros(model.nv)
+            away[self._movable] = random.uniform(-0.1, 0.1, len(self._movable)) * self.rows.units[self._movable]
+            with contextlib.suppress(ClosureError):
+                near = assemble(kinematics, pin.integrate(model, q, away), self._movable)
+                rank = max(rank, _rank(kinematics.linearised(near).jacobian[:, self._movable]))
+        return len(self._movable) - rank
+
+
+def _rank(jacobian: FloatArray) -> int:
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    return int((values > DEPENDENT * max(values.max(initial=0.0), 1e-300)).sum())

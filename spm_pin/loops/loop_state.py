@@ -1,0 +1,385 @@
+"""The state of a closed chain: joint values and velocities, one or a batch, and all that is computed from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Self, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
+from spm_pin.loops.mobility import check_regular
+from spm_pin.loops.state_kinematics import (
+    AGREEMENT,
+    StateKinematics,
+    frame_index,
+    largest,
+    read_joint_values,
+    read_vectors,
+)
+from spm_pin.support.arguments import FloatArray, broadcastable
+
+Result = TypeVar("Result")
+
+
+class Energy(NamedTuple):
+    """Energy of all moving bodies [J], floats or arrays (...)."""
+
+    kinetic: Any
+    """Kinetic energy [J]."""
+    potential: Any
+    """Potential energy of gravity [J], zero at the height of the universe's origin."""
+
+    @property
+    def total(self) -> Any:
+        """Kinetic and potential energy together."""
+        return self.kinetic + self.potential
+
+
+class LoopState:
+    """Joint values q and velocities v of a `ClosedChain`, and what is computed from them.
+
+    Made by its method `state` and moved on by `update`, without new memory: loops make one and update it. Of one q and
+    v, kinematics, Jacobians and factorisations are computed once and kept for later calls; of a batch each call
+    computes them anew, member by member. Arguments broadcast with the batch. A state is for one thread at a time.
+
+    Twists (v, ω) [m/s, rad/s] and wrenches (f, m) [N, N m] are at the origin of a frame, in the axes of the world,
+    linear first. `wrenches` are a mapping from names of frames to what acts there, (..., 6). Springs, damping and
+    friction of joints are left out; armatures are part of the masses.
+
+    Methods that use rates or forces take a closed q, and raise `SingularConfigurationError` at a singularity of the
+    loops, where some velocities that their equations admit lead to no motion.
+
+    Joints that the chain holds stand still. A free base does so where rates of the actuators are given, as all joints
+    in no loop that are not actuated; in dynamics they move freely.
+
+    Attributes
+    ----------
+    kinematics : StateKinematics
+        Pinocchio's data, Jacobians and factorisations at a single q; do not change it.
+    failures : dict of tuple of int to SpmError
+        Of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is NaN.
+    """
+
+    def __init__(self, chain: Any, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
+        self._chain, self.kinematics = chain, StateKinematics(chain)
+        self.failures: dict[tuple[int, ...], SpmError] = {}
+        self._batch: tuple[int, ...] = ()
+        self.update(q, v)
+
+    def __repr__(self) -> str:
+        several = f" of a batch of shape {self._batch}" if self._batch else ""
+        return f"<{type(self).__name__}{several}: {self._chain.model.nv} degrees of freedom of the tree>"
+
+    @property
+    def q(self) -> FloatArray:
+        """Joint values, shape (..., nq); a copy."""
+        return self._q.copy()
+
+    @property
+    def v(self) -> FloatArray:
+        """Joint velocities, shape (..., nv); a copy."""
+        return self._v.copy()
+
+    def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
+        """Move to other joint values (..., nq) and velocities (..., nv), zero by default; return this state."""
+        joints, rates = read_joint_values(self._chain.model, q), self.kinematics.zero_velocity
+        if v is not None:
+            rates = read_vectors(v, "v", rates.size, "rates of the joints in Pinocchio's order").copy()
+        if joints.ndim == rates.ndim == 1:
+            self._batch, self._q, self._v = (), joints.copy(), rates
+            self._move(self._q, rates)
+        else:
+            self._batch = broadcastable("v", rates.shape[:-1], "q", joints.shape[:-1])
+            self._q, self._v = (np.broadcast_to(x, (*self._batch, x.shape[-1])).copy() for x in (joints, rates))
+        return self
+
+    def _move(self, q: FloatArray, v: FloatArray) -> None:
+        """Set q (nq,) and v (nv,) for the functions that `_each_member` runs."""
+        self.kinematics.evaluate(q)
+        self._rates, self._is_closed = v, False
+
+    def _each_member(
+        self, function: Callable[..., Result], shape: tuple[int, ...] | list[tuple[int, ...]], **arrays: FloatArray
+    ) -> Result:
+        """Return the results of a function of one q and v, and of one member of each array, for all members.
+
+        `shape` is that of a result, or a list of shapes if the function returns several. For a single state and single
+        arguments, the function's own result is returned.
+        """
+        if not self._batch and all(array.ndim == 1 for array in arrays.values()):
+            return function(*arrays.values())
+        batch = self._batch
+        for name, array in arrays.items():
+            batch = broadcastable(name, array.shape[:-1], "the other arguments", batch)
+        members = [np.broadcast_to(x, (*batch, x.shape[-1])) for x in (self._q, self._v, *arrays.values())]
+        results: Any = [np.full((*batch, *each), np.nan) for each in (shape if isinstance(shape, list) else [shape])]
+        self.failures = {}
+        for index in np.ndindex(batch):
+            q, v, *arguments = (array[index] for array in members)
+            if self._batch:
+                self._move(q, v)
+            try:
+                result: Any = function(*arguments)
+            except (SingularConfigurationError, ClosureError) as error:
+                self.failures[index] = error
+                continue
+            except ArgumentError as error:
+                received = f"{error.received} at batch index {index}"
+                raise type(error)(error.argument, error.expected, received, error.cause) from error
+            for array, value in zip(results, result if isinstance(shape, list) else [result], strict=True):
+                array[index] = value
+        outcome: Result = results if isinstance(shape, list) else results[0]
+        return outcome
+
+    def _each_closed_member(self, function: Callable[..., Result], shape: Any, **arrays: FloatArray) -> Result:
+        """Return the same as `_each_member` for a function that takes a regular q, closed, and v that keeps it so."""
+
+        def member(*arguments: FloatArray) -> Result:
+            if not self._is_closed:
+                self.kinematics.check_closed(self._rates)
+                check_regular(self._chain, self.kinematics)
+                self._is_closed = True
+            return function(*arguments)
+
+        return self._each_member(member, shape, **arrays)
+
+    def gap(self) -> FloatArray:
+        """Return the residual of each row of the closures and joint equalities [m, rad], shape (..., m)."""
+        return self._each_member(lambda: self.kinematics.residual[: self._rows].copy(), (self._rows,))
+
+    def constraint_jacobian(self) -> FloatArray:
+        """Return the derivative of `gap` by the joints' motion, shape (..., m, nv); exact at any q."""
+        return self._each_member(lambda: self.kinematics.jacobian[: self._rows].copy(), (self._rows, self._nv))
+
+    def energy(self) -> Energy:
+        """Return the kinetic and the potential energy (...) [J] of all bodies, closed or not."""
+        return Energy(*self._each_member(lambda: self.kinematics.energies(self._rates), [(), ()]))
+
+    def joint_jacobian(self) -> FloatArray:
+        """Return the map from rates of the actuators to velocities of all joints, shape (..., nv, n).
+
+        Raises `SingularConfigurationError` where the actuators do not determine them. With more actuators than
+        freedoms, rates that contradict each other are mapped to the closest that do not.
+        """
+
+        def member() -> FloatArray:
+            self.kinematics.check_driven()
+            return self.kinematics.joint_jacobian()
+
+        return self._each_closed_member(member, (self._nv, self._count))
+
+    def joint_rates(self, actuator_rates: npt.ArrayLike) -> FloatArray:
+        """Return the velocities of all joints (..., nv) for rates of the actuators (..., n).
+
+        Raises as `joint_jacobian`, and `ArgumentError` for rates that contradict each other.
+        """
+        rates = self._actuator_values(actuator_rates, "actuator_rates")
+        return self._each_closed_member(lambda r: self._driven(r, "actuator_rates"), (self._nv,), actuator_rates=rates)
+
+    def joint_accelerations(self, actuator_accelerations: npt.ArrayLike) -> FloatArray:
+        """Return the accelerations of all joints (..., nv) for those of the actuators (..., n).
+
+        A free base does not accelerate. Raises as `joint_rates`.
+        """
+
+        def member(accelerations: FloatArray) -> FloatArray:
+            least = self.kinematics.closing_acceleration(self._rates)
+            return least + self._driven(accelerations, "actuator_accelerations", least)
+
+        values = self._actuator_values(actuator_accelerations, "actuator_accelerations")
+        return self._each_closed_member(member, (self._nv,), actuator_accelerations=values)
+
+    def _driven(self, values: FloatArray, argument: str, least: FloatArray | None = None) -> FloatArray:
+        """Return the admissible rates (nv,) that, added to `least`, move the actuators with `values`."""
+        kinematics = self.kinematics
+        kinematics.check_driven()
+        wanted = np.concatenate([values, np.zeros(len(kinematics.base))])
+        if least is not None:
+            wanted -= least.take(np.concatenate([kinematics.actuated, kinematics.base]))
+        rates, missed = kinematics.rates.solve(wanted)
+        if missed > AGREEMENT * max(largest(wanted / kinematics.rates.scales), largest(rates)):
+            expected = "values on which the closures agree"
+            cause = "There are more actuators than freedoms, or loops lock one: see mobility"
+            raise ArgumentError(argument, expected, f"values that are {missed:.1e} off", cause)
+        return np.asarray(kinematics.space.basis.dot(rates))
+
+    def actuator_jacobian(self, frame: str) -> FloatArray:
+        """Return the map from rates of the actuators to the twist of a frame, shape (..., 6, n).
+
+        Raises `SingularConfigurationError` where the actuators do not determine the twist. Joints that do not move the
+        frame, such as spins of rods, need no actuator. More actuators than freedoms are treated as in `joint_jacobian`.
+        """
+        index = self._frame(frame)
+
+        def member() -> FloatArray:
+            jacobian = self.kinematics.frame_jacobian(index)
+            self.kinematics.check_driven(jacobian)
+            return np.asarray(jacobian @ self.kinematics.joint_jacobian())
+
+        return self._each_closed_member(member, (6, self._count))
+
+    def twist(self, frame: str) -> FloatArray:
+        """Return the twist of a frame, shape (..., 6)."""
+        index = self._frame(frame)
+        return self._each_member(lambda: self.kinematics.frame_jacobian(index) @ self._rates, (6,))
+
+    def frame_acceleration(self, frame: str, a: npt.ArrayLike) -> FloatArray:
+        """Return the time derivative of the twist of a frame (..., 6) for joint accelerations (..., nv)."""
+        index = self._frame(frame)
+
+        def member(a: FloatArray) -> FloatArray:
+            kinematics = self.kinematics
+            pin.forwardKinematics(kinematics.model, kinematics.data, kinematics.q, self._rates, a)
+            frames = kinematics.model, kinematics.data, index, pin.LOCAL_WORLD_ALIGNED
+            return np.array(pin.getFrameClassicalAcceleration(*frames).vector)
+
+        return self._each_member(member, (6,), a=self._joint_vectors(a, "a"))
+
+    def forward_dynamics(self, tau: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
+        """Return the accelerations of all joints (..., nv) under actuators, gravity and wrenches.
+
+        `tau` (..., n) [N, N m] is in the order of the actuators.
+        """
+
+        def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
+            return self.kinematics.accelerations(self._rates, self._forces(tau, frames, loads))
+
+        frames, arrays = self._read_wrenches(wrenches)
+        return self._each_closed_member(member, (self._nv,), tau=self._actuator_values(tau, "tau"), **arrays)
+
+    def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
+        """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.
+
+        The accelerations `a` (..., nv) are those of closed loops: of `forward_dynamics`, or of `joint_accelerations`.
+        With more actuators than freedoms, the least forces. Raises `ArgumentError` for accelerations that no forces of
+        the actuators cause, as may be with fewer.
+        """
+
+        def member(a: FloatArray, *loads: FloatArray) -> FloatArray:
+            kinematics, v = self.kinematics, self._rates
+            bias, size = kinematics.bias(v), largest(v / self.kinematics.units)
+            if not kinematics.space.is_admissible(a, bias, AGREEMENT, size * size):
+                expected, received = "joint accelerations that keep the loops closed", "accelerations that open them"
+                cause = "joint_accelerations makes them from those of the actuators"
+                raise ArgumentError("a", expected, received, cause)
+            return self._balance(pin.rnea(kinematics.model, kinematics.data, kinematics.q, v, a), frames, loads)
+
+        frames, arrays = self._read_wrenches(wrenches)
+        return self._each_closed_member(member, (self._count,), a=self._joint_vectors(a, "a"), **arrays)
+
+    def holding_forces(self, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
+        """Return the forces of the actuators (..., n) [N, N m] at rest, under gravity and wrenches.
+
+        With more actuators than freedoms, the least. Raises `ArgumentError` where the actuators do not hold the chain.
+        """
+
+        def member(*loads: FloatArray) -> FloatArray:
+            kinematics = self.kinematics
+            weights = pin.computeGeneralizedGravity(kinematics.model, kinematics.data, kinematics.q)
+            return self._balance(weights, frames, loads)
+
+        frames, arrays = self._read_wrenches(wrenches)
+        return self._each_closed_member(member, (self._count,), **arrays)
+
+    def actuator_forces(self, joint_forces: npt.ArrayLike) -> FloatArray:
+        """Return the forces of the actuators (..., n) that do the same work as forces of all joints (..., nv).
+
+        It maps torques of a leg's serial joints, as a policy commands them, to its motors; masses and weights play no
+        part. With more actuators than freedoms, the least. Raises as `holding_forces`.
+        """
+        forces = self._joint_vectors(joint_forces, "joint_forces")
+        return self._each_closed_member(lambda g: self._balance(g, [], ()), (self._count,), joint_forces=forces)
+
+    def _balance(self, forces: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the least actuator forces (n,) that do the work of generalized ones (nv,), less that of wrenches."""
+        kinematics = self.kinematics
+        for frame, load in zip(frames, loads, strict=True):
+            forces = forces - kinematics.frame_jacobian(frame).T.dot(load)
+        basis = kinematics.space.basis
+        wanted = basis.T.dot(forces)
+        tau, missed = kinematics.actuation.solve_transposed(wanted)
+        if missed > AGREEMENT * largest(wanted):
+            # Weights, too, may cancel, as in free fall.
+            size = largest(np.abs(basis).T.dot(np.abs(forces))) + kinematics.weight
+            if missed > AGREEMENT * size:
+                loose = kinematics.moving_joints(basis @ kinematics.actuation.right[kinematics.actuation.rank :].T)
+                expected = "forces that the actuators can bear"
+                cause = "Fewer actuators than freedoms, or a singular configuration: see mobility"
+                raise ArgumentError("forces", expected, f"others in {', '.join(loose[:4])}", cause)
+        return tau
+
+    def constraint_forces(self, tau: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
+        """Return the forces λ of the rows of `gap` (..., m) [N, N m] while actuators, gravity and wrenches act.
+
+        `constraint_jacobian` transposed maps them to generalized forces. Where rows depend on each other, the closures
+        share loads in more than one way, and the least forces are returned, moments in units of the chain's length.
+        """
+
+        def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
+            kinematics, forces = self.kinematics, self._forces(tau, frames, loads)
+            a = kinematics.accelerations(self._rates, forces)
+            missing = pin.rnea(kinematics.model, kinematics.data, kinematics.q, self._rates, a) - forces
+            return kinematics.space.row_forces(missing)[: self._rows]
+
+        frames, arrays = self._read_wrenches(wrenches)
+        return self._each_closed_member(member, (self._rows,), tau=self._actuator_values(tau, "tau"), **arrays)
+
+    def actuator_mass(self) -> FloatArray:
+        """Return the mass matrix of all bodies in the actuators' coordinates, shape (..., n, n).
+
+        Times accelerations of the actuators it is, at rest, what moves the masses; a free base is held. Raises as
+        `joint_jacobian`.
+        """
+
+        def member() -> FloatArray:
+            self.kinematics.check_driven()
+            mapped = self.kinematics.joint_jacobian()
+            mass = mapped.T @ self.kinematics.mass_matrix() @ mapped
+            return np.asarray(0.5 * (mass + mass.T))
+
+        return self._each_closed_member(member, (self._count, self._count))
+
+    @property
+    def _nv(self) -> int:
+        return int(self._chain.model.nv)
+
+    @property
+    def _rows(self) -> int:
+        return int(self.kinematics.rows.count)
+
+    @property
+    def _count(self) -> int:
+        return len(self.kinematics.actuated)
+
+    def _frame(self, name: str) -> int:
+        return frame_index(self._chain.model, name)
+
+    def _actuator_values(self, value: npt.ArrayLike, argument: str) -> FloatArray:
+        return read_vectors(value, argument, self._count, "one for each actuator, in the order of `actuated`")
+
+    def _joint_vectors(self, value: npt.ArrayLike, argument: str) -> FloatArray:
+        return read_vectors(value, argument, self._nv, "one for each degree of freedom in Pinocchio's order")
+
+    def _read_wrenches(self, wrenches: Mapping[str, npt.ArrayLike] | None) -> tuple[list[int], dict[str, FloatArray]]:
+        """Return the indices of the frames, and the wrenches as arguments of `_each_member`."""
+        if wrenches is None:
+            return [], {}
+        if not isinstance(wrenches, Mapping):
+            expected = "a mapping from frames to wrenches, as {'foot': (fx, fy, fz, mx, my, mz)}"
+            raise ArgumentError("wrenches", expected, type(wrenches).__name__)
+        meaning = "(f, m) in N and N m in the axes of the world"
+        arrays = {f"wrenches[{name!r}]": value for name, value in wrenches.items()}
+        return [self._frame(name) for name in wrenches], {
+            argument: read_vectors(value, argument, 6, meaning) for argument, value in arrays.items()
+        }
+
+    def _forces(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
+        """Return generalized forces (nv,) of actuators (n,) and of wrenches."""
+        forces = np.zeros(self._nv)
+        np.add.at(forces, self.kinematics.actuated, tau)
+        for frame, load in zip(frames, loads, strict=True):
+            forces += self.kinematics.frame_jacobian(frame).T.dot(load)
+        return forces

@@ -1,0 +1,296 @@
+"""A tree with closures at one configuration: equations, their derivatives, admissible velocities and what drives them.
+
+All that a `LoopState` computes of one configuration is kept here until the next. With the tree's mass matrix M, its
+nonlinear effects h, the Jacobian J of the closures' rows, generalized forces g and the forces λ of the rows,
+
+    M a + h = g + Jᵀ λ,    J a + J̇ v = 0.
+
+Rows may depend on each other. Z, whose columns span the velocities that the closures admit, leaves λ out of it:
+
+    a = a0 + Z y,    (Zᵀ M Z) y = Zᵀ (g - h - M a0),    J a0 = -J̇ v.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+from scipy.linalg import blas, lapack
+
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.loops.links import find_frame
+from spm_pin.loops.null_space import NullSpace
+from spm_pin.support.arguments import FloatArray, IntArray, finite_array, real_array
+
+AGREEMENT = 1e-9
+"""Loops open by this share of the chain's size are taken for rounded, more for open."""
+DEPENDENCE = 100.0
+"""Rows that depend on each other in closed loops do so, in loops open by a gap, to about this times the gap."""
+DETERMINED = 1e-9
+"""Singular values below this of the map from freedoms, of scaled velocities of length one, to actuators are zero."""
+COMPATIBLE = 1e-6
+"""Largest disagreement of dependent rows on accelerations, relative to the terms; more at a singularity."""
+
+_HATS = np.zeros((6, 16))
+"""Rows of 4 x 4 matrices of the unit twists."""
+_HATS[[0, 1, 2], [3, 7, 11]] = 1.0
+_HATS[[3, 4, 5], [9, 2, 4]], _HATS[[3, 4, 5], [6, 8, 1]] = 1.0, -1.0
+
+
+class Drive(NamedTuple):
+    """The singular value decomposition of A, admissible velocities (dof,) to scaled rates of the actuators (n,)."""
+
+    scales: FloatArray
+    left: FloatArray
+    sizes: FloatArray
+    right: FloatArray
+    rank: int
+
+    def inverse(self) -> FloatArray:
+        """Return the least velocities for each rate, shape (dof, n)."""
+        left, right = self.left[:, : self.rank] / self.sizes[: self.rank], self.right[: self.rank]
+        return np.asarray(right.T @ left.T / self.scales)
+
+    def solve(self, rates: FloatArray) -> tuple[FloatArray, float]:
+        """Return the least velocities (dof,) for rates (n,), and how far the rates are off, scaled."""
+        scaled = rates / self.scales
+        parts = scaled.dot(self.left)
+        velocities = (parts[: self.rank] / self.sizes[: self.rank]).dot(self.right[: self.rank])
+        return velocities, largest(self.left[:, self.rank :].dot(parts[self.rank :]))
+
+    def solve_transposed(self, work: FloatArray) -> tuple[FloatArray, float]:
+        """Return the least actuator forces (n,) of generalized forces (dof,), and how far these are out of reach."""
+        parts = self.right.dot(work)
+        forces = self.left[:, : self.rank].dot(parts[: self.rank] / self.sizes[: self.rank])
+        return forces / self.scales, largest(parts[self.rank :])
+
+
+class StateKinematics:
+    """Residuals, Jacobians and factorisations of a chain at one q, each computed on first use.
+
+    `q` (nq,) are the joint values of the last `evaluate`; `data`, a pinocchio.Data, has the joint placements, Jacobians
+    and frames there, and other algorithms may work in it at the same q. Rows are those of the chain's closures and
+    joint equalities, then one for each velocity of joints that are held. `rank` of them are independent; with None, as
+    many as seem so at q, which is right in closed loops alone.
+    """
+
+    def __init__(self, chain: Any) -> None:
+        self.model, self.rows, self.actuated = chain.model, chain.rows, chain.actuated_in_v
+        self.data = self.model.createData()
+        self.q, self.zero_velocity = np.zeros(0), np.zeros(self.model.nv)
+        self._values: bytes | None = None
+        self.rank: int | None = None
+        rows, nv, held = self.rows, self.model.nv, chain.indices_in_v(*chain.held)
+        self._held = np.eye(nv)[held]
+        self.labels = (*rows.labels, *(name for name in chain.held for _ in chain.indices_in_v(name)))
+        self.row_units = np.concatenate([rows.row_units, rows.units[held]])
+        self.units = rows.units
+        # Work of all weights in a step of order one.
+        mass = sum(inertia.mass for inertia in self.model.inertias)
+        self.weight = float(mass * np.linalg.norm(self.model.gravity.linear) * rows.size)
+        # A free base, and other joints that are neither in a loop nor actuated, stand still where actuators have rates.
+        in_loops = np.concatenate([np.flatnonzero(rows.signs.any(axis=0)), *rows.equality_places[:, [1, 3]]])
+        self.base = np.setdiff1d(np.arange(nv), np.concatenate([in_loops, self.actuated, held]))
+        # For each closure, which velocities move its first frame.
+        self._first = np.zeros((len(rows.closures), nv))
+        for moved, (first, _) in zip(self._first, rows.joints, strict=True):
+            for joint in [self.model.joints[j] for j in list(self.model.supports[first])[1:]]:
+                moved[joint.idx_v : joint.idx_v + joint.nv] = 1.0
+
+    def evaluate(self, q: FloatArray) -> None:
+        """Evaluate the kinematics at q (nq,), unless q is unchanged."""
+        values, self.q = q.tobytes(), q
+        if values == self._values:
+            return
+        self._values = None
+        pin.computeJointJacobians(self.model, self.data, q)
+        pin.updateFramePlacements(self.model, self.data)
+        self._values = values
+        known = self.__dict__
+        for name in _CACHED:
+            known.pop(name, None)
+
+    @cached_property
+    def _placed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        placed: tuple[FloatArray, FloatArray, FloatArray] = self.rows.placements_of(self.data)
+        return placed
+
+    @cached_property
+    def residual(self) -> FloatArray:
+        """Left side of each equation [m, rad], shape (m,)."""
+        return np.concatenate([self.rows.left_sides(self.q, self._placed[2]), np.zeros(len(self._held))])
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """J, joint velocities (nv,) to the rates of the left sides, shape (m, nv); exact at any q."""
+        rows = self.rows.jacobian(self.q, self.data, self._placed)
+        return np.concatenate([rows, self._held]) if len(self._held) else rows
+
+    def bias(self, v: FloatArray) -> FloatArray:
+        """Return J̇ v (m,), the second derivatives of the left sides where no joint accelerates; exact at any q."""
+        rows, data = self.rows, self.data
+        pin.computeJointJacobiansTimeVariation(self.model, data, self.q, v)
+        across, count = (rows.signs * v).T, len(rows.joints)
+        columns = [data.J.dot(across), data.dJ.dot(across), data.J.dot((self._first * v).T)]
+        hats = np.concatenate(columns, axis=1).T.dot(_HATS).reshape(3, count, 4, 4)
+        relative, change, first = hats
+        # X = M1⁻¹ M2 of the placements in the world; its second derivative is M1⁻¹ (...) M2, with a last row of zeros.
+        inner = (change + relative @ (relative + first) - first @ relative)[:, :3]
+        axes, tip, placed = self._placed
+        moved = np.array(placed)
+        moved[:, :3, :3], moved[:, :3, 3] = axes @ placed[:, :3, :3], tip
+        second = axes.swapaxes(1, 2) @ inner @ moved
+        # Left sides of closures are linear in X.
+        bias = np.concatenate([rows.left_sides(self.q, second), np.zeros(len(self._held))])
+        for k, (_, _, place, driver) in enumerate(rows.equality_places.tolist()):
+            curvature = np.polynomial.Polynomial(rows.polynomials[k]).deriv(2) if driver >= 0 else np.zeros_like
+            bias[len(rows.forms) + k] = -curvature(self.q[place] - rows.zeros[k, 1]) * v[driver] ** 2
+        return bias
+
+    @cached_property
+    def widest_gap(self) -> float:
+        """Largest residual of a row, relative to its unit."""
+        return largest(self.residual / self.row_units)
+
+    @cached_property
+    def space(self) -> NullSpace:
+        """The velocities that the closures admit."""
+        return NullSpace(self.jacobian, self.row_units, self.units, DEPENDENCE * self.widest_gap, self.rank)
+
+    @cached_property
+    def actuation(self) -> Drive:
+        """What the actuators drive."""
+        return self._drive(self.actuated)
+
+    @cached_property
+    def rates(self) -> Drive:
+        """What the actuators drive where a free base stands still; the base's own velocities count as driven."""
+        return self._drive(np.concatenate([self.actuated, self.base])) if len(self.base) else self.actuation
+
+    def _drive(self, places: IntArray) -> Drive:
+        scales = self.units.take(places)
+        left, sizes, right = np.linalg.svd(self.space.basis.take(places, axis=0) / scales[:, None])
+        rank = sum(size > DETERMINED for size in sizes.tolist())
+        return Drive(scales, left, sizes, right, rank)
+
+    def joint_jacobian(self) -> FloatArray:
+        """Return T, rates of the actuators to the least velocities of all joints, shape (nv, n)."""
+        count = len(self.actuated)
+        return np.asarray(self.space.basis @ self.rates.inverse()[:, :count])
+
+    @cached_property
+    def undriven(self) -> FloatArray:
+        """Velocities that the closures admit where actuators and a free base stand still, shape (nv, any)."""
+        return np.asarray(self.space.basis @ self.rates.right[self.rates.rank :].T)
+
+    def check_driven(self, rows: FloatArray | None = None) -> None:
+        """Raise unless the actuators determine the velocities of all joints, or of what `rows` (k, nv) maps them to."""
+        loose = self.undriven
+        if not loose.shape[1]:
+            return
+        moved = loose / self.units[:, None] if rows is None else rows @ loose
+        size = 1.0 if rows is None else np.abs(rows * self.units).sum(axis=1).max(initial=0.0)
+        if np.abs(moved).max() > DETERMINED * size:
+            sigma = float(self.rates.sizes[-1]) if self.rates.rank < len(self.rates.sizes) else 0.0
+            joints = ", ".join(self.moving_joints(loose)[:4])
+            raise SingularConfigurationError("forward", sigma, cause=f"Not driven: {joints}")
+
+    def moving_joints(self, velocities: FloatArray) -> list[str]:
+        """Return the names of the joints that move in any of the columns of velocities (nv, any)."""
+        sizes = np.abs(velocities / self.units[:, None]).max(axis=1, initial=0.0)
+        joints = zip(self.model.names[1:], self.model.joints[1:], strict=True)
+        return [name for name, j in joints if sizes[j.idx_v : j.idx_v + j.nv].max() > DETERMINED * sizes.max()]
+
+    def frame_jacobian(self, frame: int) -> FloatArray:
+        """Return the Jacobian (6, nv) of a frame, at its origin in the universe's axes."""
+        return np.asarray(pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED))
+
+    def mass_matrix(self) -> FloatArray:
+        """Return M (nv, nv)."""
+        half = np.triu(pin.crba(self.model, self.data, self.q))
+        return np.asarray(half + np.triu(half, 1).T)
+
+    def energies(self, v: FloatArray) -> tuple[float, float]:
+        """Return the kinetic and the potential energy of the bodies [J]."""
+        kinetic = pin.computeKineticEnergy(self.model, self.data, self.q, v)
+        return float(kinetic), float(pin.computePotentialEnergy(self.model, self.data, self.q))
+
+    def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
+        """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
+        if not self.widest_gap <= AGREEMENT:
+            worst = int(np.abs(self.residual / self.row_units).argmax())
+            cause = f"The widest is {self.labels[worst]}. Rounded or guessed joint values? close() assembles them"
+            raise ClosureError(float(abs(self.residual[worst])), 0, cause)
+        if v is not None and not self.space.is_admissible(v, 0.0, AGREEMENT):
+            expected, received = "joint velocities that keep the loops closed", "velocities that open them"
+            raise ArgumentError(argument, expected, received, "joint_rates makes them from rates of the actuators")
+
+    def closing_acceleration(self, v: FloatArray) -> FloatArray:
+        """Return the least accelerations a0 (nv,) with J a0 = -J̇ v, or raise where the rows contradict each other."""
+        bias = self.bias(v)
+        least, missed = self.space.solve(-bias)
+        if missed and missed > COMPATIBLE * (largest(bias / self.row_units) + largest(v / self.units) ** 2):
+            raise SingularConfigurationError("constraint", self.space.least)
+        return least
+
+    def accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray:
+        """Return the joint accelerations (nv,) under generalized forces (nv,), gravity and the closures' forces."""
+        model, data, q, basis = self.model, self.data, self.q, self.space.basis
+        least = self.closing_acceleration(v)
+        if not basis.shape[1]:
+            return least
+        # One triangle of M is filled.
+        mass = np.asfortranarray(pin.crba(model, data, q))
+        reflected = basis.T.dot(blas.dsymm(1.0, mass, basis))
+        rest = forces - pin.nonLinearEffects(model, data, q, v) - blas.dsymv(1.0, mass, least)
+        _, free, info = lapack.dposv(reflected, basis.T.dot(rest))
+        if info:
+            still = ", ".join(self.moving_joints(basis)[:4])
+            raise ArgumentError(
+                "model", "inertias of all that moves", f"motion without inertia, of {still} among others"
+            )
+        return np.asarray(least + basis.dot(free))
+
+
+_CACHED = {name for name, member in vars(StateKinematics).items() if isinstance(member, cached_property)}
+
+
+def frame_index(model: Any, name: str) -> int:
+    """Return the index of a frame of a model, or raise `ArgumentError`."""
+    frame = find_frame(model, name) if isinstance(name, str) else None
+    if frame is None:
+        names = [frame.name for frame in model.frames]
+        close = difflib.get_close_matches(str(name), names, n=3)
+        cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else f"Frames are {', '.join(names[:12])}"
+        raise ArgumentError("frame", "the name of a frame of the model", repr(name), cause)
+    return frame
+
+
+def read_joint_values(model: Any, q: npt.ArrayLike, argument: str = "q") -> FloatArray:
+    """Return joint values (..., nq) with quaternions of length one, or raise `ArgumentError`."""
+    array = read_vectors(q, argument, model.nq, "joint values in rad and m in Pinocchio's order")
+    if model.nq == model.nv:
+        return array
+    flat = array.reshape(-1, model.nq)
+    if not all(pin.isNormalized(model, row, 1e-6) for row in flat):
+        expected = "unit quaternions (x, y, z, w) of free and ball joints"
+        raise ArgumentError(argument, expected, "others", "pinocchio.neutral(model) has them, zeros do not")
+    return np.array([pin.normalize(model, row) for row in flat]).reshape(array.shape)
+
+
+def read_vectors(value: npt.ArrayLike, argument: str, size: int, meaning: str) -> FloatArray:
+    """Return vectors (..., size) as float64, or raise `ArgumentError`."""
+    if type(value) is np.ndarray and value.shape == (size,) and value.dtype == np.float64:
+        # For the single vectors of control loops an eighth of the time of NumPy's own tests.
+        return value if math.isfinite(sum(value.tolist())) else finite_array(value, argument, (size,), meaning)
+    return real_array(value, argument, (size,), meaning)
+
+
+def largest(vector: FloatArray) -> float:
+    """Return the largest absolute value of a short vector: quicker than NumPy."""
+    return float(max(map(abs, vector.tolist()), default=0.0))

@@ -1,0 +1,638 @@
+"""Paths of any closed chain, compiled once for all: tree, closures and target are arrays.
+
+The functions are those of `following` over Pinocchio, for the same `continuation`. A joint is one of seven kinds, by
+how its configuration is stored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import math
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import pinocchio as pin
+from numba.core import event
+from numba.extending import register_jitable
+
+from spm_pin.loops import continuation
+from spm_pin.loops.constraint_rows import FORMS
+from spm_pin.support.arguments import FloatArray, IntArray
+
+HINGE, SLIDE, UNBOUNDED, BALL, FREE, TRANSLATION, PLANAR = range(7)
+_KINDS = {"Spherical": BALL, "FreeFlyer": FREE, "Translation": TRANSLATION, "Planar": PLANAR}
+_KINDS |= dict.fromkeys(("PX", "PY", "PZ", "PrismaticUnaligned"), SLIDE)
+_KINDS |= dict.fromkeys(("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnaligned"), UNBOUNDED)
+_LOG = logging.getLogger("spm_pin")
+
+jit: Any = register_jitable(error_model="numpy")
+inlined: Any = register_jitable(error_model="numpy", forceinline=True)
+"""For small functions of small arrays, of which the compiler then keeps the elements in registers."""
+
+
+class Tree(NamedTuple):
+    """A `Problem` as arrays; the last ones are written by `aim`."""
+
+    parents: IntArray
+    kinds: IntArray
+    in_q: IntArray
+    in_v: IntArray
+    rotations: FloatArray
+    places: FloatArray
+    linear: FloatArray
+    angular: FloatArray
+    joints: IntArray
+    units: FloatArray
+    ends: IntArray
+    scales: FloatArray
+    first_columns: IntArray
+    loop_columns: IntArray
+    loop_signs: FloatArray
+    forms: IntArray
+    row_units: FloatArray
+    equality_places: IntArray
+    polynomials: FloatArray
+    zeros: FloatArray
+    columns: IntArray
+    unknowns: IntArray
+    driven: IntArray
+    driven_in_v: IntArray
+    pose: int
+    first_rows: IntArray
+    position_counts: IntArray
+    row_counts: IntArray
+    frame_rotation: FloatArray
+    frame_place: FloatArray
+    end_rotations: FloatArray
+    end_places: FloatArray
+    driven_rates: FloatArray
+    values: FloatArray
+    pose_turn: FloatArray
+    pose_share: FloatArray
+    turn: FloatArray
+    pose_rotations: FloatArray
+    pose_places: FloatArray
+
+
+def tree_of(problem: Any) -> Tree:
+    """Return a `following.Problem` as arrays."""
+    rows, joints = problem.rows, list(problem.rows.model.joints)[1:]
+    linear, angular = rows.screws
+    placements = [rows.model.jointPlacements[joint.id] for joint in joints]
+    unknowns = np.full(rows.model.nv, -1)
+    unknowns[problem.columns] = np.arange(len(problem.columns))
+    orders = np.split(problem.loop_columns, problem.first_columns[1:-1]) if len(rows.signs) else []
+    frame = problem.at_frame or pin.SE3.Identity()
+
+    def whole(values: Any) -> IntArray:
+        return np.array(values, dtype=np.int64, order="C")
+
+    def stacked(values: Any, *shape: int) -> FloatArray:
+        return np.array(values, dtype=np.float64, order="C").reshape(-1, *shape).copy()
+
+    return Tree(
+        whole([rows.model.parents[joint.id] - 1 for joint in joints]),
+        whole([_KINDS.get(joint.shortname().removeprefix("JointModel"), HINGE) for joint in joints]),
+        whole([joint.idx_q for joint in joints]),
+        whole([joint.idx_v for joint in joints]),
+        stacked([placement.rotation for placement in placements], 9),
+        stacked([placement.translation for placement in placements], 3),
+        stacked(linear, 3),
+        stacked(angular, 3),
+        whole(np.repeat(np.arange(len(joints)), [joint.nv for joint in joints])),
+        stacked(rows.units),
+        whole(rows.joints).reshape(-1, 2) - 1,
+        stacked(0.25 * rows.loop_lengths),
+        whole(problem.first_columns),
+        whole(problem.loop_columns),
+        stacked(np.concatenate([sign[order] for sign, order in zip(rows.signs, orders, strict=True)] or [np.zeros(0)])),
+        whole(rows.forms % FORMS),
+        stacked(rows.row_units),
+        whole(rows.equality_places),
+        np.array(rows.polynomials, order="C"),
+        np.array(rows.zeros, order="C"),
+        whole(problem.columns),
+        whole(unknowns),
+        whole(problem.driven),
+        whole(problem.driven_in_v),
+        problem.pose,
+        whole(problem.first_rows),
+        whole(problem.position_counts),
+        whole(problem.row_counts),
+        stacked(frame.rotation, 9),
+        stacked(frame.translation, 3),
+        stacked([end.rotation for ends in rows.placements for end in ends], 9),
+        stacked([end.translation for ends in rows.placements for end in ends], 3),
+        np.zeros(rows.model.nv),
+        np.zeros((2, len(problem.driven))),
+        np.zeros(1),
+        np.zeros(1),
+        np.zeros(3),
+        np.zeros((2, 9)),
+        np.zeros((2, 3)),
+    )
+
+
+def boxed(tree: Tree) -> Any:
+    """Return a tree in a list of Numba's, which a call takes as one argument: the arrays one by one take 30 µs."""
+    trees = numba.typed.List()
+    trees.append(tree)
+    return trees
+
+
+@inlined
+def _vector(array, k):  # type: ignore[no-untyped-def]
+    return array[k, 0], array[k, 1], array[k, 2]
+
+
+@inlined
+def _matrix(array, k):  # type: ignore[no-untyped-def]
+    """Return a rotation matrix, row by row, of the first nine numbers of a row."""
+    m = array
+    return m[k, 0], m[k, 1], m[k, 2], m[k, 3], m[k, 4], m[k, 5], m[k, 6], m[k, 7], m[k, 8]
+
+
+@inlined
+def _put(matrix, array, k):  # type: ignore[no-untyped-def]
+    for i in range(9):
+        array[k, i] = matrix[i]
+
+
+@inlined
+def _product(a, b):  # type: ignore[no-untyped-def]
+    return (
+        a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
+        a[0] * b[1] + a[1] * b[4] + a[2] * b[7],
+        a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
+        a[3] * b[0] + a[4] * b[3] + a[5] * b[6],
+        a[3] * b[1] + a[4] * b[4] + a[5] * b[7],
+        a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
+        a[6] * b[0] + a[7] * b[3] + a[8] * b[6],
+        a[6] * b[1] + a[7] * b[4] + a[8] * b[7],
+        a[6] * b[2] + a[7] * b[5] + a[8] * b[8],
+    )
+
+
+@inlined
+def _transposed(a):  # type: ignore[no-untyped-def]
+    return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]
+
+
+@inlined
+def _times(a, x):  # type: ignore[no-untyped-def]
+    return (
+        a[0] * x[0] + a[1] * x[1] + a[2] * x[2],
+        a[3] * x[0] + a[4] * x[1] + a[5] * x[2],
+        a[6] * x[0] + a[7] * x[1] + a[8] * x[2],
+    )
+
+
+@inlined
+def _sum(x, y):  # type: ignore[no-untyped-def]
+    return x[0] + y[0], x[1] + y[1], x[2] + y[2]
+
+
+@inlined
+def _scaled(x, k):  # type: ignore[no-untyped-def]
+    return k * x[0], k * x[1], k * x[2]
+
+
+@inlined
+def _norm(x):  # type: ignore[no-untyped-def]
+    return math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+
+
+@inlined
+def _about(axis, c, s):  # type: ignore[no-untyped-def]
+    """Return the rotation matrix about a unit vector by an angle of cosine c and sine s."""
+    x, y, z = axis
+    b = 1.0 - c
+    return (
+        c + b * x * x,
+        b * x * y - s * z,
+        b * x * z + s * y,
+        b * x * y + s * z,
+        c + b * y * y,
+        b * y * z - s * x,
+        b * x * z - s * y,
+        b * y * z + s * x,
+        c + b * z * z,
+    )
+
+
+@inlined
+def _of_quaternion(x, y, z, w):  # type: ignore[no-untyped-def]
+    return (
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - z * w),
+        2.0 * (x * z + y * w),
+        2.0 * (x * y + z * w),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - x * w),
+        2.0 * (x * z - y * w),
+        2.0 * (y * z + x * w),
+        1.0 - 2.0 * (x * x + y * y),
+    )
+
+
+@inlined
+def _placed(tree, q):  # type: ignore[no-untyped-def]
+    """Return rotation matrices (joints, 9) and origins (joints, 3) of the joints' frames in the world."""
+    count = len(tree.kinds)
+    rotations, origins = np.empty((count, 9)), np.empty((count, 3))
+    for joint in range(count):
+        kind, at, v, parent = tree.kinds[joint], tree.in_q[joint], tree.in_v[joint], tree.parents[joint]
+        base, place = _matrix(tree.rotations, joint), _vector(tree.places, joint)
+        if parent >= 0:
+            carrier = _matrix(rotations, parent)
+            place = _sum(_times(carrier, place), _vector(origins, parent))
+            base = _product(carrier, base)
+        if kind == HINGE:
+            base = _product(base, _about(_vector(tree.angular, v), math.cos(q[at]), math.sin(q[at])))
+        elif kind == SLIDE:
+            place = _sum(place, _times(base, _scaled(_vector(tree.linear, v), q[at])))
+        elif kind == UNBOUNDED:
+            base = _product(base, _about(_vector(tree.angular, v), q[at], q[at + 1]))
+        elif kind == PLANAR:
+            place = _sum(place, _times(base, (q[at], q[at + 1], 0.0)))
+            base = _product(base, _about((0.0, 0.0, 1.0), q[at + 2], q[at + 3]))
+        else:
+            if kind != BALL:
+                place = _sum(place, _times(base, (q[at], q[at + 1], q[at + 2])))
+                at += 3
+            if kind != TRANSLATION:
+                base = _product(base, _of_quaternion(q[at], q[at + 1], q[at + 2], q[at + 3]))
+        _put(base, rotations, joint)
+        origins[joint, 0], origins[joint, 1], origins[joint, 2] = place
+    return rotations, origins
+
+
+@inlined
+def _axes(tree, rotations, loop, which):  # type: ignore[no-untyped-def]
+    """Return the rotation matrix of frame 1 or 2 of a closure in the world."""
+    joint, own = tree.ends[loop, which], _matrix(tree.end_rotations, 2 * loop + which)
+    return _product(_matrix(rotations, joint), own) if joint >= 0 else own
+
+
+@inlined
+def _point(tree, rotations, origins, loop, which):  # type: ignore[no-untyped-def]
+    """Return the origin of frame 1 or 2 of a closure in the world."""
+    joint, own = tree.ends[loop, which], _vector(tree.end_places, 2 * loop + which)
+    return _sum(_times(_matrix(rotations, joint), own), _vector(origins, joint)) if joint >= 0 else own
+
+
+@inlined
+def _left_side(form, gap, r):  # type: ignore[no-untyped-def]
+    """Return the left side of one of the eight equations that a closure can have, by R and R1ᵀ (p2 - p1)."""
+    if form == 0:
+        return gap[0]
+    if form == 1:
+        return gap[1]
+    if form == 2:
+        return gap[2]
+    if form == 3:
+        return 0.5 * (r[7] - r[5])
+    if form == 4:
+        return 0.5 * (r[2] - r[6])
+    if form == 5:
+        return 0.5 * (r[3] - r[1])
+    return r[2] if form == 6 else r[5]
+
+
+@inlined
+def _derivative(form, v, w, r):  # type: ignore[no-untyped-def]
+    """Return the rate of a left side where frame 2 moves against frame 1 at (v, w)."""
+    if form == 0:
+        return v[0]
+    if form == 1:
+        return v[1]
+    if form == 2:
+        return v[2]
+    if form == 3:
+        return 0.5 * ((r[4] + r[8]) * w[0] - r[1] * w[1] - r[2] * w[2])
+    if form == 4:
+        return 0.5 * ((r[0] + r[8]) * w[1] - r[3] * w[0] - r[5] * w[2])
+    if form == 5:
+        return 0.5 * ((r[0] + r[4]) * w[2] - r[6] * w[0] - r[7] * w[1])
+    return w[1] * r[8] - w[2] * r[5] if form == 6 else w[2] * r[2] - w[0] * r[8]
+
+
+@jit
+def _aim_pose(tree, s):  # type: ignore[no-untyped-def]
+    """Move the pose that is to be reached to its place at a share of the path, as `Problem.place` does."""
+    end = 2 * tree.pose
+    rotation = _matrix(tree.pose_rotations, 1)
+    for i in range(3):
+        tree.end_places[end, i] = tree.pose_places[1, i]
+    if s != 1.0:
+        angle = tree.pose_turn[0]
+        axis = _scaled((tree.turn[0], tree.turn[1], tree.turn[2]), 1.0 / angle if angle > 0.0 else 0.0)
+        rotation = _product(_about(axis, math.cos(s * angle), math.sin(s * angle)), _matrix(tree.pose_rotations, 0))
+        for i in range(3):
+            start = tree.pose_places[0, i]
+            tree.end_places[end, i] = start + s * (tree.pose_places[1, i] - start)
+    _put(_product(_matrix(tree.frame_rotation, 0), _transposed(rotation)), tree.end_rotations, end + 1)
+
+
+@inlined
+def _equalities(tree, q, c):  # type: ignore[no-untyped-def]
+    first = len(tree.forms)
+    for k in range(len(tree.zeros)):
+        joint, _, driver, _ = tree.equality_places[k]
+        x, value = 0.0, 0.0
+        if driver >= 0:
+            x = q[driver] - tree.zeros[k, 1]
+        for power in range(tree.polynomials.shape[1] - 1, -1, -1):
+            value = value * x + tree.polynomials[k, power]
+        c[first + k] = (q[joint] - tree.zeros[k, 0] - value) / tree.row_units[first + k]
+
+
+@jit
+def _residual(tree, q, s):  # type: ignore[no-untyped-def]
+    if tree.pose >= 0:
+        _aim_pose(tree, s)
+    rotations, origins = _placed(tree, q)
+    c, row = np.empty(len(tree.row_units)), 0
+    for loop in range(len(tree.ends)):
+        axes = _transposed(_axes(tree, rotations, loop, 0))
+        r = _product(axes, _axes(tree, rotations, loop, 1))
+        p2 = _point(tree, rotations, origins, loop, 1)
+        gap = _times(axes, _sum(p2, _scaled(_point(tree, rotations, origins, loop, 0), -1.0)))
+        for _ in range(tree.row_counts[loop]):
+            c[row] = _left_side(tree.forms[row], gap, r) / tree.row_units[row]
+            row += 1
+    _equalities(tree, q, c)
+    return c
+
+
+@jit
+def _linearised(tree, q, s):  # type: ignore[no-untyped-def]
+    if tree.pose >= 0:
+        _aim_pose(tree, s)
+    rotations, origins = _placed(tree, q)
+    nv, loops = len(tree.units), len(tree.ends)
+    c, jacobian = np.empty(len(tree.row_units)), np.zeros((len(tree.row_units), len(tree.columns)))
+    speeds, turns = np.zeros((loops, nv)), np.zeros((loops, nv))
+    start = 0
+    for loop in range(loops):
+        axes = _transposed(_axes(tree, rotations, loop, 0))
+        r = _product(axes, _axes(tree, rotations, loop, 1))
+        p2 = _point(tree, rotations, origins, loop, 1)
+        gap = _times(axes, _sum(p2, _scaled(_point(tree, rotations, origins, loop, 0), -1.0)))
+        end = start + tree.row_counts[loop]
+        for row in range(start, end):
+            c[row] = _left_side(tree.forms[row], gap, r) / tree.row_units[row]
+        for k in range(tree.first_columns[loop], tree.first_columns[loop + 1]):
+            column = tree.loop_columns[k]
+            joint = tree.joints[column]
+            scale = tree.loop_signs[k] * tree.units[column]
+            own = _product(axes, _matrix(rotations, joint))
+            w = _times(own, _scaled(_vector(tree.angular, column), scale))
+            arm = _times(axes, (p2[0] - origins[joint, 0], p2[1] - origins[joint, 1], p2[2] - origins[joint, 2]))
+            v = _times(own, _scaled(_vector(tree.linear, column), scale))
+            v = (
+                v[0] + w[1] * arm[2] - w[2] * arm[1],
+                v[1] + w[2] * arm[0] - w[0] * arm[2],
+                v[2] + w[0] * arm[1] - w[1] * arm[0],
+            )
+            speeds[loop, column], turns[loop, column] = _norm(v) / tree.scales[loop], _norm(w)
+            unknown = tree.unknowns[column]
+            if unknown >= 0:
+                for row in range(start, end):
+                    jacobian[row, unknown] = _derivative(tree.forms[row], v, w, r) / tree.row_units[row]
+        start = end
+    _equalities(tree, q, c)
+    for k in range(len(tree.zeros)):
+        row = start + k
+        _, joint, driver, driver_in_v = tree.equality_places[k]
+        if tree.unknowns[joint] >= 0:
+            jacobian[row, tree.unknowns[joint]] = tree.units[joint] / tree.row_units[row]
+        if driver >= 0 and tree.unknowns[driver_in_v] >= 0:
+            x, slope = q[driver] - tree.zeros[k, 1], 0.0
+            for power in range(tree.polynomials.shape[1] - 1, 0, -1):
+                slope = slope * x + power * tree.polynomials[k, power]
+            jacobian[row, tree.unknowns[driver_in_v]] -= slope * tree.units[driver_in_v] / tree.row_units[row]
+    return c, jacobian, speeds, turns
+
+
+@jit
+def _turn_quaternion(q, at, w):  # type: ignore[no-untyped-def]
+    """Turn a quaternion, x y z w, in place by a rotation vector in its own frame."""
+    angle = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    a = 0.5 - angle * angle / 48.0
+    if angle > 1e-4:
+        a = math.sin(0.5 * angle) / angle
+    x, y, z, c = a * w[0], a * w[1], a * w[2], math.cos(0.5 * angle)
+    i, j, k, s = q[at], q[at + 1], q[at + 2], q[at + 3]
+    q[at], q[at + 1] = s * x + i * c + j * z - k * y, s * y - i * z + j * c + k * x
+    q[at + 2], q[at + 3] = s * z + i * y - j * x + k * c, s * c - i * x - j * y - k * z
+    norm = math.sqrt(q[at] ** 2 + q[at + 1] ** 2 + q[at + 2] ** 2 + q[at + 3] ** 2)
+    for n in range(4):
+        q[at + n] /= norm
+
+
+@jit
+def _moved(tree, q, s, x):  # type: ignore[no-untyped-def]
+    q = q.copy()
+    step = np.zeros(len(tree.units))
+    for k in range(len(tree.columns)):
+        step[tree.columns[k]] = x[k] * tree.units[tree.columns[k]]
+    for joint in range(len(tree.kinds)):
+        kind, at, v = tree.kinds[joint], tree.in_q[joint], tree.in_v[joint]
+        if kind <= SLIDE:
+            q[at] += step[v]
+        elif kind == UNBOUNDED:
+            c, sine = math.cos(step[v]), math.sin(step[v])
+            a, b = q[at] * c - q[at + 1] * sine, q[at] * sine + q[at + 1] * c
+            norm = math.sqrt(a * a + b * b)
+            q[at], q[at + 1] = a / norm, b / norm
+        elif kind == TRANSLATION:
+            for i in range(3):
+                q[at + i] += step[v + i]
+        elif kind == BALL:
+            _turn_quaternion(q, at, step[v : v + 3])
+        elif kind == PLANAR:
+            # Half of the turn before the move and half after: right to second order, which is all that steps need.
+            half = math.atan2(q[at + 3], q[at + 2]) + 0.5 * step[v + 2]
+            q[at] += math.cos(half) * step[v] - math.sin(half) * step[v + 1]
+            q[at + 1] += math.sin(half) * step[v] + math.cos(half) * step[v + 1]
+            q[at + 2], q[at + 3] = math.cos(half + 0.5 * step[v + 2]), math.sin(half + 0.5 * step[v + 2])
+        else:
+            _turn_quaternion(q, at + 3, 0.5 * step[v + 3 : v + 6])
+            own = _of_quaternion(q[at + 3], q[at + 4], q[at + 5], q[at + 6])
+            move = _times(own, (step[v], step[v + 1], step[v + 2]))
+            for i in range(3):
+                q[at + i] += move[i]
+            _turn_quaternion(q, at + 3, 0.5 * step[v + 3 : v + 6])
+    for k in range(len(tree.driven)):
+        begin, end = tree.values[0, k], tree.values[1, k]
+        q[tree.driven[k]] = end if s == 1.0 else begin + s * (end - begin)
+    return q
+
+
+@jit
+def _left_inverse(jacobian):  # type: ignore[no-untyped-def]
+    """Return (Jᵀ J)⁻¹ Jᵀ by Cholesky's factorisation, and whether J has full column rank."""
+    rows, columns = jacobian.shape
+    inverse = np.empty((columns, rows))
+    for i in range(columns):
+        for k in range(rows):
+            inverse[i, k] = jacobian[k, i]
+    factor = np.empty((columns, columns))
+    largest = 0.0
+    for i in range(columns):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(rows):
+                total += inverse[i, k] * inverse[j, k]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if j < i:
+                factor[i, j] = total / factor[j, j]
+            elif total > 0.0:
+                factor[i, i] = math.sqrt(total)
+                largest = max(largest, factor[i, i])
+            else:
+                return inverse, False
+    for i in range(columns):
+        if not factor[i, i] > continuation.REGULAR * largest:
+            return inverse, False
+    for i in range(columns):
+        for j in range(i):
+            for k in range(rows):
+                inverse[i, k] -= factor[i, j] * inverse[j, k]
+        for k in range(rows):
+            inverse[i, k] /= factor[i, i]
+    for i in range(columns - 1, -1, -1):
+        for j in range(i + 1, columns):
+            for k in range(rows):
+                inverse[i, k] -= factor[j, i] * inverse[j, k]
+        for k in range(rows):
+            inverse[i, k] /= factor[i, i]
+    return inverse, True
+
+
+@jit
+def _rotation_vector(r, vector):  # type: ignore[no-untyped-def]
+    """Write the rotation vector of a rotation matrix, by the largest element of its quaternion."""
+    q, i = np.empty(4), 0
+    for k in range(1, 3):
+        if r[4 * k] > r[4 * i]:
+            i = k
+    if r[0] + r[4] + r[8] > r[4 * i]:
+        q[0], q[1], q[2], q[3] = r[7] - r[5], r[2] - r[6], r[3] - r[1], 1.0 + r[0] + r[4] + r[8]
+    else:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q[i], q[3] = 1.0 + r[4 * i] - r[4 * j] - r[4 * k], r[3 * k + j] - r[3 * j + k]
+        q[j], q[k] = r[3 * i + j] + r[3 * j + i], r[3 * i + k] + r[3 * k + i]
+    if q[3] < 0.0:
+        q *= -1.0
+    size = _norm(q)
+    scale = 2.0 / q[3] if size < 1e-12 * q[3] else 2.0 * math.atan2(size, q[3]) / size
+    for k in range(3):
+        vector[k] = scale * q[k]
+
+
+@jit
+def _aim(tree, q, target):  # type: ignore[no-untyped-def]
+    """Set the path from q to a target, as `Problem.aim` does."""
+    if tree.pose < 0:
+        for k in range(len(tree.driven)):
+            tree.values[0, k], tree.values[1, k] = q[tree.driven[k]], target[k]
+            column = tree.driven_in_v[k]
+            tree.driven_rates[column] = (target[k] - q[tree.driven[k]]) / tree.units[column]
+        return
+    rotations, origins = _placed(tree, q)
+    joint = tree.ends[tree.pose, 1]
+    carrier = _matrix(rotations, joint)
+    start = _product(carrier, _matrix(tree.frame_rotation, 0))
+    place = _sum(_times(carrier, _vector(tree.frame_place, 0)), _vector(origins, joint))
+    _put(start, tree.pose_rotations, 0)
+    tree.pose_places[0, 0], tree.pose_places[0, 1], tree.pose_places[0, 2] = place
+    for i in range(3):
+        for j in range(3):
+            tree.pose_rotations[1, 3 * i + j] = target[4 * i + j]
+        tree.pose_places[1, i] = target[4 * i + 3]
+    _rotation_vector(_product(_matrix(tree.pose_rotations, 1), _transposed(start)), tree.turn)
+    tree.pose_turn[0] = _norm(tree.turn)
+
+
+_follow, _go_on = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, jit)
+
+
+def _run(trees, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
+    """Write q of all targets; return the number of those reached, and the status, share and steps of the last path."""
+    tree = trees[0]
+    q, status, done, steps = starts[0], continuation.DONE, 1.0, 0
+    jacobian = np.empty((0, 0))
+    inverse = jacobian
+    for k in range(len(targets)):
+        if not is_path:
+            q = starts[k]
+        _aim(tree, q, targets[k])
+        if k > 0 and is_path and tree.pose < 0:
+            q, jacobian, inverse, status, done, steps = _go_on(tree, q, jacobian, inverse)
+        else:
+            q, status, done, steps = _follow(tree, q)
+            if is_path and tree.pose < 0 and status == continuation.DONE:
+                _, jacobian, _, _ = _linearised(tree, q, 1.0)
+                inverse, _ = _left_inverse(jacobian)
+        results[k] = q
+        if status != continuation.DONE:
+            return k, status, done, steps
+    return len(targets), continuation.DONE, 1.0, 0
+
+
+class _Announcement(event.Listener):
+    """Log that Numba begins to compile, not that it loads what is kept."""
+
+    def __init__(self) -> None:
+        self._announced = False
+
+    def on_start(self, event: Any) -> None:
+        if not self._announced:
+            _LOG.warning("spm_pin: compiling the paths of closed chains for this machine, once (about 20 s)")
+        self._announced = True
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+class _Kernel:
+    """The compiled `_run`, made or loaded from Numba's cache at its first call."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._compiled: Callable[..., tuple[int, int, float, int]] | None = None
+
+    def __call__(self, *arguments: Any) -> tuple[int, int, float, int]:
+        return (self._compiled or self._compile(arguments))(*arguments)
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether a call starts at once."""
+        return self._compiled is not None
+
+    def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., tuple[int, int, float, int]]:
+        with self._lock:
+            if self._compiled is None:
+                # Numba's cache looks at this file alone: the name that is kept has a digest of all that is compiled.
+                sources = [Path(str(module)).read_bytes() for module in (__file__, continuation.__file__)]
+                _run.__qualname__ = f"_run_{hashlib.sha256(b''.join(sources)).hexdigest()[:16]}"
+                signature = tuple(map(numba.typeof, arguments))
+                try:
+                    with event.install_listener("numba:compile", _Announcement()):
+                        compiled = numba.njit(signature, error_model="numpy", nogil=True, cache=True)(_run)
+                except Exception as error:  # nowhere to keep it, or a damaged file, which may raise anything
+                    _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
+                    compiled = numba.njit(signature, error_model="numpy", nogil=True)(_run)
+                self._compiled = compiled
+            return self._compiled
+
+
+run = _Kernel()

@@ -1,0 +1,62 @@
+"""Cassie as example-robot-data has it, five times: what closes, what is driven, and what the files have wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from spm_pin.loops import ClosedChain, read_sdf
+
+data = pytest.importorskip("example_robot_data")
+FOLDER = Path(data.getModelPath("cassie_description"), "cassie_description/robots")
+MOTORS = [f"{side}-{joint}-op" for side in ("left", "right") for joint in ("roll", "yaw", "pitch", "knee", "foot")]
+FILES = {
+    "cassie": (16, 36, 28, 10),
+    "cassie_reduced": (11, 12, 12, 8),
+    "cassie_simple": (11, 16, 16, 8),
+    "cassie_v2": (18, 12, 10, 10),
+    "cassie_wo_gearbox_spring": (13, 16, 14, 10),
+}
+"""Degrees of freedom, equations, their rank, and that of the ten motors."""
+
+
+def chain(name: str, held: tuple[str, ...] = ()) -> ClosedChain:
+    motors = [motor.replace("-op", "-ip") for motor in MOTORS] if name == "cassie" else MOTORS
+    return ClosedChain.from_description(read_sdf(FOLDER / f"{name}.sdf", actuated=motors), held=held)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_mobility(name: str) -> None:
+    cassie = chain(name)
+    found = cassie.mobility(cassie.close())
+    assert (found.dof, found.rows, found.rank, found.actuated_rank) == FILES[name]
+
+
+def test_the_feet_of_two_files_are_locked() -> None:
+    for name in ("cassie_reduced", "cassie_simple"):
+        cassie = chain(name)
+        found = cassie.mobility(cassie.close())
+        assert found.redundant == ("left-foot-op", "right-foot-op")
+        assert set(found.redundant) < set(found.locked)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_loops_close_from_random_starts(name: str) -> None:
+    cassie = chain(name)
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        q = cassie.close(pin.integrate(cassie.model, cassie.q0, 0.05 * rng.normal(size=cassie.model.nv)))
+        assert np.abs(cassie.state(q).gap()).max() < 1e-10
+
+
+def test_a_base_that_floats_stays_where_it_is() -> None:
+    cassie = chain("cassie_v2", ("left-knee-shin-joint", "right-knee-shin-joint"))
+    q = cassie.close()
+    q[:7] = pin.SE3ToXYZQUAT(pin.exp6(np.array([0.3, -0.2, 1.5, 0.7, -1.1, 0.4])))
+    values = q[cassie.actuated_in_q]
+    moved = cassie.forward(values + 0.05, near=q)
+    np.testing.assert_array_equal(moved[:7], q[:7])
+    np.testing.assert_allclose(cassie.forward(values, near=moved), q, atol=1e-9)

@@ -1,0 +1,288 @@
+"""Forward and inverse of closed chains: judged by small steps, SciPy's least_squares and closed forms."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import least_squares
+
+from spm_pin.errors import ArgumentError, ClosureError
+from spm_pin.loops import following
+from spm_pin.loops.closed_chain import ClosedChain
+from spm_pin.loops.closures import JointEquality
+from spm_pin.loops.constraint_rows import LoopKinematics
+from tests.loops.robots import ROBOTS, ankle, at, closure, five_bar, four_bar, hinge, stewart
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def chain(request: pytest.FixtureRequest) -> ClosedChain:
+    robot: Callable[[], ClosedChain] = ROBOTS[request.param]
+    return robot()
+
+
+def far_targets(chain: ClosedChain, number: int, share: float) -> Any:
+    """Return values of the actuated joints up to a share of each joint's unit away."""
+    random = np.random.default_rng(7)
+    change = random.uniform(-share, share, (number, len(chain.actuated)))
+    return chain.q0[chain.actuated_in_q] + change * chain.rows.units[chain.actuated_in_v]
+
+
+def by_small_steps(chain: ClosedChain, values: Any, steps: int = 400) -> tuple[Any, float]:
+    """Return q at the end of a way by small steps of least squares, or where it ends, and the share of the way."""
+    problem = chain._follower(None, ()).problem()
+    problem.aim(chain.q0, values)
+    q, none = chain.q0, np.zeros(len(problem.columns))
+    for share in np.linspace(0.0, 1.0, steps + 1)[1:].tolist():
+        q = following.moved(problem, q, share, none)
+        for _ in range(6):
+            c, jacobian, _, _ = following.linearised(problem, q, share)
+            change = np.asarray(-np.linalg.lstsq(jacobian, c, rcond=None)[0], dtype=np.float64)
+            if np.abs(change).max() > 0.2:
+                return q, share
+            q = following.moved(problem, q, share, change)
+        if np.abs(change).max() > 1e-9:
+            return q, share
+    return q, 1.0
+
+
+def test_far_targets_are_reached_in_the_mode_or_not_at_all(chain: ClosedChain) -> None:
+    targets, reached = far_targets(chain, 6, 1.0), 0
+    for values in targets:
+        judged, share = by_small_steps(chain, values)
+        if share < 1.0:
+            with pytest.raises(ClosureError):
+                chain.forward(values, chain.q0)
+            continue
+        reached += 1
+        q = chain.forward(values, chain.q0)
+        assert_allclose(pin.difference(chain.model, judged, q), 0.0, atol=1e-8)
+        assert np.abs(LoopKinematics(chain.rows).residual(q)).max() < 1e-14
+    assert reached > 0
+
+
+def test_compiled_and_interpreted_agree(chain: ClosedChain) -> None:
+    targets = far_targets(chain, following.FEW + 1, 0.2)
+    starts = np.broadcast_to(chain.q0, (len(targets), chain.model.nq))
+    batch = chain.forward(targets, starts)
+    problem = chain._follower(None, ()).problem()
+    for values, q in zip(targets[:10], batch, strict=False):
+        problem.aim(chain.q0, values)
+        interpreted, status, *_ = following.follow(problem, chain.q0)
+        assert status == 0
+        assert_allclose(q, interpreted, atol=1e-13)
+    assert_array_equal(batch[..., chain.actuated_in_q], targets)
+
+
+def test_scipy_finds_the_same(chain: ClosedChain) -> None:
+    values = far_targets(chain, 1, 0.05)[0]
+    kinematics, driven = LoopKinematics(chain.rows), chain.actuated_in_v
+    start = chain.q0.copy()
+    start[chain.actuated_in_q] = values
+    free = np.setdiff1d(np.arange(chain.model.nv), driven)
+
+    def errors(x: Any) -> Any:
+        v = np.zeros(chain.model.nv)
+        v[free] = x
+        return kinematics.residual(pin.integrate(chain.model, start, v))
+
+    solution = least_squares(errors, np.zeros(len(free)), xtol=1e-15, ftol=1e-15, gtol=1e-15, method="lm")
+    v = np.zeros(chain.model.nv)
+    v[free] = solution.x
+    expected = pin.integrate(chain.model, start, v)
+    assert_allclose(pin.difference(chain.model, expected, chain.forward(values, chain.q0)), 0.0, atol=1e-7)
+
+
+def test_path_goes_on_from_each_member_to_the_next() -> None:
+    chain = four_bar()
+    turn = chain.q0[0] + np.linspace(0.0, 2.0 * np.pi, 200)[:, None]
+    path = chain.forward(turn, chain.q0)
+    # The crank turns fully: coupler and rocker come back.
+    assert_allclose(path[-1, 1:] - path[0, 1:], [-2.0 * np.pi, 0.0], atol=1e-12)
+    assert_allclose(path[0], chain.q0, atol=1e-13)
+    # Distances of the joints, of plain geometry.
+    tip = 0.1 * np.array([np.cos(path[:, 0]), np.sin(path[:, 0])])
+    tip += 0.35 * np.array([np.cos(path[:, 0] + path[:, 1]), np.sin(path[:, 0] + path[:, 1])])
+    other = np.array([0.3 + 0.25 * np.cos(path[:, 2]), 0.25 * np.sin(path[:, 2])])
+    assert_allclose(tip, other, atol=1e-14)
+
+
+def test_path_ends_before_a_fold() -> None:
+    # Ground and coupler are shorter than the rest allows: the crank of a double rocker has ends.
+    chain = four_bar(lengths=(0.3, 0.25, 0.15, 0.3))
+    cosine = (0.3**2 + 0.25**2 - (0.15 + 0.3) ** 2) / (2 * 0.3 * 0.25)
+    end = float(np.arccos(cosine))
+    near = chain.forward([end - 1e-6], chain.q0)
+    assert near[0] == end - 1e-6
+    with pytest.raises(ClosureError) as caught:
+        chain.forward([end + 1e-3], chain.q0)
+    assert caught.value.loop == "tip"
+    assert "No further" in caught.value.cause
+
+
+def test_free_base_stays() -> None:
+    chain = ankle(base=True)
+    q0 = chain.q0.copy()
+    q0[:7] = pin.SE3ToXYZQUAT(pin.SE3.Random())
+    values = far_targets(chain, 1, 0.2)[0]
+    q = chain.forward(values, q0)
+    assert_array_equal(q[:7], q0[:7])
+    assert_allclose(q[7:], ankle().forward(values, ankle().q0), atol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [(0, 1, 2, 3, 4, 5), (0, 1, 2), (2, 3, 4)])
+def test_inverse_of_a_platform_is_that_of_forward(rows: tuple[int, ...]) -> None:
+    chain = stewart()
+    goal = chain.forward(far_targets(chain, 1, 0.1)[0], chain.q0)
+    data = chain.model.createData()
+    pin.framesForwardKinematics(chain.model, data, goal)
+    frame = chain.model.getFrameId("platform")
+    pose = data.oMf[frame].copy()
+    if len(rows) < 6:
+        with pytest.raises(ArgumentError) as caught:
+            chain.inverse("platform", pose, chain.q0, rows)
+        assert caught.value.argument == "rows"
+        return
+    q = chain.inverse("platform", pose, chain.q0, rows)
+    assert_allclose(pin.difference(chain.model, goal, q), 0.0, atol=1e-12)
+    many = chain.inverse("platform", np.broadcast_to(pose.homogeneous, (100, 4, 4)), chain.q0, rows)
+    assert_allclose(many, np.broadcast_to(q, many.shape), atol=1e-12)
+
+
+def test_inverse_of_rows_reaches_those_rows() -> None:
+    chain = ankle()
+    turn = pin.rpy.rpyToMatrix(0.1, -0.2, 0.3)
+    q = chain.inverse("foot", pin.SE3(turn, np.zeros(3)), chain.q0, rows=(3, 4))
+    data = chain.model.createData()
+    pin.framesForwardKinematics(chain.model, data, q)
+    error = pin.log3(turn @ data.oMf[chain.model.getFrameId("foot")].rotation.T)
+    assert_allclose(error[:2], 0.0, atol=1e-13)
+    assert abs(error[2]) > 0.1
+
+
+def test_joint_equality_is_kept() -> None:
+    chain = five_bar()
+    gear = JointEquality("right", "left", (0.3, -1.0), zero=float(chain.q0[2]) - 0.3, driver_zero=float(chain.q0[0]))
+    geared = ClosedChain(chain.model, chain.closures, ["left"], equalities=[gear], q0=chain.q0)
+    q = geared.forward([chain.q0[0] + 0.2], chain.q0)
+    assert_allclose(q[2], chain.q0[2] - 0.2, atol=1e-14)
+    assert_allclose(q, chain.forward(q[[0, 2]], chain.q0), atol=1e-13)
+
+
+def test_held_joints_stay() -> None:
+    chain = five_bar()
+    held = ClosedChain(chain.model, chain.closures, ["left"], held=["right"], q0=chain.q0)
+    q = held.forward([chain.q0[0] + 0.2], chain.q0)
+    assert q[2] == chain.q0[2]
+    assert_allclose(q, chain.forward([chain.q0[0] + 0.2, chain.q0[2]], chain.q0), atol=1e-13)
+
+
+def test_too_few_and_too_many_actuators_are_refused() -> None:
+    chain = five_bar()
+    few = ClosedChain(chain.model, chain.closures, ["left"], q0=chain.q0)
+    with pytest.raises(ArgumentError) as caught:
+        few.forward([chain.q0[0] + 0.1], chain.q0)
+    assert caught.value.argument == "actuated"
+    assert "right" in caught.value.cause
+    many = ClosedChain(chain.model, chain.closures, ["left", "right", "left_rod"], q0=chain.q0)
+    with pytest.raises(ArgumentError) as caught:
+        many.forward(chain.q0[[0, 2, 1]] + [0.1, 0.0, 0.0], chain.q0)
+    assert caught.value.argument == "actuated"
+    # Values that fit have an answer.
+    goal = chain.forward(chain.q0[[0, 2]] + [0.001, 0.0], chain.q0)
+    model = chain.model.copy()
+    hinge(model, "right", "tail", at(0.1))
+    free = ClosedChain(model, chain.closures, ["left", "right"], q0=np.append(chain.q0, 0.0)[[0, 1, 2, 3, 4]])
+    with pytest.raises(ArgumentError) as caught:
+        free.forward(goal[[0, 2]], free.q0)
+    assert "tail" in caught.value.received
+
+
+def test_open_start_is_refused() -> None:
+    chain = four_bar()
+    with pytest.raises(ClosureError) as caught:
+        chain.forward([chain.q0[0]], chain.q0 + np.array([0.0, 0.1, 0.0]))
+    assert caught.value.loop == "tip"
+    assert caught.value.residual == pytest.approx(0.35 * 2.0 * np.sin(0.05), rel=1e-6)
+
+
+def test_singular_start_is_said() -> None:
+    # A parallelogram folded flat: coupler and rocker may part or not.
+    model = pin.Model()
+    hinge(model, "universe", "crank", at())
+    hinge(model, "crank", "coupler", at(0.1))
+    hinge(model, "universe", "rocker", at(0.3))
+    flat = ClosedChain(model, [closure("planar", "coupler", at(0.3), "rocker", at(0.1), "tip")], ["crank"])
+    with pytest.raises(ClosureError) as caught:
+        flat.forward([0.1], flat.q0)
+    assert "coupler" in caught.value.cause
+    q = flat.forward([1.0], flat.close([0.5, -0.5, 0.5]))
+    assert_allclose(q, [1.0, -1.0, 1.0], atol=1e-14)
+
+
+def test_dependent_rows_close_to_rounding() -> None:
+    points = four_bar("point")
+    welded = four_bar("hinge")
+    assert points.rows.count == 3
+    assert welded.rows.count == 5
+    for crank in (-1.0, 2.0):
+        assert_allclose(welded.forward([crank], welded.q0), points.forward([crank], points.q0), atol=1e-13)
+
+
+def test_copies_and_threads_answer_alike() -> None:
+    chain = five_bar()
+    targets = far_targets(chain, 400, 0.3)
+    starts = np.broadcast_to(chain.q0, (len(targets), chain.model.nq))
+    expected = chain.forward(targets, starts)
+    copy = pickle.loads(pickle.dumps(chain))
+    assert_array_equal(copy.forward(targets, starts), expected)
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(lambda k: chain.forward(targets[k::4], starts[k::4]), range(4)))
+    for k, result in enumerate(results):
+        assert_array_equal(result, expected[k::4])
+
+
+def test_empty_batches_have_empty_results() -> None:
+    chain = five_bar()
+    assert chain.forward(np.zeros((0, 2)), chain.q0).shape == (0, 4)
+    assert chain.forward(np.zeros((3, 0, 2)), np.zeros((3, 0, 4))).shape == (3, 0, 4)
+    chain.compile()
+    assert chain.forward(np.zeros((0, 2)), chain.q0).shape == (0, 4)
+    passive = ClosedChain(chain.model, chain.closures, [], held=["left", "right"], q0=chain.q0)
+    assert_allclose(passive.forward(np.zeros((2, 0)), chain.q0), [chain.q0] * 2, atol=1e-14)
+
+
+def test_model_is_a_copy() -> None:
+    chain = five_bar()
+    model = chain.model.copy()
+    other = ClosedChain(model, chain.closures, chain.actuated, q0=chain.q0)
+    model.addFrame(pin.Frame("late", 1, at(1.0), pin.FrameType.OP_FRAME))
+    model.jointPlacements[1] = at(5.0)
+    assert not other.model.existFrame("late")
+    assert_array_equal(other.forward(chain.q0[[0, 2]], chain.q0), chain.forward(chain.q0[[0, 2]], chain.q0))
+
+
+def test_wrong_arguments_are_named() -> None:
+    chain = five_bar()
+    for wrong, argument in (([0.1], "values"), ([np.nan, 0.1], "values"), (["a", "b"], "values")):
+        with pytest.raises(ArgumentError) as caught:
+            chain.forward(wrong, chain.q0)
+        assert caught.value.argument == argument
+    with pytest.raises(ArgumentError) as caught:
+        chain.inverse("tap", pin.SE3.Identity(), chain.q0)
+    assert (caught.value.argument, "tip" in caught.value.cause) == ("frame", True)
+    with pytest.raises(ArgumentError) as caught:
+        chain.inverse("tip", pin.SE3.Identity(), chain.q0, rows=(0, 6))
+    assert caught.value.argument == "rows"
+    with pytest.raises(ArgumentError) as caught:
+        ClosedChain(chain.model, chain.closures, ["lift"])
+    assert (caught.value.argument, "left" in caught.value.cause) == ("actuated", True)
+    with pytest.raises(ArgumentError) as caught:
+        chain.forward(np.zeros((3, 2)), np.zeros((2, 4)))
+    assert caught.value.argument == "values"
