@@ -197,7 +197,7 @@ class PlacedLegs(NamedTuple):
     balls: FloatArray
     """Centres of the balls in the platform's frame, as rows (3, 3) [m]."""
     up: float
-    """-1 where the platform is below the circles' centres at home."""
+    """-1 where the platform is below the circles' centres at home, in the direction of z."""
     pivots: FloatArray
     planes: FloatArray
     """Unit vectors x and z of the legs' planes (2, 3, 3)."""
@@ -313,9 +313,14 @@ class Legs:
         planes, stages = np.stack(self.planes), []
         for k, kind in enumerate(self.kinds):
             own = slice(3 * k, 3 * k + 3)
-            arrays = self.axes[own], self.balls[own], 1.0 - 2.0 * k, self.pivots[own], planes[:, own]
+            arrays = self.axes[own], self.balls[own], (1.0 - 2.0 * k) * kind.up, self.pivots[own], planes[:, own]
             stages.append(PlacedLegs(*arrays, kind, self.offsets[own]))
         return tuple(stages)
+
+    @functools.cached_property
+    def ups(self) -> FloatArray:
+        """`LegKind.up` of each leg, (6,) or (3,)."""
+        return frozen(np.repeat([kind.up for kind in self.kinds], 3))
 
     @functools.cached_property
     def planes(self) -> tuple[FloatArray, FloatArray]:

@@ -154,13 +154,6 @@ class Stage(Mechanism):
         return self.kind.unit
 
     @property
-    def up(self) -> float:
-        """-1 where the rods hang at home: of PRS legs whose carriages are ahead of the balls on slides that rise."""
-        kind = self.kind
-        hangs = isinstance(kind, PRS) and float(np.mean(kind.numbers[:, 2] * np.sin(kind.numbers[:, 1]))) > _LEVEL
-        return -1.0 if hangs else 1.0
-
-    @property
     def size(self) -> float:
         """About the height of the stage [m]."""
         own = [float(np.max(getattr(self.kind, name))) for name in ("crank", "rod") if hasattr(self.kind, name)]
