@@ -342,9 +342,8 @@ def _with_derivatives(
 def _physical(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[Any, Any]:
     c, rods = machine.upper_balls(library, b), rods_of(library, machine, pose, b)
     upper_axes = library.run(vectors.turned, pose[0], machine.legs[1].axes)
-    outer = (
-        mapped(lambda x, up=kind.up: up * x, half) for kind, half in zip(machine.kinds[::3], rods.vectors, strict=True)
-    )
+    halves = zip(machine.kinds[::3], rods.vectors, strict=True)
+    outer = [mapped(lambda x, up=kind.up: up * x, half) for kind, half in halves]
     physical = library.run(branches.is_physical, b, c, *outer, machine.legs[0].axes, upper_axes, *pose)
     return physical, library.run(branches.tilt_cosine_sum, b, pose[0])
 

@@ -206,7 +206,7 @@ def test_modes_of_the_tripod_are_those_of_the_robots_stage() -> None:
             np.testing.assert_allclose(modes[label].balls, joints, atol=1e-14)
 
 
-@pytest.mark.parametrize("machine", [name for name in MACHINES])
+@pytest.mark.parametrize("machine", MACHINES)
 def test_the_robot_of_two_stages_is_one_on_the_other_turned_over(machine: str) -> None:
     """The upper platform is turned by half a turn about y onto the lower one."""
     lower, height = stage_and_height(machine)
