@@ -39,6 +39,8 @@ STAGE_LEGS = STAGE_COLUMNS
 
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
+AZIMUTHS = np.arctan2(RADIAL[:, 1], RADIAL[:, 0])
+"""Directions of the drawn legs 1, 2, 3 from x towards y [rad]: -30, 90 and 210 degrees."""
 
 COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
 """Names of the nine parameters of an RPS leg."""
@@ -268,6 +270,14 @@ class Legs:
                 expected = f"{stage} legs 1, 2, 3 counterclockwise about z, as drawn at -30, 90, 210 degrees"
                 cause = "List the legs in the opposite order, in axes, pivots, balls, offsets and numbers of the kind"
                 raise ArgumentError("balls", expected, "a clockwise order", cause)
+            for name, points in (("pivots", p), ("balls", b)):
+                if (RADIAL * points).sum() < 0.0:
+                    turn = math.degrees(np.arctan2(np.cross(RADIAL, points)[:, 2].sum(), (RADIAL * points).sum()))
+                    expected = f"{stage} legs within a quarter turn of the azimuths drawn, -30, 90, 210 degrees"
+                    cause = (
+                        "Turn axes, pivots and balls about z by one angle, or name the leg nearest to -30 degrees leg 1"
+                    )
+                    raise ArgumentError(name, expected, f"{name} turned by {turn:.0f} degrees", cause)
         offsets = bounded_array(self.offsets, "offsets", (count,), f"offsets of the readings in {_UNITS}")
         # A hinge's axis has no sense; x and z of a leg's plane follow from the sense of the drawn one.
         backward = (axes * np.tile(AXES, (len(kinds), 1))).sum(axis=-1) < 0.0
@@ -345,6 +355,13 @@ class Legs:
         axes = (self.axes * turn * [[1.0], [-1.0], [1.0]])[::-1]
         vectors = axes, (self.pivots * turn)[::-1], (self.balls * turn)[::-1]
         return Legs(*vectors, self.offsets[::-1], (kind.turned_over,))
+
+    def turned_about_z(self, angles: FloatArray) -> Legs:
+        """Return the legs turned about z by angles (3,) [rad], each with its axis, pivot and ball."""
+        c, s, zero = np.cos(angles), np.sin(angles), np.zeros(3)
+        turns = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1.0], axis=-1).reshape(3, 3, 3)
+        vectors = ((turns @ x[..., None])[..., 0] for x in self.arrays[:3])
+        return Legs(*vectors, self.offsets, self.kinds)
 
     @property
     def parameters(self) -> FloatArray:

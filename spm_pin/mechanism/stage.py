@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from spm_pin.errors import GeometryError, raised_as
-from spm_pin.mechanism.arguments import dimension, type_and_value
+from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.mechanism.arguments import dimension, real_array, type_and_value
 from spm_pin.mechanism.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.mechanism.legs import Legs, StageLimits
+from spm_pin.mechanism.legs import AZIMUTHS, Legs, StageLimits
 from spm_pin.mechanism.machine_files import (
     legs_as_data,
     limits_as_data,
@@ -32,6 +33,7 @@ _LARGEST = 5.0
 """A stage with a larger dimension [m] is read as one in another unit."""
 _PROPORTION = 100.0
 """Lengths of one stage that are this many times another are read as being in another unit."""
+_SAME_ANGLE = 1e-14
 _LEVEL = 1e-9
 """Sine of the rise of a slide up to which it is level."""
 
@@ -49,6 +51,10 @@ class Stage(Mechanism):
         their axes, pivots, balls and offsets.
     limits : (minimum, maximum) or StageLimits, optional
         Of the readings, each one number or three: [m], of RRS legs [rad]. None means unlimited.
+    azimuths : sequence of three floats, optional
+        Directions in which legs 1, 2, 3 stand, counterclockwise, from x towards y [rad]: of the pivot, the ball and the
+        plane of each leg. On average they have to be within a quarter turn of -30°, 90° and 210°, the default; leg 1 is
+        the one nearest to -30°. `Legs` have directions of their own.
 
     Notes
     -----
@@ -79,10 +85,23 @@ class Stage(Mechanism):
         platform_radius: float,
         legs: LegKind | Legs = _LENGTHS,
         limits: StageLimits | Sequence[Any] | None = None,
+        *,
+        azimuths: Sequence[float] | None = None,
     ) -> None:
         for name, value in (("base_radius", base_radius), ("platform_radius", platform_radius)):
             object.__setattr__(self, name, dimension(value, name))
         self._set_legs((legs,) if isinstance(legs, LegKind) else legs)
+        if azimuths is not None:
+            if isinstance(legs, Legs):
+                raise GeometryError("azimuths", "None beside the Legs of three, which have axes of their own", azimuths)
+            angles = real_array(azimuths, "azimuths", (3,), "of legs 1, 2, 3 in radians")
+            if np.shape(angles) != (3,) or (np.abs(angles) > MOST_TURNED).any():
+                expected = f"three angles in radians, within ±{MOST_TURNED:g}"
+                raise GeometryError("azimuths", expected, np.array2string(angles), "Given in degrees?")
+            turns = np.mod(angles - AZIMUTHS + np.pi, 2.0 * np.pi) - np.pi
+            # Directions that are the default but for rounding are a machine as drawn.
+            if (np.abs(turns) > _SAME_ANGLE).any():
+                self._set_legs(self.legs.turned_about_z(turns))
         self._check_proportion()
         self._check_reach()
         object.__setattr__(self, "limits", None if limits is None else self._read_limits(limits))
