@@ -360,8 +360,8 @@ class Legs:
         """Return the legs turned about z by angles (3,) [rad], each with its axis, pivot and ball."""
         c, s, zero = np.cos(angles), np.sin(angles), np.zeros(3)
         turns = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1.0], axis=-1).reshape(3, 3, 3)
-        vectors = ((turns @ x[..., None])[..., 0] for x in self.arrays[:3])
-        return Legs(*vectors, self.offsets, self.kinds)
+        axes, pivots, balls = ((turns @ x[..., None])[..., 0] for x in self.arrays[:3])
+        return Legs(axes, pivots, balls, self.offsets, self.kinds)
 
     @property
     def parameters(self) -> FloatArray:
