@@ -29,10 +29,6 @@ from spm_pin.mechanism.machine_files import (
 from spm_pin.mechanism.mechanism import Mechanism
 
 _LENGTHS = RPS()
-_LARGEST = 5.0
-"""A stage with a larger dimension [m] is read as one in another unit."""
-_PROPORTION = 100.0
-"""Lengths of one stage that are this many times another are read as being in another unit."""
 _SAME_ANGLE = 1e-14
 _LEVEL = 1e-9
 """Sine of the rise of a slide up to which it is level."""
@@ -45,7 +41,7 @@ class Stage(Mechanism):
     Parameters
     ----------
     base_radius, platform_radius : float
-        From the centre of the base to the legs' pivots, and from that of the platform to its balls [m]; to 5 m.
+        From the centre of the base to the legs' pivots, and from that of the platform to its balls [m].
     legs : LegKind or Legs
         Of a machine as drawn `RPS()`, `PRS(rod=…)` or `RRS(crank=…, rod=…)`; of one as built `Legs` of three, with
         their axes, pivots, balls and offsets.
@@ -102,27 +98,10 @@ class Stage(Mechanism):
             # Directions that are the default but for rounding are a machine as drawn.
             if (np.abs(turns) > _SAME_ANGLE).any():
                 self._set_legs(self.legs.turned_about_z(turns))
-        self._check_proportion()
         self._check_reach()
         object.__setattr__(self, "limits", None if limits is None else self._read_limits(limits))
-
-    def _check_proportion(self) -> None:
-        """Raise `GeometryError` for dimensions that are in another unit than metres, or in several."""
-        kind = self.kind
-        own = {name: float(np.mean(getattr(kind, name))) for name in ("crank", "rod") if hasattr(kind, name)}
-        lengths = {"base_radius": self.base_radius, "platform_radius": self.platform_radius, **own}
-        longest = max(lengths, key=lambda name: lengths[name])
-        if lengths[longest] > _LARGEST:
-            value, shorter = lengths[longest], min(lengths.values())
-            cause = f"Lengths are in metres: {value:g} mm are {1e-3 * value:g}, {value:g} cm {1e-2 * value:g}"
-            expected = f"a length in metres, to {_LARGEST:g}"
-            if value > _PROPORTION * shorter:
-                expected += f", in proportion to the others, of which one is {shorter:g} m"
-            raise GeometryError(longest, expected, f"{value:g}", cause)
-        shortest = min(lengths, key=lambda name: lengths[name])
-        if lengths[longest] > _PROPORTION * lengths[shortest]:
-            expected = f"lengths in one unit, metres: {longest} is {lengths[longest]:g} m"
-            raise GeometryError(shortest, expected, f"{lengths[shortest]:g} m", "In another unit?")
+        if isinstance(legs, LegKind):
+            self._warn_of_dimensions({"base_radius": self.base_radius, "platform_radius": self.platform_radius})
 
     def _check_reach(self) -> None:
         """Raise `GeometryError` for a leg that does not reach its ball at any height of the level platform."""

@@ -95,7 +95,6 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (SIZES[:8], "--rod: expected a length in metres, to 5, got 110. Read in m; is it mm? --unit says so"),
         (SIZES[:6] + SIZES[8:], "--rod: expected the length of the rods beside --crank"),
         (SIZES[:2], "--platform: expected a radius, or --stage with a file"),
         ([*SIZES, "--slide", "90"], "--slide: expected not to be given with --crank"),

@@ -57,7 +57,7 @@ def test_rods_that_differ_from_leg_to_leg_are_those_of_a_machine_as_built(tmp_pa
 
 def test_a_file_in_centimetres_gives_a_warning(tmp_path: Path) -> None:
     path = written(tmp_path / "robot.yaml", "base_side: 120\nmiddle_side: 80\nplatform_side: 60\n")
-    with pytest.warns(UserWarning, match=r"robot\.yaml: base_side is 120 m\. .* another unit\?"):
+    with pytest.warns(UserWarning, match=r"middle_side is 80 m\. .* another unit\?"):
         assert spm.Geometry.from_yaml(path).middle_side == 80.0
 
 
