@@ -415,7 +415,14 @@ class Legs:
         expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
         turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
         scale = np.array([turn if unit == "rad" else spread for unit in self.parameter_units])
-        return self.from_parameters(self.parameters + scale * random.standard_normal(len(scale)))
+        parameters = self.parameters + scale * random.standard_normal(len(scale))
+        try:
+            return self.from_parameters(parameters)
+        except GeometryError as error:
+            cause = f"Legs with such errors are none: {error}"
+            raise GeometryError(
+                "length", "errors that are small against the machine", f"{spread:g} m", cause
+            ) from error
 
     def deviations(self, drawn: Legs) -> tuple[FloatArray, ...]:
         """Return by how much each leg is off the drawn one: axis [rad], and pivot, ball and offset [m]."""
