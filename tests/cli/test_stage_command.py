@@ -35,7 +35,9 @@ def test_readings_of_a_tilt_and_the_way_back() -> None:
     np.testing.assert_allclose(json.loads(wound.stdout)["modes"][0]["readings"], mode["readings"], atol=1e-9)
     every = run("stage", "forward", *SIZES, "--readings", *map(str, mode["readings"]), "--all").stdout
     assert "T2+" in every
-    assert f"Tilt and height of the platform at {', '.join(f'{x:.3f}' for x in mode['readings'])} °" in every
+    assert (
+        f"Tilt and height of the platform on RRS legs at {', '.join(f'{x:.3f}' for x in mode['readings'])} °" in every
+    )
     done = run("stage", "forward", *SIZES, "--readings", "0", "0", "400")
     assert "--readings: expected angles of cranks in degrees, of at most one turn, got 400" in done.message
     assert every.count("physical") == 1
