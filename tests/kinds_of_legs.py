@@ -11,7 +11,12 @@ import spm_pin as spm
 from spm_pin.kinematics import platform_jacobian
 from spm_pin.machine import PRS, RPS, RRS, Stage
 
-KINDS_OF_STAGES = {"RPS": RPS(), "PRS": PRS(rod=1.6, direction=1.3), "RRS": RRS(crank=1.1, rod=0.9)}
+KINDS_OF_STAGES = {
+    "RPS": RPS(),
+    "PRS": PRS(rod=1.6, direction=1.3),
+    "RRS": RRS(crank=1.1, rod=0.9),
+    "PRS hanging": PRS(rod=1.6, direction=1.3, sign=1),
+}
 PAIRS = list(itertools.product(KINDS_OF_STAGES, repeat=2))
 EACH_KIND = [("RPS", "PRS"), ("PRS", "RRS"), ("RRS", "RPS")]
 """Each kind once below and once above."""

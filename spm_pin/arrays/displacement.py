@@ -184,7 +184,8 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
         for k in range(2)
     ]
     if near is None:
-        starts = [run(circles.level_balls, *x) for x in zip(stages, machine.balls, (1.0, -1.0), strict=True)]
+        ups = machine.kinds[0].up, -machine.kinds[3].up
+        starts = [run(circles.level_balls, *x) for x in zip(stages, machine.balls, ups, strict=True)]
     else:
         b, pose = rows_of(near.middle_joints), (rows_of(near.rotation), vector_of(near.translation))
         starts = [b, run(ball_motions.points_from_platform, machine.upper_balls(library, b), *pose)]
@@ -341,7 +342,9 @@ def _with_derivatives(
 def _physical(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[Any, Any]:
     c, rods = machine.upper_balls(library, b), rods_of(library, machine, pose, b)
     upper_axes = library.run(vectors.turned, pose[0], machine.legs[1].axes)
-    physical = library.run(branches.is_physical, b, c, *rods.vectors, machine.legs[0].axes, upper_axes, *pose)
+    halves = zip(machine.kinds[::3], rods.vectors, strict=True)
+    outer = [mapped(lambda x, up=kind.up: up * x, half) for kind, half in halves]
+    physical = library.run(branches.is_physical, b, c, *outer, machine.legs[0].axes, upper_axes, *pose)
     return physical, library.run(branches.tilt_cosine_sum, b, pose[0])
 
 

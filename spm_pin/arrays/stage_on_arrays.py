@@ -106,7 +106,7 @@ def stage_forward(stage: Stage, readings: Array, near: StageState | None = None)
     centres, radii = zip(*machine.circles(library, without_offsets), strict=True)
     own = Circles(machine.legs[0].axes, centres, radii, machine.squares[0])
     if near is None:
-        start = library.run(circles.level_balls, own, machine.balls[0], stage.up)
+        start = library.run(circles.level_balls, own, machine.balls[0], stage.kind.up)
     else:
         pose = rows_of(near.rotation), vector_of(near.translation)
         start = library.run(stage_poses.platform_balls, *pose, machine.balls[0])
@@ -115,7 +115,7 @@ def stage_forward(stage: Stage, readings: Array, near: StageState | None = None)
     exists = exists & valid & machine.in_working_modes(library, b, without_offsets)
     if near is None:
         rods = library.run(vectors.differences, b, centres)
-        exists = exists & library.run(circles.is_home_state, own, rods, b, stage.up)
+        exists = exists & library.run(circles.is_home_state, own, rods, b, stage.kind.up)
     else:
         exists = exists & near.exists
     return StageState._make([*(library.stacked(x, zero) for x in (rotation, position, shown)), exists])

@@ -395,7 +395,8 @@ def quadrics(machine: MachineInCasadi, quaternion: Any, rotation: Any, position:
 
 def level_balls(machine: MachineInCasadi, stage: int, of_readings: circles.Circles) -> Any:
     """Return the balls of the lower stage, 0, or of the upper, 1, at the level start, see `circles.level_balls`."""
-    return in_casadi(circles.level_balls)(of_readings, stages_of(machine.balls)[stage], (1.0, -1.0)[stage])
+    up = (1.0, -1.0)[stage] * machine.up(stage)
+    return in_casadi(circles.level_balls)(of_readings, stages_of(machine.balls)[stage], up)
 
 
 def placed(machine: MachineInCasadi, lower: Sequence[Any], upper: Sequence[Any]) -> tuple[Any, Any, Any]:

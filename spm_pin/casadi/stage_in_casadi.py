@@ -64,14 +64,14 @@ def stage_forward(stage: Stage, *, near: bool = False) -> ca.Function:
     """
     machine, readings, unknowns = _machine(stage), ca.SX.sym("readings", 3), ca.SX.sym("unknowns", 3)
     own, inputs, triangle = machine.circles(0, ca.vertcat(readings, readings)), [readings], rows(machine.balls[:3])
-    start = in_casadi(circles.level_balls)(own, triangle, stage.up)
+    start = in_casadi(circles.level_balls)(own, triangle, stage.kind.up)
     if as_bool(near, "near"):
         inputs += [ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
         start = [parts(inputs[1] @ ball + inputs[2]) for ball in machine.balls[:3]]
     balls, errors, stepped, angles = stage_problem(machine, 0, own, start, unknowns)
     error, e = errors / machine.side, in_casadi(circles.directions_to)(own, balls)
     residual = ca.mmax(ca.fabs(error)) / machine.side
-    exists = [residual < 1e-12, in_casadi(circles.is_home_state)(own, e, balls, stage.up)]
+    exists = [residual < 1e-12, in_casadi(circles.is_home_state)(own, e, balls, stage.kind.up)]
     exists += [radius > 0.0 for radius in own.radii]
     shown = ca.vertsplit(readings - machine.offsets[:3])
     for leg, (ball, reading) in enumerate(zip(columns(balls), shown, strict=True)):

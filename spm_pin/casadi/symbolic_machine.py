@@ -265,6 +265,10 @@ class MachineInCasadi:
         most = (MOST_TURNED if self.kinds[leg // 3].unit == "rad" else np.inf for leg in range(len(own)))
         return [ca.fabs(reading) < bound for reading, bound in zip(own, most, strict=True)]
 
+    def up(self, stage: int) -> Any:
+        """Return `LegKind.up` of the lower stage, 0, or of the upper, 1."""
+        return self.kinds[stage].up_of(in_casadi, self.numbers[3 * stage : 3 * stage + 3])
+
     def angles(self, stage: int, e: Sequence[Any]) -> Any:
         """Return the angles (3,) of directions in the planes of a stage's legs, from their axes y towards z."""
         planes = zip(self.planes[3 * stage : 3 * stage + 3], columns(e), strict=True)
@@ -360,8 +364,8 @@ class StateInCasadi:
     def is_physical(self) -> tuple[Any, Any]:
         """Return whether the state is physical, leg limits aside, and the sum of the cosines of both stages' tilts."""
         turn, (b, c) = [parts(self.rotation[i, :]) for i in range(3)], stages_of(self.balls)
-        legs = *stages_of(self.vectors), *stages_of(self.axes)
-        physical = in_casadi(branches.is_physical)(b, c, *legs, turn, parts(self.position))
+        outer = stages_of([self.machine.up(leg // 3) * vector for leg, vector in enumerate(self.vectors)])
+        physical = in_casadi(branches.is_physical)(b, c, *outer, *stages_of(self.axes), turn, parts(self.position))
         return ca.logic_and(physical, self.reach >= 0.0), in_casadi(branches.tilt_cosine_sum)(b, turn)
 
 

@@ -259,7 +259,8 @@ def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, at: 
         columns[f"shift {axis} [{unit}]"] = lambda row, k=k: unit.text(row["shift"][k])
     columns["torsion [°]"] = lambda row: fixed(row["torsion"], 3)
     columns[""] = lambda row: "physical" * row["physical"] + "*" * (bool(at) and len(row["beyond_limits"]) > 0)
-    title = f"Tilt and height of the platform at {at} {angle}" if at else f"Readings of the legs in {angle}"
+    legs = f"{stage.kind.name} legs"
+    title = f"Tilt and height of the platform on {legs} at {at} {angle}" if at else f"Readings of {legs} in {angle}"
     if records and not at:
         height, tilt, azimuth = (records[0][name] for name in ("height", "tilt", "azimuth"))
         title += f" at {unit.text(height)} {unit} for a tilt of {fixed(tilt, 2)}° towards {fixed(azimuth, 2)}°"

@@ -84,7 +84,7 @@ def _read_stage(typed: Typed, arguments: Typed, *, required: bool) -> Stage | No
         if len(given) > 1:
             beside = ", ".join(f"--{name}" for name in given if name != "stage")
             raise ArgumentError("--stage", "a file alone: its numbers are in metres and radians", f"also {beside}")
-        with raised_as(GeometryError, "--stage"):
+        with raised_as(GeometryError, "--stage"), options.warnings_as_notes("--stage: "):
             return Stage.from_yaml(typed["stage"])
     for name in ("base", "platform"):
         if typed[name] is None:
@@ -94,17 +94,15 @@ def _read_stage(typed: Typed, arguments: Typed, *, required: bool) -> Stage | No
     named = {"base_radius": "--base", "platform_radius": "--platform", "legs": "--rod", "direction": "--slide"}
     try:
         kind = _read_kind(typed, lengths)
-        stage = Stage(lengths["base"], lengths["platform"], kind)  # type: ignore[arg-type]
+        with options.warnings_as_notes("--unit: "):
+            stage = Stage(lengths["base"], lengths["platform"], kind)  # type: ignore[arg-type]
         readings = Readings(stage, unit)
         limits = None if typed["limits"] is None else readings.read_limits("--limits", *typed["limits"])
-        return Stage(stage.base_radius, stage.platform_radius, kind, limits)
+        return Stage(stage.base_radius, stage.platform_radius, stage.legs, limits)
     except GeometryError as error:
         name = error.argument.partition(" of ")[0]
         option = named.get(name, f"--{name}")
-        cause = (
-            f"Read in {unit}; is it {LengthUnit.MM}? --unit says so" if "are in metres" in error.cause else error.cause
-        )
-        raise GeometryError(option, error.expected, error.received, cause) from error
+        raise GeometryError(option, error.expected, error.received, error.cause) from error
 
 
 def _read_kind(typed: Typed, lengths: Typed) -> LegKind:

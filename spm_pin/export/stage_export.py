@@ -80,7 +80,7 @@ def stage_numbers(stage: Stage) -> FloatArray:
     fixed += [np.nan_to_num(np.cos(angle)), np.nan_to_num(np.sin(angle))]
     fixed += [np.broadcast_to(getattr(kind, "sign", 0.0), 3), legs.offsets, *stage.reading_limits]
     numbers = np.concatenate([legs.pivots, *legs.planes, legs.balls, np.stack(fixed, axis=-1)], axis=-1)
-    return np.concatenate([[stage.up, stages.home_height(stage)], numbers.ravel()])
+    return np.concatenate([[stage.kind.up, stages.home_height(stage)], numbers.ravel()])
 
 
 def stage_machine_sources(stage: Stage) -> dict[str, str]:

@@ -313,7 +313,7 @@ def is_physical(
     """Return whether a state of any machine is physical, leg limits aside: upright, both stages in their home's aspect.
 
     b and c are the balls of the lower and of the upper legs, `lower` and `upper` the vectors from the circles' centres
-    to the former and from the latter to theirs, all in {B}.
+    to the former and from the latter to theirs, all in {B}; those of a stage that hangs are reversed.
     """
     aspects = both(is_stage_at_home(b, lower, axes), is_stage_at_home(c, upper, upper_axes))
     return both(is_upright(b, lower, upper, rotation, position), aspects)

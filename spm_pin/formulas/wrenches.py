@@ -66,7 +66,7 @@ def determinant(b: Rows, f: Rows, a: Rows) -> float:
 
 
 def is_stage_at_home(b: Rows, f: Rows, a: Rows) -> bool:
-    """Return whether an upright stage of any machine is in its home's aspect; f_i are along the legs, upwards."""
+    """Return whether an upright stage of any machine is in its home's aspect; f_i are along the legs, up at home."""
     return is_home_aspect(pairs(b, crosses(multiples(TANGENT_SIGNS, a), f)))
 
 

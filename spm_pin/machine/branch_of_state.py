@@ -95,11 +95,13 @@ def physical(configuration: Configuration) -> BoolArray:
     nominal directions determine the mode, and the machine's own axes the aspect.
     """
     position = tuple(np.moveaxis(configuration.translation, -1, 0))
-    vectors = configuration.middle_joints, *_stages(configuration.leg_vectors), configuration.rotation
+    outer = configuration.leg_vectors * configuration.geometry.legs.ups[:, None]
+    vectors = configuration.middle_joints, *_stages(outer), configuration.rotation
     upright = np.asarray(_is_upright(*map(rows_of, vectors), position))
     # Of a batch few are upright, and the aspect takes longer.
     states = configuration[upright] if configuration.shape else configuration
-    stages = zip(*map(_stages, (states.balls, states.leg_vectors, states.leg_axes)), strict=True)
+    outer = outer[upright] if configuration.shape else outer
+    stages = zip(*map(_stages, (states.balls, outer, states.leg_axes)), strict=True)
     at_home: BoolArray = upright.copy()
     at_home[upright] = np.logical_and(*(_is_stage_at_home(*map(rows_of, vectors)) for vectors in stages))
     return at_home

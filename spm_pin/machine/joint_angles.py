@@ -118,7 +118,8 @@ def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
         # Legs of the other working mode have another reading in the same place.
         own = kind.readings(places[legs])
         readings[legs] = np.where(signs == signs[0], at_home.reading, own)
-        if not ((at_home.z > 0.0 or is_alone) and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
+        stands = at_home.z > 0.0 or is_alone or kind.up < 0.0
+        if not (stands and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
             ends = f" between {low:g} and {high:g} {kind.unit}" if limits else ""
             expected = "a machine whose platforms are level at the middle of its limits"
             cause = "A rod too short, another sign, or limits about a place where the stage does not stand?"

@@ -115,6 +115,16 @@ class LegKind:
             return self
         return self.with_numbers(np.tile(self.numbers[:, : len(self.identified)].mean(axis=0), (3, 1)))
 
+    @property
+    def up(self) -> float:
+        """+1 if the platform is above the centres of the balls' circles at home, -1 if it hangs below them."""
+        return float(self.up_of(on_arrays, self.numbers.tolist()))
+
+    @classmethod
+    def up_of(cls, bind: Callable[[Any], Any], numbers: Sequence[Any]) -> Any:
+        """Return `up` of three legs with these numbers, by formulas bound by a function such as `on_arrays`."""
+        return 1.0
+
     def as_data(self) -> dict[str, Any]:
         """Return what a file says of these legs."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -216,6 +226,11 @@ class PRS(LegKind):
     body = "carriage"
     identified = ("rod", "direction")
     turned = (0.0, 0.0, 1.0)
+
+    @classmethod
+    def up_of(cls, bind: Callable[[Any], Any], numbers: Sequence[Any]) -> Any:
+        """Return `up` of three legs: -1 if the carriages are ahead of the balls on slides that rise."""
+        return bind(planar_legs.prs_up)(*numbers)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,8 @@ STAGE_LEGS = STAGE_COLUMNS
 
 # Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
+AZIMUTHS = np.arctan2(RADIAL[:, 1], RADIAL[:, 0])
+"""Directions of the drawn legs 1, 2, 3 from x towards y [rad]: -30, 90 and 210 degrees."""
 
 COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
 """Names of the nine parameters of an RPS leg."""
@@ -197,7 +199,7 @@ class PlacedLegs(NamedTuple):
     balls: FloatArray
     """Centres of the balls in the platform's frame, as rows (3, 3) [m]."""
     up: float
-    """-1 where the platform is below the circles' centres at home."""
+    """-1 where the platform is below the circles' centres at home, in the direction of z."""
     pivots: FloatArray
     planes: FloatArray
     """Unit vectors x and z of the legs' planes (2, 3, 3)."""
@@ -268,6 +270,14 @@ class Legs:
                 expected = f"{stage} legs 1, 2, 3 counterclockwise about z, as drawn at -30, 90, 210 degrees"
                 cause = "List the legs in the opposite order, in axes, pivots, balls, offsets and numbers of the kind"
                 raise ArgumentError("balls", expected, "a clockwise order", cause)
+            for name, points in (("pivots", p), ("balls", b)):
+                if (RADIAL * points).sum() < 0.0:
+                    turn = math.degrees(np.arctan2(np.cross(RADIAL, points)[:, 2].sum(), (RADIAL * points).sum()))
+                    expected = f"{stage} legs within a quarter turn of the azimuths drawn, -30, 90, 210 degrees"
+                    cause = (
+                        "Turn axes, pivots and balls about z by one angle, or name the leg nearest to -30 degrees leg 1"
+                    )
+                    raise ArgumentError(name, expected, f"{name} turned by {turn:.0f} degrees", cause)
         offsets = bounded_array(self.offsets, "offsets", (count,), f"offsets of the readings in {_UNITS}")
         # A hinge's axis has no sense; x and z of a leg's plane follow from the sense of the drawn one.
         backward = (axes * np.tile(AXES, (len(kinds), 1))).sum(axis=-1) < 0.0
@@ -313,9 +323,14 @@ class Legs:
         planes, stages = np.stack(self.planes), []
         for k, kind in enumerate(self.kinds):
             own = slice(3 * k, 3 * k + 3)
-            arrays = self.axes[own], self.balls[own], 1.0 - 2.0 * k, self.pivots[own], planes[:, own]
+            arrays = self.axes[own], self.balls[own], (1.0 - 2.0 * k) * kind.up, self.pivots[own], planes[:, own]
             stages.append(PlacedLegs(*arrays, kind, self.offsets[own]))
         return tuple(stages)
+
+    @functools.cached_property
+    def ups(self) -> FloatArray:
+        """`LegKind.up` of each leg, (6,) or (3,)."""
+        return frozen(np.repeat([kind.up for kind in self.kinds], 3))
 
     @functools.cached_property
     def planes(self) -> tuple[FloatArray, FloatArray]:
@@ -340,6 +355,13 @@ class Legs:
         axes = (self.axes * turn * [[1.0], [-1.0], [1.0]])[::-1]
         vectors = axes, (self.pivots * turn)[::-1], (self.balls * turn)[::-1]
         return Legs(*vectors, self.offsets[::-1], (kind.turned_over,))
+
+    def turned_about_z(self, angles: FloatArray) -> Legs:
+        """Return the legs turned about z by angles (3,) [rad], each with its axis, pivot and ball."""
+        c, s, zero = np.cos(angles), np.sin(angles), np.zeros(3)
+        turns = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1.0], axis=-1).reshape(3, 3, 3)
+        axes, pivots, balls = ((turns @ x[..., None])[..., 0] for x in self.arrays[:3])
+        return Legs(axes, pivots, balls, self.offsets, self.kinds)
 
     @property
     def parameters(self) -> FloatArray:
@@ -393,7 +415,14 @@ class Legs:
         expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
         turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
         scale = np.array([turn if unit == "rad" else spread for unit in self.parameter_units])
-        return self.from_parameters(self.parameters + scale * random.standard_normal(len(scale)))
+        parameters = self.parameters + scale * random.standard_normal(len(scale))
+        try:
+            return self.from_parameters(parameters)
+        except GeometryError as error:
+            cause = f"Legs with such errors are none: {error}"
+            raise GeometryError(
+                "length", "errors that are small against the machine", f"{spread:g} m", cause
+            ) from error
 
     def deviations(self, drawn: Legs) -> tuple[FloatArray, ...]:
         """Return by how much each leg is off the drawn one: axis [rad], and pivot, ball and offset [m]."""

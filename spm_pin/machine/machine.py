@@ -25,8 +25,8 @@ PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """Units of length, and how many of them are a metre."""
 _PROPORTION = 10.0
 """Lengths this many times the machine's size are read as a wrong unit."""
-_IMPLAUSIBLE = 20.0
-"""A file with a larger dimension [m] is suspected to be in another unit."""
+_LARGE, _UNLIKE, _LONG_CRANK = 5.0, 100.0, 1.5
+"""Dimensions larger than this [m], this many times another one, or cranks this many times their rods, are unusual."""
 _USUAL = 0.4
 """Share of the machine's size that heights, readings and positions usually have."""
 
@@ -103,6 +103,20 @@ class Mechanism(ABC):
             cause = f"Lengths are in metres: {cause}"
             raise GeometryError("limits", expected, f"lengths of up to {longest:g} m", cause)
         return limits
+
+    def _warn_of_dimensions(self, lengths: dict[str, float]) -> None:
+        """Warn if these dimensions or the links are unusual, and may be in another unit or exchanged."""
+        lengths = dict(lengths)
+        for kind in self.legs.kinds:
+            own = {name: float(np.mean(getattr(kind, name))) for name in ("crank", "rod") if hasattr(kind, name)}
+            lengths |= {f"{name} of {kind.name}": length for name, length in own.items()}
+            if own.get("crank", 0.0) > _LONG_CRANK * own.get("rod", math.inf):
+                warnings.warn(f"{kind!r}: the crank is longer than the rod. Are they exchanged?", stacklevel=4)
+        (short, shortest), (long, longest) = (f(lengths.items(), key=lambda x: x[1]) for f in (min, max))
+        text = f"{long} is {longest:g} m" + f" and {short} {shortest:g} m" * (longest > _UNLIKE * shortest)
+        if longest > _LARGE or longest > _UNLIKE * shortest:
+            cause = "Lengths are read as metres; are these in another unit?"
+            warnings.warn(f"{text}. {cause}", stacklevel=4)
 
     def _repr_end(self) -> str:
         """Return limits, and how far legs as built are off the drawing, as the end of the machine's text."""
@@ -182,16 +196,9 @@ class Mechanism(ABC):
     def from_yaml(cls, path: str | Path) -> Self:
         """Read a machine from a YAML file, in metres and radians; `docs/howto/geometry_files.md` describes it.
 
-        A `GeometryError` names the key of what describes no machine. A warning is given for dimensions above 20 m,
-        which are often centimetres or millimetres.
+        A `GeometryError` names the key of what describes no machine.
         """
-        data = read_yaml(path)
-        machine = cls.from_data(data, str(path))
-        longest, key = max((length, key) for key, length in data.items() if isinstance(length, float))
-        if longest > _IMPLAUSIBLE:
-            text = f"{path}: {key} is {longest:g} m. Lengths are read as metres; are these in another unit?"
-            warnings.warn(text, stacklevel=3)
-        return machine
+        return cls.from_data(read_yaml(path), str(path))
 
 
 def check_mechanism(value: Any, argument: str = "geometry") -> Mechanism:

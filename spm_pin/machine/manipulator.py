@@ -102,6 +102,8 @@ class Geometry(Mechanism):
             object.__setattr__(self, name, dimension(value, name))
         self._set_legs((RPS(), RPS()) if legs is None else legs)
         object.__setattr__(self, "limits", None if limits is None else self.check_limits(limits))
+        if not isinstance(legs, Legs):
+            self._warn_of_dimensions({name: getattr(self, name) for name in _DIMENSIONS.values()})
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{name}={getattr(self, name):.6g}" for name in _DIMENSIONS.values())

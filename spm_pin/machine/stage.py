@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from spm_pin.errors import GeometryError, raised_as
+from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.machine.legs import Legs, StageLimits
+from spm_pin.machine.legs import AZIMUTHS, Legs, StageLimits
 from spm_pin.machine.machine import Mechanism
 from spm_pin.machine.machine_files import (
     legs_as_data,
@@ -25,13 +26,10 @@ from spm_pin.machine.machine_files import (
     read_limits,
     read_mapping,
 )
-from spm_pin.support.arguments import dimension, type_and_value
+from spm_pin.support.arguments import dimension, real_array, type_and_value
 
 _LENGTHS = RPS()
-_LARGEST = 5.0
-"""A stage with a larger dimension [m] is read as one in another unit."""
-_PROPORTION = 100.0
-"""Lengths of one stage that are this many times another are read as being in another unit."""
+_SAME_ANGLE = 1e-14
 _LEVEL = 1e-9
 """Sine of the rise of a slide up to which it is level."""
 
@@ -43,12 +41,16 @@ class Stage(Mechanism):
     Parameters
     ----------
     base_radius, platform_radius : float
-        From the centre of the base to the legs' pivots, and from that of the platform to its balls [m]; to 5 m.
+        From the centre of the base to the legs' pivots, and from that of the platform to its balls [m].
     legs : LegKind or Legs
         Of a machine as drawn `RPS()`, `PRS(rod=…)` or `RRS(crank=…, rod=…)`; of one as built `Legs` of three, with
         their axes, pivots, balls and offsets.
     limits : (minimum, maximum) or StageLimits, optional
         Of the readings, each one number or three: [m], of RRS legs [rad]. None means unlimited.
+    azimuths : sequence of three floats, optional
+        Directions in which legs 1, 2, 3 stand, counterclockwise, from x towards y [rad]: of the pivot, the ball and the
+        plane of each leg. On average they have to be within a quarter turn of -30°, 90° and 210°, the default; leg 1 is
+        the one nearest to -30°. `Legs` have directions of their own.
 
     Notes
     -----
@@ -79,31 +81,27 @@ class Stage(Mechanism):
         platform_radius: float,
         legs: LegKind | Legs = _LENGTHS,
         limits: StageLimits | Sequence[Any] | None = None,
+        *,
+        azimuths: Sequence[float] | None = None,
     ) -> None:
         for name, value in (("base_radius", base_radius), ("platform_radius", platform_radius)):
             object.__setattr__(self, name, dimension(value, name))
         self._set_legs((legs,) if isinstance(legs, LegKind) else legs)
-        self._check_proportion()
+        if azimuths is not None:
+            if isinstance(legs, Legs):
+                raise GeometryError("azimuths", "None beside the Legs of three, which have axes of their own", azimuths)
+            angles = real_array(azimuths, "azimuths", (3,), "of legs 1, 2, 3 in radians")
+            if np.shape(angles) != (3,) or (np.abs(angles) > MOST_TURNED).any():
+                expected = f"three angles in radians, within ±{MOST_TURNED:g}"
+                raise GeometryError("azimuths", expected, np.array2string(angles), "Given in degrees?")
+            turns = np.mod(angles - AZIMUTHS + np.pi, 2.0 * np.pi) - np.pi
+            # Directions that are the default but for rounding are a machine as drawn.
+            if (np.abs(turns) > _SAME_ANGLE).any():
+                self._set_legs(self.legs.turned_about_z(turns))
         self._check_reach()
         object.__setattr__(self, "limits", None if limits is None else self._read_limits(limits))
-
-    def _check_proportion(self) -> None:
-        """Raise `GeometryError` for dimensions that are in another unit than metres, or in several."""
-        kind = self.kind
-        own = {name: float(np.mean(getattr(kind, name))) for name in ("crank", "rod") if hasattr(kind, name)}
-        lengths = {"base_radius": self.base_radius, "platform_radius": self.platform_radius, **own}
-        longest = max(lengths, key=lambda name: lengths[name])
-        if lengths[longest] > _LARGEST:
-            value, shorter = lengths[longest], min(lengths.values())
-            cause = f"Lengths are in metres: {value:g} mm are {1e-3 * value:g}, {value:g} cm {1e-2 * value:g}"
-            expected = f"a length in metres, to {_LARGEST:g}"
-            if value > _PROPORTION * shorter:
-                expected += f", in proportion to the others, of which one is {shorter:g} m"
-            raise GeometryError(longest, expected, f"{value:g}", cause)
-        shortest = min(lengths, key=lambda name: lengths[name])
-        if lengths[longest] > _PROPORTION * lengths[shortest]:
-            expected = f"lengths in one unit, metres: {longest} is {lengths[longest]:g} m"
-            raise GeometryError(shortest, expected, f"{lengths[shortest]:g} m", "In another unit?")
+        if isinstance(legs, LegKind):
+            self._warn_of_dimensions({"base_radius": self.base_radius, "platform_radius": self.platform_radius})
 
     def _check_reach(self) -> None:
         """Raise `GeometryError` for a leg that does not reach its ball at any height of the level platform."""
@@ -152,13 +150,6 @@ class Stage(Mechanism):
     def unit(self) -> str:
         """Of the readings: "m" or "rad"."""
         return self.kind.unit
-
-    @property
-    def up(self) -> float:
-        """-1 where the rods hang at home: of PRS legs whose carriages are ahead of the balls on slides that rise."""
-        kind = self.kind
-        hangs = isinstance(kind, PRS) and float(np.mean(kind.numbers[:, 2] * np.sin(kind.numbers[:, 1]))) > _LEVEL
-        return -1.0 if hangs else 1.0
 
     @property
     def size(self) -> float:

@@ -187,7 +187,7 @@ class StageConfiguration(Batched):
         """True without torsion, and reached from the level platform without a forward singularity, shape (...)."""
         axes, centres, none = (rows_of(x) for x in (self.stage.legs.axes, self.circle_centres, np.zeros((3, 3))))
         stage: Any = circles.Circles(axes, centres, none[0], none[0])  # type: ignore[arg-type]
-        at_home = _is_home_state(stage, rows_of(self.leg_vectors), rows_of(self.balls), self.stage.up)
+        at_home = _is_home_state(stage, rows_of(self.leg_vectors), rows_of(self.balls), self.stage.kind.up)
         return np.asarray(at_home, dtype=np.bool_)
 
 

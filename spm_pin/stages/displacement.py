@@ -232,7 +232,7 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     from spm_pin.kinematics.kernels.one_stage import poses_of_stages
 
     legs, kind = stage.legs, stage.kind
-    constants = np.stack(legs.arrays[:3]), np.stack(legs.planes), kind.number, kind.numbers, stage.up
+    constants = np.stack(legs.arrays[:3]), np.stack(legs.planes), kind.number, kind.numbers, kind.up
     triple = ((modes, 3), np.float64)
     cosines: Any = triple if kind.number == RRS_LEGS else np.empty((0, modes, 3))
     results = ((modes, 3, 3), np.float64), triple, triple, cosines, ((modes,), np.uint8)
@@ -248,7 +248,7 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
 
 
 def _half(stage: Stage) -> PlacedLegs:
-    return stage.legs.stages[0]._replace(up=stage.up)
+    return stage.legs.stages[0]
 
 
 def _of_balls(stage: Stage, shape: tuple[int, ...], balls: FloatArray, readings: FloatArray) -> StageConfiguration:

@@ -127,13 +127,19 @@ class StateSet:
         numbers[:, 3] = legs.offsets
         return np.concatenate([axes, legs.pivots, balls, *legs.planes, numbers], axis=-1).reshape(2, 3, 20)
 
+    @cached_property
+    def _signed_aspects(self) -> FloatArray:
+        """The aspects for `kernels.stage_states`, (2,): that of the home is negative for a stage that hangs."""
+        aspects, ups = np.array(self.aspects), self.geometry.legs.ups[::3]
+        return np.where(aspects == HOME_ASPECT, ups * aspects, aspects)
+
     def machine(self, body: FloatArray = CENTRE, margin: float = 0.0) -> tuple[object, ...]:
         """Return the constants of the searches of `state_search`, for points `body` (K, 3) of {m} [m].
 
         Determinants are to be larger than `margin`, where the aspect matters, and rooms of legs than `margin` times
         the size. RPS legs have an end of their reach where they have no length: their limits say enough.
         """
-        legs, aspects = self.geometry.legs, np.array(self.aspects)
+        legs, aspects = self.geometry.legs, self._signed_aspects
         least = np.where(aspects == ANY_ASPECT, -np.inf, margin)
         rooms = np.full(0 if legs.are_rps else 6, margin * self.size)
         limits = [
@@ -148,7 +154,7 @@ class StateSet:
         """Return the lower (0) or upper (1) stage at coordinates (N, 3), seen from {B} or {m}."""
         from spm_pin.kinematics.kernels.stage_states import INSIDE, SLOPE_NUMBERS, STAGE_NUMBERS, stage_states
 
-        constants = self.legs[stage], self.radius, float(_UPWARD[stage]), self.aspects[stage]
+        constants = self.legs[stage], self.radius, float(_UPWARD[stage]), float(self._signed_aspects[stage])
         results = ((STAGE_NUMBERS,), np.float64), ((SLOPE_NUMBERS, 3), np.float64), ((), np.int64)
         inputs = [np.require(coordinates, requirements=("C", "W"))]
         values, slopes, places = run_kernel(stage_states, inputs, constants, results, _MIN_BATCH)

@@ -176,7 +176,7 @@ def test_a_geometry_file_in_centimetres_is_noticed(tmp_path: Path) -> None:
     done = run("inverse", *EXAMPLE, "--geometry", path)
     assert done.returncode == 0
     assert "--geometry: " in done.message
-    assert "base_side is 120 m" in done.message
+    assert "middle_side is 80 m" in done.message
     assert "Warning" not in done.stderr
 
 

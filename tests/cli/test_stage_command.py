@@ -35,7 +35,9 @@ def test_readings_of_a_tilt_and_the_way_back() -> None:
     np.testing.assert_allclose(json.loads(wound.stdout)["modes"][0]["readings"], mode["readings"], atol=1e-9)
     every = run("stage", "forward", *SIZES, "--readings", *map(str, mode["readings"]), "--all").stdout
     assert "T2+" in every
-    assert f"Tilt and height of the platform at {', '.join(f'{x:.3f}' for x in mode['readings'])} °" in every
+    assert (
+        f"Tilt and height of the platform on RRS legs at {', '.join(f'{x:.3f}' for x in mode['readings'])} °" in every
+    )
     done = run("stage", "forward", *SIZES, "--readings", "0", "0", "400")
     assert "--readings: expected angles of cranks in degrees, of at most one turn, got 400" in done.message
     assert every.count("physical") == 1
@@ -95,7 +97,6 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (SIZES[:8], "--rod: expected a length in metres, to 5, got 110. Read in m; is it mm? --unit says so"),
         (SIZES[:6] + SIZES[8:], "--rod: expected the length of the rods beside --crank"),
         (SIZES[:2], "--platform: expected a radius, or --stage with a file"),
         ([*SIZES, "--slide", "90"], "--slide: expected not to be given with --crank"),

@@ -572,7 +572,7 @@ def test_what_is_shared_of_another_machine_needs_its_file():
     assert ViewerModel(starting_configuration(FREE)).command().endswith(" --geometry FILE")
 
 
-@pytest.mark.parametrize("machine", [name for name in MACHINES if "hanging" not in name])
+@pytest.mark.parametrize("machine", MACHINES)
 def test_the_solids_of_a_stage_are_those_of_the_robot_that_stands_on_it(machine):
     stage, height = stage_and_height(machine)
     state = spm.stages.inverse_physical(stage, height, roll=0.1, pitch=-0.05)

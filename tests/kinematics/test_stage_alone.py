@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+import warnings
 from pathlib import Path
 
 import mpmath
@@ -206,7 +207,7 @@ def test_modes_of_the_tripod_are_those_of_the_robots_stage() -> None:
             np.testing.assert_allclose(modes[label].balls, joints, atol=1e-14)
 
 
-@pytest.mark.parametrize("machine", [name for name in MACHINES if "hanging" not in name])
+@pytest.mark.parametrize("machine", MACHINES)
 def test_the_robot_of_two_stages_is_one_on_the_other_turned_over(machine: str) -> None:
     """The upper platform is turned by half a turn about y onto the lower one."""
     lower, height = stage_and_height(machine)
@@ -310,10 +311,6 @@ def test_why_there_is_no_solution_is_said() -> None:
 @pytest.mark.parametrize(
     ("make", "cause"),
     {
-        "millimetres": (lambda: Stage(80, 90, spm.RRS(crank=50, rod=110)), "110 mm are 0.11"),
-        "centimetres": (lambda: Stage(8, 9, spm.RRS(crank=5, rod=11)), "11 cm 0.11"),
-        "a rod in millimetres": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=110)), "110 mm are 0.11"),
-        "one in centimetres": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.0005, rod=0.11)), "In another unit"),
         "a rod too short": (
             lambda: Stage(0.08, 0.3, spm.RRS(crank=0.05, rod=0.11)),
             "longer than 0.22 m",
@@ -331,6 +328,30 @@ def test_why_there_is_no_solution_is_said() -> None:
 def test_numbers_that_are_no_stage_are_refused_with_the_cause(make: object, cause: str) -> None:
     with pytest.raises(spm.GeometryError, match=cause):
         make()  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("make", "hint"),
+    {
+        "millimetres": (lambda: Stage(80, 90, spm.RRS(crank=50, rod=110)), "rod of RRS is 110 m. .*another unit"),
+        "centimetres": (lambda: Stage(8, 9, spm.RRS(crank=5, rod=11)), "rod of RRS is 11 m. .*another unit"),
+        "a rod in millimetres": (
+            lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=110)),
+            "110 m and crank of RRS 0.05",
+        ),
+        "a crank in centimetres": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.0005, rod=0.11)), "0.11 m and crank"),
+        "a mirror's radius": (lambda: Stage(0.3, 0.002), "base_radius is 0.3 m and platform_radius 0.002 m"),
+        "a large robot": (lambda: spm.Geometry(6.0, 5.0, 7.0), "middle_side is 7 m. .*another unit"),
+        "crank and rod exchanged": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.11, rod=0.05)), "exchanged"),
+    }.values(),
+)
+def test_unusual_dimensions_are_a_machine_and_give_a_hint(make: object, hint: str) -> None:
+    with pytest.warns(UserWarning, match=hint) as warned:
+        machine = make()  # type: ignore[operator]
+    assert len(warned) == 1
+    with warnings.catch_warnings(action="error"):
+        assert pickle.loads(pickle.dumps(machine)) == machine
+        assert not machine.perturbed(1).is_nominal
 
 
 def test_a_table_is_read_by_the_names_of_the_legs() -> None:

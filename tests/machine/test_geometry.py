@@ -95,6 +95,7 @@ def test_the_text_of_a_geometry_is_short() -> None:
     assert repr(spm.LegLimits(range(6), 9)) == "LegLimits([0, 1, 2, 3, 4, 5], [9, 9, 9, 9, 9, 9])"  # type: ignore[arg-type]
 
 
+@pytest.mark.filterwarnings("ignore:.*another unit")
 @pytest.mark.parametrize("scale", [1e-9 / 0.34, 1e-6, 1e3, 1e9])
 def test_results_scale_with_the_machine(scale: float) -> None:
     unit = spm.Geometry(1.2 / 3**0.5, 0.6 / 3**0.5, 0.8)

@@ -38,11 +38,11 @@ def check_turns(states: spm.Configuration) -> None:
         if stage:
             ball = ((ball - states.translation)[:, None] @ terminal)[:, 0]
             turned = np.swapaxes(terminal, -1, -2) @ turned
-        # At home the balls are above their triangle, where the circles of the drawing's legs have them.
+        # At home the balls are above their triangle, or below it where they hang, on the circles of the drawing's legs.
         kind, corner_place = geometry.legs.kinds[stage].nominal, geometry.nominal.legs.balls[leg] * [1.0, 1.0, 0.0]
         _, radius = kind.circles(home[3 * stage : 3 * stage + 3])
         rod = corner_place - at_home[leg] * [1.0, 1.0, 0.0]
-        rise = np.sqrt(radius[leg % 3] ** 2 - rod @ rod)
+        rise = kind.up * np.sqrt(radius[leg % 3] ** 2 - rod @ rod)
         _, y, z = np.array([rod[0], rod[1], (1.0 - 2.0 * stage) * rise]) @ corner
         lean = np.arctan2(-y, z)
         # A servo turns the passive joint with the crank.

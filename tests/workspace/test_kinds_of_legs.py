@@ -15,8 +15,8 @@ from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import leg_clearance, nearest_reachable_pose, pose_distance, reachable, reachable_position
 from spm_pin.workspace.states import StateSet, states_within
 
-LIMITS = {"RPS": (1.1, 1.5), "PRS": (-0.5, 0.1), "RRS": (0.2, 1.2)}
-MACHINES = [("PRS", "PRS", False), ("RRS", "PRS", True), ("RPS", "RRS", True)]
+LIMITS = {"RPS": (1.1, 1.5), "PRS": (-0.5, 0.1), "RRS": (0.2, 1.2), "PRS hanging": (2.4, 3.0)}
+MACHINES = [("PRS", "PRS", False), ("RRS", "PRS", True), ("RPS", "RRS", True), ("PRS hanging", "PRS hanging", True)]
 NAMES = [f"{lower} and {upper}{', as built' * built}" for lower, upper, built in MACHINES]
 
 

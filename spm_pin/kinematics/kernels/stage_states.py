@@ -106,7 +106,8 @@ def evaluate_stage(
     """Write the `values` (19,) of a stage and their derivatives `slopes` (13, 3) by its three coordinates.
 
     Returned is where the stage is, `NO_STATE` to `INSIDE`. `legs` (3, 20) are in {B} of a lower stage, in {m} of an
-    upper one; `radius` is r [m], `upward` the sign of Z at home, and `aspect` the wanted one, see `stages.HOME_ASPECT`.
+    upper one; `radius` is r [m], `upward` the sign of Z at home, and `aspect` the wanted one, see `stages.HOME_ASPECT`,
+    whose negative is the home's aspect of a stage that hangs.
     """
     x, y, z = coordinates[0], coordinates[1], radius * coordinates[2]
     axes, pivots, corners = vectors_at(legs, AXIS), vectors_at(legs, PIVOT), vectors_at(legs, BALL)
@@ -145,8 +146,8 @@ def evaluate_stage(
     c, along_u = pairs(balls, normals), pairs(balls, u)
     # At home all six c_ij are 3/2 r times the sine of the legs' slope.
     unit = 1.0 / (6.75 * radius * radius * radius)
-    if aspect == 1.0 or aspect == -1.0:
-        unit *= aspect
+    if aspect < 0.0:
+        unit = -unit
     put(centre, values, CENTRE)
     for i in range(3):
         put(turn[i], values, ROTATION + 3 * i)
@@ -191,8 +192,10 @@ def evaluate_stage(
     if aspect == ANY_ASPECT:
         return INSIDE if room > 0.0 else BEYOND
     # In the home's aspect at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
-    if aspect == HOME_ASPECT and (negative_pairs(c) > 1.0 or not upward * z > 0.0):
-        return OTHER_ASPECT
+    if abs(aspect) == HOME_ASPECT:
+        negative = negative_pairs(c) if aspect > 0.0 else 6.0 - negative_pairs(c)
+        if negative > 1.0 or not upward * z > 0.0:
+            return OTHER_ASPECT
     if values[DETERMINANT] > 0.0 and room > 0.0:
         return INSIDE
     return BEYOND if values[DETERMINANT] > _BEYOND else OTHER_ASPECT
