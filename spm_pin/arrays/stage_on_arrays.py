@@ -47,7 +47,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     stage : Stage
         The stage, drawn or as built.
     normal : array, shape (..., 3)
-        Unit normal of the platform in {B}; another length has no state, nor have those within 2 mrad of -z.
+        Unit normal of the platform in {B}; another length has no state, nor have those within 1.4 mrad of -z.
     height : array, shape (...)
         Of the platform's origin above the pivots [m].
 

@@ -25,8 +25,8 @@ from spm_pin.formulas.vectors import (
     turned,
 )
 
-LEAST_RISE = 2e-6
-"""1 + z of a normal from which on it has a pose: within 2 mrad of -z the legs hardly hold the torsion."""
+LEAST_RISE = 1e-6
+"""1 + z of a normal from which on it has a pose: within 1.4 mrad of -z the legs hardly hold the torsion."""
 
 
 class StageConstants(NamedTuple):

@@ -70,7 +70,7 @@ def inverse(
         The modes T, without torsion, and F, turned half round, along the last axis, each with the whole pose: so
         `.rotation` is (..., 2, 3, 3), and `.configurations.shift` and `.torsion` are the parasitic motion. `.readings`
         (..., 2, 3). NaN where there is none. `.status` (...) is `Status.OK`, or `UNREACHABLE` where neither exists:
-        no platform has this normal, which includes those within 2 mrad of -z, where the legs hardly hold the torsion,
+        no platform has this normal, which includes those within 1.4 mrad of -z, where the legs hardly hold the torsion,
         or a leg does not reach its ball. `.physical()` is the one that a machine is in,
         and `nearest_reachable` the nearest tilt where there is none.
 
