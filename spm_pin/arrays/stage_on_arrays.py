@@ -47,7 +47,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     stage : Stage
         The stage, drawn or as built.
     normal : array, shape (..., 3)
-        Unit normal of the platform in {B}; another length has no state, nor has -z.
+        Unit normal of the platform in {B}; another length has no state, nor have those within 1.4 mrad of -z.
     height : array, shape (...)
         Of the platform's origin above the pivots [m].
 
@@ -61,7 +61,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     run, (axes, pivots) = library.run, machine.legs[0]
     height, is_height = library.checked(height, 2.0 * machine.farthest, machine.r)
     up, is_finite = library.checked(vector_of(normal), 2.0, UP)
-    is_normal = is_finite & (abs(vectors.dot(up, up) - 1.0) <= _UNIT) & (up[2] > _UNIT - 1.0)
+    is_normal = is_finite & (abs(vectors.dot(up, up) - 1.0) <= _UNIT) & (up[2] > stage_poses.LEAST_RISE - 1.0)
     up = mapped(lambda x, y: library.where(is_normal, x, y), up, UP)
     constants = run(stage_poses.stage_constants, axes, pivots, machine.balls[0])
     turn = run(stage_poses.shortest_turn, up)

@@ -34,7 +34,7 @@ def stage_inverse(stage: Stage) -> ca.Function:
     equation = in_casadi(stage_poses.torsion_equation)(turn, height, constants)
     rotation, position = in_casadi(stage_poses.pose_in_mode)(1.0, turn, height, equation, constants)
     balls = in_casadi(stage_poses.platform_balls)(rotation, position, constants.balls)
-    exists = [in_casadi(stage_poses.discriminant)(equation) >= 0.0]
+    exists = [in_casadi(stage_poses.discriminant)(equation) >= 0.0, normal[2] > stage_poses.LEAST_RISE - 1.0]
     exists += [machine.of_ball("reach", leg, ball) >= 0.0 for leg, ball in enumerate(columns(balls))]
     readings = ca.vertcat(*(machine.of_ball("reading", leg, ball) for leg, ball in enumerate(columns(balls))))
     matrix = ca.vertcat(*(ca.horzcat(*row) for row in rotation))

@@ -20,12 +20,14 @@ from spm_pin.display.writing import FORMATS, fixed
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.machine import Stage, StageConfiguration, StageSolutions, Status
 from spm_pin.machine.stage_configuration import BELOW
-from spm_pin.stages import ReachEnd, best_height, forward_physical, height_range, nearest_reachable
+from spm_pin.stages import ReachEnd, best_height, forward_physical, height_range, inverse_physical, nearest_reachable
 from spm_pin.stages import forward as all_modes
 from spm_pin.stages import inverse as both_modes
 from spm_pin.stages import reach as largest_tilts
 
 Record = dict[str, Any]
+_BESIDE = 1e-3 * np.array([0.0, -1.0, 1.0, -2.0, 2.0])
+"""Changes of a rounded tilt and azimuth [°] that are tried until one is reached."""
 _NOT_PHYSICAL = "No mode there is reached from the level platform without a forward singularity"
 
 
@@ -60,13 +62,20 @@ def inverse(stage: Stage, place: Record, unit: options.Unit = LengthUnit.M, json
 
 
 def _options_of(nearest: StageConfiguration, place: Record, unit: LengthUnit) -> str:
-    """Return the options that enter a nearest tilt, rounded towards less tilt, and heights towards those reached."""
+    """Return the options that enter a nearest tilt, rounded to one that is reached, of several towards less tilt."""
     tilt = max(math.floor(1e3 * math.degrees(nearest.tilt) - 0.1) / 1e3, 0.0)
     level = float(nearest.height * unit.per_metre)
     if not math.isclose(nearest.height, place["height"]):
         level += math.copysign(1e-4 * level, nearest.height - place["height"])
-    azimuth = fixed(math.degrees(nearest.azimuth) if tilt else 0.0, 5)
-    text = f"--height {unit.text(level, 1)} --tilt {fixed(tilt, 3)} --azimuth {azimuth}"
+    azimuth = math.degrees(nearest.azimuth) if tilt else 0.0
+    # Where limits exclude the level platform less tilt may be beyond them.
+    tilts, azimuths = np.meshgrid(np.maximum(tilt + _BESIDE, 0.0), azimuth + _BESIDE, indexing="ij")
+    places = {"tilt": np.radians(tilts), "azimuth": np.radians(azimuths)}
+    states = inverse_physical(nearest.stage, level / unit.per_metre, **places)
+    counts = states.exists & (states.limit_excess == 0.0).all(axis=-1)
+    first = int(counts.argmax())
+    tilt, azimuth = float(tilts.flat[first]), float(azimuths.flat[first])
+    text = f"--height {unit.text(level, 1)} --tilt {fixed(tilt, 3)} --azimuth {fixed(azimuth, 5)}"
     return text if unit is LengthUnit.M else f"{text} --unit {unit}"
 
 

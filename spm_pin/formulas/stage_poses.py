@@ -25,6 +25,9 @@ from spm_pin.formulas.vectors import (
     turned,
 )
 
+LEAST_RISE = 1e-6
+"""1 + z of a normal from which on it has a pose: within 1.4 mrad of -z the legs hardly hold the torsion."""
+
 
 class StageConstants(NamedTuple):
     """The planes of a stage's legs, the balls in the platform's frame, and what solves the planes for x and y."""

@@ -238,7 +238,7 @@ class RRS(LegKind):
     """Legs of an actuated revolute joint, a second one and a ball: a servo's crank and a rod.
 
     A reading is the angle of the crank in the leg's plane [rad], -π/2 to 3π/2: 0 radially outwards, π/2 towards the
-    middle platform.
+    middle platform. Limits are within this turn, since readings jump where the crank points away from the platform.
 
     Parameters
     ----------

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import yaml
 
 from spm_pin.errors import ArgumentError, GeometryError, raised_as
+from spm_pin.formulas.operations import RIGHT_ANGLE
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.machine.leg_kinds import RPS, LegKind
 from spm_pin.machine.legs import LegLimits, Legs, drawn_legs
@@ -27,6 +28,8 @@ _PROPORTION = 10.0
 """Lengths this many times the machine's size are read as a wrong unit."""
 _LARGE, _UNLIKE, _LONG_CRANK = 5.0, 100.0, 1.5
 """Dimensions larger than this [m], this many times another one, or cranks this many times their rods, are unusual."""
+_TRIM = 0.2
+"""Offset of a crank [rad] up to which limits of a quarter turn from its middle are accepted."""
 _USUAL = 0.4
 """Share of the machine's size that heights, readings and positions usually have."""
 
@@ -84,8 +87,11 @@ class Mechanism(ABC):
         if not isinstance(limits, LegLimits) or limits.legs != legs.names:
             own = "LegLimits" if len(legs.kinds) == 2 else "StageLimits"
             raise GeometryError("limits", f"{own}(minimum, maximum)", type(limits).__name__)
-        ends = np.abs(limits.ends - legs.offsets)
-        ends = np.where(np.isfinite(ends), ends, 0.0)
+        without_offsets = limits.ends - legs.offsets
+        ends = np.where(np.isfinite(without_offsets), np.abs(without_offsets), 0.0)
+        # A calibrated crank with the limits of the nominal one may swing beyond the turn by its offset.
+        beyond = np.abs(without_offsets - RIGHT_ANGLE) - math.pi - limits.rounding
+        is_beyond_turn = np.isfinite(beyond) & (beyond > np.minimum(np.abs(legs.offsets), _TRIM))
         for leg, name in enumerate(legs.names):
             kind, low, high = legs.kinds[leg // 3], limits.minimum[leg], limits.maximum[leg]
             received = f"[{low:g}, {high:g}] for {name}"
@@ -93,6 +99,10 @@ class Mechanism(ABC):
                 raise GeometryError("limits", "limits of lengths, 0 <= minimum < maximum, in metres", received)
             if kind.unit == "rad" and ends[:, leg].max() > MOST_TURNED:
                 raise GeometryError("limits", f"angles in radians, within ±{MOST_TURNED:g}", received, "In degrees?")
+            if kind.unit == "rad" and is_beyond_turn[:, leg].any():
+                expected = "angles of a crank from -pi/2 to 3 pi/2, its offset aside, or infinity for no limit"
+                cause = "The crank would pass through -pi/2, where readings jump by a turn. End the limits there"
+                raise GeometryError("limits", expected, received, cause)
         lengths = ends[:, np.array(legs.units) == "m"]
         longest = float(lengths.max(initial=0.0))
         cause = f"is it {longest:g} {unit}?" if (unit := likely_unit(self, longest)) else ""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
+from spm_pin.formulas.stage_poses import LEAST_RISE
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.forward_displacement import STAGE_MODES, read_readings
 from spm_pin.kinematics.stage_balls import Drawing, all_modes, followed_balls, physical_balls
@@ -69,7 +70,8 @@ def inverse(
         The modes T, without torsion, and F, turned half round, along the last axis, each with the whole pose: so
         `.rotation` is (..., 2, 3, 3), and `.configurations.shift` and `.torsion` are the parasitic motion. `.readings`
         (..., 2, 3). NaN where there is none. `.status` (...) is `Status.OK`, or `UNREACHABLE` where neither exists:
-        no platform has this normal, or a leg does not reach its ball. `.physical()` is the one that a machine is in,
+        no platform has this normal, which includes those within 1.4 mrad of -z, where the legs hardly hold the torsion,
+        or a leg does not reach its ball. `.physical()` is the one that a machine is in,
         and `nearest_reachable` the nearest tilt where there is none.
 
     Examples
@@ -244,6 +246,9 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
         readings += 0.5 * math.pi
     if legs.offsets.any():
         readings += legs.offsets
+    if (is_over := normals[:, 2] <= LEAST_RISE - 1.0).any():
+        rotation[is_over] = translation[is_over] = readings[is_over] = np.nan
+        physical[is_over] = 0
     return rotation, translation, readings, physical
 
 

@@ -189,7 +189,8 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
         low, high = height_range(stage)
         if math.isnan(low):
             expected = "a stage that is reached level at some height"
-            raise ArgumentError("stage", expected, stage, "Limits of other readings?")
+            cause = "Limits of other readings? Tilted states within these are found by nearest_reachable"
+            raise ArgumentError("stage", expected, stage, cause)
         levels = np.linspace(low, high, 11)[1:-1]
     else:
         levels = np.atleast_1d(read_heights(stage, heights, "heights"))
@@ -245,7 +246,9 @@ def nearest_reachable(
     StageConfiguration
         The physical state asked for, if it is within the limits; else, of the states in `reach` at this height, the one
         whose normal is at the least angle to the one wanted, to 1e-6 rad. If the stage does not stand level at this
-        height, the nearest height of `height_range` is taken; if there is none, the state does not exist.
+        height, it is of all states at this height that are found half a degree apart; if there is none, of `reach` at
+        the nearest height of `height_range`; if that is empty, of all states at the height where the readings are in
+        the middle of their limits. Else the state does not exist.
     """
     wanted = inverse_physical(stage, height, tilt=tilt, azimuth=azimuth, roll=roll, pitch=pitch, normal=normal)
     if wanted.shape:
@@ -254,12 +257,15 @@ def nearest_reachable(
     if _counts(wanted):
         return wanted
     target = normals_of_request(tilt, azimuth, roll, pitch, normal)
-    low, high = height_range(stage)
-    if math.isnan(low):
-        nothing = wanted.where(np.array(False))
-        nothing.missing_reason = "no level platform is within the limits"
-        return nothing
-    level = float(np.clip(height, low, high)) if not _counts(inverse_physical(stage, height)) else float(height)
+    level = float(height)
+    if not _counts(inverse_physical(stage, level)):
+        if (found := _nearest_of_all(stage, level, target)).exists:
+            return found
+        low, high = height_range(stage)
+        if math.isnan(low):
+            middle = _middle_state(stage)
+            return _nearest_of_all(stage, float(middle.height), target) if middle.exists else found
+        level = float(np.clip(height, low, high))
     azimuths, width = np.linspace(-math.pi, math.pi, 91), math.pi / 45.0
     for _ in range(5):
         ends = _largest_tilts(stage, np.array([level]), azimuths, _FEW)
@@ -271,6 +277,39 @@ def nearest_reachable(
         best = int(angles.argmin())
         azimuths, width = azimuths[best] + np.linspace(-width, width, 41), width / 15.0
     return inverse_physical(stage, level, normal=normals[best])
+
+
+def _nearest_of_all(stage: Stage, height: float, target: FloatArray) -> StageConfiguration:
+    """Return the state at a height that counts whose normal is nearest to the target, whether level ones count or not.
+
+    Normals are tried along great circles from the target.
+    """
+    across = np.linalg.svd(target[None])[2][1:]
+    grid = np.linspace(0.0, math.pi, round(math.pi / _STEP) + 1)
+    best, bearings, width = target, np.linspace(-math.pi, math.pi, 91), math.pi / 45.0
+    for _ in range(5):
+        sideways = np.cos(bearings)[:, None, None] * across[0] + np.sin(bearings)[:, None, None] * across[1]
+
+        def normals(angles: FloatArray, sideways: FloatArray = sideways) -> FloatArray:
+            return np.asarray(np.cos(angles)[..., None] * target + np.sin(angles)[..., None] * sideways)
+
+        def counts(angles: FloatArray, normals: Callable[[FloatArray], FloatArray] = normals) -> BoolArray:
+            return _counts(inverse_physical(stage, height, normal=normals(angles)))
+
+        good = counts(np.broadcast_to(grid, (len(bearings), len(grid))))
+        if not good.any():
+            break
+        first = good.argmax(axis=-1)[:, None]
+        angles = _last_good(counts, grid[first], grid[np.maximum(first - 1, 0)], _FEW)
+        place = int(np.where(good.any(axis=-1), angles[:, 0], np.inf).argmin())
+        best = normals(angles)[place, 0]
+        bearings, width = bearings[place] + np.linspace(-width, width, 41), width / 15.0
+    state = inverse_physical(stage, height, normal=best)
+    if _counts(state):
+        return state
+    nothing = state.where(np.array(False))
+    nothing.missing_reason = f"no state at the height {height:.4g} m is found within the limits"
+    return nothing
 
 
 def _counts(state: StageConfiguration) -> BoolArray:

@@ -62,6 +62,19 @@ def test_what_is_not_reached_has_the_nearest_tilt() -> None:
     assert max(json.loads(nearest.stdout)["modes"][0]["readings"]) == pytest.approx(40.0, abs=0.01)
 
 
+@pytest.mark.parametrize("wanted", [("0", "0"), ("10", "80"), ("25", "60"), ("40", "30")])
+def test_the_nearest_tilt_is_reached_as_printed_where_the_level_platform_is_not(
+    wanted: tuple[str, str], tmp_path: Path
+) -> None:
+    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
+    middle = spm.stages.inverse_physical(stage, 0.12, tilt=0.45, azimuth=0.5).readings
+    file, limits = tmp_path / "tilted.yaml", spm.machine.StageLimits(middle - 0.1, middle + 0.1)
+    spm.Stage(0.08, 0.09, stage.kind, limits).to_yaml(file)
+    done = run("stage", "inverse", "--stage", file, "--height", "0.12", "--tilt", wanted[0], "--azimuth", wanted[1])
+    assert done.returncode in (3, 5)
+    assert run("stage", "inverse", "--stage", file, *done.stdout.splitlines()[-1].split()).returncode == 0
+
+
 def test_heights_below_the_pivots_and_in_metres_for_millimetres_have_the_cause() -> None:
     done = run("stage", "inverse", *SIZES, "--height", "-120")
     assert done.returncode == 5

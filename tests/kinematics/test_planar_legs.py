@@ -212,6 +212,25 @@ def test_wrong_legs_are_refused_with_the_cause(name: str) -> None:
         call()
 
 
+@pytest.mark.parametrize("limits", [(-2.0, 0.5), (0.0, 4.8), ([-1.0, -1.58, -1.0], np.inf)])
+def test_limits_beyond_the_turn_of_a_cranks_readings_are_refused(limits: tuple[Any, Any]) -> None:
+    with pytest.raises(spm.GeometryError) as refused:
+        Stage(0.05, 0.10, RRS(crank=0.04, rod=0.12), limits)
+    assert refused.value.argument == "limits"
+
+
+def test_limits_at_the_ends_of_the_turn_of_a_cranks_readings_are_accepted() -> None:
+    servos, ends = Stage(0.05, 0.10, RRS(crank=0.04, rod=0.12)), (-np.pi / 2.0, 1.5 * np.pi)
+    limited = dataclasses.replace(servos, limits=spm.machine.StageLimits(*ends))
+    readings = np.full(3, ends[0] + 1e-9)
+    state = spm.stages.forward_physical(limited, readings)
+    np.testing.assert_allclose(spm.stages.inverse_physical(limited, state.height).readings, readings, atol=1e-12)
+    assert limited.perturbed(1).limits == limited.limits
+    # An offset moves the turn.
+    legs = Legs(*servos.legs.arrays[:3], np.full(3, -1.0), (servos.kind,))
+    assert dataclasses.replace(servos, legs=legs, limits=spm.machine.StageLimits(-2.5, 0.5)).limits is not None
+
+
 REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
     "certify_inverse": lambda g: spm.proofs.certify_inverse(g, spm.LegLimits(1.2, 1.3)),
     "weights in CasADi": lambda g: spm.casadi.gravity(g),

@@ -151,6 +151,18 @@ def test_states_to_which_newton_s_method_does_not_lead_are_found(
     np.testing.assert_allclose(again.balls, state.balls, atol=1e-12)
 
 
+def test_a_state_is_found_where_newton_s_method_leads_into_another_working_mode() -> None:
+    stage = Stage(1.0, 1.14, spm.RRS(crank=1.72, rod=1.16))
+    readings = np.array([2.341, 3.011, -0.557])
+    state = spm.stages.forward_physical(stage, readings)
+    modes = spm.stages.forward(stage, readings)
+    assert modes.is_physical.sum() == 1
+    np.testing.assert_allclose(state.balls, modes.physical().balls, atol=1e-12)
+    # The inverse of its normal and height has the same readings.
+    again = spm.stages.inverse_physical(stage, state.height, normal=state.normal)
+    np.testing.assert_allclose(again.readings, readings, atol=1e-12)
+
+
 @pytest.mark.parametrize("machine", MACHINES)
 def test_what_the_physical_inverse_returns_is_in_the_set_of_both(machine: str) -> None:
     stage, height = stage_and_height(machine)
@@ -405,6 +417,21 @@ def test_a_platform_turned_over_has_no_answer_under_ok() -> None:
     found = spm.stages.inverse(BALANCER, 0.1, normal=[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     assert list(found.status) == [spm.Status.UNREACHABLE, spm.Status.OK]
     assert np.isfinite(found.rotation[1, 0]).all()
+
+
+@pytest.mark.parametrize(("from_over", "exists"), [(1e-1, True), (3e-3, True), (1e-3, False), (1e-7, False)])
+def test_a_pose_close_to_turned_over_is_right_or_absent(from_over: float, exists: bool) -> None:
+    """Of a stage as drawn mode T is the turn about the level axis across the azimuth."""
+    stage, tilt, azimuth = STAGES["RPS"], np.pi - from_over, 0.7
+    turn = Rotation.from_rotvec(tilt * np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]))
+    state, normal = spm.stages.inverse(stage, 0.5, tilt=tilt, azimuth=azimuth)["T"], turn.as_matrix()[:, 2]
+    assert state.exists == exists
+    on_arrays = spm.arrays.stage_inverse(stage, normal, np.array(0.5))
+    in_casadi = spm.casadi.stage_inverse(stage)(normal, 0.5)
+    assert bool(on_arrays.exists) == bool(in_casadi[-1]) == exists
+    if exists:
+        for rotation in (state.rotation, on_arrays.rotation, np.array(in_casadi[1])):
+            np.testing.assert_allclose(rotation, turn.as_matrix(), atol=2e-15 / from_over**2)
 
 
 def test_two_stages_are_the_robot() -> None:

@@ -148,6 +148,26 @@ def test_the_nearest_reachable_tilt_is_no_farther_than_any_of_a_grid() -> None:
     np.testing.assert_allclose(low.height, spm.stages.height_range(BALANCER)[0])
 
 
+def test_the_nearest_tilt_is_found_where_limits_exclude_the_level_platform() -> None:
+    middle = spm.stages.inverse_physical(BALANCER, 0.12, tilt=0.45, azimuth=0.5).readings
+    limits = spm.machine.StageLimits(middle - 0.1, middle + 0.1)
+    tilted = spm.Stage(BALANCER.base_radius, BALANCER.platform_radius, BALANCER.kind, limits)
+    assert np.isnan(spm.stages.height_range(tilted)).all()
+    grids = np.meshgrid(np.linspace(0.3, 0.6, 301), np.linspace(0.3, 0.7, 201))
+    grid = spm.stages.inverse_physical(tilted, 0.12, tilt=grids[0], azimuth=grids[1])
+    counts = grid.exists & (grid.limit_excess == 0.0).all(axis=-1)
+    assert counts.any()
+    for tilt, azimuth in ((0.7, 0.5), (0.0, 0.0), (0.45, 1.2)):
+        nearest = spm.stages.nearest_reachable(tilted, 0.12, tilt=tilt, azimuth=azimuth)
+        assert not nearest.limit_excess.any()
+        assert nearest.height == pytest.approx(0.12)
+        target = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)])
+        least = np.arccos((grid.normal @ target)[counts]).min()
+        assert least - 2e-3 < np.arccos(nearest.normal @ target) <= least + 1e-6
+    # At a height without any state it is the one of the readings in the middle.
+    assert spm.stages.nearest_reachable(tilted, 0.3, tilt=0.2, azimuth=0.5).height == pytest.approx(0.12)
+
+
 def test_limits_narrower_than_the_heights_tried_have_their_range() -> None:
     # Legs of equal radii are vertical where the platform is level: its height is their length.
     mirror = spm.Stage(0.05, 0.05, spm.RPS(), limits=(0.09997, 0.10003))

@@ -87,7 +87,7 @@ class StageModel:
         _ROLL: ("height [mm]", "roll [°]", "pitch [°]"),
         _TILT: ("height [mm]", "tilt [°]", "azimuth [°]"),
     }
-    hint = "As an IMU on the platform shows them, or the direction in which it is lowest"
+    hint = "Roll and pitch of the normal alone, torsion aside, or the direction in which the platform is lowest"
     values_name = "Readings"
 
     def __init__(self, start: StageConfiguration, file: Path | None = None) -> None:
