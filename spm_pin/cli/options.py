@@ -290,7 +290,7 @@ def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: b
 def six_numbers(text: str, option: str, *, single: bool = False) -> FloatArray:
     """Read six numbers separated by commas, shape (6,), or where allowed a single one, shape ()."""
     try:
-        numbers = np.array([float(part) for part in text.split(",")])
+        numbers = np.array([] if "_" in text else [float(x) for x in text.split(",")])  # Python takes 1_2 for 12
     except ValueError:
         numbers = np.empty(0)
     if numbers.size != 6 and not (single and numbers.size == 1):

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.errors import SelectionError
+from spm_pin.errors import ArgumentError, SelectionError
 from spm_pin.machine.legs import LegLimits
 from spm_pin.machine.machine import Mechanism
 from spm_pin.support.arguments import BoolArray, FloatArray, frozen, type_and_value
@@ -125,10 +125,11 @@ class Batched(ABC):
             raise SelectionError("index", "a batch of configurations", "a single one", "It has no batch axes to index")
         batch = batch_index(index)
         try:
-            return self.transformed(lambda array, inner: array[(*batch, *(slice(None),) * inner)])
+            _ = np.broadcast_to(False, self.shape)[batch]
         except Exception as error:  # whatever NumPy makes of a foreign object
             expected = f"an index of the batch axes {self.shape}"
             raise SelectionError("index", expected, type_and_value(index), str(error)) from error
+        return self.transformed(lambda array, inner: array[(*batch, *(slice(None),) * inner)])
 
     def __iter__(self) -> Iterator[Self]:
         return (self[i] for i in range(len(self)))
@@ -187,6 +188,8 @@ class Batched(ABC):
 
 def stacked(states: Sequence[S]) -> S:
     """Return single states of one machine as a batch."""
+    if not states:
+        raise ArgumentError("states", "states of one machine, one at least", "none")
     first = states[0]
     solved = [state._known for state in states if state._known is not None]
     arrays = map(np.stack, zip(*(state._arrays for state in states), strict=True))

@@ -17,7 +17,7 @@ from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.machine import RRS, Stage, StageConfiguration
 from spm_pin.stages.displacement import forward_physical, inverse_physical
 from spm_pin.stages.reach import height_range
-from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number
+from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number, type_and_value
 
 try:
     import gymnasium
@@ -105,12 +105,18 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         """Assemble the stage in another state and lay the ball on it; see the class."""
         super().reset(seed=seed)
         options = options or {}
+        if not options.keys() <= {"readings", "ball"}:
+            raise ArgumentError("options", "the keys readings and ball", ", ".join(map(repr, options)))
         state = self._state(options["readings"]) if "readings" in options else self._random_state()
         radius = 0.5 * self.ball.plate(self.stage)[0] * math.sqrt(self.np_random.uniform())
         angle = self.np_random.uniform(-math.pi, math.pi)
         place = radius * np.array([math.cos(angle), math.sin(angle)])
         if "ball" in options:
             place = real_array(options["ball"], "ball", (2,), "x and y on the plate in metres")
+            plate = self.ball.plate(self.stage)[0]
+            if place.shape != (2,) or math.hypot(*place) > plate:
+                expected = f"x and y of a place on the plate, whose radius is {plate:g} m"
+                raise ArgumentError("ball", expected, type_and_value(options["ball"]))
         mujoco.mj_resetData(self.model, self.data)
         for name, value in joint_values(state).items():
             self.data.joint(name).qpos[0] = value
@@ -122,6 +128,8 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
     def step(self, action: npt.ArrayLike) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Lead the actuators towards their goals for 20 ms; see the class."""
         shares = np.clip(real_array(action, "action", (3,), "from -1 to 1"), -1.0, 1.0)
+        if shares.shape != (3,):
+            raise ArgumentError("action", "shape (3,), a single action", f"shape {shares.shape}")
         low, high = self.model.actuator_ctrlrange.T
         goal = 0.5 * (low + high + shares * (high - low))
         for _ in range(STEPS):

@@ -130,7 +130,7 @@ class MotionTable:
 def _number(cell: str) -> float:
     """Return a number, or NaN where a cell holds none."""
     try:
-        return float(cell)
+        return math.nan if "_" in cell else float(cell)  # Python takes 1_2 for 12
     except ValueError:
         return math.nan
 

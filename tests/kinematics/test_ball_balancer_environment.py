@@ -185,6 +185,25 @@ def test_another_ball_and_arguments_that_are_wrong(balancer: BallBalancer) -> No
             wrong()
 
 
+@pytest.mark.parametrize(
+    ("argument", "options"),
+    [("options", {"reading": [0.1] * 3}), ("ball", {"ball": [0.2, 0.0]}), ("ball", {"ball": [[0.0, 0.0]]})],
+)
+def test_reset_refuses_unknown_options_and_a_ball_off_the_plate(
+    balancer: BallBalancer, argument: str, options: dict[str, Any]
+) -> None:
+    with pytest.raises(ArgumentError) as refused:
+        balancer.reset(seed=0, options=options)
+    assert refused.value.argument == argument
+
+
+def test_a_step_takes_a_single_action(balancer: BallBalancer) -> None:
+    balancer.reset(seed=0)
+    with pytest.raises(ArgumentError) as refused:
+        balancer.step(np.zeros((1, 3)))
+    assert refused.value.argument == "action"
+
+
 def test_it_is_copied_by_its_specification_and_pictures_need_a_mode(balancer: BallBalancer) -> None:
     env = gymnasium.make(copy.deepcopy(gymnasium.make(NAME, stage=STAGES["cylinders"]).spec))
     assert env.unwrapped.stage == STAGES["cylinders"]

@@ -10,6 +10,7 @@ from problems import in_leg_space
 
 import spm_pin as spm
 from spm_pin.errors import SelectionError
+from spm_pin.machine.batched import stacked
 from spm_pin.machine.configuration import check_configuration
 
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
@@ -135,3 +136,23 @@ def test_a_single_state_is_no_sequence(configuration: spm.Configuration) -> None
         iter(configuration)
     with pytest.raises(TypeError, match="no length"):
         len(configuration)
+
+
+def test_a_defect_while_indexing_is_not_blamed_on_the_index(
+    configuration: spm.Configuration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError
+
+    batch = stacked([configuration, configuration])
+    monkeypatch.setattr(spm.Configuration, "transformed", broken)
+    with pytest.raises(ZeroDivisionError):
+        batch[0]
+    with pytest.raises(SelectionError):
+        batch[2]
+
+
+def test_no_states_make_no_batch() -> None:
+    with pytest.raises(spm.ArgumentError) as refused:
+        stacked([])
+    assert refused.value.argument == "states"
