@@ -48,7 +48,7 @@ _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i +
 """Pairs of legs that have no joint in common, by their indices in `LEGS`."""
 _ANGLES = {"hip": "passive"} | {name: name for name in ("ball_x", "ball_y", "ball_z")}
 """Names of the limits of angles, and of the angles."""
-_CANDIDATES, _STARTS = 100, 8
+_CANDIDATES, _STARTS = 100, 12
 """States of few whose platform joints are nearest to the target's, and how many unlike ones of them are starts."""
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
