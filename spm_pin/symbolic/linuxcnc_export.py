@@ -13,7 +13,8 @@ from spm_pin.kinematics import forward_physical, inverse_physical
 from spm_pin.mechanism import Geometry, Stage, pose
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.mechanism import check_mechanism
-from spm_pin.symbolic.c_export import c_sources, filled, marks, template, write_sources
+from spm_pin.symbolic.c_export import c_sources
+from spm_pin.symbolic.c_texts import filled, marks, template, write_sources
 from spm_pin.symbolic.ros_export import ASSUMED, ends_of_travel, start_readings, travel
 from spm_pin.symbolic.stage_export import stage_c_sources, stage_machine_sources
 

@@ -16,7 +16,8 @@ from spm_pin.mechanism import Configuration, Geometry
 from spm_pin.mechanism.arguments import FloatArray
 from spm_pin.mechanism.files import file_path
 from spm_pin.mechanism.joint_angles import actuated_joints, home_readings, homes, joint_names
-from spm_pin.symbolic.c_export import c_sources, filled, machine_fields, marks, write_sources
+from spm_pin.symbolic.c_export import c_sources, machine_fields
+from spm_pin.symbolic.c_texts import filled, marks, write_sources
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
 ASSUMED = {"m": (0.1, 1.0), "rad": (1.0, 10.0)}

@@ -27,7 +27,8 @@ from symbolic.c_library import STRICT, compile_c, compilers, run_cmake
 import spm_pin as spm
 from spm_pin.description import joint_values
 from spm_pin.mechanism import PRS, RRS, Stage
-from spm_pin.symbolic.c_export import machine_fields, machine_text
+from spm_pin.symbolic.c_export import machine_fields
+from spm_pin.symbolic.c_texts import machine_text
 from spm_pin.symbolic.ros_export import start_readings, travel
 
 PAPER = GEOMETRIES["paper"]
