@@ -115,7 +115,7 @@ class Kernel:
     directory; without a place that can be written, every process compiles for itself.
     """
 
-    def __init__(self, function: Callable[..., Any], signature: str, seconds: float, few: int) -> None:
+    def __init__(self, function: Callable[..., Any], signature: str, seconds: float, few: int = _FEW_MEMBERS) -> None:
         self.py_func = function
         self._signature, self._few = signature, few
         self._members, self._seconds, self._pace = 0, 0.0, seconds
