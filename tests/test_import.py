@@ -48,6 +48,31 @@ def test_an_import_and_a_solve_load_nothing_that_they_do_not_need(module: str, h
     assert done.stdout.strip() == "[]"
 
 
+COMMAND = """import sys
+from spm_pin.cli import main
+sys.argv = {command}
+try:
+    main()
+except SystemExit as end:
+    assert not end.code
+print([m for m in {absent} if m in sys.modules])
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "absent"),
+    [
+        ("--help", "numpy scipy yaml spm_pin.cli.options spm_pin.machine"),
+        ("stage --help", "numpy scipy yaml spm_pin.cli.options spm_pin.machine"),
+        ("export c-stage --base 0.5 --platform 0.3 --out board", "casadi numba pinocchio"),
+    ],
+)
+def test_a_command_loads_nothing_that_it_does_not_need(command: str, absent: str, tmp_path: Path) -> None:
+    program = COMMAND.format(command=["spm-pin", *command.split()], absent=absent.split())
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 WATCH = """
 import os, sys, numpy as np
 def watch(event, arguments):

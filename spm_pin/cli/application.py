@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import inspect
+import ast
 import os
 from collections.abc import Callable
+from functools import cache, cached_property
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import typer
 from typer.core import TyperCommand
+from typer.main import get_command
 
 from spm_pin import __version__
 from spm_pin.cli import outputs
@@ -36,6 +39,31 @@ app = typer.Typer(
 
 
 class _Command(TyperCommand):
+    """A command whose function is imported when its options are needed: not for a list of commands."""
+
+    def __init__(self, name: str | None, *, callback: Callable[..., Any] | None = None, **settings: Any) -> None:
+        super().__init__(name, **settings)
+        self._load = callback
+        # Both are made from the function.
+        del self.params, self.callback
+
+    @cached_property
+    def _made(self) -> Any:
+        assert self._load is not None
+        single = typer.Typer(add_completion=False)
+        single.command()(self._load())
+        return get_command(single)
+
+    @cached_property
+    def params(self) -> Any:  # type: ignore[override]
+        """The options and arguments."""
+        return self._made.params
+
+    @cached_property
+    def callback(self) -> Any:  # type: ignore[override]
+        """The function."""
+        return self._made.callback
+
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the options; flags, which take no value, without a type."""
         params: list[Any] = super().get_params(ctx)
@@ -96,10 +124,28 @@ _STAGE_COMMANDS = dict.fromkeys(("inverse", "forward", "reach", "draw", "view", 
 
 def _add_commands(group: typer.Typer, commands: dict[str, str]) -> None:
     for name, file in commands.items():
-        function = getattr(import_module(f"spm_pin.cli.{file}"), name)
         # Typer would keep the lines of the docstring, and break them again in a narrower window.
-        paragraphs = (inspect.getdoc(function) or "").split("\n\n")
-        group.command(cls=_Command, help="\n\n".join(" ".join(text.split()) for text in paragraphs))(function)
+        paragraphs = _docstrings(file)[name].split("\n\n")
+        text = "\n\n".join(" ".join(text.split()) for text in paragraphs)
+        group.command(name, cls=_Command, help=text)(_loader(name, file))
+
+
+def _loader(name: str, file: str) -> Callable[[], Callable[..., None]]:
+    """Return a function that imports a command, and has its name."""
+
+    def load() -> Callable[..., None]:
+        command: Callable[..., None] = getattr(import_module(f"spm_pin.cli.{file}"), name)
+        return command
+
+    load.__name__ = name
+    return load
+
+
+@cache
+def _docstrings(file: str) -> dict[str, str]:
+    """Return the docstrings of the functions in a file, which is not imported."""
+    module = ast.parse(Path(__file__).with_name(f"{file}.py").read_bytes())
+    return {part.name: ast.get_docstring(part) or "" for part in module.body if isinstance(part, ast.FunctionDef)}
 
 
 _stage = typer.Typer(help="A stage alone: a ball balancer, a tripod head, a mirror's mount.", no_args_is_help=True)

@@ -128,7 +128,6 @@ def serve(start: Any, *, host: str, port: int, browser: bool, **page: Any) -> No
     """Serve the page of a machine until Ctrl-C."""
     from spm_pin.display.viewer import Viewer
 
-    outputs.note("starting, the first time up to a minute: kernels are compiled")
     with outputs.progress_bar() as bar:
         viewer = Viewer(start, host=host, port=port, progress=bar, **page)
     with viewer:

@@ -91,8 +91,7 @@ def export(
         raise ArgumentError("--stage", "a stage: its file, or --base, --platform and what follows", "none")
     if ball and stage is None:
         raise ArgumentError("--ball", "a --stage for it to roll on", "none")
-    machine = options.read_geometry(geometry)
-    model = machine if stage is None else stage
+    model = options.read_geometry(geometry) if stage is None else stage
     bodies = options.read_masses(masses, "written") if "masses" in own else None
     if chosen not in ("c", "c-stage", "linuxcnc", "ros"):
         if out is not None:
@@ -101,22 +100,22 @@ def export(
         return
     if out is None:
         raise ArgumentError("--out", "the directory to write into", "none")
-    from spm_pin.export import write_c, write_linuxcnc, write_ros, write_stage_c
+    from spm_pin import export as exporters
 
     if chosen == "linuxcnc":
         if prefix:
             raise ArgumentError("--prefix", "to be left out with --format linuxcnc", prefix)
-        write_linuxcnc(model, out)
+        exporters.write_linuxcnc(model, out)
         outputs.note(f"wrote a configuration of LinuxCNC into {out}")
         return
-    if chosen == "ros":
-        write_ros(machine, out, prefix=prefix or "", masses=bodies)
+    if isinstance(model, Stage):
+        paths = exporters.write_stage_c(model, out, prefix="stage_" if prefix is None else prefix)
+    elif chosen == "ros":
+        exporters.write_ros(model, out, prefix=prefix or "", masses=bodies)
         outputs.note(f"wrote a ROS 2 package into {out}")
         return
-    if isinstance(model, Stage):
-        paths = write_stage_c(model, out, prefix="stage_" if prefix is None else prefix)
     else:
-        paths = write_c(machine, out, prefix="spm_" if prefix is None else prefix, masses=bodies)
+        paths = exporters.write_c(model, out, prefix="spm_" if prefix is None else prefix, masses=bodies)
     for path in paths:
         outputs.note(f"wrote {path}")
 

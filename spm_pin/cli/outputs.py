@@ -18,9 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from typer.models import ArgumentInfo
 
-from spm_pin.display.writing import FORMATS, save_figure, to_json
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.support.files import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -160,6 +158,8 @@ def file_option(help_text: str, endings: Sequence[str] = (), extra: str = "") ->
 
 def picture_option(help_text: str) -> Any:
     """Return an option of a picture to write, as `file_option`."""
+    from spm_pin.display.writing import FORMATS
+
     return file_option(help_text, FORMATS, "plots")
 
 
@@ -188,18 +188,24 @@ def write_text(text: str, path: Path | None) -> None:
     if path is None:
         typer.echo(text, nl=False)
         return
+    from spm_pin.support.files import write_files
+
     write_files({path: text}, "--out")
     note(f"wrote {path}")
 
 
 def write_json(content: Any, path: Path | None = None) -> None:
     """Print JSON of a result, or write it to a file, as `write_text`."""
+    from spm_pin.display.writing import to_json
+
     write_text(to_json(content) + "\n", path)
 
 
 def write_figure(path: Path | None, draw: Callable[P, Figure], *args: P.args, **kwargs: P.kwargs) -> None:
     """Draw a figure and write it; without a path, do nothing."""
     if path is not None:
+        from spm_pin.display.writing import save_figure
+
         save_figure(draw(*args, **kwargs), path)
         note(f"wrote {path}")
 

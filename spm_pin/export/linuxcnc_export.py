@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from spm_pin import stages
-from spm_pin.export.c_export import c_sources, filled, marks, template, write_sources
+from spm_pin.export.c_export import c_sources
+from spm_pin.export.c_texts import filled, marks, template, write_sources
 from spm_pin.export.ros_export import ASSUMED, ends_of_travel, start_readings, travel
 from spm_pin.export.stage_export import stage_c_sources, stage_machine_sources
 from spm_pin.kinematics import forward_physical, inverse_physical

@@ -11,7 +11,8 @@ from spm_pin.description import srdf_text, urdf_text
 from spm_pin.description.masses import Masses
 from spm_pin.description.source_files import MESHES, description_directory
 from spm_pin.errors import ArgumentError
-from spm_pin.export.c_export import c_sources, filled, machine_fields, marks, write_sources
+from spm_pin.export.c_export import c_sources, machine_fields
+from spm_pin.export.c_texts import filled, marks, write_sources
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.machine import Configuration, Geometry
 from spm_pin.machine.joint_angles import actuated_joints, home_readings, homes, joint_names

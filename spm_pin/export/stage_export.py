@@ -10,13 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin import stages
-from spm_pin.export.c_export import checked_prefix, filled, machine_text, marks, template, write_sources
+from spm_pin.export.c_texts import checked_prefix, filled, machine_text, marks, template, write_sources
 from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
 from spm_pin.formulas.planar_legs import MOST_TURNED
-from spm_pin.machine import Stage
+from spm_pin.machine import Stage, StageConfiguration
 from spm_pin.support.arguments import FloatArray, check_instance
 
-_CASES = 12
+_CASES, _TRIED = 12, (48, 4096)
+"""Known answers, and states tried for them: few at first, for which no kernels are compiled."""
 _TILT, _LIFT = 0.3, 0.15
 """Largest tilt [rad] of the known answers, and change of height in units of the platform's radius."""
 _CLEAR = 0.2
@@ -123,15 +124,10 @@ def _numbers(numbers: npt.ArrayLike) -> str:
 
 def _known_answers(stage: Stage, home: float) -> dict[str, str]:
     """Return the tables of the test program: states about home, found by the package."""
-    rng, count = np.random.default_rng(17), 4096
-    share = np.linspace(1.0, 0.0, count)
-    tilt, azimuth = _TILT * share * rng.random(count), rng.uniform(-np.pi, np.pi, count)
-    height = home + _LIFT * stage.platform_radius * share * rng.uniform(-1.0, 1.0, count)
-    states = stages.inverse_physical(stage, height, tilt=tilt, azimuth=azimuth)
-    slopes = np.abs(stage.legs.slopes(states.places, states.readings)) / stage.legs.largest_slopes
-    (low, high), readings = stage.reading_limits, states.readings
-    good = states.exists & ((readings > low) & (readings < high) & (slopes > _CLEAR)).all(axis=-1)
-    states = states[np.flatnonzero(good)[:_CASES]]
+    for count in _TRIED:
+        states = _held_states(stage, home, count)
+        if states.shape[0] == _CASES:
+            break
     readings, size = states.readings, stage.base_radius + stage.platform_radius
     rows = np.concatenate([states.normal, states.translation[:, 2:], states.translation[:, :2], readings], axis=-1)
     return {
@@ -140,3 +136,15 @@ def _known_answers(stage: Stage, home: float) -> dict[str, str]:
         "SIZE": repr(float(size)),
         "READING_SIZE": repr(float(max(np.abs(readings).max(), 1.0 if stage.unit == "rad" else size))),
     }
+
+
+def _held_states(stage: Stage, home: float, count: int) -> StageConfiguration:
+    """Return up to `_CASES` states within the limits and far from singularities, of `count` drawn about home."""
+    rng, share = np.random.default_rng(17), np.linspace(1.0, 0.0, count)
+    tilt, azimuth = _TILT * share * rng.random(count), rng.uniform(-np.pi, np.pi, count)
+    height = home + _LIFT * stage.platform_radius * share * rng.uniform(-1.0, 1.0, count)
+    states = stages.inverse_physical(stage, height, tilt=tilt, azimuth=azimuth)
+    slopes = np.abs(stage.legs.slopes(states.places, states.readings)) / stage.legs.largest_slopes
+    (low, high), readings = stage.reading_limits, states.readings
+    good = states.exists & ((readings > low) & (readings < high) & (slopes > _CLEAR)).all(axis=-1)
+    return states[np.flatnonzero(good)[:_CASES]]

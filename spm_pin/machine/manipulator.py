@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -157,6 +158,7 @@ class Geometry(Mechanism):
         return cls(*dimensions, limits if lower.limits or upper.limits else None, legs)
 
     @classmethod
+    @cache
     def paper(cls) -> Geometry:
         """Return the paper's manipulator: E = 1.2/√3 m, C = 0.6/√3 m, d = 0.8 m, legs from 1.10 to 1.50 m.
 

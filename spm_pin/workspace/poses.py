@@ -48,8 +48,8 @@ _PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i +
 """Pairs of legs that have no joint in common, by their indices in `LEGS`."""
 _ANGLES = {"hip": "passive"} | {name: name for name in ("ball_x", "ball_y", "ball_z")}
 """Names of the limits of angles, and of the angles."""
-_CANDIDATES, _STARTS = 400, 8
-"""States of a sample whose platform joints are nearest to the target's, and how many unlike ones of them are starts."""
+_CANDIDATES, _STARTS = 100, 12
+"""States of few whose platform joints are nearest to the target's, and how many unlike ones of them are starts."""
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
 _FREE_SAMPLE, _FREE_STARTS, _SEED = 4096, 32, 20_140_131
@@ -357,9 +357,11 @@ def _nearest_within(
     joints, targets = geometry.platform_joints, _joint_positions(geometry, matrices)
     if near is None:
         states = states_within(geometry, limits)
-        places = np.asarray(states.joints_tree.query(targets, _CANDIDATES)[1])
-        starts = (_unlike(states.sample[place], _STARTS) for place in places)
-        ends = [nearest_state(states, *problem, joints) for problem in zip(targets, starts, strict=True)]
+        pairs, places = states.pairs_of_few(joints)
+        ends = []
+        for target in targets:
+            nearest = np.argsort(((places - target) ** 2).sum(axis=-1))[:_CANDIDATES]
+            ends.append(nearest_state(states, target, _unlike(pairs[nearest], _STARTS), joints))
         return states.states(np.array(ends).reshape(-1, 2, 3))
     states, start = states_around(near, limits)
     result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)

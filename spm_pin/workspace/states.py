@@ -41,6 +41,8 @@ _UPWARD = np.array([1.0, -1.0])
 """Sign of Z at home of each stage."""
 _SAMPLE, _SEED = 20_000, 20_140_131
 """Number of states in `StateSet.sample`, and the seed of the samples, fixed so that results repeat."""
+_FEW, _FEWEST = 48, 6
+"""Sets of readings tried for `StateSet.few`, few enough not to compile kernels for, and how many have to exist."""
 _MIN_BATCH = 4096
 """Stages that are worth a thread."""
 _BOXES, _HALVINGS = 20_000, 12
@@ -324,6 +326,29 @@ class StateSet:
         return np.stack([half[:number] for half in halves], axis=1)
 
     @cached_property
+    def few(self) -> tuple[FloatArray, FloatArray]:
+        """A few states of each stage within the limits, (n, 3) and (m, 3), always the same; for the home's aspect only.
+
+        Each of the lower stage goes with each of the upper one. None where the set is empty.
+        """
+        rng = np.random.default_rng(_SEED)
+        drawn = forward_physical(self.geometry, rng.uniform(self.minimum, self.maximum, (_FEW, 6)))
+        if np.count_nonzero(drawn.exists) >= _FEWEST:
+            lower, upper = np.moveaxis(self.coordinates(drawn[drawn.exists]), 1, 0)
+        else:
+            lower, upper = (self.draw_stages(stage, _FEW, rng)[0] for stage in range(2))
+        return lower, upper
+
+    def pairs_of_few(self, body: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the states (N, 2, 3) of all pairs of `few`, and where they put points `body` (K, 3) [m], (N, 3K)."""
+        lower, upper = (self.stages(stage, few) for stage, few in enumerate(self.few))
+        rotation = lower.rotation[:, None] * self.mode_turn @ upper.rotation.mT
+        centre = lower.centre[:, None] - (rotation @ upper.centre[..., None])[..., 0]
+        points = centre[:, :, None] + body @ rotation.mT
+        first, second = np.indices(points.shape[:2]).reshape(2, -1)
+        return np.stack([self.few[0][first], self.few[1][second]], axis=1), points.reshape(len(first), -1)
+
+    @cached_property
     def sample(self) -> FloatArray:
         """States within the limits, (n, 2, 3), always the same."""
         return self.draw(_SAMPLE, np.random.default_rng(_SEED))
@@ -332,11 +357,6 @@ class StateSet:
     def tree(self) -> KDTree:
         """Search tree of the positions of o at the samples."""
         return KDTree(self.positions(self.sample))
-
-    @cached_property
-    def joints_tree(self) -> KDTree:
-        """Search tree of the positions of the platform's joints at the samples."""
-        return KDTree(self.positions(self.sample, self.geometry.platform_joints))
 
 
 def pose_densities(states: StateSet, coordinates: FloatArray) -> FloatArray:
@@ -381,7 +401,7 @@ def _checked(geometry: Geometry, limits: LegLimits) -> StateSet:
     # A leg of no length has no direction.
     maximum, least = np.array(limits.maximum), np.array(geometry.legs.free_limits.minimum)
     states = StateSet(geometry, np.maximum(limits.minimum, least + 1e-6 * np.abs(maximum)), maximum)
-    if not all(len(states.draw_stages(stage, 1, np.random.default_rng(_SEED))[0]) for stage in range(2)):
+    if not all(map(len, states.few)):
         received = f"{limits!r}, which reach no pose"
         cause = "Too short to join the platforms, too different from each other, or in another unit?"
         raise ArgumentError("limits", "leg limits within which the machine can be assembled", received, cause)

@@ -26,7 +26,8 @@ from problems import GEOMETRIES, as_built
 
 import spm_pin as spm
 from spm_pin.description import joint_values
-from spm_pin.export.c_export import machine_fields, machine_text
+from spm_pin.export.c_export import machine_fields
+from spm_pin.export.c_texts import machine_text
 from spm_pin.export.ros_export import start_readings, travel
 from spm_pin.machine import PRS, RRS, Stage
 

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import nearest_reachable_pose, pose_distance
+from spm_pin.workspace.states import states_within
 
 PAPER = spm.Geometry.paper()
 BUILT = PAPER.perturbed(3, length=5e-3, angle=5e-3)
@@ -170,3 +171,10 @@ def test_a_search_from_one_side_alone_stops_in_a_bad_minimum() -> None:
 def test_leg_limits_in_another_unit_are_refused(ask: Callable[[spm.Geometry, spm.LegLimits], object]) -> None:
     with pytest.raises(spm.GeometryError, match=r"limits: .*is it 1500 mm\?"):
         ask(spm.Geometry.paper(), spm.LegLimits(1100, 1500))
+
+
+def test_one_pose_needs_no_large_sample() -> None:
+    limits = spm.LegLimits(1.1, 1.49)
+    nearest = nearest_reachable_pose(PAPER, spm.pose([0.3, 0.1, 3.0], xyx=[0.1, 0.3, -0.1]), limits)
+    assert nearest.configuration.exists
+    assert {"sample", "tree", "_covers"}.isdisjoint(vars(states_within(PAPER, limits)))

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.display.writing import fixed
@@ -44,7 +45,7 @@ NEAR = 0.02
 
 _REACHED = 1e-6  # of d: distance at which a pose counts as reached
 _SAME_BRANCH = 1e-4  # of d: closer joints are one solution
-_SAMPLES, _NEIGHBOURS = 4000, 400  # states drawn once, and how many of them span a slider of the pose
+_FEW, _NEIGHBOURS = 64, 400  # states of each stage, of which all pairs are sampled, and pairs that span a slider
 _STEPS = 48  # along a leg, to see how far the assembly mode lasts
 
 
@@ -238,9 +239,9 @@ class ViewerModel:
         x, y, z [m] and the angles [degrees], those around the pose's own.
         """
         shown = self.state.shown
-        states, now = sampled_states(shown.geometry), pose_coordinates(shown.pose, convention)
-        gaps = np.linalg.norm(states.platform_joints - shown.platform_joints, axis=-1).max(axis=-1)
-        nearest = states.pose[np.argsort(gaps)[:_NEIGHBOURS]]
+        poses, tree = _sampled_poses(shown.geometry)
+        now = pose_coordinates(shown.pose, convention)
+        nearest = poses[tree.query(shown.platform_joints.ravel(), _NEIGHBOURS)[1]]
         steps = np.atleast_2d(pose_coordinates(nearest, convention) - now)
         steps[:, 3:] = (steps[:, 3:] + 180.0) % 360.0 - 180.0
         ends = now + np.stack([steps.min(axis=0, initial=0.0), steps.max(axis=0, initial=0.0)])
@@ -399,8 +400,19 @@ def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:
 
 @lru_cache(maxsize=4)
 def sampled_states(geometry: Geometry) -> Configuration:
-    """Return physical states (n,) drawn within the leg limits, always the same."""
-    return random_states(geometry, _SAMPLES, np.random.default_rng(0))
+    """Return physical states (n,) within the leg limits, always the same: all pairs of a few states of each stage."""
+    few = random_states(geometry, _FEW, np.random.default_rng(0))
+    middle = few.middle_pose.as_matrix()
+    matrices = (middle[:, None] @ np.linalg.inv(middle) @ few.pose.as_matrix()).reshape(-1, 4, 4)
+    joints = np.repeat(few.middle_joints, _FEW, axis=0)
+    return Configuration.from_arrays(geometry, matrices[:, :3, :3], matrices[:, :3, 3], joints)
+
+
+@lru_cache(maxsize=4)
+def _sampled_poses(geometry: Geometry) -> tuple[RigidTransform, KDTree]:
+    """Return the poses (n,) of `sampled_states`, and the search tree of the places of their platform joints."""
+    states = sampled_states(geometry)
+    return states.pose, KDTree(states.platform_joints.reshape(-1, 9))
 
 
 def ranges_of_readings(

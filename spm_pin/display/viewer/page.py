@@ -64,7 +64,7 @@ class Viewer:
     demo : bool, optional
         Whether a manipulator moves until the user moves it; by default where no configuration and no path is given.
     progress : callable, optional
-        Called with what is made ready, how much is and of how much: kernels are compiled the first time, for a minute.
+        Called with what is made ready, how much is and of how much.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Viewer:
         progress: Progress | None = None,
     ) -> None:
         progress = progress or (lambda step, done, total: None)
-        progress("robot", 0, 4)
+        progress("robot", 0, 2)
         free = free_port(host, port)
         self.new_model: Callable[[], ViewerModel | StageModel]
         self.start: Configuration | StageConfiguration
@@ -101,16 +101,7 @@ class Viewer:
             self.new_model = partial(ViewerModel, self.start, chain, geometry_file)
             if (not isinstance(start, Configuration) if demo is None else demo) and recording is None:
                 self.demo = demo_motion(self.start)
-        # Kernels are compiled when first called, also those for what is out of reach: now, so that no client waits.
-        progress("branches and singularities", 1, 4)
-        model = self.new_model()
-        _ = model.state.warnings, model.state.notes
-        progress("poses out of reach", 2, 4)
-        model.set_readings(self.start.readings)
-        # Of legs whose nearest pose is not known, a page says so.
-        with contextlib.suppress(SpmError):
-            model.drag(RigidTransform.from_components(2.0 * self.start.translation, self.start.pose.rotation))
-        progress("page", 3, 4)
+        progress("page", 1, 2)
         self.dark = dark
         self._sessions: dict[int, Session] = {}
         self._opening: set[asyncio.Task[Any]] = set()

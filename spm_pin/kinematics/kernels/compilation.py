@@ -95,9 +95,12 @@ def matrix(tile: FloatArray, row: int, k: int) -> Rows:
     return vector(tile, row, k), vector(tile, row + 3, k), vector(tile, row + 6, k)
 
 
-def kernel(signature: str, *, seconds: float = 1e-3) -> Callable[[Callable[..., Any]], Kernel]:
-    """Mark a kernel, compiled for one Numba signature, that interprets a member in about so many seconds."""
-    return lambda function: Kernel(function, signature, seconds)
+def kernel(signature: str, *, seconds: float = 1e-3, few: int = _FEW_MEMBERS) -> Callable[[Callable[..., Any]], Kernel]:
+    """Mark a kernel, compiled for one Numba signature, that interprets a member in about so many seconds.
+
+    Up to `few` members are interpreted if that is not long: more than the default where one answer needs more.
+    """
+    return lambda function: Kernel(function, signature, seconds, few)
 
 
 def readonly_array(axes: int) -> str:
@@ -112,9 +115,9 @@ class Kernel:
     directory; without a place that can be written, every process compiles for itself.
     """
 
-    def __init__(self, function: Callable[..., Any], signature: str, seconds: float) -> None:
+    def __init__(self, function: Callable[..., Any], signature: str, seconds: float, few: int = _FEW_MEMBERS) -> None:
         self.py_func = function
-        self._signature = signature
+        self._signature, self._few = signature, few
         self._members, self._seconds, self._pace = 0, 0.0, seconds
         self._compiled: Callable[..., Any] | None = None
 
@@ -123,8 +126,8 @@ class Kernel:
         if self._compiled is not None:
             return self._compiled(*args)
         members = len(args[-1] if isinstance(args[-1], np.ndarray) else args[0])
-        if is_worth_compiling(self._members + members, self._seconds + members * self._pace):
-            purpose = "once, for " + (f"a batch of {members}" if members > _FEW_MEMBERS else "repeated or long calls")
+        if is_worth_compiling(self._members + members, self._seconds + members * self._pace, self._few):
+            purpose = "once, for " + (f"a batch of {members}" if members > self._few else "repeated or long calls")
             return self.compile(purpose)(*args)
         begin = time.perf_counter()
         with np.errstate(all="ignore"):
@@ -164,7 +167,7 @@ class Kernel:
                 return self.dispatcher(cache=False)
 
 
-def is_worth_compiling(members: int, seconds: float) -> bool:
+def is_worth_compiling(members: int, seconds: float, few: int = _FEW_MEMBERS) -> bool:
     """Return whether a kernel is compiled, that would have interpreted so many members in so many seconds.
 
     Compiling takes 0.2 to 20 s, as long as interpreting 300 to 30,000 members; importing Numba and loading what is kept
@@ -178,7 +181,7 @@ def is_worth_compiling(members: int, seconds: float) -> bool:
     if forced:
         return forced == "compiled"
     members, seconds = members + _expected.get(), seconds + 1e-3 * _expected.get()
-    return seconds > _SHORT and (members > _FEW_MEMBERS or seconds > _LONG)
+    return seconds > _SHORT and (members > few or seconds > _LONG)
 
 
 @contextlib.contextmanager
