@@ -157,6 +157,24 @@ def test_a_tilt_and_its_azimuth_are_those_of_python(libraries, dtype: type) -> N
 
 
 @TYPES
+@pytest.mark.parametrize("machine", ["RPS", "RRS as built"])
+def test_normals_of_any_length_give_the_state_of_the_unit_normal(libraries, machine: str, dtype: type) -> None:
+    stage, height = stage_and_height(machine)
+    library = libraries[dtype].of(stage)
+    normals, heights = requests(height, 300)
+    info = np.finfo(dtype)
+    for length in (1e-3, 1e-4, 1e-6, 1e-8, 1e-20, 1e3 * info.tiny, 1e20, 0.5 * float(info.max)):
+        asked = (length * normals).astype(dtype)
+        rows, status = library.inverse(asked, heights)
+        units = asked / np.float64(length)
+        units /= np.linalg.norm(units, axis=-1, keepdims=True)
+        expected = spm.stages.inverse_physical(stage, rounded(heights, dtype), normal=units)
+        ok = status == STATUS["OK"]
+        assert ok.sum() > 150
+        assert errors(stage, rows[ok], rows_of(expected)[ok]).max() < TOLERANCE[dtype]
+
+
+@TYPES
 def test_limits_are_those_of_the_package(libraries, dtype: type) -> None:
     library = libraries[dtype].of(BALANCER)
     normals, heights = requests(0.11, 20_000)
