@@ -272,8 +272,9 @@ def test_errors_are_statuses(libraries) -> None:
     for turns in (-1e9, -2.0, 2.0):  # more than one is taken for degrees
         assert library.forward(home[:, 12:] + 2.0 * np.pi * turns, home)[1].tolist() == [STATUS["BAD_INPUT"]]
     assert library.forward(home[:, 12:] - 2.0 * np.pi, home)[1].tolist() != [STATUS["BAD_INPUT"]]
-    for tilt in (2.0 * np.pi, -20.0, np.nan):
-        assert library.tilt([tilt], [0.0], [0.11])[1].tolist() == [STATUS["BAD_INPUT"]]
+    for tilt, azimuth in ((2.0 * np.pi, 0.0), (-20.0, 0.0), (np.nan, 0.0), (0.1, 90.0), (0.1, -7.0), (0.1, np.nan)):
+        assert library.tilt([tilt], [azimuth], [0.11])[1].tolist() == [STATUS["BAD_INPUT"]]
+    assert library.tilt([0.1], [2.0 * np.pi], [0.11])[1].tolist() == [STATUS["OK"]]
 
 
 @pytest.mark.parametrize("machine", ["RPS", "PRS hanging", "RRS as built"])

@@ -418,7 +418,7 @@ static inline int stage_tilt(const stage_geometry *m, stage_real tilt, stage_rea
         stage_state *state)
 {
     stage_real normal[3];
-    if (STAGE_M(fabs)(tilt) > STAGE_TURN / 2) {
+    if (STAGE_M(fabs)(tilt) > STAGE_TURN / 2 || STAGE_M(fabs)(azimuth) > STAGE_TURN) {
         return STAGE_BAD_INPUT;
     }
     normal[0] = STAGE_M(sin)(tilt) * STAGE_M(cos)(azimuth);
