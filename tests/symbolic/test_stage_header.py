@@ -34,13 +34,13 @@ int use(const stage_real *x, stage_state *s)
 }
 """
 _BOTH = """
-#include "left.h"
-#include "right.h"
+#include "math_stage.h"
+#include "right_stage.h"
 int main(void)
 {
-    left_state l;
+    math_state l;
     right_state r;
-    return left_tilt(&left_machine, 0, 0, left_machine.home_height, &l)
+    return math_tilt(&math_machine, 0, 0, math_machine.home_height, &l)
             + right_tilt(&right_machine, 0, 0, right_machine.home_height, &r);
 }
 """
@@ -347,15 +347,19 @@ def test_on_an_emulated_cortex_m4_the_known_answers_agree_and_calls_are_short(dt
 
 
 def test_a_prefix_renames_all_of_it(tmp_path: Path) -> None:
-    for prefix, stage in (("left_", STAGES["RPS"]), ("right_", STAGES["RRS"])):
+    for prefix, stage in (("math_", STAGES["RPS"]), ("right_", STAGES["RRS"])):
         write_stage_c(stage, tmp_path, prefix=prefix)
     names = [path.name for path in sorted(tmp_path.iterdir())]
-    assert names == ["left.h", "left_test.c", "right.h", "right_test.c"]
+    assert names == ["math_stage.h", "math_stage_test.c", "right_stage.h", "right_stage_test.c"]
+    header = (tmp_path / "math_stage.h").read_text(encoding="utf-8")
+    assert "#ifndef MATH_STAGE_H\n" in header
+    assert not re.search(r"\b(stage|STAGE)_", header)
     (tmp_path / "both.c").write_text(_BOTH, encoding="utf-8")
     for compiler in compilers():
-        compile_c(compiler, *STRICT, tmp_path / "both.c", "-lm", "-o", tmp_path / "both")
+        # The folder is searched for <math.h> before those of the system.
+        compile_c(compiler, *STRICT, "-I", tmp_path, tmp_path / "both.c", "-lm", "-o", tmp_path / "both")
         assert subprocess.run([tmp_path / "both"], check=False).returncode == 0
-        compile_c(compiler, *STRICT, tmp_path / "left_test.c", "-lm", "-o", tmp_path / "program")
+        compile_c(compiler, *STRICT, tmp_path / "math_stage_test.c", "-lm", "-o", tmp_path / "program")
         subprocess.run([tmp_path / "program"], capture_output=True, check=True)
     with pytest.raises(ArgumentError, match="prefix"):
         stage_c_sources(BALANCER, prefix="3_")
