@@ -24,7 +24,8 @@ import spm_pin as spm
 from spm_pin.symbolic import write_stage_c
 
 CONTROLLERS = Path(__file__).parents[2] / "examples/controllers"
-ARDUINO = Path(__file__).parent / "stand_ins/arduino"
+STAND_INS = Path(__file__).parent / "stand_ins"
+PINS = {"servo": [9, 10, 11], "esp32": [4, 13, 14]}
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-1.2, 1.4))
 HOME = spm.stages.forward_physical(BALANCER, [0.1] * 3)
 RATE, ACCELERATION, PATIENCE, PERIOD = 4.0, 40.0, 0.25, 0.01
@@ -248,32 +249,35 @@ def test_a_time_that_is_none_moves_nothing_and_keeps_the_target(board: ctypes.CD
     assert len(expected) > 10
 
 
-def sketch(name: str, folder: Path, change: tuple[str, str] = ("", "")) -> Path:
-    """Compile a sketch for the host, with a change of its text."""
+def sketch(name: str, folder: Path, change: tuple[str, str] = ("", ""), board: str = "servo") -> Path:
+    """Compile a sketch for the host, with a change of its text, and the library that a board has for servos."""
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler: neither g++ nor clang++")
     write_stage_c(BALANCER, folder)
     flags = ("-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Wdouble-promotion", "-Werror", "-O1")
-    include = ("-I", folder, "-I", ARDUINO, "-I", CONTROLLERS / name, "-include", "Arduino.h")
+    flags += ("-DARDUINO_ARCH_ESP32",) * (board == "esp32")
+    folders = (folder, STAND_INS / "arduino", STAND_INS / board, CONTROLLERS / name)
+    include = (*(x for path in folders for x in ("-I", path)), "-include", "Arduino.h")
     source = folder / f"{name}.cpp"
     source.write_text((CONTROLLERS / name / f"{name}.ino").read_text(encoding="utf-8").replace(*change), "utf-8")
-    inputs = (source, ARDUINO / "board.cpp")
+    inputs = (source, STAND_INS / "arduino/board.cpp")
     compile_c(compiler, *flags, *include, *inputs, "-lm", "-o", folder / name)
     return folder / name
 
 
-def pulses(output: str) -> np.ndarray:
+def pulses(output: str, board: str = "servo") -> np.ndarray:
     """Return time [ms] and the three pulses of each step."""
     rows = np.array([line.split() for line in output.splitlines()], dtype=int).reshape(-1, 3, 3)
-    assert (rows[:, :, 1] == [9, 10, 11]).all()
+    assert (rows[:, :, 1] == PINS[board]).all()
     return np.column_stack([rows[:, 0, 0], rows[:, :, 2]])
 
 
-def test_the_sketch_tilts_a_plate_in_a_circle(tmp_path: Path) -> None:
-    program = sketch("tilt_in_a_circle", tmp_path)
+@pytest.mark.parametrize("board", PINS)
+def test_the_sketch_tilts_a_plate_in_a_circle(tmp_path: Path, board: str) -> None:
+    program = sketch("tilt_in_a_circle", tmp_path, board=board)
     done = subprocess.run([program, "4000"], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True)
-    rows = pulses(done.stdout)
+    rows = pulses(done.stdout, board)
     azimuth = 2.0 * np.pi * rows[:, 0] / 4000.0
     expected = spm.stages.inverse_physical(
         BALANCER, float(HOME.height), tilt=0.1745, azimuth=(azimuth + np.pi) % (2 * np.pi) - np.pi
@@ -314,14 +318,15 @@ def test_the_check_of_the_servos_shows_which_is_mounted_wrong(tmp_path: Path) ->
                 np.testing.assert_allclose(state.normal[:2], sense * np.sin(state.tilt) * np.array(towards), atol=1e-9)
 
 
-def test_the_sketch_that_follows_is_the_board_of_the_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize("board", PINS)
+def test_the_sketch_that_follows_is_the_board_of_the_line(tmp_path: Path, board: str) -> None:
     """Frames from the standard input, one in ten spoiled; then silence."""
-    program, rng = sketch("follow_set_points", tmp_path), np.random.default_rng(0)
+    program, rng = sketch("follow_set_points", tmp_path, board=board), np.random.default_rng(0)
     frames = [bytearray(set_point(k, 0.3, 0.1 * k, float(HOME.height))) for k in range(1, 200)]
     for k in rng.integers(len(frames), size=20):
         frames[k][rng.integers(16)] ^= 0x10
     done = subprocess.run([program, "1500"], input=b"".join(frames), capture_output=True, check=True)
-    rows = pulses(done.stdout.decode())
+    rows = pulses(done.stdout.decode(), board)
     moved = np.diff(rows[:, 1:], axis=0)
     assert 5.0 < np.abs(moved).max() <= PULSES * RATE * PERIOD + 1.0
     assert (moved[rows[1:, 0] > 1000] == 0).all()
