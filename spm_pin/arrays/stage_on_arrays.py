@@ -12,13 +12,12 @@ from spm_pin.arrays.displacement import indexed, solved_stages
 from spm_pin.arrays.library import Array, library_of, quietly, stage_machine, state_arrays
 from spm_pin.formulas import circles, stage_poses, vectors
 from spm_pin.formulas.circles import Circles
-from spm_pin.formulas.leg_constants import UP
 from spm_pin.formulas.operations import mapped, rows_of, vector_of
 from spm_pin.machine import Stage
 from spm_pin.support.arguments import check_instance
 
-_UNIT = 2e-6
-"""Largest error of a normal's squared length that is taken for rounding, of float32 too."""
+_TURNED = 1e5
+"""Least 1 + z of a normal over eps: the torsion is right to about the inverse of it."""
 
 
 class StageState(NamedTuple):
@@ -47,7 +46,8 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     stage : Stage
         The stage, drawn or as built.
     normal : array, shape (..., 3)
-        Unit normal of the platform in {B}; another length has no state, nor have those within 1.4 mrad of -z.
+        Normal of the platform in {B}, of any length. Zero, NaN and directions within 1.4 mrad of -z, 9° in float32, have
+        no state: there the legs hardly hold the torsion.
     height : array, shape (...)
         Of the platform's origin above the pivots [m].
 
@@ -60,9 +60,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     library = library_of(normal=normal, height=height[..., None] if is_array_api_obj(height) else height)
     run, (axes, pivots) = library.run, machine.legs[0]
     height, is_height = library.checked(height, 2.0 * machine.farthest, machine.r)
-    up, is_finite = library.checked(vector_of(normal), 2.0, UP)
-    is_normal = is_finite & (abs(vectors.dot(up, up) - 1.0) <= _UNIT) & (up[2] > stage_poses.LEAST_RISE - 1.0)
-    up = mapped(lambda x, y: library.where(is_normal, x, y), up, UP)
+    up, is_normal = run(stage_poses.unit_normal, vector_of(normal), max(stage_poses.LEAST_RISE, _TURNED * library.eps))
     constants = run(stage_poses.stage_constants, axes, pivots, machine.balls[0])
     turn = run(stage_poses.shortest_turn, up)
     equation = run(stage_poses.torsion_equation, turn, height, constants)

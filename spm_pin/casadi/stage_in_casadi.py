@@ -22,19 +22,21 @@ def stage_inverse(stage: Stage) -> ca.Function:
     Returns
     -------
     casadi.Function
-        Inputs: `normal` (3,), the platform's unit normal in {B}, and `height` (1,) of its origin [m]. Outputs:
-        `readings` (3,), [m] or [rad]; `rotation` (3, 3) and `position` (3,) of the platform; and `exists` (1,), 1 where
-        the platform has such a state whose balls are in reach, and 0 where not. There the others go on smoothly.
+        Inputs: `normal` (3,), the platform's normal in {B}, of any length, and `height` (1,) of its origin [m].
+        Outputs: `readings` (3,), [m] or [rad]; `rotation` (3, 3) and `position` (3,) of the platform; and `exists`
+        (1,), 1 where the platform has such a state whose balls are in reach, and 0 where not, as for normals that are
+        zero, NaN or within 1.4 mrad of -z. There the others are finite and mean nothing.
     """
     machine, normal, height = _machine(stage), ca.SX.sym("normal", 3), ca.SX.sym("height")
     constants = in_casadi(stage_poses.stage_constants)(
         *(rows(x[:3]) for x in (machine.axes, machine.pivots, machine.balls))
     )
-    turn = in_casadi(stage_poses.shortest_turn)(parts(normal))
+    up, is_normal = in_casadi(stage_poses.unit_normal)(parts(normal), stage_poses.LEAST_RISE)
+    turn = in_casadi(stage_poses.shortest_turn)(up)
     equation = in_casadi(stage_poses.torsion_equation)(turn, height, constants)
     rotation, position = in_casadi(stage_poses.pose_in_mode)(1.0, turn, height, equation, constants)
     balls = in_casadi(stage_poses.platform_balls)(rotation, position, constants.balls)
-    exists = [in_casadi(stage_poses.discriminant)(equation) >= 0.0, normal[2] > stage_poses.LEAST_RISE - 1.0]
+    exists = [is_normal, in_casadi(stage_poses.discriminant)(equation) >= 0.0]
     exists += [machine.of_ball("reach", leg, ball) >= 0.0 for leg, ball in enumerate(columns(balls))]
     readings = ca.vertcat(*(machine.of_ball("reading", leg, ball) for leg, ball in enumerate(columns(balls))))
     matrix = ca.vertcat(*(ca.horzcat(*row) for row in rotation))

@@ -15,7 +15,7 @@ from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
 from spm_pin.machine import Mechanism, Stage
 
-Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "c-stage", "linuxcnc", "ros"]
+Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "c-stage", "linuxcnc", "ros", "ros2"]
 _OWN_OPTIONS: dict[str, set[str]] = {
     "urdf": {"ros_constraints", "masses", "stage"},
     "mjcf": {"anchors", "collisions", "actuators", "ball", "masses", "stage"},
@@ -71,13 +71,13 @@ def export(
 
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
     program. linuxcnc: a configuration that simulates the machine, or a stage alone, and the source of its kinematics
-    module. ros: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
+    module. ros or ros2: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
     c-stage: of a stage alone, a ball balancer say, one header in C99 for a microcontroller.
     """
     if (format_ is None) == (option is None):
         received = "none" if format_ is None else "two"
         raise ArgumentError("FORMAT", f"one of {', '.join(get_args(Format))}", received)
-    chosen = str(format_ or option)
+    chosen = str(format_ or option).replace("ros2", "ros")
     special: dict[str, Any] = {"ros_constraints": ros_constraints, "anchors": anchors, "collisions": collisions}
     special |= {"loops": loops, "actuators": actuators, "ball": description.Ball() if ball else None}
     own = _OWN_OPTIONS.get(chosen, set())

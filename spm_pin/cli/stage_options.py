@@ -69,8 +69,6 @@ def _read_place(typed: Typed, arguments: Typed) -> Typed:
         raise ArgumentError("--tilt", "a tilt beside --azimuth", "none")
     if "tilt" in place:
         place.setdefault("azimuth", 0.0)
-    if "normal" in place and 0.0 < (length := math.hypot(*place["normal"])) < math.inf:
-        place["normal"] = [x / length for x in place["normal"]]
     metres = home_height(arguments["stage"]) if height is None else height / arguments["unit"].per_metre
     return {"height": metres, **place}
 

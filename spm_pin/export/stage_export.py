@@ -32,7 +32,7 @@ def stage_c_sources(stage: Stage, *, prefix: str = "stage_") -> dict[str, str]:
     stage : Stage
         The stage that is built in, drawn or as built. The functions take others too.
     prefix : str
-        What all names begin with, and the files.
+        What all names begin with. Another one is put before the names of the files: `left_stage.h`.
 
     Returns
     -------
@@ -68,9 +68,12 @@ def write_stage_c(stage: Stage, directory: str | Path, *, prefix: str = "stage_"
 
 
 def _renamed(text: str, prefix: str) -> str:
-    """Return a text with another prefix; a file's name has no underscore between prefix and suffix."""
-    text = re.sub(r"\bstage(_test)?(\.[ch]\b)", lambda found: f"{prefix.rstrip('_')}{found[1] or ''}{found[2]}", text)
-    return re.sub(r"\bSTAGE_", prefix.upper(), re.sub(r"\bstage_(?!test\.c)", prefix, text))
+    """Return a text with another prefix, which files and the guard have before theirs: `math.h` is not ours."""
+    if prefix == "stage_":
+        return text
+    text = re.sub(r"\bstage(?=(_test)?\.[ch]\b)", f"{prefix}stage", text)
+    text = re.sub(r"\bSTAGE_(H\b)?", lambda found: prefix.upper() + "STAGE_H" * bool(found[1]), text)
+    return re.sub(r"\bstage_", prefix, text)
 
 
 def stage_numbers(stage: Stage) -> FloatArray:

@@ -15,6 +15,7 @@ COS_30 = float(np.sqrt(0.75))
 """The cosine of 30°. Where floats are not exact enough, a runner binds another number to this name."""
 RIGHT_ANGLE = float(np.pi / 2.0)
 """The angle π/2, likewise."""
+INFINITY = float("inf")
 
 sqrt: Callable[[float], float] = np.sqrt
 """The square root, NaN of a negative number."""

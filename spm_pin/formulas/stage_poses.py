@@ -10,14 +10,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from spm_pin.formulas.operations import sqrt
+from spm_pin.formulas.operations import INFINITY, both, sqrt, where
 from spm_pin.formulas.vectors import (
     Rows,
     Vector,
     combined,
     cross,
+    direction,
     dot,
     dots,
+    largest,
+    magnitude,
     minus,
     scaled,
     shifted,
@@ -60,10 +63,29 @@ def stage_constants(axes: Rows, pivots: Rows, balls: Rows) -> StageConstants:
     return StageConstants(axes, dots(axes, pivots), balls, weights, along_x, along_y)
 
 
+def unit_normal(normal: Vector, least_rise: float) -> tuple[Vector, bool]:
+    """Return the unit vector along a normal of any length, and whether it has a pose; else z.
+
+    Zero, NaN, infinity and directions whose 1 + z is at most `least_rise` have none.
+    """
+    x, y, z = normal
+    is_finite = both(both(magnitude(x) < INFINITY, magnitude(y) < INFINITY), magnitude(z) < INFINITY)
+    size = largest(normal)
+    is_normal = both(is_finite, size > 0.0)
+    # Divided by the largest component first: squares of short and of long vectors are not representable.
+    size = where(is_normal, size, 1.0)
+    x, y, z = x / size, y / size, z / size
+    x, y, z = direction((where(is_normal, x, 0.0), where(is_normal, y, 0.0), where(is_normal, z, 1.0)))
+    exists = both(is_normal, z > least_rise - 1.0)
+    return (where(exists, x, 0.0), where(exists, y, 0.0), where(exists, z, 1.0)), exists
+
+
 def shortest_turn(normal: Vector) -> Rows:
     """Return the rotation T about a level axis that takes z to a unit vector, NaN where that is -z."""
     x, y, z = normal
-    scale = 1.0 / (1.0 + z)
+    # 1 / (1 + z) is (1 - z) / (x² + y²), which keeps its digits near -z.
+    is_below = z < 0.0
+    scale = where(is_below, 1.0 - z, 1.0) / where(is_below, x * x + y * y, 1.0 + z)
     return (1.0 - scale * x * x, -scale * x * y, x), (-scale * x * y, 1.0 - scale * y * y, y), (-x, -y, z)
 
 

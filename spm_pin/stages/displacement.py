@@ -62,7 +62,7 @@ def inverse(
         Or: the normal is Rx(roll) Ry(pitch) z [rad], so that without torsion they are those of ROS; one alone leaves
         the other zero.
     normal : array_like, shape (..., 3), optional
-        Or: the platform's unit normal in {B}. Without any of these the platform is level.
+        Or: the platform's normal in {B}, of any length but zero. Without any of these the platform is level.
 
     Returns
     -------
@@ -340,12 +340,16 @@ def _angles(value: npt.ArrayLike, argument: str, most: float) -> FloatArray:
 
 
 def _read_normal(normal: npt.ArrayLike) -> FloatArray:
-    normals = real_array(normal, "normal", (3,), "unit normals of the platform in {B}")
-    squares = np.einsum("...i,...i->...", normals, normals)
-    if (wrong := np.abs(squares - 1.0) > 2.0 * _UNIT).any():
-        received = f"length {math.sqrt(squares[first_offender(wrong)]):g}"
-        raise ArgumentError("normal", "unit normals of the platform in {B}", received, "Divide it by its length")
-    return normals
+    normals = real_array(normal, "normal", (3,), "normals of the platform in {B}")
+    size = np.abs(normals).max(axis=-1, keepdims=True, initial=0.0)
+    if (is_zero := size[..., 0] == 0.0).any():
+        expected = "normals of the platform in {B}, of any length but zero"
+        place = f" at index {first_offender(is_zero)}" * (normals.ndim > 1)
+        raise ArgumentError("normal", expected, f"(0, 0, 0){place}")
+    # Squares of short and of long vectors are not representable.
+    units: FloatArray = normals / size
+    units /= np.linalg.norm(units, axis=-1, keepdims=True)
+    return units
 
 
 def read_stage_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:

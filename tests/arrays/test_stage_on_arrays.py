@@ -43,10 +43,82 @@ def test_a_strict_library_and_a_platform_turned_over() -> None:
     assert bool(found.exists)
     expected = spm.stages.inverse_physical(stage, height).readings
     np.testing.assert_allclose(np.asarray(found.readings), expected, atol=1e-15)
-    refused = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [0.0, 0.0, 1.0]])
-    none = arrays.stage_inverse(stage, refused, np.array([height] * 4 + [np.nan]))
+    none = arrays.stage_inverse(stage, np.array([0.0, 0.0, 1.0]), np.array(np.nan))
     assert not none.exists.any()
     assert all(np.isfinite(numbers).all() for numbers in none)
+
+
+@pytest.mark.parametrize("machine", ["RPS", "RRS as built"])
+def test_normals_of_any_length_have_the_state_of_the_unit_normal(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    normals, heights = requests(height, 50)
+    expected = spm.stages.inverse_physical(stage, heights, normal=normals)
+    own = expected.exists
+    assert own.sum() > 20
+    function = spm.casadi.stage_inverse(stage).map(len(heights))
+    for length in (1e-300, 1e-8, 0.9, 3.0, 1e300):
+        asked = length * normals
+        python = spm.stages.inverse_physical(stage, heights, normal=asked)
+        found = arrays.stage_inverse(stage, asked, heights)
+        readings, rotation, *_ = map(np.array, function(asked.T, heights))
+        rotation = rotation.reshape(3, -1, 3).swapaxes(0, 1)
+        for angles, turned in (
+            (python.readings, python.rotation),
+            (found.readings, found.rotation),
+            (readings.T, rotation),
+        ):
+            np.testing.assert_allclose(angles[own], expected.readings[own], rtol=0, atol=1e-12)
+            np.testing.assert_allclose(turned[own], expected.rotation[own], rtol=0, atol=1e-12)
+    for length in (1e-30, 1e30):
+        found = arrays.stage_inverse(stage, np.float32(length) * normals.astype(np.float32), heights.astype(np.float32))
+        np.testing.assert_allclose(found.rotation[own], expected.rotation[own], rtol=0, atol=1e-5)
+
+
+def test_normals_that_are_none_have_no_state() -> None:
+    stage, height = stage_and_height("RRS")
+    none = [[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [1e-9, 0.0, -3.0], [np.nan, 0.0, 1.0], [0.0, np.inf, 1.0]]
+    function = spm.casadi.stage_inverse(stage)
+    jacobian = function.jacobian()
+    for dtype in (np.float64, np.float32):
+        found = arrays.stage_inverse(stage, np.array(none, dtype), np.full(len(none), height, dtype))
+        assert not found.exists.any()
+        assert all(np.isfinite(numbers).all() for numbers in found)
+    for normal in none:
+        outputs = function(normal, height)
+        assert outputs[3] == 0.0
+        derivatives = jacobian(normal, height, *outputs)
+        assert all(np.isfinite(np.array(x)).all() for x in (*outputs, *derivatives))
+    with pytest.raises(spm.ArgumentError) as caught:
+        spm.stages.inverse(stage, height, normal=[[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+    assert caught.value.argument == "normal"
+    assert "(1,)" in caught.value.received
+    assert not spm.stages.inverse(stage, height, normal=[0.0, 0.0, -1.0]).configurations.exists.any()
+
+
+@pytest.mark.parametrize("machine", ["RPS", "RPS as built"])
+def test_platforms_turned_over_are_right_or_do_not_exist(machine: str) -> None:
+    """Rotations are such, with the normal asked for and balls in the planes of their legs."""
+    stage, height = stage_and_height(machine)
+    rng = np.random.default_rng(0)
+    beside, azimuth = 10.0 ** rng.uniform(-9.0, -0.5, 2_000), rng.uniform(-np.pi, np.pi, 2_000)
+    normals = np.stack([np.sin(beside) * np.cos(azimuth), np.sin(beside) * np.sin(azimuth), -np.cos(beside)], axis=-1)
+    legs = stage.legs
+    for dtype, least, tolerance in ((np.float64, 2.1e-3, 1e-9), (np.float32, 0.16, 1e-3)):
+        asked = normals.astype(dtype)
+        found = arrays.stage_inverse(stage, asked, np.full(len(asked), height, dtype))
+        assert not found.exists[beside < 0.9 * least].any()
+        assert found.exists[beside > least].mean() > 0.5
+        own = found.exists
+        rotation, translation = found.rotation[own].astype(float), found.translation[own].astype(float)
+        eps = 20.0 * np.finfo(dtype).eps
+        assert np.abs(rotation @ rotation.swapaxes(1, 2) - np.eye(3)).max() < eps
+        assert np.abs(rotation[..., 2] - asked[own]).max() < eps
+        balls = np.einsum("nij,kj->nki", rotation, legs.balls) + translation[:, None]
+        offsets = np.einsum("ki,nki->nk", legs.axes, balls - legs.pivots)
+        assert np.abs(offsets).max() < tolerance * stage.size
+        # The mode is that of the exact pose, which double precision has.
+        exact = arrays.stage_inverse(stage, asked[own].astype(float), np.full(own.sum(), float(dtype(height))))
+        assert np.abs(rotation - exact.rotation).max() < tolerance
 
 
 @pytest.mark.usefixtures("double_precision")

@@ -113,6 +113,7 @@ def test_what_does_not_go_with_a_stage(tmp_path: Path) -> None:
         (["sdf", "--stage", file, "--ball"], "--ball: expected to be left out with --format sdf"),
         (["mjcf", "--stage", file, "--geometry", file], "--geometry: expected to be left out with a stage"),
         (["ros", "--stage", file], "--stage: expected to be left out with --format ros"),
+        (["ros2", "--stage", file], "--stage: expected to be left out with --format ros"),
         (["c-stage"], "--stage: expected a stage: its file, or --base, --platform and what follows, got none"),
         (["c-stage", "--base", "80"], "--platform: expected a radius, or --stage with a file"),
     ):

@@ -117,7 +117,10 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
         ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt beside --azimuth"),
         ([*SIZES, "--tilt", "10", "--pitch", "2"], "--tilt and --pitch: expected --tilt with --azimuth, or --roll"),
-        ([*SIZES, "--normal", "0", "0", "0"], "--normal: expected unit normals of the platform"),
+        (
+            [*SIZES, "--normal", "0", "0", "0"],
+            "--normal: expected normals of the platform in {B}, of any length but zero",
+        ),
         (
             [*SIZES, "--limits", "-30", "400"],
             "--limits: expected angles of cranks in degrees, of at most one turn, got 400",

@@ -14,6 +14,7 @@ import tty
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from balancers import STAGES
 from export.c_library import compile_c, compilers
@@ -23,7 +24,8 @@ import spm_pin as spm
 from spm_pin.casadi import write_stage_c
 
 CONTROLLERS = Path(__file__).parents[2] / "examples/controllers"
-ARDUINO = Path(__file__).parent / "stand_ins/arduino"
+STAND_INS = Path(__file__).parent / "stand_ins"
+PINS = {"servo": [9, 10, 11], "esp32": [4, 13, 14]}
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-1.2, 1.4))
 HOME = spm.stages.forward_physical(BALANCER, [0.1] * 3)
 RATE, ACCELERATION, PATIENCE, PERIOD = 4.0, 40.0, 0.25, 0.01
@@ -39,7 +41,7 @@ def compiled(stage: spm.Stage, folder: Path) -> ctypes.CDLL:
     source = Path(__file__).parent / "set_points_run.c"
     compile_c(compilers()[0], *STRICT, "-O2", "-fPIC", "-shared", *include, source, "-lm", "-o", folder / "board.so")
     library = ctypes.CDLL(str(folder / "board.so"))
-    library.begin.argtypes = [ctypes.c_float] * 3
+    library.begin.argtypes = [ctypes.c_float] * 3 + [ctypes.c_void_p]
     return library
 
 
@@ -48,28 +50,42 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     return compiled(BALANCER, tmp_path_factory.mktemp("board"))
 
 
-def run(board: ctypes.CDLL, ticks: list[bytes], rate: float = RATE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def run(
+    board: ctypes.CDLL,
+    ticks: list[bytes],
+    rate: float = RATE,
+    start: npt.ArrayLike | None = None,
+    times: npt.ArrayLike = PERIOD,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the readings of each tick, the status, and the answers (n, 5)."""
-    assert board.begin(rate, ACCELERATION, PATIENCE) == STATUS["OK"]
+    begin = None if start is None else np.array(start, np.float32)
+    at = None if begin is None else begin.ctypes.data_as(ctypes.c_void_p)
+    assert board.begin(rate, ACCELERATION, PATIENCE, at) == STATUS["OK"]
+    steps = np.array(np.broadcast_to(times, len(ticks)), np.float32)
     received, counts = b"".join(ticks), np.array([len(x) for x in ticks], np.int32)
     readings, status = np.empty((len(ticks), 3), np.float32), np.empty(len(ticks), np.int32)
     answers = np.empty((len(received) // 16 + 1, 5), np.uint8)
     pointers = [x.ctypes.data_as(ctypes.c_void_p) for x in (readings, status, answers)]
     count = board.run(
-        ctypes.c_long(len(ticks)), received, counts.ctypes.data_as(ctypes.c_void_p), ctypes.c_float(PERIOD), *pointers
+        ctypes.c_long(len(ticks)), received, *(x.ctypes.data_as(ctypes.c_void_p) for x in (counts, steps)), *pointers
     )
     return readings.astype(float), status, answers[:count]
 
 
-def check_motion(readings: np.ndarray, rate: float = RATE) -> None:
-    """Check that no actuator is faster than its limits, or beyond those of its readings."""
-    start = HOME.readings.astype(np.float32).astype(float)
-    speeds = np.diff(readings, axis=0, prepend=[start, start]) / PERIOD
-    rounding = 4.0 * np.finfo(np.float32).eps / PERIOD
-    assert np.abs(speeds).max() <= rate + rounding
-    assert np.abs(np.diff(speeds, axis=0)).max() <= ACCELERATION * PERIOD + 2.0 * rounding
-    assert readings.min() >= np.float32(-1.2)
-    assert readings.max() <= np.float32(1.4)
+def check_motion(
+    readings: np.ndarray, rate: float = RATE, start: npt.ArrayLike = HOME.readings, times: npt.ArrayLike = PERIOD
+) -> None:
+    """Check that no actuator is faster than its limits, or beyond those of its readings and where it began."""
+    first = np.asarray(start, np.float32).astype(float)
+    steps = np.broadcast_to(times, len(readings))[:, None]
+    speeds = np.diff(readings, axis=0, prepend=[first]) / steps
+    rounding = 4.0 * np.finfo(np.float32).eps / steps
+    assert (np.abs(speeds) <= rate + rounding).all()
+    earlier = np.concatenate([rounding[:1], rounding[:-1]])
+    changes = np.diff(speeds, axis=0, prepend=[np.zeros(3)])
+    assert (np.abs(changes) <= ACCELERATION * steps + rounding + earlier).all()
+    assert (readings >= np.minimum(first, np.float32(-1.2))).all()
+    assert (readings <= np.maximum(first, np.float32(1.4))).all()
 
 
 def set_point(number: int, tilt: float, azimuth: float, height: float) -> bytes:
@@ -179,32 +195,89 @@ def test_bytes_lost_doubled_and_wrong_never_move_an_actuator_faster(board: ctype
     assert np.abs(np.diff(readings, axis=0)).max() > 0.9 * RATE * PERIOD
 
 
-def sketch(name: str, folder: Path, change: tuple[str, str] = ("", "")) -> Path:
-    """Compile a sketch for the host, with a change of its text."""
+def test_commands_reach_the_limits_of_readings_without_a_jolt(board: ctypes.CDLL) -> None:
+    """Fast ways from limit to limit, at which no actuator is cut off while it moves."""
+    rng, ticks = np.random.default_rng(3), []
+    low, high = map(float, spm.stages.forward_physical(BALANCER, [[-1.2] * 3, [1.4] * 3]).height)
+    heights = low + 1e-6, high - 1e-6  # what is sent is rounded
+    for number in range(1, 400):
+        ticks += [set_point(number, 0.0, 0.0, heights[number % 2]), *[b""] * int(rng.integers(5, 24))]
+    readings, _, answers = run(board, ticks, rate=10.0)
+    check_motion(readings, rate=10.0)
+    assert (answers[:, 2] == STATUS["OK"]).all()
+    assert readings.min() < -1.2 + 2e-4
+    assert readings.max() > 1.4 - 2e-4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_commands_keep_their_limits_under_a_clock_that_jitters(board: ctypes.CDLL, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = (PERIOD * 10.0 ** rng.uniform(-1.5, 0.7, 20_000)).astype(np.float32).astype(float)
+    ticks = [
+        set_point(k // 9 + 1, rng.uniform(0.0, 0.5), rng.uniform(-np.pi, np.pi), rng.uniform(0.06, 0.14))
+        if k % 9 == 0
+        else b""
+        for k in range(len(times))
+    ]
+    readings, _, answers = run(board, ticks, rate=10.0, times=times)
+    check_motion(readings, rate=10.0, times=times)
+    assert np.count_nonzero(answers[:, 2] == STATUS["OK"]) > 500
+    assert np.abs(np.diff(readings, axis=0)).max() > 0.05
+
+
+def test_a_machine_that_begins_beyond_its_limits_goes_back_at_its_rate(board: ctypes.CDLL) -> None:
+    start, height = [-1.35, -1.3, -1.25], float(HOME.height)
+    ticks = [b""] * 5 + [set_point(k, 0.1, 0.0, height) for k in range(1, 100)]
+    readings, _, _ = run(board, ticks, start=start)
+    check_motion(readings, start=start)
+    assert (readings[:5] == np.float32(start)).all()
+    expected = spm.stages.inverse_physical(BALANCER, height, tilt=0.1, azimuth=0.0).readings
+    np.testing.assert_allclose(readings[-1], expected, rtol=0.0, atol=2e-5)
+
+
+@pytest.mark.parametrize("time", [0.0, -PERIOD, np.nan, np.inf])
+def test_a_time_that_is_none_moves_nothing_and_keeps_the_target(board: ctypes.CDLL, time: float) -> None:
+    height = float(HOME.height)
+    ticks = [set_point(1, 0.1, 0.0, height), *[b""] * 20]
+    times = np.where(np.arange(len(ticks)) % 3 == 0, time, PERIOD)
+    readings, _, _ = run(board, ticks, times=times)
+    expected, _, _ = run(board, [x for x, t in zip(ticks, times, strict=True) if t == PERIOD or x])
+    still = times != PERIOD
+    assert (readings[still][1:] == readings[np.flatnonzero(still)[1:] - 1]).all()
+    end = spm.stages.inverse_physical(BALANCER, height, tilt=0.1, azimuth=0.0).readings
+    assert np.abs(readings[-1] - end).max() < 0.5 * np.abs(HOME.readings - end).max()
+    assert len(expected) > 10
+
+
+def sketch(name: str, folder: Path, change: tuple[str, str] = ("", ""), board: str = "servo") -> Path:
+    """Compile a sketch for the host, with a change of its text, and the library that a board has for servos."""
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler: neither g++ nor clang++")
     write_stage_c(BALANCER, folder)
     flags = ("-std=c++11", "-Wall", "-Wextra", "-Wpedantic", "-Wdouble-promotion", "-Werror", "-O1")
-    include = ("-I", folder, "-I", ARDUINO, "-I", CONTROLLERS / name, "-include", "Arduino.h")
+    flags += ("-DARDUINO_ARCH_ESP32",) * (board == "esp32")
+    folders = (folder, STAND_INS / "arduino", STAND_INS / board, CONTROLLERS / name)
+    include = (*(x for path in folders for x in ("-I", path)), "-include", "Arduino.h")
     source = folder / f"{name}.cpp"
     source.write_text((CONTROLLERS / name / f"{name}.ino").read_text(encoding="utf-8").replace(*change), "utf-8")
-    inputs = (source, ARDUINO / "board.cpp")
+    inputs = (source, STAND_INS / "arduino/board.cpp")
     compile_c(compiler, *flags, *include, *inputs, "-lm", "-o", folder / name)
     return folder / name
 
 
-def pulses(output: str) -> np.ndarray:
+def pulses(output: str, board: str = "servo") -> np.ndarray:
     """Return time [ms] and the three pulses of each step."""
     rows = np.array([line.split() for line in output.splitlines()], dtype=int).reshape(-1, 3, 3)
-    assert (rows[:, :, 1] == [9, 10, 11]).all()
+    assert (rows[:, :, 1] == PINS[board]).all()
     return np.column_stack([rows[:, 0, 0], rows[:, :, 2]])
 
 
-def test_the_sketch_tilts_a_plate_in_a_circle(tmp_path: Path) -> None:
-    program = sketch("tilt_in_a_circle", tmp_path)
+@pytest.mark.parametrize("board", PINS)
+def test_the_sketch_tilts_a_plate_in_a_circle(tmp_path: Path, board: str) -> None:
+    program = sketch("tilt_in_a_circle", tmp_path, board=board)
     done = subprocess.run([program, "4000"], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True)
-    rows = pulses(done.stdout)
+    rows = pulses(done.stdout, board)
     azimuth = 2.0 * np.pi * rows[:, 0] / 4000.0
     expected = spm.stages.inverse_physical(
         BALANCER, float(HOME.height), tilt=0.1745, azimuth=(azimuth + np.pi) % (2 * np.pi) - np.pi
@@ -245,14 +318,15 @@ def test_the_check_of_the_servos_shows_which_is_mounted_wrong(tmp_path: Path) ->
                 np.testing.assert_allclose(state.normal[:2], sense * np.sin(state.tilt) * np.array(towards), atol=1e-9)
 
 
-def test_the_sketch_that_follows_is_the_board_of_the_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize("board", PINS)
+def test_the_sketch_that_follows_is_the_board_of_the_line(tmp_path: Path, board: str) -> None:
     """Frames from the standard input, one in ten spoiled; then silence."""
-    program, rng = sketch("follow_set_points", tmp_path), np.random.default_rng(0)
+    program, rng = sketch("follow_set_points", tmp_path, board=board), np.random.default_rng(0)
     frames = [bytearray(set_point(k, 0.3, 0.1 * k, float(HOME.height))) for k in range(1, 200)]
     for k in rng.integers(len(frames), size=20):
         frames[k][rng.integers(16)] ^= 0x10
     done = subprocess.run([program, "1500"], input=b"".join(frames), capture_output=True, check=True)
-    rows = pulses(done.stdout.decode())
+    rows = pulses(done.stdout.decode(), board)
     moved = np.diff(rows[:, 1:], axis=0)
     assert 5.0 < np.abs(moved).max() <= PULSES * RATE * PERIOD + 1.0
     assert (moved[rows[1:, 0] > 1000] == 0).all()

@@ -34,13 +34,13 @@ int use(const stage_real *x, stage_state *s)
 }
 """
 _BOTH = """
-#include "left.h"
-#include "right.h"
+#include "math_stage.h"
+#include "right_stage.h"
 int main(void)
 {
-    left_state l;
+    math_state l;
     right_state r;
-    return left_tilt(&left_machine, 0, 0, left_machine.home_height, &l)
+    return math_tilt(&math_machine, 0, 0, math_machine.home_height, &l)
             + right_tilt(&right_machine, 0, 0, right_machine.home_height, &r);
 }
 """
@@ -157,6 +157,24 @@ def test_a_tilt_and_its_azimuth_are_those_of_python(libraries, dtype: type) -> N
 
 
 @TYPES
+@pytest.mark.parametrize("machine", ["RPS", "RRS as built"])
+def test_normals_of_any_length_give_the_state_of_the_unit_normal(libraries, machine: str, dtype: type) -> None:
+    stage, height = stage_and_height(machine)
+    library = libraries[dtype].of(stage)
+    normals, heights = requests(height, 300)
+    info = np.finfo(dtype)
+    for length in (1e-3, 1e-4, 1e-6, 1e-8, 1e-20, 1e3 * info.tiny, 1e20, 0.5 * float(info.max)):
+        asked = (length * normals).astype(dtype)
+        rows, status = library.inverse(asked, heights)
+        units = asked / np.float64(length)
+        units /= np.linalg.norm(units, axis=-1, keepdims=True)
+        expected = spm.stages.inverse_physical(stage, rounded(heights, dtype), normal=units)
+        ok = status == STATUS["OK"]
+        assert ok.sum() > 150
+        assert errors(stage, rows[ok], rows_of(expected)[ok]).max() < TOLERANCE[dtype]
+
+
+@TYPES
 def test_limits_are_those_of_the_package(libraries, dtype: type) -> None:
     library = libraries[dtype].of(BALANCER)
     normals, heights = requests(0.11, 20_000)
@@ -254,8 +272,9 @@ def test_errors_are_statuses(libraries) -> None:
     for turns in (-1e9, -2.0, 2.0):  # more than one is taken for degrees
         assert library.forward(home[:, 12:] + 2.0 * np.pi * turns, home)[1].tolist() == [STATUS["BAD_INPUT"]]
     assert library.forward(home[:, 12:] - 2.0 * np.pi, home)[1].tolist() != [STATUS["BAD_INPUT"]]
-    for tilt in (2.0 * np.pi, -20.0, np.nan):
-        assert library.tilt([tilt], [0.0], [0.11])[1].tolist() == [STATUS["BAD_INPUT"]]
+    for tilt, azimuth in ((2.0 * np.pi, 0.0), (-20.0, 0.0), (np.nan, 0.0), (0.1, 90.0), (0.1, -7.0), (0.1, np.nan)):
+        assert library.tilt([tilt], [azimuth], [0.11])[1].tolist() == [STATUS["BAD_INPUT"]]
+    assert library.tilt([0.1], [2.0 * np.pi], [0.11])[1].tolist() == [STATUS["OK"]]
 
 
 @pytest.mark.parametrize("machine", ["RPS", "PRS hanging", "RRS as built"])
@@ -328,15 +347,19 @@ def test_on_an_emulated_cortex_m4_the_known_answers_agree_and_calls_are_short(dt
 
 
 def test_a_prefix_renames_all_of_it(tmp_path: Path) -> None:
-    for prefix, stage in (("left_", STAGES["RPS"]), ("right_", STAGES["RRS"])):
+    for prefix, stage in (("math_", STAGES["RPS"]), ("right_", STAGES["RRS"])):
         write_stage_c(stage, tmp_path, prefix=prefix)
     names = [path.name for path in sorted(tmp_path.iterdir())]
-    assert names == ["left.h", "left_test.c", "right.h", "right_test.c"]
+    assert names == ["math_stage.h", "math_stage_test.c", "right_stage.h", "right_stage_test.c"]
+    header = (tmp_path / "math_stage.h").read_text(encoding="utf-8")
+    assert "#ifndef MATH_STAGE_H\n" in header
+    assert not re.search(r"\b(stage|STAGE)_", header)
     (tmp_path / "both.c").write_text(_BOTH, encoding="utf-8")
     for compiler in compilers():
-        compile_c(compiler, *STRICT, tmp_path / "both.c", "-lm", "-o", tmp_path / "both")
+        # The folder is searched for <math.h> before those of the system.
+        compile_c(compiler, *STRICT, "-I", tmp_path, tmp_path / "both.c", "-lm", "-o", tmp_path / "both")
         assert subprocess.run([tmp_path / "both"], check=False).returncode == 0
-        compile_c(compiler, *STRICT, tmp_path / "left_test.c", "-lm", "-o", tmp_path / "program")
+        compile_c(compiler, *STRICT, tmp_path / "math_stage_test.c", "-lm", "-o", tmp_path / "program")
         subprocess.run([tmp_path / "program"], capture_output=True, check=True)
     with pytest.raises(ArgumentError, match="prefix"):
         stage_c_sources(BALANCER, prefix="3_")

@@ -1,13 +1,18 @@
 /* Three servos follow set-points from a serial line, within limits and watched: see set_points.h.
 
-   For boards that Arduino knows, with its library Servo. Beside this file belong set_points.h and stage.h, from
+   For boards that Arduino knows, with its library Servo, on an ESP32 with the library ESP32Servo. Beside this file belong set_points.h and stage.h, from
    `spm-pin export c-stage`. The other end of the line is stream_set_points.py. */
 
+#ifdef ARDUINO_ARCH_ESP32
+#include <ESP32Servo.h>
+const int PINS[3] = {4, 13, 14}; /* of ESP32, S2 and S3; the C3 has others */
+#else
 #include <Servo.h>
+const int PINS[3] = {9, 10, 11};
+#endif
 
 #include "set_points.h"
 
-const int PINS[3] = {9, 10, 11};
 /* Of each servo the pulse at which its crank is level, outwards, and what a radian upwards adds or takes off. */
 const float LEVEL_PULSE[3] = {1500.0f, 1500.0f, 1500.0f};
 const float PULSE_PER_RADIAN[3] = {637.0f, 637.0f, 637.0f};

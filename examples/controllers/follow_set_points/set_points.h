@@ -20,10 +20,12 @@
    Integers are signed, of 32 bits, and lowest byte first, as the CRC is. Nothing tells how old a set-point is: one that the line has
    delayed is followed when it comes.
 
-   Whatever arrives, a command differs from the last by at most the rate and the acceleration that are set, is within
-   the limits of the readings, and belongs to a state that `stage_forward` has reached without a singularity. Where it
-   refuses the next one the command stops at once, whatever the acceleration: braking would lead on into what it
-   refuses. Limits of the readings within which the stage is regular keep this from happening. */
+   Whatever arrives, and whatever the times between the commands are: in a time t a reading changes by at most t times
+   the rate, and its speed by at most t times the acceleration, up to rounding; a command is within the limits of the
+   readings, or no farther beyond one than the state at which it began; and it belongs to a state that `stage_forward`
+   has reached without a singularity. Where that refuses the next one the command stops at once, whatever the
+   acceleration: braking would lead on into what it refuses. Limits of the readings within which the stage is regular
+   keep this from happening. */
 
 #ifndef SET_POINTS_H
 #define SET_POINTS_H
@@ -126,7 +128,10 @@ static inline int set_points_take(set_points *s, uint8_t byte, uint8_t answer[AN
         s->silence = 0;
         s->status = stage_inverse(s->machine, normal, number_at(s->frame + 10), &goal);
         for (i = 0; i < 3 && s->status == STAGE_OK; ++i) {
-            s->target[i] = goal.readings[i];
+            /* `stage_inverse` takes readings that are beyond a limit by rounding. */
+            const stage_leg *leg = &s->machine->legs[i];
+            stage_real most = goal.readings[i] > leg->maximum ? leg->maximum : goal.readings[i];
+            s->target[i] = most < leg->minimum ? leg->minimum : most;
         }
         answer[2] = (uint8_t)(s->status == STAGE_OK ? s->way : s->status);
         s->way = STAGE_OK;
@@ -137,24 +142,29 @@ static inline int set_points_take(set_points *s, uint8_t byte, uint8_t answer[AN
     return 1;
 }
 
-/* Move the command, s->state.readings, on by a time: towards the target, all actuators in proportion. */
+/* Move the command, s->state.readings, on by a time: towards the target, all actuators in proportion. A time that is not
+   positive and finite moves nothing. */
 static inline void set_points_move(set_points *s, stage_real time)
 {
-    stage_real wanted[3], next[3], most = s->acceleration * time, share = 1, limit;
+    stage_real wanted[3], next[3], most = s->acceleration * time, share = 1 / time;
     int i, status;
+    if (!(time > 0 && time - time == 0)) {
+        return;
+    }
     s->silence = s->silence < s->patience ? s->silence + time : s->patience;
     if (s->silence >= s->patience) {
         s->status = LINE_SILENT;
     }
     for (i = 0; i < 3; ++i) {
-        /* The largest speed from which the actuator can still stop at the target, in steps of this time. */
+        /* The largest speed v that leaves, after this time, a way of v^2 / (2 acceleration): on that the actuator can
+           stop in further steps of any times. Speeds are taken over the way, which may be zero. */
         stage_real way = STAGE_M(fabs)(s->target[i] - s->state.readings[i]);
-        limit = most * (STAGE_M(sqrt)(1 + 8 * way / (most * time)) - 1) / 2;
-        limit = limit < s->rate ? limit : s->rate;
-        share = limit * time < share * way ? limit * time / way : share;
+        stage_real own = 2 * s->acceleration / (most + STAGE_M(sqrt)(most * most + 2 * s->acceleration * way));
+        own = own * way > s->rate ? s->rate / way : own;
+        share = own < share ? own : share;
     }
     for (i = 0; i < 3; ++i) {
-        wanted[i] = s->status == LINE_SILENT ? 0 : share * (s->target[i] - s->state.readings[i]) / time;
+        wanted[i] = s->status == LINE_SILENT ? 0 : share * (s->target[i] - s->state.readings[i]);
     }
     for (i = 0, share = 1; i < 3; ++i) { /* all speed up in proportion, and each brakes as it can */
         stage_real change = STAGE_M(fabs)(wanted[i] - s->speed[i]);
@@ -170,8 +180,12 @@ static inline void set_points_move(set_points *s, stage_real time)
         change = change > most ? most : change < -most ? -most : change;
         s->speed[i] += change;
         next[i] = s->state.readings[i] + s->speed[i] * time;
-        next[i] = next[i] > leg->maximum ? leg->maximum : next[i] < leg->minimum ? leg->minimum : next[i];
-        s->speed[i] = (next[i] - s->state.readings[i]) / time;
+        /* Beyond a limit by rounding, or on the way back from where it began. */
+        if (next[i] > leg->maximum && s->speed[i] > 0) {
+            next[i] = stage_larger(s->state.readings[i], leg->maximum);
+        } else if (next[i] < leg->minimum && s->speed[i] < 0) {
+            next[i] = -stage_larger(-s->state.readings[i], -leg->minimum);
+        }
     }
     status = stage_forward(s->machine, next, &s->state, &s->state);
     if (status != STAGE_OK) {

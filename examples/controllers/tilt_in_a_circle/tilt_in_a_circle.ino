@@ -1,13 +1,18 @@
 /* A plate on three servos tilts in a circle: 10 degrees, once in four seconds.
 
-   For boards that Arduino knows, with its library Servo. Beside this file belongs stage.h, from
+   For boards that Arduino knows, with its library Servo, on an ESP32 with the library ESP32Servo. Beside this file belongs stage.h, from
    `spm-pin export c-stage`. */
 
+#ifdef ARDUINO_ARCH_ESP32
+#include <ESP32Servo.h>
+const int PINS[3] = {4, 13, 14}; /* of ESP32, S2 and S3; the C3 has others */
+#else
 #include <Servo.h>
+const int PINS[3] = {9, 10, 11};
+#endif
 
 #include "stage.h"
 
-const int PINS[3] = {9, 10, 11};
 /* Of each servo the pulse at which its crank is level, outwards, and what a radian upwards adds or takes off. */
 const float LEVEL_PULSE[3] = {1500.0f, 1500.0f, 1500.0f};
 const float PULSE_PER_RADIAN[3] = {637.0f, 637.0f, 637.0f};

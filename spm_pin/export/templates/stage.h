@@ -52,7 +52,7 @@ typedef float stage_real;
 #endif
 #define STAGE_NO_LIMIT ((stage_real)INFINITY)
 #define STAGE_TURN STAGE_R(@MOST_TURNED@) /* more is degrees */
-#define STAGE_MOST_STEPS 1000 /* of `stage_forward`, in vain or not */
+#define STAGE_MOST_STEPS 1000 /* of `stage_forward` */
 
 /* A leg moves in a plane, in which x is outwards and z upwards from the pivot. */
 typedef struct {
@@ -250,7 +250,7 @@ static inline int stage_solve(const stage_geometry *m, const stage_circles *on, 
             t->places[2 * i] -= m->up * turns[i] * z;
             t->places[2 * i + 1] += m->up * turns[i] * x;
         }
-        /* Steps that no longer shrink are rounding's. */
+        /* Only rounding errors are left. */
         if (2 * size > last && step > 2) {
             break;
         }
@@ -291,7 +291,7 @@ static inline int stage_is_safe(const stage_geometry *m, const stage_circles *st
     return last.norm * moved * (longest + 2 * moved) * 8 <= 1 && last.norm * lipschitz * step * 8 <= 1;
 }
 
-/* Return the status of a state, limits aside, and write its triangle. */
+/* Return the status of a state without limits, and write its triangle. */
 static inline int stage_check(const stage_geometry *m, const stage_state *s, stage_triangle *t)
 {
     stage_circles on;
@@ -344,11 +344,15 @@ static inline int stage_inverse(const stage_geometry *m, const stage_real normal
     stage_real turn[3][3], u[3], v[3], weights[3], p[3], q[3], first[3], second[3], rest[3], places[6];
     stage_real x, y, z, a, b, c, square, root;
     int i, k, status;
-    a = STAGE_M(sqrt)(stage_dot(normal, normal)) + height - height;
+    for (k = 0, a = height - height; k < 3; ++k) {
+        a += STAGE_M(fabs)(normal[k]);
+    }
     if (!(a > 0 && a - a == 0)) {
         return STAGE_BAD_INPUT;
     }
-    x = normal[0] / a, y = normal[1] / a, z = normal[2] / a;
+    x = normal[0] / a, y = normal[1] / a, z = normal[2] / a; /* first, as squares underflow */
+    a = STAGE_M(sqrt)(x * x + y * y + z * z);
+    x /= a, y /= a, z /= a;
     if (!(z > 0)) {
         return STAGE_UNREACHABLE;
     }
@@ -414,7 +418,7 @@ static inline int stage_tilt(const stage_geometry *m, stage_real tilt, stage_rea
         stage_state *state)
 {
     stage_real normal[3];
-    if (STAGE_M(fabs)(tilt) > STAGE_TURN / 2) {
+    if (STAGE_M(fabs)(tilt) > STAGE_TURN / 2 || STAGE_M(fabs)(azimuth) > STAGE_TURN) {
         return STAGE_BAD_INPUT;
     }
     normal[0] = STAGE_M(sin)(tilt) * STAGE_M(cos)(azimuth);
@@ -424,7 +428,7 @@ static inline int stage_tilt(const stage_geometry *m, stage_real tilt, stage_rea
 }
 
 /* Forward: write the state of readings at the end of the way from a state `near` on which all readings change in
-   proportion. Limits are not asked, see stage_beyond_limits. `near` and `state` may be the same. */
+   proportion. For limits see stage_beyond_limits. `near` and `state` may be the same. */
 static inline int stage_forward(const stage_geometry *m, const stage_real readings[3], const stage_state *near,
         stage_state *state)
 {

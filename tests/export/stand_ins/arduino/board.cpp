@@ -10,7 +10,11 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "Servo.h"
+#ifdef ARDUINO_ARCH_ESP32
+#include <ESP32Servo.h>
+#else
+#include <Servo.h>
+#endif
 
 void setup();
 void loop();

@@ -31,7 +31,7 @@ static int turn;
 
 static int inverse(void)
 {
-    return stage_tilt(&stage_machine, (stage_real)0.1f, (stage_real)turn / 8, stage_machine.home_height, &state);
+    return stage_tilt(&stage_machine, (stage_real)0.1f, (stage_real)turn * 6.28f / CALLS, stage_machine.home_height, &state);
 }
 
 static int forward(void)
