@@ -1,5 +1,5 @@
 # make demo  reproduces the paper, compares the methods and draws a picture
-# make test  runs the linters, the type checker and the tests
+# make test  runs the linters, the type checker and the tests of the code; make test-docs and make test-slow the others
 # make bench measures the package beside its peers, into benchmarks/results.md; make bench BENCH=--quick for a look
 # Each first sets up what it needs in .venv.
 
@@ -11,17 +11,21 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
-.PHONY: demo test test-slow coverage bench lint docs figures description clean
+.PHONY: demo test test-docs test-slow coverage bench lint docs figures description clean
 
 demo: $(VENV)/.demo
 	@mkdir -p build
 	@$(BIN)/spm-pin demo --out build/demo.png
 
 # A worker has one core: threads of OpenBLAS beside those of the others would wait for one another.
-test test-slow coverage: export OPENBLAS_NUM_THREADS := 1
+test test-docs test-slow coverage: export OPENBLAS_NUM_THREADS := 1
 
 test: lint
-	$(BIN)/python -m pytest $(PYTEST) -m "not slow"
+	$(BIN)/python -m pytest $(PYTEST) -m "not slow and not documents"
+	@echo "Not run here: pages, examples and benchmarks (make test-docs), sweeps and long comparisons (make test-slow)"
+
+test-docs: $(VENV)/.test
+	$(BIN)/python -m pytest $(PYTEST) -m "documents and not slow"
 
 # Lines of spm_pin that the tests run, compiled kernels aside. Counting them slows Python down, so the tests go without.
 coverage: $(VENV)/.test

@@ -31,6 +31,8 @@ from benchmarks.sections.velocity import states
 from benchmarks.targets import TARGETS, check
 from benchmarks.timing import Pace, Spread, TimedCall, Timing, time_in_turns
 
+pytestmark = pytest.mark.documents
+
 ROOT = Path(__file__).parents[1]
 # Poses whose branches are well apart: searches find all of them, and the octic keeps half its digits.
 POSES = leg_space(4)

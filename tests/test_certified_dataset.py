@@ -7,10 +7,13 @@ import runpy
 from pathlib import Path
 
 import numpy as np
+import pytest
 from as_built_oracle import root_near
 from oracle import certified_counts
 
 import spm_pin as spm
+
+pytestmark = pytest.mark.documents
 
 SCRIPT = Path(__file__).parents[1] / "scripts/certified_dataset.py"
 

@@ -19,6 +19,8 @@ from typer.testing import CliRunner
 import spm_pin
 from spm_pin.cli.application import app
 
+pytestmark = pytest.mark.documents
+
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"python", "console", "sh", "yaml", "xml", "json", "c", "js", ""}

@@ -10,6 +10,8 @@ import matplotlib.pyplot as plt
 import nbformat
 import pytest
 
+pytestmark = pytest.mark.documents
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 LONG = "12_pick_and_place", "14_calibrated_controller", "16_balance_a_ball"

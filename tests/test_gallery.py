@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.stages import RealMachine, StageConfiguration
 
+pytestmark = pytest.mark.documents
+
 MACHINES = spm.stages.gallery()
 STAGES = {f"{name} {k}": (stage, m.height) for name, m in MACHINES.items() for k, stage in enumerate(m.stages)}
 INCH = 0.0254

@@ -12,6 +12,8 @@ from uniqueness_slides import SLIDES, slide_pair
 import spm_pin as spm
 from spm_pin.crosscheck import Verdict, reproduce
 
+pytestmark = pytest.mark.documents
+
 ROOT = Path(__file__).parents[1]
 _, HEADER, TEXT = (ROOT / "paper/paper.md").read_text(encoding="utf-8").split("---\n", 2)
 WORDS = " ".join(TEXT.split())

@@ -14,6 +14,8 @@ import spm_pin as spm
 from spm_pin.display import draw, path_figure
 from spm_pin.support.notebook import curves, stick_figure, view_axes
 
+pytestmark = pytest.mark.documents
+
 GEOMETRY = spm.Geometry.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 LEGS = [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]

@@ -46,8 +46,8 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     stage : Stage
         The stage, drawn or as built.
     normal : array, shape (..., 3)
-        Normal of the platform in {B}, of any length. Zero, NaN and directions within 1.4 mrad of -z, 9° in float32, have
-        no state: there the legs hardly hold the torsion.
+        Normal of the platform in {B}, of any length. Zero, NaN and directions within 1.4 mrad of -z (9° in float32)
+        have no state: there the legs hardly hold the torsion.
     height : array, shape (...)
         Of the platform's origin above the pivots [m].
 

@@ -23,6 +23,8 @@ from stages import solve_stage
 
 from spm_pin.kinematics.intervals import Interval
 
+pytestmark = pytest.mark.documents
+
 STRUCTURE = 2
 
 

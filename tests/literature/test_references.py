@@ -5,6 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.documents
+
 ROOT = Path(__file__).parents[2]
 RELATED = ROOT / "docs/related_work.md"
 ENTRIES = re.split(r"\n(?=@)", (ROOT / "docs/references.bib").read_text(encoding="utf-8"))[1:]
