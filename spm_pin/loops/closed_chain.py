@@ -126,18 +126,35 @@ class ClosedChain:
         return cls.from_description(read_mjcf(source, actuated=actuated), held=held)
 
     @classmethod
-    def from_urdf(cls, urdf: str | PathLike[str], closures: Any = None, *, held: Sequence[str] = ()) -> Self:
+    def from_urdf(
+        cls,
+        urdf: str | PathLike[str],
+        closures: Any = None,
+        *,
+        free_base: bool = False,
+        actuated: Sequence[str] | None = None,
+        srdf: str | PathLike[str] | None = None,
+        held: Sequence[str] = (),
+    ) -> Self:
         """Return the chain of a URDF file and of what closes its loops; `spm_pin.loops.read_urdf` reads them."""
         from spm_pin.loops.read_urdf import read_urdf
 
-        return cls.from_description(read_urdf(urdf, closures), held=held)
+        description = read_urdf(urdf, closures, free_base=free_base, actuated=actuated, srdf=srdf)
+        return cls.from_description(description, held=held)
 
     @classmethod
-    def from_sdf(cls, path: str | PathLike[str], *, held: Sequence[str] = ()) -> Self:
-        """Return the chain of an SDF file; `spm_pin.loops.read_sdf` reads it."""
+    def from_sdf(
+        cls,
+        path: str | PathLike[str],
+        *,
+        actuated: Sequence[str] | None = None,
+        srdf: str | PathLike[str] | None = None,
+        held: Sequence[str] = (),
+    ) -> Self:
+        """Return the chain of an SDF file or its text; `spm_pin.loops.read_sdf` reads it."""
         from spm_pin.loops.read_sdf import read_sdf
 
-        return cls.from_description(read_sdf(path), held=held)
+        return cls.from_description(read_sdf(path, actuated=actuated, srdf=srdf), held=held)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (type(self), self.model, self.closures, self.actuated, self.equalities, self.held, self.q0)
