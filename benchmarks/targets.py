@@ -79,6 +79,15 @@ TARGETS = (
     ),
     Target("control tick, median", "jobs/tick", 150.0, "µs", at_least=False),
     Target("the same, 99.9 % of them", "jobs/slow tick", 1.0, "ms", at_least=False),
+    Target(
+        "any closed chain, forward, slowest of five robots: single call", "loops/single", 60.0, "µs", at_least=False
+    ),
+    Target("the same, sample of a path", "loops/path", 15.0, "µs", at_least=False),
+    Target("the same, member of a batch", "loops/batch", 30.0, "µs", at_least=False),
+    Target("SciPy's `least_squares` / a single call, least of five robots", "loops/SciPy over single", 20.0),
+    Target("the same / a sample of a path", "loops/SciPy over path", 20.0),
+    Target("the same / a member of a batch", "loops/SciPy over batch", 20.0),
+    Target("its forward dynamics / `constraintDynamics`, largest of five", "loops/dynamics", 2.5, at_least=False),
     Target("branches missed", "completeness/missed", 0.0, "", at_least=False),
     Target("branches reported that are none", "completeness/spurious", 0.0, "", at_least=False),
     Target("one thread / two threads", "scaling/two threads", 1.7),

@@ -380,3 +380,20 @@ def test_pycapacity_is_given_the_same_polytopes() -> None:
 def test_scipy_finds_the_balls_of_the_balancer() -> None:
     states = spm.stages.inverse_physical(_BALANCER, np.linspace(0.11, 0.13, 5), tilt=0.2, azimuth=0.3)
     np.testing.assert_allclose(balls_by_scipy(states.readings), states.balls, atol=1e-10)
+
+
+def test_forward_solutions_and_dynamics_of_any_closed_chain_are_those_of_scipy_and_pinocchio() -> None:
+    pytest.importorskip("mujoco")
+    from benchmarks.sections import loops
+
+    for name in loops.NAMES:
+        chain = loops.robot(name)
+        home = chain.close()
+        rates = np.linspace(-0.1, 0.1, len(chain.actuated))
+        solve, accelerations = loops.by_scipy(chain, home), loops.by_pinocchio(chain)
+        for values in loops.targets_near(chain, home, 2):
+            q = chain.forward(values, home)
+            np.testing.assert_allclose(solve(values), q, rtol=0.0, atol=1e-9, err_msg=name)
+            state = chain.state(q, chain.state(q).joint_rates(rates))
+            ours, theirs = state.forward_dynamics(10.0 * rates), accelerations(q, state.v, 10.0 * rates)
+            assert np.abs(ours - theirs).max() <= 1e-9 * np.abs(theirs).max(), name

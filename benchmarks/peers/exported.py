@@ -13,8 +13,7 @@ from benchmarks.peers.c_loop import Arrays, real_branches
 from benchmarks.peers.compiled import address, folder, shared_object
 from benchmarks.peers.peer import FloatArray, Prepared
 from spm_pin import Configuration, Geometry
-from spm_pin.casadi import write_c
-from spm_pin.export.c_export import STATE_FUNCTIONS
+from spm_pin.export.c_export import STATE_FUNCTIONS, write_c
 
 CALLS = (
     "the clock alone",

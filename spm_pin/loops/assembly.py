@@ -1,8 +1,8 @@
 """Closing of loops from a guess: Newton's method with the damping of Levenberg and Marquardt.
 
-Equations may depend on each other, and near a closed configuration only to the size of the gaps: what a plain Newton
-step divides rounding by. A damping that goes to zero as the squared error keeps the convergence quadratic there (Fan
-and Yuan, 2005).
+Equations may depend on each other. Close to a closed configuration such rows have singular values as small as the gaps,
+and a plain Newton step would divide rounding errors by them. A damping proportional to the squared error keeps the
+convergence quadratic (Fan and Yuan, 2005).
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from spm_pin.support.arguments import FloatArray, IntArray
 MOST_STEPS, LONGEST_STEP = 200, 0.5
 """Steps of one search, and the largest in any joint, dimensionless."""
 SEARCHES, DISTURBANCE = 8, 0.05
-"""Where a search ends with open loops, the next begins from a guess disturbed by a multiple of this, dimensionless."""
+"""Number of searches, and the disturbance of the guess of search k over k, dimensionless."""
 ROUNDING = 4e-16
 LEAST_DAMPING = 1e-16
-"""Relative to the squared largest singular value: rows that depend on each other have none below rounding."""
+"""Smallest damping, relative to the squared largest singular value, so that dependent rows are not divided by zero."""
 
 
 def assemble(kinematics: LoopKinematics, guess: FloatArray, free: IntArray) -> FloatArray:
@@ -31,7 +31,7 @@ def assemble(kinematics: LoopKinematics, guess: FloatArray, free: IntArray) -> F
     for search in range(SEARCHES):
         q = guess
         if search:
-            # At a guess where the loops' Jacobian is singular, as with all links in line, no step may lead on.
+            # At a singular guess, as with all links in line, Newton's step may be zero: a random disturbance leaves it.
             away = np.zeros(rows.model.nv)
             away[free] = random.uniform(-1.0, 1.0, len(free)) * DISTURBANCE * search
             q = pin.integrate(rows.model, guess, away * rows.units)
@@ -43,7 +43,9 @@ def assemble(kinematics: LoopKinematics, guess: FloatArray, free: IntArray) -> F
         if size <= CLOSED and not _reversed(kinematics, q):
             return q
     gaps, angles, loop = kinematics.open_closures(nearest)
-    cause = f"The loop {loop!r} stays open: no closed configuration near the guess, or lengths that cannot close?"
+    cause = (
+        f"The loop {loop!r} stays open: no closed configuration near the guess, or links of lengths that cannot close"
+    )
     if least <= CLOSED:
         cause = (
             f"The closure {is_reversed[0]!r} is closed the wrong way round, turned by 180°: start from another guess"

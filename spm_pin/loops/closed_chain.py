@@ -1,4 +1,4 @@
-"""Any robot with closed loops: a tree of Pinocchio, what closes its loops, and the joints that are actuated."""
+"""Any robot with closed loops: a tree of Pinocchio, its closures, and its actuated joints."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ClosedChain:
     model : pinocchio.Model
         Spanning tree, copied. Its joints are hinges, slides, balls, planar or free.
     closures : sequence of Closure
-        What closes the loops, between frames of the model.
+        Constraints between frames of the model that close the loops.
     actuated : sequence of str
         Names of the actuated joints, of one degree of freedom each; `values` and forces are in this order.
     equalities : sequence of JointEquality
@@ -61,7 +61,7 @@ class ClosedChain:
     Raises
     ------
     ArgumentError
-        Names, joints or closures that cannot be; the message names them.
+        Invalid names, joints or closures; the message names them.
 
     See Also
     --------
@@ -104,7 +104,7 @@ class ClosedChain:
 
     @classmethod
     def from_description(cls, description: RobotDescription, *, held: Sequence[str] = ()) -> Self:
-        """Return the chain of what a reader has found in a file."""
+        """Return the chain of a `RobotDescription`, the result of a reader."""
         try:
             return cls(
                 description.model,
@@ -126,18 +126,35 @@ class ClosedChain:
         return cls.from_description(read_mjcf(source, actuated=actuated), held=held)
 
     @classmethod
-    def from_urdf(cls, urdf: str | PathLike[str], closures: Any = None, *, held: Sequence[str] = ()) -> Self:
-        """Return the chain of a URDF file and of what closes its loops; `spm_pin.loops.read_urdf` reads them."""
+    def from_urdf(
+        cls,
+        urdf: str | PathLike[str],
+        closures: Any = None,
+        *,
+        free_base: bool = False,
+        actuated: Sequence[str] | None = None,
+        srdf: str | PathLike[str] | None = None,
+        held: Sequence[str] = (),
+    ) -> Self:
+        """Return the chain of a URDF file, or its text, and its closures; `spm_pin.loops.read_urdf` reads them."""
         from spm_pin.loops.read_urdf import read_urdf
 
-        return cls.from_description(read_urdf(urdf, closures), held=held)
+        description = read_urdf(urdf, closures, free_base=free_base, actuated=actuated, srdf=srdf)
+        return cls.from_description(description, held=held)
 
     @classmethod
-    def from_sdf(cls, path: str | PathLike[str], *, held: Sequence[str] = ()) -> Self:
-        """Return the chain of an SDF file; `spm_pin.loops.read_sdf` reads it."""
+    def from_sdf(
+        cls,
+        path: str | PathLike[str],
+        *,
+        actuated: Sequence[str] | None = None,
+        srdf: str | PathLike[str] | None = None,
+        held: Sequence[str] = (),
+    ) -> Self:
+        """Return the chain of an SDF file or its text; `spm_pin.loops.read_sdf` reads it."""
         from spm_pin.loops.read_sdf import read_sdf
 
-        return cls.from_description(read_sdf(path), held=held)
+        return cls.from_description(read_sdf(path, actuated=actuated, srdf=srdf), held=held)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (type(self), self.model, self.closures, self.actuated, self.equalities, self.held, self.q0)
@@ -152,12 +169,12 @@ class ClosedChain:
         return tuple(self.model.names)[1:]
 
     def indices_in_q(self, *names: str) -> IntArray:
-        """Return where joints are in q."""
+        """Return the indices of joints in q."""
         joints = [self._joint(name, "names") for name in names]
         return np.array([j.idx_q + k for j in joints for k in range(j.nq)], dtype=np.intp)
 
     def indices_in_v(self, *names: str) -> IntArray:
-        """Return where joints are in v."""
+        """Return the indices of joints in v."""
         joints = [self._joint(name, "names") for name in names]
         return np.array([j.idx_v + k for j in joints for k in range(j.nv)], dtype=np.intp)
 
@@ -177,7 +194,7 @@ class ClosedChain:
         Raises
         ------
         ClosureError
-            The loops do not close from there. It has the gap, the loop that is open most, and the likely cause.
+            The loops do not close from the guess. The error has the largest gap, its loop, and the likely cause.
         """
         q = self._read_q(self.q0 if q_guess is None else q_guess, "q_guess", single=True)
         free = np.setdiff1d(np.flatnonzero(self.rows.concerns()), self._held_in_v)
@@ -190,14 +207,14 @@ class ClosedChain:
         `values`, and on to each from the one before, in C order. With several (..., nq), each member of the batch
         starts from its own. A free base and joints that are held stay. `near` is by default `close()`.
 
-        The way is followed in the assembly mode it starts in: see `spm_pin.loops.continuation`.
+        It is in the assembly mode of the start; `spm_pin.loops.continuation` says for which joints this is proved.
 
         Raises
         ------
         ClosureError
-            `near` is not closed, or the way does not lead to the values: it ends at a singularity, where a mode ends.
+            `near` is not closed, or the path ends at a singularity before it reaches the values.
         ArgumentError
-            The actuated joints do not determine the others, or there are more than freedoms; the message names joints.
+            The actuated joints do not determine the others, or are more than the degrees of freedom.
         """
         targets = real_array(values, "values", (len(self.actuated),), "of the actuated joints in rad and m")
         return self._follow(self._follower(None, ()), targets, 1, near, "values")
@@ -212,11 +229,11 @@ class ClosedChain:
         frame : str
             Name of a link or frame.
         pose : pinocchio.SE3, scipy.spatial.transform.RigidTransform or array_like of shape (..., 4, 4)
-            Where the frame is to be in the world.
+            Target of the frame in the world.
         near : array_like, shape (nq,) or (..., nq)
             Closed configurations to start from, as in `forward`.
         rows : sequence of int
-            Which parts of the pose are to be reached: 0 to 2 the position, 3 to 5 the rotation vector from the frame's
+            Components of the pose to be reached: 0 to 2 the position, 3 to 5 the rotation vector from the frame's
             orientation to the one given, in the axes of the world.
 
         Raises
@@ -265,7 +282,12 @@ class ClosedChain:
         if single and array.ndim != 1:
             raise ArgumentError(argument, f"shape ({self.model.nq},), {meaning}", f"shape {array.shape}")
         if not pin.isNormalized(self.model, array, 1e-6) if array.ndim == 1 else False:
-            raise ArgumentError(argument, "quaternions of unit length", "others", "pinocchio.normalize scales them")
+            raise ArgumentError(
+                argument,
+                "quaternions of unit length",
+                "quaternions of another length",
+                "pinocchio.normalize scales them",
+            )
         return array
 
     def _follower(self, frame: str | None, chosen: tuple[int, ...]) -> Follower:

@@ -1,4 +1,4 @@
-"""How the links of a robot close into loops: the data that a `ClosedChain` adds to the tree of a `pinocchio.Model`."""
+"""Closures and joint equalities, which a `ClosedChain` adds to the tree of a `pinocchio.Model`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Anchor:
 
 @dataclass(frozen=True, eq=False)
 class Closure:
-    """A joint that closes a loop: two anchors on two links, and what holds them together.
+    """A joint that closes a loop: two anchors on two links, and the kind of joint between them.
 
     `point`: the origins coincide, as in a ball joint (3 equations). `hinge`: the origins and the z axes coincide (5).
     `planar`: the origins coincide as seen along the z axis of the first anchor (2), the hinge of a planar linkage whose
@@ -53,16 +53,16 @@ class JointEquality:
 
 
 class RobotDescription(NamedTuple):
-    """What a reader finds in a file: enough to make a `ClosedChain`, and for a writer to write it again."""
+    """Result of a reader: the tree, closures, joint equalities and actuators of a file."""
 
     model: Any
-    """`pinocchio.Model`, a copy that nobody else changes; all frames are added already."""
+    """`pinocchio.Model` with all frames."""
     closures: tuple[Closure, ...]
     equalities: tuple[JointEquality, ...]
     actuated: tuple[str, ...]
     """Names of the actuated joints, in the order of the file's actuators."""
     q0: np.ndarray
-    """Configuration (nq,) of the file's rest pose or first keyframe, at which `close` may start."""
+    """Start (nq,) of `close`: the first keyframe or group state of the file, otherwise its rest pose."""
     configurations: dict[str, np.ndarray]
     """Named configurations of the file (nq,): keyframes, group states."""
     source: str

@@ -8,7 +8,7 @@ A closure holds frame 2, at p2 with the axes R2, on frame 1, at p1 with the axes
 
 of which each has an exact derivative: where the joints move frame 2 against frame 1 at (v, ω), v at p2, all in the axes
 R1, the left sides change at v, at ω x (third column of R) and at (tr(R) I - R) ω / 2. Joints that carry both frames
-move them alike and have no part in it. Angles of 180° solve the equations of axis and rotation too, so
+move them alike and do not contribute. Angles of 180° solve the equations of axis and rotation too, so
 `ConstraintRows.is_reversed` says where an axis or a frame is the wrong way round.
 """
 
@@ -27,7 +27,7 @@ from spm_pin.loops.links import find_frame
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
-"""Where the equations of a closure begin among the eight that it can have, and their number."""
+"""First index of the equations of each form among the eight of a closure, and their number."""
 _FORMS_OF_KIND = {"point": (0, 1, 2), "hinge": (0, 1, 2, 6, 7), "planar": (0, 1), "weld": (0, 1, 2, 3, 4, 5)}
 _TURNING = ("RX", "RY", "RZ", "RevoluteUnaligned", "PX", "PY", "PZ", "PrismaticUnaligned", "RUBX", "RUBY", "RUBZ")
 _JOINT_KINDS = (*_TURNING, "RevoluteUnboundedUnaligned", "Spherical", "Translation", "Planar", "FreeFlyer")
@@ -75,8 +75,8 @@ class ConstraintRows:
     ) -> None:
         """Read the anchors; `q` is a configuration of typical size, from which loops are measured.
 
-        A pose to be reached, of a frame, is a weld more to the universe, of which some equations hold; frame 1 has the
-        axes of the world, and `placements` moves with the target.
+        `pose`, a frame and components, adds equations of a weld between this frame and the universe. Frame 1
+        has the axes of the world, and `placements` follows the target.
         """
         for joint in list(model.joints)[1:]:
             if joint.shortname().removeprefix("JointModel") not in _JOINT_KINDS:

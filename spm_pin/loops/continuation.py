@@ -1,8 +1,8 @@
-"""From one closed configuration to another without leaving the mode: Newton's method in steps that a theorem accepts.
+"""Continuation between closed configurations of one assembly mode: Newton's method, each step verified by a theorem.
 
-On the way a share s from 0 to 1 of the change of the driven joints, or of the target's pose, is done. Unknown are the
+The path is parametrised by the share s from 0 to 1 of the change of the driven joints, or of the pose. Unknown are the
 other joints x, and the equations c(x, s) = 0 have a Jacobian J of full column rank: it may have more rows than columns,
-of which some depend on others. With A = (Jᵀ J)⁻¹ Jᵀ in one place of a step, A c(x, s) = 0 has as many equations as
+some of which depend on others. With A = (Jᵀ J)⁻¹ Jᵀ in one place of a step, A c(x, s) = 0 has as many equations as
 unknowns, and Krawczyk's theorem says where it has one solution. Where a box of radii r about the chord from the start
 to the end of the step, at every s, satisfies
 
@@ -26,12 +26,13 @@ exponential of all turns times the sum of all motions. Angles have U^a W^b of al
 - or if c in the quarters and J at the ends say so, with A of the middle and with bounds of the fifth derivative of c
   and the third of J.
 
-The theorem is for hinges and slides. In ball and free joints, whose rotations do not commute, and in joint equalities
-of a degree above one, whose curvature is not in the bounds, it is a rule of thumb. Where c = 0 has rows that depend on
+The theorem holds for hinges and slides, up to rounding errors, which are estimated. For ball, planar and free joints,
+whose displacements do not commute, and for joint equalities of a degree above one, whose curvature is not in the
+bounds, the test is a rule of thumb. Where c = 0 has rows that depend on
 others, a solution of A c = 0 is one of c = 0 as long as they do so; that c is zero is checked at the end of each step.
 
-The functions are compiled for a tree of arrays, and interpreted over Pinocchio: `make_follower` takes what they differ
-in.
+The functions run in two ways, compiled on arrays and interpreted on Pinocchio; `make_follower` takes the functions that
+differ.
 """
 
 from __future__ import annotations
@@ -42,12 +43,11 @@ from typing import Any
 import numpy as np
 
 DONE, SINGULAR_START, NO_FURTHER, OPEN_START = 0, 1, 2, 3
-"""How a path ends: at its target; nowhere, since the unknown joints are not determined; in between; or nowhere, since
-the loops are open at its start."""
+"""Status of a path: target reached, Jacobian singular at the start, end before the target, loops open at the start."""
 LONGEST = 1.0
 """Largest step tried in any joint, dimensionless: in rad, or in units of `ConstraintRows.units`."""
 SHORTEST_STEP = 1e-7
-"""Size of a step, dimensionless, below which a path ends: nearer to a singularity rounding is no small part of it."""
+"""Size of a step, dimensionless, below which a path ends: rounding errors become comparable to the step."""
 SHORTEST_SHARE = 2.0**-36
 MOST_CORRECTIONS = 12
 CLOSED, ROUNDED = 1e-10, 1e-9
@@ -172,7 +172,7 @@ def make_follower(
                 break
             last = used
             radii = 1.2 * total
-        # Parts of the inequality that grow with the length of the step and its square, where most is used.
+        # Linear and quadratic part in the length of the step, of the row with the least margin.
         k = ((linear + square) / radii).argmax()
         first, second = linear[k] / radii[k], square[k] / radii[k] + 1e-9
         return fits, 1.2 / (first + np.sqrt(first * first + 2.4 * second))

@@ -1,4 +1,4 @@
-"""Forward and inverse problems of a chain, set up once: which joints are unknown, and what leads to which target."""
+"""Forward and inverse problems of a chain: choice of the unknown joints, continuation to targets, and errors."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from spm_pin.loops.continuation import OPEN_START, REGULAR, SINGULAR_START, make
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 FEW = 64
-"""Targets that Pinocchio and NumPy answer, each in about a millisecond, while the kernel is not loaded: that takes half
-a second, or 20 s where it has to be compiled."""
+"""Largest number of targets that Pinocchio and NumPy solve, in about a millisecond each, if the kernel is not loaded.
+Loading takes half a second, compiling about 20 s."""
 DEPENDENT = 1e-7
 """Singular values of a Jacobian below this, relative to the largest, are zero when an error is explained."""
 
 
 class Problem:
-    """What the functions of `continuation` read: an interpreted problem, over Pinocchio.
+    """Problem that the interpreted functions of `continuation` solve, evaluated by Pinocchio.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Problem:
     pose_turn : ndarray, shape (1,)
         Angle of the target's turn along the whole path [rad].
     pose_share : ndarray, shape (1,)
-        Part of the path that is asked for.
+        Share of the path that the current step covers.
     first_rows, position_counts, row_counts : ndarray of int, shape (closures,)
         Where the equations of each closure begin, and how many there are, of positions and in all.
     """
@@ -149,14 +149,14 @@ class Follower:
         moves = chain.rows.concerns()
         for joint in list(model.joints)[1:]:
             columns = slice(joint.idx_v, joint.idx_v + joint.nv)
-            # A base that no loop holds stays where it is.
+            # A free base that is in no loop is held.
             if joint.shortname() == "JointModelFreeFlyer" and not moves[columns].any():
                 unknown[columns] = False
         self.frame = frame
         # Numbers of a target: a matrix (4, 4), or values.
         self._width = len(chain.actuated) if frame is None else 16
         self.columns = np.flatnonzero(unknown)
-        # All that moves on the way.
+        # All velocities that change along the path.
         self._movable = np.union1d(self.columns, chain.actuated_in_v) if frame is None else self.columns
         if frame is None:
             self._check_determined(unknown & ~moves)
@@ -167,9 +167,12 @@ class Follower:
     def _check_determined(self, free: BoolArray) -> None:
         names = [self.chain.joint_of_velocity(int(k)) for k in np.flatnonzero(free)]
         if names:
-            cause = "They are in no loop: name them as actuated or held"
+            cause = "These joints are in no loop: list them in actuated or held"
             raise ArgumentError(
-                "actuated", "joints that determine all others", f"free ones: {', '.join(dict.fromkeys(names))}", cause
+                "actuated",
+                "joints that determine all others",
+                f"undetermined joints {', '.join(dict.fromkeys(names))}",
+                cause,
             )
 
     def problem(self) -> Problem:
@@ -227,7 +230,7 @@ class Follower:
         problem.aim(q, target)
         if status == OPEN_START:
             gaps, _, loop = LoopKinematics(chain.rows).open_closures(q)
-            cause = "near is to be closed: `close` makes it so"
+            cause = "The loops are open at near: close(near) closes them"
             return ClosureError(float(gaps.max(initial=0.0)), 0, cause, loop)
         jacobian = linearised(problem, q, 0.0)[1]
         freedoms = self._freedoms(q)
@@ -239,12 +242,15 @@ class Follower:
             vectors = np.linalg.svd(jacobian)[2][_rank(jacobian) :]
             names = [chain.joint_of_velocity(int(j)) for j in self.columns[(np.abs(vectors) > 0.05).any(axis=0)]]
         listed = ", ".join(dict.fromkeys(names))
-        expected = f"{freedoms}, as many as there are freedoms"
+        expected = f"{freedoms}, the number of degrees of freedom"
         if status == SINGULAR_START and received < freedoms:
             return ArgumentError(argument, expected, f"{received}", f"These joints are not determined: {listed}")
         if received > freedoms:
             return ArgumentError(
-                argument, expected, f"{received}", "Such targets contradict each other unless they fit"
+                argument,
+                expected,
+                f"{received}",
+                "The target has more values than the chain has degrees of freedom: they would contradict each other",
             )
         where = f"No further than {100.0 * done:.3g} % of the way"
         where += f" to member {k}" if k else ""
@@ -257,7 +263,7 @@ class Follower:
         return ClosureError(float(gaps.max(initial=0.0)), steps, cause, loop)
 
     def _freedoms(self, q: FloatArray) -> int:
-        """Return the degrees of freedom of what moves, at closed q or, if more rows count there, near q."""
+        """Return the degrees of freedom of the movable joints: the fewest at closed q and at configurations near it."""
         kinematics, random, model = LoopKinematics(self.chain.rows), np.random.default_rng(0), self.chain.model
         rank = _rank(kinematics.linearised(q).jacobian[:, self._movable])
         for _ in range(3):

@@ -76,9 +76,9 @@ class LoopMotion:
     gap: FloatArray
     """Largest residual of a closure or joint equality, relative to the size of its loop, shape (k,)."""
     end: SimulationEnd
-    """Why it ended there."""
+    """Why the run ended."""
     detail: str
-    """What stopped a run that is not complete; else empty."""
+    """Reason why an incomplete run stopped; otherwise empty."""
 
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
@@ -278,7 +278,7 @@ class _Run:
                 if solver.step() is not None:
                     self.detail = "no step is short enough"
                     return y, SimulationEnd.STALLED
-                # Of the step as it was, before its end is moved onto the closures.
+                # The interpolant of DOP853 belongs to the step before its end is projected onto the closures.
                 dense, t = solver.dense_output(), float(solver.t)
                 closed = self._closed(solver.y)
                 while waiting < times.size and times[waiting] <= t:

@@ -39,11 +39,11 @@ class Energy(NamedTuple):
 
 
 class LoopState:
-    """Joint values q and velocities v of a `ClosedChain`, and what is computed from them.
+    """State (q, v) of a `ClosedChain`: rates, Jacobians, forces and dynamics.
 
-    Made by its method `state` and moved on by `update`, without new memory: loops make one and update it. Of one q and
-    v, kinematics, Jacobians and factorisations are computed once and kept for later calls; of a batch each call
-    computes them anew, member by member. Arguments broadcast with the batch. A state is for one thread at a time.
+    `ClosedChain.state` creates it; control loops create one and call `update`, which allocates no new memory. For one q
+    and v, kinematics, Jacobians and factorisations are computed once and cached; for a batch, each call computes them
+    anew, member by member. Arguments broadcast with the batch. A state is for one thread at a time.
 
     Twists (v, ω) [m/s, rad/s] and wrenches (f, m) [N, N m] are at the origin of a frame, in the axes of the world,
     linear first. `wrenches` are a mapping from names of frames to what acts there, (..., 6). Springs, damping and
@@ -254,8 +254,8 @@ class LoopState:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.
 
         The accelerations `a` (..., nv) are those of closed loops: of `forward_dynamics`, or of `joint_accelerations`.
-        With more actuators than freedoms, the least forces. Raises `ArgumentError` for accelerations that no forces of
-        the actuators cause, as may be with fewer.
+        With more actuators than degrees of freedom, the forces of least norm are returned. Raises `ArgumentError` for
+        accelerations that no forces of the actuators cause, which is possible with fewer.
         """
 
         def member(a: FloatArray, *loads: FloatArray) -> FloatArray:
@@ -302,13 +302,13 @@ class LoopState:
         wanted = basis.T.dot(forces)
         tau, missed = kinematics.actuation.solve_transposed(wanted)
         if missed > AGREEMENT * largest(wanted):
-            # Weights, too, may cancel, as in free fall.
+            # The wanted forces may be a difference of larger ones, such as weights and inertia in free fall.
             size = largest(np.abs(basis).T.dot(np.abs(forces))) + kinematics.weight
             if missed > AGREEMENT * size:
                 loose = kinematics.moving_joints(basis @ kinematics.actuation.right[kinematics.actuation.rank :].T)
-                expected = "forces that the actuators can bear"
+                expected = "forces that the actuators can balance"
                 cause = "Fewer actuators than freedoms, or a singular configuration: see mobility"
-                raise ArgumentError("forces", expected, f"others in {', '.join(loose[:4])}", cause)
+                raise ArgumentError("forces", expected, f"forces that would move {', '.join(loose[:4])}", cause)
         return tau
 
     def constraint_forces(self, tau: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
@@ -330,8 +330,8 @@ class LoopState:
     def actuator_mass(self) -> FloatArray:
         """Return the mass matrix of all bodies in the actuators' coordinates, shape (..., n, n).
 
-        Times accelerations of the actuators it is, at rest, what moves the masses; a free base is held. Raises as
-        `joint_jacobian`.
+        At rest and without gravity, actuator forces are this matrix times their accelerations, a free base held.
+        Raises as `joint_jacobian`.
         """
 
         def member() -> FloatArray:

@@ -1,4 +1,4 @@
-"""The mobility of a closed chain at one configuration: which motions its loops leave, and which of them are driven."""
+"""Mobility of a closed chain at one configuration: degrees of freedom, dependent equations and undriven joints."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def check_regular(chain: Any, kinematics: StateKinematics) -> None:
     """Raise `SingularConfigurationError` at a singularity of the loops, where some velocities lead to no motion."""
     space = kinematics.space
     dof = space.basis.shape[1]
-    # Where all rows are independent there is none.
+    # If all rows are independent, the configuration is regular.
     if space.rank == len(kinematics.labels) or dof <= _REGULAR.get(chain, -1):
         return
     _REGULAR[chain] = min([dof, *(near.shape[1] for near in _nearby(chain, kinematics.q, space.basis))])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
+from os import PathLike
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -29,7 +29,9 @@ _CLOSES: dict[str, ClosureKind] = {"ball": "point", "revolute": "hinge", "contin
 _UNLIMITED = 1e16  # by the specification
 
 
-def read_sdf(source: Any, *, actuated: Sequence[str] | None = None, srdf: str | Path | None = None) -> RobotDescription:
+def read_sdf(
+    source: Any, *, actuated: Sequence[str] | None = None, srdf: str | PathLike[str] | None = None
+) -> RobotDescription:
     """Return the robot of an SDF file of one model.
 
     Parameters
@@ -175,7 +177,7 @@ class _Sdf:
             closing.append(name)
         return carriers, [name for name in self.joints if name in closing]
 
-    def describe(self, actuated: Sequence[str] | None, srdf: str | Path | None) -> RobotDescription:
+    def describe(self, actuated: Sequence[str] | None, srdf: str | PathLike[str] | None) -> RobotDescription:
         carriers, closing = self._split()
         roots = [link for link in self.links if link not in carriers]
         static = (self.model.findtext("static") or "").strip() in ("1", "true")

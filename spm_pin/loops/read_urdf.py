@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -32,7 +33,7 @@ def read_urdf(
     *,
     free_base: bool = False,
     actuated: Sequence[str] | None = None,
-    srdf: str | Path | None = None,
+    srdf: str | PathLike[str] | None = None,
 ) -> RobotDescription:
     """Return a robot of a URDF file and of what closes its loops.
 
@@ -77,7 +78,7 @@ def read_urdf(
     return describe(model, loops, mimics, actuated, read_configurations(model, srdf), where)
 
 
-def read_configurations(model: Any, srdf: str | Path | None) -> dict[str, Any]:
+def read_configurations(model: Any, srdf: str | PathLike[str] | None) -> dict[str, Any]:
     """Return the configurations that an SRDF file names."""
     if srdf is None:
         return {}

@@ -164,12 +164,12 @@ class StateKinematics:
 
     @cached_property
     def actuation(self) -> Drive:
-        """What the actuators drive."""
+        """Admissible velocities driven by the actuators."""
         return self._drive(self.actuated)
 
     @cached_property
     def rates(self) -> Drive:
-        """What the actuators drive where a free base stands still; the base's own velocities count as driven."""
+        """Admissible velocities driven by the actuators; the velocities of a free base count as driven ones."""
         return self._drive(np.concatenate([self.actuated, self.base])) if len(self.base) else self.actuation
 
     def _drive(self, places: IntArray) -> Drive:

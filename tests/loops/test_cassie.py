@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from spm_pin.loops import ClosedChain, read_sdf
+from spm_pin.loops import ClosedChain
 
 data = pytest.importorskip("example_robot_data")
 FOLDER = Path(data.getModelPath("cassie_description"), "cassie_description/robots")
@@ -25,7 +25,7 @@ FILES = {
 
 def chain(name: str, held: tuple[str, ...] = ()) -> ClosedChain:
     motors = [motor.replace("-op", "-ip") for motor in MOTORS] if name == "cassie" else MOTORS
-    return ClosedChain.from_description(read_sdf(FOLDER / f"{name}.sdf", actuated=motors), held=held)
+    return ClosedChain.from_sdf(FOLDER / f"{name}.sdf", actuated=motors, held=held)
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -11,6 +11,7 @@ import pytest
 
 from spm_pin.description import CLOSURES_PATH, URDF_PATH, urdf_text
 from spm_pin.errors import DescriptionError
+from spm_pin.loops import ClosedChain
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
 from spm_pin.loops.links import find_frame
 from spm_pin.loops.read_urdf import read_urdf
@@ -153,6 +154,9 @@ def test_configurations_of_an_srdf(tmp_path: Path) -> None:
     robot = read_urdf(LINKAGE, srdf=file)
     np.testing.assert_array_equal(robot.configurations["up"], [0.0, 0.0, 0.5])
     np.testing.assert_array_equal(robot.q0, [0.0, 0.0, 0.5])
+    chain = ClosedChain.from_urdf(LINKAGE, free_base=True, actuated=["elbow"], srdf=file, held=["turn"])
+    assert (chain.joint_names[0], chain.actuated, chain.held) == ("root_joint", ("elbow",), ("turn",))
+    assert chain.q0[chain.indices_in_q("elbow")] == 0.5
 
 
 RING = LINKAGE.replace('<parent link="ground"/><child link="crank"/>', '<parent link="coupler"/><child link="crank"/>')
