@@ -157,10 +157,13 @@ class Solutions(ABC, Generic[S]):
 
     def within(self, limits: LegLimits | None = None) -> Self:
         """Keep the solutions inside limits of the legs, by default the machine's own; `status` stays as it is."""
-        own = self.configurations.limits
-        kind = LegLimits if own is None else type(own)
-        limits = own if limits is None else check_instance(limits, kind, "limits")
-        return self if limits is None else self.where(limits.contains(self.readings))
+        limits = self.configurations.limits if limits is None else check_instance(limits, LegLimits, "limits")
+        if limits is None:
+            return self
+        count = self.readings.shape[-1]
+        if len(limits.legs) != count:
+            raise ArgumentError("limits", f"limits of {count} legs", f"{type(limits).__name__} of {len(limits.legs)}")
+        return self.where(limits.contains(self.readings))
 
     def nearest(self, near: S | npt.ArrayLike) -> S:
         """Return the solution whose joints are nearest to those of `near`; NaN where none exists.

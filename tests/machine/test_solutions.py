@@ -16,6 +16,7 @@ from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.machine import likely_unit
 
 PAPER = spm.Geometry.paper()
+STAGE = spm.stages.inverse(spm.Stage(0.4, 0.3), 0.5)
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
 
@@ -297,6 +298,11 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
     [
         (lambda s: s.nearest(np.zeros((2, 3, 3))), "near: expected"),
         (lambda s: s.nearest(s["FT+"]), "near: expected states that exist"),
+        (lambda s: s.within((1.1, 1.5)), "limits: expected a LegLimits, got tuple"),
+        (lambda s: s.within(spm.machine.StageLimits(0, 1)), "limits: expected limits of 6 legs, got StageLimits of 3"),
+        (lambda s: STAGE.within(spm.LegLimits(1.1, 1.5)), "limits: expected limits of 3 legs, got LegLimits of 6"),
+        (lambda s: spm.inverse_physical(None, POSE), "geometry: expected a Geometry, got NoneType"),
+        (lambda s: spm.forward_physical(None, [1.2] * 6), "geometry: expected a Geometry, got NoneType"),
         (lambda s: spm.SolutionSet(s, ["a"], 0), "configurations.*: expected"),
         (lambda s: spm.SolutionSet(s.configurations, ["a"], 0), "configurations.*: expected"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((0, 3, 3))), "middle_joints.*: expected"),
