@@ -91,7 +91,7 @@ class Solutions(ABC, Generic[S]):
 
     @property
     def count(self) -> IntArray:
-        """Number of real solutions, shape (...)."""
+        """Number of real solutions, shape (...); ``len`` counts those that are not real too."""
         return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
 
     @overload
@@ -118,11 +118,11 @@ class Solutions(ABC, Generic[S]):
     def __iter__(self) -> Iterator[S]:
         if self.shape:
             raise TypeError("a batch of problems is indexed, not iterated over: solutions[i] is problem i")
-        return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
+        return (self.configurations[k] for k in range(len(self.labels)))
 
     def __len__(self) -> int:
-        """Return the number of real solutions, which an iteration yields; of a batch, the length of its first axis."""
-        return self.shape[0] if self.shape else int(self.count)
+        """Return the number of labels, real or not; of a batch, the length of its first axis."""
+        return self.shape[0] if self.shape else len(self.labels)
 
     def __repr__(self) -> str:
         name = type(self).__name__

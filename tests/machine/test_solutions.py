@@ -37,10 +37,12 @@ def test_a_single_problem_is_indexed_by_its_solutions(branches: spm.SolutionSet)
     for k, label in enumerate(branches.labels):
         np.testing.assert_array_equal(branches[k].middle_joints, branches[label].middle_joints)
         assert branches[k].exists == branches.exists[k]
-    real = list(branches)
-    assert len(real) == len(branches) == 6
-    assert all(state.exists for state in real)
-    np.testing.assert_array_equal(real[4].leg_lengths, branches["FF+"].leg_lengths)
+    every, backwards = list(branches), list(reversed(branches))
+    assert len(every) == len(backwards) == len(branches) == 8
+    for k, label in enumerate(branches.labels):
+        for state in (every[k], backwards[-1 - k]):
+            np.testing.assert_array_equal(state.leg_lengths, branches[label].leg_lengths)
+    assert sum(bool(state.exists) for state in every) == branches.count
     with pytest.raises(SelectionError, match=r"index: expected a label: TT\+, .*, got 'TT'"):
         branches["TT"]
     with pytest.raises(SelectionError, match=r"index: expected an index of the batch axes \(8,\), got int 8"):
