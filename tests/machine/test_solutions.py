@@ -153,7 +153,8 @@ def test_no_solution_has_no_physical_one() -> None:
     assert np.isnan(nothing.physical().rotation).all()
     assert not nothing.nearest(np.zeros((3, 3))).exists
     assert not nothing.ambiguous
-    assert list(nothing) == []
+    assert nothing.count == 0
+    assert not any(state.exists for state in nothing)
 
 
 def test_the_physical_branch_is_the_one_the_pose_was_made_from() -> None:
@@ -326,3 +327,18 @@ def test_physical_agrees_with_forward_displacement() -> None:
     chosen = mode_is_physical.where(mode_is_physical.exists)[direct.exists].one()
     np.testing.assert_allclose(chosen.middle_joints, direct.middle_joints[direct.exists], atol=1e-9)
     assert 0.2 < direct.exists.mean() < 0.8
+
+
+def test_only_what_was_used_is_named_where_no_solution_is_physical(branches: spm.SolutionSet) -> None:
+    physical = branches.is_physical
+    unphysical = spm.SolutionSet(branches.configurations[2:], branches.labels[2:], branches.status)
+    assert unphysical.count == 4
+    for found in (unphysical.physical(), unphysical.physical(near=branches["TT+"])):
+        assert found.missing_reason.startswith("none of the solutions is physical")
+    for found in (branches.where(~physical).physical(), branches.where(~physical).physical(near=branches["TT+"])):
+        assert found.missing_reason.startswith("none of the solutions that .within(limits) or .where(mask) kept is")
+    nothing = branches.within(spm.LegLimits(0.1, 0.2)).physical()
+    assert nothing.missing_reason.startswith(".within(limits) or .where(mask) excluded all solutions")
+    np.testing.assert_array_equal(
+        branches.physical(near=branches["FF+"]).readings, branches.where(physical).nearest(branches["FF+"]).readings
+    )
