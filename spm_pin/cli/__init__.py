@@ -11,6 +11,8 @@ from types import FrameType
 
 def main() -> None:
     """Run the command line and exit with its code: 130 after Ctrl-C at any moment, also while modules are imported."""
+    if not os.environ.get("COLUMNS", "").strip("0"):
+        os.environ.pop("COLUMNS", None)  # an unknown width; Rich would print nothing
     interrupted, report_unraisable = False, sys.unraisablehook
 
     def interrupt(*_: object) -> None:

@@ -101,6 +101,9 @@ def calibrate(
         which = "the nominal" if calibration.status == "another nominal" else "one"
         message = f"the measurements do not fit {which} machine: {calibration.reason}"
         outputs.note(_with_lines(message, calibration.reason_rows, measurements))
+        if calibration.status == "misfit":
+            metres, radians = pose_noise
+            outputs.note(f"noise given: --pose-noise {metres:g} {radians:g} --reading-noise {reading_noise:g}")
         if not force:
             raise typer.Exit(1)
 

@@ -213,10 +213,11 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     >>> spm.inverse_physical(geometry, pose).leg_lengths.round(3)
     array([1.2  , 1.2  , 1.399, 1.25 , 1.2  , 1.501])
     """
-    if near is not None or not geometry.legs.are_rps:
+    legs = check_instance(geometry, Geometry, "geometry").legs
+    if near is not None or not legs.are_rps:
         return inverse_displacement(geometry, pose).physical(near)
     shape, rotation, position = read_pose(geometry, pose)
-    limits, offsets = geometry.limits, geometry.legs.offsets
+    limits, offsets = geometry.limits, legs.offsets
     bounds = np.array([[-np.inf] * 6, [np.inf] * 6] if limits is None else limits.admitted) - offsets
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64)
     method = _method(geometry)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 
 import numpy as np
@@ -51,6 +51,8 @@ class Solutions(ABC, Generic[S]):
     configurations: S
     labels: tuple[str, ...]
     status: Status | npt.NDArray[np.int8]
+    _chosen: bool = field(default=False, kw_only=True)
+    """True if a mask has excluded solutions."""
 
     _kind: ClassVar[type[Batched]]
     """The states of which it is a set."""
@@ -91,7 +93,7 @@ class Solutions(ABC, Generic[S]):
 
     @property
     def count(self) -> IntArray:
-        """Number of real solutions, shape (...)."""
+        """Number of real solutions, shape (...); ``len`` counts those that are not real too."""
         return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
 
     @overload
@@ -118,11 +120,11 @@ class Solutions(ABC, Generic[S]):
     def __iter__(self) -> Iterator[S]:
         if self.shape:
             raise TypeError("a batch of problems is indexed, not iterated over: solutions[i] is problem i")
-        return (self.configurations[int(i)] for i in np.flatnonzero(self.exists))
+        return (self.configurations[k] for k in range(len(self.labels)))
 
     def __len__(self) -> int:
-        """Return the number of real solutions, which an iteration yields; of a batch, the length of its first axis."""
-        return self.shape[0] if self.shape else int(self.count)
+        """Return the number of labels, real or not; of a batch, the length of its first axis."""
+        return self.shape[0] if self.shape else len(self.labels)
 
     def __repr__(self) -> str:
         name = type(self).__name__
@@ -153,14 +155,19 @@ class Solutions(ABC, Generic[S]):
 
     def where(self, mask: npt.ArrayLike) -> Self:
         """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN."""
-        return replace(self, configurations=self.configurations.where(boolean_array(mask, "mask", self.exists.shape)))
+        kept = boolean_array(mask, "mask", self.exists.shape)
+        chosen = self._chosen or bool((self.exists & ~kept).any())
+        return replace(self, configurations=self.configurations.where(kept), _chosen=chosen)
 
     def within(self, limits: LegLimits | None = None) -> Self:
         """Keep the solutions inside limits of the legs, by default the machine's own; `status` stays as it is."""
-        own = self.configurations.limits
-        kind = LegLimits if own is None else type(own)
-        limits = own if limits is None else check_instance(limits, kind, "limits")
-        return self if limits is None else self.where(limits.contains(self.readings))
+        limits = self.configurations.limits if limits is None else check_instance(limits, LegLimits, "limits")
+        if limits is None:
+            return self
+        count = self.readings.shape[-1]
+        if len(limits.legs) != count:
+            raise ArgumentError("limits", f"limits of {count} legs", f"{type(limits).__name__} of {len(limits.legs)}")
+        return self.where(limits.contains(self.readings))
 
     def nearest(self, near: S | npt.ArrayLike) -> S:
         """Return the solution whose joints are nearest to those of `near`; NaN where none exists.
@@ -168,6 +175,9 @@ class Solutions(ABC, Generic[S]):
         The largest displacement of a joint is compared: of all `compared_points` of a state, or of the first three if
         only these are given, as rows (..., 3, 3) [m].
         """
+        return self._nearest(near, self.exists)
+
+    def _nearest(self, near: S | npt.ArrayLike, candidates: BoolArray) -> S:
         points = self.configurations.compared_points
         if isinstance(near, Batched):
             target = near.compared_points
@@ -179,8 +189,8 @@ class Solutions(ABC, Generic[S]):
             raise ArgumentError("near", "states that exist", f"NaN at index {first_offender(absent)}")
         boolean_array(absent, "near", self.shape)  # leading axes that broadcast to those of the problems
         distance = np.sqrt(((points - target[..., None, :, :]) ** 2).sum(axis=-1)).max(axis=-1)
-        distance = np.where(self.exists, distance, np.inf)
-        return self.pick(distance.argmin(axis=-1), np.asarray(self.exists.any(axis=-1)))
+        distance = np.where(candidates, distance, np.inf)
+        return self.pick(distance.argmin(axis=-1), np.asarray(candidates.any(axis=-1)))
 
     @property
     @abstractmethod
@@ -205,7 +215,7 @@ class Solutions(ABC, Generic[S]):
         """
         candidates = self.is_physical
         if near is not None:
-            return self.where(candidates).nearest(near)
+            return self._nearest(near, candidates)
         score = self._preference(candidates)
         return self.pick(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
 
@@ -234,8 +244,10 @@ class Solutions(ABC, Generic[S]):
         if status is Status.DEGENERATE:
             return self._degenerate(index)
         if status is Status.OK:
-            none = "none of the solutions is physical, or .within(limits) and .where(mask) excluded them"
-            return none + self._hint(index)
+            if not self.count[index]:
+                return f".within(limits) or .where(mask) excluded all solutions{self._hint(index)}"
+            left = " that .within(limits) or .where(mask) kept" if self._chosen else ""
+            return f"none of the solutions{left} is physical{self._hint(index)}"
         if status is Status.UNREACHABLE:
             return f"out of reach: no solution is real{self._hint(index)}"
         return "the method failed here"

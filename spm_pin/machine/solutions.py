@@ -82,8 +82,8 @@ class SolutionSet(Solutions[Configuration]):
     -----
     A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as NumPy
     would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that solution of every
-    problem. What selects nothing is a `SelectionError`. Iterating over a single problem yields the solutions that
-    exist.
+    problem. What selects nothing is a `SelectionError`. A single problem is a
+    sequence of the solutions of all labels, real or not: `exists` says which are real, and `count` how many.
     """
 
     discriminants: FloatArray | None = None

@@ -147,7 +147,11 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         if self.render_mode is None:
             return None
         if self._renderer is None:
-            self._renderer = mujoco.Renderer(self.model, 480, 640)
+            try:
+                self._renderer = mujoco.Renderer(self.model, 480, 640)
+            except Exception as error:  # whatever GLFW, EGL or OSMesa make of a missing screen
+                expected = "a screen, or MUJOCO_GL=egl or osmesa in the environment before MuJoCo is imported"
+                raise ArgumentError("render_mode", expected, "'rgb_array' without them", str(error)) from error
         camera = mujoco.MjvCamera()
         camera.lookat[:] = 0.0, 0.0, sum(self._heights) / 2.0
         camera.distance, camera.azimuth, camera.elevation = 2.5 * self.stage.size, 120.0, -20.0

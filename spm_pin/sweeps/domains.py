@@ -53,6 +53,9 @@ class Axis:
     count: int
     """Number of equally spaced values, both ends included; 1 where the coordinate is fixed, 0 where it is sampled."""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "count", whole_number(self.count, "count", least=0, most=_MOST_VALUES))
+
     @staticmethod
     def from_range(name: str, value: AxisRange, sampled: bool) -> Axis:
         """Read an `AxisRange`."""

@@ -115,6 +115,13 @@ def test_a_machine_that_the_measurements_do_not_fit_is_not_written(measured: Pat
     assert position_errors(spm.Geometry.from_yaml(out), MACHINE).max() < 5e-5
 
 
+def test_a_misfit_names_the_options_of_the_noise(measured: Path, tmp_path: Path) -> None:
+    noise = ["--pose-noise", "1e-7", "2e-7", "--reading-noise", "3e-8"]
+    done = run("calibrate", measured, *noise, "--out", tmp_path / "machine.yaml")
+    assert done.returncode == 1
+    assert "noise given: --pose-noise 1e-07 2e-07 --reading-noise 3e-08" in done.stderr.splitlines()
+
+
 def test_another_nominal_machine_is_not_written(measured: Path, tmp_path: Path) -> None:
     nominal, out = tmp_path / "nominal.yaml", tmp_path / "machine.yaml"
     spm.Geometry(1.05 * PAPER.base_radius, *PAPER.dimensions[1:]).to_yaml(nominal)

@@ -239,6 +239,19 @@ def test_a_pipe_has_no_width(monkeypatch: pytest.MonkeyPatch) -> None:
     assert run("inverse", *EXAMPLE, "--unit", "cm").stdout == wide
 
 
+@pytest.mark.parametrize("arguments", [["--help"], ["reproduce", "--table", "2"], ["inverse", "--nonsense"]])
+def test_a_width_of_zero_is_an_unknown_one(arguments: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def output() -> tuple[str, str]:
+        done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
+        return done.stdout, done.stderr
+
+    monkeypatch.delenv("COLUMNS", raising=False)
+    usual = output()
+    assert any(usual)
+    monkeypatch.setenv("COLUMNS", "0")
+    assert output() == usual
+
+
 @pytest.mark.parametrize("value", [0.0, -0.0, -1.1e-15, 4e-14])
 def test_zeros_are_printed_as_zero(value: float) -> None:
     assert fixed(value, 3) == "0.000"

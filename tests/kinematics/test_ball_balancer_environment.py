@@ -225,6 +225,15 @@ check_env(gymnasium.make("spm_pin/BallBalancer-v0", render_mode="rgb_array").unw
 """
 
 
+def test_a_missing_screen_is_an_error_that_says_what_to_set() -> None:
+    caught = "try:\n    balancer.render()\nexcept ValueError as error:\n    exit(str(error))"
+    code = RENDER.replace("picture = balancer.render()", caught)
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment["MUJOCO_GL"] = "glfw"
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert "render_mode: expected a screen, or MUJOCO_GL=egl or osmesa" in done.stderr.splitlines()[-1]
+
+
 def test_a_picture_shows_the_ball() -> None:
     """In a process of its own: what draws is chosen when MuJoCo is imported."""
     for library in ("egl", "osmesa"):

@@ -16,6 +16,7 @@ from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.machine import likely_unit
 
 PAPER = spm.Geometry.paper()
+STAGE = spm.stages.inverse(spm.Stage(0.4, 0.3), 0.5)
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
 
@@ -36,10 +37,12 @@ def test_a_single_problem_is_indexed_by_its_solutions(branches: spm.SolutionSet)
     for k, label in enumerate(branches.labels):
         np.testing.assert_array_equal(branches[k].middle_joints, branches[label].middle_joints)
         assert branches[k].exists == branches.exists[k]
-    real = list(branches)
-    assert len(real) == len(branches) == 6
-    assert all(state.exists for state in real)
-    np.testing.assert_array_equal(real[4].leg_lengths, branches["FF+"].leg_lengths)
+    every, backwards = list(branches), list(reversed(branches))
+    assert len(every) == len(backwards) == len(branches) == 8
+    for k, label in enumerate(branches.labels):
+        for state in (every[k], backwards[-1 - k]):
+            np.testing.assert_array_equal(state.leg_lengths, branches[label].leg_lengths)
+    assert sum(bool(state.exists) for state in every) == branches.count
     with pytest.raises(SelectionError, match=r"index: expected a label: TT\+, .*, got 'TT'"):
         branches["TT"]
     with pytest.raises(SelectionError, match=r"index: expected an index of the batch axes \(8,\), got int 8"):
@@ -150,7 +153,8 @@ def test_no_solution_has_no_physical_one() -> None:
     assert np.isnan(nothing.physical().rotation).all()
     assert not nothing.nearest(np.zeros((3, 3))).exists
     assert not nothing.ambiguous
-    assert list(nothing) == []
+    assert nothing.count == 0
+    assert not any(state.exists for state in nothing)
 
 
 def test_the_physical_branch_is_the_one_the_pose_was_made_from() -> None:
@@ -297,6 +301,11 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
     [
         (lambda s: s.nearest(np.zeros((2, 3, 3))), "near: expected"),
         (lambda s: s.nearest(s["FT+"]), "near: expected states that exist"),
+        (lambda s: s.within((1.1, 1.5)), "limits: expected a LegLimits, got tuple"),
+        (lambda s: s.within(spm.machine.StageLimits(0, 1)), "limits: expected limits of 6 legs, got StageLimits of 3"),
+        (lambda s: STAGE.within(spm.LegLimits(1.1, 1.5)), "limits: expected limits of 3 legs, got LegLimits of 6"),
+        (lambda s: spm.inverse_physical(None, POSE), "geometry: expected a Geometry, got NoneType"),
+        (lambda s: spm.forward_physical(None, [1.2] * 6), "geometry: expected a Geometry, got NoneType"),
         (lambda s: spm.SolutionSet(s, ["a"], 0), "configurations.*: expected"),
         (lambda s: spm.SolutionSet(s.configurations, ["a"], 0), "configurations.*: expected"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((0, 3, 3))), "middle_joints.*: expected"),
@@ -318,3 +327,18 @@ def test_physical_agrees_with_forward_displacement() -> None:
     chosen = mode_is_physical.where(mode_is_physical.exists)[direct.exists].one()
     np.testing.assert_allclose(chosen.middle_joints, direct.middle_joints[direct.exists], atol=1e-9)
     assert 0.2 < direct.exists.mean() < 0.8
+
+
+def test_only_what_was_used_is_named_where_no_solution_is_physical(branches: spm.SolutionSet) -> None:
+    physical = branches.is_physical
+    unphysical = spm.SolutionSet(branches.configurations[2:], branches.labels[2:], branches.status)
+    assert unphysical.count == 4
+    for found in (unphysical.physical(), unphysical.physical(near=branches["TT+"])):
+        assert found.missing_reason.startswith("none of the solutions is physical")
+    for found in (branches.where(~physical).physical(), branches.where(~physical).physical(near=branches["TT+"])):
+        assert found.missing_reason.startswith("none of the solutions that .within(limits) or .where(mask) kept is")
+    nothing = branches.within(spm.LegLimits(0.1, 0.2)).physical()
+    assert nothing.missing_reason.startswith(".within(limits) or .where(mask) excluded all solutions")
+    np.testing.assert_array_equal(
+        branches.physical(near=branches["FF+"]).readings, branches.where(physical).nearest(branches["FF+"]).readings
+    )

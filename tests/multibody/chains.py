@@ -29,7 +29,7 @@ def chain(name: str = "paper") -> Any:
 
 
 def six_branches() -> list[spm.Configuration]:
-    return list(spm.inverse_displacement(PAPER, POSE))
+    return [state for state in spm.inverse_displacement(PAPER, POSE) if state.exists]
 
 
 def placed(name: str, count: int, seed: int) -> list[tuple[spm.Configuration, Array]]:

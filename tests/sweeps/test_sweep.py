@@ -365,6 +365,7 @@ DEFINITIONS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "short chunk": lambda definition: definition.update(chunk=["1"]),
     "metric": lambda definition: definition.update(metrics=[{"unit": "m"}]),
     "axis": lambda definition: definition["domain"]["axes"][0].pop("count"),
+    "count": lambda definition: definition["domain"]["axes"][0].update(count=10**12),
     "format": lambda definition: definition.update(format=99),
     "legs without numbers": lambda definition: definition["geometry"].update(legs=dict.fromkeys(spm.machine.LEGS)),
     "another key": lambda definition: definition.update(points=630),
