@@ -19,8 +19,14 @@ pytestmark = pytest.mark.slow  # a browser without a graphics card
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs/balancer.html"
-SIZES = {"RRS": ([70, 95, 45, 105], 95.0), "PRS": ([120, 90, 150, 70], 150.0), "RPS": ([140, 110, 150, 240], 200.0)}
+SIZES = {
+    "RRS": ([70, 95, 45, 105, -70, 85], 95.0),
+    "PRS": ([120, 90, 150, 70], 150.0),
+    "RPS": ([140, 110, 150, 240], 200.0),
+}
 """Numbers typed [mm, °], and a height [mm]."""
+INSIDE = [70, 95, 45, 105, 80, 240]
+MACHINE = pytest.mark.parametrize(("kind", "inside"), [*((kind, False) for kind in SIZES), ("RRS", True)])
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +50,10 @@ def opened(browser, **options) -> Iterator:
     page.close()
 
 
-def enter(page, kind: str, numbers: list[float | str], **sliders: float) -> None:
+def enter(page, kind: str, numbers: list[float | str], *, inside: bool = False, **sliders: float) -> None:
     page.locator(f"#balancer input[value={kind}]").evaluate("it => it.click()")
+    if kind == "RRS":
+        page.locator(".balancer-knees input").set_checked(inside)
     for field, number in zip(page.locator(".balancer-numbers input").all(), numbers, strict=True):
         field.fill(str(number))
     for name, value in sliders.items():
@@ -73,14 +81,18 @@ def test_the_page_is_as_new_as_its_parts(tmp_path: Path) -> None:
     assert "http" not in stored.replace("http://www.w3.org/2000/svg", "")
 
 
-@pytest.mark.parametrize("kind", SIZES)
-def test_readings_are_those_of_the_package(browser, kind: str) -> None:
+@MACHINE
+def test_readings_are_those_of_the_package(browser, kind: str, inside: bool) -> None:
     numbers, height = SIZES[kind]
     with opened(browser) as page:
-        enter(page, kind, numbers, tilt=14.0, azimuth=33.0, height=height)
+        enter(page, kind, INSIDE if inside else numbers, inside=inside, tilt=14.0, azimuth=33.0, height=height)
         stage = stage_in_python(page)
         assert stage.kind.name == kind
         assert [1e3 * stage.base_radius, 1e3 * stage.platform_radius] == pytest.approx(numbers[:2])
+        if kind == "RRS":
+            assert stage.kind.sign == (1 if inside else -1)
+            expected = np.deg2rad((INSIDE if inside else numbers)[4:])
+            np.testing.assert_allclose([stage.limits.minimum[0], stage.limits.maximum[0]], expected)
         held = spm.stages.inverse_physical(stage, 1e-3 * height, tilt=np.deg2rad(14.0), azimuth=np.deg2rad(33.0))
         cells = page.locator("#balancer td:nth-child(2)")
         exact = cells.evaluate_all("all => all.map((one) => Number(one.dataset.value))")
@@ -111,10 +123,10 @@ def check_copied_formula(page, stage: spm.Stage, held: spm.stages.StageConfigura
     assert off.max() > 1e-3 * stage.platform_radius
 
 
-@pytest.mark.parametrize("kind", SIZES)
-def test_the_header_is_the_package_s(browser, kind: str, tmp_path: Path) -> None:
+@MACHINE
+def test_the_header_is_the_package_s(browser, kind: str, inside: bool, tmp_path: Path) -> None:
     with opened(browser) as page:
-        enter(page, kind, SIZES[kind][0])
+        enter(page, kind, INSIDE if inside else SIZES[kind][0], inside=inside)
         with page.expect_download() as download:
             page.locator(".balancer-header").click()
         assert download.value.suggested_filename == "stage.h"
@@ -135,7 +147,7 @@ def test_the_header_is_the_package_s(browser, kind: str, tmp_path: Path) -> None
 
 def test_a_drag_tilts_the_plate_towards_where_it_goes_and_stops_where_the_machine_does(browser) -> None:
     with opened(browser) as page:
-        enter(page, "RRS", SIZES["RRS"][0], tilt=0.0)
+        enter(page, "RRS", [*SIZES["RRS"][0][:4], -90, 90], tilt=0.0)
 
         def drag(across: float, down: float) -> None:
             box = page.locator("#balancer .plate").bounding_box()
@@ -179,7 +191,9 @@ def test_what_is_out_of_reach_is_said(browser) -> None:
     with opened(browser) as page:
         enter(page, "RRS", SIZES["RRS"][0], tilt=55.0)
         assert re.fullmatch(r"55\.0° is .*: shown is \d+\.\d°", page.locator(".balancer-status").inner_text())
-        for numbers in ([70, 95, 5, 10], [0, 95, 45, 105], ["", 95, 45, 105], [0.07, 0.095, 0.045, 0.105]):
+        limits = SIZES["RRS"][0][4:]
+        lengths = [70, 95, 5, 10], [0, 95, 45, 105], ["", 95, 45, 105], [0.07, 0.095, 0.045, 0.105]
+        for numbers in (*([*x, *limits] for x in lengths), *([70, 95, 45, 105, *x] for x in ([85, -70], [-100, 85]))):
             enter(page, "RRS", SIZES["RRS"][0])
             enter(page, "RRS", numbers)
             assert "at no height" in page.locator(".balancer-status").inner_text()

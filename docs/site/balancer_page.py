@@ -1,4 +1,4 @@
-"""Your ball balancer, a page: a stage of four numbers, solved in the reader's browser by the header that it offers.
+"""Your ball balancer, a page: a stage of a few numbers, solved in the reader's browser by the header that it offers.
 
 `python docs/site/balancer_page.py FILE` writes it, docs/balancer.html. Nothing is fetched; it works from a disk.
 """

@@ -48,7 +48,8 @@ def export(
         bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
     ] = False,
     anchors: Annotated[
-        Literal["bodies", "sites"] | None, Option(help="mjcf: anchor closures in bodies, or in sites.")
+        Literal["bodies", "sites"] | None,
+        Option(help="mjcf: anchor closures in bodies, or in sites, which Drake passes over."),
     ] = None,
     collisions: Annotated[
         Literal["exact", "simple", "none"] | None,

@@ -14,10 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.description.masses import Masses, Numbers, Placement, numbers, read_inertial, read_placement
 from spm_pin.description.source_files import Closure, read_closures, urdf_text
+from spm_pin.errors import DescriptionError
 from spm_pin.machine import Stage
 from spm_pin.machine.machine import Mechanism
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.pose import homogeneous
+
+_MOST_STEPS = 20
+_CLOSED = 1e-14
+"""Largest gap of a closed loop, over the size of the machine."""
 
 
 class Shape(NamedTuple):
@@ -122,11 +127,38 @@ class Robot:
             link = self.joint_to[link].parent
         return link, pose
 
+    def gaps(self, values: Mapping[str, float] | None = None) -> FloatArray:
+        """Return how far the loops are open at joint values (number of closures, 3) [m]."""
+        frames = self.frames(values)
+        return np.array([frames[c.frame_a][:3, 3] - frames[c.frame_b][:3, 3] for c in self.closures])
+
     def is_assembled(self) -> bool:
         """Return whether all loops are closed at zero to 1e-9 m, as those of the drawing are."""
-        frames = self.frames()
-        gaps = [frames[c.frame_a][:3, 3] - frames[c.frame_b][:3, 3] for c in self.closures]
-        return float(np.linalg.norm(gaps, axis=-1).max()) <= 1e-9
+        return float(np.linalg.norm(self.gaps(), axis=-1).max()) <= 1e-9
+
+    def closed_home(self) -> dict[str, float]:
+        """Return the values of all moving joints, by name, at which the loops are closed and the actuated joints are 0.
+
+        They are 0 for a machine of the drawing. Otherwise Newton's method closes the loops from there, to rounding.
+        """
+        values = {joint.name: 0.0 for joint in self.moving}
+        if self.is_assembled():
+            return values
+        passive = [name for name in values if name not in self.motors]
+
+        def gaps_at(angles: FloatArray) -> FloatArray:
+            return self.gaps(values | dict(zip(passive, angles.tolist(), strict=True))).ravel()
+
+        angles, step = np.zeros(len(passive)), 1e-6
+        gaps = gaps_at(angles)
+        scale = max(float(np.abs(pose[:3, 3]).max()) for pose in self.frames().values())
+        for _ in range(_MOST_STEPS):
+            columns = [gaps_at(angles + x) - gaps_at(angles - x) for x in step * np.eye(len(passive))]
+            angles = angles - np.linalg.lstsq(np.array(columns).T / (2.0 * step), gaps, rcond=None)[0]
+            gaps = gaps_at(angles)
+            if float(np.abs(gaps).max()) <= _CLOSED * scale:
+                return values | dict(zip(passive, angles.tolist(), strict=True))
+        raise DescriptionError("geometry", "a machine whose loops close at its home", "loops that stay open")
 
 
 def read_robot(

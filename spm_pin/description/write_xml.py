@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from spm_pin.description.masses import Masses, Numbers, Placement
 from spm_pin.description.robot import Joint, Link, Robot, Shape, read_robot
 from spm_pin.description.source_files import Closure, check_machine, check_prefix
-from spm_pin.description.tree import machine_of, state_values
+from spm_pin.description.tree import HOME, machine_of, state_values
 from spm_pin.errors import DescriptionError
 from spm_pin.machine import Configuration, Stage, StageConfiguration
 from spm_pin.machine.joint_angles import home_readings
@@ -85,11 +85,11 @@ def mjcf_text(
     geometry, prefix, meshes, masses
         As for `urdf_text`.
     states : mapping of str to Configuration or StageConfiguration, optional
-        Named states of this machine, which become keyframes after `home`, all joints at zero.
+        Named states of this machine, which become keyframes after `home`: all joints at zero, or, if the loops of a
+        machine as built are open there, the actuated joints, and the others where the loops close.
     anchors : str, optional
-        How a closure is written. "bodies": by a body and a point in it, which MuJoCo, Drake and Pinocchio take
-        alike; the robot must stand assembled at zero, as that of a drawing does. "sites": by two sites, which MuJoCo
-        and Pinocchio take. By default bodies where that is possible.
+        How a closure is written. "bodies", the default: by two bodies and a point in the first, which MuJoCo, Drake and
+        Pinocchio take alike. "sites": by two sites, which MuJoCo and Pinocchio take, and Drake passes over.
     actuators : str, optional
         "motors", of which `ctrl` is the effort, by default of a manipulator; or "servos", which are led to the leg's
         reading, their `ctrl`, within its limits, by default of a stage.
@@ -114,7 +114,9 @@ def mjcf_text(
     stage = None if ball is None else _stage_under(ball, machine)
     shapes = choice("exact" if collisions is None else collisions, "collisions", ("exact", "simple", "none"))
     robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
-    by_sites = _closed_by(robot, anchors, "anchors", ("bodies", "sites")) == "sites"
+    by_sites = choice("bodies" if anchors is None else anchors, "anchors", ("bodies", "sites")) == "sites"
+    home = robot.closed_home()
+    values_by_state[HOME] = home
     # Each scale of a file is a mesh of its own.
     files: dict[tuple[str, Numbers], str] = {}
     for shape in (shape for link in robot.links.values() for shape in link.visuals):
@@ -125,14 +127,14 @@ def mjcf_text(
     assets += [_element("material", name=name, rgba=rgba) for name, rgba in robot.materials.items()]
     zeros = home_readings(machine) + machine.legs.offsets
     driven = list(_servos(robot, machine, zeros) if kind == "servos" else _motors(robot))
-    body = _body(robot, robot.base, _sites(robot), files, shapes)
+    body = _body(robot, robot.base, home, _sites(robot), files, shapes)
     keys, balls = [], []
     rolling: dict[str, Value] = {}
     platform = f"{prefix}platform"
     if ball and stage:
         # So that friction at rest slips little: a ball would roll with a tenth of its rolling friction.
         rolling = {"cone": "elliptic", "impratio": "10"}
-        balls = [_ball(ball, stage, body, platform, robot.frames()[platform])]
+        balls = [_ball(ball, stage, body, platform, robot.frames(home)[platform])]
     for name, values in values_by_state.items():
         state: dict[str, list[float]] = {"qpos": [values[joint.name] for joint in robot.moving]}
         if ball and stage:
@@ -215,16 +217,6 @@ def _ball(ball: Ball, stage: Stage, body: Element, platform: str, home: FloatArr
     return _element("body", _element("freejoint", name=f"{name}_free"), solid, name=name, pos=ball.at_rest(stage, home))
 
 
-def _closed_by(robot: Robot, chosen: str | None, argument: str, ways: tuple[str, str]) -> str:
-    """Return how loops are closed: by the first way if the robot stands assembled at zero, unless another is chosen."""
-    assembled = robot.is_assembled()
-    if chosen is None:
-        return ways[0] if assembled else ways[1]
-    if choice(chosen, argument, ways) == ways[0] and not assembled:
-        raise DescriptionError(argument, f"{ways[1]} for a machine whose loops are open at zero", chosen)
-    return chosen
-
-
 def _sites(robot: Robot) -> dict[str, dict[str, FloatArray]]:
     """Return the frames to be marked, by the body that moves them, and their poses (4, 4) in it.
 
@@ -242,17 +234,25 @@ def _sites(robot: Robot) -> dict[str, dict[str, FloatArray]]:
 def _body(
     robot: Robot,
     name: str,
+    home: Mapping[str, float],
     sites: Mapping[str, Mapping[str, FloatArray]],
     meshes: Mapping[tuple[str, Numbers], str],
     collisions: str,
 ) -> Element:
-    """Return the body of a link, with those of the links that it carries inside."""
+    """Return the body of a link, with those of the links that it carries inside, where they are at home.
+
+    From that place of two bodies an engine computes the anchor of a closure in the second one.
+    """
     link, joint, parts = robot.links[name], robot.joint_to.get(name), []
+    place = {} if joint is None else _place(joint.placement)
     if joint is not None and joint.moves:
         limits, effort = joint.limits, joint.limits["effort"]
         kind = {"prismatic": "slide", "revolute": "hinge"}[joint.kind]
         values: dict[str, Value] = {"type": kind, "axis": joint.axis, "limited": "true"}
         values["range"] = (limits["lower"], limits["upper"])
+        if value := home[joint.name]:
+            values["ref"] = value
+            place = _pose_of(joint.placement.matrix @ joint.motion(value))
         if effort > 0.0:
             values |= {"actuatorfrclimited": "true", "actuatorfrcrange": (-effort, effort)}
         parts.append(_element("joint", name=joint.name, **values))
@@ -266,10 +266,9 @@ def _body(
             solid |= _without_cylinder(*shape.size)
         parts.append(_element("geom", **solid))
     for frame, pose in sites.get(name, {}).items():
-        turn = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
-        parts.append(_element("site", name=f"{frame}_site", size="0.005", pos=pose[:3, 3], quat=turn))
-    parts += [_body(robot, each.child, sites, meshes, collisions) for each in robot.order if each.parent == name]
-    return _element("body", *parts, name=name, **({} if joint is None else _place(joint.placement)))
+        parts.append(_element("site", name=f"{frame}_site", size="0.005", **_pose_of(pose)))
+    parts += [_body(robot, each.child, home, sites, meshes, collisions) for each in robot.order if each.parent == name]
+    return _element("body", *parts, name=name, **place)
 
 
 def _solid(shape: Shape, group: str, meshes: Mapping[tuple[str, Numbers], str]) -> dict[str, Value]:
@@ -294,6 +293,10 @@ def _connection(robot: Robot, closure: Closure, by_sites: bool) -> Element:
         return _element("connect", name=closure.name, **sites)
     (body_a, pose), (body_b, _) = (robot.carrier(end) for end in (closure.frame_a, closure.frame_b))
     return _element("connect", name=closure.name, body1=body_a, body2=body_b, anchor=pose[:3, 3])
+
+
+def _pose_of(pose: FloatArray) -> dict[str, Value]:
+    return {"pos": pose[:3, 3], "quat": Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)}
 
 
 def _place(placement: Placement) -> dict[str, Value]:
@@ -324,7 +327,11 @@ def sdf_text(
     http://sdformat.org/spec, version 1.9. A joint is driven if its limit of effort is not zero.
     """
     robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
-    loops = _closed_by(robot, loops, "loops", ("joints", "drake"))
+    is_assembled = robot.is_assembled()
+    way = "joints" if is_assembled else "drake"
+    loops = choice(way if loops is None else loops, "loops", ("joints", "drake"))
+    if loops == "joints" and not is_assembled:
+        raise DescriptionError("loops", "drake for a machine whose loops are open at zero", loops)
     ends = {"parent": "world", "child": robot.base}
     model = _element(
         "model",

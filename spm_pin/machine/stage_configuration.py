@@ -20,6 +20,8 @@ OPERATION_MODES = ("T", "F")
 """The two solutions of an inverse displacement: without torsion, and turned half round."""
 BELOW = "The height is negative: below the pivots"
 """A cause that there is no physical state."""
+_HALF_TURN_BACK = -np.pi + 1e-9
+"""A torsion [rad] below which it is π up to rounding."""
 
 _is_home_state = on_arrays(circles.is_home_state)
 
@@ -127,10 +129,11 @@ class StageConfiguration(Batched):
     def torsion(self) -> FloatArray:
         """Turn of the platform about its normal, from the shortest turn that takes z to it [rad], shape (...).
 
-        Zero in mode T of a stage as drawn, π in mode F.
+        Zero in mode T of a stage as drawn, π in mode F; a half turn is never -π, even by rounding.
         """
         r = self._rotation
-        return np.asarray(np.arctan2(r[..., 1, 0] - r[..., 0, 1], r[..., 0, 0] + r[..., 1, 1]))
+        torsion = np.arctan2(r[..., 1, 0] - r[..., 0, 1], r[..., 0, 0] + r[..., 1, 1])
+        return np.asarray(np.where(torsion < _HALF_TURN_BACK, torsion + 2.0 * np.pi, torsion))
 
     @cached_property
     def balls(self) -> FloatArray:

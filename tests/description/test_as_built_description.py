@@ -21,6 +21,7 @@ MACHINES = {
     "a millimetre": PAPER.perturbed(1, length=1e-3, angle=1e-3),
     "centimetres": PAPER.perturbed(2, length=2e-2, angle=5e-2),
 }
+BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).perturbed(1, length=1e-3, angle=1e-2)
 LEGS = np.random.default_rng(0).uniform(1.2, 1.4, (12, 6))
 
 
@@ -28,6 +29,12 @@ def states(machine: spm.Geometry) -> spm.Configuration:
     found = spm.forward_physical(machine, LEGS)
     assert found.exists.sum() > 8
     return found[found.exists]
+
+
+def state_of(machine: spm.Geometry | spm.Stage) -> spm.Configuration | spm.machine.StageConfiguration:
+    if isinstance(machine, spm.Stage):
+        return spm.stages.forward_physical(machine, [0.2, 0.1, 0.3])
+    return states(machine)[0]
 
 
 @pytest.mark.parametrize("prefix", ["", "left_"])
@@ -107,5 +114,54 @@ def test_files_of_a_machine(tmp_path: Path) -> None:
     for end, limits in (("lower", PAPER.limits.minimum), ("upper", PAPER.limits.maximum)):
         slides = [tree.moving[name].limit[end] for name in SLIDES] + machine.legs.offsets + 1.3
         np.testing.assert_allclose(slides, limits, rtol=1e-9)
-    with pytest.raises(DescriptionError, match="sites for a machine whose loops are open at zero"):
-        mjcf_text(machine, anchors="bodies")
+
+
+@pytest.mark.parametrize("anchors", ["bodies", "sites"])
+@pytest.mark.parametrize("name", [*MACHINES, "stage"])
+def test_the_home_of_an_mjcf_and_its_states_are_closed_in_mujoco(name: str, anchors: str) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    machine = BALANCER if name == "stage" else MACHINES[name]
+    state = state_of(machine)
+    model = mujoco.MjModel.from_xml_string(mjcf_text(machine, states={"mine": state}, anchors=anchors))
+    data, count = mujoco.MjData(model), 3 * model.neq
+    assert count == (6 if name == "stage" else 12)
+    actuated = spm.description.actuated_joints(machine)
+    for key in ("home", "mine"):
+        mujoco.mj_resetDataKeyframe(model, data, model.key(key).id)
+        mujoco.mj_forward(model, data)
+        assert np.abs(data.efc_pos[:count]).max() < 1e-13
+        driven = [data.qpos[model.joint(joint).qposadr[0]] for joint in actuated]
+        expected = [0.0] * len(actuated) if key == "home" else [joint_values(state)[joint] for joint in actuated]
+        assert driven == expected
+    # The platform is where the tree of the URDF has it.
+    site = data.site("platform_site" if name == "stage" else "terminal_platform_site")
+    np.testing.assert_allclose(site.xpos, state.translation, atol=1e-13)
+    np.testing.assert_allclose(site.xmat.reshape(3, 3), state.rotation, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", [*MACHINES, "stage"])
+def test_drake_closes_the_loops_of_an_mjcf_in_its_states(name: str, tmp_path: Path) -> None:
+    """Without gravity a state stays where it is; a loop that is open would be drawn together."""
+    pytest.importorskip("pydrake")
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
+    from pydrake.systems.analysis import Simulator
+
+    machine = BALANCER if name == "stage" else MACHINES[name]
+    (tmp_path / "robot.xml").write_text(mjcf_text(machine, actuators="motors", collisions="none"), encoding="utf-8")
+    plant = MultibodyPlant(1e-3)
+    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+    Parser(plant).AddModels(str(tmp_path / "robot.xml"))
+    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, 0.0])
+    plant.Finalize()
+    assert plant.num_constraints() == (2 if name == "stage" else 4)
+    for values in (read_robot(machine).closed_home(), joint_values(state_of(machine))):
+        simulator = Simulator(plant)
+        context = simulator.get_mutable_context()
+        plant.get_actuation_input_port().FixValue(context, np.zeros(plant.num_actuators()))
+        for name_of_joint, value in values.items():
+            joint = plant.GetJointByName(name_of_joint)
+            (joint.set_translation if "slide" in name_of_joint else joint.set_angle)(context, value)
+        start = plant.GetPositions(context).copy()
+        simulator.AdvanceTo(0.05)
+        np.testing.assert_allclose(plant.GetPositions(context), start, rtol=0.0, atol=1e-9)

@@ -51,7 +51,7 @@ int main(int count, char ** arguments)
 
   std::vector<float> times;
   if (is_timed) {times.reserve(static_cast<std::size_t>(ticks));}
-  Target target;
+  Path path;
   Readings last = start, before = start;
   SetPoint wanted{"base", 0.0, {}, {}};
   spm_state state{};
@@ -61,11 +61,11 @@ int main(int count, char ** arguments)
     const double now = 1e3 + static_cast<double>(tick) * PERIOD;
     if (tick >= next_arrival) {
       // Twenty milliseconds apart, or late, or missing for a while.
-      next_arrival = tick + (one_in(200) ? 2000 : one_in(20) ? 70 : 20) + static_cast<long>(random() % 3);
+      next_arrival = tick + (one_in(100) ? 2000 : one_in(20) ? 70 : 20) + static_cast<long>(random() % 3);
       // Poses come from readings: steps at random, now and then a jump or one beyond the limits.
       for (std::size_t i = 0; i < 6; ++i) {
         const double size = one_in(50) ? 0.3 : 0.004;
-        goal[i] = target.serial ? target.readings[i] + size * normal(random) : start[i];
+        goal[i] = path.serial ? path.at(path.serial).readings[i] + size * normal(random) : start[i];
       }
       // Legs that would be beyond their limits stand at them instead, in some of the set-points.
       bool is_at_stop = false;
@@ -84,19 +84,19 @@ int main(int count, char ** arguments)
       if (one_in(40)) {wanted.position[random() % 3] = NAN;}
       if (one_in(40)) {wanted.position[random() % 3] += 10.0 * any(random);}
       if (one_in(40)) {wanted.quaternion[random() % 4] = one_in(2) ? NAN : 2.0 * any(random);}
-      const std::string reason = set_points.take(wanted, now, target);
+      const std::string reason = set_points.take(wanted, now, limiter.serial(), path);
       const bool is_taken = reason.empty();
       stops += is_at_stop;
       beyond += is_at_stop && reason.rfind("beyond limits", 0) == 0;
       taken += is_taken;
       refused += !is_taken;
       for (std::size_t i = 0; i < 6; ++i) {
-        wrong += is_taken && !(target.readings[i] >= machine.minimum[i] && target.readings[i] <= machine.maximum[i]);
+        wrong += is_taken && !(path.at(path.serial).readings[i] >= machine.minimum[i] && path.at(path.serial).readings[i] <= machine.maximum[i]);
       }
     }
     const long allocated = allocations;
     const auto first = std::chrono::steady_clock::now();
-    const Readings commands = limiter.tick(target);
+    const Readings commands = limiter.tick(path);
     if (is_timed) {times.push_back(std::chrono::duration<float>(std::chrono::steady_clock::now() - first).count());}
     wrong += allocations != allocated;
     bool is_resting = true;
@@ -109,8 +109,8 @@ int main(int count, char ** arguments)
       is_resting = is_resting && commands[i] == last[i];
     }
     ++(is_resting ? rests : moved);
-    for (std::size_t i = 0; i < 6 && is_resting && target.serial && last == before; ++i) {
-      off += std::fabs(commands[i] - target.readings[i]) > 1e-12;
+    for (std::size_t i = 0; i < 6 && is_resting && path.serial && last == before; ++i) {
+      off += std::fabs(commands[i] - path.at(path.serial).readings[i]) > 1e-12;
     }
     before = last;
     last = commands;

@@ -199,6 +199,40 @@ def test_bad_set_points_never_break_a_limit(
     assert found["moved"] > ticks / 5
 
 
+def test_commands_follow_the_path_of_set_points_that_come_too_fast(package: Path, tmp_path: Path) -> None:
+    """Around a singularity, which the straight way of the legs from the first to the last set-point meets."""
+    machine = replace(PAPER, limits=spm.LegLimits(0.75, 1.9))
+    corners = np.array(
+        [
+            [1.56, 1.10, 1.54, 1.83, 1.23, 1.49],
+            [1.67, 1.74, 1.51, 1.88, 1.27, 1.70],
+            [1.82, 1.01, 1.13, 1.76, 1.28, 1.65],
+        ]
+    )
+    start = spm.forward_physical(machine, corners[0])
+    assert not spm.forward_physical(machine, corners[2], near=start).exists
+    shares = np.arange(1, 1500)[:, None] / 1499.0
+    ways = np.concatenate([a + shares * (b - a) for a, b in pairwise(corners)])
+    states = spm.forward_physical(machine, ways)
+    assert states.exists.all()
+    numbers = machine_text("", machine_fields(machine) | {"start": corners[0]})
+    (tmp_path / "machine.txt").write_text(numbers, encoding="utf-8")
+    np.savetxt(tmp_path / "poses.txt", np.concatenate([states.translation, states.pose.rotation.as_quat()], axis=-1))
+    program = Path(__file__).parent / "follow_path.cpp"
+    printed = run_cpp(package, program, tmp_path, tmp_path / "machine.txt", tmp_path / "poses.txt")
+    commands = np.array([line.split() for line in printed.splitlines()], dtype=float)
+    np.testing.assert_allclose(commands[-1], corners[2], rtol=0.0, atol=1e-9)
+    assert np.abs(np.diff(commands, axis=0)).max() <= 0.1 * 1e-3 + 1e-12
+    # Corners are rounded by rate² / (2 acceleration) at most.
+    path = np.concatenate([corners[:1], ways])
+    assert max(np.abs(path - x).max(axis=-1).min() for x in commands[::20]) < 0.1**2 / 2.0 + 1e-9
+    state = start
+    for command in commands[::100]:
+        state = spm.forward_physical(machine, command, near=state)
+        assert state.exists
+    assert np.linalg.norm(state.translation - states[-1].translation) < 0.01
+
+
 def test_the_hardware_of_the_description_has_the_joints_of_the_controller(package: Path) -> None:
     robot = ElementTree.parse(package / "urdf/spm.urdf").getroot()
     (control,) = robot.findall("ros2_control")

@@ -54,7 +54,7 @@ def test_a_stage_as_drawn_shifts_as_the_literature_says() -> None:
     np.testing.assert_allclose(t.shift, shift, atol=1e-15)
     np.testing.assert_allclose(f.shift, -shift, atol=1e-15)
     np.testing.assert_allclose(t.torsion, 0.0, atol=1e-15)
-    np.testing.assert_allclose(np.abs(f.torsion), np.pi, atol=1e-15)
+    np.testing.assert_allclose(f.torsion, np.pi, atol=1e-15)
 
 
 def fifty_digits(stage: Stage, normal: np.ndarray, height: float, state: StageConfiguration) -> np.ndarray:

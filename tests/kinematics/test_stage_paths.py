@@ -66,7 +66,7 @@ def test_the_turned_mode_is_followed_when_it_is_named() -> None:
     path = follow(STAGES["RPS"], start="F", height=[1.1, 1.2, 1.1], roll=[0.0, 0.2, 0.3], samples=10)
     assert path.complete
     assert not path.events
-    np.testing.assert_allclose(np.abs(path.configurations.torsion), np.pi, atol=1e-12)
+    np.testing.assert_allclose(path.configurations.torsion, np.pi, atol=1e-12)
     assert path.configurations.height.max() == pytest.approx(1.2)
     again = follow(STAGES["RPS"], start=path.configurations[0], height=[1.1, 1.2], roll=[0.0, 0.2], samples=10)
     assert set(again.labels) == {"F"}

@@ -1,4 +1,4 @@
-// Your ball balancer: a stage drawn from four numbers, solved by the header that the page offers.
+// Your ball balancer: a stage drawn from a few numbers, solved by the header that the page offers.
 // Lengths are in metres and angles in radians, but for what is entered and shown.
 
 const root = document.getElementById("balancer");
@@ -12,8 +12,10 @@ const DEGREE = Math.PI / 180;
 const KINDS = [
   ["RPS", "cylinders", "mm", 1e3, 2, ["base radius", 150], ["plate radius", 120], ["shortest", 170], ["longest", 260]],
   ["PRS", "screws", "mm", 1e3, 2, ["base radius", 120], ["plate radius", 90], ["rod", 150], ["slide angle", 90]],
-  ["RRS", "servos", "°", 1 / DEGREE, 2, ["base radius", 80], ["plate radius", 91], ["crank", 50], ["rod", 90]],
+  ["RRS", "servos", "°", 1 / DEGREE, 2, ["base radius", 80], ["plate radius", 91], ["crank", 50], ["rod", 90],
+    ["lowest angle", -90], ["highest angle", 90]],
 ].map(([name, label, unit, factor, digits, ...numbers]) => ({ name, label, unit, factor, digits, numbers }));
+const isAngle = (name) => name.endsWith("angle");
 const WORDS = { 1: "out of reach", 2: "beyond the limits of a leg", 3: "beyond a singularity, or too near", "-1": "no number" };
 
 const minus = (a, b) => a.map((x, i) => x - b[i]);
@@ -28,18 +30,20 @@ const normalOf = (tilt, azimuth) => {
 // The stage
 
 // The numbers of a stage_geometry, in the header's order.
-function geometryOf(kind, values) {
-  const [base, plate, third, fourth] = values.map((x, k) => x * (kind === 1 && k === 3 ? DEGREE : 1e-3));
+function geometryOf(kind, values, isInside) {
+  const factors = KINDS[kind].numbers.map(([name]) => (isAngle(name) ? DEGREE : 1e-3));
+  const [base, plate, third, fourth, lowest, highest] = values.map((x, k) => x * factors[k]);
   const x = plate - base, rod = [0, third, fourth][kind], crank = kind === 2 ? third : 0;
   const slide = kind === 1 ? [Math.cos(fourth), Math.sin(fourth)].map((c) => (Math.abs(c) < 1e-15 ? 0 : c)) : [0, 0];
-  const limits = [[third, fourth], [-Infinity, Infinity], [-Math.PI / 2, Math.PI / 2]][kind];
-  // At home a cylinder has its middle length, a carriage is at its pivot, and a crank level.
-  const reach = kind === 0 ? (third + fourth) / 2 : rod;
-  const home = Math.sqrt(reach ** 2 - (x - crank) ** 2);
+  const limits = [[third, fourth], [-Infinity, Infinity], [lowest, highest]][kind];
+  // At home a cylinder has its middle length, a carriage is at its pivot, and a crank in the middle of its limits.
+  const reach = kind === 0 ? (third + fourth) / 2 : rod, middle = kind === 2 ? (lowest + highest) / 2 : 0;
+  const home = crank * Math.sin(middle) + Math.sqrt(reach ** 2 - (x - crank * Math.cos(middle)) ** 2);
+  const sign = kind === 0 ? 0 : kind === 2 && isInside ? 1 : -1;
   const legs = RADIAL.map((out) => [
-    out.map((c) => base * c), out, [0, 0, 1], out.map((c) => plate * c), crank, rod, slide, kind ? -1 : 0, 0, ...limits,
+    out.map((c) => base * c), out, [0, 0, 1], out.map((c) => plate * c), crank, rod, slide, sign, 0, ...limits,
   ]);
-  return { kind, plate, base, crank, rod, slide, limits, home, legs };
+  return { kind, plate, base, crank, rod, slide, sign, limits, home, legs };
 }
 
 function headerOf({ kind, home, legs }) {
@@ -124,15 +128,26 @@ function start(stage) {
 
   function showNumbers() {
     find(".balancer-numbers").replaceChildren(...KINDS[kind].numbers.map(([name], k) => {
-      const unit = name.endsWith("angle") ? "°" : "mm";
+      const unit = isAngle(name) ? "°" : "mm";
       const input = element("input", { type: "number", step: "any", inputmode: "decimal", value: values[kind][k] });
       input.addEventListener("input", () => {
-        values[kind][k] = unit === "°" || input.valueAsNumber > 0 ? input.valueAsNumber : NaN;
+        const x = input.valueAsNumber, isLimit = kind === 2 && unit === "°";
+        values[kind][k] = isLimit ? (x >= -90 && x <= 270 ? x : NaN) : unit === "°" || x > 0 ? x : NaN;
         rebuild();
       });
       return element("label", {}, element("span", {}, `${name} [${unit}]`), input);
     }));
+    find(".balancer-knees").hidden = kind !== 2;
   }
+
+  const knees = find(".balancer-knees input");
+  knees.addEventListener("change", () => {
+    // The same cranks, seen in a mirror.
+    const [lowest, highest] = values[2].slice(4);
+    values[2].splice(4, 2, 180 - highest, 180 - lowest);
+    showNumbers();
+    rebuild();
+  });
 
   const sliders = Object.fromEntries([["tilt", 0, 60, 0.1], ["azimuth", -180, 180, 0.5], ["height", 0, 1, 0.1]].map(
     ([name, min, max, step]) => {
@@ -151,7 +166,7 @@ function start(stage) {
   });
 
   function rebuild() {
-    machine = geometryOf(kind, values[kind]);
+    machine = geometryOf(kind, values[kind], knees.checked);
     stage.set(machine);
     const most = 1.2 * (machine.base + machine.plate + machine.crank + machine.rod + (kind ? 0 : machine.limits[1]));
     const reached = [];
@@ -174,9 +189,9 @@ function start(stage) {
   }
 
   function pythonOf() {
-    const { base, plate, crank, rod, limits } = machine, m = (x) => Number(x.toPrecision(12));
+    const { base, plate, crank, rod, sign, limits } = machine, m = (x) => Number(x.toPrecision(12));
     const direction = values[kind][3] === 90 ? "" : `, direction=${values[kind][3] * DEGREE}`;
-    const legs = ["RPS()", `PRS(rod=${m(rod)}${direction})`, `RRS(crank=${m(crank)}, rod=${m(rod)})`][kind];
+    const legs = ["RPS()", `PRS(rod=${m(rod)}${direction})`, `RRS(crank=${m(crank)}, rod=${m(rod)}${sign > 0 ? ", sign=1" : ""})`][kind];
     const ends = Number.isFinite(limits[0]) ? `, limits=(${limits.join(", ")})` : "";
     const lines = ["import spm_pin as spm", "", `stage = spm.Stage(${m(base)}, ${m(plate)}, spm.${legs}${ends})`];
     return [...lines, 'spm.export.write_stage_c(stage, "board")'].join("\n");

@@ -123,6 +123,7 @@ public:
     }
     const std::uint64_t serial = ++activations_ << 32;
     limiter_.begin(readings, serial);
+    reached_ = serial;
     activation_ = serial;
     return controller_interface::CallbackReturn::SUCCESS;
   }
@@ -140,6 +141,7 @@ public:
   controller_interface::return_type update(const rclcpp::Time & time, const rclcpp::Duration &) override
   {
     const Readings commands = limiter_.tick(*for_update_.readFromRT());
+    reached_ = limiter_.serial();
     for (std::size_t i = 0; i < 6; ++i) {
       const double command = commands[i] - zeros_[i], feedback = measured(i);
       (void)command_interfaces_[i].set_value(command);
@@ -167,12 +169,13 @@ private:
   // is not active, and only then the readings of the start are written.
   std::atomic<std::uint64_t> activation_{0};
   std::array<std::atomic<double>, 6> start_{};
-  realtime_tools::RealtimeBuffer<Target> for_update_;
+  std::atomic<std::uint64_t> reached_{0};  // the number of the target to which the legs move
+  realtime_tools::RealtimeBuffer<Path> for_update_;
 
   // Of the subscription.
   std::mutex mutex_;  // held by it and by `on_configure`
   SetPoints set_points_;
-  Target target_;
+  Path path_;
   std::uint64_t begun_ = 0;  // the activation that `set_points_` began with
   rclcpp::Publisher<Status>::SharedPtr status_publisher_;
   rclcpp::Subscription<geometry_msgs::msg::PoseStamped>::SharedPtr subscription_;
@@ -209,12 +212,12 @@ private:
       std::copy(start_.begin(), start_.end(), readings.begin());
       if (activation_ == activation) {  // else they may be those of two activations
         (void)set_points_.begin(readings);
-        target_.serial = begun_ = activation;
+        path_.serial = begun_ = activation;
       }
     }
     if (activation == 0 || activation != begun_) {return "not active";}
-    const std::string reason = set_points_.take(wanted, get_node()->now().seconds(), target_);
-    if (reason.empty()) {for_update_.writeFromNonRT(target_);}
+    const std::string reason = set_points_.take(wanted, get_node()->now().seconds(), reached_, path_);
+    if (reason.empty()) {for_update_.writeFromNonRT(path_);}
     return reason;
   }
 

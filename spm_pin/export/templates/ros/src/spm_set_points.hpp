@@ -41,7 +41,17 @@ struct Target
 {
   Readings readings{};
   std::int64_t ticks = 0;
-  std::uint64_t serial = 0;  // larger with every target
+};
+
+// The last targets, and the number of the newest.
+struct Path
+{
+  static constexpr std::uint64_t SIZE = 32;
+  std::array<Target, SIZE> targets{};
+  std::uint64_t serial = 0;
+
+  Target & at(std::uint64_t number) {return targets[number % SIZE];}
+  const Target & at(std::uint64_t number) const {return targets[number % SIZE];}
 };
 
 // A stamped pose of {m}, seen from a frame.
@@ -73,10 +83,12 @@ public:
     return status_;
   }
 
-  // Return why a set-point is refused, a few words and after a colon the details; or nothing, and the target that it becomes.
-  std::string take(const SetPoint & wanted, double now, Target & target)
+  // Return why a set-point is refused, a few words and after a colon the details; or nothing, and the path that it continues.
+  // `current` is the number of the target to which the Limiter moves.
+  std::string take(const SetPoint & wanted, double now, std::uint64_t current, Path & path)
   {
     if (status_ != @PREFIX_UPPER@OK) {return "not active";}
+    if (path.serial - current >= Path::SIZE) {return "too fast: " + std::to_string(Path::SIZE) + " set-points are not reached yet";}
     if (wanted.frame != frame) {return "wrong frame: \"" + wanted.frame + "\" instead of \"" + frame + "\"";}
     const double stamp = wanted.stamp == 0.0 ? now : wanted.stamp;
     if (!(now - stamp <= timeout)) {return "stale: stamped " + std::to_string(now - stamp) + " s ago";}
@@ -108,9 +120,9 @@ public:
       return "singular: on the straight way of the legs";
     }
     state_ = next;
+    Target & target = path.at(++path.serial);
     std::copy_n(next.readings, 6, target.readings.begin());
     target.ticks = stamp - last_stamp_ <= timeout ? std::llround((stamp - last_stamp_) / period) : 1;
-    ++target.serial;
     last_stamp_ = stamp;
     return "";
   }
@@ -128,10 +140,11 @@ private:
   }
 };
 
-// Leads six readings to targets, within limits of rate and acceleration. Between two targets the readings change in proportion:
-// linearly in the time between the set-points, or longer where a leg would be too fast. The commands are the means
-// of the last ticks, in number such that twice the largest rate is gained in them at the largest acceleration. A mean of
-// readings within limits is within them, is never faster than they are, and never goes beyond the end.
+// Leads six readings along a path, from target to target, within limits of rate and acceleration. Between two targets, a way
+// that is checked to be regular, the readings change in proportion: linearly in the time between the set-points, faster where
+// further ones wait, and longer where a leg would be too fast. The commands are the means of the last ticks, in number such that
+// twice the largest rate is gained in them at the largest acceleration. A mean of readings within limits is within them, is
+// never faster than they are, and never goes beyond the end; it rounds corners, by at most rate^2 / (2 acceleration).
 //
 // Readings are counted in units of 2^-40 of theirs, so that sums of them are exact however long the controller runs.
 class Limiter
@@ -148,7 +161,7 @@ public:
     past_.resize(static_cast<std::size_t>(ticks));
   }
 
-  // Stay at readings, until a target comes with a larger serial number than this.
+  // Stay at readings, until a target comes with a larger number than this.
   void begin(const Readings & readings, std::uint64_t serial)
   {
     for (std::size_t i = 0; i < 6; ++i) {
@@ -160,13 +173,17 @@ public:
     serial_ = serial;
   }
 
+  // The number of the target to which it moves.
+  std::uint64_t serial() const {return serial_;}
+
   // The commands of the next tick.
-  Readings tick(const Target & target)
+  Readings tick(const Path & path)
   {
-    if (target.serial > serial_) {
-      serial_ = target.serial;
+    if (tick_ == ticks_ && path.serial > serial_) {
+      const Target & target = path.at(++serial_);
+      const auto waiting = static_cast<std::int64_t>(path.serial - serial_);
       tick_ = 0;
-      ticks_ = std::max<std::int64_t>(target.ticks, 1);
+      ticks_ = std::max<std::int64_t>(target.ticks / (1 + waiting), 1);
       from_ = now_;
       for (std::size_t i = 0; i < 6; ++i) {
         to_[i] = std::llround(target.readings[i] * UNITS);
