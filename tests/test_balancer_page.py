@@ -13,7 +13,7 @@ import pytest
 from browser import chromium, until, watched
 
 import spm_pin as spm
-from spm_pin.casadi import stage_c_sources
+from spm_pin.export import stage_c_sources
 
 pytestmark = pytest.mark.slow  # a browser without a graphics card
 

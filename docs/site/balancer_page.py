@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from live_page import assembled, compiled, packed, write_page
 
 import spm_pin as spm
-from spm_pin.casadi import stage_c_sources
+from spm_pin.export import stage_c_sources
 
 SOURCES = Path(__file__).parent / "balancer"
 EXPORTED = ("geometry", "state", "other", "asked", "balls", "inverse", "forward", "readings")

@@ -10,7 +10,7 @@ import numpy as np
 from export.c_library import compile_c, compilers
 
 import spm_pin as spm
-from spm_pin.casadi import write_stage_c
+from spm_pin.export import write_stage_c
 from spm_pin.export.stage_export import stage_numbers
 from spm_pin.machine.leg_kinds import KINDS
 

@@ -21,7 +21,7 @@ from export.c_library import compile_c, compilers
 from export.stage_library import STATUS, STRICT
 
 import spm_pin as spm
-from spm_pin.casadi import write_stage_c
+from spm_pin.export import write_stage_c
 
 CONTROLLERS = Path(__file__).parents[2] / "examples/controllers"
 STAND_INS = Path(__file__).parent / "stand_ins"

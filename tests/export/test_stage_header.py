@@ -15,8 +15,8 @@ from export.c_library import compile_c, compilers
 from export.stage_library import STATUS, STRICT, StageLibrary
 
 import spm_pin as spm
-from spm_pin.casadi import stage_c_sources, write_stage_c
 from spm_pin.errors import ArgumentError, UnreachableError
+from spm_pin.export import stage_c_sources, write_stage_c
 
 TOLERANCE = {np.float64: 1e-12, np.float32: 1e-5}
 MOST_AMPLIFIED = {np.float64: 2e3, np.float32: 200.0}
