@@ -62,6 +62,10 @@ STAGE = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).perturbed(3)
 STAGE_STATE = spm.stages.forward_physical(STAGE, [0.2, 0.4, 0.6])
 
 
+ROBOTS = Path(__file__).parents[1] / "examples/robots"
+URDF = ROBOTS.parents[1] / "urdf/spm.urdf"
+
+
 @functools.cache
 def chain() -> spm.ClosedChain:
     return spm.ClosedChain.from_urdf()
@@ -76,6 +80,16 @@ def q() -> np.ndarray:
 def mounted() -> spm.multibody.MountedChain:
     """Return a chain on a robot without joints: its q is the chain's."""
     return chain().mounted_on(pinocchio.Model(), "universe")
+
+
+@functools.cache
+def linkage() -> spm.loops.ClosedChain:
+    return spm.loops.ClosedChain.from_mjcf(ROBOTS / "four_bar.xml")
+
+
+@functools.cache
+def closed() -> np.ndarray:
+    return linkage().close()
 
 
 @functools.cache
@@ -236,6 +250,21 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "calibration.tolerance.states": lambda: 3,
     "calibration.tolerance.tolerances": lambda: {"ball": 1e-4},
     "ClosedChain.from_urdf.path": lambda: None,
+    **dict.fromkeys(("loops.ClosedChain.from_mjcf.source", "loops.read_mjcf.source"), lambda: ROBOTS / "four_bar.xml"),
+    **dict.fromkeys(("loops.ClosedChain.from_urdf.source", "loops.read_urdf.source"), lambda: URDF),
+    **dict.fromkeys(("loops.ClosedChain.from_sdf.source", "loops.read_sdf.source"), lambda: URDF.with_suffix(".sdf")),
+    **{f"loops.{name}.chain": lambda: linkage() for name in ("mjcf_text", "sdf_text", "urdf_texts")},
+    "loops.ClosedChain.from_description.description": lambda: spm.loops.read_mjcf(ROBOTS / "four_bar.xml"),
+    **{
+        f"loops.ClosedChain.{name}": lambda: closed()
+        for name in ("state.q", "mobility.q", "forward.near", "inverse.near")
+    },
+    "loops.ClosedChain.state.v": lambda: np.zeros(3),
+    "loops.ClosedChain.forward.values": lambda: [0.1],
+    "loops.ClosedChain.inverse.frame": lambda: "crank",
+    "loops.ClosedChain.inverse.pose": lambda: np.eye(4),
+    "loops.ClosedChain.inverse.rows": lambda: (0,),
+    "loops.ClosedChain.joint_of_velocity.index": lambda: 0,
     "Geometry.base_radius": lambda: 0.7,
     "Geometry.platform_radius": lambda: 0.3,
     "Geometry.middle_side": lambda: 0.8,
@@ -254,8 +283,18 @@ INPUTS = "Configuration DesignProblem Geometry JointLimits LegLimits LegPath Leg
 INPUTS += " Ball Stage StageConfiguration StageLimits"
 """Classes that users make themselves; the others are results, made by the package."""
 
-OTHER_WORDS = {"value": "pose", "lower": "r_", "upper": "r_", "pose_noise": "the noise", "reading_noise": "the noise"}
+OTHER_WORDS = {
+    "value": "pose",
+    "actuated": "actuators",
+    "lower": "r_",
+    "upper": "r_",
+    "pose_noise": "the noise",
+    "reading_noise": "the noise",
+}
 """Words by which an error may name an argument, other than its name."""
+
+FILES = ("path", "source", "srdf")
+"""Arguments that are files, which an error may name instead."""
 
 SMALL = ("samples", "spacing", "starts", "rng", "tries", "xyx")
 """Parameters that are given although they have a default."""
@@ -264,6 +303,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "Boundary": boundary,
     "ChainState": lambda: chain().state(q()),
     "ClosedChain": chain,
+    "loops.ClosedChain": linkage,
     "Geometry": lambda: PAPER,
     "JointLimits": lambda: spm.workspace.JointLimits(hip=(-1.0, 1.0)),
     "LegLimits": lambda: spm.LegLimits(1.1, 1.5),
@@ -282,6 +322,7 @@ UNCHECKED = (
     *("SolutionSet.pick", "StageSolutions.pick"),  # for solvers, documented to check nothing
     *("ClosedChain.simulate", "ClosedChain.joint_trajectory"),  # have tests of their own; a call takes long
     *("ClosedChain.mounted_on", "ClosedChain.carrying"),
+    *("loops.ClosedChain.simulate", "loops.ClosedChain.inverse"),  # those of a four-bar are in tests/loops
     *("make_methods", "compare_methods", "compare_in_batches"),
     # A picture takes a second; tests of pictures have wrong arguments.
     *(f"display.{name}" for name in spm.display.__all__ if name not in ("path_figure", "read_recording")),
@@ -295,19 +336,21 @@ SKIPPED_PARAMETERS = ("progress", "argument", "state", "scheduler")
 def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Yield every public function, constructor of an input, and method of an instance, with its name."""
     seen: set[int] = set()
-    for name, module in [("", spm), *inspect.getmembers(spm, inspect.ismodule)]:
+    modules = [("", spm), ("nlp", spm.crosscheck.nlp), *inspect.getmembers(spm, inspect.ismodule)]
+    for name, module in modules:
         for public in module.__all__:
             member = getattr(module, public)
             if inspect.isfunction(member) and id(member) not in seen:
-                plain = name in ("", "mechanism", "kinematics", "motion", "workspace")
+                plain = name in ("", "machine", "kinematics", "motion", "workspace")
                 yield public if plain else f"{name}.{public}", member
             elif inspect.isclass(member) and id(member) not in seen and not issubclass(member, enum.Enum):
                 if public in INPUTS.split():
                     yield public, member
-                if public in INSTANCES:
+                owner = f"loops.{public}" if name == "loops" else public
+                if owner in INSTANCES:
                     for method in sorted({name for base in member.__mro__[:-1] for name in vars(base)}):
                         if not method.startswith("_") and callable(getattr(member, method)):
-                            yield f"{public}.{method}", getattr(member, method)
+                            yield f"{owner}.{method}", getattr(member, method)
             seen.add(id(member))
 
 
@@ -334,7 +377,7 @@ CASES = [
 
 
 SLOW = ("Boundary", "Shell", "largest_certified_limits", "orientation_workspace", "reachable_boundary")
-SLOW += ("reachable_position", "reachable_volume", "sample_reachable", "workspace_shell")
+SLOW += ("reachable_position", "reachable_volume", "sample_reachable", "crosscheck.workspace_shell")
 SLOW += (
     "description.mjcf_text",
     "description.sdf_text",
@@ -380,8 +423,8 @@ def call(place: str, function: Callable[..., Any], changed: str, value: Any) -> 
             chosen[name] = value
         elif special or parameter.default is parameter.empty or name in SMALL:
             chosen[name] = example(place, name)
-    owner = place.split(".")[0]
-    if owner in INSTANCES and place != owner and "self" in inspect.signature(function).parameters:
+    owner = place.rpartition(".")[0]
+    if owner in INSTANCES and "self" in inspect.signature(function).parameters:
         function(INSTANCES[owner](), **chosen)
     else:
         function(**chosen)
@@ -400,7 +443,7 @@ def test_malformed_arguments_give_a_result_or_an_error_that_names_them(
                 call(place, function, name, value)
         except spm.SpmError as error:
             # A file, and what as_rigid_transform is told.
-            named = OTHER_WORDS.get(name, str(value)[:400] if name == "path" else name)
+            named = OTHER_WORDS.get(name, str(value)[:400] if name in FILES else name)
             if name not in str(error) and named not in str(error):
                 wrong.append(f"{kind}: {type(error).__name__} does not name {name}: {str(error)[:200]}")
         except Exception as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from typing import Any, Self
 
@@ -23,7 +23,15 @@ from spm_pin.loops.forward_simulation import LoopMotion, simulate
 from spm_pin.loops.links import find_frame
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.mobility import Mobility, mobility
-from spm_pin.support.arguments import FloatArray, IntArray, broadcastable, real_array
+from spm_pin.support.arguments import (
+    FloatArray,
+    IntArray,
+    broadcastable,
+    check_instance,
+    name_sequence,
+    real_array,
+    whole_number,
+)
 
 
 class ClosedChain:
@@ -89,7 +97,7 @@ class ClosedChain:
         self.q0.flags.writeable = False
         self.closures, self.equalities = tuple(closures), tuple(equalities)
         self.rows = ConstraintRows(self.model, self.closures, self.equalities, self.q0)
-        self.actuated, self.held = _names(actuated, "actuated"), _names(held, "held")
+        self.actuated, self.held = name_sequence(actuated, "actuated"), name_sequence(held, "held")
         both = set(self.actuated) & set(self.held)
         if both:
             raise ArgumentError("held", "joints that are not actuated", ", ".join(sorted(both)))
@@ -98,6 +106,8 @@ class ClosedChain:
                 raise ArgumentError("actuated", "joints of one degree of freedom", repr(name))
         self.actuated_in_q = self.indices_in_q(*self.actuated)
         self.actuated_in_v = self.indices_in_v(*self.actuated)
+        for name in self.held:
+            self._joint(name, "held")
         self._held_in_v = self.indices_in_v(*self.held)
         self._followers: dict[Any, Follower] = {}
         self._lock = threading.Lock()
@@ -105,6 +115,7 @@ class ClosedChain:
     @classmethod
     def from_description(cls, description: RobotDescription, *, held: Sequence[str] = ()) -> Self:
         """Return the chain of a `RobotDescription`, the result of a reader."""
+        check_instance(description, RobotDescription, "description")
         try:
             return cls(
                 description.model,
@@ -128,7 +139,7 @@ class ClosedChain:
     @classmethod
     def from_urdf(
         cls,
-        urdf: str | PathLike[str],
+        source: str | PathLike[str],
         closures: Any = None,
         *,
         free_base: bool = False,
@@ -139,13 +150,13 @@ class ClosedChain:
         """Return the chain of a URDF file, or its text, and its closures; `spm_pin.loops.read_urdf` reads them."""
         from spm_pin.loops.read_urdf import read_urdf
 
-        description = read_urdf(urdf, closures, free_base=free_base, actuated=actuated, srdf=srdf)
+        description = read_urdf(source, closures, free_base=free_base, actuated=actuated, srdf=srdf)
         return cls.from_description(description, held=held)
 
     @classmethod
     def from_sdf(
         cls,
-        path: str | PathLike[str],
+        source: str | PathLike[str],
         *,
         actuated: Sequence[str] | None = None,
         srdf: str | PathLike[str] | None = None,
@@ -154,7 +165,7 @@ class ClosedChain:
         """Return the chain of an SDF file or its text; `spm_pin.loops.read_sdf` reads it."""
         from spm_pin.loops.read_sdf import read_sdf
 
-        return cls.from_description(read_sdf(path, actuated=actuated, srdf=srdf), held=held)
+        return cls.from_description(read_sdf(source, actuated=actuated, srdf=srdf), held=held)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (type(self), self.model, self.closures, self.actuated, self.equalities, self.held, self.q0)
@@ -312,6 +323,7 @@ class ClosedChain:
 
     def joint_of_velocity(self, index: int) -> str:
         """Return the name of the joint that an element of v belongs to."""
+        whole_number(index, "index", most=self.model.nv - 1)
         for joint in list(self.model.joints)[1:]:
             if joint.idx_v <= index < joint.idx_v + joint.nv:
                 return str(self.model.names[joint.id])
@@ -333,12 +345,3 @@ def _matrices(pose: Any) -> FloatArray:
 
 def _restored(cls: Any, model: Any, closures: Any, actuated: Any, equalities: Any, held: Any, q0: Any) -> Any:
     return cls(model, closures, actuated, equalities=equalities, held=held, q0=q0)
-
-
-def _names(names: Iterable[str], argument: str) -> tuple[str, ...]:
-    if isinstance(names, str):
-        raise ArgumentError(argument, "a sequence of names of joints", repr(names), f"[{names!r}]?")
-    listed = tuple(names)
-    if len(set(listed)) != len(listed):
-        raise ArgumentError(argument, "each joint once", ", ".join(listed))
-    return listed

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.errors import DescriptionError, require_extra
+from spm_pin.errors import ArgumentError, DescriptionError, require_extra
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
 from spm_pin.loops.links import Joint, JointKind, Link, build_model, describe, hinges_of_points, place
-from spm_pin.support.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray, name_sequence
+from spm_pin.support.files import file_path
 
 
 def read_mjcf(source: Any, *, actuated: Sequence[str] | None = None) -> RobotDescription:
@@ -47,16 +48,18 @@ def read_mjcf(source: Any, *, actuated: Sequence[str] | None = None) -> RobotDes
     compiled, where = source, "model"
     if not isinstance(source, mujoco.MjModel):
         text = source if isinstance(source, str) and source.lstrip().startswith("<") else None
-        where = "text" if text is not None else str(source)
+        where = "text"
+        if text is None:
+            where = str(file_path(source, "source", expected="an MJCF file, its text, or a mujoco.MjModel"))
         try:
             if text is not None:
                 compiled = mujoco.MjModel.from_xml_string(text)
-            elif not Path(source).is_file():
+            elif not Path(where).is_file():
                 raise DescriptionError(where, "an MJCF file", "no file of this name")
             else:
-                compiled = mujoco.MjModel.from_xml_path(str(source))
+                compiled = mujoco.MjModel.from_xml_path(where)
         except ValueError as error:
-            if isinstance(error, DescriptionError):
+            if isinstance(error, ArgumentError):
                 raise
             raise DescriptionError(where, "an MJCF file that MuJoCo compiles", str(error).strip()) from None
     return _Mjcf(mujoco, compiled, where).describe(actuated)
@@ -89,7 +92,7 @@ class _Mjcf:
         closures, equalities = self._equalities()
         keys = {m.key(i).name or f"key{i}": self._configuration(model, m.key_qpos[i]) for i in range(m.nkey)}
         rest = self._configuration(model, m.qpos0)
-        names = self._actuated() if actuated is None else actuated
+        names = self._actuated() if actuated is None else name_sequence(actuated, "actuated")
         return describe(model, closures, equalities, names, keys, self.source, rest)
 
     def _links(self) -> Iterator[Link]:

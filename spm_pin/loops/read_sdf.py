@@ -15,7 +15,7 @@ from spm_pin.loops.closures import Anchor, Closure, ClosureKind, JointEquality, 
 from spm_pin.loops.links import Joint, JointKind, Link, build_model, check_unique, describe, place
 from spm_pin.loops.read_urdf import drake_closures, read_configurations
 from spm_pin.loops.xml_input import inertia_of, name_of, number, numbers, read_xml, unit_axis
-from spm_pin.support.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray, name_sequence
 
 _KINDS: dict[str, tuple[JointKind, ...]] = {
     "revolute": ("hinge",),
@@ -192,6 +192,7 @@ class _Sdf:
         hinged = {joint.name for link in links for joint in link.joints if joint.kind in ("hinge", "slide")}
         if actuated is None:
             actuated = [name for name in self.joints if name in hinged and self._is_driven(name)]
+        name_sequence(actuated, "actuated")
         equalities = [*self._gearboxes(carriers), *self._mimics(hinged)]
         configurations = read_configurations(model, srdf)
         return describe(model, closures, equalities, actuated, configurations, self.where, rest)

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import pinocchio as pin
 import yaml
 
-from spm_pin.errors import DescriptionError
+from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.closures import Anchor, Closure, ClosureKind, JointEquality, RobotDescription
 from spm_pin.loops.links import Joint, JointKind, Link, build_model, check_unique, describe, hinges_of_points, place
 from spm_pin.loops.xml_input import inertia_of, name_of, number, numbers, read_source, read_xml, unit_axis
+from spm_pin.support.arguments import as_bool, name_sequence, type_and_value
+from spm_pin.support.files import file_path
 
 _KINDS: dict[str, JointKind | None] = {
     "revolute": "hinge",
@@ -66,14 +67,20 @@ def read_urdf(
     """
     root, where = read_xml(source, "robot", "a URDF file")
     extras: dict[str, Any] = {}
-    if isinstance(closures, str | Path):
+    if closures is None:
+        loops = drake_closures(root, where)
+    elif isinstance(closures, str | PathLike):
         loops, extras = _read_yaml(closures)
+    elif isinstance(closures, list | tuple) and all(isinstance(closure, Closure) for closure in closures):
+        loops = list(closures)
     else:
-        loops = drake_closures(root, where) if closures is None else list(closures)
-    links = list(_links(root, where, free_base, extras))
+        raise ArgumentError("closures", "a YAML file, its text, or a sequence of Closure", type_and_value(closures))
+    links = list(_links(root, where, as_bool(free_base, "free_base"), extras))
     model = build_model(root.get("name", ""), links, {}, where)
     if actuated is None:
         actuated = extras.get("name_mot") or list(_transmissions(root, where))
+    else:
+        name_sequence(actuated, "actuated")
     mimics = list(_mimics(root, where))
     return describe(model, loops, mimics, actuated, read_configurations(model, srdf), where)
 
@@ -82,7 +89,7 @@ def read_configurations(model: Any, srdf: str | PathLike[str] | None) -> dict[st
     """Return the configurations that an SRDF file names."""
     if srdf is None:
         return {}
-    read_xml(Path(srdf), "robot", "an SRDF file")
+    read_xml(file_path(srdf, "srdf", expected="an SRDF file"), "robot", "an SRDF file", "srdf")
     # A copy: the model that is handed out is the file's alone.
     named = model.copy()
     pin.loadReferenceConfigurations(named, str(srdf), False)
@@ -236,9 +243,9 @@ def drake_closures(root: Element, where: str) -> list[Closure]:
     return hinges_of_points(found)
 
 
-def _read_yaml(source: str | Path) -> tuple[list[Closure], dict[str, Any]]:
+def _read_yaml(source: str | PathLike[str]) -> tuple[list[Closure], dict[str, Any]]:
     """Return the closures of a YAML file, and what else it says."""
-    text, where = read_source(source, "closed_loop", "a YAML file of closures")
+    text, where = read_source(source, "closed_loop", "a YAML file of closures", "closures")
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:

@@ -13,10 +13,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.errors import DescriptionError
-from spm_pin.loops.closures import Anchor, Closure, JointEquality
+from spm_pin.errors import ArgumentError, DescriptionError
+from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
 from spm_pin.loops.links import JointKind, find_frame, place
-from spm_pin.support.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray, type_and_value
 
 _URDF = {"hinge": "revolute", "slide": "prismatic", "free": "floating", "ball": "revolute"}
 _SDF = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
@@ -26,12 +26,20 @@ _ARM = 0.1
 """Distance of the points that stand for a hinge or a weld [m]."""
 
 
+def _check_chain(chain: Any) -> None:
+    from spm_pin.loops.closed_chain import ClosedChain
+
+    if not isinstance(chain, ClosedChain | RobotDescription):
+        raise ArgumentError("chain", "a ClosedChain or a RobotDescription", type_and_value(chain))
+
+
 def mjcf_text(chain: Any) -> str:
     """Return a `ClosedChain` or `RobotDescription` as an MJCF file, which stands closed at its `q0`.
 
     Loops are anchored in bodies, so that Drake sees them too; in sites if the chain has ball joints that are turned at
     q0. A hinge is two `connect`s on its axis. q is the same vector, but MuJoCo has the scalar of quaternions first.
     """
+    _check_chain(chain)
     robot = _Robot(chain, chain.q0, in_link_frames=True, merge=True)
     model = robot.model
     by_bodies = robot.is_closed_at_reference()
@@ -91,6 +99,7 @@ def urdf_texts(chain: Any) -> tuple[str, str]:
     The URDF also has Drake's ball constraints, if it has no ball joints: URDF has none, so that they are revolute
     joints there, and `SPHERICAL` in the YAML file. Joints that follow others are `mimic` joints.
     """
+    _check_chain(chain)
     robot = _Robot(chain, pin.neutral(chain.model))
     balls = [name for name, kind in robot.kinds.items() if kind == "ball"]
     loops = []
@@ -149,6 +158,7 @@ def sdf_text(chain: Any) -> str:
     constraints. Floating links stand where they do at q0. Joints that follow others have a `mimic`; actuated joints are
     those with a limit of effort.
     """
+    _check_chain(chain)
     # An SDF file says where links float, and no other values.
     reference = pin.neutral(chain.model)
     for joint in chain.model.joints[1:]:

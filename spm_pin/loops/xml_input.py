@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -12,21 +11,23 @@ import pinocchio as pin
 
 from spm_pin.errors import DescriptionError
 from spm_pin.support.arguments import FloatArray
+from spm_pin.support.files import file_path
 
 
-def read_source(source: Any, beginning: str, kind: str) -> tuple[str, str]:
+def read_source(source: Any, beginning: str, kind: str, argument: str = "source") -> tuple[str, str]:
     """Return the text of a file, or of a source that is a text itself, and a name for messages."""
     if isinstance(source, str) and (source.lstrip().startswith(beginning) or "\n" in source):
         return source, "text"
+    path = file_path(source, argument, expected=f"{kind} or its text")
     try:
-        return Path(source).read_text(encoding="utf-8"), str(source)
-    except (OSError, UnicodeError, TypeError, ValueError) as error:
-        raise DescriptionError(str(source), f"{kind} or its text", str(error)) from None
+        return path.read_text(encoding="utf-8"), str(path)
+    except (OSError, ValueError) as error:
+        raise DescriptionError(str(path), f"{kind} or its text", str(error)) from None
 
 
-def read_xml(source: Any, root: str, kind: str) -> tuple[Element, str]:
+def read_xml(source: Any, root: str, kind: str, argument: str = "source") -> tuple[Element, str]:
     """Return the root element of a file or text, and a name for messages; `drake:tag` is read as `drake_tag`."""
-    text, where = read_source(source, "<", kind)
+    text, where = read_source(source, "<", kind, argument)
     try:
         # Drake itself does not need its prefix to be declared.
         found = ElementTree.fromstring(text.replace("<drake:", "<drake_").replace("</drake:", "</drake_"))

@@ -8,7 +8,7 @@ an `ArgumentError`, which `raised_as` turns into another kind.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -144,6 +144,18 @@ def choice(value: Any, argument: str, choices: Collection[str]) -> str:
         received = repr(value) if isinstance(value, str) else type_and_value(value)
         raise ArgumentError(argument, f"one of {', '.join(map(repr, choices))}", received)
     return value
+
+
+def name_sequence(value: Any, argument: str, of: str = "joints") -> tuple[str, ...]:
+    """Read a sequence of different names."""
+    expected = f"a sequence of names of {of}"
+    if isinstance(value, str):
+        raise ArgumentError(argument, expected, repr(value), f"[{value!r}]?")
+    if not isinstance(value, Sequence) or not all(isinstance(name, str) for name in value):
+        raise ArgumentError(argument, expected, type_and_value(value))
+    if len(set(value)) != len(value):
+        raise ArgumentError(argument, "each name once", ", ".join(value))
+    return tuple(value)
 
 
 def generator(value: Any, argument: str = "rng") -> np.random.Generator:
