@@ -109,6 +109,7 @@ def test_the_error_estimate_covers_the_error(resolution: int) -> None:
     assert abs(shell.volume - flux(SHELL)) < shell.volume_error
 
 
+@pytest.mark.filterwarnings("ignore:.*another unit")
 @settings(max_examples=12)
 @given(
     st.floats(0.4, 0.9),

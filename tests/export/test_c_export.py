@@ -230,7 +230,7 @@ def test_files_of_a_machine_name_the_kinds_of_its_legs() -> None:
     header = spm.export.c_sources(geometry)["spm_kinematics.h"]
     assert "double upper_prs[9]; /* rod, direction, sign" in header
     assert "spm_bodies" not in header
-    names = list(spm.casadi.c_export.machine_fields(PAPER))
+    names = list(spm.export.c_export.machine_fields(PAPER))
     assert names == ["dimensions", "axes", "pivots", "balls", "offsets", "minimum", "maximum"]
 
 
@@ -556,6 +556,7 @@ def test_no_function_needs_more_than_eight_kilobytes_of_stack(compiled: Path) ->
     assert 1000 < max(functions.values()) <= 8192, functions
 
 
+@pytest.mark.filterwarnings("ignore:.*another unit")
 @pytest.mark.parametrize("sizes", [(1e-9, 1e9, 1.0), (1.0, 1.001e3, 1.0), (1.0, 1.0, 0.999e-3)])
 def test_dimensions_too_far_apart_are_refused(sizes: tuple[float, float, float], tmp_path: Path) -> None:
     with pytest.raises(ArgumentError, match="geometry: expected dimensions within a factor of 1000"):
