@@ -20,7 +20,11 @@ _STAGE: OptionTable = {
     "base": (float, "RADIUS", "From the centre of the base to the pivots, in --unit."),
     "platform": (float, "RADIUS", "From the centre of the platform to the balls, in --unit."),
     "crank": (float, "LENGTH", "Of servos' cranks, in --unit: with --rod, legs RRS."),
-    "rod": (float, "LENGTH", "From knee or carriage to ball, in --unit: alone, legs PRS; without, RPS."),
+    "rod": (
+        float,
+        "LENGTH",
+        "From knee or carriage to ball, in --unit, of all three: alone, legs PRS; without, RPS. Unequal ones: --stage.",
+    ),
     "slide": (float, "DEGREES", "Direction of PRS legs' slides: 0 outwards, 90 upwards, the default."),
     "sign": (int, "±1", "Working mode: -1, knees outside and carriages below, the default, or 1."),
     "limits": (tuple[float, float], "MIN MAX", "Of the readings: in --unit, of servos in degrees."),

@@ -506,7 +506,13 @@ def _print_front(front: Front) -> None:
 
     columns: dict[str, Callable[[int | None], str]] = {"row": title}
     columns |= {f"{name} [{problem.unit(name)}]": partial(size, k) for k, name in enumerate(problem.free)}
-    columns |= {name: partial(value, name) for name in problem.columns}
+    metrics = {f"{name}_{which}": metric.unit for name, metric in sweeps.METRICS.items() for which in ("mean", "low")}
+    kinds = problem.geometry.legs.kinds
+    units = metrics | {"volume": "m³ rad³", "footprint": "m²", "task_margin": "m"}
+    units["task_effort"] = " or ".join(dict.fromkeys("N m" if kind.unit == "rad" else "N" for kind in kinds))
+    for name in problem.columns:
+        unit = units.get(name, "1")
+        columns[name if unit == "1" else f"{name} [{unit}]"] = partial(value, name)
     outputs.print_table("Machines that no other beats in all aims", columns, rows)
     better = int(front.better.sum())
     text = f"{len(front.evaluated)} machines evaluated, {len(designs)} on the front, {better} of them at least as good"

@@ -71,7 +71,8 @@ class Certificate:
     """The subdivision of the upper stage."""
     witness: Configuration | None
     """A forward singular configuration within the limits, where one was found; None otherwise. It lies in a box that is
-    joined to the home through other boxes, so it may still not be joined to the home itself."""
+    joined to the home through other boxes of the nominal machine alone, without errors, so it may still not be joined
+    to the home itself."""
     errors: tuple[float, float] = (0.0, 0.0)
     """The `length_error` [m] and `angle_error` [rad] of the machines it is proved for, see `certify`."""
 
@@ -150,6 +151,11 @@ class Certificate:
                 "Not proved: a configuration of the nominal machine within the limits is forward singular, with",
                 f"({self._readings(self.witness)}), in a box that a chain of touching boxes joins to that of the home.",
                 *self._whose(),
+            ]
+        elif self.lower.singular is not None or self.upper.singular is not None:
+            lines += [
+                "Undecided, for errors this large: boxes that they leave undecided lead to a singular configuration,",
+                "where none was found for the nominal machine alone. Smaller errors help, and narrower limits.",
             ]
         else:
             smaller = ", or smaller errors" if any(self.errors) else ""
@@ -249,9 +255,13 @@ def certify(
     starts = region_coordinates(middle)
     regions = stage_regions(nominal, limits, errors)
     proofs = [prove_stage(region, start, most=boxes) for region, start in zip(regions, starts, strict=True)]
-    witness = None
-    if any(proof.singular is not None for proof in proofs):
-        pairs = zip(starts, proofs, strict=True)
+    witness, found = None, proofs
+    if any(errors) and any(proof.singular is not None for proof in proofs):
+        # Boxes that the errors leave undecided may lead to states that the nominal machine does not reach.
+        alone = stage_regions(nominal, limits, (0.0, 0.0))
+        found = [prove_stage(region, start, most=boxes) for region, start in zip(alone, starts, strict=True)]
+    if any(proof.singular is not None for proof in found):
+        pairs = zip(starts, found, strict=True)
         states = [start if proof.singular is None else proof.singular for start, proof in pairs]
         witness = configuration_at(nominal, np.stack(states))
     return Certificate(nominal, limits, proofs[0], proofs[1], witness, errors)

@@ -177,6 +177,8 @@ def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None
     done = run(*command, "--choose", "0", "--out", tmp_path / "chosen.yaml")
     assert done.returncode == 0, done.stderr
     assert "began with" in done.stdout
+    heading = next(line for line in done.stdout.splitlines() if line.startswith(" row "))
+    assert heading.endswith("payload_low [N]  footprint [m²]  assembled")
     assert "24 machines evaluated" in done.stdout
     content = json.loads(run(*command, "--json").stdout)
     chosen = spm.Geometry.from_yaml(tmp_path / "chosen.yaml")

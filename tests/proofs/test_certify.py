@@ -239,6 +239,15 @@ def test_too_few_boxes_leave_it_undecided() -> None:
     assert not found.covers(spm.forward_physical(PAPER, np.full(6, 1.3)))
 
 
+def test_errors_do_not_make_the_nominal_machine_singular_where_it_is_proved_not_to_be() -> None:
+    geometry, wide, narrow = spm.Geometry(0.25, 0.12, 0.30), spm.LegLimits(0.35, 0.5), spm.LegLimits(0.38, 0.46)
+    assert spm.certify(geometry, wide).holds
+    found = spm.certify(geometry, narrow, boxes=60_000, length_error=0.0132, angle_error=0.0019)
+    assert found.lower.singular is not None or found.upper.singular is not None
+    assert (found.verdict, found.witness) == ("undecided", None)
+    assert "for errors this large" in found.explain()
+
+
 def test_states_of_a_path_in_certified_limits(certificate: spm.Certificate) -> None:
     inside, outside = [1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.2, 1.2, 1.4, 1.25, 1.2, 1.6]
     straight = spm.follow(PAPER, np.array([inside, [1.3] * 6]), samples=20, certificate=certificate)
