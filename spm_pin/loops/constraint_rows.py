@@ -97,7 +97,9 @@ class ConstraintRows:
             if ends[0][0] == ends[1][0]:
                 cause = "Fixed joints alone hold them together: the loop has no joint that moves"
                 received = f"{closure.first.frame!r} and {closure.second.frame!r}"
-                raise ArgumentError(f"closure {names[k]!r}", "frames of two links that can move", received, cause)
+                raise ArgumentError(
+                    f"closure {names[k]!r}", "frames of two links that move against each other", received, cause
+                )
             self.joints.append([joint for joint, _ in ends])
             self.placements.append([placement for _, placement in ends])
         self.signs = np.zeros((len(self.closures), model.nv))

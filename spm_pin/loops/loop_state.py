@@ -201,7 +201,7 @@ class LoopState:
             wanted -= least.take(np.concatenate([kinematics.actuated, kinematics.base]))
         rates, missed = kinematics.rates.solve(wanted)
         if missed > AGREEMENT * max(largest(wanted / kinematics.rates.scales), largest(rates)):
-            expected = "values on which the closures agree"
+            expected = "values that are compatible with the closures"
             cause = "There are more actuators than freedoms, or loops lock one: see mobility"
             raise ArgumentError(argument, expected, f"values that are {missed:.1e} off", cause)
         return np.asarray(kinematics.space.basis.dot(rates))

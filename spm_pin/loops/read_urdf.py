@@ -196,7 +196,7 @@ def _inertia(link: Element, where: str) -> Any:
         return pin.Inertia.Zero()
     mass, inertia = node.find("mass"), node.find("inertia")
     if mass is None or inertia is None:
-        raise DescriptionError(at, "a mass and an inertia in <inertial>", "not both")
+        raise DescriptionError(at, "<mass> and <inertia> in <inertial>", "only one of them")
     keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     moments = [number(inertia.get(key), f"{at}, {key}", 0.0) for key in keys]
     return inertia_of(number(mass.get("value"), f"{at}, mass"), moments, _origin(node.find("origin"), at), at)

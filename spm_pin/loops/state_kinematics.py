@@ -252,7 +252,7 @@ class StateKinematics:
         if info:
             still = ", ".join(self.moving_joints(basis)[:4])
             raise ArgumentError(
-                "model", "inertias of all that moves", f"motion without inertia, of {still} among others"
+                "model", "inertias for all moving links", f"a motion without inertia, which moves {still}"
             )
         return np.asarray(least + basis.dot(free))
 
