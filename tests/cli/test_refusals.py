@@ -57,10 +57,13 @@ REFUSED = [
     ("draw --out x.png --background notacolour", "--background: expected a colour"),
     ("draw --out x.png --width 100000", "--width: expected at most"),
     # export, urdf
-    ("export", "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, c-stage, linuxcnc, ros, ros2, got none"),
+    (
+        "export",
+        "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, c-stage, linuxcnc, ros, ros2, got none",
+    ),
     (
         "export mjcf --format sdf",
-        "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, c-stage, linuxcnc, ros, got two",
+        "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, c-stage, linuxcnc, ros, ros2, got two",
     ),
     ("export --format collada", "collada"),
     ("export --format mjcf --ros-constraints", "--ros-constraints: expected to be left out with --format mjcf"),
