@@ -141,6 +141,7 @@ def with_masses(urdf: str, masses: Masses, prefix: str) -> str:
     """Return the text of a URDF with other masses."""
     root = ElementTree.fromstring(urdf, ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True)))
     links = {str(link.get("name")).removeprefix(prefix): link for link in root.iter("link")}
+    links.pop("root", None)  # which ROS must find without a mass
     changed: dict[str, RigidBody] = {}
     for pattern, body in masses.bodies.items():
         fitting = [name for name in links if fnmatchcase(name, pattern)]

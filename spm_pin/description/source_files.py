@@ -106,6 +106,7 @@ def urdf_text(
     meshes: str | None = None,
     ros_constraints: bool = False,
     masses: Masses | None = None,
+    root: bool = False,
 ) -> str:
     """Return the URDF of a machine: its spanning tree, the loops closed by Drake's ball constraints.
 
@@ -122,6 +123,9 @@ def urdf_text(
         Close the loops by `<constraint>` as well, as proposed in https://github.com/ros/urdfdom/pull/264.
     masses : Masses, optional
         Of the machine's bodies, and a payload. By default assumed ones, in proportion to the machine's size.
+    root : bool
+        Begin with a link `root` without an inertia, to which `base` is fixed: for ROS, where KDL warns of a root link
+        that has one.
     """
     check_prefix(prefix)
     as_bool(ros_constraints, "ros_constraints")
@@ -133,7 +137,7 @@ def urdf_text(
     if masses is not None:
         check_instance(masses, Masses, "masses")
     folder_of_meshes = (description_directory() / MESHES).as_posix() if meshes is None else meshes
-    text = _expanded(entry, argument, machine, prefix, folder_of_meshes)
+    text = _expanded(entry, argument, machine, prefix, folder_of_meshes, as_bool(root, "root"))
     if masses is not None:
         text = with_masses(text, masses, prefix)
     if ros_constraints:
@@ -144,14 +148,14 @@ def urdf_text(
 
 
 @lru_cache(maxsize=16)
-def _expanded(entry: str, argument: str, machine: Mechanism, prefix: str, meshes: str) -> str:
+def _expanded(entry: str, argument: str, machine: Mechanism, prefix: str, meshes: str, root: bool) -> str:
     """Return the text that xacro makes, which takes a fifth of a second."""
     import xacro
 
     with tempfile.TemporaryDirectory() as folder, _XACRO:
         path = Path(folder) / "machine.yaml"
         machine.to_yaml(path)
-        mappings = {"prefix": prefix, argument: str(path), "meshes": meshes}
+        mappings = {"prefix": prefix, argument: str(path), "meshes": meshes, "root": str(root).lower()}
         expanded = xacro.process_file(str(description_file(entry)), mappings=mappings)
     return str(expanded.documentElement.toprettyxml(indent="  "))
 

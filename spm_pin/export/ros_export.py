@@ -53,7 +53,7 @@ def ros_package(
     """
     name = re.sub(r"[^a-z0-9]+", "_", f"{prefix}spm_".lower()).lstrip("_")
     package = f"{name}robot" if package is None else _checked_name(package, "package")
-    urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses)
+    urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses, root=True)
     sources = c_sources(geometry, prefix=name, masses=masses)
     names = actuated_joints(geometry), joint_names(geometry)
     fields = machine_fields(geometry)

@@ -7,15 +7,17 @@ import subprocess
 import sysconfig
 from collections.abc import Iterable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import trimesh
 from description.kinematic_tree import STATES, TREE, Array, origin, vector
-from engines import Mujoco
+from engines import Drake, Mujoco, Pinocchio, Yourdfpy
 from problems import GEOMETRIES
 
-from spm_pin.description import urdf_text
+import spm_pin as spm
+from spm_pin.description import Masses, urdf_text
 from spm_pin.description.source_files import MJCF, URDF, description_directory, description_file
 
 
@@ -34,6 +36,42 @@ def test_check_urdf(name: str, tmp_path: Path) -> None:
         assert answer.stderr == ""
         assert "Successfully Parsed XML" in answer.stdout
         assert answer.stdout.count("child(") == 1 + len(TREE.joints)
+
+
+@pytest.mark.parametrize("prefix", ["", "left_"])
+@pytest.mark.parametrize(
+    "machine", [None, spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))], ids=["robot", "stage"]
+)
+def test_the_root_for_ros_has_no_inertia_and_carries_the_base(machine: spm.Stage | None, prefix: str) -> None:
+    masses = Masses(bodies={"*": {"mass": 0.1}})
+    plain, rooted = (
+        ElementTree.fromstring(urdf_text(machine, prefix=prefix, root=root, masses=masses)) for root in (False, True)
+    )
+    links = {link.get("name"): link for link in rooted.findall("link")}
+    (root,) = links.keys() - {child.get("link") for child in rooted.iter("child")}
+    assert root == f"{prefix}root"
+    assert len(links.pop(root)) == 0
+    assert list(links) == [link.get("name") for link in plain.findall("link")]
+
+
+@pytest.mark.parametrize("engine", [Pinocchio, Mujoco, Drake, Yourdfpy])
+def test_engines_place_the_robot_on_the_root_for_ros_as_without_it(engine: type, tmp_path: Path) -> None:
+    pytest.importorskip({Pinocchio: "pinocchio", Mujoco: "mujoco", Drake: "pydrake", Yourdfpy: "yourdfpy"}[engine])
+    robots = []
+    for root in (False, True):
+        file = tmp_path / f"{root}.urdf"
+        file.write_text(urdf_text(root=root), encoding="utf-8")
+        robots.append(engine(file))
+    plain, rooted = robots
+    assert rooted.joints == plain.joints
+    values = STATES["reference"]
+    frames, expected = (robot.frames(values) for robot in (rooted, plain))
+    assert frames.keys() >= expected.keys()
+    for link, pose in expected.items():
+        np.testing.assert_allclose(frames[link], pose, rtol=0, atol=1e-14)
+    if engine is not Yourdfpy:
+        np.testing.assert_allclose(rooted.gaps(values), 0.0, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(rooted.mass_matrix(values), plain.mass_matrix(values), rtol=0, atol=1e-12)
 
 
 def mesh_boxes() -> Array:

@@ -117,7 +117,7 @@ def test_launch(prefix: str, state: str) -> None:
     text = publisher.parameters[0]["robot_description"]
     same = (
         ElementTree.canonicalize(each, strip_text=True)
-        for each in (text, urdf_text(prefix=prefix, meshes="package://spm_description/meshes"))
+        for each in (text, urdf_text(prefix=prefix, meshes="package://spm_description/meshes", root=True))
     )
     assert len(set(same)) == 1
     assert joints.package == "joint_state_publisher"

@@ -31,7 +31,7 @@ def nodes(context):
     """Return the nodes for the arguments given."""
     given = {key: LaunchConfiguration(key).perform(context) for key in ("prefix", "state", "gui", "rviz")}
     prefix = given["prefix"]
-    arguments = {"prefix": prefix, "meshes": "package://spm_description/meshes"}
+    arguments = {"prefix": prefix, "meshes": "package://spm_description/meshes", "root": "true"}
     robot = xacro.process_file(str(FOLDER / "spm.urdf.xacro"), mappings=arguments).toxml()
     publisher = "joint_state_publisher_gui" if given["gui"] == "true" else "joint_state_publisher"
     started = [
