@@ -29,7 +29,7 @@ def read_mjcf(source: Any, *, actuated: Sequence[str] | None = None) -> RobotDes
     Notes
     -----
     Read are bodies, all joints, sites, active `connect`, `weld` and `joint` equalities, actuators, keyframes, joint
-    limits, armature, damping and friction, and gravity. Two `connect`s between the same bodies, as far apart on one as
+    limits, armature, damping and friction, and gravity. Two points between the same bodies, as far apart on one as
     on the other, are read as the hinge that they make. q is MuJoCo's `qpos`, `ref` included, but quaternions have
     their scalar last, as in Pinocchio. A joint without a name is called after its body, `shin_joint1`; a site with the
     name of a body `foot_site`. Not part of the model are contacts, springs, tendons' forces and gears of actuators.

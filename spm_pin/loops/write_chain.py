@@ -37,7 +37,7 @@ def mjcf_text(chain: Any) -> str:
     """Return a `ClosedChain` or `RobotDescription` as an MJCF file, which stands closed at its `q0`.
 
     Loops are anchored in bodies, so that Drake sees them too; in sites if the chain has ball joints that are turned at
-    q0. A hinge is two `connect`s on its axis. q is the same vector, but MuJoCo has the scalar of quaternions first.
+    q0. A hinge becomes two points on its axis. q is the same vector, but MuJoCo has the scalar of quaternions first.
     """
     _check_chain(chain)
     robot = _Robot(chain, chain.q0, in_link_frames=True, merge=True)
