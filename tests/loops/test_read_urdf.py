@@ -188,7 +188,7 @@ FAULTS = {
     "not numbers": (LINKAGE.replace('xyz="0.1 0 0"', 'xyz="0.1 0 zero"'), None, "3 finite numbers"),
     "infinite": (LINKAGE.replace('xyz="0.3 0 0"', 'xyz="inf 0 0"'), None, "3 finite numbers"),
     "negative mass": (LINKAGE.replace('mass value="1"', 'mass value="-1"'), None, "not negative"),
-    "no mass": (LINKAGE.replace('<mass value="1"/>', ""), None, "a mass and an inertia"),
+    "no mass": (LINKAGE.replace('<mass value="1"/>', ""), None, "<mass> and <inertia> in <inertial>"),
     "a mimic of nothing": (LINKAGE.replace('mimic joint="turn"', 'mimic joint="gone"'), None, "a joint of one degree"),
     "a motor of nothing": (
         LINKAGE.replace('<transmission name="m"><joint name="turn"/>', '<transmission name="m"><joint name="gone"/>'),
