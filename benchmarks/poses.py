@@ -10,13 +10,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 
 KINDS = ("leg lengths", "all rotations", "nearly level", "near a fold")
 """Kinds of poses that `mixture` makes."""
 
 
-def as_built(size: float) -> spm.Geometry:
+def as_built(size: float) -> spm.Manipulator:
     """Return a machine with random errors [m and rad] whose two balls at a corner coincide."""
     machine = GEOMETRY.perturbed(0, length=size, angle=size)
     balls = np.tile(machine.legs.balls[:3], (2, 1))

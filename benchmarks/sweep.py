@@ -24,7 +24,7 @@ import spm_pin as spm
 from spm_pin.sweeps.domains import Domain, SweepPlan
 from spm_pin.sweeps.runner import CHUNK
 
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 METRICS = ("reachable", "branches", "conditioning", "payload")
 MIB = 2**20
 

@@ -12,9 +12,9 @@ import numpy as np
 import spm_pin as spm
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-geometry = spm.Geometry.paper()
+machine = spm.Manipulator.paper()
 pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-branches = spm.inverse_displacement(geometry, pose)
+branches = spm.inverse_displacement(machine, pose)
 
 print(branches)
 real = [label for label in branches.labels if branches[label].exists]
@@ -22,9 +22,9 @@ for label in real:
     branch = branches[label]
     print(label, np.round(branch.leg_lengths, 4), "m, gap", f"{branch.closure_residual:.0e} m")
 
-machine = branches.physical()
-print("The physical branch:", machine)
-print("500 N down on the platform:", np.round(spm.leg_forces(machine, [0, 0, -500, 0, 0, 0]), 1), "N in the legs")
+state = branches.physical()
+print("The physical branch:", state)
+print("500 N down on the platform:", np.round(spm.leg_forces(state, [0, 0, -500, 0, 0, 0]), 1), "N in the legs")
 
 figure, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")
 ax.axhspan(1.10, 1.50, color="0.9", label="limits")

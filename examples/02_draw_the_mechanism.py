@@ -14,7 +14,7 @@ from spm_pin.display import draw
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-branches = spm.inverse_displacement(spm.Geometry.paper(), pose)
+branches = spm.inverse_displacement(spm.Manipulator.paper(), pose)
 
 figure = Figure(figsize=(7, 4.9))
 draw(branches.physical(), ax=figure.add_axes((0, 0, 0.44, 1)))

@@ -13,9 +13,9 @@ import spm_pin as spm
 from spm_pin.crosscheck.paper import jacobian
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-geometry = spm.Geometry.paper()
+machine = spm.Manipulator.paper()
 pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-branches = spm.inverse_displacement(geometry, pose)
+branches = spm.inverse_displacement(machine, pose)
 chain = spm.ClosedChain.from_urdf()
 
 real = [label for label in branches.labels if branches[label].exists]
@@ -32,7 +32,7 @@ for label in real:
     print("".join(f", {method} off by {values[-1]:.0e}" for method, values in off.items()))
 
 # At random states the methods differ by rounding, and by nothing else: more only as the Jacobian is worse conditioned.
-states = spm.forward_physical(geometry, np.random.default_rng(0).uniform(1.1, 1.5, (300, 6)))
+states = spm.forward_physical(machine, np.random.default_rng(0).uniform(1.1, 1.5, (300, 6)))
 closed_form = spm.inverse_jacobian(states)
 size = np.abs(closed_form).max(axis=(1, 2))
 others = {

@@ -12,11 +12,11 @@ import numpy as np
 import spm_pin as spm
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-geometry = spm.Geometry.paper()
+machine = spm.Manipulator.paper()
 legs = np.array(
     [[1.20, 1.20, 1.40, 1.25, 1.20, 1.45], [1.45, 1.15, 1.30, 1.20, 1.50, 1.35], [1.10, 1.35, 1.60, 1.30, 1.40, 1.20]]
 )
-path = spm.follow(geometry, legs)
+path = spm.follow(machine, legs)
 
 print(f"{len(path.parameters)} steps in mode {path.labels[0]}, to the end: {path.complete}")
 for event in path.events:

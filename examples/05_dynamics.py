@@ -18,7 +18,7 @@ lengths = [
     [1.25, 1.23, 1.40, 1.25, 1.22, 1.45],
     [1.22, 1.20, 1.42, 1.24, 1.18, 1.42],
 ]
-poses = spm.forward_physical(chain.geometry, lengths).pose
+poses = spm.forward_physical(chain.machine, lengths).pose
 q0 = chain.inverse_kinematics(poses[0])
 
 # Inverse dynamics: all joints of the path, and what the actuators give.

@@ -39,7 +39,7 @@ def controller(stiffness, damping):
     return forces
 
 
-q0 = chain.joint_values(spm.inverse_displacement(chain.geometry, poses[0]).physical())
+q0 = chain.joint_values(spm.inverse_displacement(chain.machine, poses[0]).physical())
 state = chain.state(q0)  # what one call about q and v computes, the next one finds
 times = np.linspace(0.0, 0.6, 25)
 off = {}

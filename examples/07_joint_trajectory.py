@@ -28,7 +28,7 @@ lengths = [
     [1.25, 1.23, 1.40, 1.25, 1.22, 1.45],
     [1.22, 1.20, 1.42, 1.24, 1.18, 1.42],
 ]
-poses = spm.forward_physical(chain.geometry, lengths).pose
+poses = spm.forward_physical(chain.machine, lengths).pose
 start = chain.inverse_kinematics(poses[0])
 path = spm.PlatformPath([0.0, 1.0, 2.0], poses, ease=True)
 trajectory = chain.joint_trajectory(path, np.linspace(0.0, 2.0, 501), near=start)

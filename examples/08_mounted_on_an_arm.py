@@ -16,7 +16,7 @@ from spm_pin.display import draw
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 arm = example_robot_data.load("ur5")
-wrist = spm.ClosedChain.from_urdf(geometry=spm.Geometry(0.06, 0.04, 0.05), prefix="spm_")
+wrist = spm.ClosedChain.from_urdf(machine=spm.Manipulator(0.06, 0.04, 0.05), prefix="spm_")
 both = wrist.mounted_on(arm, "tool0", pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.02])))
 print(both)
 

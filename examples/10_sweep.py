@@ -15,7 +15,7 @@ if __name__ == "__main__":  # worker processes import this file
     legs = (1.10, 1.50, 101)
     grid = spm.sweeps.leg_grid(lower=[legs, legs, 1.30], upper=[1.25, 1.20, 1.40])
     found = spm.sweeps.run_sweep(
-        spm.Geometry.paper(), grid, ["conditioning", "det_structure"], folder / "map.zarr", workers=1
+        spm.Manipulator.paper(), grid, ["conditioning", "det_structure"], folder / "map.zarr", workers=1
     )
 
     found = found.load()  # small enough for memory; Dask's arrays otherwise

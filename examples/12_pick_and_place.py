@@ -14,14 +14,14 @@ from spm_pin.motion import Payload
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 chain = spm.ClosedChain.from_urdf()
-geometry, limits = chain.geometry, spm.LegLimits(1.1, 1.5)
+machine, limits = chain.machine, spm.LegLimits(1.1, 1.5)
 
-rest = spm.forward_physical(geometry, [1.30, 1.30, 1.30, 1.30, 1.30, 1.30])
-pick = spm.forward_physical(geometry, [1.46, 1.16, 1.27, 1.32, 1.14, 1.47])
-place = spm.forward_physical(geometry, [1.23, 1.20, 1.15, 1.26, 1.21, 1.34])
+rest = spm.forward_physical(machine, [1.30, 1.30, 1.30, 1.30, 1.30, 1.30])
+pick = spm.forward_physical(machine, [1.46, 1.16, 1.27, 1.32, 1.14, 1.47])
+place = spm.forward_physical(machine, [1.23, 1.20, 1.15, 1.26, 1.21, 1.34])
 
 # In these limits no state is forward singular: proved once, then true of every path.
-certificate = spm.certify(geometry, limits)
+certificate = spm.certify(machine, limits)
 largest = {"leg_forces": 1500.0, "leg_rates": 0.6}
 moves = [
     ("to the pick", rest, pick, None),
@@ -39,8 +39,8 @@ figure, axes = plt.subplot_mosaic(
 colours = ["#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7"]
 begin = 0.0
 for name, start, goal, payload in moves:
-    straight = spm.plan(geometry, start, goal, limits, line="poses")
-    plan = spm.plan(geometry, start, goal, limits, certificate=certificate)
+    straight = spm.plan(machine, start, goal, limits, line="poses")
+    plan = spm.plan(machine, start, goal, limits, certificate=certificate)
     fastest = spm.time_optimal(chain, plan, payload=payload, **largest)
     motion = spm.time_optimal(chain, plan, payload=payload, leg_jerks=60.0, **largest)
     seconds = f"{motion.times[-1]:.2f} s, {fastest.times[-1]:.2f} s if forces may jump"
@@ -61,7 +61,7 @@ for name, start, goal, payload in moves:
 # What a straight line of the platform from the pick to the place would need.
 share = np.linspace(0.0, 1.0, 200)
 ends = spm.pose([pick.translation, place.translation], rotation=[pick.rotation, place.rotation])
-line = spm.inverse_physical(geometry, spm.PlatformPath([0.0, 1.0], ends)(share).pose)
+line = spm.inverse_physical(machine, spm.PlatformPath([0.0, 1.0], ends)(share).pose)
 outside = ~limits.contains(line.readings)
 y, z = line.translation[:, 1], line.translation[:, 2]
 axes["way"].plot(y, z, color="#c00000", ls=":", lw=1.6)

@@ -13,18 +13,18 @@ import numpy as np
 import spm_pin as spm
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-geometry = spm.Geometry.paper()
+machine = spm.Manipulator.paper()
 count, duration, mass, height = 40, 2.0, 80.0, 0.25  # intervals, s, kg, and m above the platform
 step = duration / count
 
 # What it is compared with, and begins from: the legs straight from length to length, with a smooth start and stop.
 times = np.linspace(0.0, 1.0, count + 1)
 first, last = np.array([[1.19, 1.43, 1.43, 1.39, 1.43, 1.23], [1.15, 1.44, 1.33, 1.14, 1.39, 1.24]])
-straight = spm.forward_physical(geometry, first + (last - first) * (3 * times**2 - 2 * times**3)[:, None])
+straight = spm.forward_physical(machine, first + (last - first) * (3 * times**2 - 2 * times**3)[:, None])
 guess = np.concatenate([straight.translation, straight.pose.rotation.as_euler("XYX")], axis=-1).T
 label = "TT+"
-assert np.allclose(spm.inverse_displacement(geometry, straight.pose)[label].leg_lengths, straight.leg_lengths)
-inverse, leg_forces = spm.casadi.inverse_branch(label, geometry), spm.casadi.leg_forces(geometry)
+assert np.allclose(spm.inverse_displacement(machine, straight.pose)[label].leg_lengths, straight.leg_lengths)
+inverse, leg_forces = spm.casadi.inverse_branch(label, machine), spm.casadi.leg_forces(machine)
 
 # Forces and lengths of one instant, from the coordinates y = (o, X-Y-X angles) and their accelerations.
 y, acceleration = ca.SX.sym("y", 6), ca.SX.sym("a", 6)
@@ -71,7 +71,7 @@ for name, (f, q, _) in runs.items():
           f"{q.min():.3f} to {q.max():.3f} m")  # fmt: skip
 
 # The package agrees: the lengths of the optimum lead back to its poses.
-again = spm.forward_physical(geometry, runs["least forces"][1].T)
+again = spm.forward_physical(machine, runs["least forces"][1].T)
 print(f"poses come back to {np.abs(again.translation - found[:3, :-1].T).max():.0e} m")
 
 figure, axes = plt.subplots(2, 2, figsize=(9, 6), sharex=True, sharey="row", layout="constrained")

@@ -17,7 +17,7 @@ import spm_pin as spm
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 sources = Path(__file__).parent / "controllers"
-geometry = spm.Geometry.paper()
+nominal = spm.Manipulator.paper()
 random = np.random.default_rng(0)
 
 
@@ -32,8 +32,8 @@ def spm_pin(*arguments: object) -> str:
 
 
 # Measure forty poses of a machine that nobody knows: laser tracker 10 µm and 10 µrad, encoders 1 µm.
-machine = geometry.perturbed(random, length=1e-4, angle=1e-4)
-readings = spm.calibration.choose_poses(geometry, 40, rng=random).leg_lengths
+machine = nominal.perturbed(random, length=1e-4, angle=1e-4)
+readings = spm.calibration.choose_poses(nominal, 40, rng=random).leg_lengths
 poses = spm.forward_physical(machine, readings)
 position = poses.translation + 1e-5 * random.standard_normal((40, 3))
 noise = Rotation.from_rotvec(1e-5 * random.standard_normal((40, 3)))
@@ -47,13 +47,13 @@ print(spm_pin("calibrate", folder / "measurements.csv", "--out", folder / "machi
 machine.to_yaml(folder / "true.yaml")
 spm_pin("export", "c", "--out", folder / "nominal")
 for name in ("machine", "true"):
-    spm_pin("export", "c", "--geometry", folder / f"{name}.yaml", "--out", folder / name)
+    spm_pin("export", "c", "--machine", folder / f"{name}.yaml", "--out", folder / name)
 program, c = folder / "follow_path", folder / "nominal"
 inputs = sources / "follow_path.c", c / "spm_kinematics.c"
 run("cc", "-std=c99", "-O2", "-I", c, *inputs, "-lm", "-o", program)
 
 # Ten thousand ticks along a closed path of 4 cm and 2°, on the model as drawn and on the one identified.
-start = spm.forward_physical(geometry, [1.2, 1.3, 1.4, 1.2, 1.3, 1.4])
+start = spm.forward_physical(nominal, [1.2, 1.3, 1.4, 1.2, 1.3, 1.4])
 phase = np.linspace(0.0, 2.0 * np.pi, 10_000)[:, None]
 position = start.translation + 0.02 * np.sin(phase * [1, 2, 3])
 rotation = Rotation.from_rotvec(np.deg2rad(1.0) * np.sin(phase * [3, 1, 2])) * Rotation.from_matrix(start.rotation)

@@ -15,16 +15,16 @@ import spm_pin as spm
 from spm_pin import arrays
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-geometry = spm.Geometry.paper()
+machine = spm.Manipulator.paper()
 environments, steps = 64, 200
-model = mujoco.MjModel.from_xml_string(spm.description.mjcf_text(geometry, collisions="none"))
+model = mujoco.MjModel.from_xml_string(spm.description.mjcf_text(machine, collisions="none"))
 
 # Random leg lengths within the limits; all eighteen joints follow.
 rng = np.random.default_rng(0)
-lengths = rng.uniform(geometry.limits.minimum, geometry.limits.maximum, (environments, 6))
-states = arrays.forward_physical(geometry, lengths)
+lengths = rng.uniform(machine.limits.minimum, machine.limits.maximum, (environments, 6))
+states = arrays.forward_physical(machine, lengths)
 order = [arrays.JOINTS.index(model.joint(k).name) for k in range(model.njnt)]
-q = arrays.joint_values(geometry, states)[:, order]
+q = arrays.joint_values(machine, states)[:, order]
 
 # The loops at reset: MuJoCo's own errors of its equality constraints.
 data, gaps = mujoco.MjData(model), []

@@ -40,15 +40,15 @@ Proved for every pose: which branches are real, and that exactly one solution li
 """
 
 
-def certified_poses(geometry: spm.Geometry, count: int, seed: int) -> dict[str, np.ndarray]:
+def certified_poses(machine: spm.Manipulator, count: int, seed: int) -> dict[str, np.ndarray]:
     """Return the arrays of the data set."""
     rng = np.random.default_rng(seed)
-    certificate = spm.certify(geometry, geometry.limits)
+    certificate = spm.certify(machine, machine.limits)
     parts: dict[str, list[np.ndarray]] = {}
     missing = count
     while missing > 0:
-        poses = in_leg_space(geometry, min(missing, CHUNK), rng)
-        solutions = spm.inverse_displacement(geometry, poses, certify=True)
+        poses = in_leg_space(machine, min(missing, CHUNK), rng)
+        solutions = spm.inverse_displacement(machine, poses, certify=True)
         assert solutions.certain is not None
         assert solutions.radius is not None
         proved = np.isfinite(solutions.radius) | ~solutions.exists
@@ -73,19 +73,19 @@ def certified_poses(geometry: spm.Geometry, count: int, seed: int) -> dict[str, 
 def write(folder: Path, count: int, seed: int) -> None:
     """Write the data set into a new folder."""
     folder.mkdir(parents=True)
-    geometry = spm.Geometry.paper()
-    for name, values in certified_poses(geometry, count, seed).items():
+    machine = spm.Manipulator.paper()
+    for name, values in certified_poses(machine, count, seed).items():
         np.save(folder / f"{name}.npy", values)
-    limits = f"{geometry.limits.minimum[0]:g} to {geometry.limits.maximum[0]:g}"
+    limits = f"{machine.limits.minimum[0]:g} to {machine.limits.maximum[0]:g}"
     text = DESCRIPTION.format(
         count=count,
         seed=seed,
         version=spm.__version__,
-        base=f"{geometry.base_radius:.17g}",
-        platform=f"{geometry.platform_radius:.17g}",
-        side=f"{geometry.middle_side:.17g}",
+        base=f"{machine.base_radius:.17g}",
+        platform=f"{machine.platform_radius:.17g}",
+        side=f"{machine.middle_side:.17g}",
         limits=limits,
-        labels=", ".join(spm.inverse_displacement(geometry, in_leg_space(geometry, 1, seed)).labels),
+        labels=", ".join(spm.inverse_displacement(machine, in_leg_space(machine, 1, seed)).labels),
     )
     (folder / "README.md").write_text(text, encoding="utf-8")
     files = sorted(folder.iterdir())

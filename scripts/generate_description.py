@@ -25,7 +25,7 @@ REFERENCE = "3"
 def named_states() -> dict[str, spm.Configuration]:
     """Return the real solutions of the paper's example under their numbers there, recognised by b_2's Y of Table 2."""
     pose = spm.pose(0.01 * np.array(POSITION), xyx=np.deg2rad(XYX_DEGREES))
-    branches = spm.inverse_displacement(spm.Geometry.paper(), pose)
+    branches = spm.inverse_displacement(spm.Manipulator.paper(), pose)
     states = {}
     for number, printed in enumerate(TABLE_2[1], start=1):
         if printed is None or printed.endswith("i"):

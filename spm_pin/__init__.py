@@ -1,7 +1,7 @@
 """Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator and of its stages.
 
-A `Stage`, three planar legs under a platform, is a machine of its own, see `spm_pin.stages`; a `Geometry` is two. The
-names of everyday use are here. All else is in public modules: `spm_pin.machine` (dimensions, states, sets of
+A `Stage`, three planar legs under a platform, is a machine of its own, see `spm_pin.stages`; a `Manipulator` is two.
+The names of everyday use are here. All else is in public modules: `spm_pin.machine` (dimensions, states, sets of
 states), `spm_pin.kinematics` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
 `spm_pin.capability`, `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.casadi`, `spm_pin.arrays` (JAX and others),
 `spm_pin.multibody` (the robot in Pinocchio), `spm_pin.motion`, `spm_pin.design`, `spm_pin.crosscheck` (methods
@@ -10,6 +10,7 @@ compared, the paper line by line, the search by CasADi), `spm_pin.description` (
 closed loops is a chain of `spm_pin.loops`.
 """
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -62,8 +63,8 @@ if TYPE_CHECKING:
         RPS,
         RRS,
         Configuration,
-        Geometry,
         LegLimits,
+        Manipulator,
         SolutionSet,
         Stage,
         Status,
@@ -78,7 +79,7 @@ __version__ = "0.3.0"
 
 __all__ = ["ArgumentError", "ClosureError", "GeometryError", "NotOneSolutionError", "PoseError"]
 __all__ += ["SingularConfigurationError", "SpmError"]
-__all__ += ["Configuration", "Geometry", "LegLimits", "SolutionSet", "Status", "pose"]
+__all__ += ["Configuration", "Manipulator", "LegLimits", "SolutionSet", "Status", "pose"]
 __all__ += ["PRS", "RPS", "RRS", "Stage"]
 __all__ += ["forward_displacement", "forward_physical", "inverse_displacement", "inverse_physical"]
 __all__ += ["determinants", "inverse_jacobian", "leg_forces", "leg_rates", "singularities", "stiffness"]
@@ -95,6 +96,9 @@ _HOMES = ("errors", "machine", "kinematics", "proofs", "multibody", "motion")
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(f"spm_pin.{name}")
+    if name == "Geometry":
+        warnings.warn("spm_pin.Geometry is spm_pin.Manipulator since version 0.4", DeprecationWarning, stacklevel=2)
+        name = "Manipulator"
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     homes = (import_module(f"spm_pin.{home}") for home in _HOMES)

@@ -21,16 +21,16 @@ Matrix = list[list[Any]]
 
 
 def certified_real_branches(
-    geometry: spm.Geometry,
+    machine: spm.Manipulator,
     rotation: npt.NDArray[np.float64],
     position: npt.NDArray[np.float64],
     joints: npt.NDArray[np.complex128],
 ) -> int | None:
     """Return how many roots of a pose are real if the answers (8, 3, 3) are proved to be all of them, else None."""
     ctx.prec = 160
-    planes = _planes(geometry, rotation, position)
-    weights = _weights(geometry)
-    sides = [_squared(geometry.legs.balls[i], geometry.legs.balls[(i + 1) % 3]) for i in range(3)]
+    planes = _planes(machine, rotation, position)
+    weights = _weights(machine)
+    sides = [_squared(machine.legs.balls[i], machine.legs.balls[(i + 1) % 3]) for i in range(3)]
     regions = []
     for answer in joints:
         region = _proved(answer.reshape(9), planes, weights, sides)
@@ -51,12 +51,12 @@ def certified_real_branches(
     return real
 
 
-def _planes(geometry: spm.Geometry, rotation: Any, position: Any) -> list[tuple[list[Any], Any]]:
+def _planes(machine: spm.Manipulator, rotation: Any, position: Any) -> list[tuple[list[Any], Any]]:
     """Return normal and height of the six planes, the given floats taken as exact."""
     found = []
     for i in range(6):
-        normal = [arb(float(c)) for c in geometry.legs.axes[i]]
-        pivot = [arb(float(c)) for c in geometry.legs.pivots[i]]
+        normal = [arb(float(c)) for c in machine.legs.axes[i]]
+        pivot = [arb(float(c)) for c in machine.legs.pivots[i]]
         if i >= 3:
             rows = [[arb(c) for c in row] for row in rotation]
             normal = [dot(row, normal) for row in rows]
@@ -70,9 +70,9 @@ def _squared(a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> Any:
     return dot(gap, gap)
 
 
-def _weights(geometry: spm.Geometry) -> Matrix:
+def _weights(machine: spm.Manipulator) -> Matrix:
     """Return the upper balls in the basis of two sides of the lower triangle and their cross product, (3, 3)."""
-    balls = [[arb(float(c)) for c in ball] for ball in geometry.legs.balls]
+    balls = [[arb(float(c)) for c in ball] for ball in machine.legs.balls]
     e = [[a - b for a, b in zip(balls[k], balls[0], strict=True)] for k in (1, 2)]
     basis = [*e, cross(e[0], e[1])]
     matrix = arb_mat(3, 3, [basis[j][i] for i in range(3) for j in range(3)])
@@ -146,11 +146,11 @@ def _proved(
     return None
 
 
-def root_near(geometry: spm.Geometry, rotation: Any, position: Any, joints: npt.NDArray[np.float64]) -> list[arb]:
+def root_near(machine: spm.Manipulator, rotation: Any, position: Any, joints: npt.NDArray[np.float64]) -> list[arb]:
     """Return the nine coordinates that Newton's method with 160 bits leads to, for a pose of floats or of balls."""
     ctx.prec = 160
-    planes, weights = _planes(geometry, rotation, position), _weights(geometry)
-    sides = [_squared(geometry.legs.balls[i], geometry.legs.balls[(i + 1) % 3]) for i in range(3)]
+    planes, weights = _planes(machine, rotation, position), _weights(machine)
+    sides = [_squared(machine.legs.balls[i], machine.legs.balls[(i + 1) % 3]) for i in range(3)]
     x, size = [acb(float(c)) for c in joints.reshape(9)], 1.0
     for _ in range(8):
         values, rows = _equations(x, planes, weights, sides)
@@ -163,12 +163,12 @@ def root_near(geometry: spm.Geometry, rotation: Any, position: Any, joints: npt.
 
 
 def distance_to_root(
-    geometry: spm.Geometry,
+    machine: spm.Manipulator,
     rotation: npt.NDArray[np.float64],
     position: npt.NDArray[np.float64],
     joints: npt.NDArray[np.float64],
 ) -> float:
     """Return the largest distance [m] of a joint from that of the root that it leads to."""
-    root = root_near(geometry, rotation, position, joints)
+    root = root_near(machine, rotation, position, joints)
     gaps = [float((a - float(b)).mid()) for a, b in zip(root, joints.reshape(9), strict=True)]
     return float(np.linalg.norm(np.reshape(gaps, (3, 3)), axis=-1).max())

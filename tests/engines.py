@@ -13,7 +13,7 @@ import numpy.typing as npt
 from spm_pin.description import URDF_PATH, actuated_joints
 from spm_pin.description.robot import read_robot
 from spm_pin.description.source_files import read_closures
-from spm_pin.machine import Mechanism
+from spm_pin.machine import Machine
 
 Array = npt.NDArray[np.float64]
 Values = Mapping[str, float]
@@ -59,7 +59,7 @@ def accelerations(engine: Moving, legs: Array, q: Array, v: Array, f: Array) -> 
 
 
 class Pinocchio:
-    def __init__(self, path: Path, machine: Mechanism | None = None) -> None:
+    def __init__(self, path: Path, machine: Machine | None = None) -> None:
         import pinocchio as pin
 
         self.pin = pin
@@ -119,7 +119,7 @@ class Mujoco:
         step: float = 1e-3,
         integrator: str = "mjINT_EULER",
         locked: bool = False,
-        machine: Mechanism | None = None,
+        machine: Machine | None = None,
     ) -> None:
         import mujoco
 

@@ -22,20 +22,20 @@ EACH_KIND = [("RPS", "PRS"), ("PRS", "RRS"), ("RRS", "RPS")]
 """Each kind once below and once above."""
 
 
-def machine(lower: str, upper: str, *, built: bool = False) -> spm.Geometry:
+def machine_of_kinds(lower: str, upper: str, *, built: bool = False) -> spm.Manipulator:
     """Return a machine of the paper's triangles with legs of these kinds."""
     radius = PAPER.middle_radius
     stages = zip((lower, upper), (PAPER.base_radius, PAPER.platform_radius), strict=True)
-    drawn = spm.Geometry.of_stages(*(Stage(base, radius, KINDS_OF_STAGES[kind]) for kind, base in stages))
+    drawn = spm.Manipulator.of_stages(*(Stage(base, radius, KINDS_OF_STAGES[kind]) for kind, base in stages))
     return drawn.perturbed(5, length=5e-3, angle=5e-3) if built else drawn
 
 
-def states(geometry: spm.Geometry, count: int = 60) -> spm.Configuration:
+def states(machine: spm.Manipulator, count: int = 60) -> spm.Configuration:
     """Return physical states of a machine, away from singularities."""
     legs = np.random.default_rng(11).uniform(1.15, 1.45, (count, 6))
     other = spm.forward_physical(PAPER, legs)
-    readings = spm.machine.Configuration(geometry, other.pose, other.middle_joints).readings
-    found = spm.forward_physical(geometry, readings[np.isfinite(readings).all(axis=-1)])
+    readings = spm.machine.Configuration(machine, other.pose, other.middle_joints).readings
+    found = spm.forward_physical(machine, readings[np.isfinite(readings).all(axis=-1)])
     found = found[found.exists]
-    regular = (np.abs(found.slopes) > 0.2 * geometry.legs.largest_slopes).all(axis=-1)
+    regular = (np.abs(found.slopes) > 0.2 * machine.legs.largest_slopes).all(axis=-1)
     return found[regular & (np.abs(platform_jacobian(found)).max(axis=(-1, -2)) < 20.0)]

@@ -1,6 +1,6 @@
 """Problems with a known answer: a pose is composed from a middle platform placed in both stages.
 
-The stages are placed with the geometry of a 3RPS stage alone (Z axis in every leg plane), so no solver of the
+The stages are placed with the machine of a 3RPS stage alone (Z axis in every leg plane), so no solver of the
 package takes part in making a problem.
 """
 
@@ -21,13 +21,13 @@ import spm_pin as spm
 
 Array = npt.NDArray[np.float64]
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-GEOMETRIES = {
+MANIPULATORS = {
     "paper": PAPER,
-    "equal triangles": spm.Geometry(0.7, 0.7, 0.7 * 3**0.5),
-    "wide base": spm.Geometry(1.5, 0.25, 0.5),
-    "millimetres": spm.Geometry(0.06, 0.04, 0.05),
+    "equal triangles": spm.Manipulator(0.7, 0.7, 0.7 * 3**0.5),
+    "wide base": spm.Manipulator(1.5, 0.25, 0.5),
+    "millimetres": spm.Manipulator(0.06, 0.04, 0.05),
 }
 
 
@@ -35,18 +35,18 @@ GEOMETRIES = {
 class Problem:
     """N poses, one branch of each, and the family it belongs to."""
 
-    geometry: spm.Geometry
+    machine: spm.Manipulator
     pose: RigidTransform
     middle_joints: Array
 
     @property
     def configuration(self) -> spm.Configuration:
-        return spm.Configuration(self.geometry, self.pose, self.middle_joints)
+        return spm.Configuration(self.machine, self.pose, self.middle_joints)
 
 
-def as_built(geometry: spm.Geometry, size: float, seed: int = 3) -> spm.Geometry:
+def as_built(machine: spm.Manipulator, size: float, seed: int = 3) -> spm.Manipulator:
     """Return a machine with random errors: angles of `size` [rad], lengths of `size` times d."""
-    return geometry.perturbed(seed, length=size * geometry.middle_side, angle=size)
+    return machine.perturbed(seed, length=size * machine.middle_side, angle=size)
 
 
 def stage_quaternion(mode: str, tilt_axis: npt.ArrayLike, half_sine: npt.ArrayLike) -> Array:
@@ -75,55 +75,55 @@ def stage(
     return stage_at(stage_quaternion(mode, tilt_axis, half_sine), height, r)
 
 
-def corners(geometry: spm.Geometry, placed: tuple[Array, Array]) -> Array:
+def corners(machine: spm.Manipulator, placed: tuple[Array, Array]) -> Array:
     """Return the ball joints (..., 3, 3) of a middle platform in one stage."""
-    rotation, local = Rotation.from_quat(placed[0]), geometry.middle_radius * geometry.radial_directions
+    rotation, local = Rotation.from_quat(placed[0]), machine.middle_radius * machine.radial_directions
     return np.stack([rotation.apply(point) + placed[1] for point in local], axis=-2)
 
 
-def compose(geometry: spm.Geometry, lower: tuple[Array, Array], upper: tuple[Array, Array]) -> Problem:
+def compose(machine: spm.Manipulator, lower: tuple[Array, Array], upper: tuple[Array, Array]) -> Problem:
     """Join two stages, `upper` seen from {m}, at their middle platform."""
     middle, seen_from_m = Rotation.from_quat(lower[0]), Rotation.from_quat(upper[0])
     rotation = middle * seen_from_m.inv()
     translation = lower[1] - rotation.apply(upper[1])
-    return Problem(geometry, spm.pose(translation, rotation=rotation), corners(geometry, lower))
+    return Problem(machine, spm.pose(translation, rotation=rotation), corners(machine, lower))
 
 
 def without_torsion(
-    geometry: spm.Geometry, lower: Sequence[npt.ArrayLike], upper: Sequence[npt.ArrayLike], family: str = "TT"
+    machine: spm.Manipulator, lower: Sequence[npt.ArrayLike], upper: Sequence[npt.ArrayLike], family: str = "TT"
 ) -> spm.Configuration:
     """Return the states of two stages, each given by its tilt axis, the sine of half its tilt, and its height [m]."""
-    stages = (stage(mode, *tilt, geometry.middle_radius) for mode, tilt in zip(family, (lower, upper), strict=True))
-    return compose(geometry, *stages).configuration
+    stages = (stage(mode, *tilt, machine.middle_radius) for mode, tilt in zip(family, (lower, upper), strict=True))
+    return compose(machine, *stages).configuration
 
 
-def random_branches(geometry: spm.Geometry, family: str, count: int, seed: int) -> Problem:
+def random_branches(machine: spm.Manipulator, family: str, count: int, seed: int) -> Problem:
     """Problems over all orientations of both stages: tilts up to 180 degrees, heights of both signs."""
     rng = np.random.default_rng(seed)
     placed = []
     for mode in family:
         half_sine = np.sqrt(rng.uniform(0.0, 1.0, count))
-        height = rng.uniform(-3.0, 3.0, count) * geometry.middle_side
-        placed.append(stage(mode, rng.uniform(-np.pi, np.pi, count), half_sine, height, geometry.middle_radius))
-    return compose(geometry, placed[0], placed[1])
+        height = rng.uniform(-3.0, 3.0, count) * machine.middle_side
+        placed.append(stage(mode, rng.uniform(-np.pi, np.pi, count), half_sine, height, machine.middle_radius))
+    return compose(machine, placed[0], placed[1])
 
 
-def in_leg_space(geometry: spm.Geometry, count: int, seed: int, *, legs: Array | None = None) -> Problem:
+def in_leg_space(machine: spm.Manipulator, count: int, seed: int, *, legs: Array | None = None) -> Problem:
     """Problems at leg lengths drawn uniformly from the limits, in the mode of the symmetric home."""
     rng = np.random.default_rng(seed)
     if legs is None:
-        legs = rng.uniform(geometry.limits.minimum, geometry.limits.maximum, (count, 6))
-    lower = _home_mode(legs[:, :3], geometry.base_radius, geometry)
-    quaternion, position = _home_mode(legs[:, 3:], geometry.platform_radius, geometry)
+        legs = rng.uniform(machine.limits.minimum, machine.limits.maximum, (count, 6))
+    lower = _home_mode(legs[:, :3], machine.base_radius, machine)
+    quaternion, position = _home_mode(legs[:, 3:], machine.platform_radius, machine)
     # The upper stage hangs below its platform: mirrored at the platform's plane.
     mirrored = quaternion * [-1.0, -1.0, 1.0, 1.0], position * [1.0, 1.0, -1.0]
-    return compose(geometry, lower, mirrored)
+    return compose(machine, lower, mirrored)
 
 
-def _home_mode(lengths: Array, radius: float, geometry: spm.Geometry) -> tuple[Array, Array]:
+def _home_mode(lengths: Array, radius: float, machine: spm.Manipulator) -> tuple[Array, Array]:
     """Solve one stage's leg lengths (N, 3) by Newton from its level position."""
-    r = geometry.middle_radius
-    cos_phi, sin_phi = geometry.radial_directions[:, 0], geometry.radial_directions[:, 1]
+    r = machine.middle_radius
+    cos_phi, sin_phi = machine.radial_directions[:, 0], machine.radial_directions[:, 1]
     unknown = np.zeros((len(lengths), 3))
     unknown[:, 2] = np.sqrt((lengths**2).mean(axis=-1) - (r - radius) ** 2)
     for _ in range(60):
@@ -144,7 +144,7 @@ def _home_mode(lengths: Array, radius: float, geometry: spm.Geometry) -> tuple[A
     return stage("T", azimuth, half_sine, unknown[:, 2], r)
 
 
-def at_discriminant(pose: RigidTransform, family: int, h_beyond: float, geometry: spm.Geometry) -> RigidTransform:
+def at_discriminant(pose: RigidTransform, family: int, h_beyond: float, machine: spm.Manipulator) -> RigidTransform:
     """Shift a pose along the common normal of the two Z axes until a family's fold is `h_beyond` [m] away.
 
     The discriminant is a quadratic in the shift, (h - λ_min)(λ_max - h), so three samples give its roots.
@@ -153,10 +153,10 @@ def at_discriminant(pose: RigidTransform, family: int, h_beyond: float, geometry
     rotation = pose.rotation.as_matrix()
     normal = np.array([-rotation[1, 2], rotation[0, 2], 0.0])
     normal /= np.linalg.norm(normal)
-    scale = 0.1 * geometry.middle_side
+    scale = 0.1 * machine.middle_side
     shifts = scale * np.array([-1.0, 0.0, 1.0])
     samples = [
-        spm.inverse_displacement(geometry, spm.pose(pose.translation + s * normal, rotation=pose.rotation))
+        spm.inverse_displacement(machine, spm.pose(pose.translation + s * normal, rotation=pose.rotation))
         for s in shifts
     ]
     values = [float(s.discriminants[family]) for s in samples if s.discriminants is not None]
@@ -176,13 +176,13 @@ def conditioning(configuration: spm.Configuration) -> Array:
     Line i is the meet of two planes, so its position errs by that of the planes over the sine of their angle;
     the three side lengths then fix the joints along the lines through a 3 x 3 matrix of direction cosines.
     """
-    along = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
+    along = np.cross(configuration.machine.revolute_axes, configuration.platform_axes)
     sine = np.linalg.norm(along, axis=-1)
     along = along / sine[..., None]
     b = configuration.middle_joints
     matrix = np.zeros((*configuration.shape, 3, 3))
     for row, (i, j) in enumerate(((0, 1), (1, 2), (2, 0))):
-        side = (b[..., i, :] - b[..., j, :]) / configuration.geometry.middle_side
+        side = (b[..., i, :] - b[..., j, :]) / configuration.machine.middle_side
         matrix[..., row, i] = (side * along[..., i, :]).sum(axis=-1)
         matrix[..., row, j] = -(side * along[..., j, :]).sum(axis=-1)
     reach = np.linalg.norm(configuration.translation, axis=-1) + np.abs(b).max(axis=(-1, -2))
@@ -196,7 +196,7 @@ def wrench_matrices(state: spm.Configuration, centre: Array | None = None) -> Ar
     Without a point, about the middle platform's centre.
     """
     about = state.middle_joints.mean(axis=-2) if centre is None else centre
-    arms = (state.balls - about[..., None, :]) / state.geometry.middle_side
+    arms = (state.balls - about[..., None, :]) / state.machine.middle_side
     legs = state.leg_vectors / state.leg_lengths[..., None]
     along, across = (np.concatenate([f, np.cross(arms, f)], axis=-1) for f in (legs, state.leg_axes))
     stages = [np.concatenate([along[..., s, :], across[..., s, :]], axis=-2) for s in (slice(0, 3), slice(3, 6))]
@@ -209,7 +209,7 @@ def exact_wrench_matrices(state: spm.Configuration, centre: Array, unit: float =
     radial = [[root / 2, -half, 0], [0, 1, 0], [-root / 2, -half, 0]]
     axes = [[half, root / 2, 0], [1, 0, 0], [-half, root / 2, 0]]
     R, o, point = (mpmath.matrix(array.tolist()) for array in (state.rotation, state.translation, centre))
-    E, C = mpmath.mpf(state.geometry.base_radius), mpmath.mpf(state.geometry.platform_radius)
+    E, C = mpmath.mpf(state.machine.base_radius), mpmath.mpf(state.machine.platform_radius)
     rows: list[list[list[Any]]] = [[], [], [], []]
     for i in range(3):
         b, u, axis = mpmath.matrix(state.middle_joints[i].tolist()), mpmath.matrix(radial[i]), mpmath.matrix(axes[i])
@@ -246,11 +246,11 @@ def singular_state(
     return at(float(brentq(lambda x: spm.determinants(at(x))[which], low, high, xtol=1e-15, rtol=1e-15)))
 
 
-def at_end_stops(geometry: spm.Geometry, count: int) -> spm.Configuration:
+def at_end_stops(machine: spm.Manipulator, count: int) -> spm.Configuration:
     """Return physical states with two legs each at ends of their limits, some of `count` random readings."""
-    rng, limits = np.random.default_rng(0), geometry.limits
+    rng, limits = np.random.default_rng(0), machine.limits
     ends = np.array([limits.minimum, limits.maximum])
     readings = rng.uniform(*ends, (count, 6))
     stops = np.where(rng.random((count, 6)) < 0.5, *ends)
-    states = spm.forward_physical(geometry, np.where(rng.random((count, 6)).argsort(axis=-1) < 2, stops, readings))
+    states = spm.forward_physical(machine, np.where(rng.random((count, 6)).argsort(axis=-1) < 2, stops, readings))
     return states[states.exists]

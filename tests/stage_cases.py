@@ -11,7 +11,7 @@ from typing import NamedTuple
 import mpmath
 import numpy as np
 import numpy.typing as npt
-from problems import GEOMETRIES, PAPER, Array, as_built, in_leg_space
+from problems import MANIPULATORS, PAPER, Array, as_built, in_leg_space
 
 import spm_pin as spm
 from spm_pin.machine.legs import triangle_frames
@@ -23,7 +23,7 @@ ABSENT = np.array([[0.6, 0.6, 2.0, 1.3, 1.3, 1.3], [1.3, 1.3, 1.3, 0.7, 1.9, 1.2
 class Case(NamedTuple):
     """A machine with readings (N, 6) [m]; R, o and the b_i of their states, NaN of those that do not exist."""
 
-    geometry: spm.Geometry
+    machine: spm.Manipulator
     readings: Array
     rotation: Array
     translation: Array
@@ -34,7 +34,7 @@ def cases(count: int = 4) -> dict[str, Case]:
     """Return a few readings of each of some machines, of which the last of the paper's have no state."""
     table = {}
     for name, size in (("paper", 0.0), ("paper", 1e-3), ("paper", 1e-2), ("equal triangles", 1e-3)):
-        drawn = GEOMETRIES[name]
+        drawn = MANIPULATORS[name]
         legs = np.random.default_rng(7).uniform(1.1, 1.5, (count, 6)) * drawn.middle_side / PAPER.middle_side
         state = in_leg_space(drawn, count, 0, legs=legs).configuration
         machine, readings = (as_built(drawn, size), legs) if size else (drawn, legs)
@@ -52,7 +52,7 @@ def cases(count: int = 4) -> dict[str, Case]:
     return table
 
 
-def _built(machine: spm.Geometry, lengths: Array, near: spm.Configuration) -> tuple[Array, Array, Array]:
+def _built(machine: spm.Manipulator, lengths: Array, near: spm.Configuration) -> tuple[Array, Array, Array]:
     """Return R, o and the b_i of a machine as built that has the lengths, beside a state of the drawn one."""
     back = (near.middle_joints - near.translation) @ near.rotation
     placed = []

@@ -10,31 +10,31 @@ import pytest
 
 import spm_pin as spm
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 READINGS = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
 ENDS = np.array([[1.3, 1.2, 1.4, 1.25, 1.2, 1.45], [1.35, 1.25, 1.2, 1.3, 1.25, 1.4]])
 WRENCH = np.array([-20.0, -30.0, -60.0, 3.0, 2.0, 1.0])
 TWIST = np.array([0.1, 0.2, 0.3, 0.1, -0.2, 0.3])
 
 
-def state(geometry: spm.Geometry) -> spm.Configuration:
-    return spm.forward_physical(geometry, READINGS)
+def state(machine: spm.Manipulator) -> spm.Configuration:
+    return spm.forward_physical(machine, READINGS)
 
 
-def held_pose(geometry: spm.Geometry) -> spm.Configuration:
+def held_pose(machine: spm.Manipulator) -> spm.Configuration:
     """One pose for all machines."""
-    return spm.inverse_physical(geometry, state(PAPER).pose, near=state(PAPER))
+    return spm.inverse_physical(machine, state(PAPER).pose, near=state(PAPER))
 
 
-def chain(geometry: spm.Geometry) -> spm.ClosedChain:
-    return spm.ClosedChain.from_urdf(geometry=geometry)
+def chain(machine: spm.Manipulator) -> spm.ClosedChain:
+    return spm.ClosedChain.from_urdf(machine=machine)
 
 
-def q(geometry: spm.Geometry) -> np.ndarray:
-    return chain(geometry).joint_values(state(geometry))
+def q(machine: spm.Manipulator) -> np.ndarray:
+    return chain(machine).joint_values(state(machine))
 
 
-VALUES: dict[str, Callable[[spm.Geometry], Any]] = {
+VALUES: dict[str, Callable[[spm.Manipulator], Any]] = {
     "compliance": lambda g: spm.kinematics.compliance(state(g), 2e7, 5e7),
     "determinant_gradients": lambda g: spm.kinematics.determinant_gradients(state(g)),
     "determinants": lambda g: spm.determinants(state(g)),
@@ -65,7 +65,7 @@ VALUES: dict[str, Callable[[spm.Geometry], Any]] = {
     "certify": lambda g: list(spm.certify(g, spm.LegLimits(1.25, 1.35)).bounds),
 }
 
-REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
+REFUSED: dict[str, Callable[[spm.Manipulator], Any]] = {
     "the paper's shell": lambda g: spm.crosscheck.workspace_shell(g),
 }
 

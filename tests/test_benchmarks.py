@@ -65,9 +65,9 @@ def rounded(poses: RigidTransform, peer_name: str) -> tuple[RigidTransform, int]
 
 
 def median_coordinates(
-    geometry: spm.Geometry, poses: RigidTransform, found: list[npt.NDArray[np.float64]], copies: int
+    machine: spm.Manipulator, poses: RigidTransform, found: list[npt.NDArray[np.float64]], copies: int
 ) -> list[npt.NDArray[np.float64]]:
-    along = coordinates(geometry, poses, found)
+    along = coordinates(machine, poses, found)
     return [np.median(along[k : k + copies], axis=0) for k in range(0, len(along), copies)]
 
 

@@ -48,7 +48,7 @@ def test_numbers_are_those_of_the_sources() -> None:
     level = spm.stages.inverse_physical(heliostat.stage, 1.64).readings
     np.testing.assert_allclose(level, [1.645, 1.653, 1.650], atol=0.007)
     np.testing.assert_allclose(spm.stages.inverse_physical(robot.stage, robot.height).readings, 0.4, atol=1e-15)
-    assert spm.Geometry.of_stages(*MACHINES["3RPS-3SPR"].stages) == spm.Geometry.paper()
+    assert spm.Manipulator.of_stages(*MACHINES["3RPS-3SPR"].stages) == spm.Manipulator.paper()
 
 
 def test_a_neck_brace_has_its_legs_in_a_t() -> None:

@@ -24,9 +24,9 @@ HEAVY += "scipy.stats"
 
 
 SOLVE = """spm_pin as spm, numpy as np
-geometry = spm.Geometry.paper()
+machine = spm.Manipulator.paper()
 pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-assert spm.forward_physical(geometry, spm.inverse_displacement(geometry, pose).physical().leg_lengths).exists
+assert spm.forward_physical(machine, spm.inverse_displacement(machine, pose).physical().leg_lengths).exists
 """
 
 
@@ -84,8 +84,8 @@ def watch(event, arguments):
 sys.addaudithook(watch)
 import spm_pin as spm
 from spm_pin.cli import main
-geometry = spm.Geometry.paper()
-state = spm.forward_physical(geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
+machine = spm.Manipulator.paper()
+state = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
 spm.ClosedChain.from_urdf().joint_values(state)
 sys.argv = ["spm-pin", "draw", "--out", sys.argv[1]]
 main()

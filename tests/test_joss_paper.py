@@ -22,16 +22,16 @@ WORDS = " ".join(TEXT.split())
 @pytest.fixture(scope="module")
 def sentences() -> list[str]:
     """Return all phrases of the paper that have numbers, with the numbers computed."""
-    geometry = spm.Geometry.paper()
-    modes = spm.forward_displacement(geometry, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    machine = spm.Manipulator.paper()
+    modes = spm.forward_displacement(machine, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     cells = [cell for cell in reproduce().cells if cell.table in range(1, 6)]
     agreeing = sum(cell.verdict is Verdict.SAME for cell in cells)
-    limits = geometry.limits.minimum[0], geometry.limits.maximum[0]
-    certificate = spm.certify(geometry, geometry.limits)
+    limits = machine.limits.minimum[0], machine.limits.maximum[0]
+    certificate = spm.certify(machine, machine.limits)
     assert certificate.holds
     assert slide_pair(*SLIDES).proved
     lower, upper = (np.floor(1000.0 * bound) / 1000.0 for bound in certificate.bounds)
-    branches = len(spm.inverse_displacement(geometry, modes.configurations.pose[:1]).labels)
+    branches = len(spm.inverse_displacement(machine, modes.configurations.pose[:1]).labels)
     count = int(re.search(r'"--count", type=int, default=([\d_]+)', _source("scripts/certified_dataset.py"))[1])  # type: ignore[index]
     return [
         "A 3RPS-3SPR manipulator",

@@ -23,7 +23,7 @@ from spm_pin.description.visuals import part_placements, visual_parts
 pytestmark = pytest.mark.slow  # a browser without a graphics card
 
 ROOT = Path(__file__).parents[1]
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 BRANCHES = list(spm.machine.BRANCHES)
 
 

@@ -16,7 +16,7 @@ from spm_pin.support.notebook import curves, stick_figure, view_axes
 
 pytestmark = pytest.mark.documents
 
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 LEGS = [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]
 PNG = b"\x89PNG"
@@ -93,11 +93,11 @@ def test_a_geometry_shows_its_dimensions_and_how_far_it_is_from_the_drawing() ->
         ["d, middle side", "0.8 m"],
         ["leg limits", "1.1 to 1.5 m"],
     ]
-    assert rows(spm.Geometry(0.7, 0.3, 0.8))[-1] == ["leg limits", "none"]
+    assert rows(spm.Manipulator(0.7, 0.3, 0.8))[-1] == ["leg limits", "none"]
     limits = spm.LegLimits.stages((1.1, 1.4), (1.2, 1.5))
     errors = np.zeros((6, 9))  # two of the direction, three each of pivot and ball, offset
     errors[4, :2], errors[1, 3], errors[5, 7], errors[0, 8] = (3e-3, 4e-3), -2e-3, 1e-3, -5e-4
-    built = spm.Geometry(*GEOMETRY.dimensions, limits).from_parameters(GEOMETRY.parameters + errors.ravel())
+    built = spm.Manipulator(*GEOMETRY.dimensions, limits).from_parameters(GEOMETRY.parameters + errors.ravel())
     assert "as built" in "".join(shown(built).itertext())
     table = dict(rows(built)[1:])
     assert (table["limits of r_b3"], table["limits of r_c1"]) == ("1.1 to 1.4 m", "1.2 to 1.5 m")
@@ -165,7 +165,7 @@ def test_tables_need_no_drawing_library() -> None:
 import sys
 sys.modules["matplotlib"] = None
 import spm_pin as spm
-print(len(spm.forward_physical(spm.Geometry.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])._repr_html_()))
+print(len(spm.forward_physical(spm.Manipulator.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])._repr_html_()))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert int(done.stdout) > 500

@@ -54,7 +54,7 @@ NONSENSE: dict[str, Any] = {
     "a module": np,
 }
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 BUILT = PAPER.perturbed(5)
 MEASURED = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.15, 1.45, (16, 6)))
 STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
@@ -152,9 +152,10 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("SolutionSet.nearest.near", "SolutionSet.physical.near", "configuration", "state"), lambda: STATE),
     **{f"{function}.near": lambda: STATE for function in ("forward_physical", "inverse_physical")},
     "nearest_reachable_pose.near": lambda: STATE,
-    **dict.fromkeys(("Geometry.of_stages.lower", "Geometry.of_stages.upper"), lambda: spm.machine.Stage(0.7, 0.4)),
+    **dict.fromkeys(
+        ("Manipulator.of_stages.lower", "Manipulator.of_stages.upper"), lambda: spm.machine.Stage(0.7, 0.4)
+    ),
     **dict.fromkeys(("leg_grid.lower", "leg_grid.upper"), lambda: (1.2, 1.3, 2)),
-    "geometry": lambda: PAPER,
     "machine": lambda: PAPER,
     "stage": lambda: STAGE,
     "height": lambda: 0.12,
@@ -187,14 +188,14 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "acceleration_polytope.mass": lambda: np.diag([10.0, 10.0, 10.0, 1.0, 1.0, 1.0]),
     "Polytope.within.rows": lambda: np.ones((2, 6)),
     "Polytope.within.limits": lambda: 100.0,
-    "Geometry.check_limits.limits": lambda: spm.LegLimits(1.0, 1.6),
-    "Geometry.from_data.data": lambda: BUILT.as_data(),
+    "Manipulator.check_limits.limits": lambda: spm.LegLimits(1.0, 1.6),
+    "Manipulator.from_data.data": lambda: BUILT.as_data(),
     "Stage.check_limits.limits": lambda: spm.machine.StageLimits(0.0, 1.0),
     "Stage.from_data.data": lambda: STAGE.as_data(),
     "Polytope.contains.points": lambda: np.ones(6),
     "sweeps.condition.metric": lambda: "payload",
     "sweeps.condition.least": lambda: 0.5,
-    "design.evaluate_designs.geometries": lambda: [PAPER],
+    "design.evaluate_designs.machines": lambda: [PAPER],
     "design.pareto_front.problem": problem,
     "design.pareto_front.store": lambda: "front.json",
     "DesignProblem.free": lambda: {"stroke": (0.1, 0.3)},
@@ -240,8 +241,8 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "largest_certified_limits.boxes": lambda: 3000,
     "largest_certified_limits.tolerance": lambda: 0.2,
     **{f"Legs.{name}": functools.partial(getattr, BUILT.legs, name) for name in ("axes", "pivots", "balls", "offsets")},
-    "Geometry.from_parameters.parameters": lambda: BUILT.parameters,
-    "Geometry.to_yaml.path": lambda: "machine.yaml",
+    "Manipulator.from_parameters.parameters": lambda: BUILT.parameters,
+    "Manipulator.to_yaml.path": lambda: "machine.yaml",
     "calibration.choose_poses.candidates": lambda: 40,
     "calibration.identify.readings": lambda: MEASURED.readings,
     "calibration.identify.poses": lambda: MEASURED.pose,
@@ -265,11 +266,11 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "loops.ClosedChain.inverse.pose": lambda: np.eye(4),
     "loops.ClosedChain.inverse.rows": lambda: (0,),
     "loops.ClosedChain.joint_of_velocity.index": lambda: 0,
-    "Geometry.base_radius": lambda: 0.7,
-    "Geometry.platform_radius": lambda: 0.3,
-    "Geometry.middle_side": lambda: 0.8,
+    "Manipulator.base_radius": lambda: 0.7,
+    "Manipulator.platform_radius": lambda: 0.3,
+    "Manipulator.middle_side": lambda: 0.8,
     "Masses.from_yaml.path": masses_file,
-    "Geometry.from_yaml.path": lambda: Path(__file__).parents[1] / "urdf" / "config" / "geometry.yaml",
+    "Manipulator.from_yaml.path": lambda: Path(__file__).parents[1] / "urdf" / "config" / "geometry.yaml",
     "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
     "sweeps.pose_sample.x": lambda: (0.0, 0.1),
     "display.path_figure.path": lambda: spm.follow(PAPER, PATH, STATE, samples=2),

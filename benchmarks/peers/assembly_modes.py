@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from benchmarks.peers.peer import FloatArray, Prepared, required
-from spm_pin import Geometry
+from spm_pin import Manipulator
 
 CLOSED = 1e-9
 
@@ -45,16 +45,16 @@ def slopes(theta: FloatArray, lengths: FloatArray, hip: float, side: float) -> F
     return jacobian
 
 
-def multistart(problem: tuple[Geometry, FloatArray]) -> Prepared:
+def multistart(problem: tuple[Manipulator, FloatArray]) -> Prepared:
     """Prepare fsolve from random angles, until no start of as many as found the last solution brings a new one."""
-    geometry, problems = problem
+    machine, problems = problem
 
     def stage(lengths: FloatArray, hip: float, rng: np.random.Generator) -> tuple[int, int]:
         found: list[FloatArray] = []
         tried = last = 0
         while tried < max(50, 2 * last):
             tried += 1
-            theta, good = _fsolve(rng.uniform(-np.pi, np.pi, 3), lengths, hip, geometry.middle_side)
+            theta, good = _fsolve(rng.uniform(-np.pi, np.pi, 3), lengths, hip, machine.middle_side)
             if not good:
                 continue
             point = np.concatenate([np.cos(theta), np.sin(theta)])
@@ -65,8 +65,8 @@ def multistart(problem: tuple[Geometry, FloatArray]) -> Prepared:
 
     def solve(lengths: FloatArray) -> Found:
         rng = np.random.default_rng(0)
-        lower = stage(lengths[:3], geometry.base_radius, rng)
-        upper = stage(lengths[3:], geometry.platform_radius, rng)
+        lower = stage(lengths[:3], machine.base_radius, rng)
+        upper = stage(lengths[3:], machine.platform_radius, rng)
         return Found((lower[0], upper[0]), lower[1] + upper[1])
 
     return Prepared(
@@ -74,35 +74,35 @@ def multistart(problem: tuple[Geometry, FloatArray]) -> Prepared:
     )
 
 
-def certified(problem: tuple[Geometry, FloatArray]) -> Prepared:
+def certified(problem: tuple[Manipulator, FloatArray]) -> Prepared:
     """Prepare the number of modes, proved: elimination to degree 16, roots isolated by python-flint."""
-    geometry, problems = problem
+    machine, problems = problem
     required("flint", "python-flint")
     from stage_oracle import certified_modes
 
     def solve(lengths: FloatArray) -> int:
-        lower = certified_modes(lengths[:3], geometry.base_radius, geometry.middle_side)
-        upper = certified_modes(lengths[3:], geometry.platform_radius, geometry.middle_side)
+        lower = certified_modes(lengths[:3], machine.base_radius, machine.middle_side)
+        upper = certified_modes(lengths[3:], machine.platform_radius, machine.middle_side)
         return -1 if lower is None or upper is None else lower * upper
 
     return Prepared(lambda: [solve(lengths) for lengths in problems], np.array)
 
 
-def newton_from_equal_legs(problem: tuple[Geometry, FloatArray]) -> Prepared:
+def newton_from_equal_legs(problem: tuple[Manipulator, FloatArray]) -> Prepared:
     """Prepare fsolve once per stage, from level platforms; read as ball joints (n, 3, 3), NaN where it failed."""
-    geometry, problems = problem
-    hips = (geometry.base_radius, geometry.platform_radius)
+    machine, problems = problem
+    hips = (machine.base_radius, machine.platform_radius)
 
     def solve(lengths: FloatArray) -> tuple[FloatArray, bool]:
         angles, good = [], True
         for part, hip in zip((lengths[:3], lengths[3:]), hips, strict=True):
-            theta, fine = _fsolve(np.arccos((geometry.middle_radius - hip) / part), part, hip, geometry.middle_side)
+            theta, fine = _fsolve(np.arccos((machine.middle_radius - hip) / part), part, hip, machine.middle_side)
             angles.append(theta)
             good &= fine
         return np.array(angles), good
 
     def read(found: list[tuple[FloatArray, bool]]) -> FloatArray:
-        radial = geometry.radial_directions
+        radial = machine.radial_directions
         joints = np.full((len(found), 3, 3), np.nan)
         for k, ((angles, good), lengths) in enumerate(zip(found, problems, strict=True)):
             if good:
@@ -113,13 +113,13 @@ def newton_from_equal_legs(problem: tuple[Geometry, FloatArray]) -> Prepared:
     return Prepared(lambda: [solve(lengths) for lengths in problems], read)
 
 
-def pinocchio(problem: tuple[Geometry, FloatArray]) -> Prepared:
+def pinocchio(problem: tuple[Manipulator, FloatArray]) -> Prepared:
     """Prepare `ClosedChain.forward_kinematics` from the home: Newton on Pinocchio's closures."""
     required("pinocchio", "pin")
     from spm_pin.multibody.chain import ClosedChain
 
-    geometry, problems = problem
-    chain = ClosedChain.from_urdf(geometry=geometry)
+    machine, problems = problem
+    chain = ClosedChain.from_urdf(machine=machine)
     home = np.zeros(chain.model.nq)
 
     def solve(lengths: FloatArray) -> FloatArray:

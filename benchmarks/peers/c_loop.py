@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.compiled import address, library
 from benchmarks.peers.peer import FloatArray, Prepared
-from spm_pin import Geometry
+from spm_pin import Manipulator
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class Arrays:
         return cls(matrices, np.empty((n, 8, 3, 3)), np.empty((n, 8, 6)), np.empty(n, dtype=np.int8))
 
 
-def run(loaded: ctypes.CDLL, geometry: Geometry, arrays: Arrays) -> Arrays:
+def run(loaded: ctypes.CDLL, machine: Manipulator, arrays: Arrays) -> Arrays:
     """Solve all poses."""
     loaded.inverse_displacement(
         ctypes.c_int64(len(arrays.poses)),
         address(arrays.poses),
-        *map(ctypes.c_double, (geometry.base_radius, geometry.platform_radius, geometry.middle_radius)),
+        *map(ctypes.c_double, (machine.base_radius, machine.platform_radius, machine.middle_radius)),
         *map(address, (arrays.joints, arrays.lengths, arrays.status)),
     )
     return arrays
@@ -48,18 +48,18 @@ def real_branches(joints: FloatArray) -> list[FloatArray]:
     return [branches[~np.isnan(branches[:, 1, 0])] for branches in joints]
 
 
-def answered(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def answered(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare the C loop, which writes into the same arrays at every call."""
-    geometry, poses = problem
+    machine, poses = problem
     loaded, arrays = library("inverse.c"), Arrays.of(poses)
-    return Prepared(lambda: run(loaded, geometry, arrays), _read)
+    return Prepared(lambda: run(loaded, machine, arrays), _read)
 
 
-def fresh(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def fresh(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare the C loop with newly allocated arrays at every call."""
-    geometry, poses = problem
+    machine, poses = problem
     loaded = library("inverse.c")
-    return Prepared(lambda: run(loaded, geometry, Arrays.of(poses)), _read)
+    return Prepared(lambda: run(loaded, machine, Arrays.of(poses)), _read)
 
 
 def _read(arrays: Any) -> list[FloatArray]:

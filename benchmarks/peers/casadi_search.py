@@ -12,7 +12,7 @@ from benchmarks.peers.compiled import FLAGS, folder, shared_object
 from benchmarks.peers.lines import lines
 from benchmarks.peers.multistart import STARTS, search
 from benchmarks.peers.peer import FloatArray, Prepared, required
-from spm_pin import Geometry
+from spm_pin import Manipulator
 
 STEPS = 25
 """Newton steps from each start in the compiled version, which has no test of convergence."""
@@ -20,7 +20,7 @@ ITERATIONS = 60
 """Most Newton steps in the mapped version, which stops where the loops are closed."""
 
 
-def ipopt(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def ipopt(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare IPOPT on the feasibility problem, start by start."""
     required("casadi", "casadi")
     from spm_pin.crosscheck.nlp.branch_search import IpoptSolver
@@ -29,7 +29,7 @@ def ipopt(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     return search(problem, solver)
 
 
-def mapped_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def mapped_newton(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """`spm_pin.crosscheck.nlp.batched_newton`: equations mapped over the starts, steps by NumPy's batched solve."""
     required("casadi", "casadi")
     from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, newton
@@ -38,13 +38,13 @@ def mapped_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     return search(problem, lambda starts, matrix: newton(equations, starts, matrix, ITERATIONS)[0])
 
 
-def compiled_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def compiled_newton(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare Newton on the three sides along the ball joints' lines, generated as C with all its steps, mapped."""
-    geometry, _ = problem
-    function = _compiled(geometry)
+    machine, _ = problem
+    function = _compiled(machine)
 
     def solve(starts: FloatArray, matrix: FloatArray) -> FloatArray:
-        points, directions = lines(geometry, matrix)
+        points, directions = lines(machine, matrix)
         along = ((starts.reshape(-1, 3, 3) - points) * directions).sum(axis=-1)
         ends = np.asarray(function(points.T, directions.T, along.T)).T
         return (points + ends[:, :, None] * directions).reshape(-1, 9)
@@ -53,7 +53,7 @@ def compiled_newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
 
 
 @functools.cache
-def _compiled(geometry: Geometry) -> Any:
+def _compiled(machine: Manipulator) -> Any:
     ca: Any = required("casadi", "casadi")
     points, directions, along = ca.SX.sym("p", 3, 3), ca.SX.sym("e", 3, 3), ca.SX.sym("l", 3)
 
@@ -63,7 +63,7 @@ def _compiled(geometry: Geometry) -> Any:
         for i in range(3):
             j = (i + 1) % 3
             side = joints[i] - joints[j]
-            gaps.append((ca.sumsqr(side) - geometry.middle_side**2) / 2.0)
+            gaps.append((ca.sumsqr(side) - machine.middle_side**2) / 2.0)
             row = ca.SX.zeros(1, 3)
             row[i], row[j] = ca.dot(side, directions[:, i]), -ca.dot(side, directions[:, j])
             rows.append(row)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.lines import lines
 from benchmarks.peers.peer import FloatArray, Prepared, required
-from spm_pin import Geometry
+from spm_pin import Manipulator
 
 
 def real_coordinates(quaternion: FloatArray, position: FloatArray, side: float) -> FloatArray | None:
@@ -22,12 +22,12 @@ def real_coordinates(quaternion: FloatArray, position: FloatArray, side: float) 
     return None if found is None else np.sort([float(root.mid()) for root in found])
 
 
-def roots(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def roots(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare the certified coordinates of b_2, pose by pose; b_1 and b_3 are left NaN."""
-    geometry, poses = problem
+    machine, poses = problem
     required("flint", "python-flint")
     separate = list(zip(poses.rotation.as_quat(), poses.translation, strict=True))
-    points, directions = lines(geometry, poses.as_matrix())
+    points, directions = lines(machine, poses.as_matrix())
 
     def read(found: list[FloatArray | None]) -> list[FloatArray]:
         answers = []
@@ -38,4 +38,4 @@ def roots(problem: tuple[Geometry, RigidTransform]) -> Prepared:
             answers.append(joints)
         return answers
 
-    return Prepared(lambda: [real_coordinates(q, o, geometry.middle_side) for q, o in separate], read)
+    return Prepared(lambda: [real_coordinates(q, o, machine.middle_side) for q, o in separate], read)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.peers.c_loop import Arrays, real_branches
 from benchmarks.peers.compiled import address, folder, shared_object
 from benchmarks.peers.peer import FloatArray, Prepared
-from spm_pin import Configuration, Geometry
+from spm_pin import Configuration, Manipulator
 from spm_pin.export.c_export import STATE_FUNCTIONS, write_c
 
 CALLS = (
@@ -102,18 +102,18 @@ long completions(long count, const double *readings, spm_state *state, double *v
 
 
 @functools.cache
-def _library(geometry: Geometry) -> ctypes.CDLL:
+def _library(machine: Manipulator) -> ctypes.CDLL:
     place = folder() / "exported"
-    write_c(geometry, place)
+    write_c(machine, place)
     loop = _LOOP.replace("@ARGUMENTS@", _ARGUMENTS).replace("@CASES@", _CASES)
     (place / "loop.c").write_text(loop, encoding="utf-8")
     return ctypes.CDLL(str(shared_object(place / "loop.c", ("-std=c99", "-O2"))))
 
 
-def answered(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def answered(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare the exported C with all its checks, writing into the same arrays at every call."""
-    geometry, poses = problem
-    loaded, arrays = _library(geometry), Arrays.of(poses)
+    machine, poses = problem
+    loaded, arrays = _library(machine), Arrays.of(poses)
     results = [address(x) for x in (arrays.poses, arrays.joints, arrays.lengths, arrays.status)]
 
     def call() -> Arrays:
@@ -128,7 +128,7 @@ def call_times(states: Configuration, change: float, calls: int) -> tuple[FloatA
 
     From a state to begin with, legs and position are changed by up to `change` [m].
     """
-    loaded, rows = _library(states.geometry), _rows(states)
+    loaded, rows = _library(states.machine), _rows(states)
     at = np.concatenate([states.readings, states.translation], axis=-1)
     moved = at + np.random.default_rng(0).uniform(-change, change, at.shape)
     seconds, failed = np.empty((len(CALLS), calls)), []
@@ -143,7 +143,7 @@ def ticks(start: Configuration, readings: FloatArray, wrench: FloatArray) -> Cal
 
     It returns the last J_f (6, 6) and the last leg forces (6,). `start` is a state (1,) near the first readings.
     """
-    loaded, rows, jacobian, forces = _library(start.geometry), _rows(start), np.empty((6, 6)), np.empty(6)
+    loaded, rows, jacobian, forces = _library(start.machine), _rows(start), np.empty((6, 6)), np.empty(6)
 
     def call() -> tuple[FloatArray, ...]:
         state = rows.copy()
@@ -157,7 +157,7 @@ def ticks(start: Configuration, readings: FloatArray, wrench: FloatArray) -> Cal
 
 def completions(start: Configuration, readings: FloatArray) -> Callable[[], FloatArray]:
     """Return a call that computes all joints (n, 18) of readings (n, 6), each from the last; `start` as for `ticks`."""
-    loaded, rows, values = _library(start.geometry), _rows(start), np.empty((len(readings), 18))
+    loaded, rows, values = _library(start.machine), _rows(start), np.empty((len(readings), 18))
 
     def call() -> FloatArray:
         if loaded.completions(ctypes.c_long(len(readings)), *map(address, (readings, rows.copy(), values))):

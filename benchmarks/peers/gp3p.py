@@ -13,15 +13,15 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.lines import lines
 from benchmarks.peers.peer import FloatArray, Prepared, required
-from spm_pin import Geometry
+from spm_pin import Manipulator
 
 
-def bare(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def bare(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare the call alone: lines computed beforehand, results left as poses of the triangle."""
-    geometry, poses = problem
+    machine, poses = problem
     gp3p = required("poselib", "poselib").gp3p
-    triangle = _triangle(geometry)
-    points, directions = lines(geometry, poses.as_matrix())
+    triangle = _triangle(machine)
+    points, directions = lines(machine, poses.as_matrix())
     lines_of_poses = list(zip(points, directions, strict=True))
 
     def read(found: list[Any]) -> list[FloatArray]:
@@ -30,25 +30,25 @@ def bare(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     return Prepared(lambda: [gp3p(point, direction, triangle) for point, direction in lines_of_poses], read)
 
 
-def complete(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def complete(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare the way from poses to ball joints and leg lengths, pose by pose in Python."""
-    geometry, poses = problem
+    machine, poses = problem
     gp3p = required("poselib", "poselib").gp3p
-    triangle, matrices = _triangle(geometry), poses.as_matrix()
+    triangle, matrices = _triangle(machine), poses.as_matrix()
 
     def solve(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-        point, direction = lines(geometry, matrix)
+        point, direction = lines(machine, matrix)
         joints = _joints(gp3p(point, direction, triangle), triangle)
-        platform = geometry.platform_joints @ matrix[:3, :3].T + matrix[:3, 3]
-        legs = np.concatenate([joints - geometry.base_joints, platform - joints], axis=-2)
+        platform = machine.platform_joints @ matrix[:3, :3].T + matrix[:3, 3]
+        legs = np.concatenate([joints - machine.base_joints, platform - joints], axis=-2)
         return joints, np.sqrt((legs * legs).sum(axis=-1))
 
     return Prepared(lambda: [solve(matrix) for matrix in matrices], lambda found: [joints for joints, _ in found])
 
 
-def _triangle(geometry: Geometry) -> FloatArray:
-    return geometry.legs.balls[:3]
-    return geometry.middle_radius * geometry.radial_directions
+def _triangle(machine: Manipulator) -> FloatArray:
+    return machine.legs.balls[:3]
+    return machine.middle_radius * machine.radial_directions
 
 
 def _joints(solutions: list[Any], triangle: FloatArray) -> FloatArray:

@@ -68,5 +68,5 @@ def _placed(configuration: spm.Configuration) -> tuple[Any, list[FloatArray]]:
     required("pinocchio", "pin")
     from spm_pin.multibody.chain import ClosedChain
 
-    chain = ClosedChain.from_urdf(geometry=configuration.geometry)
+    chain = ClosedChain.from_urdf(machine=configuration.machine)
     return chain, [chain.joint_values(configuration[k]) for k in range(len(configuration))]

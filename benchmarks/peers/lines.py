@@ -6,16 +6,16 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.peer import FloatArray
-from spm_pin import Geometry
+from spm_pin import Manipulator
 
 
-def lines(geometry: Geometry, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+def lines(machine: Manipulator, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return points and unit directions, (..., 3, 3) each, a row per corner, for poses (..., 4, 4); NaN if vertical.
 
     The two balls at a corner of a machine as built have to coincide.
     """
     rotation, position = matrix[..., :3, :3], matrix[..., :3, 3]
-    legs = geometry.legs
+    legs = machine.legs
     (lower, above), heights = legs.axes.reshape(2, 3, 3), (legs.axes * legs.pivots).sum(axis=-1, keepdims=True)
     upper = above @ np.swapaxes(rotation, -1, -2)
     along = np.cross(lower, upper)
@@ -26,12 +26,12 @@ def lines(geometry: Geometry, matrix: FloatArray) -> tuple[FloatArray, FloatArra
     return point, along / np.sqrt(squared)
 
 
-def coordinates(geometry: Geometry, poses: RigidTransform, branches: list[FloatArray]) -> list[FloatArray]:
+def coordinates(machine: Manipulator, poses: RigidTransform, branches: list[FloatArray]) -> list[FloatArray]:
     """Return where on its line b_2 is, in the branches (k, 3, 3) of each pose, (k,) in ascending order [m].
 
     All branches of a pose differ in it, so it tells them apart, and it is what is certified.
     """
-    point, direction = (part[:, 1] for part in lines(geometry, poses.as_matrix()))
+    point, direction = (part[:, 1] for part in lines(machine, poses.as_matrix()))
     return [
         np.sort((found[:, 1] - point[k]) @ direction[k]) if len(found) else np.empty(0)
         for k, found in enumerate(branches)

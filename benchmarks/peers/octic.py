@@ -7,7 +7,7 @@ from numpy.polynomial import chebyshev
 from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.peer import FloatArray, Prepared
-from spm_pin import Geometry
+from spm_pin import Manipulator
 from spm_pin.crosscheck.paper.resultant import Resultant
 
 DEGREE = 8
@@ -15,10 +15,10 @@ REAL = 1e-6
 """Imaginary parts up to this share of the interval are taken for rounding."""
 
 
-def numpy_roots(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def numpy_roots(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare `numpy.roots`, polynomial by polynomial, the coefficients computed beforehand."""
-    geometry, poses = problem
-    polynomials, reach, lines = _polynomials(geometry, poses)
+    machine, poses = problem
+    polynomials, reach, lines = _polynomials(machine, poses)
 
     def read(roots: list[FloatArray]) -> list[FloatArray]:
         return _second_joints(np.array(roots), reach, lines)
@@ -26,22 +26,22 @@ def numpy_roots(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     return Prepared(lambda: [np.roots(polynomial) for polynomial in polynomials], read)
 
 
-def numpy_roots_complete(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def numpy_roots_complete(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare the coefficients and `numpy.roots`, pose by pose."""
-    geometry, poses = problem
+    machine, poses = problem
     singles = [poses[k] for k in range(len(poses))]
-    _, reach, lines = _polynomials(geometry, poses)
+    _, reach, lines = _polynomials(machine, poses)
 
     def read(roots: list[FloatArray]) -> list[FloatArray]:
         return _second_joints(np.array(roots), reach, lines)
 
-    return Prepared(lambda: [np.roots(_polynomials(geometry, pose)[0][0]) for pose in singles], read)
+    return Prepared(lambda: [np.roots(_polynomials(machine, pose)[0][0]) for pose in singles], read)
 
 
-def companions(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def companions(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare the eigenvalues of all companion matrices, one call for all."""
-    geometry, poses = problem
-    polynomials, reach, lines = _polynomials(geometry, poses)
+    machine, poses = problem
+    polynomials, reach, lines = _polynomials(machine, poses)
 
     def call() -> FloatArray:
         matrices = np.zeros((len(polynomials), DEGREE, DEGREE))
@@ -53,10 +53,10 @@ def companions(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     return Prepared(call, lambda roots: _second_joints(roots, reach, lines))
 
 
-def _polynomials(geometry: Geometry, poses: RigidTransform) -> tuple[FloatArray, float, FloatArray]:
+def _polynomials(machine: Manipulator, poses: RigidTransform) -> tuple[FloatArray, float, FloatArray]:
     """Return coefficients (n, 9), highest first, in b_2y/reach; the reach [m]; and s_21, s_22 of Eq. (10c), (n, 2)."""
-    resultant = Resultant.from_pose(geometry, poses)
-    reach = 2.0 * geometry.middle_radius
+    resultant = Resultant.from_pose(machine, poses)
+    reach = 2.0 * machine.middle_radius
     nodes = np.cos((np.arange(DEGREE + 1) + 0.5) * np.pi / (DEGREE + 1))
     values = resultant.determinant(reach * nodes)
     series = np.linalg.solve(chebyshev.chebvander(nodes, DEGREE), values.T).T

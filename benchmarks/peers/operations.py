@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.c_loop import Arrays, run
 from benchmarks.peers.compiled import library
-from spm_pin import Geometry
+from spm_pin import Manipulator
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,11 @@ class Operations:
         return self.additions + self.multiplications
 
 
-def count_operations(geometry: Geometry, poses: RigidTransform) -> Operations:
+def count_operations(machine: Manipulator, poses: RigidTransform) -> Operations:
     """Count on poses (n,), or raise `Unavailable` where there is no C++ compiler."""
     counted = library("inverse.c", ("-O2", "-x", "c++", "-DCOUNT_OPERATIONS"), "c++")
     totals = (ctypes.c_int64 * 4).in_dll(counted, "operations")
     before = list(totals)
     arrays = Arrays.of(poses)
-    run(counted, geometry, arrays)
+    run(counted, machine, arrays)
     return Operations(*((after - earlier) / len(arrays.poses) for after, earlier in zip(totals, before, strict=True)))

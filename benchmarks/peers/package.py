@@ -14,42 +14,42 @@ from spm_pin.crosscheck.paper import resultant
 from spm_pin.kinematics.inverse_displacement import BranchMemory, branch_lengths
 
 
-def inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+def inverse(problem: tuple[spm.Manipulator, RigidTransform]) -> Prepared:
     """Prepare `inverse_displacement`: ball joints, leg lengths and status of all branches, as the C loop writes."""
-    geometry, poses = problem
+    machine, poses = problem
 
     def call() -> spm.SolutionSet:
-        solutions = spm.inverse_displacement(geometry, poses)
+        solutions = spm.inverse_displacement(machine, poses)
         _ = solutions.leg_lengths, solutions.status
         return solutions
 
     return Prepared(call, lambda solutions: real_branches(solutions.middle_joints))
 
 
-def inverse_physical(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+def inverse_physical(problem: tuple[spm.Manipulator, RigidTransform]) -> Prepared:
     """Prepare `inverse_physical`: the physical branch."""
-    geometry, poses = problem
+    machine, poses = problem
     return Prepared(
-        lambda: spm.inverse_physical(geometry, poses), lambda found: real_branches(found.middle_joints[:, None])
+        lambda: spm.inverse_physical(machine, poses), lambda found: real_branches(found.middle_joints[:, None])
     )
 
 
-def lengths_only(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+def lengths_only(problem: tuple[spm.Manipulator, RigidTransform]) -> Prepared:
     """Prepare `branch_lengths`: lengths and status of all branches; read as the lengths (n, 8, 6)."""
-    geometry, poses = problem
-    return Prepared(lambda: branch_lengths(geometry, poses), lambda found: found[0])
+    machine, poses = problem
+    return Prepared(lambda: branch_lengths(machine, poses), lambda found: found[0])
 
 
-def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+def kernel(problem: tuple[spm.Manipulator, RigidTransform]) -> Prepared:
     """Prepare the compiled loop alone, which writes into the same arrays at every call, as the C loop does."""
     from spm_pin.kinematics.kernels.branch_kernels import all_branches
 
-    geometry, poses = problem
+    machine, poses = problem
     matrices = poses.as_matrix()
     rotation, position = np.ascontiguousarray(matrices[:, :3, :3]), np.ascontiguousarray(matrices[:, :3, 3])
     n = len(position)
-    results = BranchMemory(geometry, n).arrays
-    sizes = geometry.middle_radius, geometry.base_radius, geometry.platform_radius
+    results = BranchMemory(machine, n).arrays
+    sizes = machine.middle_radius, machine.base_radius, machine.platform_radius
 
     def call() -> FloatArray:
         all_branches(rotation, position, *sizes, *results)
@@ -58,11 +58,11 @@ def kernel(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
     return Prepared(call, real_branches)
 
 
-def paper_inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
+def paper_inverse(problem: tuple[spm.Manipulator, RigidTransform]) -> Prepared:
     """Prepare the paper's Eqs. (5)-(20) with Newton steps on Eq. (13)."""
-    geometry, poses = problem
+    machine, poses = problem
     return Prepared(
-        lambda: resultant.inverse_displacement(geometry, poses),
+        lambda: resultant.inverse_displacement(machine, poses),
         lambda solutions: real_branches(solutions.middle_joints),
     )
 
@@ -70,7 +70,7 @@ def paper_inverse(problem: tuple[spm.Geometry, RigidTransform]) -> Prepared:
 def renewed(configuration: spm.Configuration) -> spm.Configuration:
     """Return the same states without what was derived from them and kept."""
     arrays = configuration.rotation, configuration.translation, configuration.middle_joints
-    return spm.Configuration.from_arrays(configuration.geometry, *arrays)
+    return spm.Configuration.from_arrays(configuration.machine, *arrays)
 
 
 def jacobian(configuration: spm.Configuration) -> Prepared:
@@ -84,17 +84,17 @@ def forces(problem: tuple[spm.Configuration, FloatArray]) -> Prepared:
     return Prepared(lambda: spm.leg_forces(renewed(configuration), wrenches), np.asarray)
 
 
-def physical(problem: tuple[spm.Geometry, FloatArray]) -> Prepared:
+def physical(problem: tuple[spm.Manipulator, FloatArray]) -> Prepared:
     """Prepare `forward_physical` of leg lengths (n, 6)."""
-    geometry, lengths = problem
+    machine, lengths = problem
 
     def read(configuration: Any) -> FloatArray:
         return np.asarray(configuration.middle_joints)
 
-    return Prepared(lambda: spm.forward_physical(geometry, lengths), read)
+    return Prepared(lambda: spm.forward_physical(machine, lengths), read)
 
 
-def modes(problem: tuple[spm.Geometry, FloatArray]) -> Prepared:
+def modes(problem: tuple[spm.Manipulator, FloatArray]) -> Prepared:
     """Prepare all assembly modes of leg lengths (n, 6); read as their numbers (n,)."""
-    geometry, lengths = problem
-    return Prepared(lambda: spm.forward_displacement(geometry, lengths), lambda found: np.asarray(found.count))
+    machine, lengths = problem
+    return Prepared(lambda: spm.forward_displacement(machine, lengths), lambda found: np.asarray(found.count))

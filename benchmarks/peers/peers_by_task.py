@@ -24,7 +24,7 @@ OURS = "spm_pin"
 PACKAGES = ("numpy", "scipy", "numba", "poselib", "casadi", "pin", "python-flint", "eaik", "pycapacity", "jax")
 """Distributions whose versions a result depends on."""
 
-# Problem: (geometry, poses (n,)). Read as the branches of each pose, (k, 3, 3) [m], NaN where only b_2 is known.
+# Problem: (machine, poses (n,)). Read as the branches of each pose, (k, 3, 3) [m], NaN where only b_2 is known.
 INVERSE = (
     Peer(OURS, "`inverse_displacement`: all branches, b_1 to b_3, six lengths, status", package.inverse, 10_000),
     Peer("spm_pin, kernel alone", "the same, compiled loop, into the same arrays each time", package.kernel, 10_000),
@@ -84,14 +84,14 @@ FORCES = (
     Peer("Pinocchio", "constraint Jacobians, state by state", jacobians.forces_by_pinocchio, 100),
 )
 
-# Problem: (geometry, leg lengths (n, 6)). Read as b_1 to b_3, (n, 3, 3) [m], NaN where none was found.
+# Problem: (machine, leg lengths (n, 6)). Read as b_1 to b_3, (n, 3, 3) [m], NaN where none was found.
 PHYSICAL = (
     Peer(OURS, "`forward_physical`", package.physical, 10_000),
     Peer("SciPy fsolve", "once per stage, from level platforms", assembly_modes.newton_from_equal_legs, 50),
     Peer("Pinocchio", "`ClosedChain.project` from the home, legs held", assembly_modes.pinocchio, 50),
 )
 
-# Problem: (geometry, leg lengths (n, 6)). Read as the number of real assembly modes (n,).
+# Problem: (machine, leg lengths (n, 6)). Read as the number of real assembly modes (n,).
 MODES = (
     Peer(OURS, "`forward_displacement`: all modes, poses and joints", package.modes, 500),
     Peer("python-flint", "degree 16 per stage, roots isolated: the number, certified", assembly_modes.certified, 4),

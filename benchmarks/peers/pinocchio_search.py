@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.multistart import STARTS, branches
 from benchmarks.peers.peer import FloatArray, Prepared, required
-from spm_pin import Geometry
+from spm_pin import Manipulator
 
 STEPS = 60
 LONGEST = 1.0
@@ -20,13 +20,13 @@ LONGEST = 1.0
 CLOSED = 1e-13
 
 
-def newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def newton(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare Newton from random joint values, pose by pose."""
     pin: Any = required("pinocchio", "pin")
     from spm_pin.multibody.chain import ClosedChain
 
-    geometry, poses = problem
-    chain = ClosedChain.from_urdf(geometry=geometry)
+    machine, poses = problem
+    chain = ClosedChain.from_urdf(machine=machine)
     model = chain.model
     data = model.createData()
     platform = model.getFrameId("terminal_platform")
@@ -66,10 +66,10 @@ def newton(problem: tuple[Geometry, RigidTransform]) -> Prepared:
 
     rng = np.random.default_rng(0)
     starts = rng.uniform(-np.pi, np.pi, (len(poses), STARTS, model.nq))
-    starts[:, :, chain.leg_indices] = rng.uniform(-geometry.middle_side, geometry.middle_side, (len(poses), STARTS, 6))
+    starts[:, :, chain.leg_indices] = rng.uniform(-machine.middle_side, machine.middle_side, (len(poses), STARTS, 6))
     matrices = poses.as_matrix()
 
     def read(answers: list[FloatArray]) -> list[FloatArray]:
-        return [branches(geometry, matrix, found) for matrix, found in zip(matrices, answers, strict=True)]
+        return [branches(machine, matrix, found) for matrix, found in zip(matrices, answers, strict=True)]
 
     return Prepared(lambda: [solve(matrix, guesses) for matrix, guesses in zip(matrices, starts, strict=True)], read)

@@ -8,16 +8,16 @@ from scipy.spatial.transform import RigidTransform
 
 from benchmarks.peers.multistart import search
 from benchmarks.peers.peer import FloatArray, Prepared
-from spm_pin import Geometry
+from spm_pin import Manipulator
 
 
 class LoopEquations:
     """The equations of one pose, with their Jacobian: six planes, and three sides as (|b_i - b_j|² - d²)/(2d)."""
 
-    def __init__(self, geometry: Geometry, matrix: FloatArray) -> None:
-        lower = geometry.revolute_axes
+    def __init__(self, machine: Manipulator, matrix: FloatArray) -> None:
+        lower = machine.revolute_axes
         upper = lower @ matrix[:3, :3].T
-        self._side = geometry.middle_side
+        self._side = machine.middle_side
         self._jacobian = np.zeros((9, 9))
         for i in range(3):
             self._jacobian[i, 3 * i : 3 * i + 3] = lower[i]
@@ -43,12 +43,12 @@ class LoopEquations:
         return jacobian
 
 
-def by_fsolve(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def by_fsolve(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare MINPACK's hybrid method."""
-    geometry, _ = problem
+    machine, _ = problem
 
     def solve(starts: FloatArray, matrix: FloatArray) -> FloatArray:
-        equations = LoopEquations(geometry, matrix)
+        equations = LoopEquations(machine, matrix)
         # With full_output it says nothing where it fails; what has not converged is sorted out by the residual.
         return np.array(
             [
@@ -60,12 +60,12 @@ def by_fsolve(problem: tuple[Geometry, RigidTransform]) -> Prepared:
     return search(problem, solve)
 
 
-def by_least_squares(problem: tuple[Geometry, RigidTransform]) -> Prepared:
+def by_least_squares(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     """Prepare MINPACK's Levenberg-Marquardt method."""
-    geometry, _ = problem
+    machine, _ = problem
 
     def solve(starts: FloatArray, matrix: FloatArray) -> FloatArray:
-        equations = LoopEquations(geometry, matrix)
+        equations = LoopEquations(machine, matrix)
         tolerances = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
         return np.array(
             [

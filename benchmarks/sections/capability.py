@@ -78,7 +78,7 @@ def _designs(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
     """Time a table of designs, whose peer is NumPy's way to the same four metrics of one of them."""
     rng = np.random.default_rng(0)
     sizes = rng.uniform([0.6, 0.3, 0.7], [0.8, 0.45, 0.95], (_DESIGNS, 3))
-    designs = [spm.Geometry(*map(float, row), spm.LegLimits(1.1, 1.45)) for row in sizes]
+    designs = [spm.Manipulator(*map(float, row), spm.LegLimits(1.1, 1.45)) for row in sizes]
     readings = rng.uniform(1.1, 1.45, (_STATES, 6))
 
     def by_numpy() -> None:

@@ -15,7 +15,7 @@ from benchmarks.timing import Pace, Spread
 
 _UNIT = "import numpy, scipy.spatial.transform"
 _ROBOT = """import numpy as np, spm_pin as spm
-machine = spm.Geometry.paper()
+machine = spm.Manipulator.paper()
 readings = [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]
 pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 """

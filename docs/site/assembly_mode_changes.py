@@ -41,10 +41,10 @@ POLYGON = np.array([[0.349559, 0.847166, -1.216897], [0.316326, 0.838279, -1.126
 """A path (x, y, Z/r) in mode F for E = r/2, its legs not equal; the end is corrected to the lengths of the start."""
 
 
-def nonsingular_changes(geometry: spm.Geometry) -> list[NonsingularChange]:
+def nonsingular_changes(machine: spm.Manipulator) -> list[NonsingularChange]:
     """Return certified paths for the paper's stages and for other radii of the hips."""
-    r = geometry.middle_radius
-    lower, upper = geometry.base_radius / r, geometry.platform_radius / r
+    r = machine.middle_radius
+    lower, upper = machine.base_radius / r, machine.platform_radius / r
     rows = [("the paper's lower, mode T", lower, circle(lower)), ("the paper's upper, mode T", upper, circle(upper))]
     rows += [
         ("the paper's lower, mode F", -lower, circle(-lower)),

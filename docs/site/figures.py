@@ -17,7 +17,7 @@ from spm_pin.display import draw, draw_capability, front_figure
 from spm_pin.machine import PRS, RPS, RRS, Stage
 
 IMAGES = Path(__file__).parents[1] / "images"
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 LOWER, UPPER, GREY = "#0072b2", "#d98c00", "#5f6770"
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
@@ -67,10 +67,10 @@ def kinds_of_legs() -> Figure:
     figure = Figure(figsize=(8.5, 4.6))
     for k, (title, (kind, limits, swing)) in enumerate(kinds.items()):
         lower, upper = (Stage(radius, 0.25, kind, limits) for radius in (0.30, 0.20))
-        geometry = spm.Geometry.of_stages(lower, upper)
+        machine = spm.Manipulator.of_stages(lower, upper)
         middle = np.full(6, np.mean(limits))
         ax = figure.add_axes((0.01 + 0.33 * k, 0.02, 0.32, 0.88))
-        draw(spm.forward_physical(geometry, middle + swing * np.sin([1, 2, 4, 5, 1, 3])), ax=ax, labels=False)
+        draw(spm.forward_physical(machine, middle + swing * np.sin([1, 2, 4, 5, 1, 3])), ax=ax, labels=False)
         ax.axis("off")
         figure.text(0.17 + 0.33 * k, 0.95, title, fontsize=10, ha="center")
     return figure

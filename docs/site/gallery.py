@@ -232,13 +232,13 @@ def picture() -> Figure:
     """Draw the machines side by side, tilted by 10° or half of what they reach."""
     figure = Figure(figsize=(8.5, 4.2))
     axes = figure.subplots(2, 5, gridspec_kw={"left": 0.0, "right": 1.0, "bottom": 0.0, "top": 0.9, "wspace": 0.05})
-    for ax, (name, machine) in zip(axes.flat, gallery().items(), strict=True):
-        if len(machine.stages) == 2:
-            geometry = spm.Geometry.of_stages(*machine.stages)
-            draw(spm.forward_physical(geometry, [1.2, 1.25, 1.3, 1.3, 1.25, 1.2]), ax=ax, labels=False)
+    for ax, (name, entry) in zip(axes.flat, gallery().items(), strict=True):
+        if len(entry.stages) == 2:
+            machine = spm.Manipulator.of_stages(*entry.stages)
+            draw(spm.forward_physical(machine, [1.2, 1.25, 1.3, 1.3, 1.25, 1.2]), ax=ax, labels=False)
         else:
-            tilt = min(np.radians(10.0), spm.stages.reach(machine.stage, machine.height).all_round[0] / 2.0)
-            alone = stage_figure(spm.stages.inverse_physical(machine.stage, machine.height, tilt=tilt, azimuth=0.5))
+            tilt = min(np.radians(10.0), spm.stages.reach(entry.stage, entry.height).all_round[0] / 2.0)
+            alone = stage_figure(spm.stages.inverse_physical(entry.stage, entry.height, tilt=tilt, azimuth=0.5))
             for text in list(alone.axes[0].texts):
                 text.remove()
             alone.savefig(drawn := BytesIO(), dpi=120)

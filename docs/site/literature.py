@@ -42,7 +42,7 @@ def tetrahedron_determinants(configuration: spm.Configuration) -> tuple[Array, A
     The planes, rows of a 4 x 4 matrix: at each ball joint that of its two revolute axes, with their cross product for
     its normal; and that of the three ball joints, with a normal of length one, hence the factor 2 / (√3 d²).
     """
-    joints, axes = configuration.middle_joints, configuration.geometry.revolute_axes
+    joints, axes = configuration.middle_joints, configuration.machine.revolute_axes
     normals = np.cross(np.broadcast_to(axes, joints.shape), axes @ np.swapaxes(configuration.rotation, -1, -2))
     flat = np.cross(joints[..., 1, :] - joints[..., 0, :], joints[..., 2, :] - joints[..., 0, :])
     normals = np.concatenate([normals, flat[..., None, :] / np.linalg.norm(flat, axis=-1)[..., None, None]], axis=-2)

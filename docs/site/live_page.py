@@ -28,7 +28,7 @@ from spm_pin.description.visuals import bodies, read_obj, section_size, visual_p
 from spm_pin.display.rendering import AXIS_COLOURS, TRIAD
 
 SITE = Path(__file__).parent
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 BODIES = bodies(GEOMETRY)
 FLAGS = "--target=wasm32 -std=c99 -O2 -ffp-contract=off -fno-math-errno -ffreestanding -nostdlib -mbulk-memory"
 LINKED = "--no-entry --allow-undefined --strip-all --initial-memory=131072 --export=__heap_base"

@@ -12,7 +12,7 @@ import spm_pin as spm
 sys.path.append(str(Path(__file__).parents[2] / "tests"))
 import problems
 
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 SAMPLES = 50
 """States of each family or stratum."""
 

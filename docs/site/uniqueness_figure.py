@@ -62,10 +62,10 @@ def values(epsilon: float, w: Array, eta: Array) -> Values:
 
 def _draw_slice(domain: Axes, image: Axes) -> None:
     """Draw the paper's lower stage at the mean square of legs of 1.3 m: tilts, and harmonics of the squared lengths."""
-    geometry = spm.Geometry.paper()
-    epsilon = geometry.base_radius / geometry.middle_radius
+    machine = spm.Manipulator.paper()
+    epsilon = machine.base_radius / machine.middle_radius
     kappa = 2.0 * epsilon - 1.0
-    level = (1.3 / geometry.middle_radius) ** 2 - (1.0 - epsilon) ** 2
+    level = (1.3 / machine.middle_radius) ** 2 - (1.0 - epsilon) ** 2
 
     def state(w: Array) -> tuple[Array, Array]:
         p = np.abs(w) ** 2

@@ -20,7 +20,7 @@ from spm_pin.formulas.ball_motions import BallMotions
 from spm_pin.formulas.circles import Circles
 from spm_pin.formulas.leg_constants import AXES, UP, drawn_triangle
 from spm_pin.formulas.operations import bind, mapped, rows_of, vector_of
-from spm_pin.machine import Geometry
+from spm_pin.machine import Manipulator
 from spm_pin.machine.branch_of_state import FAMILIES
 
 _NEWTON_STEPS = 16
@@ -84,23 +84,23 @@ def indexed(fields: Iterable[Array], inner: tuple[int, ...], index: Any) -> list
 
 
 @quietly
-def inverse_displacement(geometry: Geometry | Array, rotation: Array, translation: Array) -> Branches:
+def inverse_displacement(machine: Manipulator | Array, rotation: Array, translation: Array) -> Branches:
     """Compute all branches of the inverse displacement of a drawn machine, in closed form.
 
     Parameters
     ----------
-    geometry : Geometry or array, shape (..., 3)
+    machine : Manipulator or array, shape (..., 3)
         A drawn machine, or dimensions E, C, d [m].
     rotation : array, shape (..., 3, 3)
         From {m} to {B}. It is not checked.
     translation : array, shape (..., 3)
         o in {B} [m].
     """
-    problem = _Inverse(geometry, rotation, translation)
+    problem = _Inverse(machine, rotation, translation)
     library = problem.library
     if not problem.machine.is_drawn:
         cause = "Its eight roots have no closed form: inverse_physical takes it. Pass dimensions E, C, d of a drawn one"
-        raise ArgumentError("geometry", "a machine as drawn", "one as built, as parameters always count", cause)
+        raise ArgumentError("machine", "a machine as drawn", "one as built, as parameters always count", cause)
     b, exists = problem.drawn_branches(range(len(FAMILIES)), 0.0)
     b = problem.with_derivatives(b, exists)
     zero, (readings, reach) = library.zeros(b[0][0]), _readings(library, problem.machine, problem.pose, b)
@@ -110,16 +110,16 @@ def inverse_displacement(geometry: Geometry | Array, rotation: Array, translatio
 
 @quietly
 def inverse_physical(
-    geometry: Geometry | Array, rotation: Array, translation: Array, near: State | None = None
+    machine: Manipulator | Array, rotation: Array, translation: Array, near: State | None = None
 ) -> State:
     """Compute the physical branch of the inverse displacement, or the branch beside a state, of any machine.
 
     Parameters
     ----------
-    geometry : Geometry, array of shape (..., 3) or (..., 54), or pair
+    machine : Manipulator, array of shape (..., 3) or (..., 54), or pair
         A machine; dimensions E, C, d [m] of a drawn one with RPS legs, or the parameters of RPS legs, see
-        `spm_pin.Geometry.parameters`; or a pair of a `Geometry` and of parameters (..., n): its kinds of legs, working
-        modes and leg limits, and other numbers.
+        `spm_pin.Manipulator.parameters`; or a pair of a `Manipulator` and of parameters (..., n): its kinds of legs,
+        working modes and leg limits, and other numbers.
     rotation, translation
         As for `inverse_displacement`.
     near : State, optional
@@ -132,11 +132,11 @@ def inverse_physical(
         Without `near` that of `spm_pin.inverse_physical`, but for one state in some thousands of a machine with errors
         of 1e-3 m and rad, one in a hundred with 1e-2. Of parameters no leg limits are known.
     """
-    problem = _Inverse(geometry, rotation, translation, near)
+    problem = _Inverse(machine, rotation, translation, near)
     if near is not None:
         start = problem.library.constant(rows_of(near.middle_joints))
         b, exists = problem.closed(start)
-        before = _Inverse(geometry, near.rotation, near.translation, near)
+        before = _Inverse(machine, near.rotation, near.translation, near)
         exists = exists & (problem.side(b) * before.side(start) > 0.0) & near.exists
     elif problem.machine.is_drawn:
         b, exists = problem.preferred(*problem.drawn_branches([0], 0.0))
@@ -152,12 +152,12 @@ def inverse_physical(
 
 
 @quietly
-def forward_physical(geometry: Geometry | Array, readings: Array, near: State | None = None) -> State:
+def forward_physical(machine: Manipulator | Array, readings: Array, near: State | None = None) -> State:
     """Compute the physical state with these readings, or the state beside another, of any machine.
 
     Parameters
     ----------
-    geometry : Geometry, array of shape (..., 3) or (..., 54), or pair
+    machine : Manipulator, array of shape (..., 3) or (..., 54), or pair
         As for `inverse_physical`.
     readings : array, shape (..., 6)
         Readings of the encoders [m], of RRS legs [rad].
@@ -172,31 +172,31 @@ def forward_physical(geometry: Geometry | Array, readings: Array, near: State | 
         Without `near` that of `spm_pin.forward_physical`, but for strongly tilted states of PRS and RRS legs, one in
         500, to which Newton's method from the level stages does not lead: these do not exist here.
     """
-    library = library_of(geometry=geometry, readings=readings, **state_arrays(near, "near"))
-    machine, run = read_machine(library, geometry), library.run
-    shown, valid = machine.checked_readings(library, [readings[..., i] for i in range(6)])
-    without_offsets = [x - offset for x, offset in zip(shown, machine.offsets, strict=True)]
-    zero = library.zeros(*without_offsets, machine.r, *([] if near is None else [near.translation[..., 0]]))
-    centres, radii = zip(*machine.circles(library, without_offsets), strict=True)
+    library = library_of(machine=machine, readings=readings, **state_arrays(near, "near"))
+    numbers, run = read_machine(library, machine), library.run
+    shown, valid = numbers.checked_readings(library, [readings[..., i] for i in range(6)])
+    without_offsets = [x - offset for x, offset in zip(shown, numbers.offsets, strict=True)]
+    zero = library.zeros(*without_offsets, numbers.r, *([] if near is None else [near.translation[..., 0]]))
+    centres, radii = zip(*numbers.circles(library, without_offsets), strict=True)
     # Both stages are solved together, each seen from its own platform.
     stages = [
-        Circles(machine.legs[k].axes, centres[3 * k : 3 * k + 3], radii[3 * k : 3 * k + 3], machine.squares[k])
+        Circles(numbers.legs[k].axes, centres[3 * k : 3 * k + 3], radii[3 * k : 3 * k + 3], numbers.squares[k])
         for k in range(2)
     ]
     if near is None:
-        ups = machine.kinds[0].up, -machine.kinds[3].up
-        starts = [run(circles.level_balls, *x) for x in zip(stages, machine.balls, ups, strict=True)]
+        ups = numbers.kinds[0].up, -numbers.kinds[3].up
+        starts = [run(circles.level_balls, *x) for x in zip(stages, numbers.balls, ups, strict=True)]
     else:
         b, pose = rows_of(near.middle_joints), (rows_of(near.rotation), vector_of(near.translation))
-        starts = [b, run(ball_motions.points_from_platform, machine.upper_balls(library, b), *pose)]
-    b, turns, places, exists = solved_stages(library, machine, stages, starts, zero, is_near=near is not None)
+        starts = [b, run(ball_motions.points_from_platform, numbers.upper_balls(library, b), *pose)]
+    b, turns, places, exists = solved_stages(library, numbers, stages, starts, zero, is_near=near is not None)
     # The middle platform seen from {B} and from {m}.
     first, second = (mapped(lambda x, i=i: x[i, ...], (turns, places)) for i in range(2))
     pose = run(ball_motions.pose_of_frames, *first, *second)
-    exists, joints = exists[0, ...] & exists[1, ...] & valid & machine.valid, mapped(lambda x: x[0, ...], b)
-    exists = exists & machine.in_working_modes(library, [*joints, *mapped(lambda x: x[1, ...], b)], without_offsets)
+    exists, joints = exists[0, ...] & exists[1, ...] & valid & numbers.valid, mapped(lambda x: x[0, ...], b)
+    exists = exists & numbers.in_working_modes(library, [*joints, *mapped(lambda x: x[1, ...], b)], without_offsets)
     if near is None:
-        exists = exists & _physical(library, *library.constant((machine, pose, joints)))[0]
+        exists = exists & _physical(library, *library.constant((numbers, pose, joints)))[0]
     else:
         exists = exists & near.exists
     return State._make([*(library.stacked(x, zero) for x in (*pose, joints, shown)), exists])
@@ -241,10 +241,10 @@ def solved_stages(
 class _Inverse:
     """The six planes of poses, which hold the middle platform."""
 
-    def __init__(self, geometry: Any, rotation: Array, translation: Array, near: State | None = None) -> None:
+    def __init__(self, machine: Any, rotation: Array, translation: Array, near: State | None = None) -> None:
         given = state_arrays(near, "near")
-        self.library = library_of(geometry=geometry, rotation=rotation, translation=translation, **given)
-        self.machine = read_machine(self.library, geometry)
+        self.library = library_of(machine=machine, rotation=rotation, translation=translation, **given)
+        self.machine = read_machine(self.library, machine)
         turn, is_turn = self.library.checked(rows_of(rotation), 2.0, _LEVEL)
         place, is_near = self.library.checked(vector_of(translation), 2.0 * self.machine.farthest, UP)
         self.pose, self.valid = (turn, place), is_turn & is_near & self.machine.valid

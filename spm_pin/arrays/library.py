@@ -17,7 +17,7 @@ from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
 from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import bind, mapped, vector_of
 from spm_pin.formulas.planar_legs import MOST_TURNED
-from spm_pin.machine import Geometry, LegKind, Stage
+from spm_pin.machine import LegKind, Manipulator, Stage
 from spm_pin.machine.joint_angles import joint_names
 from spm_pin.machine.leg_kinds import BOUNDS
 from spm_pin.support.arguments import LARGEST, LARGEST_RATIO, SMALLEST, check_shapes, type_and_value
@@ -34,8 +34,8 @@ _TRAILING |= {"normal": (3,)}
 """The last axes of arrays by their names."""
 quietly = np.errstate(all="ignore")
 """Decorates functions in which numbers of what does not exist are no reason for NumPy's warnings."""
-_RPS = Geometry(1.0, 1.0, 1.0)
-"""A machine of RPS legs: what dimensions and parameters that are given without a `Geometry` describe."""
+_RPS = Manipulator(1.0, 1.0, 1.0)
+"""A machine of RPS legs: what dimensions and parameters that are given without a `Manipulator` describe."""
 
 
 class Library:
@@ -130,10 +130,10 @@ class Library:
 _library = functools.cache(Library)
 
 
-def library_of(*, legs: int = 6, **arguments: Array | Geometry) -> Library:
+def library_of(*, legs: int = 6, **arguments: Array | Manipulator) -> Library:
     """Return the library of arguments, arrays of floats of one library whose shapes fit their names."""
-    given = ((name, x[1] if name == "geometry" and isinstance(x, tuple) else x) for name, x in arguments.items())
-    arrays: dict[str, Array] = {name: x for name, x in given if not isinstance(x, Geometry)}
+    given = ((name, x[1] if name == "machine" and isinstance(x, tuple) else x) for name, x in arguments.items())
+    arrays: dict[str, Array] = {name: x for name, x in given if not isinstance(x, Manipulator)}
     for name, x in arrays.items():
         if not compat.is_array_api_obj(x):
             expected = "an array of a library that follows the Array API standard"
@@ -169,7 +169,7 @@ class MachineOnArrays(NamedTuple):
     joint_names: tuple[str, ...]  # of the URDF
     limits: tuple[tuple[float, ...], tuple[float, ...]]
     is_drawn: bool
-    valid: Any  # where its numbers are those of a machine, see `Geometry`
+    valid: Any  # where its numbers are those of a machine, see `Manipulator`
 
     @property
     def farthest(self) -> Any:
@@ -218,18 +218,18 @@ class MachineOnArrays(NamedTuple):
         return checked, valid
 
 
-def read_machine(library: Library, geometry: Any) -> MachineOnArrays:
-    """Return a machine of a `Geometry`, of dimensions (..., 3) E, C, d, or of the parameters of its legs.
+def read_machine(library: Library, machine: Any) -> MachineOnArrays:
+    """Return a machine of a `Manipulator`, of dimensions (..., 3) E, C, d, or of the parameters of its legs.
 
-    Parameters are an array (..., 54), of RPS legs, or a pair of a geometry and of its parameters (..., n).
+    Parameters are an array (..., 54), of RPS legs, or a pair of a machine and of its parameters (..., n).
     """
-    if isinstance(geometry, Geometry):
-        return _machine_of(geometry)
-    if isinstance(geometry, tuple):
-        return _machine_of_parameters(library, *geometry)
-    size = geometry.shape[-1] if geometry.ndim else 0
+    if isinstance(machine, Manipulator):
+        return _machine_of(machine)
+    if isinstance(machine, tuple):
+        return _machine_of_parameters(library, *machine)
+    size = machine.shape[-1] if machine.ndim else 0
     if size == 3:
-        dimensions = mapped(lambda x: library.where(x >= SMALLEST, x, math.nan), vector_of(geometry))
+        dimensions = mapped(lambda x: library.where(x >= SMALLEST, x, math.nan), vector_of(machine))
         (base, platform, side), valid = library.checked(dimensions, LARGEST, (1.0, 1.0, 1.0))
         r = side / 3.0**0.5
         corners = library.run(leg_constants.drawn_triangle, r)
@@ -237,23 +237,23 @@ def read_machine(library: Library, geometry: Any) -> MachineOnArrays:
         legs = (*AXES, *AXES), tuple(pivots), (*corners, *corners), (0.0,) * 6
         return _completed(library, (base, platform), r, legs, _RPS, None, True, valid)
     if size != 54:
-        expected = "a Geometry, dimensions (..., 3) E, C, d, or the parameters (..., 54) of RPS legs"
-        cause = "Of other legs, or with leg limits, pass a pair of a Geometry and of its parameters"
-        raise ArgumentError("geometry", expected, f"shape {tuple(geometry.shape)}", cause)
-    return _machine_of_parameters(library, _RPS, geometry)
+        expected = "a Manipulator, dimensions (..., 3) E, C, d, or the parameters (..., 54) of RPS legs"
+        cause = "Of other legs, or with leg limits, pass a pair of a Manipulator and of its parameters"
+        raise ArgumentError("machine", expected, f"shape {tuple(machine.shape)}", cause)
+    return _machine_of_parameters(library, _RPS, machine)
 
 
-def _machine_of_parameters(library: Library, geometry: Geometry, parameters: Array) -> MachineOnArrays:
-    """Return a machine with the kinds, working modes and leg limits of a geometry and these parameters (..., n)."""
-    count, drawing = len(geometry.parameters), geometry.nominal
+def _machine_of_parameters(library: Library, machine: Manipulator, parameters: Array) -> MachineOnArrays:
+    """Return a machine with the kinds, working modes and leg limits of a machine and these parameters (..., n)."""
+    count, drawing = len(machine.parameters), machine.nominal
     if parameters.ndim == 0 or parameters.shape[-1] != count:
-        expected = f"the parameters (..., {count}) of its legs beside a geometry"
-        raise ArgumentError("geometry", expected, f"shape {tuple(parameters.shape)}")
+        expected = f"the parameters (..., {count}) of its legs beside a machine"
+        raise ArgumentError("machine", expected, f"shape {tuple(parameters.shape)}")
     numbers = tuple(tuple(parameters[..., 9 * i + k] for k in range(9)) for i in range(6))
     drawn = tuple(map(tuple, drawing.parameters[:54].reshape(6, 9).tolist()))
     rows, valid = library.checked(numbers, LARGEST, drawn)
     fixed, place = [], 54
-    for kind in geometry.legs.kinds:
+    for kind in machine.legs.kinds:
         for row in kind.numbers.tolist():
             own = list(row)
             for k, name in enumerate(kind.identified):
@@ -264,19 +264,19 @@ def _machine_of_parameters(library: Library, geometry: Geometry, parameters: Arr
             fixed.append(tuple(own))
     axes = [library.run(leg_constants.turned_axis, AXES[i % 3], *rows[i][:2]) for i in range(6)]
     points, balls = tuple(row[2:5] for row in rows), tuple(row[5:8] for row in rows)
-    radii: Any = geometry.base_radius, geometry.platform_radius
-    r: Any = geometry.middle_radius
-    if geometry is _RPS:
+    radii: Any = machine.base_radius, machine.platform_radius
+    r: Any = machine.middle_radius
+    if machine is _RPS:
         # The drawing beside parameters alone has the means of their radii.
         halves = points[:3], points[3:], balls[:3], balls[3:]
         *radii, first, second = (library.run(leg_constants.mean_radius, x) for x in halves)
         r = 0.5 * (first + second)
     legs = tuple(axes), points, balls, tuple(row[8] for row in rows)
-    return _completed(library, tuple(radii), r, legs, geometry, tuple(fixed), False, valid)
+    return _completed(library, tuple(radii), r, legs, machine, tuple(fixed), False, valid)
 
 
 def _completed(
-    library: Library, radii: Any, r: Any, legs: Any, drawing: Geometry, numbers: Any, *further: Any
+    library: Library, radii: Any, r: Any, legs: Any, drawing: Manipulator, numbers: Any, *further: Any
 ) -> MachineOnArrays:
     """Return the machine of axes, pivots, balls and offsets of six legs, with the kinds and limits of a drawing's.
 
@@ -299,16 +299,16 @@ def _completed(
 
 
 @functools.lru_cache(maxsize=32)
-def _machine_of(geometry: Geometry) -> MachineOnArrays:
-    *vectors, offsets = (x.tolist() for x in geometry.legs.arrays)
+def _machine_of(machine: Manipulator) -> MachineOnArrays:
+    *vectors, offsets = (x.tolist() for x in machine.legs.arrays)
     legs = *(tuple(map(tuple, x)) for x in vectors), tuple(offsets)
-    library, radii = library_of(numbers=np.zeros(1)), (geometry.base_radius, geometry.platform_radius)
-    return _completed(library, radii, geometry.middle_radius, legs, geometry, None, geometry.is_nominal, True)
+    library, radii = library_of(numbers=np.zeros(1)), (machine.base_radius, machine.platform_radius)
+    return _completed(library, radii, machine.middle_radius, legs, machine, None, machine.is_nominal, True)
 
 
 def stage_machine(stage: Stage) -> MachineOnArrays:
     """Return a stage as the lower half of a robot of two, with three legs."""
-    both = _machine_of(Geometry.of_stages(stage, stage))
+    both = _machine_of(Manipulator.of_stages(stage, stage))
     halves = {name: getattr(both, name)[:1] for name in ("radii", "legs", "balls", "squares")}
     legs = {name: getattr(both, name)[:3] for name in ("offsets", "planes", "kinds", "numbers")}
     return both._replace(**halves, **legs)

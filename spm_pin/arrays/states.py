@@ -11,16 +11,16 @@ from spm_pin.formulas import ball_motions, leg_constants, leg_planes, vectors, w
 from spm_pin.formulas import joint_values as values
 from spm_pin.formulas.leg_constants import AXES, UP
 from spm_pin.formulas.operations import mapped, rows_of, vector_of
-from spm_pin.machine import Configuration, Geometry
+from spm_pin.machine import Configuration, Manipulator
 from spm_pin.machine.leg_kinds import drawn_numbers
 
 
 class _Legs:
     """The six legs of a state, seen from {B}."""
 
-    def __init__(self, geometry: Geometry | Array, state: State | Configuration, **further: Array) -> None:
-        self.library = library_of(geometry=geometry, **state_arrays(state, "state"), **further)
-        self.machine = read_machine(self.library, geometry)
+    def __init__(self, machine: Manipulator | Array, state: State | Configuration, **further: Array) -> None:
+        self.library = library_of(machine=machine, **state_arrays(state, "state"), **further)
+        self.machine = read_machine(self.library, machine)
         pose = rows_of(state.rotation), vector_of(state.translation)
         placeholder = self.library.run(ball_motions.placeholder_state, self.machine.r)
         self.exists = state.exists & self.machine.valid
@@ -53,13 +53,13 @@ class _Legs:
 
 
 @quietly
-def inverse_jacobian(geometry: Geometry | Array, state: State | Configuration) -> Array:
+def inverse_jacobian(machine: Manipulator | Array, state: State | Configuration) -> Array:
     """Compute J_f (..., 6, 6), which maps the twist (v, ω) at o to the leg rates; arguments as for `leg_forces`.
 
     At an inverse singularity, as the level home is, or a leg's own, there is none: the numbers are finite and mean
     nothing.
     """
-    legs = _Legs(geometry, state)
+    legs = _Legs(machine, state)
     library, run = legs.library, legs.library.run
     directions, stage = (legs.lower_directions, legs.upper_directions), (legs.b, legs.upper.axes, legs.lower.axes)
     determinant = run(wrenches.determinant, *stage)
@@ -76,19 +76,19 @@ def inverse_jacobian(geometry: Geometry | Array, state: State | Configuration) -
 
 
 @quietly
-def leg_forces(geometry: Geometry | Array, state: State | Configuration, wrench: Array) -> Array:
+def leg_forces(machine: Manipulator | Array, state: State | Configuration, wrench: Array) -> Array:
     """Compute what actuators exert (..., 6) to hold a wrench [N], of RRS legs [N m]; positive increases readings.
 
     Parameters
     ----------
-    geometry : Geometry, array of shape (..., 3) or (..., 54), or pair
+    machine : Manipulator, array of shape (..., 3) or (..., 54), or pair
         As for `inverse_physical`.
     state : State or Configuration
         Of shape (...).
     wrench : array, shape (..., 6)
         Force [N] and moment [N m] at o in {B}, applied to the platform from outside.
     """
-    legs = _Legs(geometry, state, wrench=wrench)
+    legs = _Legs(machine, state, wrench=wrench)
     library, zero = legs.library, legs.library.zeros(legs.zero, wrench[..., 0])
     stages = (legs.b, legs.lower_directions, legs.lower.axes), (legs.c, legs.upper_directions, legs.upper.axes)
     stage = library.together(stages, zero)
@@ -100,7 +100,7 @@ def leg_forces(geometry: Geometry | Array, state: State | Configuration, wrench:
 
 
 @quietly
-def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Array:
+def joint_values(machine: Manipulator | Array, state: State | Configuration) -> Array:
     """Compute the values of the eighteen joints of the URDF, shape (..., 18), in the order of its tree.
 
     Of RPS legs that is `JOINTS`, of others `spm_pin.machine.joint_angles.joint_names`.
@@ -108,18 +108,18 @@ def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Ar
     Angles in radians, slides in metres: with these a simulator of the open tree is reset to a closed state. Leg limits
     decide where the joints are at zero; dimensions and parameters have none. Arguments are as for `leg_forces`.
     """
-    legs = _Legs(geometry, state)
-    library, machine, run = legs.library, legs.machine, legs.library.run
+    legs = _Legs(machine, state)
+    library, arrays, run = legs.library, legs.machine, legs.library.run
     triangle, columns = run(values.triangle_axes, legs.b), run(vectors.transposed, legs.pose[0])
-    own = run(values.triangle_axes, machine.balls[0])
+    own = run(values.triangle_axes, arrays.balls[0])
     upper_balls = run(ball_motions.points_from_platform, legs.c, *legs.pose)
     named, seen = {}, tuple(run(vectors.times, columns, axis) for axis in triangle)
-    stages = zip((0, 3), machine.radii, machine.legs, (legs.b, upper_balls), (triangle, seen), (1.0, -1.0), strict=True)
+    stages = zip((0, 3), arrays.radii, arrays.legs, (legs.b, upper_balls), (triangle, seen), (1.0, -1.0), strict=True)
     for k, radius, stage, balls, axes, up in stages:
-        kind, names = machine.kinds[k], ("b1", "b2", "b3", "c1", "c2", "c3")[k : k + 3]
-        formulas, numbers = kind.bound(lambda x: functools.partial(run, x)), machine.numbers[k : k + 3]
-        ends = max(machine.limits[0][k : k + 3]), min(machine.limits[1][k : k + 3])
-        pair, triangles = (drawn_numbers(numbers, len(kind.identified)), numbers), (radius, machine.r)
+        kind, names = arrays.kinds[k], ("b1", "b2", "b3", "c1", "c2", "c3")[k : k + 3]
+        formulas, numbers = kind.bound(lambda x: functools.partial(run, x)), arrays.numbers[k : k + 3]
+        ends = max(arrays.limits[0][k : k + 3]), min(arrays.limits[1][k : k + 3])
+        pair, triangles = (drawn_numbers(numbers, len(kind.identified)), numbers), (radius, arrays.r)
         frames = library.together(run(values.stage_frames, stage, own, triangles, ends, pair, up, formulas), legs.zero)
         of_legs = run(values.leg_values, library.together(balls, legs.zero), frames, formulas)
         first = mapped(lambda x: x[0, ...], (of_legs, frames))
@@ -131,17 +131,17 @@ def joint_values(geometry: Geometry | Array, state: State | Configuration) -> Ar
                 f"leg_{leg}_{kind.passive}": passive[i, ...],
                 f"leg_{leg}_{kind.actuated}": of_legs.actuated[i, ...],
             }
-    return library.stacked([named[name] for name in machine.joint_names], legs.zero)
+    return library.stacked([named[name] for name in arrays.joint_names], legs.zero)
 
 
 @quietly
-def singularity_distance(geometry: Geometry | Array, state: State | Configuration) -> Array:
+def singularity_distance(machine: Manipulator | Array, state: State | Configuration) -> Array:
     """Compute the smallest singular values of J_b, J_c and K, shape (..., 3).
 
     Dimensionless, and zero at a forward singularity of the lower or of the upper stage, or at an inverse one; see
     `spm_pin.kinematics.Singularities.sigma`. Arguments are as for `leg_forces`.
     """
-    legs = _Legs(geometry, state)
+    legs = _Legs(machine, state)
     run, side = legs.library.run, legs.machine.r * 3.0**0.5
     centre = run(wrenches.mean, legs.b)
     lower, upper = (run(wrenches.arms, b, centre, side) for b in (legs.b, legs.c))

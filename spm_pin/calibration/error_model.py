@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.rates_and_forces import stage_inverses
-from spm_pin.machine import LEGS, Configuration, Geometry
+from spm_pin.machine import LEGS, Configuration, Manipulator
 from spm_pin.machine.configuration import check_configuration
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, real_array, real_number
 
@@ -33,20 +33,20 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., 6, n)
-        Rows (v, ω): displacement of o [m] and rotation of m [rad], in {B}; columns `Geometry.parameter_names`, 54 of
+        Rows (v, ω): displacement of o [m] and rotation of m [rad], in {B}; columns `Manipulator.parameter_names`, 54 of
         RPS legs, per metre or radian. At singularities as `spm_pin.platform_jacobian`.
 
     Examples
     --------
     >>> import numpy as np, spm_pin as spm
-    >>> state = spm.forward_physical(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> state = spm.forward_physical(spm.Manipulator.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     >>> jacobian = spm.calibration.error_jacobian(state)
     >>> errors = np.full(54, 1e-4)  # 0.1 mm and 0.1 mrad everywhere
     >>> (jacobian @ errors)[:3].round(6)
     array([-1.83e-04, -2.16e-04, -3.50e-05])
     """
     check_configuration(configuration)
-    state, legs = configuration, configuration.geometry.legs
+    state, legs = configuration, configuration.machine.legs
     outward = np.where(np.arange(6) < 3, 1.0, -1.0)[:, None]
     # Unit vectors from the circles' centres to the balls, in {B}, and in the planes of the legs.
     with np.errstate(invalid="ignore"):
@@ -59,7 +59,7 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     frames = np.empty((*state.shape, 6, 3, 3))
     frames[..., :3, :, :], frames[..., 3:, :, :] = np.eye(3), state.rotation[..., None, :, :]
     middle = state.middle_pose.as_matrix()[..., None, :3, :3]
-    tilts = configuration.geometry.axis_derivatives
+    tilts = configuration.machine.axis_derivatives
     rows = np.zeros((*state.shape, 6, 2, 9))
     for row, direction in enumerate((along, state.leg_axes)):
         rows[..., row, 2:5] = (direction[..., None, :] @ frames)[..., 0, :]
@@ -95,15 +95,15 @@ def pose_errors(predicted: FloatArray, measured: FloatArray) -> FloatArray:
     return np.concatenate([predicted[:, :3, 3] - measured[:, :3, 3], turn], axis=-1)
 
 
-def gauge_directions(geometry: Geometry, target: FloatArray) -> FloatArray:
+def gauge_directions(machine: Manipulator, target: FloatArray) -> FloatArray:
     """Return the errors that change no measurement, of the parameters and of `Frames`, (n + 12, k).
 
     Each of the frames {n}, {B} and {m} may move: {n} changes the coordinates of all balls, {B} and {m} those of a
     stage's axes and pivots, and what is measured from them; `target` is a point of {m} (3,). Where a circle moves
     straight, on a slide, the pivot may be anywhere on it.
     """
-    legs, directions = geometry.legs, []
-    shown, (outward, forward) = np.linalg.pinv(geometry.axis_derivatives), legs.planes
+    legs, directions = machine.legs, []
+    shown, (outward, forward) = np.linalg.pinv(machine.axis_derivatives), legs.planes
     turned = [np.array(kind.turned) for kind in legs.kinds]
 
     def add(own: FloatArray, links: FloatArray | float = 0.0, frames: FloatArray | float = 0.0) -> None:
@@ -137,16 +137,16 @@ def gauge_directions(geometry: Geometry, target: FloatArray) -> FloatArray:
     return np.array(directions).T
 
 
-def parameter_scale(geometry: Geometry) -> FloatArray:
+def parameter_scale(machine: Manipulator) -> FloatArray:
     """Return the unit of each parameter's error (n,): a radian, or the side of the middle platform [m]."""
-    return np.where(np.array(geometry.parameter_units) == "rad", 1.0, geometry.middle_side)
+    return np.where(np.array(machine.parameter_units) == "rad", 1.0, machine.middle_side)
 
 
-def selected(geometry: Geometry, names: Collection[str] | str, argument: str) -> BoolArray:
+def selected(machine: Manipulator, names: Collection[str] | str, argument: str) -> BoolArray:
     """Return which parameters are meant by names of parameters, legs, components or kinds, such as `ball`."""
     several = [names] if isinstance(names, str) else check_instance(names, Collection, argument)  # type: ignore[type-abstract]
     wanted = {name if isinstance(name, str) else repr(name) for name in several}
-    parts = [name.split(".") for name in geometry.parameter_names]
+    parts = [name.split(".") for name in machine.parameter_names]
     keys = [{".".join(pair), *pair, pair[1].split("_")[0]} for pair in parts]
     unknown = sorted(name for name in wanted if not any(name in key for key in keys))
     if unknown or not wanted:
@@ -156,7 +156,7 @@ def selected(geometry: Geometry, names: Collection[str] | str, argument: str) ->
     return np.array([bool(wanted & key) for key in keys])
 
 
-def prior_deviations(machine: Geometry, tolerances: Mapping[str, float] | npt.ArrayLike) -> FloatArray:
+def prior_deviations(machine: Manipulator, tolerances: Mapping[str, float] | npt.ArrayLike) -> FloatArray:
     """Return the standard deviations (n,) of the parameters, 0 of those not named."""
     count = len(machine.parameter_names)
     if isinstance(tolerances, Mapping):

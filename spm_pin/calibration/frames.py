@@ -51,7 +51,7 @@ class Frames:
             points = poses[:, :3, :3] @ target + poses[:, :3, 3]
             return np.asarray((turn.apply(points) + position - places).ravel())
 
-        size = states.geometry.middle_side
+        size = states.machine.middle_side
         starts = np.concatenate([np.zeros((1, 3)), size * np.eye(3), -size * np.eye(3)])
         fits = [scipy.optimize.least_squares(errors, x) for x in starts]
         target = min(fits, key=lambda fit: float(fit.cost)).x

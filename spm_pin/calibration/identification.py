@@ -28,7 +28,7 @@ from spm_pin.calibration.frames import FRAME_PARAMETERS, Frames
 from spm_pin.calibration.measurements import MeasurementError, Measurements, pose_covariances
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.machine import LEGS, Configuration, Geometry, as_rigid_transform
+from spm_pin.machine import LEGS, Configuration, Manipulator, as_rigid_transform
 from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.legs import RADIAL
 from spm_pin.support import notebook
@@ -65,10 +65,10 @@ _Function = Callable[[FloatArray], FloatArray]
 class Calibration:
     """A machine identified from N measurements, and how well it is known."""
 
-    fitted: Geometry
+    fitted: Manipulator
     """The machine that fits the measurements best, whatever `status` says."""
     status: str
-    """"fits"; or "outliers", "misfit", "not converged" or "another nominal": then `geometry` raises an error."""
+    """"fits"; or "outliers", "misfit", "not converged" or "another nominal": then `machine` raises an error."""
     reason: str
     """The reason why the machine is not to be used, with the likely cause; empty if it fits."""
     reason_rows: tuple[int, ...]
@@ -122,7 +122,7 @@ class Calibration:
         return [np.linalg.norm(errors[:, :3], axis=-1) for errors in (self.before, self.residuals)]
 
     @property
-    def geometry(self) -> Geometry:
+    def machine(self) -> Manipulator:
         """The machine; raises `MeasurementError` if the measurements do not fit it, with the reason."""
         self._check_status()
         return self.fitted
@@ -130,7 +130,7 @@ class Calibration:
     def accuracy(self, configuration: Configuration) -> FloatArray:
         """Return the covariance (..., 6, 6) of the platform's predicted pose (displacement, rotation) [m, rad], in {B}.
 
-        The states (...) are anywhere, of this machine or of the nominal one. `MeasurementError` as for `geometry`.
+        The states (...) are anywhere, of this machine or of the nominal one. `MeasurementError` as for `machine`.
         """
         self._check_status()
         jacobian = error_jacobian(configuration)
@@ -154,7 +154,7 @@ class Calibration:
 
 
 def identify(
-    geometry: Geometry,
+    machine: Manipulator,
     poses: Any,
     readings: npt.ArrayLike,
     *,
@@ -169,7 +169,7 @@ def identify(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The machine as it is known before.
     poses : RigidTransform of shape (N,), array_like (N, 4, 4), or array_like (N, 3)
         Measured poses of {m} in {B}; or positions of o alone [m]. With `frames`, those of a target on m as a tracker
@@ -177,7 +177,7 @@ def identify(
     readings : array_like, shape (N, 6)
         Readings of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 at these poses [m], of RRS legs [rad].
     parameters : collection of str, optional
-        What to identify: `Geometry.parameter_names`, components such as "pivot_x", "direction", "pivot", "ball",
+        What to identify: `Manipulator.parameter_names`, components such as "pivot_x", "direction", "pivot", "ball",
         "offset", "crank", "rod", or legs; all if not given. The others keep their values.
     pose_noise : array_like
         Standard deviations of the measured position [m] and orientation [rad], or covariances (6, 6) or (N, 6, 6) of
@@ -189,7 +189,7 @@ def identify(
         `Calibration.target`. Errors that move all legs of a stage alike are then not seen, as they move such a frame.
     tolerances : mapping of str to float, or array_like, optional
         Standard deviations of the parameters of machines as they are made, as for `tolerance`. What the measurements
-        show badly then stays as near to `geometry`, with the platform known as well as without.
+        show badly then stays as near to `machine`, with the platform known as well as without.
     loss : {"linear", "soft_l1", "huber", "cauchy"}
         With "linear", outliers are a reason not to use the machine. The others, see `scipy.optimize.least_squares`,
         take them in with less weight, and mark them.
@@ -205,7 +205,7 @@ def identify(
         If readings are in another unit or such that the machine has no state, columns are exchanged, rows shifted or
         rotations transposed, or if the measurements are too few or too much alike to determine the parameters.
     """
-    start = check_instance(geometry, Geometry, "geometry")
+    start = check_instance(machine, Manipulator, "machine")
     unknown_frames = as_bool(frames, "frames")
     wanted = selected(start, start.parameter_names if parameters is None else parameters, "parameters")
     choice(loss, "loss", _LOSSES)
@@ -222,13 +222,13 @@ def identify(
         raise MeasurementError("poses", expected, f"{count}", "Measure more, or identify fewer parameters")
     scaled = _scale(start)[:, None] * basis
 
-    def machine(unknown: FloatArray) -> tuple[Geometry, Frames]:
+    def machine_of(unknown: FloatArray) -> tuple[Manipulator, Frames]:
         changes = scaled @ unknown
         return start.from_parameters(start.parameters + changes[:own]), data.frames.changed(changes[own:])
 
     def whitened(unknown: FloatArray) -> FloatArray:
         try:
-            errors = data.errors(*machine(unknown))
+            errors = data.errors(*machine_of(unknown))
         except ArgumentError:  # A step to parameters that no machine has.
             errors = np.full((count, components), np.nan)
         # A machine that cannot have these readings is far off.
@@ -236,7 +236,7 @@ def identify(
         return np.asarray((whitening @ errors[..., None])[..., 0])
 
     def jacobian(unknown: FloatArray) -> FloatArray:
-        changed, seen_from = machine(unknown)
+        changed, seen_from = machine_of(unknown)
         slopes = seen_from.jacobian(data.states(changed))[:, :components]
         return np.asarray(whitening @ np.nan_to_num(slopes) @ scaled)
 
@@ -249,7 +249,7 @@ def identify(
     used = ~fit.outliers if fit.outliers.sum() * components + len(first) <= count * components else fit.outliers
     _, values, right = np.linalg.svd(np.concatenate([*jacobian(fit.unknown)[used], prior]), full_matrices=False)
     spread = scaled @ (right.T / values)
-    (fitted, last_frames), covariance = machine(fit.unknown), spread @ spread.T
+    (fitted, last_frames), covariance = machine_of(fit.unknown), spread @ spread.T
     if fit.status == "fits" and (other := _other_nominal(start, fitted, covariance)):
         fit = replace(fit, status="another nominal", reason=other)
     if fit.status not in ("fits", "outliers") and data.are_in_other_frames(start):
@@ -276,13 +276,13 @@ def identify(
     )
 
 
-def _scale(start: Geometry) -> FloatArray:
+def _scale(start: Manipulator) -> FloatArray:
     """Return the units of the parameters and of those of the frames, (n + 12,)."""
     return np.concatenate([parameter_scale(start), np.tile(np.repeat([start.middle_side, 1.0], 3), 2)])
 
 
 def _visible_basis(
-    start: Geometry, wanted: BoolArray, components: int, frames: Frames | None
+    start: Manipulator, wanted: BoolArray, components: int, frames: Frames | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return orthonormal combinations of scaled parameters that measurements show, (n + 12, k), and the others.
 
@@ -305,7 +305,7 @@ def _visible_basis(
     return left[:, values > 1e-9], hidden.T
 
 
-def _other_nominal(start: Geometry, fitted: Geometry, covariance: FloatArray) -> str:
+def _other_nominal(start: Manipulator, fitted: Manipulator, covariance: FloatArray) -> str:
     """Return how E, C or d differ by more than manufacture and the noise explain; empty if none does."""
     weights = np.zeros((3, 6, 9))  # of pivots and balls in E, C and d of the drawing nearest to them
     weights[0, :3, 2:5] = weights[1, 3:, 2:5] = RADIAL / 3.0
@@ -323,7 +323,7 @@ def _other_nominal(start: Geometry, fitted: Geometry, covariance: FloatArray) ->
     return (
         f"a machine whose {'ECd'[worst]} is {corrected:.4g} mm instead of {given:.4g} mm, more than the "
         f"{_MANUFACTURE:.0%} that errors of manufacture explain; the largest correction is {1e3 * points.max():.3g} "
-        f"mm, of the {('pivot', 'ball')[kind]} of {LEGS[leg]}. Another nominal geometry?"
+        f"mm, of the {('pivot', 'ball')[kind]} of {LEGS[leg]}. Another nominal machine?"
     )
 
 
@@ -417,7 +417,7 @@ def _judged(
         causes = (
             "Larger noise than given, or errors that are not among the parameters?"
             if chi_square < _GROSS**2
-            else "Another nominal geometry or unit, legs or axes exchanged, poses and readings of different rows, or "
+            else "Another nominal machine or unit, legs or axes exchanged, poses and readings of different rows, or "
             "many wrong rows?"
         )
         worst = int(squares.argmax())
@@ -453,7 +453,7 @@ def _outliers(whitened: FloatArray, unknowns: int) -> BoolArray:
 
 
 def choose_poses(
-    geometry: Geometry,
+    machine: Manipulator,
     count: int = 40,
     *,
     candidates: int | Configuration = 500,
@@ -468,7 +468,7 @@ def choose_poses(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The machine as it is known before.
     count : int
         Number of poses.
@@ -486,7 +486,7 @@ def choose_poses(
     Configuration
         States of shape (count,), the most informative first; each candidate at most once.
     """
-    machine = check_instance(geometry, Geometry, "geometry")
+    machine = check_instance(machine, Manipulator, "machine")
     wanted = selected(machine, machine.parameter_names if parameters is None else parameters, "parameters")
     components = 3 if as_bool(positions_only, "positions_only") else 6
     seen_from = Frames.as_defined()
@@ -502,17 +502,17 @@ def choose_poses(
     return states[np.array(_exchanged(rows, count))]
 
 
-def given_or_drawn(geometry: Geometry, states: Configuration | int, argument: str, rng: object) -> Configuration:
+def given_or_drawn(machine: Manipulator, states: Configuration | int, argument: str, rng: object) -> Configuration:
     """Return the states (N,) given, or a number of them at leg readings drawn uniformly from the limits."""
     if isinstance(states, Configuration):
         if len(check_configuration(states, argument, existing=True).shape) != 1:
             raise ArgumentError(argument, "states along one axis", f"shape {states.shape}")
         return states
     wanted = whole_number(states, argument, least=1)
-    if geometry.limits is None or not np.isfinite(geometry.limits.maximum).all():
-        cause = "Give the limits to the Geometry, or the states to choose from"
-        raise ArgumentError("geometry", "a machine with leg limits to draw states from", "none", cause)
-    return random_states(geometry, wanted, generator(rng))
+    if machine.limits is None or not np.isfinite(machine.limits.maximum).all():
+        cause = "Give the limits to the Manipulator, or the states to choose from"
+        raise ArgumentError("machine", "a machine with leg limits to draw states from", "none", cause)
+    return random_states(machine, wanted, generator(rng))
 
 
 def _exchanged(rows: FloatArray, count: int) -> list[int]:

@@ -17,7 +17,7 @@ from spm_pin.calibration.frames import Frames
 from spm_pin.errors import ArgumentError, SingularConfigurationError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
-from spm_pin.machine import LEGS, Configuration, Geometry, as_rigid_transform
+from spm_pin.machine import LEGS, Configuration, Manipulator, as_rigid_transform
 from spm_pin.machine.machine import unit_hint
 from spm_pin.support.arguments import (
     LARGEST,
@@ -65,7 +65,7 @@ class Measurements:
     frames: Frames  # of the tracker
 
     @classmethod
-    def check(cls, geometry: Geometry, poses: Any, readings: npt.ArrayLike, *, frames: bool) -> Measurements:
+    def check(cls, machine: Manipulator, poses: Any, readings: npt.ArrayLike, *, frames: bool) -> Measurements:
         """Read the arguments of `identify`, with its errors; `frames` says that those of the tracker are unknown."""
         array = as_array(poses) if not isinstance(poses, RigidTransform) else None
         if array is not None and array.shape[-1:] == (3,):
@@ -73,26 +73,26 @@ class Measurements:
             matrix, components = homogeneous(np.eye(3), position), 3
         else:
             matrix, components = as_rigid_transform(poses, "poses").as_matrix(), 6
-        read = real_array(readings, "readings", (6,), f"readings of {', '.join(LEGS)} in {geometry.legs.unit_text()}")
+        read = real_array(readings, "readings", (6,), f"readings of {', '.join(LEGS)} in {machine.legs.unit_text()}")
         if matrix.ndim != 3 or read.shape != (len(matrix), 6):
             expected = f"one row of six readings for each of N poses, whose shape is {matrix.shape[:-2]}"
             raise ArgumentError("readings", expected, f"shape {read.shape}")
         measured = cls(matrix, read, components, Frames.as_defined())
         if not len(matrix):
             return measured
-        for name, values in (("readings", read * (np.array(geometry.legs.units) == "m")), ("poses", measured.position)):
+        for name, values in (("readings", read * (np.array(machine.legs.units) == "m")), ("poses", measured.position)):
             sizes = np.median(np.abs(values), axis=0)
-            hint = unit_hint(geometry, sizes.max())
+            hint = unit_hint(machine, sizes.max())
             if hint:
                 column = (LEGS if name == "readings" else POSITION)[int(sizes.argmax())]
                 raise MeasurementError(name, "lengths in metres", f"values of {sizes.max():g} for {column}", hint)
         if frames:
-            return measured._in_frames(geometry)
+            return measured._in_frames(machine)
         # Exchanged legs may explain positions as well as a mirrored axis does; only rotations tell the two apart.
         checks = [measured._check_columns, measured._check_axes]
         for check in checks if components == 3 else checks[::-1]:
-            check(geometry)
-        measured._check_rows(geometry)
+            check(machine)
+        measured._check_rows(machine)
         return measured
 
     @property
@@ -100,39 +100,39 @@ class Measurements:
         """Measured positions (N, 3) [m]."""
         return self.poses[:, :3, 3]
 
-    def states(self, geometry: Geometry) -> Configuration:
+    def states(self, machine: Manipulator) -> Configuration:
         """Return the states (N,) of a machine with the readings; absent where it has none."""
-        impossible = np.any(self._impossible(geometry), axis=-1)
-        possible = np.where(impossible[:, None], geometry.legs.offsets + 1.0, self.readings)
-        return forward_physical(geometry, possible).transformed(
+        impossible = np.any(self._impossible(machine), axis=-1)
+        possible = np.where(impossible[:, None], machine.legs.offsets + 1.0, self.readings)
+        return forward_physical(machine, possible).transformed(
             lambda array, inner: np.where(impossible.reshape(-1, *[1] * inner), np.nan, array)
         )
 
-    def _impossible(self, geometry: Geometry) -> BoolArray:
+    def _impossible(self, machine: Manipulator) -> BoolArray:
         """Return which readings (N, 6) their legs cannot have, because the ball's circle would have no radius."""
-        return np.asarray(geometry.legs.circles(self.readings)[1] <= 0.0)
+        return np.asarray(machine.legs.circles(self.readings)[1] <= 0.0)
 
-    def errors(self, geometry: Geometry, frames: Frames | None = None) -> FloatArray:
+    def errors(self, machine: Manipulator, frames: Frames | None = None) -> FloatArray:
         """Return the predicted less the measured poses (N, components) [m, rad]; NaN where there is no state."""
-        seen = (frames or self.frames).seen(self.states(geometry))
+        seen = (frames or self.frames).seen(self.states(machine))
         return pose_errors(seen, self.poses)[:, : self.components]
 
-    def _in_frames(self, geometry: Geometry) -> Measurements:
+    def _in_frames(self, machine: Manipulator) -> Measurements:
         """Return the same with the frames with which they are nearest to the states of a machine."""
-        states = self.states(geometry)
-        self._check_states(geometry, states.exists)
+        states = self.states(machine)
+        self._check_states(machine, states.exists)
         return replace(self, frames=Frames.estimated(states, self.poses))
 
-    def are_in_other_frames(self, geometry: Geometry) -> bool:
+    def are_in_other_frames(self, machine: Manipulator) -> bool:
         """Return whether frames of a tracker explain the positions much better than those given."""
-        size, exists = _median_size(self.errors(geometry)[:, :3]), self.states(geometry).exists
-        if not (exists.all() and size > _SUSPICIOUS * geometry.middle_side):
+        size, exists = _median_size(self.errors(machine)[:, :3]), self.states(machine).exists
+        if not (exists.all() and size > _SUSPICIOUS * machine.middle_side):
             return False
-        return size > _BETTER * _median_size(self._in_frames(geometry).errors(geometry)[:, :3])
+        return size > _BETTER * _median_size(self._in_frames(machine).errors(machine)[:, :3])
 
-    def _check_rows(self, geometry: Geometry) -> None:
+    def _check_rows(self, machine: Manipulator) -> None:
         """Raise if transposed rotations, or readings of other rows, explain the poses much better."""
-        predicted = self.states(geometry).pose.as_matrix()
+        predicted = self.states(machine).pose.as_matrix()
         if self.components == 6:
             rotation = self.poses[:, :3, :3]
             scalar_first = np.roll(Rotation.from_matrix(rotation).as_quat(), -1, axis=-1)
@@ -154,11 +154,11 @@ class Measurements:
             )
             for shift in shifts
         }
-        _refuse_if_better("poses", "poses in the order of the readings", sizes, _SUSPICIOUS * geometry.middle_side)
+        _refuse_if_better("poses", "poses in the order of the readings", sizes, _SUSPICIOUS * machine.middle_side)
 
-    def _check_axes(self, geometry: Geometry) -> None:
+    def _check_axes(self, machine: Manipulator) -> None:
         """Raise if coordinates that are exchanged or negated explain the positions much better."""
-        errors = np.nan_to_num(self.errors(geometry), nan=np.inf)
+        errors = np.nan_to_num(self.errors(machine), nan=np.inf)
         turned = self.components == 6 and _median_size(errors[:, 3:]) > _SUSPICIOUS
         if turned or not np.isfinite(_median_size(errors[:, :3])):
             return
@@ -167,17 +167,17 @@ class Measurements:
             meant = ", ".join(f"{'-' * (sign < 0)}{POSITION[k]}" for k, sign in zip(order, signs, strict=True))
             size = _median_size(predicted - self.position[:, order] * signs)
             sizes["positions along other axes", f"As {meant}"] = size
-        _refuse_if_better("poses", "positions x, y, z of o in {B}", sizes, _SUSPICIOUS * geometry.middle_side)
+        _refuse_if_better("poses", "positions x, y, z of o in {B}", sizes, _SUSPICIOUS * machine.middle_side)
 
-    def _check_columns(self, geometry: Geometry) -> None:
+    def _check_columns(self, machine: Manipulator) -> None:
         """Raise if there is no state, or if exchanged columns explain the positions much better."""
-        if (impossible := self._impossible(geometry)).any():
+        if (impossible := self._impossible(machine)).any():
             row, leg = first_offender(impossible)
             received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
             raise MeasurementError("readings", "readings that exceed the offsets", received, rows=(row,))
-        errors = self.errors(geometry)
+        errors = self.errors(machine)
         typical = _median_size(np.nan_to_num(errors[:, :3], nan=np.inf))
-        if typical > _SUSPICIOUS * geometry.middle_side:
+        if typical > _SUSPICIOUS * machine.middle_side:
             sizes = {("", ""): typical}
             some = slice(None, None, -(-len(errors) // _SUBSET))
             for order in itertools.permutations(range(6)):
@@ -185,12 +185,12 @@ class Measurements:
                 wrong = [f"{LEGS[i]} holds {LEGS[order.index(i)]}" for i in range(6) if order[i] != i]
                 if wrong:
                     with np.errstate(invalid="ignore"):
-                        size = _median_size(np.nan_to_num(swapped.errors(geometry), nan=np.inf))
+                        size = _median_size(np.nan_to_num(swapped.errors(machine), nan=np.inf))
                     sizes[f"columns in another order: {', '.join(wrong)}", "In that order"] = size
             _refuse_if_better("readings", f"readings in the order {', '.join(LEGS)}", sizes, 0.0)
-        self._check_states(geometry, np.asarray(~np.isnan(errors).any(axis=-1)))
+        self._check_states(machine, np.asarray(~np.isnan(errors).any(axis=-1)))
 
-    def _check_states(self, geometry: Geometry, exists: BoolArray) -> None:
+    def _check_states(self, machine: Manipulator, exists: BoolArray) -> None:
         """Raise at the first row whose readings the machine cannot have."""
         if not exists.all():
             row = int(exists.argmin())

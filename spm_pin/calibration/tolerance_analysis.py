@@ -13,7 +13,7 @@ from spm_pin.calibration.error_model import error_jacobian, pose_errors, prior_d
 from spm_pin.calibration.identification import given_or_drawn
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.machine import Configuration, Geometry
+from spm_pin.machine import Configuration, Manipulator
 from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, check_instance, choice, generator, real_number, whole_number
 
@@ -25,7 +25,7 @@ class ToleranceAnalysis:
     states: Configuration
     """The states of the machine without errors, shape (N,)."""
     deviations: FloatArray
-    """Standard deviations of the parameters [m, rad], `Geometry.parameter_names`, shape (n,)."""
+    """Standard deviations of the parameters [m, rad], `Manipulator.parameter_names`, shape (n,)."""
     covariance: FloatArray
     """Covariance of the platform's error (displacement, rotation vector) [m, rad] in {B}, to first order, shape
     (N, 6, 6)."""
@@ -72,7 +72,7 @@ class ToleranceAnalysis:
         """Return names and shares, the largest first, added up by "parameter", "component", "kind" or "leg"."""
         choice(by, "by", ("parameter", "component", "kind", "leg"))
         totals: dict[str, float] = {}
-        for name, share in zip(self.states.geometry.parameter_names, self.shares, strict=True):
+        for name, share in zip(self.states.machine.parameter_names, self.shares, strict=True):
             leg, component = name.split(".")
             keys = {"parameter": name, "component": component, "kind": component.split("_")[0], "leg": leg}
             totals[keys[by]] = totals.get(keys[by], 0.0) + float(share)
@@ -80,7 +80,7 @@ class ToleranceAnalysis:
 
 
 def tolerance(
-    geometry: Geometry,
+    machine: Manipulator,
     tolerances: Mapping[str, float] | npt.ArrayLike,
     states: Configuration | int = 60,
     *,
@@ -91,10 +91,10 @@ def tolerance(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The machine whose readings are commanded.
     tolerances : mapping of str to float, or array_like, shape (n,)
-        Standard deviations [m, rad]: of each of `Geometry.parameter_names`, or under names of parameters, components
+        Standard deviations [m, rad]: of each of `Manipulator.parameter_names`, or under names of parameters, components
         such as "pivot_x", kinds ("direction", "pivot", "ball", "offset", and "rod", "crank" of legs that have them) or
         legs; a later name replaces an earlier one, what is not named has no error.
     states : Configuration or int
@@ -108,16 +108,16 @@ def tolerance(
     --------
     >>> import spm_pin as spm
     >>> table = {"direction": 1e-4, "pivot": 1e-4, "ball": 1e-4, "offset": 1e-4}
-    >>> analysis = spm.calibration.tolerance(spm.Geometry.paper(), table, samples=0, rng=0)
+    >>> analysis = spm.calibration.tolerance(spm.Manipulator.paper(), table, samples=0, rng=0)
     >>> [f"{name} {share:.0%}" for name, share in analysis.ranking("kind")]
     ['ball 33%', 'pivot 33%', 'offset 31%', 'direction 4%']
     """
-    machine, random = check_instance(geometry, Geometry, "geometry"), generator(rng)
+    machine, random = check_instance(machine, Manipulator, "machine"), generator(rng)
     deviations = prior_deviations(machine, tolerances)
     samples = whole_number(samples, "samples", least=0, most=10**6)
     places = given_or_drawn(machine, states, "states", random)
-    if places.geometry != machine:
-        raise ArgumentError("states", "states of this machine", repr(places.geometry))
+    if places.machine != machine:
+        raise ArgumentError("states", "states of this machine", repr(places.machine))
     scaled = error_jacobian(places) * deviations
     variances = (scaled[:, :3] ** 2).sum(axis=1).mean(axis=0)
     errors = np.empty((samples, len(places), 6))

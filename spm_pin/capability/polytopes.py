@@ -291,7 +291,7 @@ def wrench_polytope(
     Examples
     --------
     >>> import spm_pin as spm
-    >>> state = spm.forward_physical(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> state = spm.forward_physical(spm.Manipulator.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     >>> held = spm.capability.wrench_polytope(state, 1000.0)
     >>> held.vertices.shape, float(held.ball("linear").round(1)), float(held.extent([0, 0, -1, 0, 0, 0]).round(1))
     ((64, 6), 492.1, 933.9)
@@ -377,7 +377,7 @@ def _limits_of(
     configuration: Configuration, value: npt.ArrayLike, argument: str, meaning: str, *units: str
 ) -> tuple[FloatArray, FloatArray]:
     """Return `leg_bounds` in the units of lengths and of angles that the legs of a configuration have."""
-    legs = check_configuration(configuration).geometry.legs
+    legs = check_configuration(configuration).machine.legs
     return leg_bounds(value, argument, f"{meaning} in {legs.unit_text(*units)}", most=_MOST)
 
 

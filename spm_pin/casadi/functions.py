@@ -1,8 +1,8 @@
 """The kinematics as CasADi functions, for optimisation and optimal control, with derivatives of any order.
 
-Arguments of all: `geometry` is the machine that is built in, drawn or as built, of legs of any kind; None is the
+Arguments of all: `machine` is the machine that is built in, drawn or as built, of legs of any kind; None is the
 paper's machine, and `"symbolic"` a drawn one of RPS legs whose `dimensions` (3,) = E, C, d [m] are one more input. With
-`parameters` the parameters of the legs, see `spm_pin.Geometry.parameters`, are one more input instead, and `geometry`
+`parameters` the parameters of the legs, see `spm_pin.Manipulator.parameters`, are one more input instead, and `machine`
 is the drawing. Readings are in metres, of RRS legs in radians; so are rates, and forces are then torques [N m].
 
 Functions of a state have the inputs `joints` (3, 3), rows b_i in {B} [m], `rotation` (3, 3) from {m} to {B} and
@@ -33,11 +33,11 @@ from spm_pin.errors import ArgumentError
 from spm_pin.formulas import ball_motions, circles, leg_constants, leg_planes, vectors, wrenches
 from spm_pin.formulas import branches as formulas
 from spm_pin.formulas import joint_values as values
-from spm_pin.machine import BRANCHES, Geometry
+from spm_pin.machine import BRANCHES, Manipulator
 from spm_pin.machine.manipulator import check_rps
 from spm_pin.support.arguments import FloatArray, as_bool, check_instance, choice
 
-Dimensions = Geometry | Literal["symbolic"] | None
+Dimensions = Manipulator | Literal["symbolic"] | None
 
 _LEG_NAMES = ("b1", "b2", "b3", "c1", "c2", "c3")
 _NEWTON_STEPS = 14
@@ -45,7 +45,7 @@ _LONGEST_STEP = 0.3
 """Of a step of Newton's method, in units of d."""
 
 
-def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+def inverse_physical(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the inverse displacement in the physical branch.
 
     Returns
@@ -57,7 +57,7 @@ def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -
 
     Notes
     -----
-    The leg limits of `geometry` decide between two physical branches, as in `spm_pin.inverse_physical`. Where none is
+    The leg limits of `machine` decide between two physical branches, as in `spm_pin.inverse_physical`. Where none is
     physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. A negative
     `discriminant` is taken for zero, and so is what a rod is too short by, so readings are those of a machine that does
     not close, and their derivatives finite: constrain the first to be positive. At a level platform they are finite and
@@ -68,24 +68,24 @@ def inverse_physical(geometry: Dimensions = None, *, parameters: bool = False) -
     `exists` is 0 as well for what is no pose, an entry of RᵀR - I being above 1e-6, and for dimensions not within 1e-9
     to 1e9 m. A rotation is not repaired: up to there its error is one of the other outputs too.
     """
-    machine, rotation, position = MachineInCasadi(geometry, parameters), *_pose()
-    if not machine.is_drawn:
-        return _as_built_inverse(machine, rotation, position)
-    drawn = Drawn(machine, rotation, position)
+    symbolic, rotation, position = MachineInCasadi(machine, parameters), *_pose()
+    if not symbolic.is_drawn:
+        return _as_built_inverse(symbolic, rotation, position)
+    drawn = Drawn(symbolic, rotation, position)
     joints = [drawn.branch("TT", sign) for sign in (1.0, -1.0)]
-    states = [StateInCasadi(machine, b, rotation, position) for b in joints]
-    (plus, plus_tilts), (minus, minus_tilts) = (preference(machine, state) for state in states)
+    states = [StateInCasadi(symbolic, b, rotation, position) for b in joints]
+    (plus, plus_tilts), (minus, minus_tilts) = (preference(symbolic, state) for state in states)
     other = in_casadi(formulas.is_other_preferred)(plus, plus_tilts, minus, minus_tilts)
     outputs = {
         "readings": ca.if_else(other, states[1].readings, states[0].readings),
         "joints": ca.if_else(other, joints[1], joints[0]),
         "discriminant": drawn.discriminant("TT"),
-        "exists": all_of([plus + minus > 0.0, drawn.is_real("TT"), machine.takes(rotation, position)]),
+        "exists": all_of([plus + minus > 0.0, drawn.is_real("TT"), symbolic.takes(rotation, position)]),
     }
-    return machine.function("inverse_physical", [rotation, position], outputs)
+    return symbolic.function("inverse_physical", [rotation, position], outputs)
 
 
-def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
+def inverse_branch(branch: str, machine: Dimensions = None) -> ca.Function:
     """Make the inverse displacement of a drawn machine in one branch.
 
     Parameters
@@ -102,26 +102,26 @@ def inverse_branch(branch: str, geometry: Dimensions = None) -> ca.Function:
     Raises
     ------
     ArgumentError
-        If there is no such branch, or `geometry` is a machine as built.
+        If there is no such branch, or `machine` is a machine as built.
     """
     choice(branch, "branch", BRANCHES)
-    machine, rotation, position = MachineInCasadi(geometry), *_pose()
-    if not machine.is_drawn:
+    symbolic, rotation, position = MachineInCasadi(machine), *_pose()
+    if not symbolic.is_drawn:
         cause = "The eight roots of a machine as built have no closed form; inverse_physical takes it"
-        raise ArgumentError("geometry", "a machine as drawn", "one as built", cause)
-    drawn, family = Drawn(machine, rotation, position), branch[:2]
+        raise ArgumentError("machine", "a machine as drawn", "one as built", cause)
+    drawn, family = Drawn(symbolic, rotation, position), branch[:2]
     joints = drawn.branch(family, 1.0 if branch[2] == "+" else -1.0)
-    state = StateInCasadi(machine, joints, rotation, position)
+    state = StateInCasadi(symbolic, joints, rotation, position)
     outputs = {
         "readings": state.readings,
         "joints": joints,
         "discriminant": drawn.discriminant(family),
-        "exists": all_of([drawn.is_real(family), state.reach >= 0.0, machine.takes(rotation, position)]),
+        "exists": all_of([drawn.is_real(family), state.reach >= 0.0, symbolic.takes(rotation, position)]),
     }
-    return machine.function("inverse_branch", [rotation, position], outputs)
+    return symbolic.function("inverse_branch", [rotation, position], outputs)
 
 
-def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, near: bool = False) -> ca.Function:
+def forward_physical(machine: Dimensions = None, *, parameters: bool = False, near: bool = False) -> ca.Function:
     """Make the forward displacement, an implicit function with exact derivatives.
 
     Parameters
@@ -138,64 +138,64 @@ def forward_physical(geometry: Dimensions = None, *, parameters: bool = False, n
         are in the aspect of the symmetric home, and all legs in their working mode. Where it is 0 the others are where
         14 steps of Newton's method and `casadi.rootfinder` ended.
     """
-    machine, readings = MachineInCasadi(geometry, parameters), ca.SX.sym("readings", 6)
-    unknowns, stages = ca.SX.sym("unknowns", 6), [machine.circles(k, readings) for k in (0, 1)]
-    inputs, starts = [readings], [level_balls(machine, k, stage) for k, stage in enumerate(stages)]
+    symbolic, readings = MachineInCasadi(machine, parameters), ca.SX.sym("readings", 6)
+    unknowns, stages = ca.SX.sym("unknowns", 6), [symbolic.circles(k, readings) for k in (0, 1)]
+    inputs, starts = [readings], [level_balls(symbolic, k, stage) for k, stage in enumerate(stages)]
     if as_bool(near, "near"):
         inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
-        starts = [list(map(parts, balls)) for balls in StateInCasadi(machine, *inputs[1:]).own_balls()]
+        starts = [list(map(parts, balls)) for balls in StateInCasadi(symbolic, *inputs[1:]).own_balls()]
     halves = unknowns[:3], unknowns[3:]
-    problems = [stage_problem(machine, k, *own) for k, own in enumerate(zip(stages, starts, halves, strict=True))]
+    problems = [stage_problem(symbolic, k, *own) for k, own in enumerate(zip(stages, starts, halves, strict=True))]
     balls, errors, stepped, angles = zip(*problems, strict=True)
-    rotation, position, joints = placed(machine, *balls)
-    own = ca.vertsplit(readings - machine.offsets)
+    rotation, position, joints = placed(symbolic, *balls)
+    own = ca.vertsplit(readings - symbolic.offsets)
     # Half the squares of the distances, over d.
-    error = ca.vertcat(*errors) / machine.side
-    residual, state = ca.mmax(ca.fabs(error)) / machine.side, StateInCasadi(machine, joints, rotation, position)
-    exists = [machine.valid, state.is_physical()[0], residual < 1e-12, state.least_slope(state.slopes_at(own)) > 0.0]
+    error = ca.vertcat(*errors) / symbolic.side
+    residual, state = ca.mmax(ca.fabs(error)) / symbolic.side, StateInCasadi(symbolic, joints, rotation, position)
+    exists = [symbolic.valid, state.is_physical()[0], residual < 1e-12, state.least_slope(state.slopes_at(own)) > 0.0]
     exists += [radius > 0.0 for stage in stages for radius in stage.radii]
-    exists += machine.are_readings(own)
+    exists += symbolic.are_readings(own)
     outputs = {"rotation": rotation, "position": position, "joints": joints}
     outputs |= {"residual": residual, "exists": all_of(exists)}
     problem = unknowns, error, outputs, ca.vertcat(*stepped)
-    return implicit("forward_physical", [*inputs, *machine.inputs], problem, [ca.vertcat(*angles)])
+    return implicit("forward_physical", [*inputs, *symbolic.inputs], problem, [ca.vertcat(*angles)])
 
 
-def inverse_jacobian(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+def inverse_jacobian(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make J_f, of a state: `jacobian` (6, 6), which maps the platform's twist (v, ω) at o in {B} to the leg rates.
 
     It grows without bound towards an inverse singularity, or a leg's own, and is not a number at one.
     """
-    return _of_state("inverse_jacobian", MachineInCasadi(geometry, parameters), {}, jacobian_of)
+    return _of_state("inverse_jacobian", MachineInCasadi(machine, parameters), {}, jacobian_of)
 
 
-def leg_rates(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+def leg_rates(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the leg rates `rates` (6,) of a state for a `twist` (6,), (v, ω) at o in {B}."""
-    return _of_state("leg_rates", MachineInCasadi(geometry, parameters), {"twist": 6}, rates_of)
+    return _of_state("leg_rates", MachineInCasadi(machine, parameters), {"twist": 6}, rates_of)
 
 
-def leg_forces(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+def leg_forces(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the leg forces `forces` (6,) that hold a `wrench` on the platform in a state; positive increases readings.
 
     `wrench` (6,) is the force [N] and moment [N m] at o in {B}, applied from outside. The forces grow without bound
     towards a forward singularity.
     """
-    return _of_state("leg_forces", MachineInCasadi(geometry, parameters), {"wrench": 6}, forces_of)
+    return _of_state("leg_forces", MachineInCasadi(machine, parameters), {"wrench": 6}, forces_of)
 
 
-def gravity(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+def gravity(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the leg forces `forces` (6,) [N] that hold the weight of the machine and of a payload at rest in a state.
 
     Further inputs: `bodies` (32,), see `bodies`; `payload` (4,), a mass [kg] and its centre in {m} [m]; `acceleration`
     (3,), of gravity in {B} [m/s²].
     """
-    machine, arguments = MachineInCasadi(geometry, parameters), {"bodies": 32, "payload": 4, "acceleration": 3}
-    if isinstance(geometry, Geometry):
-        check_rps(geometry, "weights of the legs")
-    return _of_state("gravity", machine, arguments, gravity_of)
+    symbolic, arguments = MachineInCasadi(machine, parameters), {"bodies": 32, "payload": 4, "acceleration": 3}
+    if isinstance(machine, Manipulator):
+        check_rps(machine, "weights of the legs")
+    return _of_state("gravity", symbolic, arguments, gravity_of)
 
 
-def bodies(geometry: Geometry | None = None, masses: Masses | None = None) -> FloatArray:
+def bodies(machine: Manipulator | None = None, masses: Masses | None = None) -> FloatArray:
     """Return masses as `gravity` takes them: those given, or the assumed ones of the description.
 
     Returns
@@ -205,9 +205,9 @@ def bodies(geometry: Geometry | None = None, masses: Masses | None = None) -> Fl
         in {m}; then for each leg the mass of its cylinder, and times the distance of its centre from the pivot, and the
         mass of its rod, and times the distance of its centre from the ball.
     """
-    machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
-    check_rps(machine, "weights of the bodies in CasADi and C")
-    robot = read_robot(machine, masses=masses)
+    symbolic = Manipulator.paper() if machine is None else check_instance(machine, Manipulator, "machine")
+    check_rps(symbolic, "weights of the bodies in CasADi and C")
+    robot = read_robot(symbolic, masses=masses)
     moments: dict[str, Any] = {}
     bodies_of_carriers = {robot.carrier(name)[0]: name for name in ("middle_platform", "terminal_platform")}
     for name, link in robot.links.items():
@@ -216,7 +216,7 @@ def bodies(geometry: Geometry | None = None, masses: Masses | None = None) -> Fl
         centre = np.linalg.solve(robot.carrier(body)[1], pose @ [*link.inertial.xyz, 1.0])[:3]
         if name.startswith("ball_"):
             # Its centre is that of a ball, which the middle platform carries.
-            body, centre = "middle_platform", machine.legs.balls[_LEG_NAMES.index(name[5:7])]
+            body, centre = "middle_platform", symbolic.legs.balls[_LEG_NAMES.index(name[5:7])]
         moments[body] = moments.get(body, 0.0) + link.mass * np.array([1.0, *centre])
     rows = [moments["middle_platform"], moments["terminal_platform"]]
     for leg in _LEG_NAMES:
@@ -229,21 +229,21 @@ def bodies(geometry: Geometry | None = None, masses: Masses | None = None) -> Fl
     return np.concatenate(rows)
 
 
-def closure_residual(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+def closure_residual(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the nine closure equations of a state, `residual` (9,) [m].
 
     Distances of the balls from the planes of their lower legs, then of their upper legs; then, for the sides 12, 23,
     31, the error (|b_i - b_j|² - s²)/2s of a side s, smooth everywhere.
     """
-    return _of_state("closure_residual", MachineInCasadi(geometry, parameters), {}, residual_of)
+    return _of_state("closure_residual", MachineInCasadi(machine, parameters), {}, residual_of)
 
 
-def joint_values(geometry: Dimensions = None, *, parameters: bool = False) -> ca.Function:
+def joint_values(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
     """Make the values of the description's eighteen joints in a state.
 
     `values` (18,) are in the order of `spm_pin.description.JOINTS`: angles [rad], slides [m].
     """
-    return _of_state("joint_values", MachineInCasadi(geometry, parameters), {}, values_of)
+    return _of_state("joint_values", MachineInCasadi(machine, parameters), {}, values_of)
 
 
 def _of_state(

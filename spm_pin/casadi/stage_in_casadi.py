@@ -7,7 +7,7 @@ import casadi as ca
 from spm_pin.casadi.functions import frame_of, implicit, stage_problem
 from spm_pin.casadi.symbolic_machine import MachineInCasadi, all_of, columns, in_casadi, parts, rows
 from spm_pin.formulas import circles, stage_poses
-from spm_pin.machine import Geometry, Stage
+from spm_pin.machine import Manipulator, Stage
 from spm_pin.support.arguments import as_bool, check_instance
 
 
@@ -88,4 +88,4 @@ def stage_forward(stage: Stage, *, near: bool = False) -> ca.Function:
 def _machine(stage: Stage) -> MachineInCasadi:
     """Return a robot of two such stages, whose lower half is the stage."""
     check_instance(stage, Stage, "stage")
-    return MachineInCasadi(Geometry.of_stages(stage, stage))
+    return MachineInCasadi(Manipulator.of_stages(stage, stage))

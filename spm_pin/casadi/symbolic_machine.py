@@ -29,7 +29,7 @@ from spm_pin.formulas import (
 )
 from spm_pin.formulas.operations import bind
 from spm_pin.formulas.planar_legs import MOST_TURNED
-from spm_pin.machine import FAMILIES, Geometry, LegKind
+from spm_pin.machine import FAMILIES, LegKind, Manipulator
 from spm_pin.machine.joint_angles import joint_names
 from spm_pin.machine.leg_kinds import BOUNDS, drawn_numbers
 from spm_pin.machine.legs import AXES, RADIAL
@@ -119,25 +119,25 @@ class MachineInCasadi:
 
     Parameters
     ----------
-    geometry : Geometry, "symbolic" or None
+    machine : Manipulator, "symbolic" or None
         As for `spm_pin.casadi.inverse_physical`.
     parameters : bool
         Whether the parameters of the legs are an input.
     """
 
-    def __init__(self, geometry: Geometry | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
+    def __init__(self, machine: Manipulator | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
         self.inputs: list[Any] = []
         self.valid: Any = 1
         parameters = as_bool(parameters, "parameters")
         self.is_drawn = not parameters
-        if isinstance(geometry, str) and geometry == "symbolic" and not parameters:
-            self._set_kinds(Geometry(1.0, 1.0, 1.0))
+        if isinstance(machine, str) and machine == "symbolic" and not parameters:
+            self._set_kinds(Manipulator(1.0, 1.0, 1.0))
             self.inputs = [ca.SX.sym("dimensions", 3)]
             self._draw(*ca.vertsplit(self.inputs[0]))
             return
-        if not isinstance(geometry, Geometry | None):
-            raise ArgumentError("geometry", 'a Geometry, "symbolic" or None', type_and_value(geometry))
-        machine = geometry or Geometry.paper()
+        if not isinstance(machine, Manipulator | None):
+            raise ArgumentError("machine", 'a Manipulator, "symbolic" or None', type_and_value(machine))
+        machine = machine or Manipulator.paper()
         self._set_kinds(machine)
         self._draw(*machine.nominal.dimensions)
         if parameters:
@@ -154,25 +154,25 @@ class MachineInCasadi:
             self._set_legs(axes, pivots, balls, ca.SX(machine.legs.offsets))
 
     @classmethod
-    def of_symbols(cls, geometry: Geometry) -> MachineInCasadi:
+    def of_symbols(cls, machine: Manipulator) -> MachineInCasadi:
         """Return a machine whose `fields_of` are the inputs, vectors leg by leg; axes may be off unit length.
 
-        It has the kinds of legs of `geometry`.
+        It has the kinds of legs of `machine`.
         """
-        machine, kinds = cls(), geometry.legs.kinds
+        symbolic, kinds = cls(), machine.legs.kinds
         symbols = {name: ca.SX.sym(name, count) for name, count in fields_of(kinds).items()}
-        machine.inputs, machine.is_drawn = list(symbols.values()), False
-        machine._set_kinds(geometry)
-        numbers = ca.vertsplit(ca.vertcat(*machine.inputs[len(FIELDS) :]))
-        for leg, fixed in enumerate(machine.numbers):
-            machine.numbers[leg], numbers = tuple(numbers[: len(fixed)]), numbers[len(fixed) :]
-        machine._draw(*ca.vertsplit(symbols["dimensions"]))
-        machine._check_numbers()
+        symbolic.inputs, symbolic.is_drawn = list(symbols.values()), False
+        symbolic._set_kinds(machine)
+        numbers = ca.vertsplit(ca.vertcat(*symbolic.inputs[len(FIELDS) :]))
+        for leg, fixed in enumerate(symbolic.numbers):
+            symbolic.numbers[leg], numbers = tuple(numbers[: len(fixed)]), numbers[len(fixed) :]
+        symbolic._draw(*ca.vertsplit(symbols["dimensions"]))
+        symbolic._check_numbers()
         axes, pivots, balls = (ca.vertsplit(symbols[name], 3) for name in ("axes", "pivots", "balls"))
         units = [ca.vertcat(*in_casadi(vectors.direction)(parts(x))) for x in axes]
-        machine._set_legs(units, pivots, balls, symbols["offsets"])
-        machine.minimum, machine.maximum = symbols["minimum"], symbols["maximum"]
-        return machine
+        symbolic._set_legs(units, pivots, balls, symbols["offsets"])
+        symbolic.minimum, symbolic.maximum = symbols["minimum"], symbols["maximum"]
+        return symbolic
 
     def drawing(self) -> MachineInCasadi:
         """Return a machine whose axes, pivots and balls are those of the drawing, and all else this one's."""
@@ -182,10 +182,10 @@ class MachineInCasadi:
         drawn.offsets, drawn.valid = self.offsets, self.valid
         return drawn
 
-    def _set_kinds(self, geometry: Geometry) -> None:
-        self.kinds = kinds = geometry.legs.kinds
-        self.joint_names = joint_names(geometry)
-        limits = geometry.limits or geometry.legs.free_limits
+    def _set_kinds(self, machine: Manipulator) -> None:
+        self.kinds = kinds = machine.legs.kinds
+        self.joint_names = joint_names(machine)
+        limits = machine.limits or machine.legs.free_limits
         self.minimum, self.maximum = ca.SX(limits.minimum), ca.SX(limits.maximum)
         self.formulas = [kind.bound(in_casadi) for kind in kinds]
         self.numbers = [tuple(row) for kind in kinds for row in kind.numbers.tolist()]
@@ -292,7 +292,7 @@ class MachineInCasadi:
 
 
 def _legs_of_parameters(parameters: Any) -> tuple[list[Any], list[Any], list[Any], Any]:
-    """Return axes, pivots, balls and offsets of 54 parameters; see `Geometry.parameters`."""
+    """Return axes, pivots, balls and offsets of 54 parameters; see `Manipulator.parameters`."""
     rows = [parameters[9 * i : 9 * i + 9] for i in range(6)]
     turned = in_casadi(leg_constants.turned_axis)
     axes = [ca.vertcat(*turned(axis, row[0], row[1])) for row, axis in zip(rows, 2 * leg_constants.AXES, strict=True)]

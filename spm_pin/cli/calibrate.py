@@ -53,7 +53,7 @@ def calibrate(
     loss: Annotated[
         str, Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
     ] = "linear",
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     force: Annotated[bool, Option("--force", help="Write --out even where the measurements do not fit.")] = False,
     json: options.AsJson = False,
 ) -> None:
@@ -62,14 +62,14 @@ def calibrate(
     Example: spm-pin calibrate measurements.csv --out machine.yaml
 
     Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. The file
-    written can be given as --geometry to other commands. --figure needs the extra "plots".
+    written can be given as --machine to other commands. --figure needs the extra "plots".
 
     The exit code is 1, and no machine is written without --force, if a row does not belong to the others, residuals
     exceed three times what the noise explains, or E, C or d come out more than 4 % from the nominal ones. It is 1, and
     there is no machine to write, if the measurements are in another unit, in other columns or rows, or too few. It is 2
     if the file cannot be read.
     """
-    dimensions = options.read_geometry(geometry)
+    dimensions = options.read_machine(machine_file)
     with options.warnings_as_notes():
         poses, readings = read_measurements(measurements)
     noise: dict[str, Any] = {"pose_noise": pose_noise, "reading_noise": reading_noise, "frames": frames}
@@ -187,14 +187,14 @@ def tolerance(
     states: Annotated[int, Option(min=1, help="States to draw within the leg limits.")] = 60,
     samples: Annotated[int, Option(min=0, help="Random machines; 0 for first order alone.")] = 200,
     seed: Annotated[int, Option(min=0, help="Seed of states and machines.")] = 0,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Predict how far the platform is off if its dimensions are, and which tolerance pays.
 
     Example: spm-pin tolerance --direction 1e-4 --pivot 5e-5 --ball 5e-5 --offset 1e-5
     """
-    machine = options.read_geometry(geometry)
+    machine = options.read_machine(machine_file)
     table = {"direction": direction, "pivot": pivot, "ball": ball, "offset": offset}
     for name, deviation in (("rod", rod), ("crank", crank)):
         if deviation is not None or any(x.endswith(f".{name}") for x in machine.parameter_names):

@@ -22,7 +22,7 @@ from spm_pin.display.figures import agreement_figure
 from spm_pin.display.plots import save_gallery
 from spm_pin.display.writing import fixed
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.machine import Geometry, pose
+from spm_pin.machine import Manipulator, pose
 
 _TITLES = {
     POSE: "The example's pose (cm, degrees) from the leg lengths 120, 120, 140, 125, 120, 150 cm",
@@ -48,7 +48,7 @@ def crosscheck(
         list[str] | None, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}; may be repeated. All if not given.")
     ] = None,
     pairs: Annotated[bool, typer.Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
     out: Annotated[Path | None, outputs.file_option("Also write the report to a file, as JSON.")] = None,
     figure: Annotated[Path | None, outputs.picture_option("Also draw the differences of all pairs.")] = None,
@@ -59,8 +59,8 @@ def crosscheck(
     Exits with 1 if the methods disagree, and says which is wrong. Interrupted, it reports the poses done so far.
     --figure needs the extra "plots".
     """
-    report = _compare(options.read_geometry(geometry), poses, seed, method)
-    file = None if geometry is None else str(geometry)
+    report = _compare(options.read_machine(machine_file), poses, seed, method)
+    file = None if machine_file is None else str(machine_file)
     content = _comparison_content(report, file)
     if out is not None:
         outputs.write_json(content, out)
@@ -77,13 +77,13 @@ def crosscheck(
     _end(report)
 
 
-def _compare(geometry: Geometry, poses: int, seed: int, methods: list[str] | None) -> Report:
+def _compare(machine: Manipulator, poses: int, seed: int, methods: list[str] | None) -> Report:
     """Run a comparison with a progress bar; on Ctrl-C return the report of the poses done so far, if there are any."""
     names = None if methods is None else list(dict.fromkeys(methods))
     report = None
     with outputs.progress_bar() as bar:
         try:
-            for partial in compare_in_batches(geometry, poses=poses, seed=seed, methods=names, progress=bar):
+            for partial in compare_in_batches(machine, poses=poses, seed=seed, methods=names, progress=bar):
                 report = partial
         except KeyboardInterrupt:
             if report is None:
@@ -158,7 +158,7 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
     lines = []
     absent = [name for name in METHODS if name.replace("-", " ") not in {score.name for score in report.scores}]
     if all_methods and absent:
-        drawn = "" if report.geometry.is_nominal else "they know machines as drawn alone, or "
+        drawn = "" if report.machine.is_nominal else "they know machines as drawn alone, or "
         lines.append(f"Left out, since {drawn}their packages are not installed: {', '.join(absent)}.")
     worst = report.worst
     if worst is not None:
@@ -181,7 +181,7 @@ def _comparison_content(report: Report, file: str | None) -> dict[str, Any]:
     sizes = ("base_radius", "platform_radius", "middle_side")
     poses = zip(report.translation, report.xyx, strict=True)
     return content | {
-        "geometry": {name: getattr(report.geometry, name) for name in sizes},
+        "geometry": {name: getattr(report.machine, name) for name in sizes},
         "poses": [{"translation": translation, "xyx_degrees": xyx} for translation, xyx in poses],
         "reached": report.reached,
         "states": report.states,
@@ -210,10 +210,10 @@ def demo(
     Exits with 1 if a printed number is unexplained or the methods disagree. --out needs the extra "plots".
     """
     reproduction = recompute()
-    report = _compare(Geometry.paper(), poses, 0, None)
+    report = _compare(Manipulator.paper(), poses, 0, None)
     if out is not None:
         example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
-        solutions = inverse_displacement(Geometry.paper(), example)
+        solutions = inverse_displacement(Manipulator.paper(), example)
         save_gallery(options.titled_branches(solutions, options.selected_labels(solutions, None)), out)
     _print_summary("The paper:   ", reproduction)
     _print_verdict("The methods: ", report)

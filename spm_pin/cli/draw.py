@@ -35,7 +35,7 @@ def draw(
     branch: options.Branches = None,
     every: Annotated[bool, Option("--all", help="All real branches, side by side.")] = False,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     view: Annotated[
         tuple[float, float], Option(metavar="AZIMUTH ELEVATION", help="Where to look from, in degrees.")
     ] = (15.0, 25.0),
@@ -57,7 +57,7 @@ def draw(
     if not (abs(view[0]) <= 360.0 and abs(view[1]) <= 90.0):
         expected = "azimuth and elevation in degrees, at most 360 and 90"
         raise ArgumentError("--view", expected, f"{view[0]:g} and {view[1]:g}")
-    solutions, default = options.requested_solutions(options.read_geometry(geometry), pose, legs, unit)
+    solutions, default = options.requested_solutions(options.read_machine(machine_file), pose, legs, unit)
     direction = math.radians(view[0]), math.radians(view[1])
     appearance: dict[str, Any] = {"view": direction, "background": background or "white"}
     named = branch is not None
@@ -87,7 +87,7 @@ def view(
     legs: options.AnyLegs = None,
     branch: Annotated[str | None, Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     path: Annotated[Path | None, Option(metavar="FILE", help="A recorded path to play, a CSV file.")] = None,
     host: Host = "127.0.0.1",
     port: Port = 8080,
@@ -110,7 +110,7 @@ def view(
         raise ArgumentError("--unit", "m beside --path, whose columns are in metres", unit)
     from spm_pin.display.viewer import read_recording
 
-    dimensions = options.read_geometry(geometry)
+    dimensions = options.read_machine(machine_file)
     recording = read_recording(path) if path is not None else None
     if recording is not None:
         recording.check_unit(dimensions)
@@ -120,7 +120,7 @@ def view(
         start = solutions[label]
     if demo is None:
         demo = all(option is None for option in (pose, legs, branch, path))
-    page = {"recording": recording, "geometry_file": geometry, "demo": demo}
+    page = {"recording": recording, "machine_file": machine_file, "demo": demo}
     serve(start, host=host, port=port, browser=browser, dark=dark, **page)
 
 

@@ -13,7 +13,7 @@ from spm_pin.cli.options import LengthUnit
 from spm_pin.cli.stage_options import takes_stage
 from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import Mechanism, Stage
+from spm_pin.machine import Machine, Stage
 
 Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "c-stage", "linuxcnc", "ros", "ros2"]
 _OWN_OPTIONS: dict[str, set[str]] = {
@@ -40,7 +40,7 @@ def export(
         Option(metavar="FILE", parser=outputs.file_name, help="Where to write; standard output if not given."),
     ] = None,
     prefix: Annotated[str | None, options.PREFIX] = None,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     stage: Stage | None = None,
     unit: Annotated[LengthUnit, Option(help="Of the numbers of a stage; what is written is in metres.")] = LengthUnit.M,
     masses: options.MassesFile = None,
@@ -86,13 +86,13 @@ def export(
         if value and name not in own:
             cause = "c-stage writes that of a stage" if (chosen, name) == ("c", "stage") else ""
             raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {chosen}", value, cause)
-    if geometry is not None and (stage is not None or chosen == "c-stage"):
-        raise ArgumentError("--geometry", "to be left out with a stage", geometry, "The file of a --stage?")
+    if machine_file is not None and (stage is not None or chosen == "c-stage"):
+        raise ArgumentError("--machine", "to be left out with a stage", machine_file, "The file of a --stage?")
     if stage is None and chosen == "c-stage":
         raise ArgumentError("--stage", "a stage: its file, or --base, --platform and what follows", "none")
     if ball and stage is None:
         raise ArgumentError("--ball", "a --stage for it to roll on", "none")
-    model = options.read_geometry(geometry) if stage is None else stage
+    model = options.read_machine(machine_file) if stage is None else stage
     bodies = options.read_masses(masses, "written") if "masses" in own else None
     if chosen not in ("c", "c-stage", "linuxcnc", "ros"):
         if out is not None:
@@ -125,7 +125,7 @@ def export(
 def urdf(
     out: Annotated[Path | None, outputs.file_option("Where to write; standard output if not given.")] = None,
     prefix: Annotated[str, options.PREFIX] = "",
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     masses: options.MassesFile = None,
 ) -> None:
     """Write the URDF: an open tree of eighteen joints, its four loops closed by Drake's tags.
@@ -135,17 +135,17 @@ def urdf(
     Pinocchio finds them if it is told the file's folder, package_dirs=".". A URDF on standard output names them by
     their whole paths.
     """
-    machine, bodies = options.read_geometry(geometry), options.read_masses(masses, "written")
+    machine, bodies = options.read_machine(machine_file), options.read_masses(masses, "written")
     _write_model("urdf", out, machine, bodies, prefix, {})
 
 
 def _write_model(
-    chosen: str, path: Path | None, machine: Mechanism, masses: Masses | None, prefix: str, special: dict[str, Any]
+    chosen: str, path: Path | None, machine: Machine, masses: Masses | None, prefix: str, special: dict[str, Any]
 ) -> None:
     """Write a model; where it has meshes, these go into a folder beside its file."""
     without_meshes: dict[str, Any] = {"srdf": description.srdf_text, "extended-urdf": description.extended_urdf_text}
     if chosen in without_meshes:
-        outputs.write_text(without_meshes[chosen](geometry=machine, prefix=prefix), path)
+        outputs.write_text(without_meshes[chosen](machine=machine, prefix=prefix), path)
         return
     write: Any = {"urdf": description.urdf_text, "mjcf": description.mjcf_text, "sdf": description.sdf_text}[chosen]
     # Beside a file go its meshes; a text on standard output has whole paths.

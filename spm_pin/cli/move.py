@@ -65,18 +65,18 @@ def certify(
     unit: Annotated[
         LengthUnit, Option(help="Unit of the lengths typed; the answer is in metres and radians.")
     ] = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Prove that leg limits hold no forward singularity, so that six readings mean one configuration.
 
     Example: spm-pin certify --min 1.1 --max 1.5
 
-    Without --min and --max the limits are the geometry's. The exit code is 0 if the proof succeeds, 1 if a singular
+    Without --min and --max the limits are the machine's. The exit code is 0 if the proof succeeds, 1 if a singular
     configuration was found or boxes were left undecided. --out needs the extra "plots". For the file of a machine as
     built it is proved for all machines that are as near to the nominal one.
     """
-    dimensions = options.read_geometry(geometry)
+    dimensions = options.read_machine(machine_file)
     if (minimum is None) != (maximum is None):
         raise GeometryError("--min and --max", "both or neither", "one of them")
     if inverse and (length_error or angle_error or not dimensions.is_nominal):
@@ -89,7 +89,7 @@ def certify(
     with outputs.stderr.status("dividing the states of both stages"):
         certificate = prove(dimensions, limits, boxes=boxes, **errors)
         if inverse:
-            other = certify_inverse(certificate.geometry, certificate.limits, boxes=boxes, forward=certificate)
+            other = certify_inverse(certificate.machine, certificate.limits, boxes=boxes, forward=certificate)
     outputs.write_figure(out, certificate_figure, certificate)
     if json:
         outputs.write_json(_content(certificate, other))
@@ -139,7 +139,7 @@ def move(
     limits: Annotated[
         tuple[str, str] | None,
         Option(
-            metavar="MIN MAX", help="Of the readings, each one number or six, as --from; the geometry's if not given."
+            metavar="MIN MAX", help="Of the readings, each one number or six, as --from; the machine's if not given."
         ),
     ] = None,
     leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s].")] = None,
@@ -159,7 +159,7 @@ def move(
     out: Annotated[Path | None, outputs.file_option("CSV of the motion to write.", (".csv",))] = None,
     plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     masses: options.MassesFile = None,
     json: options.AsJson = False,
 ) -> None:
@@ -176,7 +176,7 @@ def move(
     from spm_pin.motion.paths import MotionLimits
     from spm_pin.multibody.chain import ClosedChain
 
-    dimensions = options.read_geometry(geometry)
+    dimensions = options.read_machine(machine_file)
     readings = options.Readings(dimensions, unit)
     first, last = (_end_state(*end, readings) for end in ((start, start_pose, "--from"), (goal, goal_pose, "--to")))
     allowed = dimensions.limits
@@ -200,7 +200,7 @@ def move(
     if planned.path is None:
         outputs.note(f"no path: {planned.reason}")
         raise typer.Exit(3)
-    chain = ClosedChain.from_urdf(geometry=dimensions, masses=options.read_masses(masses, "forces"))
+    chain = ClosedChain.from_urdf(machine=dimensions, masses=options.read_masses(masses, "forces"))
     load = Payload(payload) if payload else None
     motion = time_optimal(chain, planned, **largest, twist=twist, payload=load, period=period)
     if out is not None:

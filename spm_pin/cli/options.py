@@ -26,14 +26,14 @@ from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.machine import (
     FAMILIES,
     Configuration,
-    Geometry,
+    Manipulator,
     SolutionSet,
     StageConfiguration,
     Status,
     pose,
 )
 from spm_pin.machine.branch_of_state import branch_sign, family
-from spm_pin.machine.machine import PER_METRE, Mechanism, likely_unit
+from spm_pin.machine.machine import PER_METRE, Machine, likely_unit
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 
@@ -58,7 +58,7 @@ class LengthUnit(enum.StrEnum):
 class Readings:
     """Units in which a command reads and prints readings: lengths in --unit, angles in degrees as those of a pose."""
 
-    machine: Mechanism
+    machine: Machine
     unit: LengthUnit
 
     @property
@@ -144,8 +144,9 @@ AnyLegs = Annotated[
     SixLegs | None, leg_option("--legs", "Readings of the legs in --unit, of cranks in degrees, instead of a pose.")
 ]
 Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")]
-GeometryFile = Annotated[
-    Path | None, typer.Option("--geometry", metavar="FILE", help="YAML file of a machine; the paper's if not given.")
+MachineFile = Annotated[
+    Path | None,
+    typer.Option("--machine", "--geometry", metavar="FILE", help="YAML file of a machine; the paper's if not given."),
 ]
 MassesFile = Annotated[
     Path | None,
@@ -157,7 +158,7 @@ Limits = Annotated[
     typer.Option(
         "--limits",
         metavar="MIN MAX",
-        help="Limits of all six readings, in --unit or degrees; the geometry's if not given.",
+        help="Limits of all six readings, in --unit or degrees; the machine's if not given.",
     ),
 ]
 PREFIX = typer.Option("--prefix", help="Put before every name, such as left_.")
@@ -170,12 +171,12 @@ _SMALL_TURN = 1.5
 """A pose turned by less may have been typed in radians [degrees]."""
 
 
-def read_geometry(path: Path | None) -> Geometry:
-    """Return the geometry of `--geometry`, by default the paper's; warnings about the file are notes on stderr."""
+def read_machine(path: Path | None) -> Manipulator:
+    """Return the machine of `--machine`, by default the paper's; warnings about the file are notes on stderr."""
     if path is None:
-        return Geometry.paper()
-    with warnings_as_notes("--geometry: "):
-        return Geometry.from_yaml(path)
+        return Manipulator.paper()
+    with warnings_as_notes("--machine: "):
+        return Manipulator.from_yaml(path)
 
 
 @contextlib.contextmanager
@@ -307,13 +308,13 @@ def read_masses(path: Path | None, what: str) -> Masses | None:
     return None
 
 
-def unit_hint(option: str, typed: Any, unit: LengthUnit, geometry: Mechanism) -> str:
+def unit_hint(option: str, typed: Any, unit: LengthUnit, machine: Machine) -> str:
     """Return a hint at the unit where a length, or three in norm, is out of proportion to the machine, else nothing."""
     length = float(np.linalg.norm(typed))
-    better = likely_unit(geometry, length / unit.per_metre, unit)
+    better = likely_unit(machine, length / unit.per_metre, unit)
     if better is None:
         return ""
-    size = float(f"{geometry.size * unit.per_metre:.3g}")
+    size = float(f"{machine.size * unit.per_metre:.3g}")
     return (
         f"{option} was read in {unit}: {length:g} {unit}, on a machine of {size:g} {unit}. "
         f"In {better} it would be in proportion: --unit {better}, for all lengths."
@@ -346,7 +347,7 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
 def status_content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
     """Return what `--json` says of all solutions: their units, the status, and any continuous family."""
     degeneracy = solutions.degeneracy
-    units = Readings(solutions.geometry, unit).units
+    units = Readings(solutions.machine, unit).units
     family = degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")}
     return {"unit": unit, "reading_units": units, "status": str(solutions.status), "degeneracy": family}
 
@@ -390,10 +391,10 @@ def exit_code(status: Any, physical: Configuration | StageConfiguration) -> int:
     return codes.get(Status(int(status)), 1)
 
 
-def solve_pose(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> tuple[SolutionSet, list[str]]:
+def solve_pose(machine: Manipulator, pose: RigidTransform, unit: LengthUnit) -> tuple[SolutionSet, list[str]]:
     """Return the branches of the pose typed, and remarks on one that has none or too many."""
-    solutions = inverse_displacement(geometry, pose)
-    hint = unit_hint("--translation", pose.translation * unit.per_metre, unit, geometry)
+    solutions = inverse_displacement(machine, pose)
+    hint = unit_hint("--translation", pose.translation * unit.per_metre, unit, machine)
     remarks = [hint] if hint else pose_remarks(solutions)
     if solutions.status is Status.UNREACHABLE and not remarks:
         turn = np.rad2deg(pose.rotation.magnitude())
@@ -403,26 +404,26 @@ def solve_pose(geometry: Geometry, pose: RigidTransform, unit: LengthUnit) -> tu
 
 
 def solve_request(
-    geometry: Geometry, pose: RigidTransform | None, legs: SixLegs | None, unit: LengthUnit
+    machine: Manipulator, pose: RigidTransform | None, legs: SixLegs | None, unit: LengthUnit
 ) -> tuple[SolutionSet, list[str]]:
     """Return the branches of the pose typed, or the one that `--legs` determine, and remarks where there are none."""
     if pose is not None and legs is None:
-        return solve_pose(geometry, pose, unit)
+        return solve_pose(machine, pose, unit)
     if legs is None or pose is not None:
         raise ArgumentError("--legs", "readings or a pose", "neither" if legs is None else "both")
-    state = forward_physical(geometry, Readings(geometry, unit).read("--legs", legs))
+    state = forward_physical(machine, Readings(machine, unit).read("--legs", legs))
     label = FAMILIES[int(family(state))] + "+-"[int(branch_sign(state) < 0.0)]
-    return set_of_one(state, label), [] if state.exists else legs_remarks(geometry, legs, unit)
+    return set_of_one(state, label), [] if state.exists else legs_remarks(machine, legs, unit)
 
 
-def legs_remarks(geometry: Geometry, legs: SixLegs, unit: LengthUnit) -> list[str]:
+def legs_remarks(machine: Manipulator, legs: SixLegs, unit: LengthUnit) -> list[str]:
     """Return a sentence on why readings have no physical state."""
-    hint = Readings(geometry, unit).hint("--legs", legs)
+    hint = Readings(machine, unit).hint("--legs", legs)
     return [hint or "A stage cannot be closed with these readings."]
 
 
 def requested_solutions(
-    geometry: Geometry, pose: RigidTransform | None, legs: SixLegs | None, unit: LengthUnit
+    machine: Manipulator, pose: RigidTransform | None, legs: SixLegs | None, unit: LengthUnit
 ) -> tuple[SolutionSet, Configuration]:
     """Return the branches of the requested pose, and the one to take if none is named.
 
@@ -430,9 +431,9 @@ def requested_solutions(
     configuration near the home.
     """
     if pose is None and legs is None:
-        state = starting_configuration(geometry)
-        return inverse_displacement(geometry, state.pose), state
-    solutions, remarks = solve_request(geometry, pose, legs, unit)
+        state = starting_configuration(machine)
+        return inverse_displacement(machine, state.pose), state
+    solutions, remarks = solve_request(machine, pose, legs, unit)
     if not solutions.count:
         if legs is not None:
             raise ArgumentError("--legs", "readings with which the machine can be assembled", "none such", *remarks)
@@ -444,7 +445,7 @@ def requested_solutions(
     if not state.exists:
         note("no branch of this pose is physical", "yellow")
         state = solutions.configurations[int(solutions.exists.argmax())]
-    return solutions if legs is None else inverse_displacement(geometry, state.pose), state
+    return solutions if legs is None else inverse_displacement(machine, state.pose), state
 
 
 def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, Configuration]:
@@ -472,7 +473,7 @@ def state_remarks(
     contents: Sequence[dict[str, Any]], physical: Configuration | StageConfiguration, what: str
 ) -> list[str]:
     """Return sentences on the marks of the states shown, and on there being no `physical` one."""
-    names, remarks = physical.mechanism.legs.names, []
+    names, remarks = physical.machine.legs.names, []
     beyond = [", ".join(names[leg] for leg in content["beyond_limits"]) for content in contents]
     if any(beyond):
         own = [legs for legs, content in zip(beyond, contents, strict=True) if content["physical"] and len(beyond) > 1]

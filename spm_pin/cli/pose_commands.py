@@ -22,7 +22,7 @@ from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
-from spm_pin.machine import LEGS, Configuration, Geometry, LegLimits, SolutionSet, Status
+from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator, SolutionSet, Status
 
 Record = dict[str, Any]
 _MATRICES = ("J_b", "J_c", "K")
@@ -40,7 +40,7 @@ _ORIENTATIONS = {
 def inverse(
     pose: RigidTransform,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Find every configuration that holds the platform in a pose.
@@ -49,12 +49,12 @@ def inverse(
 
     The exit code is 5 if no physical branch is within the leg limits.
     """
-    solutions, remarks = options.solve_pose(options.read_geometry(geometry), pose, unit)
-    shown = Readings(solutions.geometry, unit)
+    solutions, remarks = options.solve_pose(options.read_machine(machine_file), pose, unit)
+    shown = Readings(solutions.machine, unit)
     branches = _records(solutions, None, lambda state: _lengths(state, shown))
     physical = solutions.physical()
     code = options.exit_code(solutions.status, physical)
-    reach = _nearest(solutions.geometry, pose, unit) if code in (3, 5) else None
+    reach = _nearest(solutions.machine, pose, unit) if code in (3, 5) else None
     if json:
         content = options.status_content(solutions, unit)
         outputs.write_json(content | {"discriminants": solutions.discriminants, "branches": branches, "nearest": reach})
@@ -75,7 +75,7 @@ def inverse(
 def nearest(
     pose: RigidTransform,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Find the reachable pose nearest to one, within the leg limits and in the physical mode.
@@ -85,10 +85,10 @@ def nearest(
     The distance is the root mean square displacement of the platform's three joints c_1, c_2, c_3: zero where the pose
     itself can be reached.
     """
-    machine = options.read_geometry(geometry)
+    machine = options.read_machine(machine_file)
     reach = _nearest(machine, pose, unit)
     if reach is None:
-        raise ArgumentError("--geometry", "a machine with leg limits", "none", "Its file has them as leg_limits")
+        raise ArgumentError("--machine", "a machine with leg limits", "none", "Its file has them as leg_limits")
     if json:
         outputs.write_json({"unit": unit, "reading_units": Readings(machine, unit).units, **reach})
         return
@@ -104,25 +104,25 @@ _INSET = 1e-4
 """How far a nearest pose stays from the leg limits, as a share of the strokes."""
 
 
-def _nearest(geometry: Geometry, pose: RigidTransform | None, unit: LengthUnit) -> Record | None:
+def _nearest(machine: Manipulator, pose: RigidTransform | None, unit: LengthUnit) -> Record | None:
     """Return the nearest reachable pose, its readings and how far it is; None without leg limits or a pose."""
-    if geometry.limits is None or pose is None:
+    if machine.limits is None or pose is None:
         return None
     from spm_pin.workspace.poses import nearest_reachable_pose
 
-    state, distance = inverse_physical(geometry, pose), 0.0
+    state, distance = inverse_physical(machine, pose), 0.0
     if not state.exists or state.limit_excess.any():
         # A little within the limits, where the pose as it is printed still is.
-        ends = geometry.limits.ends
-        inset = _INSET * np.where(np.isfinite(ends).all(axis=0), ends[1] - ends[0], geometry.size)
-        found = nearest_reachable_pose(geometry, pose, LegLimits(ends[0] + inset, ends[1] - inset))
+        ends = machine.limits.ends
+        inset = _INSET * np.where(np.isfinite(ends).all(axis=0), ends[1] - ends[0], machine.size)
+        found = nearest_reachable_pose(machine, pose, LegLimits(ends[0] + inset, ends[1] - inset))
         state, distance = found.configuration, found.distance
     lengths: Record = {"translation": state.translation, "distance": distance}
     turn = {
         "rpy": state.pose.rotation.as_euler("xyz", degrees=True, suppress_warnings=True),
         "rotation": state.rotation,
     }
-    readings = state.readings * Readings(geometry, unit).scale
+    readings = state.readings * Readings(machine, unit).scale
     return {name: x * unit.per_metre for name, x in lengths.items()} | {"readings": readings, **turn}
 
 
@@ -174,7 +174,7 @@ def forward(
     rpy: Annotated[bool, typer.Option("--rpy", help="Print roll, pitch and yaw in degrees, as in URDF.")] = False,
     quat: Annotated[bool, typer.Option("--quat", help="Print the unit quaternion, scalar last.")] = False,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Find the pose of the platform from the readings of the legs, lengths or angles.
@@ -186,7 +186,7 @@ def forward(
     chosen = [name for name, wanted in (("xyx", xyx), ("rpy", rpy), ("quat", quat)) if wanted] or ["xyx"]
     if len(chosen) > 1:
         raise ArgumentError(" and ".join(f"--{name}" for name in chosen), "one orientation", f"{len(chosen)} of them")
-    dimensions = options.read_geometry(geometry)
+    dimensions = options.read_machine(machine_file)
     readings = Readings(dimensions, unit).read("--legs", legs)
     physical = forward_physical(dimensions, readings)
     modes = forward_displacement(dimensions, readings)
@@ -240,7 +240,7 @@ def singularities(
     legs: options.AnyLegs = None,
     branch: options.Branches = None,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Compute how near each branch of a pose, or the state of readings, is to a singularity.
@@ -250,7 +250,7 @@ def singularities(
 
     The exit code is 5 if no physical branch is within the leg limits.
     """
-    solutions, remarks = options.solve_request(options.read_geometry(geometry), pose, legs, unit)
+    solutions, remarks = options.solve_request(options.read_machine(machine_file), pose, legs, unit)
     branches = _records(solutions, branch, _singularity)
     if json:
         by_label = {record["label"]: record for record in branches}
@@ -286,7 +286,7 @@ def _end(
         outputs.print_lines(options.state_remarks(branches, physical, "branch"))
     code = options.exit_code(solutions.status, physical)
     sought = code in (3, 5) and not json
-    reach = _nearest_lines(_nearest(solutions.geometry, pose, unit) if sought else None, unit)
+    reach = _nearest_lines(_nearest(solutions.machine, pose, unit) if sought else None, unit)
     if not solutions.count:
         for remark in (f"status: {solutions.status}, no real branch", *remarks, *reach):
             outputs.note(remark)
@@ -321,7 +321,7 @@ def statics(
     angular_velocity: Annotated[Triple, _vector("Angular velocity of m in {B}, in degrees per second.")] = _ZERO,
     branch: options.Branches = None,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Find the efforts of the actuators that hold a wrench on the platform, and the rates of the readings of its twist.
@@ -335,8 +335,8 @@ def statics(
     twist = np.concatenate([np.array(velocity) / unit.per_metre, np.deg2rad(angular_velocity)])
     if not (json or wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
-    solutions, remarks = options.solve_request(options.read_geometry(geometry), pose, legs, unit)
-    shown = Readings(solutions.geometry, unit)
+    solutions, remarks = options.solve_request(options.read_machine(machine_file), pose, legs, unit)
+    shown = Readings(solutions.machine, unit)
     branches = _records(solutions, branch, lambda state: _leg_loads(state, wrench, twist, shown))
     if json:
         by_label = {record["label"]: record for record in branches}

@@ -24,7 +24,7 @@ from spm_pin.display.figures import front_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, sections_figure, shell_figure
 from spm_pin.display.writing import FORMATS, save_figure
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.machine import LEGS, Geometry, LegLimits
+from spm_pin.machine import LEGS, LegLimits, Manipulator
 from spm_pin.machine.machine import unit_hint
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.motion_table import MotionTable
@@ -69,7 +69,7 @@ def workspace(
     sections: Annotated[bool, Option("--sections", help="Draw sections of --paper, with what is reached.")] = False,
     samples: Annotated[int, Option(min=1, help="Random sets of leg lengths for --sections.")] = 2_000_000,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Find where the platform's centre can be, in some orientation: the boundary and the volume of what is reached.
@@ -87,7 +87,7 @@ def workspace(
         cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
         outputs.check_output(out, "--out", FORMATS if sections else (*FORMATS, *MESH_FORMATS), cause)
         require_extra("plots")
-    machine = options.read_geometry(geometry)
+    machine = options.read_machine(machine_file)
     shell: Shell | Boundary
     if limits is not None:
         machine = _limited(machine, limits, unit)
@@ -100,7 +100,7 @@ def workspace(
         save_mesh(shell, out)
     elif isinstance(shell, Shell) and sections and out is not None:
         with outputs.stderr.status("drawing leg lengths"):
-            reached, aspect = sample_positions_near_limits(shell.geometry, shell.limits, count=samples)
+            reached, aspect = sample_positions_near_limits(shell.machine, shell.limits, count=samples)
         save_figure(sections_figure(shell, reached, aspect), out)
     elif out is not None:
         save_figure(shell_figure(shell), out)
@@ -116,11 +116,11 @@ def workspace(
         outputs.print_lines(_remarks(shell, unit))
 
 
-def _limited(machine: Geometry, limits: tuple[float, float], unit: LengthUnit) -> Geometry:
+def _limited(machine: Manipulator, limits: tuple[float, float], unit: LengthUnit) -> Manipulator:
     return dataclasses.replace(machine, limits=LegLimits(*Readings(machine, unit).read_limits("--limits", *limits)))
 
 
-def _reached(machine: Geometry, spacing: float | None) -> tuple[Boundary, Estimate]:
+def _reached(machine: Manipulator, spacing: float | None) -> tuple[Boundary, Estimate]:
     """Return the boundary of what is reached, of half the spacing, and its volume."""
     with outputs.progress_bar() as progress:
         coarse = reachable_boundary(machine, spacing=spacing, progress=progress)
@@ -131,7 +131,7 @@ def _reached(machine: Geometry, spacing: float | None) -> tuple[Boundary, Estima
 def _measures(mesh: Shell | Boundary, volume: float, error: float, unit: LengthUnit) -> dict[str, Any]:
     """Return what `--json` says of a mesh of either kind."""
     length = unit.per_metre
-    scale = Readings(mesh.geometry, unit).scale
+    scale = Readings(mesh.machine, unit).scale
     return {
         "unit": str(unit),
         "limits": {end: getattr(mesh.limits, end) * scale for end in ("minimum", "maximum")},
@@ -148,7 +148,7 @@ def _measure_lines(mesh: Shell | Boundary, volume: float, error: float, unit: Le
     scale = unit.per_metre**3
     digits = 1 - math.floor(math.log10(error * scale)) if error else 0
     size, off = (f"{round(x * scale, n):.{max(0, n)}f}" for x, n in ((volume, digits), (error, digits - 1)))
-    return [*_limit_lines(mesh.limits, mesh.geometry, unit), f"volume {size} ± {off} {unit}³"]
+    return [*_limit_lines(mesh.limits, mesh.machine, unit), f"volume {size} ± {off} {unit}³"]
 
 
 def _print_reached(boundary: Boundary, estimate: Estimate, unit: LengthUnit, json: bool) -> None:
@@ -167,7 +167,7 @@ def _print_reached(boundary: Boundary, estimate: Estimate, unit: LengthUnit, jso
     )
 
 
-def _limit_lines(limits: LegLimits, machine: Geometry, unit: LengthUnit) -> list[str]:
+def _limit_lines(limits: LegLimits, machine: Manipulator, unit: LengthUnit) -> list[str]:
     """Return the limits in words, in a line where those of all legs are in one unit."""
     shown, lines = Readings(machine, unit), []
     stages = {"lower legs": slice(0, 3), "upper legs": slice(3, 6)}
@@ -247,7 +247,7 @@ def sweep(
     chunk: Annotated[int, Option(min=1, help="Most points per chunk, the unit of work and of storage.")] = CHUNK,
     status: Annotated[bool, Option("--status", help="Only print how much is done.")] = False,
     unit: options.Unit = LengthUnit.M,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Map metrics over poses or leg lengths, in parallel, into a Zarr store.
@@ -259,7 +259,7 @@ def sweep(
     poses = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
     drawn: dict[str, Any] = {} if samples is None else {"count": samples, "seed": seed}
     run: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
-    machine = options.read_geometry(geometry)
+    machine = options.read_machine(machine_file)
     domain = None if status else _domain(poses, legs, drawn, 1.0 / Readings(machine, unit).scale, 1.0 / unit.per_metre)
     if domain is not None:
         require_extra("cluster")
@@ -402,7 +402,7 @@ def design(
     choose: Annotated[int | None, Option(metavar="ROW", help="Row of the front to write to --out, from 0.")] = None,
     out: Annotated[Path | None, outputs.file_option("YAML file of that machine to write.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the front to write.")] = None,
-    geometry: options.GeometryFile = None,
+    machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
     """Search for dimensions that no others beat in all aims: a Pareto front.
@@ -410,7 +410,7 @@ def design(
     Example: spm-pin design front.json --free base_radius:0.4:0.8 --free platform_radius:0.25:0.6
     --free middle_side:0.5:1 --maximise payload_low --maximise volume --at-least certified:1 --at-most footprint:1.2
 
-    What is not free is as in --geometry, which the front is compared with. Stopped by Ctrl-C, the same command goes on
+    What is not free is as in --machine, which the front is compared with. Stopped by Ctrl-C, the same command goes on
     where it was; ended, it shows the front again at once. Exit code 3 if no machine keeps the bounds. It needs the
     extra "design".
     """
@@ -425,7 +425,7 @@ def design(
     aims = [(name, "max") for name in maximise or []] + [(name, "min") for name in minimise or []]
     if wrench is not None and task is None:
         raise ArgumentError("--wrench", "poses at which it acts", "no --task CSV")
-    machine = options.read_geometry(geometry)
+    machine = options.read_machine(machine_file)
     functions = {} if task is None else _task_functions(task, wrench, machine)
     problem = DesignProblem(
         machine,
@@ -443,11 +443,11 @@ def design(
             if not len(front.designs):
                 raise ArgumentError("--choose", "a front that has rows", choose, _NONE.capitalize())
             raise ArgumentError("--choose", f"a row from 0 to {len(front.designs) - 1}", choose)
-        front.designs.geometries[choose].to_yaml(out)
+        front.designs.machines[choose].to_yaml(out)
         outputs.note(f"wrote {out}")
     outputs.write_figure(figure, front_figure, front)
     if json:
-        machines = [machine.as_data() for machine in front.designs.geometries]
+        machines = [machine.as_data() for machine in front.designs.machines]
         outputs.write_json({"machines": machines, "columns": dict(front.designs.columns), "better": front.better})
     else:
         _print_front(front)
@@ -456,7 +456,7 @@ def design(
         raise typer.Exit(3)
 
 
-def _task_functions(path: Path, wrench: str | None, machine: Geometry) -> dict[str, Any]:
+def _task_functions(path: Path, wrench: str | None, machine: Manipulator) -> dict[str, Any]:
     """Return the columns of a task by their names, functions of a machine."""
     poses = MotionTable(path).poses()
     if not isinstance(poses, RigidTransform):
@@ -495,7 +495,7 @@ def _print_front(front: Front) -> None:
     rows: list[int | None] = [None, *range(len(designs))]
 
     def size(k: int, row: int | None) -> str:
-        return f"{problem.values(problem.geometry if row is None else designs.geometries[row])[k]:.4f}"
+        return f"{problem.values(problem.machine if row is None else designs.machines[row])[k]:.4f}"
 
     def value(name: str, row: int | None) -> str:
         part = front.reference if row is None else designs
@@ -507,7 +507,7 @@ def _print_front(front: Front) -> None:
     columns: dict[str, Callable[[int | None], str]] = {"row": title}
     columns |= {f"{name} [{problem.unit(name)}]": partial(size, k) for k, name in enumerate(problem.free)}
     metrics = {f"{name}_{which}": metric.unit for name, metric in sweeps.METRICS.items() for which in ("mean", "low")}
-    kinds = problem.geometry.legs.kinds
+    kinds = problem.machine.legs.kinds
     units = metrics | {"volume": "m³ rad³", "footprint": "m²", "task_margin": "m"}
     units["task_effort"] = " or ".join(dict.fromkeys("N m" if kind.unit == "rad" else "N" for kind in kinds))
     for name in problem.columns:
@@ -516,6 +516,6 @@ def _print_front(front: Front) -> None:
     outputs.print_table("Machines that no other beats in all aims", columns, rows)
     better = int(front.better.sum())
     text = f"{len(front.evaluated)} machines evaluated, {len(designs)} on the front, {better} of them at least as good"
-    outputs.print_lines([f"{text} as the geometry that the search began with in all aims"])
+    outputs.print_lines([f"{text} as the machine that the search began with in all aims"])
     if "volume" in problem.columns and not {"certified", "assembled"} & problem.at_least.keys():
         outputs.note("volume comes out small where a forward singularity is within the limits: --at-least certified:1")

@@ -24,7 +24,7 @@ from spm_pin.crosscheck.methods import Method, make_methods
 from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import BRANCHES, Configuration, Geometry, Status
+from spm_pin.machine import BRANCHES, Configuration, Manipulator, Status
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress, check_instance, whole_number
 from spm_pin.support.pose import inverse_command
 
@@ -140,7 +140,7 @@ class MethodScore:
 class Report:
     """The outcome of a comparison."""
 
-    geometry: Geometry
+    machine: Manipulator
     """The manipulator."""
     seed: int
     """Seed of the poses and wrenches."""
@@ -188,13 +188,13 @@ class Report:
             return f"{' and '.join(self.outliers)} contradict each other; a third method can decide."
         return f"{self.outliers[0]} is wrong: the others agree."
 
-    def command(self, pose: int, geometry_file: str | None = None) -> str:
-        """Return the command line that solves a pose of this report; without a file, for the paper's geometry."""
-        return inverse_command(self.translation[pose], self.xyx[pose], geometry_file)
+    def command(self, pose: int, machine_file: str | None = None) -> str:
+        """Return the command line that solves a pose of this report; without a file, for the paper's machine."""
+        return inverse_command(self.translation[pose], self.xyx[pose], machine_file)
 
 
 def compare_in_batches(
-    geometry: Geometry,
+    machine: Manipulator,
     *,
     poses: int = 200,
     seed: int = 0,
@@ -207,20 +207,20 @@ def compare_in_batches(
     """
     poses = whole_number(poses, "poses", "a whole number, at least 1", least=1)
     seed = whole_number(seed, "seed", "a whole number, at least 0", most=1 << 128)
-    check_instance(geometry, Geometry, "geometry")
+    check_instance(machine, Manipulator, "machine")
     rng = np.random.default_rng(seed)
     inner = max(1, round(LEG_SPACE * poses))
-    drawn = [in_leg_space(geometry, inner, rng), on_all_rotations(geometry, poses - inner, rng)]
+    drawn = [in_leg_space(machine, inner, rng), on_all_rotations(machine, poses - inner, rng)]
     matrices = np.concatenate([part.as_matrix() for part in drawn])[rng.permutation(poses)]
     sample, translation, xyx = printable(RigidTransform.from_matrix(matrices))
-    made = make_methods(methods, geometry)
+    made = make_methods(methods, machine)
     done = 0
 
     def step(description: str) -> None:
         if progress is not None:
             progress(description, done, poses)
 
-    comparison = _Comparison(geometry, made, step)
+    comparison = _Comparison(machine, made, step)
     # Of a slow method a share of the poses, at least one, evenly spread.
     counts = {method.name: max(1, round(method.share * poses)) for method in made}
     selected = {name: np.arange(poses) * count % poses < count for name, count in counts.items()}
@@ -230,7 +230,7 @@ def compare_in_batches(
         done = comparison.poses
         step("compared")
         yield Report(
-            geometry,
+            machine,
             seed,
             poses,
             translation[:done],
@@ -243,7 +243,7 @@ def compare_in_batches(
 
 
 def compare_methods(
-    geometry: Geometry,
+    machine: Manipulator,
     *,
     poses: int = 200,
     seed: int = 0,
@@ -254,7 +254,7 @@ def compare_methods(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator, drawn or as built. A numerical search knows no labels of a machine as built: the branches of
         such a machine are compared as sets, each paired with the nearest of those that the methods before have found.
     poses : int
@@ -266,7 +266,7 @@ def compare_methods(
     progress : callable, optional
         Called with a description of the step, the number of poses compared, and of how many.
     """
-    *_, report = compare_in_batches(geometry, poses=poses, seed=seed, methods=methods, progress=progress)
+    *_, report = compare_in_batches(machine, poses=poses, seed=seed, methods=methods, progress=progress)
     return report
 
 
@@ -289,14 +289,14 @@ class _Comparison:
     `describe_step` is called with a line of text before each part of the work.
     """
 
-    def __init__(self, geometry: Geometry, methods: Sequence[Method], describe_step: Callable[[str], None]) -> None:
+    def __init__(self, machine: Manipulator, methods: Sequence[Method], describe_step: Callable[[str], None]) -> None:
         names = [method.name for method in methods]
         if len(set(names)) < len(names):
             raise ArgumentError("methods", "a name of its own for each", names)
         self.poses = self.reached = self.states = 0
         self.scores = {method.name: MethodScore(method.name, method.miss_rate) for method in methods}
         self._differences: dict[tuple[Quantity, str, str], PairDifference] = {}
-        self._geometry = geometry
+        self._machine = machine
         self._methods = methods
         self._describe_step = describe_step
         self._labels: tuple[str, ...] = ()
@@ -344,7 +344,7 @@ class _Comparison:
         status = np.full(len(poses), Status.UNSOLVED, dtype=np.int8)
         joints[selected], status[selected] = solutions.middle_joints, solutions.status
         self._labels = self._labels or solutions.labels
-        if not self._geometry.is_nominal:
+        if not self._machine.is_nominal:
             for before, branches in zip(known, joints, strict=True):
                 distance = np.linalg.norm((before[:, None] - branches).reshape(_BRANCHES, _BRANCHES, 9), axis=-1)
                 # What is absent is paired last.
@@ -370,7 +370,7 @@ class _Comparison:
 
     def _configuration(self, poses: RigidTransform, joints: FloatArray) -> Configuration:
         matrix = np.repeat(poses.as_matrix(), _BRANCHES, axis=0)
-        return Configuration.from_arrays(self._geometry, matrix[:, :3, :3], matrix[:, :3, 3], joints)
+        return Configuration.from_arrays(self._machine, matrix[:, :3, :3], matrix[:, :3, 3], joints)
 
     def _score(self, method: Method, answer: _Answer, proved: Configuration) -> None:
         """Count the branches a method invented, and those it missed although its arithmetic resolves them."""
@@ -398,9 +398,9 @@ class _Comparison:
 
         `place` (m,) is 8 times the number of the pose in the batch, plus the number of the branch.
         """
-        count, side = len(place), self._geometry.middle_side
+        count, side = len(place), self._machine.middle_side
         # Rates and forces of the actuators in units of those of rods.
-        slopes = self._geometry.legs.largest_slopes
+        slopes = self._machine.legs.largest_slopes
         conditioning = Conditioning.from_configuration(states)
         rounding = {method.name: method.rounding(states) for method in self._methods}
         wrench = _FORCE * rng.uniform(-1.0, 1.0, (count, 6)) * np.repeat([1.0, side], 3)

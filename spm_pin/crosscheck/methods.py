@@ -19,7 +19,7 @@ from spm_pin.crosscheck.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
-from spm_pin.machine import Configuration, Geometry, SolutionSet
+from spm_pin.machine import Configuration, Manipulator, SolutionSet
 from spm_pin.machine.manipulator import check_rps
 from spm_pin.support.arguments import FloatArray
 
@@ -34,7 +34,7 @@ _REFINE = 30
 class Method:
     """A method to compare; a subclass overrides what it can answer."""
 
-    geometry: Geometry
+    machine: Manipulator
     """The manipulator."""
     name: str = ""
     """Its name in the report."""
@@ -66,8 +66,8 @@ class Method:
 
 def _magnitude(configuration: Configuration) -> FloatArray:
     """Return the size of the numbers in the loop equations [m], shape (...)."""
-    geometry = configuration.geometry
-    fixed = geometry.base_radius + geometry.platform_radius + geometry.middle_side
+    machine = configuration.machine
+    fixed = machine.base_radius + machine.platform_radius + machine.middle_side
     distance = np.linalg.norm(configuration.translation, axis=-1)
     return np.asarray(fixed + distance + np.abs(configuration.middle_joints).max(axis=(-1, -2)))
 
@@ -80,7 +80,7 @@ class ClosedForm(Method):
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
-        return inverse_displacement(self.geometry, pose)
+        return inverse_displacement(self.machine, pose)
 
     inverse_jacobian = staticmethod(inverse_jacobian)
     leg_forces = staticmethod(leg_forces)
@@ -99,15 +99,15 @@ class Paper(Method):
     """Mistakes of the paper's Table 5 to repeat; none by default."""
 
     def __post_init__(self) -> None:
-        check_rps(self.geometry, "the paper's equations")
-        if not self.geometry.is_nominal:
+        check_rps(self.machine, "the paper's equations")
+        if not self.machine.is_nominal:
             expected = "a machine as drawn, whose equations are those of the paper"
-            cause = "Leave this method out, or compare its drawing, geometry.nominal"
-            raise GeometryError("geometry", expected, "one as built", cause)
+            cause = "Leave this method out, or compare its drawing, machine.nominal"
+            raise GeometryError("machine", expected, "one as built", cause)
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
-        return resultant.inverse_displacement(self.geometry, pose, refine=_REFINE)
+        return resultant.inverse_displacement(self.machine, pose, refine=_REFINE)
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
@@ -119,11 +119,11 @@ class Paper(Method):
 
     def rounding(self, configuration: Configuration) -> FloatArray:
         """Return the closure residual [m], with the squared slopes of the lines in the coefficients of Eq. (13)."""
-        along = np.cross(configuration.geometry.revolute_axes, configuration.platform_axes)
+        along = np.cross(configuration.machine.revolute_axes, configuration.platform_axes)
         with np.errstate(divide="ignore"):
             slope = np.abs(along[..., 2]) / np.linalg.norm(along[..., :2], axis=-1)
         squared = 1.0 + (slope**2).max(axis=-1)
-        scale = _magnitude(configuration) / configuration.geometry.middle_side
+        scale = _magnitude(configuration) / configuration.machine.middle_side
         return np.asarray(ROUNDING * _magnitude(configuration) * scale * squared)
 
 
@@ -141,7 +141,7 @@ class _MultiStart(Method):
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
-        search = self._nlp.search(self.geometry, pose, starts=self.starts, solver=self.solver)
+        search = self._nlp.search(self.machine, pose, starts=self.starts, solver=self.solver)
         solutions: SolutionSet = search.solutions
         return solutions
 
@@ -166,7 +166,7 @@ class Nlp(_MultiStart):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._derivatives = self._nlp.leg_jacobian(self.geometry)
+        self._derivatives = self._nlp.leg_jacobian(self.machine)
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
         """Return J_f (N, 6, 6)."""
@@ -187,7 +187,7 @@ class Pinocchio(Method):
     name: str = "pinocchio"
 
     def __post_init__(self) -> None:
-        self.chain = import_module("spm_pin.multibody.chain").ClosedChain.from_urdf(geometry=self.geometry)
+        self.chain = import_module("spm_pin.multibody.chain").ClosedChain.from_urdf(machine=self.machine)
 
     def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6)."""
@@ -203,7 +203,7 @@ class Pinocchio(Method):
         return states
 
 
-METHODS: dict[str, Callable[[Geometry], Method]] = {
+METHODS: dict[str, Callable[[Manipulator], Method]] = {
     "closed-form": ClosedForm,
     "paper": Paper,
     "pinocchio": Pinocchio,
@@ -213,7 +213,7 @@ METHODS: dict[str, Callable[[Geometry], Method]] = {
 """Methods by the name they have on the command line."""
 
 
-def make_methods(names: Sequence[Method | str] | None, geometry: Geometry) -> list[Method]:
+def make_methods(names: Sequence[Method | str] | None, machine: Manipulator) -> list[Method]:
     """Return methods: by their names in `METHODS`, as they are, or all of `METHODS` that serve here.
 
     Those serve whose packages can be imported and that take the machine, drawn or as built.
@@ -222,9 +222,9 @@ def make_methods(names: Sequence[Method | str] | None, geometry: Geometry) -> li
         serving = []
         for maker in METHODS.values():
             with contextlib.suppress(ImportError, GeometryError):
-                serving.append(maker(geometry))
+                serving.append(maker(machine))
         return serving
     unknown = [name for name in names if isinstance(name, str) and name not in METHODS]
     if unknown:
         raise ArgumentError("methods", f"names among {', '.join(METHODS)}", ", ".join(unknown))
-    return [METHODS[name](geometry) if isinstance(name, str) else name for name in names]
+    return [METHODS[name](machine) if isinstance(name, str) else name for name in names]

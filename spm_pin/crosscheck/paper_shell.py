@@ -19,7 +19,7 @@ from spm_pin.crosscheck.paper import published
 from spm_pin.errors import ArgumentError, GeometryError, SelectionError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.machine import LEGS, Configuration, Geometry, LegLimits
+from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator
 from spm_pin.machine.manipulator import check_rps
 from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, IntArray, first_offender, frozen, type_and_value, whole_number
@@ -146,7 +146,7 @@ class Convergence:
 class Shell(ClosedMesh):
     """The 24 surfaces of Table 6, joined to a mesh in {B}; made by `workspace_shell`. Faces lie patch by patch."""
 
-    geometry: Geometry
+    machine: Manipulator
     """The manipulator."""
     limits: LegLimits
     """The leg limits."""
@@ -185,15 +185,15 @@ class Shell(ClosedMesh):
         return self.convergence.error
 
 
-def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, resolution: int = 40) -> Shell:
+def workspace_shell(machine: Manipulator, limits: LegLimits | None = None, *, resolution: int = 40) -> Shell:
     """Construct the paper's workspace: 24 surfaces of o, joined to one closed mesh.
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator.
     limits : LegLimits, optional
-        Leg limits; the geometry's own if not given. They may differ from leg to leg.
+        Leg limits; the machine's own if not given. They may differ from leg to leg.
     resolution : int
         Increments δr of a varying leg from its minimum to its maximum, at least 2; the mesh has 24 resolution² + 2
         vertices.
@@ -210,15 +210,15 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     Examples
     --------
     >>> import spm_pin as spm
-    >>> shell = spm.crosscheck.workspace_shell(spm.Geometry.paper())
+    >>> shell = spm.crosscheck.workspace_shell(spm.Manipulator.paper())
     >>> len(shell.patches), shell.euler_characteristic, round(shell.volume, 3)
     (24, 2, 1.653)
     """
-    limits = finite_limits(geometry, limits)
-    check_rps(geometry, "the paper's 24 surfaces")
-    if not geometry.is_nominal:
-        cause = "The paper's 24 surfaces are those of the drawing: geometry.nominal, or the file without its legs"
-        raise GeometryError("geometry", "a machine as drawn", "one as built", cause)
+    limits = finite_limits(machine, limits)
+    check_rps(machine, "the paper's 24 surfaces")
+    if not machine.is_nominal:
+        cause = "The paper's 24 surfaces are those of the drawing: machine.nominal, or the file without its legs"
+        raise GeometryError("machine", "a machine as drawn", "one as built", cause)
     if min(limits.minimum) == 0.0:
         raise ArgumentError("limits", "a positive minimum for every leg", f"{limits.minimum} m")
     n = whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)
@@ -227,7 +227,7 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
     volumes = []
     for m in (*coarser, n):
         lengths, grids = _joined(rows, limits, m)
-        states = _assembled(geometry, lengths)
+        states = _assembled(machine, lengths)
         faces = np.concatenate([_lofted(grid, sign) for grid, sign in zip(grids, SENSES, strict=True)])
         volumes.append(ClosedMesh(states.translation, faces).volume)
     outward = 1 if volumes[-1] > 0.0 else -1
@@ -239,7 +239,7 @@ def workspace_shell(geometry: Geometry, limits: LegLimits | None = None, *, reso
         for row, grid, area, number in zip(rows, grids, areas, numbers, strict=True)
     )
     convergence = Convergence((*coarser, n), tuple(outward * volume for volume in volumes))
-    return Shell(vertices, faces, geometry, limits, n, patches, states, convergence)
+    return Shell(vertices, faces, machine, limits, n, patches, states, convergence)
 
 
 def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[FloatArray, IntArray]:
@@ -256,9 +256,9 @@ def _joined(rows: Sequence[SubWorkspace], limits: LegLimits, n: int) -> tuple[Fl
     return lengths, number.reshape(steps.shape[:-1])
 
 
-def _assembled(geometry: Geometry, lengths: FloatArray) -> Configuration:
+def _assembled(machine: Manipulator, lengths: FloatArray) -> Configuration:
     """Return the states with these leg lengths: what the paper's CAD mechanism solves in step 3."""
-    states = forward_physical(geometry, lengths)
+    states = forward_physical(machine, lengths)
     absent = ~states.exists
     if absent.any():
         first = ", ".join(f"{leg} = {x:g}" for leg, x in zip(LEGS, lengths[first_offender(absent)], strict=True))
@@ -280,7 +280,7 @@ def _lofted(grid: IntArray, sign: int) -> IntArray:
 
 
 def sample_positions_near_limits(
-    geometry: Geometry, limits: LegLimits, *, count: int, seed: int = 0
+    machine: Manipulator, limits: LegLimits, *, count: int, seed: int = 0
 ) -> tuple[FloatArray, npt.NDArray[np.int8]]:
     """Draw leg lengths at limits or near them; return positions of o (N, 3) [m] and the sign of det K (N,) there.
 
@@ -292,7 +292,7 @@ def sample_positions_near_limits(
     rng = np.random.default_rng(seed)
     share = np.sin(0.5 * np.pi * rng.random((count, 6))) ** 2
     share = np.where(rng.random(share.shape) < _AT_A_LIMIT, share.round(), share)
-    states = forward_physical(geometry, (1.0 - share) * low + share * high)
+    states = forward_physical(machine, (1.0 - share) * low + share * high)
     states = states[states.exists]
     positions, aspect = states.translation, np.sign(determinants(states)[:, 2]).astype(np.int8)
     if all(len(set(ends)) == 1 for ends in (low[:3], low[3:], high[:3], high[3:])):

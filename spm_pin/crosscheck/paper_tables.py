@@ -21,7 +21,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
-from spm_pin.machine import BRANCHES, LEGS, Configuration, Geometry, pose
+from spm_pin.machine import BRANCHES, LEGS, Configuration, Manipulator, pose
 from spm_pin.support.arguments import FloatArray, IntArray
 
 TABLES = (1, 2, 3, 4, 5)
@@ -166,12 +166,12 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
     """Recompute tables of the paper, by their numbers out of `TABLES`, from its example."""
     if isinstance(tables, str) or not isinstance(tables, Sequence) or any(table not in TABLES for table in tables):
         raise ArgumentError("tables", f"numbers out of {TABLES}", tables)
-    geometry = Geometry.paper()
+    machine = Manipulator.paper()
     example = pose(np.array(published.POSITION) / _CM, xyx=np.deg2rad(published.XYX_DEGREES))
-    closed = complex_middle_joints(geometry, example) * _CM
+    closed = complex_middle_joints(machine, example) * _CM
     printed = np.array([[[number(c) for c in row] for row in table] for table in _COORDINATES.values()])
     printed = np.moveaxis(printed, -1, 0)  # (solution, joint, coordinate)
-    unordered = resultant.solve(geometry, example) * _CM
+    unordered = resultant.solve(machine, example) * _CM
     joints = unordered[_order(printed, unordered)]
     other = _order(joints, closed)
     solutions = tuple(
@@ -184,7 +184,7 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
         )
         for n in range(8)
     )
-    roots = resultant.Resultant.from_pose(geometry, example)
+    roots = resultant.Resultant.from_pose(machine, example)
     equation = MisprintedEquation(
         printed=_count_real(roots.roots(as_printed=True)),
         mended=_count_real(roots.roots()),
@@ -195,12 +195,12 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
     true_values: list[TrueValue] = []
     for table in sorted(set(tables)):
         if table in _COORDINATES:
-            cells += _coordinates(table, joints, printed, geometry.middle_side * _CM)
+            cells += _coordinates(table, joints, printed, machine.middle_side * _CM)
         elif table == 4:
-            cells += _leg_lengths(geometry, example.as_matrix(), joints)
-            cells += _simulated_pose(geometry)
+            cells += _leg_lengths(machine, example.as_matrix(), joints)
+            cells += _simulated_pose(machine)
         else:
-            third = Configuration(geometry, example, joints[2].real / _CM)
+            third = Configuration(machine, example, joints[2].real / _CM)
             diagnoses = _diagnoses(third)
             true_values = _true_values(third)
             cells += _rates_and_forces(true_values, diagnoses)
@@ -252,12 +252,12 @@ def _conjugated(
     return Verdict.MISPRINT if after < 1e-2 * before else Verdict.UNEXPLAINED, note
 
 
-def _leg_lengths(geometry: Geometry, matrix: FloatArray, joints: npt.NDArray[np.complex128]) -> list[Cell]:
+def _leg_lengths(machine: Manipulator, matrix: FloatArray, joints: npt.NDArray[np.complex128]) -> list[Cell]:
     """Compare Table 4: leg lengths of the real solutions, in the order of Tables 1-3. Eq. (20)."""
     real = np.flatnonzero(np.abs(joints.imag).max(axis=(-1, -2)) < 1e-6)
     b = joints[real].real
-    a = geometry.base_joints * _CM
-    c = (geometry.platform_joints @ matrix[:3, :3].T + matrix[:3, 3]) * _CM
+    a = machine.base_joints * _CM
+    c = (machine.platform_joints @ matrix[:3, :3].T + matrix[:3, 3]) * _CM
     lengths = np.concatenate([np.linalg.norm(b - a, axis=-1), np.linalg.norm(b - c, axis=-1)], axis=-1)
     cells = []
     for leg, row in enumerate(published.TABLE_4):
@@ -272,9 +272,9 @@ def _leg_lengths(geometry: Geometry, matrix: FloatArray, joints: npt.NDArray[np.
     return cells
 
 
-def _simulated_pose(geometry: Geometry) -> list[Cell]:
+def _simulated_pose(machine: Manipulator) -> list[Cell]:
     """Compare the example's pose with the forward displacement of round leg lengths, which it was rounded from."""
-    state = forward_physical(geometry, np.array(_SIMULATED_LEGS) / _CM)
+    state = forward_physical(machine, np.array(_SIMULATED_LEGS) / _CM)
     values = [*(state.translation * _CM), *state.pose.rotation.as_euler("XYX", degrees=True)]
     names = ("X_o", "Y_o", "Z_o", "alpha", "beta", "lambda")
     return [

@@ -6,31 +6,31 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.machine import Geometry, pose
+from spm_pin.machine import Manipulator, pose
 from spm_pin.support.arguments import FloatArray, check_instance, generator, whole_number
 
 
-def in_leg_space(geometry: Geometry, count: int, rng: np.random.Generator | int) -> RigidTransform:
+def in_leg_space(machine: Manipulator, count: int, rng: np.random.Generator | int) -> RigidTransform:
     """Draw poses (count,) of physical states whose leg lengths are uniform within the limits.
 
     Without limits the lengths are those of the home, a third more or less.
     """
-    count, rng = _checked(geometry, count, rng)
-    return random_states(geometry, count, rng).pose
+    count, rng = _checked(machine, count, rng)
+    return random_states(machine, count, rng).pose
 
 
-def on_all_rotations(geometry: Geometry, count: int, rng: np.random.Generator | int) -> RigidTransform:
+def on_all_rotations(machine: Manipulator, count: int, rng: np.random.Generator | int) -> RigidTransform:
     """Draw poses (count,) with rotations uniform on SO(3), near enough to the axis that about half have branches."""
-    count, rng = _checked(geometry, count, rng)
-    far = 1.5 * geometry.middle_radius * np.sqrt(rng.uniform(size=count))
+    count, rng = _checked(machine, count, rng)
+    far = 1.5 * machine.middle_radius * np.sqrt(rng.uniform(size=count))
     azimuth = rng.uniform(-np.pi, np.pi, count)
-    height = rng.uniform(-3.0, 3.0, count) * geometry.middle_side
+    height = rng.uniform(-3.0, 3.0, count) * machine.middle_side
     position = np.stack([far * np.cos(azimuth), far * np.sin(azimuth), height], axis=-1)
     return pose(position, rotation=Rotation.random(count, rng=rng))
 
 
-def _checked(geometry: Geometry, count: int, rng: np.random.Generator | int) -> tuple[int, np.random.Generator]:
-    check_instance(geometry, Geometry, "geometry")
+def _checked(machine: Manipulator, count: int, rng: np.random.Generator | int) -> tuple[int, np.random.Generator]:
+    check_instance(machine, Manipulator, "machine")
     return whole_number(count, "count", "a number of poses up to 10⁹", most=10**9), generator(rng)
 
 

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 ROWS = 3.0
@@ -52,7 +52,7 @@ class Conditioning:
     @classmethod
     def from_configuration(cls, configuration: Configuration) -> Conditioning:
         """Return the conditioning of states (N,); NaN for a member that does not exist."""
-        sides, weights = configuration.geometry.legs.sides, configuration.geometry.legs.upper_ball_weights
+        sides, weights = configuration.machine.legs.sides, configuration.machine.legs.upper_ball_weights
         curvature = 1.5 * (1.0 / sides.min() + np.abs(weights[:, 2]).sum())
         exists = configuration.exists[:, None, None]
         closure_b, closure_x, readings_b, readings_x = (
@@ -101,19 +101,19 @@ class Conditioning:
 
 def _derivatives(configuration: Configuration) -> list[FloatArray]:
     """Return F_b (N, 9, 9), F_x (N, 9, 6), q_b (N, 6, 9) and q_x (N, 6, 6), angles times d."""
-    count, geometry = len(configuration), configuration.geometry
+    count, machine = len(configuration), configuration.machine
     places = configuration.middle_joints.reshape(count, 9), configuration.translation
     # CasADi is column-major.
     turns = np.swapaxes(configuration.rotation, -1, -2).reshape(3 * count, 3)
-    results = _leg_jacobian(geometry).map(count)(places[0].T, turns.T, places[1].T)
+    results = _leg_jacobian(machine).map(count)(places[0].T, turns.T, places[1].T)
     parts = (np.moveaxis(np.asarray(x).reshape(x.shape[0], count, -1), 1, 0) for x in results)
     closure_b, closure_x, readings_b, readings_x = parts
-    per_angle, slopes = np.repeat([1.0, 1.0 / geometry.middle_side], 3), geometry.legs.largest_slopes[:, None]
+    per_angle, slopes = np.repeat([1.0, 1.0 / machine.middle_side], 3), machine.legs.largest_slopes[:, None]
     return [closure_b, closure_x * per_angle, readings_b * slopes, readings_x * per_angle * slopes]
 
 
 @lru_cache(maxsize=4)
-def _leg_jacobian(geometry: Geometry) -> Any:
+def _leg_jacobian(machine: Manipulator) -> Any:
     from spm_pin.crosscheck import nlp
 
-    return nlp.leg_jacobian(geometry)
+    return nlp.leg_jacobian(machine)

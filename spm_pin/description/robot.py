@@ -16,7 +16,7 @@ from spm_pin.description.masses import Masses, Numbers, Placement, numbers, read
 from spm_pin.description.source_files import Closure, read_closures, urdf_text
 from spm_pin.errors import DescriptionError
 from spm_pin.machine import Stage
-from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.pose import homogeneous
 
@@ -158,19 +158,19 @@ class Robot:
             gaps = gaps_at(angles)
             if float(np.abs(gaps).max()) <= _CLOSED * scale:
                 return values | dict(zip(passive, angles.tolist(), strict=True))
-        raise DescriptionError("geometry", "a machine whose loops close at its home", "loops that stay open")
+        raise DescriptionError("machine", "a machine whose loops close at its home", "loops that stay open")
 
 
 def read_robot(
-    geometry: Mechanism | None = None, *, prefix: str = "", meshes: str | None = None, masses: Masses | None = None
+    machine: Machine | None = None, *, prefix: str = "", meshes: str | None = None, masses: Masses | None = None
 ) -> Robot:
     """Return a manipulator, or a stage alone, as data; arguments are those of `urdf_text`."""
-    root = ElementTree.fromstring(urdf_text(geometry, prefix=prefix, meshes=meshes, masses=masses))
+    root = ElementTree.fromstring(urdf_text(machine, prefix=prefix, meshes=meshes, masses=masses))
     return Robot(
-        "stage" if isinstance(geometry, Stage) else "spm",
+        "stage" if isinstance(machine, Stage) else "spm",
         {_name(node): _link(node) for node in root.iter("link")},
         {joint.name: joint for joint in map(_joint, root.findall("joint"))},
-        read_closures(geometry, prefix=prefix),
+        read_closures(machine, prefix=prefix),
         {_name(node.find("joint")): _name(node.find("actuator")) for node in root.iter("transmission")},
         {_name(node): numbers(node.find("color"), "rgba") for node in root.findall("material")},
     )

@@ -1,4 +1,4 @@
-"""The description's files: the closures, and the URDF that xacro makes for any geometry."""
+"""The description's files: the closures, and the URDF that xacro makes for any machine."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import yaml
 
 from spm_pin.description.masses import Masses, with_masses
 from spm_pin.errors import DescriptionError, raised_as
-from spm_pin.machine import Geometry, Stage
+from spm_pin.machine import Manipulator, Stage
 from spm_pin.machine.joint_angles import home_readings
-from spm_pin.machine.machine import Mechanism, check_mechanism
+from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.manipulator import config_directory
 from spm_pin.support.arguments import as_bool, check_instance
 from spm_pin.support.files import write_files
@@ -86,21 +86,21 @@ class Closure:
     """Name of the second frame, a link of the URDF."""
 
 
-def read_closures(geometry: Mechanism | None = None, *, prefix: str = "") -> tuple[Closure, ...]:
+def read_closures(machine: Machine | None = None, *, prefix: str = "") -> tuple[Closure, ...]:
     """Return the closures of the robot, or of a `Stage`, from `config/closures.yaml`; names begin with `prefix`."""
     check_prefix(prefix)
-    key = "stage_closures" if isinstance(check_machine(geometry), Stage) else "closures"
+    key = "stage_closures" if isinstance(machine_or_paper(machine), Stage) else "closures"
     entries = yaml.safe_load(description_file(CLOSURES).read_text(encoding="utf-8"))[key]
     return tuple(Closure(**{key: prefix + name for key, name in entry.items()}) for entry in entries)
 
 
-def check_machine(geometry: Mechanism | None) -> Mechanism:
+def machine_or_paper(machine: Machine | None) -> Machine:
     """Return a machine that was given, or the paper's."""
-    return Geometry.paper() if geometry is None else check_mechanism(geometry)
+    return Manipulator.paper() if machine is None else check_machine(machine)
 
 
 def urdf_text(
-    geometry: Mechanism | None = None,
+    machine: Machine | None = None,
     *,
     prefix: str = "",
     meshes: str | None = None,
@@ -112,7 +112,7 @@ def urdf_text(
 
     Parameters
     ----------
-    geometry : Geometry or Stage, optional
+    machine : Manipulator or Stage, optional
         The manipulator, by default the paper's, or a stage alone.
     prefix : str
         Before the name of every link, joint, transmission, actuator and material, so that robots can share a model.
@@ -131,7 +131,7 @@ def urdf_text(
     as_bool(ros_constraints, "ros_constraints")
     if meshes is not None and (not isinstance(meshes, str) or not meshes.isprintable()):
         raise DescriptionError("meshes", "the folder of the meshes as text, or None", repr(meshes))
-    machine = check_machine(geometry)
+    machine = machine_or_paper(machine)
     home_readings(machine)
     entry, argument = (STAGE_ENTRY, "stage") if isinstance(machine, Stage) else (ENTRY, "geometry")
     if masses is not None:
@@ -148,7 +148,7 @@ def urdf_text(
 
 
 @lru_cache(maxsize=16)
-def _expanded(entry: str, argument: str, machine: Mechanism, prefix: str, meshes: str, root: bool) -> str:
+def _expanded(entry: str, argument: str, machine: Machine, prefix: str, meshes: str, root: bool) -> str:
     """Return the text that xacro makes, which takes a fifth of a second."""
     import xacro
 

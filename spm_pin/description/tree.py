@@ -7,25 +7,25 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from spm_pin.description.source_files import check_machine, check_prefix, read_closures
+from spm_pin.description.source_files import check_prefix, machine_or_paper, read_closures
 from spm_pin.errors import DescriptionError
 from spm_pin.machine import Configuration, StageConfiguration, joint_angles
 from spm_pin.machine.joint_angles import actuated_joints, check_state, joint_names, value_names
-from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.machine import Machine
 
 HOME = "home"
 """Name of the state in which all joints are at zero."""
 
 
-def extended_urdf_text(geometry: Mechanism | None = None, *, prefix: str = "") -> str:
+def extended_urdf_text(machine: Machine | None = None, *, prefix: str = "") -> str:
     """Return closures and motors as an Extended-URDF file, to lie beside the URDF of a machine, by default the paper's.
 
     Layout of https://github.com/Gepetto/example-parallel-robots. The names of the closures have no place in it. No
     joint changes its type when loaded: `joint_name` and `joint_type` are empty.
     """
-    closures = read_closures(geometry, prefix=prefix)
+    closures = read_closures(machine, prefix=prefix)
     pairs = ",\n  ".join(f"['{closure.frame_a}', '{closure.frame_b}']" for closure in closures)
-    types, motors = ["3d"] * len(closures), [prefix + joint for joint in actuated_joints(geometry)]
+    types, motors = ["3d"] * len(closures), [prefix + joint for joint in actuated_joints(machine)]
     return f"closed_loop: [\n  {pairs}\n]\ntype: {types}\nname_mot: {motors}\njoint_name: []\njoint_type: []\n"
 
 
@@ -37,28 +37,28 @@ def joint_values(configuration: Configuration | StageConfiguration) -> dict[str,
     does the tree.
     """
     check_state(configuration, single=True, existing=True)
-    geometry, angles = configuration.mechanism, joint_angles(configuration, corners=(0,)).values
-    values = dict(zip(value_names(geometry), angles.tolist(), strict=True))
-    return {name: values[name] for name in joint_names(geometry)}
+    machine, angles = configuration.machine, joint_angles(configuration, corners=(0,)).values
+    values = dict(zip(value_names(machine), angles.tolist(), strict=True))
+    return {name: values[name] for name in joint_names(machine)}
 
 
-def machine_of(states: Mapping[str, Configuration | StageConfiguration], geometry: Mechanism | None) -> Mechanism:
+def machine_of(states: Mapping[str, Configuration | StageConfiguration], machine: Machine | None) -> Machine:
     """Return the machine of named states and of a URDF, or raise unless they have one."""
     if not isinstance(states, Mapping):
         raise DescriptionError("states", "a mapping of names to configurations", type(states).__name__)
-    machines = [check_state(state, "states").mechanism for state in states.values()]
-    machine = check_machine(next(iter(machines), None) if geometry is None else geometry)
+    machines = [check_state(state, "states").machine for state in states.values()]
+    machine = machine_or_paper(next(iter(machines), None) if machine is None else machine)
     for name, other in zip(states, machines, strict=True):
         if other != machine:
-            raise DescriptionError("states", "one geometry in all states, the robot's", f"another one in {name}")
+            raise DescriptionError("states", "one machine in all states, the robot's", f"another one in {name}")
     return machine
 
 
 def state_values(
-    states: Mapping[str, Configuration | StageConfiguration], geometry: Mechanism, prefix: str
+    states: Mapping[str, Configuration | StageConfiguration], machine: Machine, prefix: str
 ) -> dict[str, dict[str, float]]:
-    """Return the values of the joints, named with the prefix, in `home` and in named states of a geometry."""
-    values = {HOME: dict.fromkeys((prefix + joint for joint in joint_names(geometry)), 0.0)}
+    """Return the values of the joints, named with the prefix, in `home` and in named states of a machine."""
+    values = {HOME: dict.fromkeys((prefix + joint for joint in joint_names(machine)), 0.0)}
     for name, configuration in states.items():
         if not isinstance(name, str) or name == HOME:
             raise DescriptionError("states", "names other than home, which is all joints at zero", repr(name))
@@ -69,7 +69,7 @@ def state_values(
 def srdf_text(
     states: Mapping[str, Configuration | StageConfiguration] | None = None,
     *,
-    geometry: Mechanism | None = None,
+    machine: Machine | None = None,
     prefix: str = "",
 ) -> str:
     """Return the SRDF: groups, named states, passive joints, and pairs of links that touch by design.
@@ -78,14 +78,14 @@ def srdf_text(
     ----------
     states : mapping of str to Configuration or StageConfiguration, optional
         The states by name, all of one machine, that of the URDF; `home` is added.
-    geometry : Geometry or Stage, optional
+    machine : Manipulator or Stage, optional
         That of the URDF; by default that of the states, or else the paper's.
     prefix : str
         As for `urdf_text`.
     """
     check_prefix(prefix)
     states = {} if states is None else states
-    machine = machine_of(states, geometry)
+    machine = machine_of(states, machine)
     actuated, every = actuated_joints(machine), joint_names(machine)
     lines = ['<?xml version="1.0" ?>', f'<robot name="{"spm" if len(actuated) == 6 else "stage"}">']
     for group, joints in (("legs", actuated), ("mechanism", every)):
@@ -107,15 +107,15 @@ def srdf_text(
     return "\n".join([*lines, "</robot>", ""])
 
 
-def touching_links(geometry: Mechanism) -> tuple[tuple[str, str], ...]:
+def touching_links(machine: Machine) -> tuple[tuple[str, str], ...]:
     """Return the pairs of links that touch by design: those around one joint."""
     groups: list[tuple[str, ...]] = []
-    is_robot = len(geometry.legs.kinds) == 2
+    is_robot = len(machine.legs.kinds) == 2
     platform, middle = ("middle_platform", "middle_b") if is_robot else ("platform", "platform_b")
-    names = [leg[2:] for leg in geometry.legs.names]
+    names = [leg[2:] for leg in machine.legs.names]
     for k, leg in enumerate(names):
         plate, corner = ("base", "base_a") if k < 3 else ("terminal_platform", "terminal_c")
-        body = f"leg_{leg}_{geometry.legs.kinds[k // 3].body}"
+        body = f"leg_{leg}_{machine.legs.kinds[k // 3].body}"
         groups += [(plate, f"{corner}{k % 3 + 1}", body), (body, f"leg_{leg}_rod")]
     for k in range(3):
         legs = tuple(f"leg_{leg}_{part}" for leg in names[k::3] for part in ("rod", "tip"))

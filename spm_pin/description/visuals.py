@@ -13,15 +13,15 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.description.robot import read_robot
-from spm_pin.machine import Configuration, Mechanism, StageConfiguration
+from spm_pin.machine import Configuration, Machine, StageConfiguration
 from spm_pin.machine.joint_angles import home_readings
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.pose import homogeneous
 
 
-def platforms(geometry: Mechanism) -> tuple[str, ...]:
+def platforms(machine: Machine) -> tuple[str, ...]:
     """Return the links that legs stand on or hold, the one that is moved last."""
-    return ("base", "platform") if len(geometry.legs.kinds) == 1 else ("base", "middle_platform", "terminal_platform")
+    return ("base", "platform") if len(machine.legs.kinds) == 1 else ("base", "middle_platform", "terminal_platform")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,40 +41,40 @@ class VisualPart:
 
 
 @lru_cache(maxsize=16)
-def section_size(geometry: Mechanism) -> float:
+def section_size(machine: Machine) -> float:
     """Return the length s that radii and thicknesses of a machine are fractions of [m]; see `inertials.yaml`."""
-    sizes = [radius for radii in geometry.stage_radii for radius in radii]
-    for kind, home in zip(geometry.legs.kinds, home_readings(geometry)[::3], strict=True):
+    sizes = [radius for radii in machine.stage_radii for radius in radii]
+    for kind, home in zip(machine.legs.kinds, home_readings(machine)[::3], strict=True):
         # The shortest link: the whole of an RPS leg.
         sizes += [getattr(kind.nominal, name) for name in ("crank", "rod") if hasattr(kind, name)] or [home]
     return float(min(sizes))
 
 
-def leg_links(geometry: Mechanism) -> tuple[tuple[str, str], ...]:
+def leg_links(machine: Machine) -> tuple[tuple[str, str], ...]:
     """Return the two links of each leg, in the order of the legs: what its first joint moves, and the rod."""
-    names = enumerate(f"leg_{leg[2:]}" for leg in geometry.legs.names)
-    return tuple((f"{leg}_{geometry.legs.kinds[k // 3].body}", f"{leg}_rod") for k, leg in names)
+    names = enumerate(f"leg_{leg[2:]}" for leg in machine.legs.names)
+    return tuple((f"{leg}_{machine.legs.kinds[k // 3].body}", f"{leg}_rod") for k, leg in names)
 
 
-def bodies(geometry: Mechanism) -> tuple[str, ...]:
+def bodies(machine: Machine) -> tuple[str, ...]:
     """Return the links that move against one another, as far as they are seen; all others are fixed to them."""
-    return (*platforms(geometry), *(link for half in zip(*leg_links(geometry), strict=True) for link in half))
+    return (*platforms(machine), *(link for half in zip(*leg_links(machine), strict=True) for link in half))
 
 
-def _turns_at_pivot(geometry: Mechanism) -> list[bool]:
+def _turns_at_pivot(machine: Machine) -> list[bool]:
     """Return whether the first link of each leg turns about its pivot; a carriage has its frame at the knee."""
-    return [kind.joints[0] == "hip" for kind in geometry.legs.kinds for _ in range(3)]
+    return [kind.joints[0] == "hip" for kind in machine.legs.kinds for _ in range(3)]
 
 
 @lru_cache(maxsize=16)
-def visual_parts(geometry: Mechanism) -> tuple[VisualPart, ...]:
+def visual_parts(machine: Machine) -> tuple[VisualPart, ...]:
     """Return the solids that the URDF of a machine shows, in the order of its links."""
-    robot = read_robot(geometry)
-    home, links = robot.frames(), leg_links(geometry)
+    robot = read_robot(machine)
+    home, links = robot.frames(), leg_links(machine)
     frames = dict(home)
-    carriers = {robot.carrier(body)[0]: body for body in bodies(geometry)}
+    carriers = {robot.carrier(body)[0]: body for body in bodies(machine)}
     corners = [f"{corner}{i}" for corner in ("base_a", "terminal_c") for i in "123"]
-    for (body, rod), corner, is_at_pivot in zip(links, corners, _turns_at_pivot(geometry), strict=False):
+    for (body, rod), corner, is_at_pivot in zip(links, corners, _turns_at_pivot(machine), strict=False):
         # Where joints are reversed, the frames of links are at their other ends.
         for own, origin in ((body, corner if is_at_pivot else body), (rod, rod.replace("rod", "tip"))):
             frames[own] = homogeneous(home[own][:3, :3], home[origin][:3, 3])
@@ -110,12 +110,12 @@ def part_placements(configuration: Configuration | StageConfiguration) -> FloatA
     1: a rod is drawn from inside its barrel to its ball whatever the leg's length, and a barrel is shorter where the
     leg has no room for it.
     """
-    geometry = configuration.mechanism
-    parts = visual_parts(geometry)
+    machine = configuration.machine
+    parts = visual_parts(machine)
     poses = _body_poses(configuration)
     placements = np.stack([poses[part.body] for part in parts], axis=-3)
-    size, lengths = section_size(geometry), np.linalg.norm(configuration.balls - configuration.leg_bases, axis=-1)
-    for i, (cylinder, rod) in enumerate(leg_links(geometry)):
+    size, lengths = section_size(machine), np.linalg.norm(configuration.balls - configuration.leg_bases, axis=-1)
+    for i, (cylinder, rod) in enumerate(leg_links(machine)):
         if not cylinder.endswith("cylinder"):
             continue
         length = lengths[..., i]
@@ -132,27 +132,27 @@ def part_placements(configuration: Configuration | StageConfiguration) -> FloatA
 
 def _body_poses(configuration: Configuration | StageConfiguration) -> dict[str, FloatArray]:
     """Return the pose (..., 4, 4) in {B} of each body: z along the link, the origin at pivot, knee or ball."""
-    geometry = configuration.mechanism
+    machine = configuration.machine
     base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))
     moved = homogeneous(configuration.rotation, configuration.translation)
     middle = [configuration.middle_pose.as_matrix()] if isinstance(configuration, Configuration) else []
-    poses = dict(zip(platforms(geometry), [base, *middle, moved], strict=True))
+    poses = dict(zip(platforms(machine), [base, *middle, moved], strict=True))
     pivots, knees, balls = configuration.leg_bases, configuration.circle_centres, configuration.balls
     rods = balls - knees
     first = rods.copy()
-    for stage, kind in enumerate(geometry.legs.kinds):
+    for stage, kind in enumerate(machine.legs.kinds):
         legs = slice(3 * stage, 3 * stage + 3)
         if kind.body == "carriage":
             first[..., legs, :] = configuration.centre_rates[..., legs, :]
         elif kind.body == "crank":
             first[..., legs, :] = (knees - pivots)[..., legs, :]
-    origins = np.where(np.array(_turns_at_pivot(geometry))[:, None], pivots, knees)
+    origins = np.where(np.array(_turns_at_pivot(machine))[:, None], pivots, knees)
     for half, (vectors, places) in enumerate(((first, origins), (rods, balls))):
         with np.errstate(invalid="ignore"):
             z = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
         y = np.cross(z, configuration.leg_axes)
         y /= np.linalg.norm(y, axis=-1, keepdims=True)
         turns = np.stack([np.cross(y, z), y, z], axis=-1)
-        for i, links in enumerate(leg_links(geometry)):
+        for i, links in enumerate(leg_links(machine)):
             poses[links[half]] = homogeneous(turns[..., i, :, :], places[..., i, :])
     return poses

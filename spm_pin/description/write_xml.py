@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.description.masses import Masses, Numbers, Placement
 from spm_pin.description.robot import Joint, Link, Robot, Shape, read_robot
-from spm_pin.description.source_files import Closure, check_machine, check_prefix
+from spm_pin.description.source_files import Closure, check_prefix, machine_or_paper
 from spm_pin.description.tree import HOME, machine_of, state_values
 from spm_pin.errors import DescriptionError
 from spm_pin.machine import Configuration, Stage, StageConfiguration
 from spm_pin.machine.joint_angles import home_readings
-from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import FloatArray, check_instance, choice, real_number
 
 Value = str | float | Iterable[float]
@@ -67,7 +67,7 @@ class Ball:
 
 
 def mjcf_text(
-    geometry: Mechanism | None = None,
+    machine: Machine | None = None,
     *,
     prefix: str = "",
     states: Mapping[str, Configuration | StageConfiguration] | None = None,
@@ -82,7 +82,7 @@ def mjcf_text(
 
     Parameters
     ----------
-    geometry, prefix, meshes, masses
+    machine, prefix, meshes, masses
         As for `urdf_text`.
     states : mapping of str to Configuration or StageConfiguration, optional
         Named states of this machine, which become keyframes after `home`: all joints at zero, or, if the loops of a
@@ -107,13 +107,13 @@ def mjcf_text(
     freedom come last.
     """
     check_prefix(prefix)
-    machine = machine_of({} if states is None else states, check_machine(geometry))
+    machine = machine_of({} if states is None else states, machine_or_paper(machine))
     values_by_state = state_values({} if states is None else states, machine, prefix)
     kind = "servos" if isinstance(machine, Stage) else "motors"
     kind = choice(kind if actuators is None else actuators, "actuators", ("motors", "servos"))
     stage = None if ball is None else _stage_under(ball, machine)
     shapes = choice("exact" if collisions is None else collisions, "collisions", ("exact", "simple", "none"))
-    robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
+    robot = read_robot(machine, prefix=prefix, meshes=meshes, masses=masses)
     by_sites = choice("bodies" if anchors is None else anchors, "anchors", ("bodies", "sites")) == "sites"
     home = robot.closed_home()
     values_by_state[HOME] = home
@@ -171,7 +171,7 @@ def _motors(robot: Robot) -> Iterable[Element]:
         yield _element("motor", name=motor, joint=joint, ctrllimited="true", ctrlrange=(-effort, effort))
 
 
-def _servos(robot: Robot, machine: Mechanism, zeros: FloatArray) -> Iterable[Any]:
+def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
     """Yield servos on which three carry all that moves with the frequency `SERVO`, critically damped.
 
     Each is led to a reading, not to the value of its joint.
@@ -188,7 +188,7 @@ def _servos(robot: Robot, machine: Mechanism, zeros: FloatArray) -> Iterable[Any
         yield _element("general", **values, forcelimited="true", forcerange=(-limits["effort"], limits["effort"]))
 
 
-def _stage_under(ball: Ball, machine: Mechanism) -> Stage:
+def _stage_under(ball: Ball, machine: Machine) -> Stage:
     check_instance(ball, Ball, "ball")
     if not isinstance(machine, Stage):
         raise DescriptionError("ball", "a stage alone for a ball to roll on", "one on a manipulator of two stages")
@@ -304,7 +304,7 @@ def _place(placement: Placement) -> dict[str, Value]:
 
 
 def sdf_text(
-    geometry: Mechanism | None = None,
+    machine: Machine | None = None,
     *,
     prefix: str = "",
     loops: str | None = None,
@@ -315,7 +315,7 @@ def sdf_text(
 
     Parameters
     ----------
-    geometry, prefix, meshes, masses
+    machine, prefix, meshes, masses
         As for `urdf_text`.
     loops : str, optional
         "joints": a ball joint between the two frames of each closure; the robot must stand assembled at zero, as that
@@ -326,7 +326,7 @@ def sdf_text(
     -----
     http://sdformat.org/spec, version 1.9. A joint is driven if its limit of effort is not zero.
     """
-    robot = read_robot(geometry, prefix=prefix, meshes=meshes, masses=masses)
+    robot = read_robot(machine, prefix=prefix, meshes=meshes, masses=masses)
     is_assembled = robot.is_assembled()
     way = "joints" if is_assembled else "drake"
     loops = choice(way if loops is None else loops, "loops", ("joints", "drake"))

@@ -17,7 +17,7 @@ import numpy as np
 
 from spm_pin.design.task import Task
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.machine import Geometry, LegLimits
+from spm_pin.machine import LegLimits, Manipulator
 from spm_pin.machine.leg_kinds import KINDS
 from spm_pin.machine.machine import likely_unit
 from spm_pin.proofs.certificate import free_of_singularities
@@ -44,14 +44,14 @@ from spm_pin.sweeps.runner import check_workers, processes, run_tasks
 if TYPE_CHECKING:
     from distributed import Client
 
-Batch = tuple[int, tuple[Geometry, ...]]
+Batch = tuple[int, tuple[Manipulator, ...]]
 Rows = tuple[int, FloatArray]
 
 _TOGETHER = 16
 """Machines in a batch, at most: some tenths of a second for 10⁴ states each."""
 SIZES = ("assembled", "volume", "footprint")
 """Columns that are no statistics of metrics, besides "certified" and those of functions."""
-Function = Callable[[Geometry], float]
+Function = Callable[[Manipulator], float]
 """A number of a machine."""
 _STAGES = ("", "lower_", "upper_")
 _DIMENSIONS = ("base_radius", "platform_radius", "middle_side")
@@ -71,7 +71,7 @@ _FORMAT, _IMPOSSIBLE = 3, 1e30
 class Designs:
     """Numbers of N machines, evaluated over the same states in shares of their strokes."""
 
-    geometries: tuple[Geometry, ...]
+    machines: tuple[Manipulator, ...]
     """The machines."""
     columns: Mapping[str, FloatArray]
     """Numbers (N,) by their names, NaN where a machine has none:
@@ -89,11 +89,11 @@ class Designs:
     """
 
     def __len__(self) -> int:
-        return len(self.geometries)
+        return len(self.machines)
 
 
 def evaluate_designs(
-    geometries: Iterable[Geometry],
+    machines: Iterable[Manipulator],
     metrics: str | Metric | Iterable[str | Metric] = ("conditioning", "payload"),
     *,
     functions: dict[str, Function] | None = None,
@@ -108,13 +108,13 @@ def evaluate_designs(
 
     Parameters
     ----------
-    geometries : iterable of Geometry
+    machines : iterable of Manipulator
         Machines with finite leg limits. One whose limits hold no configuration has NaN in its row, and stops nothing.
     metrics : metrics or their names
         Of `spm_pin.sweeps`, or your own; those of a state.
     functions : dict of str to callable, optional
-        Columns by their names, each a function of a `Geometry` that returns a number: your own, or those of a `Task`,
-        `task.margin` and `task.effort`. They are sent to other processes where there are some.
+        Columns by their names, each a function of a `Manipulator` that returns a number: your own, or those of a
+        `Task`, `task.margin` and `task.effort`. They are sent to other processes where there are some.
     states : int
         Sets of readings for each machine: a Sobol sequence, the same shares of the strokes for all.
     boxes : int
@@ -134,14 +134,14 @@ def evaluate_designs(
     Designs
         A row for each machine, in their order; it does not depend on the number of workers.
     """
-    machines = tuple(geometries) if isinstance(geometries, Iterable) else ()
+    machines = tuple(machines) if isinstance(machines, Iterable) else ()
     for index, machine in enumerate(machines):
-        if not (isinstance(machine, Geometry) and machine.limits and machine.limits.are_finite):
-            received = repr(machine) if isinstance(machine, Geometry) else type(machine).__name__
-            raise ArgumentError("geometries", "Geometry objects with finite leg limits", f"{received} at index {index}")
+        if not (isinstance(machine, Manipulator) and machine.limits and machine.limits.are_finite):
+            received = repr(machine) if isinstance(machine, Manipulator) else type(machine).__name__
+            raise ArgumentError("machines", "Manipulators with finite leg limits", f"{received} at index {index}")
     if not machines:
-        received = "none" if isinstance(geometries, Iterable) else type_and_value(geometries)
-        raise ArgumentError("geometries", "an iterable of at least one Geometry", received)
+        received = "none" if isinstance(machines, Iterable) else type_and_value(machines)
+        raise ArgumentError("machines", "an iterable of at least one Manipulator", received)
     chosen, sample = resolve_metrics(metrics), Sample(whole_number(states, "states", least=2, most=10**7), seed)
     whole_number(boxes, "boxes")
     check_workers(scheduler, workers)
@@ -168,11 +168,11 @@ def _checked_functions(functions: dict[str, Function]) -> dict[str, Function]:
         if name in column_names(tuple(METRICS.values()), 1):
             raise ArgumentError("functions", "names that are no columns of the package", repr(name))
         if not callable(function):
-            raise ArgumentError(f"functions[{name!r}]", "a function of a Geometry", type_and_value(function))
+            raise ArgumentError(f"functions[{name!r}]", "a function of a Manipulator", type_and_value(function))
     return dict(functions)
 
 
-def leg_ranges(machine: Geometry) -> tuple[FloatArray, FloatArray]:
+def leg_ranges(machine: Manipulator) -> tuple[FloatArray, FloatArray]:
     """Return the least readings and the strokes of the legs, shapes (6,) [m], of RRS legs [rad]."""
     assert machine.limits is not None
     low, high = machine.limits.ends
@@ -207,14 +207,14 @@ def _evaluate_some(
     return first, rows
 
 
-def _number(function: Function, machine: Geometry) -> float:
+def _number(function: Function, machine: Manipulator) -> float:
     try:
         return float(function(machine))
     except (TypeError, ValueError) as error:
         raise ArgumentError("functions", "functions that return a number", repr(error)) from error
 
 
-def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Geometry) -> list[float]:
+def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Manipulator) -> list[float]:
     low, stroke = leg_ranges(machine)
     points = Points(machine, "legs", low + shares * stroke)
     assembled, area = float(points.reachable.mean()), np.pi * machine.base_radius**2
@@ -246,7 +246,7 @@ class DesignProblem:
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         A drawn machine with finite leg limits: what is not free is as in this one, and it is compared with the others.
     free : dict of str to (low, high)
         Ranges of some of `VARIABLES` [m, rad].
@@ -263,7 +263,7 @@ class DesignProblem:
         Metrics of your own, or the package's with other parameters, for their "_mean" and "_low".
     """
 
-    geometry: Geometry
+    machine: Manipulator
     free: dict[str, tuple[float, float]]
     aims: dict[str, str]
     at_least: dict[str, float] = dataclasses.field(default_factory=dict)
@@ -272,9 +272,9 @@ class DesignProblem:
     metrics: Iterable[Metric] = ()
 
     def __post_init__(self) -> None:
-        geometry = check_instance(self.geometry, Geometry, "geometry")
-        if not (geometry.is_nominal and geometry.limits and geometry.limits.are_finite):
-            raise ArgumentError("geometry", "a drawn machine with finite leg limits", repr(geometry))
+        machine = check_instance(self.machine, Manipulator, "machine")
+        if not (machine.is_nominal and machine.limits and machine.limits.are_finite):
+            raise ArgumentError("machine", "a drawn machine with finite leg limits", repr(machine))
         for name in _CHOICES:
             object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))
         object.__setattr__(self, "functions", _checked_functions(self.functions))
@@ -319,24 +319,24 @@ class DesignProblem:
         low, high = number_pair(ends, f"free[{name!r}]", "metres, or radians of angles")
         stages, of_legs = _stages_and_name(name)
         own = of_legs not in (*_DIMENSIONS, "minimum", "stroke")
-        kinds = [self.geometry.legs.kinds[stage] for stage in stages]
+        kinds = [self.machine.legs.kinds[stage] for stage in stages]
         lacking = [kind.name for kind in kinds if own and of_legs not in kind.identified]
         if lacking:
             raise ArgumentError("free", "a number that the machine's legs have", f"{name} of {lacking[0]} legs")
         if of_legs in ("minimum", "direction"):
-            least = float(np.max(self.geometry.legs.free_limits.minimum)) if of_legs == "minimum" else -np.inf
+            least = float(np.max(self.machine.legs.free_limits.minimum)) if of_legs == "minimum" else -np.inf
         else:
             least = SMALLEST
         if not (least <= low < high <= LARGEST and high - low > _NARROWEST * max(abs(low), abs(high))):
             expected = f"{least:g} <= low < high <= {LARGEST:g}, a range of more than {_NARROWEST:g} of it"
             raise ArgumentError(f"free[{name!r}]", expected, f"{low:g} and {high:g}")
-        if self.unit(name) == "m" and likely_unit(self.geometry, low):
-            expected = f"lengths in metres, in proportion to a machine about {self.geometry.size:.3g} m high"
+        if self.unit(name) == "m" and likely_unit(self.machine, low):
+            expected = f"lengths in metres, in proportion to a machine about {self.machine.size:.3g} m high"
             raise ArgumentError(f"free[{name!r}]", expected, f"{low:g} and {high:g}", "In mm or cm?")
 
-    def machine(self, values: FloatArray) -> Geometry:
+    def machine_of(self, values: FloatArray) -> Manipulator:
         """Return the machine of values (k,) of the free variables, in their order."""
-        machine, (low, stroke) = self.geometry, leg_ranges(self.geometry)
+        machine, (low, stroke) = self.machine, leg_ranges(self.machine)
         dimensions, kinds = dict(zip(_DIMENSIONS, machine.dimensions, strict=True)), list(machine.legs.kinds)
         for name, value in zip(self.free, map(float, values), strict=True):
             stages, of_legs = _stages_and_name(name)
@@ -349,9 +349,9 @@ class DesignProblem:
                 for stage in stages:
                     kinds[stage] = dataclasses.replace(kinds[stage], **{of_legs: value})
         limits = LegLimits(low.tolist(), (low + stroke).tolist())
-        return Geometry(**dimensions, limits=limits, legs=(kinds[0], kinds[1]))
+        return Manipulator(**dimensions, limits=limits, legs=(kinds[0], kinds[1]))
 
-    def values(self, machine: Geometry) -> FloatArray:
+    def values(self, machine: Manipulator) -> FloatArray:
         """Return the free variables (k,) of a machine as `machine` makes them, in their order."""
         low, stroke = leg_ranges(machine)
         values = []
@@ -367,7 +367,7 @@ class DesignProblem:
         """Return the unit of a free variable, "m" or "rad"."""
         stages, of_legs = _stages_and_name(name)
         of_readings = of_legs in ("minimum", "stroke")
-        return self.geometry.legs.kinds[stages.start].unit if of_readings else "rad" if of_legs == "direction" else "m"
+        return self.machine.legs.kinds[stages.start].unit if of_readings else "rad" if of_legs == "direction" else "m"
 
     def objectives(self, designs: Designs) -> tuple[FloatArray, FloatArray]:
         """Return what is to be small (N, m), and what must not be positive (N, c); the last is 1 where numbers lack."""
@@ -462,7 +462,7 @@ def pareto_front(
     given = {
         "format": _FORMAT,
         "versions": {"spm_pin": package_version(), "pymoo": metadata.version("pymoo"), "numpy": np.__version__},
-        "geometry": problem.geometry.as_data(),
+        "geometry": problem.machine.as_data(),
         **{name: list(getattr(problem, name).items()) for name in _CHOICES},
         "functions": [[name, _identity(function)] for name, function in problem.functions.items()],
         "metrics": [metric.definition() for metric in problem.metrics],
@@ -474,7 +474,7 @@ def pareto_front(
     stored = _read(path, definition, column_names(chosen, needed, own))
 
     def evaluate(client: Client | None, values: FloatArray, generation: int) -> Designs:
-        some = tuple(map(problem.machine, values))
+        some = tuple(map(problem.machine_of, values))
         if generation < len(stored):
             if stored[generation]["values"] != values.tolist():
                 cause = "Written on another kind of computer?"
@@ -502,15 +502,15 @@ def pareto_front(
             algorithm.tell(infills=asked)
             report("generations", generation + 1, generations)
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
-    every = Designs(sum((part.geometries for part in parts), ()), columns)
-    reference = evaluate_designs([problem.geometry], chosen, functions=own, **options)
+    every = Designs(sum((part.machines for part in parts), ()), columns)
+    reference = evaluate_designs([problem.machine], chosen, functions=own, **options)
     values, bounds = problem.objectives(every)
     feasible = np.flatnonzero((bounds <= 0.0).all(axis=-1))
     # In the order of the first aim, and of equal rows the first.
     kept = feasible[np.unique(values[feasible], axis=0, return_index=True)[1]]
     kept = kept[np.sort(NonDominatedSorting().do(values[kept], only_non_dominated_front=True))]
     best = {name: column[kept] for name, column in columns.items()}
-    return Front(problem, Designs(tuple(every.geometries[k] for k in kept), best), every, reference)
+    return Front(problem, Designs(tuple(every.machines[k] for k in kept), best), every, reference)
 
 
 def _identity(function: Function) -> str | None:

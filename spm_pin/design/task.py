@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_displacement, leg_forces
-from spm_pin.machine import Configuration, Geometry, as_rigid_transform
+from spm_pin.machine import Configuration, Manipulator, as_rigid_transform
 from spm_pin.machine.branch_of_state import physical
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, whole_number
 
@@ -21,7 +21,7 @@ from spm_pin.support.arguments import FloatArray, check_instance, real_array, wh
 class Task:
     """Poses that a machine has to reach in one branch, all along a path or in any order, under a load.
 
-    Its methods are functions of a `Geometry`, as searches for dimensions take them.
+    Its methods are functions of a `Manipulator`, as searches for dimensions take them.
 
     Parameters
     ----------
@@ -61,28 +61,28 @@ class Task:
         arrays = self._poses.as_matrix(), self._load
         return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
-    def margin(self, geometry: Geometry) -> float:
+    def margin(self, machine: Manipulator) -> float:
         """Return how far the worst leg at the worst pose is inside its limits [m], of RRS legs at the knee.
 
         Negative outside; NaN where no physical branch leads through all poses. Of two that do the better one counts.
         """
-        return self._along(geometry)[0]
+        return self._along(machine)[0]
 
-    def effort(self, geometry: Geometry) -> float:
+    def effort(self, machine: Manipulator) -> float:
         """Return the largest effort of an actuator at any pose [N], of RRS legs [N m], in the branch of `margin`.
 
         NaN where there is none, or a pose is singular.
         """
-        states = self._along(geometry)[1]
+        states = self._along(machine)[1]
         return float("nan") if states is None else float(np.abs(leg_forces(states, self._load)).max())
 
-    def _along(self, geometry: Geometry) -> tuple[float, Configuration | None]:
+    def _along(self, machine: Manipulator) -> tuple[float, Configuration | None]:
         """Return the margin, and the states (n,) in the branch that has it."""
-        limits = check_instance(geometry, Geometry, "geometry").limits
+        limits = check_instance(machine, Manipulator, "machine").limits
         if limits is None:
-            raise ArgumentError("geometry", "a machine with leg limits", repr(geometry))
-        states = inverse_displacement(geometry, self._poses).configurations
-        margins = limits.margin(states.readings, geometry.legs.largest_slopes)
+            raise ArgumentError("machine", "a machine with leg limits", repr(machine))
+        states = inverse_displacement(machine, self._poses).configurations
+        margins = limits.margin(states.readings, machine.legs.largest_slopes)
         # A machine does not change its branch between poses: branches meet at inverse singularities.
         worst = np.where(physical(states), margins, -np.inf).min(axis=0)
         branch = int(worst.argmax())

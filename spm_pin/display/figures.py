@@ -88,7 +88,7 @@ def path_figure(path: FollowedPath[Any]) -> Figure:
     from spm_pin.kinematics import EventKind, FollowedPath, singularities
 
     check_instance(path, FollowedPath, "path", "follow returns one")
-    states, legs = path.configurations, path.configurations.mechanism.legs
+    states, legs = path.configurations, path.configurations.machine.legs
     figure = new_figure(6.5, 5.0, layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True)
     for leg, (name, column) in enumerate(zip(legs.names, states.readings.T, strict=True)):
@@ -268,7 +268,7 @@ def front_figure(front: Front) -> Figure:
     points = ax.scatter(chosen[x], chosen[y], s=30, c=colour, label="front", zorder=3)
     if len(names) > 2:
         figure.colorbar(points, ax=ax, label=_aim(names[2], problem.aims[names[2]]))
-    label = "geometry that the search began with"
+    label = "machine that the search began with"
     ax.scatter(start[x], start[y], s=110, marker="*", color=_VERMILION, edgecolor="white", label=label, zorder=4)
     # Machines that hold no state are far from all others.
     for set_limits, name in ((ax.set_xlim, x), (ax.set_ylim, y)):

@@ -308,7 +308,7 @@ class _LabelPlacer:
 def _label(configuration: Configuration, placer: _LabelPlacer, camera: FloatArray) -> None:
     """Name the frames' axes, the joints and the legs."""
     flat, h = camera[:2].T, placer.height
-    triad = TRIAD * section_size(configuration.geometry)
+    triad = TRIAD * section_size(configuration.machine)
     angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     around = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     poses = ((np.eye(3), np.zeros(3)), (configuration.rotation, configuration.translation))
@@ -334,7 +334,7 @@ def _label(configuration: Configuration, placer: _LabelPlacer, camera: FloatArra
             dislike += distances.min(axis=-1) < np.linalg.norm(places - point, axis=-1) - 1e-9
             placer.put(f"${letter}_{i + 1}$", INK, places, dislike)
 
-    parts, links = visual_parts(configuration.geometry), leg_links(configuration.geometry)
+    parts, links = visual_parts(configuration.machine), leg_links(configuration.machine)
     colours = {part.body: part.colour for part in reversed(parts)}
     along = np.linspace(0.2, 0.8, 25)
     sides = np.array([-2.0, -1.5, 1.5, 2.0])

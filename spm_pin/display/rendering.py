@@ -71,12 +71,12 @@ def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[S
 
 def placed_solids(configuration: Configuration | StageConfiguration) -> tuple[list[Solid], float]:
     """Return the solids of a state of a robot or of a stage, and the size of their sections [m]."""
-    parts, poses = visual_parts(configuration.mechanism), part_placements(configuration)
+    parts, poses = visual_parts(configuration.machine), part_placements(configuration)
     solids = [
         Solid(part.name, part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces)
         for part, pose in zip(parts, poses, strict=True)
     ]
-    return solids, section_size(configuration.mechanism)
+    return solids, section_size(configuration.machine)
 
 
 def arrow(name: str, colour: Colour, axes: FloatArray, origin: FloatArray, length: float, nearer: float = 0.0) -> Solid:

@@ -43,7 +43,7 @@ MESH_FORMATS = (".stl", ".ply", ".obj", ".glb")
 """File types that meshes are written in."""
 _REACHED: Colour = (0.337, 0.706, 0.914)
 """Colour of the boundary of what is reached."""
-_MAKE = "Make one with workspace.reachable_boundary(geometry) or crosscheck.workspace_shell(geometry)"
+_MAKE = "Make one with workspace.reachable_boundary(machine) or crosscheck.workspace_shell(machine)"
 _EDGE = 0.6  # width of edges in points
 _FONT = 9.0
 _Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

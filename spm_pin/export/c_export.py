@@ -44,7 +44,7 @@ from spm_pin.kinematics import (
 )
 from spm_pin.kinematics.random_states import random_states
 from spm_pin.kinematics.rates_and_forces import SINGULAR
-from spm_pin.machine import BRANCHES, FAMILIES, Configuration, Geometry
+from spm_pin.machine import BRANCHES, FAMILIES, Configuration, Manipulator
 from spm_pin.machine.joint_angles import joint_angles, joint_names, value_names
 from spm_pin.support.arguments import FloatArray, check_instance
 
@@ -90,13 +90,13 @@ _gravity = lru_cache(maxsize=1)(functions.gravity)  # made once for all states o
 
 
 def _weight_forces(state: Configuration, *weights: FloatArray) -> FloatArray:
-    forces = _gravity(state.geometry)(state.middle_joints, state.rotation, state.translation, *weights)
+    forces = _gravity(state.machine)(state.middle_joints, state.rotation, state.translation, *weights)
     return np.asarray(forces)[:, 0]
 
 
 def _joint_values(state: Configuration) -> FloatArray:
-    named = dict(zip(value_names(state.geometry), joint_angles(state, corners=(0,)).values, strict=True))
-    return np.array([named[name] for name in joint_names(state.geometry)])
+    named = dict(zip(value_names(state.machine), joint_angles(state, corners=(0,)).values, strict=True))
+    return np.array([named[name] for name in joint_names(state.machine)])
 
 
 STATE_FUNCTIONS = (
@@ -143,12 +143,12 @@ ROOT_STEPS = 400
 """Steps at most along each of the eight ways on which all branches of a pose are found."""
 
 
-def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None = None) -> dict[str, str]:
+def c_sources(machine: Manipulator, *, prefix: str = "spm_", masses: Masses | None = None) -> dict[str, str]:
     """Return the C library of a machine, without memory allocation, dependent on `math.h` alone.
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The machine that is built in, drawn or as built. The functions take others too.
     prefix : str
         What all names begin with.
@@ -161,21 +161,21 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
         The texts of `spm_kinematics.h`, `spm_kinematics.c`, `spm_kinematics_test.c` and `CMakeLists.txt` by their
         names, of `spm_machine.txt`, the numbers of the machine, and of `spm_read_machine.h`, which reads them.
     """
-    check_instance(geometry, Geometry, "geometry")
-    smallest, largest = min(geometry.dimensions), max(geometry.dimensions)
+    check_instance(machine, Manipulator, "machine")
+    smallest, largest = min(machine.dimensions), max(machine.dimensions)
     if largest > _SPREAD * smallest:
         expected = f"dimensions within a factor of {_SPREAD:g}, for the answers of the test program to keep ten digits"
-        raise ArgumentError("geometry", expected, f"{smallest:g} to {largest:g} m", "Another unit in one of them?")
+        raise ArgumentError("machine", expected, f"{smallest:g} to {largest:g} m", "Another unit in one of them?")
     prefix = checked_prefix(prefix)
-    available = state_functions(geometry)
+    available = state_functions(machine)
     values = {
-        **marks(geometry, prefix),
+        **marks(machine, prefix),
         "HEADER": "@PREFIX@kinematics.h",
-        "NUMBERS": "(double *)geometry",
-        "IS_MACHINE": "@PREFIX@forward(geometry, geometry->offsets, NULL, &state) != @PREFIX_UPPER@BAD_GEOMETRY",
+        "NUMBERS": "(double *)machine",
+        "IS_MACHINE": "@PREFIX@forward(machine, machine->offsets, NULL, &state) != @PREFIX_UPPER@BAD_GEOMETRY",
         "SINGULAR": repr(SINGULAR),
-        "LEAST": _row(geometry.legs.least_readings),
-        "TURNS": _row([float(unit == "rad") for unit in geometry.legs.units]),
+        "LEAST": _row(machine.legs.least_readings),
+        "TURNS": _row([float(unit == "rad") for unit in machine.legs.units]),
         "CHORD": repr(LONGEST_CHORD),
         "MOST_TURNED": repr(MOST_TURNED),
         "MOST_STEPS": str(MOST_STEPS),
@@ -184,16 +184,16 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
         "WANDERING": repr(circles.WANDERING),
         "SHORTEST": repr(SHORTEST),
         "ROOT_STEPS": str(ROOT_STEPS),
-        "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(geometry).values()),
-        **_legs_texts(geometry, masses),
+        "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(machine).values()),
+        **_legs_texts(machine, masses),
         "STATUSES": ",\n".join(
             f"    /* {meaning} */\n    @PREFIX_UPPER@{name} = {value}" for name, (value, meaning) in STATUSES.items()
         ),
         "STATUS_NAMES": "\n".join(
             f'    case @PREFIX_UPPER@{name}: return "{name.lower().replace("_", " ")}";' for name in STATUSES
         ),
-        "FORMULAS": _formulas(geometry),
-        **_known_answers(geometry, available),
+        "FORMULAS": _formulas(machine),
+        **_known_answers(machine, available),
     }
     snippets = [values | _snippets(function) for function in available]
     for key, of_one in (
@@ -207,37 +207,37 @@ def c_sources(geometry: Geometry, *, prefix: str = "spm_", masses: Masses | None
     ):
         values[key] = "".join(filled(of_one, snippet) for snippet in snippets)
     texts = {f"{prefix}{name}": filled(template(name), values) for name in _NAMES}
-    texts[f"{prefix}machine.txt"] = machine_text(values["MACHINE_FILE"], machine_fields(geometry))
+    texts[f"{prefix}machine.txt"] = machine_text(values["MACHINE_FILE"], machine_fields(machine))
     return texts | {"CMakeLists.txt": filled(template("CMakeLists.txt"), values)}
 
 
 def write_c(
-    geometry: Geometry, directory: str | Path, *, prefix: str = "spm_", masses: Masses | None = None
+    machine: Manipulator, directory: str | Path, *, prefix: str = "spm_", masses: Masses | None = None
 ) -> list[Path]:
     """Write what `c_sources` returns into a directory, made if need be; all of it or nothing. Returns the paths.
 
     Files of the same names are replaced.
     """
-    return write_sources(directory, lambda: c_sources(geometry, prefix=prefix, masses=masses))
+    return write_sources(directory, lambda: c_sources(machine, prefix=prefix, masses=masses))
 
 
-def machine_fields(geometry: Geometry) -> dict[str, FloatArray]:
+def machine_fields(machine: Manipulator) -> dict[str, FloatArray]:
     """Return the numbers of an `spm_geometry` by the names of its fields."""
-    kinds = geometry.legs.kinds
-    limits = geometry.limits or geometry.legs.free_limits
-    arrays: list[npt.ArrayLike] = [geometry.dimensions, *geometry.legs.arrays, limits.minimum, limits.maximum]
+    kinds = machine.legs.kinds
+    limits = machine.limits or machine.legs.free_limits
+    arrays: list[npt.ArrayLike] = [machine.dimensions, *machine.legs.arrays, limits.minimum, limits.maximum]
     arrays += [kind.numbers for kind in kinds if kind.numbers.size]
     return {name: np.asarray(x, dtype=float).ravel() for name, x in zip(fields_of(kinds), arrays, strict=True)}
 
 
-def state_functions(geometry: Geometry) -> list[StateFunction]:
+def state_functions(machine: Manipulator) -> list[StateFunction]:
     """Return the functions of the table that machines with these kinds of legs have."""
-    return [x for x in STATE_FUNCTIONS if geometry.legs.are_rps or not x.is_of_rps]
+    return [x for x in STATE_FUNCTIONS if machine.legs.are_rps or not x.is_of_rps]
 
 
-def _legs_texts(geometry: Geometry, masses: Masses | None) -> dict[str, str]:
+def _legs_texts(machine: Manipulator, masses: Masses | None) -> dict[str, str]:
     """Return what depends on the kinds of the legs in the texts of header and source."""
-    kinds = geometry.legs.kinds
+    kinds = machine.legs.kinds
     stages = [(stage, kind) for stage, kind in zip(("lower", "upper"), kinds, strict=True)]
     shown = [f"of the {stage} legs, {kind.name}, {kind.meaning} [{kind.unit}]" for stage, kind in stages]
     members = [
@@ -247,70 +247,70 @@ def _legs_texts(geometry: Geometry, masses: Masses | None) -> dict[str, str]:
         if kind.numbers.size
     ]
     bodies, declared = "", ""
-    if geometry.legs.are_rps:
-        bodies = f"const double @PREFIX@bodies[32] = {{{_row(functions.bodies(geometry, masses))}}};\n\n"
+    if machine.legs.are_rps:
+        bodies = f"const double @PREFIX@bodies[32] = {{{_row(functions.bodies(machine, masses))}}};\n\n"
         declared = _BODIES
     return {
         "LEGS": ", ".join(f"(g)->{name}" for name in fields_of(kinds)),
         "FIELDS": ", ".join(f'{{"{name}", {count}}}' for name, count in fields_of(kinds).items()),
         "MEMBERS": "".join(members),
-        "READINGS": f"{kinds[0].meaning} [m]" if geometry.legs.are_rps else "; ".join(shown),
+        "READINGS": f"{kinds[0].meaning} [m]" if machine.legs.are_rps else "; ".join(shown),
         "BODIES": bodies,
         "BODIES_DECLARED": declared,
     }
 
 
 @lru_cache(maxsize=16)
-def _formulas(geometry: Geometry) -> str:
+def _formulas(machine: Manipulator) -> str:
     """Return the functions that the C calls, of flat arrays, matrices row by row: most of the time of an export."""
-    machine = MachineInCasadi.of_symbols(geometry)
+    symbolic = MachineInCasadi.of_symbols(machine)
     flat, position, balls = (ca.SX.sym(name, n) for name, n in (("r", 9), ("o", 3), ("balls", 6)))
     joints, rotation = ca.SX.sym("joints", 9), _matrix(flat)
-    state, pose = StateInCasadi(machine, _matrix(joints), rotation, position), [flat, position]
-    drawing = machine.drawing()
+    state, pose = StateInCasadi(symbolic, _matrix(joints), rotation, position), [flat, position]
+    drawing = symbolic.drawing()
     drawn = Drawn(drawing, rotation, position)
 
     def made(name: str, inputs: list[Any], *outputs: Any) -> ca.Function:
         dense = ca.cse([_flat(x) for x in outputs])
-        return ca.Function(name, [*inputs, *machine.inputs], dense)
+        return ca.Function(name, [*inputs, *symbolic.inputs], dense)
 
     made_functions = _stage_formulas()
     readings = ca.SX.sym("readings", 6)
-    stages = [machine.circles(k, readings) for k in (0, 1)]
+    stages = [symbolic.circles(k, readings) for k in (0, 1)]
     made_functions.append(
         made("circles_of_readings", [readings], *(_column([stage[k] for stage in stages]) for k in (1, 2, 3)))
     )
-    made_functions.append(made("limits_hold", [readings], ca.vertcat(*functions.within_limits(machine, readings))))
+    made_functions.append(made("limits_hold", [readings], ca.vertcat(*functions.within_limits(symbolic, readings))))
     # Of the closure: how far terms of second order go, and how the planes of the upper legs move.
-    error = functions.closure_equations(machine, balls, rotation, position)
-    points = [machine.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
-    upper, weights = machine.all_balls(points)[3:], [[ca.fabs(x) for x in w] for w in machine.ball_weights()]
+    error = functions.closure_equations(symbolic, balls, rotation, position)
+    points = [symbolic.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
+    upper, weights = symbolic.all_balls(points)[3:], [[ca.fabs(x) for x in w] for w in symbolic.ball_weights()]
     arms = ca.norm_2(points[1] - points[0]) + ca.norm_2(points[2] - points[0])
-    curvature = ca.vertcat(*(2.0 / s for s in machine.sides()), *(4.0 * w for _, _, w in weights))
+    curvature = ca.vertcat(*(2.0 / s for s in symbolic.sides()), *(4.0 * w for _, _, w in weights))
     tilt = ca.vertcat(0, 0, 0, *(1.0 + 2.0 * (u + v + w * arms) for u, v, w in weights))
     lever = ca.vertcat(0, 0, 0, *(ca.norm_2(p - position) for p in upper))
     made_functions.append(made("closure", [balls, *pose], error, ca.jacobian(error, balls), curvature, tilt, lever))
     made_functions.append(made("lower_balls", [balls], ca.vertcat(*points)))
 
     both = [ca.SX.sym(name, 9) for name in ("lower", "upper")]
-    placed_rotation, placed_position, _ = functions.placed(machine, *map(_rows, both))
+    placed_rotation, placed_position, _ = functions.placed(symbolic, *map(_rows, both))
     made_functions.append(made("placed_platform", both, placed_rotation, placed_position))
-    levels = [functions.level_balls(machine, k, stage) for k, stage in enumerate(stages)]
+    levels = [functions.level_balls(symbolic, k, stage) for k, stage in enumerate(stages)]
     made_functions.append(made("level_stages", [readings], *map(_column, levels)))
-    gap = ca.mmax(ca.fabs(functions.residual_of(state)["residual"])) / machine.side
+    gap = ca.mmax(ca.fabs(functions.residual_of(state)["residual"])) / symbolic.side
     seen = ca.vertcat(*state.own_balls()[1])
     made_functions.append(made("own_places", [joints, *pose], state.in_planes(), seen, gap))
-    made_functions.append(made("describe", [joints, *pose], state.readings, *functions.preference(machine, state)))
+    made_functions.append(made("describe", [joints, *pose], state.readings, *functions.preference(symbolic, state)))
     made_functions.append(made("own_limits", [joints, *pose], state.reach, state.least_slope(state.slopes)))
-    slopes = state.slopes_at(ca.vertsplit(readings - machine.offsets))
+    slopes = state.slopes_at(ca.vertsplit(readings - symbolic.offsets))
     made_functions.append(made("working_mode", [joints, *pose, readings], state.least_slope(slopes)))
     forces = [state.force_rows(x) for x in (state.directions, state.axes)]
     made_functions.append(made("force_rows", [joints, *pose], *forces))
 
-    starts = ca.vertcat(*functions.drawn_starts(machine, drawn)[:2])
+    starts = ca.vertcat(*functions.drawn_starts(symbolic, drawn)[:2])
     made_functions.append(made("drawn_branches", pose, starts, drawn.is_continuous("TT")))
     quaternion = ca.SX.sym("quaternion", 4)
-    forms, coordinates = functions.quadrics(machine, quaternion, rotation, position)
+    forms, coordinates = functions.quadrics(symbolic, quaternion, rotation, position)
     made_functions.append(made("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms))))
     made_functions.append(made("balls_of_root", [quaternion, *pose], coordinates))
     branches = [drawn.branch(label[:2], 1.0 if label[2] == "+" else -1.0) for label in BRANCHES]
@@ -323,17 +323,17 @@ def _formulas(geometry: Geometry) -> str:
     made_functions.append(made("all_drawn_branches", pose, every, shown, discriminants, real, continuous))
 
     areas = []
-    for b in (machine.balls[:3], machine.balls[3:]):
+    for b in (symbolic.balls[:3], symbolic.balls[3:]):
         sides = in_casadi(circles.squared_sides)([parts(x) for x in b])
         areas.append(ca.norm_2(ca.cross(b[1] - b[0], b[2] - b[0])) / ca.mmax(ca.vertcat(*sides)))
-    made_functions.append(made("numbers_of_machine", [], ca.vertcat(*areas), machine.valid))
-    size, pairs = machine.base + machine.platform + machine.side, []
+    made_functions.append(made("numbers_of_machine", [], ca.vertcat(*areas), symbolic.valid))
+    size, pairs = symbolic.base + symbolic.platform + symbolic.side, []
     for name, unit in (("axes", 1.0), ("pivots", size), ("balls", size)):
-        pairs += [(a - b) / unit for a, b in zip(getattr(machine, name), getattr(drawing, name), strict=True)]
+        pairs += [(a - b) / unit for a, b in zip(getattr(symbolic, name), getattr(drawing, name), strict=True)]
     error = ca.mmax(ca.fabs(ca.vertcat(*pairs)))
     made_functions.append(made("drawing_error", [], error))
 
-    for function in state_functions(geometry):
+    for function in state_functions(machine):
         further = [ca.SX.sym(name, len(numbers)) for name, numbers in function.arguments.items()]
         (result,) = function.compute(state, *further).values()
         made_functions.append(made(f"{function.name}_of", [joints, *pose, *further], result))
@@ -407,12 +407,12 @@ def _c_text(function: ca.Function) -> str:
 def _snippets(function: StateFunction) -> dict[str, str]:
     """Return what a function of the table puts in place of the marks in texts about it."""
     constants = [f"const double {name}[{len(x)}]" for name, x in function.arguments.items()]
-    head = ["const @PREFIX@geometry *geometry", "const @PREFIX@state *state", *constants]
+    head = ["const @PREFIX@machine *machine", "const @PREFIX@state *state", *constants]
     checks = "".join(
         f"    status = status != @PREFIX_UPPER@OK ? status : check_numbers({name}, {len(x)}, DBL_MAX);\n"
         for name, x in function.arguments.items()
     )
-    singular = f"is_singular(geometry, state, {int(function.singular == 'forward')})" if function.singular else "0"
+    singular = f"is_singular(machine, state, {int(function.singular == 'forward')})" if function.singular else "0"
     return {
         "NAME": function.name,
         "COMMENT": function.meaning[0].upper() + function.meaning[1:],
@@ -427,17 +427,17 @@ def _snippets(function: StateFunction) -> dict[str, str]:
     }
 
 
-def _known_answers(geometry: Geometry, available: list[StateFunction]) -> dict[str, str]:
+def _known_answers(machine: Manipulator, available: list[StateFunction]) -> dict[str, str]:
     """Return the tables of the test program."""
-    rng, rise = np.random.default_rng(17), sum(geometry.dimensions)
+    rng, rise = np.random.default_rng(17), sum(machine.dimensions)
     # In the home's aspect; then poses anywhere, and one out of reach.
-    held = _held_states(geometry, rng)[: _CASES - 4]
+    held = _held_states(machine, rng)[: _CASES - 4]
     turned = Rotation.random(3, rng=rng)
     far = RigidTransform.from_components(rise * rng.uniform(-1.0, 1.0, (3, 3)), turned)
     away = RigidTransform.from_components([100.0 * rise, 0.0, 0.0], Rotation.from_euler("x", 0.3))
     pose = RigidTransform.concatenate([held.pose, far, away])
-    branches = inverse_displacement(geometry, pose).readings
-    states = [inverse_physical(geometry, pose[n]) for n in range(len(pose))]
+    branches = inverse_displacement(machine, pose).readings
+    states = [inverse_physical(machine, pose[n]) for n in range(len(pose))]
 
     def padded(count: int, compute: Callable[..., npt.ArrayLike], *arguments: FloatArray) -> str:
         return _table([np.ravel(compute(s, *arguments)) if s.exists else np.zeros(count) for s in states])
@@ -450,7 +450,7 @@ def _known_answers(geometry: Geometry, available: list[StateFunction]) -> dict[s
     return {
         "CASES": str(len(pose)),
         "HEIGHT": repr(rise),
-        "DRAWN": str(int(_is_drawn(geometry))),
+        "DRAWN": str(int(_is_drawn(machine))),
         "ROTATIONS": _table(pose.rotation.as_matrix().reshape(-1, 9)),
         "POSITIONS": _table(pose.translation),
         "BRANCH_READINGS": _table(branches.reshape(len(pose), -1)),
@@ -459,22 +459,22 @@ def _known_answers(geometry: Geometry, available: list[StateFunction]) -> dict[s
     }
 
 
-def _held_states(geometry: Geometry, rng: np.random.Generator) -> Configuration:
+def _held_states(machine: Manipulator, rng: np.random.Generator) -> Configuration:
     """Return physical states with ten digits."""
-    drawn = random_states(replace(geometry, limits=None), 64, rng)
-    states = inverse_physical(geometry, drawn.pose)
-    again = forward_physical(geometry, states.readings[states.exists])
+    drawn = random_states(replace(machine, limits=None), 64, rng)
+    states = inverse_physical(machine, drawn.pose)
+    again = forward_physical(machine, states.readings[states.exists])
     states = states[states.exists]
-    largest, unit = geometry.legs.largest_slopes, np.repeat([1.0, geometry.middle_side], 3)
+    largest, unit = machine.legs.largest_slopes, np.repeat([1.0, machine.middle_side], 3)
     rates = np.abs(inverse_jacobian(states) * largest[:, None] / unit).max(axis=(-1, -2))
     regular = (rates < _LARGEST_RATE) & (np.abs(states.slopes) / largest > _LEAST_SLOPE).all(axis=-1)
     apart = np.abs(again.middle_joints - states.middle_joints).max(axis=(-1, -2))
-    return states[regular & (apart < 1e-9 * geometry.middle_side)]
+    return states[regular & (apart < 1e-9 * machine.middle_side)]
 
 
-def _is_drawn(geometry: Geometry) -> bool:
+def _is_drawn(machine: Manipulator) -> bool:
     """Return whether axes, pivots and balls are those of the drawing."""
-    legs = zip(geometry.legs.arrays[:3], geometry.nominal.legs.arrays[:3], strict=True)
+    legs = zip(machine.legs.arrays[:3], machine.nominal.legs.arrays[:3], strict=True)
     return all(np.array_equal(own, drawn) for own, drawn in legs)
 
 

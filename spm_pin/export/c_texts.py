@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from spm_pin.errors import ArgumentError
-from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.files import file_path, write_files
 
@@ -41,7 +41,7 @@ def filled(text: str, known: dict[str, str]) -> str:
     return text
 
 
-def marks(machine: Mechanism, prefix: str) -> dict[str, str]:
+def marks(machine: Machine, prefix: str) -> dict[str, str]:
     """Return what the templates of all exports have in place of marks; `prefix` is that of names in C.
 
     `TITLE` names a machine after its legs, such as "3RPS-3SPR manipulator" or "3-RRS stage". `MACHINE_FILE` is the

@@ -14,8 +14,8 @@ from spm_pin.export.c_texts import filled, marks, template, write_sources
 from spm_pin.export.ros_export import ASSUMED, ends_of_travel, start_readings, travel
 from spm_pin.export.stage_export import stage_c_sources, stage_machine_sources
 from spm_pin.kinematics import forward_physical, inverse_physical
-from spm_pin.machine import Geometry, Stage, pose
-from spm_pin.machine.machine import check_mechanism
+from spm_pin.machine import Manipulator, Stage, pose
+from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import FloatArray
 
 _FILES = {"kins.c": "@NAME@kins.c", "machine.ini": "@NAME@.ini", "machine.hal": "@NAME@.hal"}
@@ -32,12 +32,12 @@ _SHARES = np.linspace(0.0, 1.0, 9)[:, None]
 """Shares of the way from one point of the program to the next at which the joints are looked at."""
 
 
-def linuxcnc_configuration(machine: Geometry | Stage) -> dict[str, str]:
+def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
     """Return a configuration of LinuxCNC 2.9 that simulates a machine, with the source of its kinematics module.
 
     Parameters
     ----------
-    machine : Geometry or Stage
+    machine : Manipulator or Stage
         The robot or the stage alone, drawn or as built, with legs of any kind.
 
     Returns
@@ -48,8 +48,8 @@ def linuxcnc_configuration(machine: Geometry | Stage) -> dict[str, str]:
         Those of a stage are `stage.ini`, `stagekins.c` and so on. Lengths are in millimetres, angles in degrees. The
         axes of a robot are X Y Z A B C, those of a stage Z A B: the height, roll and pitch of `stages.inverse`.
     """
-    check_mechanism(machine, "machine")
-    known = _Robot(machine) if isinstance(machine, Geometry) else _StageAlone(machine)
+    check_machine(machine, "machine")
+    known = _Robot(machine) if isinstance(machine, Manipulator) else _StageAlone(machine)
     joints, rates = range(len(known.home)), known.axis_rates()
     home = dict(zip(known.axes, known.axis_values(known.home), strict=True))
     sections = [
@@ -81,7 +81,7 @@ def linuxcnc_configuration(machine: Geometry | Stage) -> dict[str, str]:
     return files | known.sources | {"demo.ngc": known.program(), "tool.tbl": ""}
 
 
-def write_linuxcnc(machine: Geometry | Stage, directory: str | Path) -> list[Path]:
+def write_linuxcnc(machine: Manipulator | Stage, directory: str | Path) -> list[Path]:
     """Write what `linuxcnc_configuration` returns into a directory, made if need be; all of it or nothing.
 
     Files of the same names are replaced. Returns the paths.
@@ -183,11 +183,11 @@ class _Robot(_Machine):
 #pragma GCC diagnostic ignored "-Wframe-larger-than="
 #include "spm_kinematics.c\""""
 
-    def __init__(self, geometry: Geometry) -> None:
-        self.machine, self.ends = geometry, travel(geometry)
-        readings, _ = start_readings(geometry)
-        self.home, self.state = np.array(readings), forward_physical(geometry, readings)
-        sources = c_sources(geometry)
+    def __init__(self, machine: Manipulator) -> None:
+        self.machine, self.ends = machine, travel(machine)
+        readings, _ = start_readings(machine)
+        self.home, self.state = np.array(readings), forward_physical(machine, readings)
+        sources = c_sources(machine)
         names = "kinematics.c", "kinematics.h", "read_machine.h", "machine.txt"
         self.sources = {f"spm_{name}": sources[f"spm_{name}"] for name in names}
 

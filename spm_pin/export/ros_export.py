@@ -14,14 +14,14 @@ from spm_pin.errors import ArgumentError
 from spm_pin.export.c_export import c_sources, machine_fields
 from spm_pin.export.c_texts import filled, marks, write_sources
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.machine import Configuration, Geometry
+from spm_pin.machine import Configuration, Manipulator
 from spm_pin.machine.joint_angles import actuated_joints, home_readings, homes, joint_names
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.files import file_path
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
 ASSUMED = {"m": (0.1, 1.0), "rad": (1.0, 10.0)}
-"""Largest rate [1/s] and acceleration [1/s²] of readings that exported files begin with; a geometry knows none."""
+"""Largest rate [1/s] and acceleration [1/s²] of readings that exported files begin with; a machine knows none."""
 _PATTERN = np.array([-1.0, 0.0, 1.0, -1.0, 0.0, 1.0])
 """How the readings at the start lie about the middle of the limits: of three steps each those of the smallest J_f."""
 _STEP = 0.1
@@ -31,13 +31,13 @@ _SHARE = 0.1
 
 
 def ros_package(
-    geometry: Geometry, *, prefix: str = "", masses: Masses | None = None, package: str | None = None
+    machine: Manipulator, *, prefix: str = "", masses: Masses | None = None, package: str | None = None
 ) -> dict[str, str]:
     """Return a ROS 2 package that shows a machine and controls the pose of its platform.
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The machine, drawn or as built.
     prefix : str
         Put before the name of every link, joint and function in C.
@@ -53,24 +53,24 @@ def ros_package(
     """
     name = re.sub(r"[^a-z0-9]+", "_", f"{prefix}spm_".lower()).lstrip("_")
     package = f"{name}robot" if package is None else _checked_name(package, "package")
-    urdf = urdf_text(geometry, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses, root=True)
-    sources = c_sources(geometry, prefix=name, masses=masses)
-    names = actuated_joints(geometry), joint_names(geometry)
-    fields = machine_fields(geometry)
+    urdf = urdf_text(machine, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses, root=True)
+    sources = c_sources(machine, prefix=name, masses=masses)
+    names = actuated_joints(machine), joint_names(machine)
+    fields = machine_fields(machine)
     slides, joints = ([f"{prefix}{joint}" for joint in each] for each in names)
-    zeros = (home_readings(geometry) + geometry.legs.offsets).tolist()
-    readings, goal = start_readings(geometry)
+    zeros = (home_readings(machine) + machine.legs.offsets).tolist()
+    readings, goal = start_readings(machine)
     position, quaternion = goal.translation, goal.pose.rotation.as_quat()
     values = {
-        **marks(geometry, name),
+        **marks(machine, name),
         "PACKAGE": package,
         "BASE": f"{prefix}base",
         "SLIDES": ", ".join(slides),
         "JOINTS": repr(joints),
         "ZEROS": ", ".join(map(repr, zeros)),
-        "RATES": ", ".join(repr(ASSUMED[unit][0]) for unit in geometry.legs.units),
-        "ACCELERATIONS": ", ".join(repr(ASSUMED[unit][1]) for unit in geometry.legs.units),
-        "STEPS": ", ".join(map(repr, (_STEP * _stroke(geometry)).round(4).tolist())),
+        "RATES": ", ".join(repr(ASSUMED[unit][0]) for unit in machine.legs.units),
+        "ACCELERATIONS": ", ".join(repr(ASSUMED[unit][1]) for unit in machine.legs.units),
+        "STEPS": ", ".join(map(repr, (_STEP * _stroke(machine)).round(4).tolist())),
         "MACHINE": "\n".join(
             f"      {name}: [{', '.join(map(repr, numbers.tolist())).replace('inf', '.inf')}]"
             for name, numbers in fields.items()
@@ -85,9 +85,9 @@ def ros_package(
         for path in sorted(_TEMPLATES.rglob("*.*"))
         if path.is_file()
     }
-    hardware = _hardware(geometry, package, slides, zeros, readings)
+    hardware = _hardware(machine, package, slides, zeros, readings)
     package_files["urdf/spm.urdf"] = urdf.replace("</robot>", f"{hardware}</robot>")
-    package_files["urdf/spm.srdf"] = srdf_text(geometry=geometry, prefix=prefix)
+    package_files["urdf/spm.srdf"] = srdf_text(machine=machine, prefix=prefix)
     package_files |= {
         f"src/{name}": sources[name] for name in sources if name.endswith(("kinematics.c", "kinematics.h"))
     }
@@ -98,7 +98,7 @@ def ros_package(
 
 
 def write_ros(
-    geometry: Geometry, directory: str | Path, *, prefix: str = "", masses: Masses | None = None
+    machine: Manipulator, directory: str | Path, *, prefix: str = "", masses: Masses | None = None
 ) -> list[Path]:
     """Write what `ros_package` returns into a directory, made if need be; all of it or nothing. Returns the paths.
 
@@ -106,7 +106,7 @@ def write_ros(
     """
     path = file_path(directory, "directory", expected="the name of a directory")
     package = _checked_name(path.resolve().name, "directory")
-    paths = write_sources(directory, lambda: ros_package(geometry, prefix=prefix, masses=masses, package=package))
+    paths = write_sources(directory, lambda: ros_package(machine, prefix=prefix, masses=masses, package=package))
     for path in paths:
         if path.parent.name == "scripts":
             path.chmod(0o755)
@@ -120,11 +120,11 @@ def _checked_name(name: str, argument: str) -> str:
     return name
 
 
-def travel(geometry: Geometry) -> tuple[FloatArray, FloatArray]:
+def travel(machine: Manipulator) -> tuple[FloatArray, FloatArray]:
     """Return the least and largest readings, where there is no limit those of a `_stroke` from the home."""
-    home = home_readings(geometry) + geometry.legs.offsets
-    limits = geometry.limits or geometry.legs.free_limits
-    return ends_of_travel(limits.ends, home, _stroke(geometry))
+    home = home_readings(machine) + machine.legs.offsets
+    limits = machine.limits or machine.legs.free_limits
+    return ends_of_travel(limits.ends, home, _stroke(machine))
 
 
 def ends_of_travel(limits: FloatArray, home: FloatArray, stroke: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -134,27 +134,27 @@ def ends_of_travel(limits: FloatArray, home: FloatArray, stroke: FloatArray) -> 
     return low, np.minimum(maximum, np.maximum(low, home) + stroke)
 
 
-def _stroke(geometry: Geometry) -> FloatArray:
+def _stroke(machine: Manipulator) -> FloatArray:
     """Return the change of each reading (6,) that moves a ball by its distance from the pivot at home, at most."""
-    _, places = homes(geometry)
-    return np.asarray(np.hypot(*places.T) / np.abs(geometry.legs.largest_slopes))
+    _, places = homes(machine)
+    return np.asarray(np.hypot(*places.T) / np.abs(machine.legs.largest_slopes))
 
 
-def start_readings(geometry: Geometry) -> tuple[list[float], Configuration]:
+def start_readings(machine: Manipulator) -> tuple[list[float], Configuration]:
     """Return readings to start from, away from the ends of the limits and from a level platform, and a state nearby."""
-    low, high = travel(geometry)
-    middle, reach = 0.5 * (low + high), np.minimum(0.25 * (high - low), _SHARE * _stroke(geometry))
+    low, high = travel(machine)
+    middle, reach = 0.5 * (low + high), np.minimum(0.25 * (high - low), _SHARE * _stroke(machine))
     for share in (1.0, 0.5, 0.2):
         readings = (middle + share * reach * _PATTERN).round(12)  # 1.2, not 1.2000000000000002
-        states = forward_physical(geometry, [readings, 0.5 * (middle + readings)])
+        states = forward_physical(machine, [readings, 0.5 * (middle + readings)])
         if states.exists.all():
             return readings.tolist(), states[1]
-    raise ArgumentError("geometry", "leg limits with a state in their middle", geometry)
+    raise ArgumentError("machine", "leg limits with a state in their middle", machine)
 
 
-def _hardware(geometry: Geometry, name: str, slides: list[str], zeros: list[float], readings: list[float]) -> str:
+def _hardware(machine: Manipulator, name: str, slides: list[str], zeros: list[float], readings: list[float]) -> str:
     """Return the description's `<ros2_control>`: six actuated joints, their zeros and units the description's."""
-    limits = geometry.limits or geometry.legs.free_limits
+    limits = machine.limits or machine.legs.free_limits
     lines = [f'  <ros2_control name="{name}" type="system">', "    <hardware>"]
     lines += ["      <plugin>mock_components/GenericSystem</plugin>", "    </hardware>"]
     for leg, (slide, zero, reading) in enumerate(zip(slides, zeros, readings, strict=True)):

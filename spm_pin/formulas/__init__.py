@@ -8,5 +8,5 @@ whatever a kind of number has for them. So one formula runs on many kinds of num
 - expressions of CasADi, ball arithmetic, numbers of many digits, arrays: by `operations.bind`, which copies a formula
   and all that it calls with other operations in place of those of floats.
 
-Dimensions are arguments, never read from a `Geometry`.
+Dimensions are arguments, never read from a `Manipulator`.
 """

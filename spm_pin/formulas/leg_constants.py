@@ -29,7 +29,7 @@ def mean_radius(points: Rows) -> float:
 
 
 def turned_axis(axis: Vector, first: float, second: float) -> Vector:
-    """Return a drawn axis turned by two angles [rad], towards z x axis and towards z: `spm_pin.Geometry.parameters`."""
+    """Return an axis turned by two angles [rad], towards z x axis and towards z; see `Manipulator.parameters`."""
     square = first * first + second * second
     small = square < 1e-8
     angle = sqrt(where(small, 1.0, square))

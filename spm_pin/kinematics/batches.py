@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import PoseError
 from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.support.arguments import LARGEST_RATIO, FloatArray, check_instance, first_offender, whole_number
 from spm_pin.support.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 
@@ -143,7 +143,7 @@ def run_on_states(
     state = configuration
     shape = state.shape if load is None else np.broadcast_shapes(state.shape, load.shape[:-1])
     # Of RPS legs nothing is computed and nothing copied.
-    centres = state.geometry.legs.pivots if state.geometry.legs.are_rps else state.own_circle_centres
+    centres = state.machine.legs.pivots if state.machine.legs.are_rps else state.own_circle_centres
     arrays = [state.middle_joints, state.rotation, state.translation, centres, *([] if load is None else [load])]
     # Two batch axes, so that what all branches of a pose share need not be copied.
     inner = shape[-1] if len(shape) > 1 else 1
@@ -171,12 +171,12 @@ def with_batch_shape(arrays: Iterable[npt.NDArray[Any]], shape: tuple[int, ...])
     return tuple([array.reshape((*shape, *array.shape[1:])) for array in arrays])
 
 
-def radii(geometry: Geometry) -> tuple[float, float, float]:
+def radii(machine: Manipulator) -> tuple[float, float, float]:
     """Return the circumradii of the drawn middle, base and terminal platforms [m]."""
-    return geometry.middle_radius, geometry.base_radius, geometry.platform_radius
+    return machine.middle_radius, machine.base_radius, machine.platform_radius
 
 
-def read_pose(geometry: Geometry, pose: PoseLike) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
+def read_pose(machine: Manipulator, pose: PoseLike) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
     """Return the batch shape of a pose, its rotations (N, 3, 3) and positions (N, 3) [m].
 
     Raises `PoseError` if it is not a pose, or so far away that the machine cannot be resolved beside it. The arrays may
@@ -184,10 +184,10 @@ def read_pose(geometry: Geometry, pose: PoseLike) -> tuple[tuple[int, ...], Floa
     """
     from spm_pin.kinematics.kernels.branch_kernels import are_valid
 
-    check_instance(geometry, Geometry, "geometry")
+    check_instance(machine, Manipulator, "machine")
     rotation, position = unchecked_pose(pose)
     shape, flat, places = position.shape[:-1], rotation.reshape(-1, 3, 3), position.reshape(-1, 3)
-    farthest = 2.0 * (LARGEST_RATIO + 1.0) * sum(geometry.dimensions)
+    farthest = 2.0 * (LARGEST_RATIO + 1.0) * sum(machine.dimensions)
     good: list[bool] = []
     parallel_for(
         lambda part: good.append(are_valid(flat[part], places[part], EXACT, farthest)), len(flat), _MIN_CHECKED

@@ -29,7 +29,7 @@ from spm_pin.kinematics.batches import BuiltBranches, DrawnBranches
 from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.machine.branch_of_state import physical
 from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.machine.solution_axis import Status
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
@@ -43,24 +43,24 @@ _BITS = 400, 1600, 6400
 """Precisions in which a discriminant is computed; one that is zero to the last is left undecided."""
 
 
-def certify_branches(geometry: Geometry, solved: DrawnBranches | BuiltBranches) -> FloatArray:
+def certify_branches(machine: Manipulator, solved: DrawnBranches | BuiltBranches) -> FloatArray:
     """Return bounds (N, 8) of the error of all joints; decide the families that are not certain, in place."""
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
-    radius = _radii(geometry, solved)
+    radius = _radii(machine, solved)
     if isinstance(solved, DrawnBranches):  # of a machine as built there are no families
         flagged = solved.flagged[:, None]
         _decide_families(
-            geometry, solved, ~solved.certain & (flagged & [1, 2, 4, 8] == 0) & (flagged & VERTICAL == 0), radius
+            machine, solved, ~solved.certain & (flagged & [1, 2, 4, 8] == 0) & (flagged & VERTICAL == 0), radius
         )
     return radius
 
 
-def _decide_families(geometry: Geometry, solved: DrawnBranches, undecided: BoolArray, radius: FloatArray) -> None:
+def _decide_families(machine: Manipulator, solved: DrawnBranches, undecided: BoolArray, radius: FloatArray) -> None:
     """Compute the families `undecided` (N, 4), and their radii (N, 8), anew."""
     rotation, position, joints, lengths, discriminants, certain, at_home, status, _ = solved
     for n in np.flatnonzero(undecided.any(axis=-1)):
-        families = _families_in_balls(rotation[n], position[n], geometry.middle_side)
+        families = _families_in_balls(rotation[n], position[n], machine.middle_side)
         for family in np.flatnonzero(undecided[n]).tolist():
             if (exact := families[family]) is not None:
                 pair = slice(2 * family, 2 * family + 2)
@@ -72,7 +72,7 @@ def _decide_families(geometry: Geometry, solved: DrawnBranches, undecided: BoolA
         far = (apart > _SAFE * (radius[n] + radius[n][:, None])) | np.isnan(apart) | np.eye(8, dtype=np.bool_)
         radius[n, anew & ~(far.all(axis=-1) & (None not in families))] = np.nan
         branches = Configuration.from_arrays(
-            geometry, np.broadcast_to(rotation[n], (8, 3, 3)), np.broadcast_to(position[n], (8, 3)), joints[n]
+            machine, np.broadcast_to(rotation[n], (8, 3, 3)), np.broadcast_to(position[n], (8, 3)), joints[n]
         )
         lengths[n] = np.where(anew[:, None], branches.leg_lengths, lengths[n])
         if status[n] in (Status.OK, Status.UNREACHABLE):
@@ -136,34 +136,34 @@ def _largest_component(rotation: FloatArray) -> IntArray:
     return np.asarray(np.argmax([a + b + c, c, b, a], axis=0))
 
 
-def _radii(geometry: Geometry, solved: DrawnBranches | BuiltBranches) -> FloatArray:
+def _radii(machine: Manipulator, solved: DrawnBranches | BuiltBranches) -> FloatArray:
     """Return radii (N, 8) [m] around joints in which exact ones exist, and are the only ones; NaN where not proved."""
     joints = solved.joints.reshape(-1, 3, 3)
     radius = np.full(len(joints), np.nan)
-    legs, enclosed = (_drawn_legs, _enclosed_rotation) if geometry.is_nominal else (_legs, _rows)
-    machine = legs(geometry)
+    legs, enclosed = (_drawn_legs, _enclosed_rotation) if machine.is_nominal else (_legs, _rows)
+    pieces = legs(machine)
     existing = np.flatnonzero(np.isfinite(joints[:, 0, 0]))
     for first in range(0, len(existing), _CHUNK):
         some = existing[first : first + _CHUNK]
         poses = some // 8
         state = _rows(joints[some]), enclosed(solved.rotation[poses]), _vector(solved.position[poses])
         with np.errstate(all="ignore"):
-            radius[some] = _radii_of_equations(*machine, geometry.middle_side, *state)
+            radius[some] = _radii_of_equations(*pieces, machine.middle_side, *state)
     return radius.reshape(-1, 8)
 
 
-def _legs(geometry: Geometry) -> tuple[Vectors, Vectors, Vectors, Vectors]:
+def _legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     """Return axes and pivots of the six legs, enclosures of `upper_ball_weights`, and the squared distances."""
-    legs = geometry.legs
+    legs = machine.legs
     axes, pivots, balls = ([_vector(row) for row in array] for array in (legs.axes, legs.pivots, legs.balls))
     edges = [minus(balls[i], balls[(i + 1) % 3]) for i in range(3)]
     lower_and_upper: Vectors = balls[:3], balls[3:]
     return axes, pivots, upper_ball_weights(*lower_and_upper), [dot(edge, edge) for edge in edges]
 
 
-def _drawn_legs(geometry: Geometry) -> tuple[Vectors, Vectors, Vectors, Vectors]:
+def _drawn_legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     """Return what `_legs` does of a drawn machine, exactly: all leg planes contain the Z axis of their platform."""
-    root, side = 0.5 * SQRT_3, Interval.from_numbers(geometry.middle_side)
+    root, side = 0.5 * SQRT_3, Interval.from_numbers(machine.middle_side)
     half, one, zero = _vector(np.array([0.5, 1.0, 0.0]))
     axes = [(half, root, zero), (one, zero, zero), (-half, root, zero)]
     return 2 * axes, 6 * [(zero,) * 3], 3 * [(zero,) * 3], 3 * [side.square()]

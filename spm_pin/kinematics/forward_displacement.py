@@ -22,7 +22,7 @@ from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import homes
 from spm_pin.machine.legs import Legs
 from spm_pin.machine.machine import unit_hint
-from spm_pin.machine.manipulator import Geometry, check_same_machine
+from spm_pin.machine.manipulator import Manipulator, check_same_machine
 from spm_pin.machine.solution_axis import Status
 from spm_pin.machine.solutions import Degeneracy, SolutionSet
 from spm_pin.support.arguments import (
@@ -49,12 +49,12 @@ _STATE = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 
 
-def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> SolutionSet:
+def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> SolutionSet:
     """Find all configurations that six leg lengths allow.
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator. Its leg limits are not applied.
     readings : array_like, shape (..., 6)
         r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], in a drawn machine from revolute joint to ball joint centre.
@@ -83,17 +83,17 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     Examples
     --------
     >>> import spm_pin as spm
-    >>> modes = spm.forward_displacement(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> modes = spm.forward_displacement(spm.Manipulator.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     >>> int(modes.count), modes["T1+/T1+"].translation.round(4)
     (144, array([0.6889, 0.4963, 2.253 ]))
     """
     from spm_pin.kinematics.kernels.circle_modes import join_modes
 
-    legs = check_instance(geometry, Geometry, "geometry").legs
-    checked = read_readings(legs, sum(geometry.dimensions), readings)
+    legs = check_instance(machine, Manipulator, "machine").legs
+    checked = read_readings(legs, sum(machine.dimensions), readings)
     shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    is_drawn = geometry.is_nominal and legs.are_rps
-    stages = zip(legs.stages, _of_stages(readings), _drawings(geometry), strict=True)
+    is_drawn = machine.is_nominal and legs.are_rps
+    stages = zip(legs.stages, _of_stages(readings), _drawings(machine), strict=True)
     below, above = (all_modes(*stage) for stage in stages)
     # A stage that cannot be closed is enough to know that there is none.
     is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
@@ -108,9 +108,9 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
         status[(status == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE
     *state, merged, families, status = with_batch_shape((*solved, merged, families, status), shape)
     largest = np.asarray(families.max(axis=-1))
-    modes = Configuration.from_arrays(geometry, *state)
+    modes = Configuration.from_arrays(machine, *state)
     if not shape and status == Status.UNREACHABLE:
-        modes.missing_reason = unit_hint(geometry, checked)
+        modes.missing_reason = unit_hint(machine, checked)
     return SolutionSet(
         modes,
         ASSEMBLY_MODES,
@@ -120,12 +120,12 @@ def forward_displacement(geometry: Geometry, readings: npt.ArrayLike) -> Solutio
     )
 
 
-def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
+def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
     """Find the physical configuration with these readings: the one that the machine is in.
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator. Its leg limits are not applied.
     readings : array_like, shape (..., 6)
         What the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 show [m]: in a drawn machine the leg lengths.
@@ -158,43 +158,43 @@ def forward_physical(geometry: Geometry, readings: npt.ArrayLike, near: Configur
     Examples
     --------
     >>> import spm_pin as spm
-    >>> state = spm.forward_physical(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> state = spm.forward_physical(spm.Manipulator.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
     array([-11.0818,  32.9691, -12.8831])
     """
-    legs = check_instance(geometry, Geometry, "geometry").legs
-    checked = read_readings(legs, sum(geometry.dimensions), readings)
+    legs = check_instance(machine, Manipulator, "machine").legs
+    checked = read_readings(legs, sum(machine.dimensions), readings)
     if near is not None:
-        _check_near(geometry, checked, near)
+        _check_near(machine, checked, near)
         shape = np.broadcast_shapes(checked.shape[:-1], near.shape)
         upper = (near.balls[..., 3:, :] - near.translation[..., None, :]) @ near.rotation
         arrays = (near.middle_joints, 2), (upper, 2), (near.readings, 1), (checked, 1)
         *balls, start, end = [flat_batch(x, shape, inner) for x, inner in arrays]
         stages = zip(legs.stages, balls, _of_stages(start), _of_stages(end), strict=True)
-        return _joined(geometry, shape, [followed_balls(*stage) for stage in stages])
+        return _joined(machine, shape, [followed_balls(*stage) for stage in stages])
     own = zip(legs.stages, _of_stages(checked.reshape(-1, 6)), strict=True)
-    state = _joined(geometry, checked.shape[:-1], [physical_balls(*stage) for stage in own])
+    state = _joined(machine, checked.shape[:-1], [physical_balls(*stage) for stage in own])
     if not state.shape and not state.exists:
         reason = "with these readings no configuration is reached from the home without a forward singularity"
-        state.missing_reason = f"{reason}. {unit_hint(geometry, checked)}".rstrip(". ")
+        state.missing_reason = f"{reason}. {unit_hint(machine, checked)}".rstrip(". ")
     return state
 
 
-def starting_configuration(geometry: Geometry) -> Configuration:
+def starting_configuration(machine: Manipulator) -> Configuration:
     """Return a regular configuration of the manipulator: the paper's solution 3, in proportion to the home lengths."""
-    _, places = homes(geometry)
+    _, places = homes(machine)
     for share in (1.0, 0.5, 0.2, 0.05):
         # With the balls moved along the lines from their pivots, as far as the legs reach.
-        readings = geometry.legs.readings(places * (1.0 + share * (_START - 1.0))[:, None])
-        if np.isfinite(readings).all() and (state := forward_physical(geometry, readings)).exists:
+        readings = machine.legs.readings(places * (1.0 + share * (_START - 1.0))[:, None])
+        if np.isfinite(readings).all() and (state := forward_physical(machine, readings)).exists:
             return state
-    raise ArgumentError("geometry", "a manipulator that stands near its home", geometry, "Give a pose instead")
+    raise ArgumentError("machine", "a manipulator that stands near its home", machine, "Give a pose instead")
 
 
 def set_of_one(state: Configuration, label: str) -> SolutionSet:
     """Return the set of one solution, which may not exist."""
     arrays = (array[None] for array in (state.rotation, state.translation, state.middle_joints))
-    states = Configuration.from_arrays(state.geometry, *arrays)
+    states = Configuration.from_arrays(state.machine, *arrays)
     return SolutionSet(states, (label,), Status.OK if state.exists else Status.UNREACHABLE)
 
 
@@ -230,21 +230,21 @@ def _farthest(units: tuple[str, ...], size: float) -> FloatArray:
     return np.where([unit == "m" for unit in units], LARGEST_RATIO * size, MOST_TURNED)
 
 
-def _check_near(geometry: Geometry, lengths: FloatArray, near: Configuration) -> None:
+def _check_near(machine: Manipulator, lengths: FloatArray, near: Configuration) -> None:
     """Raise an ArgumentError if `near` is no closed state of this machine that goes with lengths (..., 6)."""
     check_configuration(near, "near", existing=True)
-    check_same_machine(near.geometry, geometry, "near", "`geometry`")
+    check_same_machine(near.machine, machine, "near", "`machine`")
     broadcastable("near", near.shape, "readings", lengths.shape[:-1])
     residual = float(near.closure_residual.max(initial=0.0))
-    if residual > _OPEN * geometry.middle_side:
+    if residual > _OPEN * machine.middle_side:
         raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
 
 
-def _drawings(geometry: Geometry) -> tuple[Drawing, Drawing]:
+def _drawings(machine: Manipulator) -> tuple[Drawing, Drawing]:
     """Return the drawn stages. Of legs that are not RPS modes have no labels there, and take the first that fit."""
-    legs, is_rps, (r, base, platform) = geometry.nominal.legs, geometry.legs.are_rps, radii(geometry)
+    legs, is_rps, (r, base, platform) = machine.nominal.legs, machine.legs.are_rps, radii(machine)
     whole = np.stack([legs.axes, legs.pivots, legs.balls])
-    is_drawn = geometry.is_nominal and is_rps
+    is_drawn = machine.is_nominal and is_rps
     lower, upper = (whole[:, half] for half in (slice(3), slice(3, 6)))
     return Drawing(lower, is_rps, is_drawn, r, base), Drawing(upper, is_rps, is_drawn, r, platform)
 
@@ -261,9 +261,9 @@ def _of_stages(readings: FloatArray) -> tuple[FloatArray, FloatArray]:
     return readings[:, :3], readings[:, 3:]
 
 
-def _joined(geometry: Geometry, shape: tuple[int, ...], balls: Sequence[FloatArray]) -> Configuration:
+def _joined(machine: Manipulator, shape: tuple[int, ...], balls: Sequence[FloatArray]) -> Configuration:
     """Return the configurations (...) of the balls of both stages (N, 3, 3), in {B} and in {m}."""
     from spm_pin.kinematics.kernels.ball_circles import join_stages
 
-    states = run_kernel(join_stages, balls, (geometry.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    return Configuration.from_arrays(geometry, *with_batch_shape(states, shape))
+    states = run_kernel(join_stages, balls, (machine.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    return Configuration.from_arrays(machine, *with_batch_shape(states, shape))

@@ -30,7 +30,7 @@ from spm_pin.kinematics.batches import (
 from spm_pin.machine.branch_of_state import BRANCHES
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LEGS
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.machine.solution_axis import Status
 from spm_pin.machine.solutions import Degeneracy, SolutionSet
 from spm_pin.support.arguments import FloatArray, IntArray, as_bool, check_instance, whole_number
@@ -40,18 +40,18 @@ _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 
 
 def inverse_displacement(
-    geometry: Geometry, pose: PoseLike, *, out: BranchMemory | None = None, certify: bool = False
+    machine: Manipulator, pose: PoseLike, *, out: BranchMemory | None = None, certify: bool = False
 ) -> SolutionSet:
     """Find all configurations of the manipulator that hold the platform in a pose.
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator. Its leg limits are not applied; see `SolutionSet.within`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
     out : BranchMemory, optional
-        Memory for the results, of this geometry and for a batch of this size. What earlier calls with it returned then
+        Memory for the results, of this machine and for a batch of this size. What earlier calls with it returned then
         holds the new numbers.
     certify : bool
         Bound the error of all joints, in `SolutionSet.radius`. In a drawn machine also decide the families that are not
@@ -83,36 +83,36 @@ def inverse_displacement(
     Examples
     --------
     >>> import numpy as np, spm_pin as spm
-    >>> geometry = spm.Geometry.paper()
+    >>> machine = spm.Manipulator.paper()
     >>> pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-    >>> spm.inverse_displacement(geometry, pose)
+    >>> spm.inverse_displacement(machine, pose)
     <SolutionSet: ok, 6 of 8 real: TT+, TT-, TF+, TF-, FF+, FF->
     """
     certified = as_bool(certify, "certify")
-    shape, rotation, position = read_pose(geometry, pose)
-    results = None if out is None else _memory_of(out, geometry, len(position))
-    solved = _method(geometry).branches(rotation, position, results)
+    shape, rotation, position = read_pose(machine, pose)
+    results = None if out is None else _memory_of(out, machine, len(position))
+    solved = _method(machine).branches(rotation, position, results)
     details: dict[str, Any] = {}
     if isinstance(solved, DrawnBranches):
-        details["degeneracy"] = _find_degeneracy(geometry, shape, solved)
+        details["degeneracy"] = _find_degeneracy(machine, shape, solved)
     if certified:
         from spm_pin.kinematics.certified_branches import certify_branches
 
-        details["radius"] = certify_branches(geometry, solved).reshape(*shape, 8)
+        details["radius"] = certify_branches(machine, solved).reshape(*shape, 8)
     if isinstance(solved, DrawnBranches):
         names = "discriminants", "certain", "at_home"
         details |= dict(zip(names, with_batch_shape([getattr(solved, name) for name in names], shape), strict=True))
     else:
         details["merged"] = (solved.carried == 0).reshape(*shape, 8)
-    branches = SolutionSet(_states(geometry, solved, shape), BRANCHES, solved.status.reshape(shape), **details)
-    return branches if geometry.legs.are_rps else _within_reach(branches)
+    branches = SolutionSet(_states(machine, solved, shape), BRANCHES, solved.status.reshape(shape), **details)
+    return branches if machine.legs.are_rps else _within_reach(branches)
 
 
-def _states(geometry: Geometry, solved: DrawnBranches | BuiltBranches, shape: tuple[int, ...]) -> Configuration:
+def _states(machine: Manipulator, solved: DrawnBranches | BuiltBranches, shape: tuple[int, ...]) -> Configuration:
     """Return branches (..., 8)."""
     rotation, position = solved.rotation.reshape(*shape, 1, 3, 3), solved.position.reshape(*shape, 1, 3)
     return Configuration.from_arrays(
-        geometry,
+        machine,
         np.broadcast_to(rotation, (*shape, 8, 3, 3)),
         np.broadcast_to(position, (*shape, 8, 3)),
         *with_batch_shape((solved.joints, solved.lengths), shape),
@@ -135,18 +135,18 @@ def _within_reach(branches: SolutionSet) -> SolutionSet:
 class BranchMemory:
     """Memory into which `inverse_displacement` writes the branches of one batch after another, of `size` poses each."""
 
-    def __init__(self, geometry: Geometry, size: int) -> None:
-        self._geometry = check_instance(geometry, Geometry, "geometry")
+    def __init__(self, machine: Manipulator, size: int) -> None:
+        self._machine = check_instance(machine, Manipulator, "machine")
         self._size = whole_number(size, "size", "the number of poses of a batch", least=0)
-        results = _method(geometry).results
+        results = _method(machine).results
         self.arrays = [x if isinstance(x, np.ndarray) else new_result(self._size, x) for x in results]
 
 
-def _memory_of(out: BranchMemory, geometry: Geometry, size: int) -> list[npt.NDArray[Any]]:
-    expected = f"BranchMemory of this geometry for {size} poses"
+def _memory_of(out: BranchMemory, machine: Manipulator, size: int) -> list[npt.NDArray[Any]]:
+    expected = f"BranchMemory of this machine for {size} poses"
     memory = check_instance(out, BranchMemory, "out", expected)
-    if memory._size != size or (memory._geometry is not geometry and memory._geometry != geometry):
-        raise ArgumentError("out", expected, f"one of {memory._geometry!r} for {memory._size}")
+    if memory._size != size or (memory._machine is not machine and memory._machine != machine):
+        raise ArgumentError("out", expected, f"one of {memory._machine!r} for {memory._size}")
     return memory.arrays
 
 
@@ -169,27 +169,27 @@ class _Method(NamedTuple):
         )
 
 
-def _method(geometry: Geometry) -> _Method:
-    if geometry.is_nominal:
+def _method(machine: Manipulator) -> _Method:
+    if machine.is_nominal:
         from spm_pin.kinematics.kernels.branch_kernels import all_branches, physical_branch
 
-        return _Method(all_branches, physical_branch, radii(geometry), DRAWN_BRANCHES, _MIN_BATCH_PER_THREAD)
+        return _Method(all_branches, physical_branch, radii(machine), DRAWN_BRANCHES, _MIN_BATCH_PER_THREAD)
     from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches, as_built_physical_branch
 
-    unit = geometry.middle_radius
-    machines = [(x.axes, x.pivots / unit, x.balls / unit) for x in (geometry.nominal.legs, geometry.legs)]
+    unit = machine.middle_radius
+    machines = [(x.axes, x.pivots / unit, x.balls / unit) for x in (machine.nominal.legs, machine.legs)]
     constants = np.stack(machines), unit
     return _Method(
         as_built_branches, as_built_physical_branch, constants, BUILT_BRANCHES, _MIN_BATCH_PER_THREAD_AS_BUILT
     )
 
 
-def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
+def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
     """Find the physical configuration for a pose: the one in which the machine holds the platform there.
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator. Its leg limits only decide between two configurations; see `LegLimits.contains`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         As for `inverse_displacement`, one or a batch of shape (...).
@@ -200,7 +200,7 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     Returns
     -------
     Configuration
-        Of shape (...): what ``inverse_displacement(geometry, pose).physical(near)`` returns, in less time and memory.
+        Of shape (...): what ``inverse_displacement(machine, pose).physical(near)`` returns, in less time and memory.
         Both stages are without torsion and reached from the symmetric home without a forward singularity. If TT+ and
         TT- both are, those within the leg limits are preferred, then the one nearer to `near` or, without it, the one
         whose stages are tilted less. `.exists` is False, and everything NaN, where there is no such configuration.
@@ -208,34 +208,34 @@ def inverse_physical(geometry: Geometry, pose: PoseLike, *, near: Configuration 
     Examples
     --------
     >>> import numpy as np, spm_pin as spm
-    >>> geometry = spm.Geometry.paper()
+    >>> machine = spm.Manipulator.paper()
     >>> pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-    >>> spm.inverse_physical(geometry, pose).leg_lengths.round(3)
+    >>> spm.inverse_physical(machine, pose).leg_lengths.round(3)
     array([1.2  , 1.2  , 1.399, 1.25 , 1.2  , 1.501])
     """
-    legs = check_instance(geometry, Geometry, "geometry").legs
+    legs = check_instance(machine, Manipulator, "machine").legs
     if near is not None or not legs.are_rps:
-        return inverse_displacement(geometry, pose).physical(near)
-    shape, rotation, position = read_pose(geometry, pose)
-    limits, offsets = geometry.limits, legs.offsets
+        return inverse_displacement(machine, pose).physical(near)
+    shape, rotation, position = read_pose(machine, pose)
+    limits, offsets = machine.limits, legs.offsets
     bounds = np.array([[-np.inf] * 6, [np.inf] * 6] if limits is None else limits.admitted) - offsets
     results = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64), ((6,), np.float64)
-    method = _method(geometry)
+    method = _method(machine)
     constants = *method.constants, bounds
     solved = run_kernel(method.physical_branch, (rotation, position), constants, results, method.min_batch)
-    state = Configuration.from_arrays(geometry, *with_batch_shape(solved, shape))
+    state = Configuration.from_arrays(machine, *with_batch_shape(solved, shape))
     if not shape and not state.exists:
         # The same, with the reason why there is none.
-        return inverse_displacement(geometry, pose).physical()
+        return inverse_displacement(machine, pose).physical()
     return state
 
 
-def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
+def branch_lengths(machine: Manipulator, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
     """Find the leg lengths of all branches alone, as maps and filters need them.
 
     Parameters
     ----------
-    geometry, pose
+    machine, pose
         As for `inverse_displacement`.
 
     Returns
@@ -246,8 +246,8 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
     status : ndarray of int8, shape (...)
         `Status` of each pose.
     """
-    shape, rotation, position = read_pose(geometry, pose)
-    method = _method(geometry)
+    shape, rotation, position = read_pose(machine, pose)
+    method = _method(machine)
     results = method.results
     if isinstance(results, DrawnBranches):
         # No memory for what is not asked for.
@@ -255,16 +255,16 @@ def branch_lengths(geometry: Geometry, pose: PoseLike) -> tuple[FloatArray, npt.
         results = results._replace(**{x: nothing[x] for x in nothing if x not in ("lengths", "status", "flagged")})
     solved = method.branches(rotation, position, results)
     if isinstance(solved, DrawnBranches):
-        _find_degeneracy(geometry, shape, solved._replace(rotation=rotation, position=position))
+        _find_degeneracy(machine, shape, solved._replace(rotation=rotation, position=position))
     return solved.lengths.reshape(*shape, 8, 6), solved.status.reshape(shape)
 
 
-def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.complex128]:
+def complex_middle_joints(machine: Manipulator, pose: PoseLike) -> npt.NDArray[np.complex128]:
     """Return all eight roots of the inverse displacement, real or complex.
 
     Parameters
     ----------
-    geometry, pose
+    machine, pose
         As for `inverse_displacement`.
 
     Returns
@@ -274,8 +274,8 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
         in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. Of a machine as built
         real roots stand under their labels of `inverse_displacement`, the others under those left over.
     """
-    shape, rotation, position = read_pose(geometry, pose)
-    method, roots = _method(geometry), ((8, 3, 3), np.complex128)
+    shape, rotation, position = read_pose(machine, pose)
+    method, roots = _method(machine), ((8, 3, 3), np.complex128)
     if isinstance(method.results, DrawnBranches):
         from spm_pin.kinematics.kernels.branch_kernels import complex_branches
 
@@ -288,7 +288,7 @@ def complex_middle_joints(geometry: Geometry, pose: PoseLike) -> npt.NDArray[np.
     return np.asarray(joints.reshape(*shape, 8, 3, 3))
 
 
-def _find_degeneracy(geometry: Geometry, shape: tuple[int, ...], solved: DrawnBranches) -> Degeneracy:
+def _find_degeneracy(machine: Manipulator, shape: tuple[int, ...], solved: DrawnBranches) -> Degeneracy:
     """Describe the continuous families, which only poses that are flagged can have; set their status."""
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
@@ -300,15 +300,15 @@ def _find_degeneracy(geometry: Geometry, shape: tuple[int, ...], solved: DrawnBr
     dimension[some] = families[some].any(axis=-1)
     vertical = np.flatnonzero(flagged & VERTICAL)
     if len(vertical):
-        sizes = _vertical_families(rotation[vertical], position[vertical] / geometry.middle_radius)
+        sizes = _vertical_families(rotation[vertical], position[vertical] / machine.middle_radius)
         families[vertical], dimension[vertical] = sizes > 0, sizes.max(axis=-1)
     moving = np.flatnonzero(dimension)
     if len(moving):
         solved.status[moving] = Status.DEGENERATE
-        axes, places = geometry.revolute_axes, position[moving]
+        axes, places = machine.revolute_axes, position[moving]
         parallel = np.linalg.norm(np.cross(axes, axes @ np.swapaxes(rotation[moving], -1, -2)), axis=-1) <= ROUNDING
         aside = np.hypot(places[:, 0], places[:, 1])
-        in_plane = np.abs(places @ axes.T) <= ROUNDING * (geometry.middle_radius + aside)[:, None]
+        in_plane = np.abs(places @ axes.T) <= ROUNDING * (machine.middle_radius + aside)[:, None]
         legs[moving] = parallel & in_plane
     return Degeneracy(dimension.reshape(shape), families.reshape(*shape, 4), legs.reshape(*shape, 3))
 

@@ -24,8 +24,8 @@ from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.machine.batched import Batched, stacked
 from spm_pin.machine.branch_of_state import physical
 from spm_pin.machine.configuration import Configuration, check_configuration
-from spm_pin.machine.machine import Mechanism
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.machine import Machine
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.machine.solution_axis import Solutions
 from spm_pin.support import notebook
 from spm_pin.support.arguments import (
@@ -130,7 +130,7 @@ class FollowedPath(Generic[S]):
         rows = [(f"{event.parameter:.6f}", str(event.kind), event.detail) for event in self.events]
         marks = [event.parameter for event in self.events]
         states: Any = self.configurations
-        units = ", ".join(dict.fromkeys(states.mechanism.legs.units))
+        units = ", ".join(dict.fromkeys(states.machine.legs.units))
         picture = notebook.curves(self.parameters, states.readings, f"legs [{units}] along the path", marks)
         return notebook.table(repr(self), ("parameter", "event", "") if rows else (), rows, picture)
 
@@ -141,7 +141,7 @@ class FollowedPath(Generic[S]):
 
 
 def follow(
-    geometry: Geometry,
+    machine: Manipulator,
     path: Callable[[float], Any] | RigidTransform | FloatArray | Sequence[Any],
     start: Configuration | str | None = None,
     *,
@@ -152,7 +152,7 @@ def follow(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator. Where it has leg limits, crossing one is an event.
     path : callable, RigidTransform of shape (n,), or array_like of shape (n, 4, 4) or (n, 6)
         Poses of {m} in {B}, or readings of the legs [m]. A callable takes the parameter, 0 to 1. Between poses the
@@ -170,15 +170,15 @@ def follow(
     FollowedPath
         With its events, each at its parameter to 1e-9.
     """
-    check_instance(geometry, Geometry, "geometry")
+    check_instance(machine, Manipulator, "machine")
     samples = whole_number(samples, "samples", least=1, most=10**9)
     if certificate is not None and not hasattr(certificate, "covers"):
         raise ArgumentError("certificate", "a Certificate", type(certificate).__name__)
     if start is not None and not isinstance(start, str):
         check_configuration(start, "start", single=True, existing=True)
-    solve, knots, has_legs = _solver(geometry, path)
+    solve, knots, has_legs = _solver(machine, path)
     # Numbers of modes are names only where legs are not RPS.
-    watch = watch_of(geometry)._replace(has_labels=not has_legs or geometry.legs.are_rps)
+    watch = watch_of(machine)._replace(has_labels=not has_legs or machine.legs.are_rps)
     path_followed = followed(watch, solve, knots, start, samples, has_legs=has_legs)
     if certificate is None:
         return path_followed
@@ -207,9 +207,9 @@ def followed(
     return FollowedPath(np.array(tracker.parameters), states, tuple(tracker.labels), ordered)
 
 
-def watch_of(geometry: Geometry) -> Watch:
+def watch_of(machine: Manipulator) -> Watch:
     """Return what of the states of a robot is watched: the determinants of J_b, J_c and K."""
-    side = geometry.middle_side
+    side = machine.middle_side
     kinds = [(EventKind.FORWARD_SINGULARITY, f"{stage} stage") for stage in ("lower", "upper")]
     kinds.append((EventKind.INVERSE_SINGULARITY, "det K changes sign"))
     return Watch(side, lambda states: determinants(states) / side**3, tuple(kinds))
@@ -234,15 +234,15 @@ def existing_share(
 
 def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configuration, float]:
     """Return the last configuration in the mode of `start` on the line to readings (6,), and its share of the line."""
-    geometry, first = start.geometry, start.readings
+    machine, first = start.machine, start.readings
     if not physical(start):
-        path = follow(geometry, np.stack([first, readings]), start, samples=4)
+        path = follow(machine, np.stack([first, readings]), start, samples=4)
         return path.configurations[-1], float(path.parameters[-1])
-    share = float(existing_share(partial(forward_physical, geometry), first, readings[None])[0])
-    return forward_physical(geometry, first + share * (readings - first)) if share else start, share
+    share = float(existing_share(partial(forward_physical, machine), first, readings[None])[0])
+    return forward_physical(machine, first + share * (readings - first)) if share else start, share
 
 
-def _solver(geometry: Geometry, path: Any) -> tuple[Solver[Configuration], FloatArray, bool]:
+def _solver(machine: Manipulator, path: Any) -> tuple[Solver[Configuration], FloatArray, bool]:
     """Return all solutions as a function of the parameter, the parameters of given points, and if those are legs."""
     point: Callable[[Any], Any] = path
     knots = np.array([0.0, 1.0])
@@ -263,8 +263,8 @@ def _solver(geometry: Geometry, path: Any) -> tuple[Solver[Configuration], Float
             place = scipy.interpolate.make_interp_spline(knots, poses.translation, k=1)
             point = lambda s: pose(place(s), rotation=turn(s))  # noqa: E731
     if has_legs:
-        return lambda s: forward_displacement(geometry, point(s)), knots, True
-    return lambda s: inverse_displacement(geometry, point(s)), knots, False
+        return lambda s: forward_displacement(machine, point(s)), knots, True
+    return lambda s: inverse_displacement(machine, point(s)), knots, False
 
 
 def _matrices(value: Any) -> Any:
@@ -371,7 +371,7 @@ class Tracker(Generic[S]):
                     details.append((float(size), f"forward, {detail}"))
             size, forward = min(details)
             reason = f"at a singularity: {forward if self.has_legs else 'inverse'}"
-            legs = state.mechanism.legs
+            legs = state.machine.legs
             slopes = np.abs(state.slopes) / legs.largest_slopes
             if not legs.are_rps and slopes.min() < (size if self.has_legs else _AT_END):
                 leg = legs.names[int(slopes.argmin())]
@@ -391,7 +391,7 @@ class Tracker(Generic[S]):
 
 def find_events(watch: Watch, parameters: list[float], states: Any, state_at: Callable[[float], Any]) -> list[Event]:
     """Find the singularities and leg limits that a solution, `states` (n,) at the n parameters, meets."""
-    values, events, limits, first = _monitored(watch, states), [], states.mechanism.limits, len(watch.singularities)
+    values, events, limits, first = _monitored(watch, states), [], states.machine.limits, len(watch.singularities)
     rounding = np.zeros(values.shape[-1])
     if limits is not None:
         rounding[first:] = np.tile(limits.rounding, 2)
@@ -406,28 +406,28 @@ def find_events(watch: Watch, parameters: list[float], states: Any, state_at: Ca
             low, high = parameters[k], parameters[k + 1]
             before, after = column[k : k + 2]
             if which >= first and min(before, after) < 0.0 == max(before, after):
-                events.append(_event(watch, states.mechanism, which, high if before < 0.0 else low, after - before))
+                events.append(_event(watch, states.machine, which, high if before < 0.0 else low, after - before))
             brackets = [(low, high)]
             if before * after >= 0.0:
                 brackets = _dip(value, parameters, column, k, -float(rounding[which]))
             for left, right in brackets:
                 root = float(scipy.optimize.brentq(value, left, right, xtol=1e-13, rtol=8.9e-16))
-                events.append(_event(watch, states.mechanism, which, root, value(right)))
+                events.append(_event(watch, states.machine, which, root, value(right)))
     return events
 
 
 def _monitored(watch: Watch, states: Any) -> FloatArray:
     """Return the functions whose zeros are events: of singularities, and with limits two of each leg, (..., n)."""
-    scaled, limits = watch.determinants(states), states.mechanism.limits
+    scaled, limits = watch.determinants(states), states.machine.limits
     if limits is None:
         return scaled
-    lengths, (minimum, maximum) = states.readings, states.mechanism.reading_limits
+    lengths, (minimum, maximum) = states.readings, states.machine.reading_limits
     # Where there is no limit, a number that is never zero.
     below = np.where(np.isfinite(minimum), lengths - minimum, 1.0)
     return np.concatenate([scaled, below, np.where(np.isfinite(maximum), maximum - lengths, 1.0)], axis=-1)
 
 
-def _event(watch: Watch, machine: Mechanism, which: int, parameter: float, after: float) -> Event:
+def _event(watch: Watch, machine: Machine, which: int, parameter: float, after: float) -> Event:
     if which < len(watch.singularities):
         kind, detail = watch.singularities[which]
         return Event(kind, parameter, detail)

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.batches import run_on_states
 from spm_pin.machine.configuration import Configuration, check_configuration
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcastable, leg_values, real_array
 
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
@@ -114,7 +114,7 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     if np.count_nonzero(suspect):
         # A state is as singular under any wrench.
         forces[np.broadcast_to(_without_hold(configuration), forces.shape[:-1])] = np.nan
-    return forces if configuration.geometry.legs.are_rps else forces * configuration.slopes
+    return forces if configuration.machine.legs.are_rps else forces * configuration.slopes
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
@@ -125,7 +125,7 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
         singular = suspect.astype(bool)
         singular[singular] = _are_singular(configuration, np.argwhere(suspect), kind)
         matrices[singular] = np.nan
-    if configuration.geometry.legs.are_rps:
+    if configuration.machine.legs.are_rps:
         return matrices
     if kind == "forward":
         return matrices * configuration.slopes[..., None, :]
@@ -135,7 +135,7 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
 def _regular_slopes(configuration: Configuration) -> FloatArray:
     """Return κ of the legs (..., 6), NaN where a leg is singular; a single state raises."""
     slopes = configuration.slopes
-    singular = np.abs(slopes) <= SINGULAR * configuration.geometry.legs.largest_slopes
+    singular = np.abs(slopes) <= SINGULAR * configuration.machine.legs.largest_slopes
     if singular.any() and not configuration.shape:
         raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
     return np.where(singular, np.nan, slopes)
@@ -151,7 +151,7 @@ def _run(
 ) -> tuple[FloatArray, IntArray]:
     """Return the result of a kernel, of this shape per state, and which states may be singular."""
     check_configuration(configuration, existing=not configuration.shape)
-    constants = leg_constants(configuration.geometry), configuration.geometry.middle_side, SINGULAR
+    constants = leg_constants(configuration.machine), configuration.machine.middle_side, SINGULAR
     results = (shape, np.float64), ((), np.uint8)
     values, suspect = run_on_states(kernel, configuration, constants, results, load=load)
     return values, suspect
@@ -165,9 +165,9 @@ def _broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, confi
     return array
 
 
-def leg_constants(geometry: Geometry) -> FloatArray:
+def leg_constants(machine: Manipulator) -> FloatArray:
     """Return the axes of the six legs and `upper_ball_weights` (9, 3), as the kernels take a machine."""
-    return np.concatenate([geometry.legs.axes, geometry.legs.upper_ball_weights])
+    return np.concatenate([machine.legs.axes, machine.legs.upper_ball_weights])
 
 
 def force_matrices(configuration: Configuration) -> FloatArray:
@@ -175,9 +175,9 @@ def force_matrices(configuration: Configuration) -> FloatArray:
 
     NaN for a state that does not exist, and in the row of a leg without length.
     """
-    vectors, geometry = configuration.leg_vectors, configuration.geometry
+    vectors, machine = configuration.leg_vectors, configuration.machine
     centre = configuration.middle_joints.mean(axis=-2)[..., None, :]
-    arms = (configuration.balls - centre) / geometry.middle_side
+    arms = (configuration.balls - centre) / machine.middle_side
     with np.errstate(invalid="ignore"):
         directions = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
     # The axes of the lower legs do not depend on the state: one that does not exist has none of them either.
@@ -194,7 +194,7 @@ def stage_inverses(configuration: Configuration) -> FloatArray:
     """
     inverses = _inverses(force_matrices(configuration)[..., :2, :, :], _without_hold(configuration)[..., None])
     lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
-    angular = inverses[..., 3:, :] / configuration.geometry.middle_side
+    angular = inverses[..., 3:, :] / configuration.machine.middle_side
     linear = inverses[..., :3, :] + np.cross(angular, lever[..., None, :, None], axis=-2)
     return np.concatenate([linear, angular], axis=-2)
 
@@ -257,7 +257,7 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     along = _compliances(legs, "legs", configuration)
     across = np.zeros(6) if structure is None else _compliances(structure, "structure", configuration)
     inverses = stage_inverses(configuration)
-    if not configuration.geometry.legs.are_rps:
+    if not configuration.machine.legs.are_rps:
         along = along * configuration.slopes**2
     halves = (x.reshape(*x.shape[:-1], 2, 3) for x in (along, across))
     shares = np.concatenate(np.broadcast_arrays(*halves), axis=-1)
@@ -283,7 +283,7 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     Examples
     --------
     >>> import spm_pin as spm
-    >>> state = spm.forward_physical(spm.Geometry.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    >>> state = spm.forward_physical(spm.Manipulator.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     >>> spm.stiffness(state, legs=1e7)[2, 2].round(-5)
     np.float64(28900000.0)
     """

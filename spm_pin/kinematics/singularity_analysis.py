@@ -150,11 +150,11 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     from spm_pin.kinematics.kernels.singularity_kernels import describe_singularities
 
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
-    geometry = check_configuration(configuration).geometry
-    exists, side = configuration.exists, geometry.middle_side
+    machine = check_configuration(configuration).machine
+    exists, side = configuration.exists, machine.middle_side
     three, six = ((3,), np.float64), ((6,), np.float64)
     results = (three, three, three, ((3,), np.int8), ((), np.bool_), ((3, 6), np.float64), six)
-    constants = leg_constants(geometry), side, tolerance, SINGULAR
+    constants = leg_constants(machine), side, tolerance, SINGULAR
     described = run_on_states(
         describe_singularities, configuration, constants, results, min_batch=_MIN_BATCH_PER_THREAD
     )
@@ -171,8 +171,8 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
         | np.where(_have_dependent_constraints(configuration, rank, tolerance), SingularityKind.CONSTRAINT, 0)
     )
     kind = np.where(short, SingularityKind.FORWARD, kind)
-    if not geometry.legs.are_rps:
-        slopes = np.abs(configuration.slopes) / geometry.legs.largest_slopes
+    if not machine.legs.are_rps:
+        slopes = np.abs(configuration.slopes) / machine.legs.largest_slopes
         kind = kind | np.where((slopes <= max(tolerance, SINGULAR)).any(axis=-1), SingularityKind.LEG, 0)
     held = (rank[..., :2] == 6).all(axis=-1)
     with np.errstate(divide="ignore"):
@@ -235,8 +235,8 @@ def determinants(configuration: Configuration) -> FloatArray:
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
-    geometry = check_configuration(configuration).geometry
-    (dets,) = run_on_states(all_determinants, configuration, [leg_constants(geometry)], [((3,), np.float64)])
+    machine = check_configuration(configuration).machine
+    (dets,) = run_on_states(all_determinants, configuration, [leg_constants(machine)], [((3,), np.float64)])
     return np.asarray(dets)
 
 

@@ -1,6 +1,6 @@
-"""A `Stage` and a robot of two, a `Geometry`; their states and sets of states. No Pinocchio, CasADi or Numba.
+"""A `Stage` and a robot of two, a `Manipulator`; their states and sets of states. No Pinocchio, CasADi or Numba.
 
-What they share stands once: `Mechanism` is the base of both, with `Legs` of three or six; `Batched` of their states,
+What they share stands once: `Machine` is the base of both, with `Legs` of three or six; `Batched` of their states,
 `StageConfiguration` and `Configuration`; `Solutions` of sets of these, `StageSolutions` and `SolutionSet`.
 """
 
@@ -9,8 +9,8 @@ from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.joint_angles import JointAngles, home_readings, joint_angles
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.machine.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs, StageLimits
-from spm_pin.machine.machine import Mechanism
-from spm_pin.machine.manipulator import PARAMETERS, Geometry
+from spm_pin.machine.machine import Machine
+from spm_pin.machine.manipulator import PARAMETERS, Manipulator
 from spm_pin.machine.solution_axis import Status
 from spm_pin.machine.solutions import Degeneracy, SolutionSet
 from spm_pin.machine.stage import Stage
@@ -28,12 +28,12 @@ __all__ = [
     "STAGE_LEGS",
     "Configuration",
     "Degeneracy",
-    "Geometry",
     "JointAngles",
     "LegKind",
     "LegLimits",
     "Legs",
-    "Mechanism",
+    "Machine",
+    "Manipulator",
     "PlacedLegs",
     "PoseLike",
     "SolutionSet",

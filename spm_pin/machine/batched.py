@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SelectionError
 from spm_pin.machine.legs import LegLimits
-from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import BoolArray, FloatArray, frozen, type_and_value
 from spm_pin.support.pose import unchecked_transform
 
@@ -24,13 +24,13 @@ class Batched(ABC):
 
     missing_reason = ""
     """Why a single state does not exist, where that is known; empty otherwise."""
-    _mechanism: Mechanism
+    _machine: Machine
     _solved: ClassVar[str]
     """Name of the property, one number for each leg, that a solver may have computed already."""
 
-    def _set(self, mechanism: Mechanism, *arrays: FloatArray) -> None:
+    def _set(self, machine: Machine, *arrays: FloatArray) -> None:
         """Keep rotations and translations of the platform, and of a robot the middle joints."""
-        self._mechanism = mechanism
+        self._machine = machine
         self._arrays = tuple(map(frozen, arrays))
         self._rotation, self._translation = self._arrays[:2]
 
@@ -48,17 +48,17 @@ class Batched(ABC):
         """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
         solved = self._known
         arrays = (change(array, inner) for array, inner in zip(self._arrays, (2, 1, 2), strict=False))
-        return self.from_arrays(self._mechanism, *arrays, None if solved is None else change(solved, 1))
+        return self.from_arrays(self._machine, *arrays, None if solved is None else change(solved, 1))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Copies and unpickled states are read-only too; what is derived is not carried along.
-        state = self._mechanism, *self._arrays, self._known
+        state = self._machine, *self._arrays, self._known
         return self.from_arrays, state, {"missing_reason": self.missing_reason}
 
     @property
-    def mechanism(self) -> Any:
-        """The `Geometry` or the `Stage`."""
-        return self._mechanism
+    def machine(self) -> Any:
+        """The `Manipulator` or the `Stage`."""
+        return self._machine
 
     @property
     @abstractmethod
@@ -113,7 +113,7 @@ class Batched(ABC):
             return f"<{type(self).__name__}: {self.shape} states, {np.count_nonzero(self.exists)} exist>"
         if not self.exists:
             return f"<{type(self).__name__}: {self._absence()}>"
-        beyond = ", ".join(self._mechanism.legs.names[leg] for leg in np.flatnonzero(self.limit_excess))
+        beyond = ", ".join(self._machine.legs.names[leg] for leg in np.flatnonzero(self.limit_excess))
         return f"<{type(self).__name__}: {self._summary()}{beyond and f', beyond the limits: {beyond}'}>"
 
     def _absence(self) -> str:
@@ -164,13 +164,13 @@ class Batched(ABC):
     def centre_rates(self) -> FloatArray:
         """Derivatives of `circle_centres` by their own readings, seen from the legs' plates, in {B}, (..., legs, 3)."""
         outward, forward = self.leg_planes
-        rates = self._mechanism.legs.centre_rates(self.readings)
+        rates = self._machine.legs.centre_rates(self.readings)
         return np.asarray(rates[..., :1] * outward + rates[..., 1:] * forward)
 
     @property
     def limits(self) -> LegLimits | None:
         """Limits of the mechanism's readings."""
-        return self._mechanism.limits
+        return self._machine.limits
 
     @cached_property
     def limit_excess(self) -> FloatArray:
@@ -183,7 +183,7 @@ class Batched(ABC):
 
         Dimensionless, or [m/rad] of RRS legs; 1 of RPS legs. Where it is zero the leg itself is singular.
         """
-        return frozen(self._mechanism.legs.slopes(self.places, self.readings))
+        return frozen(self._machine.legs.slopes(self.places, self.readings))
 
 
 def stacked(states: Sequence[S]) -> S:
@@ -193,7 +193,7 @@ def stacked(states: Sequence[S]) -> S:
     first = states[0]
     solved = [state._known for state in states if state._known is not None]
     arrays = map(np.stack, zip(*(state._arrays for state in states), strict=True))
-    return first.from_arrays(first.mechanism, *arrays, np.stack(solved) if len(solved) == len(states) else None)
+    return first.from_arrays(first.machine, *arrays, np.stack(solved) if len(solved) == len(states) else None)
 
 
 def batch_index(index: object) -> tuple[Any, ...]:

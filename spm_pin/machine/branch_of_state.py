@@ -28,7 +28,7 @@ _structure_determinant = on_arrays(wrenches.structure_determinant)
 def family(configuration: Configuration) -> IntArray:
     """Return the index in `FAMILIES` of each state, shape (...); -1 where it does not exist."""
     # Signs of the mean radii of the b_i in {B} and in {m}. The radial directions add up to zero, so b_i is b_i - o.
-    moments = np.swapaxes(configuration.middle_joints, -1, -2) @ configuration.geometry.radial_directions
+    moments = np.swapaxes(configuration.middle_joints, -1, -2) @ configuration.machine.radial_directions
     lower = moments[..., 0, 0] + moments[..., 1, 1] + moments[..., 2, 2]
     upper = np.einsum("...ij,...ij->...", moments, configuration.rotation)
     return np.where(configuration.exists, 2 * (lower < 0.0) + (upper < 0.0), -1).astype(np.intp)
@@ -95,7 +95,7 @@ def physical(configuration: Configuration) -> BoolArray:
     nominal directions determine the mode, and the machine's own axes the aspect.
     """
     position = tuple(np.moveaxis(configuration.translation, -1, 0))
-    outer = configuration.leg_vectors * configuration.geometry.legs.ups[:, None]
+    outer = configuration.leg_vectors * configuration.machine.legs.ups[:, None]
     vectors = configuration.middle_joints, *_stages(outer), configuration.rotation
     upright = np.asarray(_is_upright(*map(rows_of, vectors), position))
     # Of a batch few are upright, and the aspect takes longer.

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, masked
 from spm_pin.machine.legs import LEGS, triangle_frames, triangle_sides
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
@@ -31,7 +31,7 @@ class Configuration(Batched):
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of the terminal platform {m} in the base {B}.
@@ -45,11 +45,11 @@ class Configuration(Batched):
     is by how much.
     """
 
-    _mechanism: Geometry
+    _machine: Manipulator
     _solved = "leg_lengths"
 
-    def __init__(self, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
-        check_instance(geometry, Geometry, "geometry")
+    def __init__(self, machine: Manipulator, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
+        check_instance(machine, Manipulator, "machine")
         transform = as_rigid_transform(pose)
         joints = real_array(
             middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3 in {B} in metres", allow_nan=True
@@ -61,7 +61,7 @@ class Configuration(Batched):
         matrix = transform.as_matrix()
         shape = broadcastable("middle_joints", joints.shape[:-2], "the pose", transform.shape)
         self._set(
-            geometry,
+            machine,
             np.broadcast_to(matrix[..., :3, :3], (*shape, 3, 3)),
             np.broadcast_to(matrix[..., :3, 3], (*shape, 3)),
             np.broadcast_to(joints.copy(), (*shape, 3, 3)),
@@ -70,7 +70,7 @@ class Configuration(Batched):
     @classmethod
     def from_arrays(
         cls,
-        geometry: Geometry,
+        machine: Manipulator,
         rotation: FloatArray,
         translation: FloatArray,
         middle_joints: FloatArray,
@@ -78,13 +78,13 @@ class Configuration(Batched):
     ) -> Configuration:
         """Make a configuration from valid arrays with equal leading axes, without checks or copies."""
         self = cls.__new__(cls)
-        self._set(geometry, rotation, translation, middle_joints)
+        self._set(machine, rotation, translation, middle_joints)
         if leg_lengths is not None:
             self.__dict__["leg_lengths"] = frozen(leg_lengths)
         return self
 
     def _summary(self) -> str:
-        readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self.geometry.legs.units, strict=True))
+        readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self.machine.legs.units, strict=True))
         return f"readings {', '.join(readings)}"
 
     def _repr_html_(self) -> str:
@@ -97,7 +97,7 @@ class Configuration(Batched):
     @property
     def _columns(self) -> tuple[str, ...]:
         """Heading of a notebook's table."""
-        readings = (f"{leg} [{unit}]" for leg, unit in zip(LEGS, self.geometry.legs.units, strict=True))
+        readings = (f"{leg} [{unit}]" for leg, unit in zip(LEGS, self.machine.legs.units, strict=True))
         return "o in {B} [m]", "roll, pitch, yaw [°]", *readings
 
     def _cells(self) -> tuple[str, ...]:
@@ -115,9 +115,9 @@ class Configuration(Batched):
         return self.middle_joints.shape[:-2]
 
     @property
-    def geometry(self) -> Geometry:
+    def machine(self) -> Manipulator:
         """The manipulator."""
-        return self._mechanism
+        return self._machine
 
     @property
     def compared_points(self) -> FloatArray:
@@ -128,7 +128,7 @@ class Configuration(Batched):
         """Return the states where `kept` (...) is true; the others have no joints, and keep their pose."""
         lengths = None if self._known is None else masked(self._known, kept, 1)
         joints = masked(self.middle_joints, kept, 2)
-        return Configuration.from_arrays(self.geometry, self._rotation, self._translation, joints, lengths)
+        return Configuration.from_arrays(self.machine, self._rotation, self._translation, joints, lengths)
 
     @property
     def middle_joints(self) -> FloatArray:
@@ -145,13 +145,13 @@ class Configuration(Batched):
         """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the drawn machine."""
         lower = self.middle_joints
         sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
-        moved = self.geometry.legs.upper_ball_weights @ np.stack([*sides, np.cross(*sides)], axis=-2)
+        moved = self.machine.legs.upper_ball_weights @ np.stack([*sides, np.cross(*sides)], axis=-2)
         return frozen(np.concatenate([lower, lower + moved], axis=-2))
 
     @cached_property
     def leg_bases(self) -> FloatArray:
         """Pivots of the six legs, a_1 to a_3 and c_1 to c_3, as rows in {B} [m], shape (..., 6, 3). Eqs. (1), (2)."""
-        pivots = self.geometry.legs.pivots
+        pivots = self.machine.legs.pivots
         upper = pivots[3:] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
         return frozen(np.concatenate([np.broadcast_to(pivots[:3], upper.shape), upper], axis=-2))
 
@@ -163,7 +163,7 @@ class Configuration(Batched):
     @cached_property
     def leg_axes(self) -> FloatArray:
         """Unit revolute axes of the six legs as rows in {B}, shape (..., 6, 3). Eq. (4)."""
-        axes = self.geometry.legs.axes
+        axes = self.machine.legs.axes
         upper = axes[3:] @ np.swapaxes(self._rotation, -1, -2)
         return frozen(np.concatenate([np.broadcast_to(axes[:3], upper.shape), upper], axis=-2))
 
@@ -187,14 +187,14 @@ class Configuration(Batched):
         back = np.swapaxes(self._rotation, -1, -2)
         lower = np.broadcast_to(np.eye(3), back.shape)
         outward, forward = (
-            np.concatenate([axes[:3] @ lower, axes[3:] @ back], axis=-2) for axes in self.geometry.legs.planes
+            np.concatenate([axes[:3] @ lower, axes[3:] @ back], axis=-2) for axes in self.machine.legs.planes
         )
         return outward, forward
 
     @property
     def own_circle_centres(self) -> FloatArray:
         """`circle_centres` as rows in {B} of the lower legs, and in {m} of the upper legs [m], shape (..., 6, 3)."""
-        centres, _ = self.geometry.legs.circles(self.readings)
+        centres, _ = self.machine.legs.circles(self.readings)
         return centres
 
     @cached_property
@@ -203,7 +203,7 @@ class Configuration(Batched):
 
         The `leg_bases` of RPS legs, the joints of carriage and rod of PRS legs, and the knees of RRS legs.
         """
-        if self.geometry.legs.are_rps:
+        if self.machine.legs.are_rps:
             return self.leg_bases
         centres = self.own_circle_centres
         upper = centres[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
@@ -220,13 +220,13 @@ class Configuration(Batched):
 
         Of RPS legs they are `leg_lengths` plus the offsets of the machine.
         """
-        legs = self.geometry.legs
+        legs = self.machine.legs
         return frozen(self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places))
 
     @cached_property
     def middle_pose(self) -> RigidTransform:
         """Pose of the middle platform {n} in {B}; at the centre of a drawn machine's triangle, x along b_3 b_1."""
-        corners = self.geometry.legs.balls[:3]
+        corners = self.machine.legs.balls[:3]
         frames = triangle_frames(self.middle_joints) @ triangle_frames(corners).T
         centres = self.middle_joints.mean(axis=-2) - frames @ corners.mean(axis=0)
         return unchecked_transform(frames, centres)
@@ -237,7 +237,7 @@ class Configuration(Batched):
 
         The distances of each ball from the plane of its leg, Eqs. (5b), (5c), and the errors of the sides, Eq. (12).
         """
-        b, legs = self.middle_joints, self.geometry.legs
+        b, legs = self.middle_joints, self.machine.legs
         # The axes and the planes' distances from O: exact zeros in a drawn machine, whose planes go through Z.
         lower = (b * legs.axes[:3]).sum(axis=-1) - (legs.pivots[:3] * legs.axes[:3]).sum(axis=-1)
         upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)

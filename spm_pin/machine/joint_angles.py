@@ -31,7 +31,7 @@ from spm_pin.formulas.vectors import dot, minus, times, transposed
 from spm_pin.machine.configuration import Configuration, check_configuration, check_members
 from spm_pin.machine.leg_kinds import KINDS, RPS, LegKind
 from spm_pin.machine.legs import LEGS
-from spm_pin.machine.machine import Mechanism, check_mechanism
+from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray, frozen, type_and_value, whole_number
 
@@ -39,51 +39,51 @@ from spm_pin.support.arguments import FloatArray, frozen, type_and_value, whole_
 _BLOCK = 2048
 
 
-def leg_joints(geometry: Mechanism | None = None) -> dict[str, tuple[str, str]]:
+def leg_joints(machine: Machine | None = None) -> dict[str, tuple[str, str]]:
     """Return the names of each leg's two joints, from its plate to its ball, by the names of the legs."""
     names: dict[str, tuple[str, str]] = {}
-    for leg, kind in _legs(geometry):
+    for leg, kind in _legs(machine):
         first, second = kind.joints
         names[leg] = f"leg_{leg[2:]}_{first}", f"leg_{leg[2:]}_{second}"
     return names
 
 
-def _legs(geometry: Mechanism | None) -> list[tuple[str, LegKind]]:
+def _legs(machine: Machine | None) -> list[tuple[str, LegKind]]:
     """Return the names of the legs, with their kinds."""
-    if geometry is None:
+    if machine is None:
         return [(leg, RPS()) for leg in LEGS]
-    legs = check_mechanism(geometry).legs
+    legs = check_machine(machine).legs
     return [(leg, legs.kinds[k // 3]) for k, leg in enumerate(legs.names)]
 
 
-def joint_names(geometry: Mechanism | None = None) -> tuple[str, ...]:
+def joint_names(machine: Machine | None = None) -> tuple[str, ...]:
     """Return the names of the joints of a machine's URDF: eighteen, by default of RPS legs, or nine of a `Stage`.
 
     Up the first legs to the platform that moves, then those of the other lower and upper legs.
     """
-    legs = leg_joints(geometry)
+    legs = leg_joints(machine)
     lower, *upper = ((*legs[leg], *(f"ball_{leg[2:]}_{x}" for x in "xyz")) for leg in list(legs)[::3])
     others = (joint for k, joints in enumerate(legs.values()) if k % 3 for joint in joints)
     return *lower, *(joint for chain in upper for joint in chain[::-1]), *others
 
 
-def actuated_joints(geometry: Mechanism | None = None) -> tuple[str, ...]:
+def actuated_joints(machine: Machine | None = None) -> tuple[str, ...]:
     """Return the names of the joints that the actuators move, in the order of the legs; see `joint_names`."""
-    return tuple(f"leg_{leg[2:]}_{kind.actuated}" for leg, kind in _legs(geometry))
+    return tuple(f"leg_{leg[2:]}_{kind.actuated}" for leg, kind in _legs(machine))
 
 
-def value_names(geometry: Mechanism | None = None) -> tuple[str, ...]:
+def value_names(machine: Machine | None = None) -> tuple[str, ...]:
     """Return the names of the joints in the order of `JointAngles.values` for the balls of the first legs."""
-    passive = [f"leg_{leg[2:]}_{kind.passive}" for leg, kind in _legs(geometry)]
-    balls = (f"ball_{leg[2:]}_{axis}" for axis in "xyz" for leg in list(leg_joints(geometry))[::3])
-    return *passive, *balls, *actuated_joints(geometry)
+    passive = [f"leg_{leg[2:]}_{kind.passive}" for leg, kind in _legs(machine)]
+    balls = (f"ball_{leg[2:]}_{axis}" for axis in "xyz" for leg in list(leg_joints(machine))[::3])
+    return *passive, *balls, *actuated_joints(machine)
 
 
 JOINTS = joint_names()
 """The eighteen joints of a URDF of RPS legs; see `joint_names`."""
 
 
-def home_readings(geometry: Mechanism) -> FloatArray:
+def home_readings(machine: Machine) -> FloatArray:
     """Return the readings (6,), of a stage (3,), of the symmetric home, offsets aside: [m], of RRS legs [rad].
 
     All platforms are level there. The reading is the middle of the limits that the stage's three legs share, if the
@@ -92,25 +92,25 @@ def home_readings(geometry: Mechanism) -> FloatArray:
     in the middle of the reach of crank and rod. A `GeometryError` is raised for a stage that does not stand there
     either.
     """
-    readings, _ = homes(check_mechanism(geometry))
+    readings, _ = homes(check_machine(machine))
     return readings
 
 
 @functools.lru_cache(maxsize=64)
-def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
+def homes(machine: Machine) -> tuple[FloatArray, FloatArray]:
     """Return `home_readings`, and the balls' places there (6, 2), x and z in the planes of the legs [m]."""
-    count = len(geometry.legs.names)
+    count = len(machine.legs.names)
     readings, places = np.empty(count), np.empty((count, 2))
-    for stage, (radius, ball_radius) in enumerate(geometry.stage_radii):
-        legs, kind, limits = slice(3 * stage, 3 * stage + 3), geometry.legs.kinds[stage].nominal, geometry.limits
+    for stage, (radius, ball_radius) in enumerate(machine.stage_radii):
+        legs, kind, limits = slice(3 * stage, 3 * stage + 3), machine.legs.kinds[stage].nominal, machine.limits
         low = max(limits.minimum[legs]) if limits else kind.least_reading
         high = min(limits.maximum[legs]) if limits else math.inf
-        numbers, signs = tuple(kind.numbers[0].tolist()), geometry.legs.slope_signs[legs]
+        numbers, signs = tuple(kind.numbers[0].tolist()), machine.legs.slope_signs[legs]
         x, height, middle = ball_radius - radius, ball_radius + radius, 0.5 * (low + high)
         with np.errstate(invalid="ignore"):
             at_home = _HOME(x, height, (low, high), signs[0], numbers, kind.on_arrays)
             # A stage alone may be below its pivots, hanging or not.
-            is_alone = len(geometry.stage_radii) == 1
+            is_alone = len(machine.stage_radii) == 1
             if is_alone and low < high and math.isfinite(middle):
                 z = _HEIGHT(x, middle, signs[0], numbers, kind.on_arrays)
                 at_home = at_home if np.isnan(z) else formulas.LegHome(middle, x, z)
@@ -123,7 +123,7 @@ def homes(geometry: Mechanism) -> tuple[FloatArray, FloatArray]:
             ends = f" between {low:g} and {high:g} {kind.unit}" if limits else ""
             expected = "a machine whose platforms are level at the middle of its limits"
             cause = "A rod too short, another sign, or limits about a place where the stage does not stand?"
-            raise GeometryError("geometry", expected, f"{kind!r} on radii of {radius:g} m{ends}", cause)
+            raise GeometryError("machine", expected, f"{kind!r} on radii of {radius:g} m{ends}", cause)
     return frozen(readings), frozen(places)
 
 
@@ -158,20 +158,20 @@ class _Constants(NamedTuple):
 
 
 @functools.lru_cache(maxsize=16)
-def _constants(geometry: Mechanism) -> _Constants:
-    axes, pivots, balls = map(_tuples, geometry.legs.arrays[:3])
+def _constants(machine: Machine) -> _Constants:
+    axes, pivots, balls = map(_tuples, machine.legs.arrays[:3])
     own_axes, legs, kinds = _ON_NUMBERS.triangle_axes(balls[:3]), [], []
-    readings, places = homes(geometry)
+    readings, places = homes(machine)
     for leg in range(len(readings)):
-        kind, signs = geometry.legs.kinds[leg // 3], (TANGENT_SIGNS[leg % 3], (1.0, -1.0)[leg // 3])
+        kind, signs = machine.legs.kinds[leg // 3], (TANGENT_SIGNS[leg % 3], (1.0, -1.0)[leg // 3])
         kinds.append(type(kind))
         numbers = tuple(tuple(x.numbers[leg % 3].tolist()) for x in (kind.nominal, kind))
         at_home = formulas.LegHome(readings[leg].item(), *places[leg].tolist())
         placement, run = (axes[leg], pivots[leg]), _ON_NUMBERS
         drawn_axis, of_kind = AXES[leg % 3], run.kinds[type(kind)]
         legs.append(run.leg_frame(placement, drawn_axis, own_axes, signs, at_home, numbers, of_kind))
-    weights = _tuples(geometry.legs.upper_ball_weights) if len(geometry.stage_radii) == 2 else None
-    return _Constants(tuple(legs), tuple(geometry.legs.sides.tolist()), weights, tuple(kinds))
+    weights = _tuples(machine.legs.upper_ball_weights) if len(machine.stage_radii) == 2 else None
+    return _Constants(tuple(legs), tuple(machine.legs.sides.tolist()), weights, tuple(kinds))
 
 
 def _tuples(matrix: FloatArray) -> Any:
@@ -246,7 +246,7 @@ def joint_angles(
     if not isinstance(corners, tuple | list):
         raise ArgumentError("corners", "a tuple of legs, 0 to 2", type_and_value(corners))
     corners = tuple(whole_number(corner, "corners", "legs, 0 to 2", most=2) for corner in corners)
-    shape, constants = configuration.shape, _constants(configuration.mechanism)
+    shape, constants = configuration.shape, _constants(configuration.machine)
     legs = len(constants.legs)
     count = 2 * legs + legs * len(corners)
     if isinstance(configuration, StageConfiguration):

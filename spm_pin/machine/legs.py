@@ -241,7 +241,7 @@ class Legs:
     offsets: FloatArray
     kinds: tuple[LegKind, ...] = (RPS(), RPS())
     is_drawn: bool = field(default=False, init=False)
-    """True for legs that a `Geometry` or a `Stage` has drawn from its dimensions."""
+    """True for legs that a `Manipulator` or a `Stage` has drawn from its dimensions."""
 
     @raised_as(GeometryError)
     def __post_init__(self) -> None:
@@ -365,7 +365,7 @@ class Legs:
 
     @property
     def parameters(self) -> FloatArray:
-        """Nine numbers of each leg, then those fixed in PRS and RRS legs: see `Geometry.parameters`."""
+        """Nine numbers of each leg, then those fixed in PRS and RRS legs: see `Manipulator.parameters`."""
         drawn, first, second = axis_directions(len(self.kinds))
         across = np.stack([(self.axes * first).sum(axis=-1), (self.axes * second).sum(axis=-1)], axis=-1)
         sine = np.sqrt((across**2).sum(axis=-1))
@@ -408,7 +408,7 @@ class Legs:
         return Legs(axes, values[:, 2:5], values[:, 5:8], values[:, 8], tuple(kinds))
 
     def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Legs:
-        """Return legs with independent normal errors added to all `parameters`; see `Geometry.perturbed`."""
+        """Return legs with independent normal errors added to all `parameters`; see `Manipulator.perturbed`."""
         random = generator(rng)
         expected = f"a standard deviation from 0 to {_MOST_LENGTH:g} m"
         spread = real_number(length, "length", expected, least=0.0, most=_MOST_LENGTH)

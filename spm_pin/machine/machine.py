@@ -1,4 +1,4 @@
-"""The base class of `Stage` and `Geometry`: legs, their parameters and limits, files, and lengths in proportion."""
+"""The base class of `Stage` and `Manipulator`: legs, their parameters and limits, files, and lengths in proportion."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _USUAL = 0.4
 """Share of the machine's size that heights, readings and positions usually have."""
 
 
-class Mechanism(ABC):
-    """A `Stage`, or a `Geometry` of two: dimensions and legs, as drawn or as built."""
+class Machine(ABC):
+    """A `Stage`, or a `Manipulator` of two: dimensions and legs, as drawn or as built."""
 
     base_radius: float
     legs: Legs
@@ -204,21 +204,21 @@ class Mechanism(ABC):
     @classmethod
     @raised_as(GeometryError)
     def from_yaml(cls, path: str | Path) -> Self:
-        """Read a machine from a YAML file, in metres and radians; `docs/howto/geometry_files.md` describes it.
+        """Read a machine from a YAML file, in metres and radians; `docs/howto/machine_files.md` describes it.
 
         A `GeometryError` names the key of what describes no machine.
         """
         return cls.from_data(read_yaml(path), str(path))
 
 
-def check_mechanism(value: Any, argument: str = "geometry") -> Mechanism:
-    """Return `value` if it is a `Geometry` or a `Stage`."""
-    if not isinstance(value, Mechanism):
-        raise ArgumentError(argument, "a Geometry or a Stage", type(value).__name__)
+def check_machine(value: Any, argument: str = "machine") -> Machine:
+    """Return `value` if it is a `Manipulator` or a `Stage`."""
+    if not isinstance(value, Machine):
+        raise ArgumentError(argument, "a Manipulator or a Stage", type(value).__name__)
     return value
 
 
-def likely_unit(machine: Mechanism, length: float, unit: str = "m") -> str | None:
+def likely_unit(machine: Machine, length: float, unit: str = "m") -> str | None:
     """Return the unit in which a length [m], if it was typed in `unit`, would be in proportion; None if it is."""
 
     def disproportion(tried: str, share: float = _USUAL) -> float:
@@ -230,7 +230,7 @@ def likely_unit(machine: Mechanism, length: float, unit: str = "m") -> str | Non
     return better if better != unit else None
 
 
-def unit_hint(machine: Mechanism, lengths: npt.ArrayLike) -> str:
+def unit_hint(machine: Machine, lengths: npt.ArrayLike) -> str:
     """Return a sentence on the unit that the largest of these lengths [m] may be in; empty if in proportion."""
     length = float(np.abs(lengths).max())
     unit = likely_unit(machine, length)

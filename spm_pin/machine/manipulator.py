@@ -28,7 +28,7 @@ from spm_pin.machine.legs import (
     StageLimits,
     axis_directions,
 )
-from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.machine import Machine
 from spm_pin.machine.machine_files import (
     legs_as_data,
     limits_as_data,
@@ -42,7 +42,7 @@ from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, check_instance, dimension
 
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in COMPONENTS)
-"""Names of the 54 parameters of RPS legs, nine for each, in the order of `Geometry.parameters`."""
+"""Names of the 54 parameters of RPS legs, nine for each, in the order of `Manipulator.parameters`."""
 
 _SAME = 1e-9
 """Machines that differ by less, relative to the middle side, are the same."""
@@ -60,7 +60,7 @@ def config_directory() -> Path:
 
 
 @dataclass(frozen=True, init=False, repr=False)
-class Geometry(Mechanism):
+class Manipulator(Machine):
     """Dimensions of a manipulator, and its legs: those of the drawing, or those of one machine as built.
 
     Parameters
@@ -88,7 +88,7 @@ class Geometry(Mechanism):
     legs: Legs
 
     _least_share = 0.01
-    _heading = "# A manipulator of two stages, lengths in metres and angles in radians: see Geometry of spm_pin.\n"
+    _heading = "# A manipulator of two stages, lengths in metres and angles in radians: see Manipulator of spm_pin.\n"
 
     @raised_as(GeometryError)
     def __init__(
@@ -109,7 +109,7 @@ class Geometry(Mechanism):
     def __repr__(self) -> str:
         sizes = ", ".join(f"{name}={getattr(self, name):.6g}" for name in _DIMENSIONS.values())
         legs = "" if self.legs.are_rps else f", legs={self.legs.kinds!r}"
-        return f"Geometry({sizes}{legs}{self._repr_end()}"
+        return f"Manipulator({sizes}{legs}{self._repr_end()}"
 
     def _repr_html_(self) -> str:
         dimensions = zip(("E, base radius", "C, platform radius", "d, middle side"), self.dimensions, strict=True)
@@ -128,12 +128,12 @@ class Geometry(Mechanism):
                 leg = int(deviations.argmax())
                 unit = "m" + {"axes": "rad", "offsets": self.legs.units[leg]}.get(name, "m")
                 rows.append((f"{name} off the drawing", f"up to {1e3 * deviations[leg]:.3g} {unit}, {LEGS[leg]}"))
-        title = "Geometry as drawn" if self.is_nominal else "Geometry as built"
+        title = "Machine as drawn" if self.is_nominal else "Machine as built"
         return notebook.table(title, ("dimension", ""), rows)
 
     @classmethod
     @raised_as(GeometryError)
-    def of_stages(cls, lower: Stage, upper: Stage) -> Geometry:
+    def of_stages(cls, lower: Stage, upper: Stage) -> Manipulator:
         """Return the machine of two stages, of legs of either kind, whose platforms are one triangle of balls.
 
         The upper stage is turned over about its y axis, with its base for the terminal platform, and so stands on the
@@ -159,7 +159,7 @@ class Geometry(Mechanism):
 
     @classmethod
     @cache
-    def paper(cls) -> Geometry:
+    def paper(cls) -> Manipulator:
         """Return the paper's manipulator: E = 1.2/√3 m, C = 0.6/√3 m, d = 0.8 m, legs from 1.10 to 1.50 m.
 
         The paper prints no leg limits; these are the project's own, see `urdf/config/geometry.yaml`.
@@ -167,7 +167,7 @@ class Geometry(Mechanism):
         return cls.from_yaml(config_directory() / "geometry.yaml")
 
     @classmethod
-    def from_data(cls, data: Any, place: str = "data") -> Geometry:
+    def from_data(cls, data: Any, place: str = "data") -> Manipulator:
         """Return the machine of `as_data`; a `GeometryError` names the key in `place` of what describes none."""
         sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
         own = {"leg_limits", "legs", *_KIND_KEYS}
@@ -251,17 +251,17 @@ class Geometry(Mechanism):
         return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
 
 
-def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, owner: str) -> None:
+def check_same_machine(machine: Manipulator, expected: Manipulator, argument: str, owner: str) -> None:
     """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
-    if geometry.dimensions == expected.dimensions and geometry.legs == expected.legs:
+    if machine.dimensions == expected.dimensions and machine.legs == expected.legs:
         return
     cause = "Computed for another machine?"
-    for kind, wanted in zip(geometry.legs.kinds, expected.legs.kinds, strict=True):
+    for kind, wanted in zip(machine.legs.kinds, expected.legs.kinds, strict=True):
         if type(kind) is not type(wanted) or getattr(kind, "sign", 0) != getattr(wanted, "sign", 0):
             raise GeometryError(argument, f"the kinds of {owner}, {wanted!r}", repr(kind), cause)
     names = *_DIMENSIONS.values(), *expected.parameter_names
     units = "m", "m", "m", *expected.parameter_units
-    own, others = (np.concatenate([machine.dimensions, machine.parameters]) for machine in (geometry, expected))
+    own, others = (np.concatenate([each.dimensions, each.parameters]) for each in (machine, expected))
     for name, unit, received, number in zip(names, units, own.tolist(), others.tolist(), strict=True):
         if abs(received - number) > _SAME * (1.0 if unit == "rad" else expected.middle_side):
             raise GeometryError(
@@ -269,9 +269,9 @@ def check_same_machine(geometry: Geometry, expected: Geometry, argument: str, ow
             )
 
 
-def check_rps(geometry: Geometry, what: str) -> None:
+def check_rps(machine: Manipulator, what: str) -> None:
     """Raise a `GeometryError` unless all legs are RPS, which `what` is known for alone."""
-    if not geometry.legs.are_rps:
-        lower, upper = (kind.name for kind in geometry.legs.kinds)
+    if not machine.legs.are_rps:
+        lower, upper = (kind.name for kind in machine.legs.kinds)
         cause = "What takes PRS and RRS legs is listed in docs/howto/other_legs.md"
-        raise GeometryError("geometry", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)
+        raise GeometryError("machine", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)

@@ -14,7 +14,7 @@ from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES, branch_sign, fam
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LEGS
 from spm_pin.machine.machine import unit_hint
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.machine.solution_axis import Solutions, Status, following
 from spm_pin.support import notebook
 from spm_pin.support.arguments import (
@@ -97,13 +97,13 @@ class SolutionSet(Solutions[Configuration]):
 
     @classmethod
     def from_unordered(
-        cls, geometry: Geometry, pose: PoseLike, middle_joints: npt.ArrayLike, solved: npt.ArrayLike = True
+        cls, machine: Manipulator, pose: PoseLike, middle_joints: npt.ArrayLike, solved: npt.ArrayLike = True
     ) -> SolutionSet:
         """Make a set of real branches, in any order, under the canonical labels.
 
         Parameters
         ----------
-        geometry : Geometry
+        machine : Manipulator
             The manipulator.
         pose : pose of shape (...)
             The pose that was solved.
@@ -113,7 +113,7 @@ class SolutionSet(Solutions[Configuration]):
             False where the method failed. There, and where a family has more than two solutions, the status is
             `Status.UNSOLVED` and nothing exists.
         """
-        check_instance(geometry, Geometry, "geometry")
+        check_instance(machine, Manipulator, "machine")
         transform = as_rigid_transform(pose)
         joints = real_array(middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3", allow_nan=True)
         if joints.ndim < 3 or joints.shape[-3] == 0:
@@ -122,19 +122,19 @@ class SolutionSet(Solutions[Configuration]):
         good = boolean_array(solved, "solved", shape)
         with np.errstate(over="ignore", invalid="ignore"):
             normal = np.cross(joints[..., 0, :] - joints[..., 2, :], joints[..., 1, :] - joints[..., 2, :])
-        size = np.abs(normal).max(axis=-1) / geometry.middle_side**2
+        size = np.abs(normal).max(axis=-1) / machine.middle_side**2
         if (wrong := (size < 1e-9) | (size > 1e9)).any():
             index = first_offender(wrong)
-            cause = f"They are the corners of the middle platform, {geometry.middle_side:g} m from each other."
+            cause = f"They are the corners of the middle platform, {machine.middle_side:g} m from each other."
             received = f"{joints[index].tolist()} at index {index}"
             raise ArgumentError("middle_joints", "three points that are not in a line", received, cause)
-        branches, status = _in_canonical_order(geometry, transform, joints, good)
+        branches, status = _in_canonical_order(machine, transform, joints, good)
         return cls(branches, BRANCHES, status)
 
     @property
-    def geometry(self) -> Geometry:
+    def machine(self) -> Manipulator:
         """The manipulator."""
-        return self.configurations.geometry
+        return self.configurations.machine
 
     @property
     def middle_joints(self) -> FloatArray:
@@ -187,7 +187,7 @@ class SolutionSet(Solutions[Configuration]):
         to exclude all that do not.
         """
         mode = physical(self.configurations) if self.at_home is None else self.at_home & self.exists
-        limits = self.geometry.limits
+        limits = self.machine.limits
         if limits is None:
             return mode
         # Of branches the first two as a rule: readings of the others are not computed.
@@ -214,7 +214,7 @@ class SolutionSet(Solutions[Configuration]):
         return "the pose or the leg lengths are singular, the solutions are a continuous family; see .degeneracy"
 
     def _hint(self, index: tuple[int, ...]) -> str:
-        reasons = [self.configurations.missing_reason or unit_hint(self.geometry, self.translation[index][0])]
+        reasons = [self.configurations.missing_reason or unit_hint(self.machine, self.translation[index][0])]
         if self.labels == BRANCHES:
             turn = np.degrees(np.arccos(np.clip((np.trace(self.rotation[index][0]) - 1.0) / 2.0, -1.0, 1.0)))
             if turn > _FAR_TURN:
@@ -232,11 +232,11 @@ class SolutionSet(Solutions[Configuration]):
 
 
 def _in_canonical_order(
-    geometry: Geometry, pose: RigidTransform, joints: FloatArray, solved: BoolArray
+    machine: Manipulator, pose: RigidTransform, joints: FloatArray, solved: BoolArray
 ) -> tuple[Configuration, npt.NDArray[np.int8]]:
     """Return branches (..., 8) in the order of `BRANCHES`, and the status (...)."""
     matrix = pose.as_matrix()[..., None, :, :]
-    unordered = Configuration(geometry, matrix, joints)
+    unordered = Configuration(machine, matrix, joints)
     signs = branch_sign(unordered)[..., None, :]
     member = family(unordered)[..., None, :] == np.arange(len(FAMILIES))[:, None]
     count = member.sum(axis=-1)
@@ -248,6 +248,6 @@ def _in_canonical_order(
     present &= good[..., None, None]
     places = np.stack([top, bottom], axis=-1).reshape(*good.shape, len(BRANCHES), 1, 1)
     ordered = np.take_along_axis(unordered.middle_joints, places, axis=-3)
-    branches = Configuration(geometry, matrix, np.where(present.reshape(places.shape), ordered, np.nan))
+    branches = Configuration(machine, matrix, np.where(present.reshape(places.shape), ordered, np.nan))
     reached = np.where(branches.exists.any(axis=-1), Status.OK, Status.UNREACHABLE)
     return branches, np.where(good, reached, Status.UNSOLVED)

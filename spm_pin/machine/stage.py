@@ -1,8 +1,8 @@
 """A stage: three planar legs of one kind on a plate, and the triangle of balls that they hold.
 
-It is a machine of its own, a ball balancer, a tripod head or the mount of a mirror, and half of a `Geometry`. Its base
-has the frame {B} at the centre of the pivots, z towards the platform; the platform has {n} at the centre of the balls.
-Legs 1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in both.
+It is a machine of its own, a ball balancer, a tripod head or the mount of a mirror, and half of a `Manipulator`. Its
+base has the frame {B} at the centre of the pivots, z towards the platform; the platform has {n} at the centre of the
+balls. Legs 1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in both.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from spm_pin.errors import GeometryError, raised_as
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.machine.legs import AZIMUTHS, Legs, StageLimits
-from spm_pin.machine.machine import Mechanism
+from spm_pin.machine.machine import Machine
 from spm_pin.machine.machine_files import (
     legs_as_data,
     limits_as_data,
@@ -35,7 +35,7 @@ _LEVEL = 1e-9
 
 
 @dataclass(frozen=True, init=False, repr=False)
-class Stage(Mechanism):
+class Stage(Machine):
     """Three planar legs of one kind on a base, and a platform on their balls: as drawn, or one machine as built.
 
     Parameters
@@ -54,7 +54,7 @@ class Stage(Mechanism):
 
     Notes
     -----
-    Two of them on one triangle of balls are a `Geometry`. `spm_pin.stages` has the displacements both ways, rates,
+    Two of them on one triangle of balls are a `Manipulator`. `spm_pin.stages` has the displacements both ways, rates,
     forces, singularities and the reach. A stage whose platform hangs is described turned over, z downwards.
 
     Examples
@@ -166,7 +166,7 @@ class Stage(Mechanism):
     def from_data(cls, data: Any, place: str = "data") -> Stage:
         """Return the stage of `as_data`; a `GeometryError` names the key in `place` of what describes none."""
         keys = {"base_radius", "platform_radius", "legs"}
-        other = {"middle_side": "a key of a robot's file, which spm_pin.Geometry.from_yaml reads"}
+        other = {"middle_side": "a key of a robot's file, which spm_pin.Manipulator.from_yaml reads"}
         read = read_mapping(data, place, keys, {"limits", "as_built"}, other)
         kind = read_kind(read["legs"], f"legs in {place}")
         legs = read_legs(read["as_built"], f"as_built in {place}", (kind,)) if "as_built" in read else kind

@@ -41,7 +41,7 @@ class StageConfiguration(Batched):
     Nothing is solved here: balls may be out of their legs' planes, and `closure_residual` is by how much.
     """
 
-    _mechanism: Stage
+    _machine: Stage
     _solved = "readings"
 
     def __init__(self, stage: Stage, pose: PoseLike) -> None:
@@ -72,7 +72,7 @@ class StageConfiguration(Batched):
     @property
     def stage(self) -> Stage:
         """The stage."""
-        return self._mechanism
+        return self._machine
 
     @property
     def shape(self) -> tuple[int, ...]:

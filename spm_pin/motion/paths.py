@@ -20,7 +20,7 @@ from scipy.interpolate import BPoly
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
-from spm_pin.machine import LEGS, Configuration, Geometry
+from spm_pin.machine import LEGS, Configuration, Manipulator
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.chain_state import ChainState
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
@@ -112,11 +112,11 @@ MotionPath = LegPath | PlatformPath
 """A path; its parameter goes from 0 to 1, of a `PlatformPath` the share of its duration."""
 
 
-def states_along(geometry: Geometry, path: MotionPath, parameters: FloatArray) -> Configuration:
+def states_along(machine: Manipulator, path: MotionPath, parameters: FloatArray) -> Configuration:
     """Return the states at parameters (n,) from 0 to 1; some may not exist."""
     if isinstance(path, LegPath):
-        return forward_physical(geometry, path(parameters).lengths)
-    return inverse_physical(geometry, platform_motion(path, parameters).pose)
+        return forward_physical(machine, path(parameters).lengths)
+    return inverse_physical(machine, platform_motion(path, parameters).pose)
 
 
 def platform_motion(path: PlatformPath, parameters: FloatArray) -> PlatformMotion:
@@ -125,16 +125,16 @@ def platform_motion(path: PlatformPath, parameters: FloatArray) -> PlatformMotio
     return path(np.minimum(path.start + parameters * path.duration, path.end))
 
 
-def line_states(geometry: Geometry, start: FloatArray, end: FloatArray) -> Configuration:
+def line_states(machine: Manipulator, start: FloatArray, end: FloatArray) -> Configuration:
     """Return the states on a straight line between leg lengths (6,), at most `STEP` apart."""
-    parameters = spaced_parameters(geometry, np.array([start, end]))[:, None]
-    return forward_physical(geometry, start + parameters * (end - start))
+    parameters = spaced_parameters(machine, np.array([start, end]))[:, None]
+    return forward_physical(machine, start + parameters * (end - start))
 
 
-def spaced_parameters(geometry: Geometry, lengths: FloatArray) -> FloatArray:
+def spaced_parameters(machine: Manipulator, lengths: FloatArray) -> FloatArray:
     """Return evenly spaced parameters from 0 to 1 for a path through leg lengths (n, 6), at most `STEP` apart."""
-    distance = float(np.linalg.norm(geometry.legs.largest_slopes * np.diff(lengths, axis=0), axis=-1).sum())
-    return np.linspace(0.0, 1.0, max(int(np.ceil(distance / (STEP * geometry.middle_side))), 2) + 1)
+    distance = float(np.linalg.norm(machine.legs.largest_slopes * np.diff(lengths, axis=0), axis=-1).sum())
+    return np.linspace(0.0, 1.0, max(int(np.ceil(distance / (STEP * machine.middle_side))), 2) + 1)
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class PathDynamics:
 
 def path_dynamics(chain: ClosedChain, path: MotionPath, parameters: FloatArray) -> PathDynamics:
     """Return the mechanism along a path; `ArgumentError` where it is out of reach or meets a singularity."""
-    states = states_along(chain.geometry, path, parameters)
+    states = states_along(chain.machine, path, parameters)
     if not states.exists.all():
         bad = parameters[int((~states.exists).argmax())]
         expected = "a path that the machine can go along in its physical mode"

@@ -21,7 +21,7 @@ from spm_pin.errors import ArgumentError, UnreachableError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.machine import LEGS, Configuration, Geometry, LegLimits, PoseLike, as_rigid_transform
+from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator, PoseLike, as_rigid_transform
 from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.manipulator import check_same_machine
 from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spaced_parameters, states_along
@@ -54,7 +54,7 @@ _SHORTCUTS = 100
 class MotionPlan:
     """A path between two states, or the reason why there is none; made by `plan`."""
 
-    geometry: Geometry
+    machine: Manipulator
     """The machine."""
     path: MotionPath | None
     """The path, over a parameter from 0 to 1 (a PlatformPath: in "seconds")."""
@@ -89,11 +89,11 @@ class MotionPlan:
         count = whole_number(samples, "samples", "at least two samples", least=2, most=10**8)
         if self.path is None:
             raise ArgumentError("plan", "a plan with a path", "one without", self.reason)
-        return states_along(self.geometry, self.path, np.linspace(0.0, 1.0, count))
+        return states_along(self.machine, self.path, np.linspace(0.0, 1.0, count))
 
 
 def plan(
-    geometry: Geometry,
+    machine: Manipulator,
     start: Place,
     goal: Place,
     limits: LegLimits | None = None,
@@ -110,13 +110,13 @@ def plan(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator.
     start, goal : Configuration, pose, or array_like of shape (6,)
         The states: a configuration in the physical mode, a pose of {m} in {B}, or readings: leg lengths [m], of RRS
         legs angles [rad].
     limits : LegLimits, optional
-        Of the readings; by default those of `geometry`.
+        Of the readings; by default those of `machine`.
     via : sequence of the same
         States to pass on the way, in order.
     joint_limits : JointLimits, optional
@@ -142,30 +142,30 @@ def plan(
     Examples
     --------
     >>> import spm_pin as spm
-    >>> spm.plan(spm.Geometry.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.4, 1.2, 1.2, 1.2, 1.5, 1.25])
+    >>> spm.plan(spm.Manipulator.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.4, 1.2, 1.2, 1.2, 1.5, 1.25])
     <MotionPlan: straight in leg lengths, least determinant 1.15 d³>
     """
-    check_instance(geometry, Geometry, "geometry")
-    allowed = geometry.limits if limits is None else geometry.check_limits(limits)
+    check_instance(machine, Manipulator, "machine")
+    allowed = machine.limits if limits is None else machine.check_limits(limits)
     joints = JointLimits() if joint_limits is None else check_instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
-    rules = _PathRules(geometry, allowed, joints, least)
+    rules = _PathRules(machine, allowed, joints, least)
     choice(line, "line", ("legs", "poses"))
     most = whole_number(tries, "tries", "a number of steps", most=10**7)
     random = generator(rng)
     if certificate is not None:
         check_instance(certificate, Certificate, "certificate")
-        if not certificate.concerns(geometry):
-            raise ArgumentError("certificate", "a certificate of `geometry`", "one of another machine")
+        if not certificate.concerns(machine):
+            raise ArgumentError("certificate", "a certificate of `machine`", "one of another machine")
     if not isinstance(via, Sequence | np.ndarray) or isinstance(via, str | bytes):
         raise ArgumentError("via", "a sequence of states to pass", type_and_value(via))
     names = ["start", *(f"via[{k}]" for k in range(len(via))), "goal"]
-    states = [_state(geometry, place, name) for place, name in zip([start, *via, goal], names, strict=True)]
+    states = [_state(machine, place, name) for place, name in zip([start, *via, goal], names, strict=True)]
     for state, name in zip(states, names, strict=True):
         if broken := rules.explain(state):
             raise UnreachableError(name, "a state that keeps the rules of the plan", broken)
     for (before, first), (name, state) in pairwise(zip(names, states, strict=True)):
-        if np.linalg.norm(state.readings - first.readings) <= 1e-12 * geometry.middle_side:
+        if np.linalg.norm(state.readings - first.readings) <= 1e-12 * machine.middle_side:
             raise ArgumentError(name, f"another state than {before}", "the same: a motion of no length")
     if line == "poses":
         return _along_poses(rules, states, certificate)
@@ -177,31 +177,31 @@ def plan(
         corners, why = _find_corners(rules, points[-1], place, most, random)
         reason = reason or why
         if corners is None:
-            return _no_plan(geometry, why)
+            return _no_plan(machine, why)
         points += corners[1:]
     smooth = _smooth_path(rules, points)
     if smooth is None:
         smoothless = "there is a way with corners, but no smooth one was found"
-        return _no_plan(geometry, "; ".join(filter(None, [reason, smoothless])))
+        return _no_plan(machine, "; ".join(filter(None, [reason, smoothless])))
     method = "around" if len(points) > len(states) else "straight in leg lengths"
     return _finished(*smooth, method, reason, certificate)
 
 
-def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
+def _state(machine: Manipulator, place: Place, name: str) -> Configuration:
     """Return the physical state of a configuration, a pose or leg lengths."""
     if isinstance(place, Configuration):
         check_configuration(place, name, single=True, existing=True)
-        check_same_machine(place.geometry, geometry, name, "`geometry`")
-        physical = forward_physical(geometry, place.readings)
+        check_same_machine(place.machine, machine, name, "`machine`")
+        physical = forward_physical(machine, place.readings)
         apart = np.abs(physical.middle_joints - place.middle_joints).max() if physical.exists else np.inf
-        if not apart <= 1e-6 * geometry.middle_side:
+        if not apart <= 1e-6 * machine.middle_side:
             cause = "Another branch or assembly mode: .physical() chooses the one a machine is in"
             raise ArgumentError(name, "a configuration in the physical mode", "one in another mode", cause)
         return physical
     array = as_array(place)
     if array is not None and array.shape == (6,):
         lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
-        state = forward_physical(geometry, lengths)
+        state = forward_physical(machine, lengths)
         if not state.exists:
             expected, cause = "leg lengths of the physical mode", _sentence(state.missing_reason)
             raise UnreachableError(name, expected, f"{lengths.tolist()}", cause)
@@ -210,7 +210,7 @@ def _state(geometry: Geometry, place: Place, name: str) -> Configuration:
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
         cause = "via is a list of states" if name.startswith("via") else ""
         raise ArgumentError(name, "a Configuration, a pose or six leg lengths", received, cause)
-    state = inverse_physical(geometry, as_rigid_transform(place, name))
+    state = inverse_physical(machine, as_rigid_transform(place, name))
     if state.shape:
         raise ArgumentError(name, "one state", f"a batch of shape {state.shape}")
     if not state.exists:
@@ -226,26 +226,26 @@ def _sentence(reason: str) -> str:
 
 def _along_poses(rules: _PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
     """Return the plan straight in poses, or the reason why there is none."""
-    geometry = rules.geometry
+    machine = rules.machine
     poses = np.array([state.pose.as_matrix() for state in states])
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)
-    rough = states_along(geometry, path, np.linspace(0.0, 1.0, 100 * len(poses)))
+    rough = states_along(machine, path, np.linspace(0.0, 1.0, 100 * len(poses)))
     if not rough.exists.all():
         first = int(rules.broken(rough).argmax())
         share = 100.0 * first / (len(rough) - 1)
         missing = f"the line of poses meets an inverse singularity, or what is out of reach, at {share:.0f} %"
-        return _no_plan(geometry, rules.explain_line(rough) if rough.exists[first] else missing)
-    along = states_along(geometry, path, spaced_parameters(geometry, rough.readings))
+        return _no_plan(machine, rules.explain_line(rough) if rough.exists[first] else missing)
+    along = states_along(machine, path, spaced_parameters(machine, rough.readings))
     reason = rules.explain_line(along)
     signs = np.sign(determinants(along)[..., 2])
     if not reason and (signs != signs[0]).any():
         where = int((signs != signs[0]).argmax()) / (len(signs) - 1)
         reason = f"the line of poses meets an inverse singularity at {100.0 * where:.0f} %"
-    return _no_plan(geometry, reason) if reason else _finished(path, along, "straight in poses", "", certificate)
+    return _no_plan(machine, reason) if reason else _finished(path, along, "straight in poses", "", certificate)
 
 
-def _no_plan(geometry: Geometry, reason: str) -> MotionPlan:
-    return MotionPlan(geometry, None, "none", False, reason, float("nan"))
+def _no_plan(machine: Manipulator, reason: str) -> MotionPlan:
+    return MotionPlan(machine, None, "none", False, reason, float("nan"))
 
 
 def _finished(
@@ -260,14 +260,14 @@ def _finished(
     elif certificate is not None:
         certified = bool(certificate.covers(states).all())
     least = float(_least_determinant(states).min())
-    return MotionPlan(states.geometry, path, method, certified, reason, least)
+    return MotionPlan(states.machine, path, method, certified, reason, least)
 
 
 @dataclass(frozen=True)
 class _PathRules:
-    """The rules of a path; the leg limits of `geometry` play no part."""
+    """The rules of a path; the leg limits of `machine` play no part."""
 
-    geometry: Geometry
+    machine: Manipulator
     limits: LegLimits | None
     joints: JointLimits
     margin: float  # least |det J_b| and |det J_c| over d³
@@ -294,7 +294,7 @@ class _PathRules:
         if legs < -ROUNDING:
             assert self.limits is not None
             leg = int(np.abs(self.limits.excess(state.readings)).argmax())
-            unit = self.geometry.legs.units[leg]
+            unit = self.machine.legs.units[leg]
             limits = f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} {unit}"
             return f"{LEGS[leg]} of {state.readings[leg]:.4g} {unit} is outside its limits, {limits}"
         if least < -ROUNDING:
@@ -317,7 +317,7 @@ class _PathRules:
 
 def _least_determinant(states: Configuration) -> FloatArray:
     """Return the smaller of |det J_b| and |det J_c| over d³, shape (...)."""
-    return np.asarray(np.abs(determinants(states)[..., :2]).min(axis=-1) / states.geometry.middle_side**3)
+    return np.asarray(np.abs(determinants(states)[..., :2]).min(axis=-1) / states.machine.middle_side**3)
 
 
 class _Node(NamedTuple):
@@ -340,11 +340,11 @@ def _find_corners(
     rules: _PathRules, start: FloatArray, goal: FloatArray, tries: int, rng: np.random.Generator
 ) -> tuple[list[FloatArray] | None, str]:
     """Return the corners of a way from start to goal, None if none was found; and what is wrong with the line."""
-    reason = rules.explain_line(line_states(rules.geometry, start, goal))
+    reason = rules.explain_line(line_states(rules.machine, start, goal))
     if not reason:
         return [start, goal], ""
     trees = [[_Node(start, None)], [_Node(goal, None)]]
-    legs, low, high = rules.geometry.legs, np.minimum(start, goal), np.maximum(start, goal)
+    legs, low, high = rules.machine.legs, np.minimum(start, goal), np.maximum(start, goal)
     # Around both by half of what a leg or its rod is long.
     low, high = (x + way * legs.circles(x)[1] / legs.largest_slopes for x, way in ((low, -0.5), (high, 0.5)))
     if rules.limits is not None:
@@ -361,13 +361,13 @@ def _find_corners(
 
 def _grow(rules: _PathRules, tree: list[_Node], target: FloatArray) -> _Node | None:
     """Add a step towards `target` to a tree; return the new node, None if the step breaks a rule."""
-    reach, metres = _REACH * rules.geometry.middle_side, rules.geometry.legs.largest_slopes
+    reach, metres = _REACH * rules.machine.middle_side, rules.machine.legs.largest_slopes
     distances = np.linalg.norm(metres * (np.array([node.point for node in tree]) - target), axis=-1)
     parent, distance = tree[int(distances.argmin())], float(distances.min())
     if distance == 0.0:
         return parent
     point = target if distance <= reach else parent.point + (reach / distance) * (target - parent.point)
-    if rules.broken(line_states(rules.geometry, parent.point, point)).any():
+    if rules.broken(line_states(rules.machine, parent.point, point)).any():
         return None
     tree.append(_Node(point, parent))
     return tree[-1]
@@ -379,7 +379,7 @@ def _shortened(rules: _PathRules, corners: list[FloatArray], rng: np.random.Gene
         if len(corners) <= 2:
             break
         i, j = sorted(rng.choice(len(corners), 2, replace=False).tolist())
-        if j > i + 1 and not rules.broken(line_states(rules.geometry, corners[i], corners[j])).any():
+        if j > i + 1 and not rules.broken(line_states(rules.machine, corners[i], corners[j])).any():
             corners = corners[: i + 1] + corners[j:]
     return corners
 
@@ -392,7 +392,7 @@ def _smooth_path(rules: _PathRules, points: list[FloatArray]) -> tuple[LegPath, 
     rows = np.array(points)
     for _ in range(7):
         path = LegPath(rows)
-        states = states_along(rules.geometry, path, spaced_parameters(rules.geometry, rows))
+        states = states_along(rules.machine, path, spaced_parameters(rules.machine, rows))
         if not rules.broken(states).any():
             return path, states
         middle = 0.5 * (rows[:-1] + rows[1:])

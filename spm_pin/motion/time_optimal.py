@@ -100,7 +100,7 @@ def time_optimal(
         The machine with its masses, as built too.
     path : MotionPlan, LegPath or PlatformPath
         The way; the times of a PlatformPath count as its parameter only. A plan keeps the leg limits it was made with,
-        the others must keep those of `chain.geometry`.
+        the others must keep those of `chain.machine`.
     leg_rates, leg_accelerations : array_like, shape (6,) or (), optional
         Largest speed [m/s] and acceleration [m/s²] of each leg, or of all.
     leg_forces : array_like, shape (6,), () or (2, 6), optional
@@ -186,13 +186,13 @@ def time_optimal(
 
     joints, readings, poses = rows(along, speeds, accelerations)
     above = slower * (1.0 + error) - 1.0
-    columns, units = tuple(chain.leg_indices.tolist()), chain.geometry.legs.units
+    columns, units = tuple(chain.leg_indices.tolist()), chain.machine.legs.units
     return TimedMotion(chain.joint_names, times, *joints, readings, poses, columns, units, above, motion_at)
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
     if isinstance(path, MotionPlan):
-        check_same_machine(path.geometry, chain.geometry, "path", "the chain")
+        check_same_machine(path.machine, chain.machine, "path", "the chain")
         if path.path is None:
             raise ArgumentError("path", "a plan with a path", "one without", path.reason)
         return path.path
@@ -209,8 +209,8 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
     A path of leg lengths may cross inverse singularities: the legs lead through.
     """
     if not planned:
-        geometry, readings = chain.geometry, along.states.readings
-        check_path_readings(geometry.limits, geometry.legs.units, readings, "path", along.parameters, "parameter")
+        machine, readings = chain.machine, along.states.readings
+        check_path_readings(machine.limits, machine.legs.units, readings, "path", along.parameters, "parameter")
     values = determinants(along.states)[:, : 2 if isinstance(path, LegPath) else 3]
     crossed = (values[1:] * values[:-1] < 0.0).any(axis=-1)
     if crossed.any():

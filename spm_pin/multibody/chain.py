@@ -29,7 +29,7 @@ from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import joint_angles, value_names
 from spm_pin.machine.legs import LEGS, check_path_readings
-from spm_pin.machine.manipulator import Geometry, check_rps, check_same_machine
+from spm_pin.machine.manipulator import Manipulator, check_rps, check_same_machine
 from spm_pin.multibody.chain_state import ChainState, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
 from spm_pin.multibody.constrained_model import AGREEMENT, ConstrainedModel, TreeKinematics, read_vectors
@@ -56,7 +56,7 @@ class ClosedChain:
 
     Attributes
     ----------
-    geometry : Geometry
+    machine : Manipulator
         Dimensions, legs, and the limits that set the zero of the tree.
     prefix : str
         Before the name of every link and joint.
@@ -70,27 +70,27 @@ class ClosedChain:
         Indices of the joints in q that the actuators move, in the order of the legs.
     """
 
-    def __init__(self, urdf: str, geometry: Geometry, prefix: str = "") -> None:
-        self._urdf, self.geometry, self.prefix = urdf, geometry, prefix
+    def __init__(self, urdf: str, machine: Manipulator, prefix: str = "") -> None:
+        self._urdf, self.machine, self.prefix = urdf, machine, prefix
         self.model = pin.buildModelFromXML(urdf)
         self.closures = read_closures(prefix=prefix)
-        self._constrained = ConstrainedModel(self.model, self.closures, geometry, prefix)
+        self._constrained = ConstrainedModel(self.model, self.closures, machine, prefix)
         self._of_thread = threading.local()
         self.joint_names, self.leg_indices = self._constrained.names, self._constrained.legs
-        self._order = np.argsort(self._constrained.joint_indices(*value_names(geometry)))
+        self._order = np.argsort(self._constrained.joint_indices(*value_names(machine)))
 
     @classmethod
     def from_urdf(
         cls,
         path: str | Path | None = None,
-        geometry: Geometry | None = None,
+        machine: Manipulator | None = None,
         *,
         prefix: str = "",
         masses: Masses | None = None,
     ) -> ClosedChain:
         """Make a chain from the package's description, or from a URDF file expanded from it.
 
-        `geometry` is by default the paper's. A file at `path` has the tree of the description for this geometry,
+        `machine` is by default the paper's. A file at `path` has the tree of the description for this machine,
         perhaps with other inertias, shapes and limits; the closures are the description's. `prefix` stands before the
         name of every link and joint. Raises `DescriptionError` for another tree, and for impossible inertias.
 
@@ -98,8 +98,8 @@ class ClosedChain:
         and forces of motions are no better than they.
         """
         check_prefix(prefix)
-        machine = Geometry.paper() if geometry is None else check_instance(geometry, Geometry, "geometry")
-        is_shipped = machine == Geometry.paper() and prefix == ""
+        machine = Manipulator.paper() if machine is None else check_instance(machine, Manipulator, "machine")
+        is_shipped = machine == Manipulator.paper() and prefix == ""
         shipped = description_file(URDF)
         described = shipped.read_text(encoding="utf-8") if is_shipped else urdf_text(machine, prefix=prefix)
         text = described if path is None else _read_urdf(file_path(path), described, machine.middle_side)
@@ -109,15 +109,15 @@ class ClosedChain:
     def with_masses(self, masses: Masses) -> ClosedChain:
         """Return this chain with other masses, or with a payload besides what it carries already."""
         urdf = with_masses(self._urdf, check_instance(masses, Masses, "masses"), self.prefix)
-        return type(self)(urdf, self.geometry, self.prefix)
+        return type(self)(urdf, self.machine, self.prefix)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Pinocchio's constraints cannot be pickled.
-        return type(self), (self._urdf, self.geometry, self.prefix)
+        return type(self), (self._urdf, self.machine, self.prefix)
 
     def __repr__(self) -> str:
         named = f" {self.prefix!r}" if self.prefix else ""
-        return f"<ClosedChain{named}: {self.model.nq} joints, {len(self.closures)} closures, {self.geometry}>"
+        return f"<ClosedChain{named}: {self.model.nq} joints, {len(self.closures)} closures, {self.machine}>"
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
         """Return the state of joint values q (..., 18) and velocities v (..., 18), by default at rest.
@@ -148,7 +148,7 @@ class ClosedChain:
         """The collision shapes, a `pinocchio.GeometryModel`; the pairs leave out what touches by design."""
         shapes = pin.buildGeomFromUrdfString(self.model, self._urdf, pin.GeometryType.COLLISION)
         shapes.addAllCollisionPairs()
-        pin.removeCollisionPairsFromXML(self.model, shapes, srdf_text(geometry=self.geometry, prefix=self.prefix))
+        pin.removeCollisionPairsFromXML(self.model, shapes, srdf_text(machine=self.machine, prefix=self.prefix))
         return shapes
 
     def robot_wrapper(self) -> Any:
@@ -180,16 +180,16 @@ class ClosedChain:
         state = check_configuration(configuration)
         if not state.shape:
             check_configuration(configuration, existing=True)
-        if state.geometry is not self.geometry:
-            check_same_machine(state.geometry, self.geometry, "configuration", "the chain")
+        if state.machine is not self.machine:
+            check_same_machine(state.machine, self.machine, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
-            state = Configuration.from_arrays(self.geometry, state.rotation, state.translation, state.middle_joints)
+            state = Configuration.from_arrays(self.machine, state.rotation, state.translation, state.middle_joints)
         return self._values_of(state)
 
     def _values_of(self, configuration: Configuration) -> FloatArray:
         """Return `joint_values` of a configuration of the chain's own machine."""
         angles = joint_angles(configuration, corners=(0,))
-        is_open = angles.closure_residual > AGREEMENT * self.geometry.middle_side
+        is_open = angles.closure_residual > AGREEMENT * self.machine.middle_side
         if is_open.any():
             index = first_offender(is_open)
             where = f" at batch index {index}" if index else ""
@@ -204,12 +204,12 @@ class ClosedChain:
 
     def leg_lengths(self, q: npt.ArrayLike) -> FloatArray:
         """Return the distances from pivot to ball [m] that slides of RPS legs have in q (..., 18), shape (..., 6)."""
-        check_rps(self.geometry, "lengths of the legs in q")
+        check_rps(self.machine, "lengths of the legs in q")
         return self._constrained.readings(self._constrained.read_q(q))
 
     def readings(self, q: npt.ArrayLike) -> FloatArray:
         """Return what the encoders show in q (..., 18), shape (..., 6): [m], of RRS legs [rad]."""
-        return np.asarray(self._constrained.readings(self._constrained.read_q(q)) + self.geometry.legs.offsets)
+        return np.asarray(self._constrained.readings(self._constrained.read_q(q)) + self.machine.legs.offsets)
 
     def with_readings(self, q: npt.ArrayLike, readings: npt.ArrayLike) -> FloatArray:
         """Return a copy of q (..., 18) with other readings (..., 6), the other joints as they are: loops open."""
@@ -220,7 +220,7 @@ class ClosedChain:
         return changed
 
     def _without_offsets(self, readings: npt.ArrayLike) -> FloatArray:
-        own = np.asarray(read_vectors(readings, "readings", 6) - self.geometry.legs.offsets)
+        own = np.asarray(read_vectors(readings, "readings", 6) - self.machine.legs.offsets)
         self._constrained.check_readings(own, "readings", "A leg length is the reading less the offset of its encoder")
         return own
 
@@ -246,7 +246,7 @@ class ClosedChain:
         """
         if near is None:
             expected = "readings that the physical assembly mode can have"
-            state = forward_physical(self.geometry, readings)
+            state = forward_physical(self.machine, readings)
             return self._physical_values(state, "readings", expected, lambda: _listed(readings))
         return self._follow(near, follow_legs, self._without_offsets(readings), axes=(1,))
 
@@ -263,7 +263,7 @@ class ClosedChain:
         if near is None:
             place, rotation = transform.translation, transform.rotation
             return self._physical_values(
-                inverse_physical(self.geometry, transform),
+                inverse_physical(self.machine, transform),
                 "pose",
                 "poses that a physical branch has",
                 lambda: f"o at {_listed(place)} m, turned by the rotation vector {_listed(rotation.as_rotvec())} rad",
@@ -306,7 +306,7 @@ class ClosedChain:
         `path`, a `PlatformPath` or another callable, takes a time [s] and returns pose, twist and acceleration of the
         terminal platform; `times` (n,) [s] increase at any rate; `near` (18,) is a closed q in the branch wanted, near
         the path's start. Raises as `inverse_kinematics`, with the index of the time, and `UnreachableError` where a leg
-        is beyond the limits of the geometry.
+        is beyond the limits of the machine.
         """
         q, t = self._constrained.read_q(near, "near", single=True), increasing_times(times)
         if not callable(path):
@@ -327,9 +327,9 @@ class ClosedChain:
                 raise at_index(error, (k,)) from error
             rows.append((q, v, a, efforts, self.readings(q), pose.as_matrix()))
         positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
-        check_path_readings(self.geometry.limits, self.geometry.legs.units, readings, "path", t, "time")
+        check_path_readings(self.machine.limits, self.machine.legs.units, readings, "path", t, "time")
         pose = RigidTransform.from_matrix(poses)
-        columns, units = tuple(self.leg_indices.tolist()), self.geometry.legs.units
+        columns, units = tuple(self.leg_indices.tolist()), self.machine.legs.units
         return JointTrajectory(self.joint_names, t, positions, v, a, efforts, readings, pose, columns, units)
 
     def simulate(
@@ -403,7 +403,7 @@ def _check_tree(model: Any, expected: Any, path: str, side: float) -> None:
     joints, wanted = set(model.names), set(expected.names)
     missing = sorted(wanted - joints) + [name for name in links if not model.existFrame(name, pin.FrameType.BODY)]
     foreign = sorted(joints - wanted)
-    cause = "The arguments geometry and prefix are those the file was written for, by default the paper's and none"
+    cause = "The arguments machine and prefix are those the file was written for, by default the paper's and none"
     if missing or foreign or model.nq != expected.nq:
         names = (f"{', '.join(names[:3]) or 'none'}{', …' * (len(names) > 3)}" for names in (missing, foreign))
         received = "{} missing, {} foreign, nq = {}".format(*names, model.nq)
@@ -418,4 +418,4 @@ def _check_tree(model: Any, expected: Any, path: str, side: float) -> None:
     if off.max() > AGREEMENT * side:
         received = f"{links[int(off.argmax())]} {off.max():.1e} m off where all joints are turned"
         cause = f"Another joint axis, order or zero, which follows from the leg limits? {cause}"
-        raise DescriptionError(path, "the tree of the description for this geometry", received, cause)
+        raise DescriptionError(path, "the tree of the description for this machine", received, cause)

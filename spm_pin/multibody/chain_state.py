@@ -283,7 +283,7 @@ class ChainState(ConstrainedState):
             corners = [kinematics.data.oMf[frame].translation for frame in constrained.corner_frames]
             return *kinematics.terminal_pose(), np.array(corners)
 
-        return Configuration.from_arrays(constrained.geometry, *self._each_member(member, [(3, 3), (3,), (3, 3)]))
+        return Configuration.from_arrays(constrained.machine, *self._each_member(member, [(3, 3), (3,), (3, 3)]))
 
     def inverse_jacobian(self) -> FloatArray:
         """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates.

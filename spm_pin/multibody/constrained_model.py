@@ -30,7 +30,7 @@ from spm_pin.description.source_files import Closure
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.machine.joint_angles import actuated_joints, home_readings, joint_names
 from spm_pin.machine.legs import LEGS
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.support.arguments import FloatArray, IntArray, frozen, real_array
 
 AGREEMENT = 1e-9
@@ -134,9 +134,9 @@ class ConstrainedModel:
     stands before the names of its links and joints in the model.
     """
 
-    def __init__(self, model: Any, closures: tuple[Closure, ...], geometry: Geometry, prefix: str) -> None:
-        self.model, self.closures, self.geometry = model, closures, geometry
-        joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(geometry)}
+    def __init__(self, model: Any, closures: tuple[Closure, ...], machine: Manipulator, prefix: str) -> None:
+        self.model, self.closures, self.machine = model, closures, machine
+        joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(machine)}
         names = sorted(joints, key=lambda name: joints[name].idx_q)
         self.names, self._prefix = tuple(prefix + name for name in names), prefix
         # Where the eighteen are in the model's q and v, and where all other degrees of freedom are in v.
@@ -144,20 +144,20 @@ class ConstrainedModel:
         self.in_v = np.array([joints[name].idx_v for name in names], dtype=np.intp)
         self.others = np.setdiff1d(np.arange(model.nv), self.in_v)
         # Among the eighteen: the actuated ones in the order of `LEGS`, the other joints, and those of each ball.
-        self.legs = frozen(self.joint_indices(*actuated_joints(geometry)))
+        self.legs = frozen(self.joint_indices(*actuated_joints(machine)))
         self.passive = np.setdiff1d(np.arange(len(names)), self.legs)
         self.balls = tuple(self.joint_indices(*ball) for ball in BALLS)
         # Where the actuators are in v: all of another robot, then the six legs.
         self.actuated = frozen(np.concatenate([self.others, self.in_v[self.legs]]))
         self._actuated_in_q = self.in_q[self.legs]
         # Offsets aside; RPS legs have no negative length.
-        self.home_readings = home_readings(geometry)
-        self.least_readings = geometry.legs.least_readings
+        self.home_readings = home_readings(machine)
+        self.least_readings = machine.legs.least_readings
         # d, and the part of platforms and links in the length of a loop [m].
-        self.side = geometry.middle_side
-        self._fixed_sizes = sum(geometry.dimensions) + sum(float(kind.links.sum()) for kind in geometry.legs.kinds)
+        self.side = machine.middle_side
+        self._fixed_sizes = sum(machine.dimensions) + sum(float(kind.links.sum()) for kind in machine.legs.kinds)
         # Of a step of order one in each joint: 1 rad, or d.
-        self._are_lengths = np.array(geometry.legs.units) == "m"
+        self._are_lengths = np.array(machine.legs.units) == "m"
         self.units = np.ones(len(names))
         self.units[self.legs[self._are_lengths]] = self.side
         self.platform_frame = int(model.getFrameId(f"{prefix}terminal_platform"))

@@ -34,7 +34,7 @@ class MountedChain:
     """
 
     def __init__(self, chain: Any, other: Any, model: Any, collisions: Any, visuals: Any) -> None:
-        self._constrained = ConstrainedModel(model, chain.closures, chain.geometry, chain.prefix)
+        self._constrained = ConstrainedModel(model, chain.closures, chain.machine, chain.prefix)
         self.chain, self.model = chain, model
         self._other, self._shapes = other, (collisions, visuals)
         self._q, self.chain_indices = self._places(chain.model)

@@ -138,7 +138,7 @@ def run_simulation(
             integrator.record(stop.time, state, applied)
     end = (SimulationEnd.COMPLETE, "") if stop is None else stop[:2]
     values: list[Any] = [*map(np.array, zip(*integrator.rows, strict=True)), *end]
-    limits, readings = constrained.geometry.limits, values[4]
+    limits, readings = constrained.machine.limits, values[4]
     values.append(np.zeros(readings.shape) if limits is None else limits.excess(readings))
     return Simulation(*values)
 
@@ -185,7 +185,7 @@ class _Integrator:
         self._kinematics, self._constrained = kinematics, kinematics.constrained
         self._solver = AccelerationSolver(self._constrained)
         self._wrench, self._tolerance = wrench, tolerance
-        self._offsets = kinematics.constrained.geometry.legs.offsets
+        self._offsets = kinematics.constrained.machine.legs.offsets
         self.rows: list[tuple[Any, ...]] = []  # what is recorded: the first fields of `Simulation`
 
     def closed(self, state: FloatArray) -> FloatArray:

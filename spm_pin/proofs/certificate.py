@@ -22,7 +22,7 @@ from spm_pin.kinematics.path_following import existing_share
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.legs import LegLimits
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.proofs.stage_proof import (
     DEEPEST,
     Boxes,
@@ -61,7 +61,7 @@ _FLAT = 1e-10
 class Certificate:
     """Result of a proof about the configurations that are joined to the home within leg limits."""
 
-    geometry: Geometry
+    machine: Manipulator
     """Dimensions of the manipulator."""
     limits: LegLimits
     """Limits of the readings."""
@@ -92,7 +92,7 @@ class Certificate:
     @property
     def bounds(self) -> tuple[float, float]:
         """Proved lower bounds of |det J_b| / d³ and |det J_c| / d³ over these configurations; 0 where undecided."""
-        cube = self.geometry.middle_side**3
+        cube = self.machine.middle_side**3
         return self.lower.bound / cube, self.upper.bound / cube
 
     @property
@@ -104,10 +104,10 @@ class Certificate:
         """
         return self.lower.undecided, self.upper.undecided
 
-    def concerns(self, geometry: Geometry) -> bool:
+    def concerns(self, machine: Manipulator) -> bool:
         """Return whether a machine, its limits aside, is one of those that the certificate is about."""
-        errors = _deviation(check_instance(geometry, Geometry, "geometry"), self.geometry)
-        most = _widened(self.geometry, self.errors)
+        errors = _deviation(check_instance(machine, Manipulator, "machine"), self.machine)
+        most = _widened(self.machine, self.errors)
         return errors[0] <= most[0] and errors[1] <= most[1]
 
     def covers(self, configuration: Configuration) -> BoolArray:
@@ -116,8 +116,8 @@ class Certificate:
         They respect the limits, and both stages lie in boxes of the proof. Nothing is covered if it does not hold.
         """
         check_configuration(configuration)
-        if not self.concerns(configuration.geometry):
-            raise ArgumentError("configuration", "a state of the certificate's geometry", "one of another")
+        if not self.concerns(configuration.machine):
+            raise ArgumentError("configuration", "a state of the certificate's machine", "one of another")
         inside = self.limits.contains(configuration.readings)
         if not self.holds:
             return np.zeros_like(inside)
@@ -128,7 +128,7 @@ class Certificate:
 
     def explain(self) -> str:
         """Return the statement proved, or the counterexample or doubt that is left, in a few lines."""
-        low, high, units = self.limits.minimum, self.limits.maximum, self.geometry.legs.units
+        low, high, units = self.limits.minimum, self.limits.maximum, self.machine.legs.units
         ranges = dict.fromkeys(
             f"{min(low[stage]):g} {units[stage][0]} to {max(high[stage]):g} {units[stage][0]}"
             for stage in (slice(3), slice(3, 6))
@@ -139,7 +139,7 @@ class Certificate:
             lines.append(f"For all machines whose dimensions, offsets and axes are within {errors} of the nominal.")
         if self.holds:
             lower, upper = self.bounds
-            legs = "" if self.geometry.legs.are_rps else ", nor is a leg singular itself"
+            legs = "" if self.machine.legs.are_rps else ", nor is a leg singular itself"
             lines += [
                 f"Proved: no configuration joined to the home within these limits is forward singular{legs},",
                 f"|det J_b| >= {rounded_down(lower)} d³ and |det J_c| >= {rounded_down(upper)} d³.",
@@ -169,16 +169,16 @@ class Certificate:
         return "\n".join(lines)
 
     def _readings(self, state: Configuration) -> str:
-        units = self.geometry.legs.units
+        units = self.machine.legs.units
         return ", ".join(f"{reading:.6f} {unit}" for reading, unit in zip(state.readings, units, strict=True))
 
     def _whose(self) -> list[str]:
         """Return what the machine does at the readings of the singular configuration, and what would help."""
         assert self.witness is not None
-        physical = forward_physical(self.geometry, self.witness.readings)
-        apart = np.abs(physical.balls - self.witness.balls).max() / self.geometry.middle_side
+        physical = forward_physical(self.machine, self.witness.readings)
+        apart = np.abs(physical.balls - self.witness.balls).max() / self.machine.middle_side
         if apart > _SAME:
-            least = np.abs(determinants(physical)[:2]).min() / self.geometry.middle_side**3
+            least = np.abs(determinants(physical)[:2]).min() / self.machine.middle_side**3
             whose = f"As assembled it is in another one with these readings, a regular one: |det J| is {least:.2g} d³."
         else:
             whose = "The machine as assembled is there singular, or ends in it."
@@ -199,7 +199,7 @@ class Certificate:
 
 
 def certify(
-    geometry: Geometry,
+    machine: Manipulator,
     limits: LegLimits | None = None,
     *,
     boxes: int = 300_000,
@@ -215,16 +215,16 @@ def certify(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         Dimensions. For a machine as built it is proved for all machines that are as near to the nominal one, the choice
         of the frame {n} aside.
     limits : LegLimits, optional
-        Limits of the readings, finite; by default those of the geometry.
+        Limits of the readings, finite; by default those of the machine.
     boxes : int
         Boxes to look at in each stage, at most.
     length_error : float
         Prove it for every machine of which no coordinate of a pivot or a ball, no rod or crank, and no offset of a
-        reading differs by more than this from that of `geometry` [m]. E, C and d are among these, with the same error.
+        reading differs by more than this from that of `machine` [m]. E, C and d are among these, with the same error.
     angle_error : float
         The same of each axis, of the turn about either direction perpendicular to it, of the directions of slides, and
         of offsets of angles [rad].
@@ -234,18 +234,18 @@ def certify(
     Certificate
         It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
-    nominal = check_instance(geometry, Geometry, "geometry").nominal
-    limits = nominal.limits if limits is None else geometry.check_limits(limits)
+    nominal = check_instance(machine, Manipulator, "machine").nominal
+    limits = nominal.limits if limits is None else machine.check_limits(limits)
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
     expected = f"metres from 0 to {most:g}, a quarter of the smallest dimension"
     real_number(length_error, "length_error", expected, least=0.0, most=most)
     real_number(angle_error, "angle_error", "radians from 0 to 0.2", least=0.0, most=0.2, cause="Given in degrees?")
-    length, angle = _deviation(geometry, nominal)
+    length, angle = _deviation(machine, nominal)
     errors = length_error + length, angle_error + angle
     if errors[0] > most or errors[1] > 0.2:
         received = f"one that differs by {length:g} m and {angle:g} rad, to which the errors are added"
-        raise ArgumentError("geometry", f"a machine within {most:g} m and 0.2 rad of the nominal one", received)
+        raise ArgumentError("machine", f"a machine within {most:g} m and 0.2 rad of the nominal one", received)
     if limits is None or not limits.are_finite:
         received = "none" if limits is None else f"{limits!r}"
         raise GeometryError("limits", "finite limits of every reading", received)
@@ -268,7 +268,7 @@ def certify(
 
 
 def largest_certified_limits(
-    geometry: Geometry,
+    machine: Manipulator,
     centre: npt.ArrayLike | None = None,
     *,
     tolerance: float = 0.01,
@@ -284,10 +284,10 @@ def largest_certified_limits(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         Dimensions.
     centre : array_like, shape (6,) or (), optional
-        Readings in the middle [m], of RRS legs [rad]; by default the middle of the geometry's limits.
+        Readings in the middle [m], of RRS legs [rad]; by default the middle of the machine's limits.
     tolerance : float
         How far below the widest half-width that certifies the result may stay, relative to it.
     boxes : int
@@ -300,21 +300,21 @@ def largest_certified_limits(
     Certificate
         It holds; its `limits` are the answer.
     """
-    legs = check_instance(geometry, Geometry, "geometry").legs
+    legs = check_instance(machine, Manipulator, "machine").legs
     if len(set(legs.units)) > 1:
         cause = "All readings may differ from their centre by the same amount"
-        raise GeometryError("geometry", "a machine whose readings have one unit", "metres and radians", cause)
+        raise GeometryError("machine", "a machine whose readings have one unit", "metres and radians", cause)
     real_number(tolerance, "tolerance", "a relative width between 1e-6 and 1", least=1e-6, below=1.0)
     if centre is None:
-        if geometry.limits is None or not geometry.limits.are_finite:
-            raise ArgumentError("centre", "readings, as the geometry has no finite limits", "None")
-        centre = geometry.limits.ends.mean(axis=0)
+        if machine.limits is None or not machine.limits.are_finite:
+            raise ArgumentError("centre", "readings, as the machine has no finite limits", "None")
+        centre = machine.limits.ends.mean(axis=0)
     readings = real_array(centre, "centre", (), f"readings in {legs.unit_text()}")
     if readings.shape not in ((), (6,)):
         raise ArgumentError("centre", "one or six readings", f"shape {readings.shape}")
     readings = np.broadcast_to(readings, 6)
     with raised_as(ArgumentError, "centre"):
-        assembled = forward_physical(geometry, readings).exists
+        assembled = forward_physical(machine, readings).exists
     if not assembled:
         received = f"{readings.max():g} {legs.units[0]} at the largest"
         raise ArgumentError("centre", "readings with which the machine can be assembled", received)
@@ -324,12 +324,12 @@ def largest_certified_limits(
     directions = np.concatenate([list(product((-1.0, 1.0), repeat=6)), rng.uniform(-1.0, 1.0, (_LINES, 6))])
     directions /= np.abs(directions).max(axis=-1, keepdims=True)
     ends = readings + 0.999 * reach * directions
-    shares = existing_share(partial(forward_physical, geometry), readings, ends)
+    shares = existing_share(partial(forward_physical, machine), readings, ends)
     best, narrow, wide = None, 0.0, 0.999 * reach * float(shares.min())
     half = (1.0 - 0.9 * tolerance) * wide
     while wide - narrow > tolerance * wide:
         limits = LegLimits(tuple(readings - half), tuple(readings + half))
-        certificate = certify(geometry, limits, boxes=boxes, length_error=length_error, angle_error=angle_error)
+        certificate = certify(machine, limits, boxes=boxes, length_error=length_error, angle_error=angle_error)
         if certificate.holds:
             best, narrow = certificate, half
         else:
@@ -341,22 +341,24 @@ def largest_certified_limits(
     return best
 
 
-def stage_regions(geometry: Geometry, limits: LegLimits, errors: tuple[float, float] = (0.0, 0.0)) -> list[StageRegion]:
+def stage_regions(
+    machine: Manipulator, limits: LegLimits, errors: tuple[float, float] = (0.0, 0.0)
+) -> list[StageRegion]:
     """Return the regions of both stages to be searched, lower first, for all machines within errors [m, rad]."""
-    radii = geometry.base_radius, geometry.platform_radius
+    radii = machine.base_radius, machine.platform_radius
     low, high = limits.admitted.reshape(2, 2, 3)
-    length, angle = _widened(geometry, errors)
-    kinds = geometry.legs.kinds
-    return [StageRegion(radii[k], geometry.middle_side, low[k], high[k], kinds[k], length, angle) for k in range(2)]
+    length, angle = _widened(machine, errors)
+    kinds = machine.legs.kinds
+    return [StageRegion(radii[k], machine.middle_side, low[k], high[k], kinds[k], length, angle) for k in range(2)]
 
 
-def _widened(geometry: Geometry, errors: tuple[float, float]) -> tuple[float, float]:
+def _widened(machine: Manipulator, errors: tuple[float, float]) -> tuple[float, float]:
     """Return errors enlarged by rounding, so that a machine on their edge is within them; zeros stay zeros."""
     length, angle = errors
-    return (length + _ROUNDING * sum(geometry.dimensions), angle + _ROUNDING) if any(errors) else errors
+    return (length + _ROUNDING * sum(machine.dimensions), angle + _ROUNDING) if any(errors) else errors
 
 
-def _deviation(machine: Geometry, nominal: Geometry) -> tuple[float, float]:
+def _deviation(machine: Manipulator, nominal: Manipulator) -> tuple[float, float]:
     """Return the largest errors of a machine's lengths [m] and angles [rad] against a nominal one.
 
     Infinite if of other legs. The frame {n} is where the balls are nearest to the nominal ones, if that is better.
@@ -379,7 +381,7 @@ def _deviation(machine: Geometry, nominal: Geometry) -> tuple[float, float]:
     return float(max(offs, errors[~are_angles & ~are_balls].max())), float(errors[are_angles].max())
 
 
-def free_of_singularities(machines: Sequence[Geometry], boxes: int) -> BoolArray:
+def free_of_singularities(machines: Sequence[Manipulator], boxes: int) -> BoolArray:
     """Return which machines (N,) are proved free of forward singularities within their limits.
 
     At most `boxes` are looked at for a stage. Where its legs have equal limits, the stage is the same after a turn by

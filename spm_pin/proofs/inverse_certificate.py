@@ -29,7 +29,7 @@ from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LegLimits
-from spm_pin.machine.manipulator import Geometry, check_rps
+from spm_pin.machine.manipulator import Manipulator, check_rps
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
 from spm_pin.proofs.stage_proof import Int64Array, StageProof, StageRegion, columns, rounded_down
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
@@ -52,7 +52,7 @@ _CORNERS = np.array(list(product((0, 1), repeat=4))).reshape(16, 2, 2)
 class InverseCertificate:
     """Result of a proof about det K, which vanishes at inverse singularities."""
 
-    geometry: Geometry
+    machine: Manipulator
     """Dimensions of the manipulator."""
     region: str
     """Which limits were searched, in words."""
@@ -94,13 +94,13 @@ class InverseCertificate:
 
 
 def certify_inverse(
-    geometry: Geometry, limits: LegLimits | None = None, *, boxes: int = 300_000, forward: Certificate | None = None
+    machine: Manipulator, limits: LegLimits | None = None, *, boxes: int = 300_000, forward: Certificate | None = None
 ) -> InverseCertificate:
     """Prove that leg limits exclude inverse singularities, of what is joined to the home within them.
 
     Parameters
     ----------
-    geometry, limits, boxes
+    machine, limits, boxes
         As for `spm_pin.certify`, without errors; `boxes` for the pairs of stages as well.
     forward : Certificate, optional
         What `spm_pin.certify` returned for these; computed if it is not given.
@@ -110,57 +110,57 @@ def certify_inverse(
     InverseCertificate
         With a witness for limits in which det K changes its sign, as between 1.1 and 1.5 m of the paper's machine.
     """
-    check_instance(geometry, Geometry, "geometry")
-    check_rps(geometry, "certificates of poses")
-    if not geometry.is_nominal:
-        cause = "Its drawing is one: geometry.nominal, or the file without its legs"
-        raise GeometryError("geometry", "a drawn machine", "a machine as built", cause)
+    check_instance(machine, Manipulator, "machine")
+    check_rps(machine, "certificates of poses")
+    if not machine.is_nominal:
+        cause = "Its drawing is one: machine.nominal, or the file without its legs"
+        raise GeometryError("machine", "a drawn machine", "a machine as built", cause)
     whole_number(boxes, "boxes", least=1)
     if forward is None:
-        forward = certify(geometry, limits, boxes=boxes)
+        forward = certify(machine, limits, boxes=boxes)
     elif any(check_instance(forward, Certificate, "forward").errors):
         raise ArgumentError("forward", "a certificate of one machine, without errors", "one of machines with errors")
-    elif forward.geometry.dimensions != geometry.dimensions or forward.limits != (limits or geometry.limits):
-        raise ArgumentError("forward", "a certificate of `geometry` and `limits`", "one of others")
+    elif forward.machine.dimensions != machine.dimensions or forward.limits != (limits or machine.limits):
+        raise ArgumentError("forward", "a certificate of `machine` and `limits`", "one of others")
     limits = forward.limits
     stages = [
         _StageCells(region, proof)
-        for region, proof in zip(stage_regions(geometry, limits), (forward.lower, forward.upper), strict=True)
+        for region, proof in zip(stage_regions(machine, limits), (forward.lower, forward.upper), strict=True)
     ]
     low, high = limits.ends
     legs = np.random.default_rng(0).uniform(low, high, (_SAMPLES, 6))
     legs[0] = 0.5 * (low + high)
-    legs = legs[forward_physical(geometry, legs).exists]
+    legs = legs[forward_physical(machine, legs).exists]
 
-    values = _scaled_determinant(geometry, legs)
-    witness = _zero_between(geometry, legs[values <= 0.0], legs[values > 0.0])
+    values = _scaled_determinant(machine, legs)
+    witness = _zero_between(machine, legs[values <= 0.0], legs[values > 0.0])
     name = f"Leg lengths from {low.min():g} m to {high.max():g} m"
     least = float(np.abs(values).min())
     if witness is not None:
-        return InverseCertificate(geometry, name, 0.0, 0.0, np.empty((0, 4, 2)), witness, 0)
+        return InverseCertificate(machine, name, 0.0, 0.0, np.empty((0, 4, 2)), witness, 0)
     bound, undecided, seen = _divide(stages, 0.5 * least, boxes)
-    return InverseCertificate(geometry, name, bound, least, undecided, None, seen)
+    return InverseCertificate(machine, name, bound, least, undecided, None, seen)
 
 
-def _scaled_determinant(geometry: Geometry, legs: FloatArray) -> FloatArray:
+def _scaled_determinant(machine: Manipulator, legs: FloatArray) -> FloatArray:
     """Return det K / d³ of the physical states of leg lengths (..., 6); NaN where there is none."""
-    return np.asarray(determinants(forward_physical(geometry, legs))[..., 2] / geometry.middle_side**3)
+    return np.asarray(determinants(forward_physical(machine, legs))[..., 2] / machine.middle_side**3)
 
 
-def _zero_between(geometry: Geometry, low: FloatArray, high: FloatArray) -> Configuration | None:
+def _zero_between(machine: Manipulator, low: FloatArray, high: FloatArray) -> Configuration | None:
     """Return an inverse singular state between leg lengths (n, 6) and (m, 6), with det K of opposite signs.
 
     Not every straight way from one to another has states all along: pairs are tried, the nearest first.
     """
 
     def value(share: float, start: FloatArray, step: FloatArray) -> float:
-        return float(_scaled_determinant(geometry, start + share * step))
+        return float(_scaled_determinant(machine, start + share * step))
 
     for k in scipy.spatial.distance.cdist(low, high).argsort(axis=None)[:_PAIRS]:
         start, step = low[k // len(high)], high[k % len(high)] - low[k // len(high)]
         with contextlib.suppress(ValueError):  # of a value that is NaN
             share = scipy.optimize.brentq(value, 0.0, 1.0, args=(start, step), xtol=1e-15)
-            return forward_physical(geometry, start + share * step)
+            return forward_physical(machine, start + share * step)
     return None
 
 

@@ -42,7 +42,7 @@ from spm_pin.formulas.planar_legs import Circle
 from spm_pin.formulas.stages import pair_determinant
 from spm_pin.formulas.vectors import combined, matrix_product, minus, times
 from spm_pin.kinematics.intervals import INTERVALS, SQRT_3, Interval, as_interval
-from spm_pin.machine import Configuration, Geometry
+from spm_pin.machine import Configuration, Manipulator
 from spm_pin.machine.branch_of_state import stage_coordinates
 from spm_pin.machine.leg_kinds import KINDS, RPS, LegKind
 from spm_pin.support.arguments import BoolArray, FloatArray
@@ -285,14 +285,14 @@ def region_coordinates(configuration: Configuration) -> FloatArray:
     return _MIRROR * stage_coordinates(configuration)
 
 
-def configuration_at(geometry: Geometry, states: FloatArray) -> Configuration:
+def configuration_at(machine: Manipulator, states: FloatArray) -> Configuration:
     """Return the configuration of the states (2, 3) of both stages of a drawn machine."""
-    r, poses = geometry.middle_radius, []
+    r, poses = machine.middle_radius, []
     for x, y, z in _MIRROR * states:
         rotation = Rotation.from_quat([x, y, 0.0, np.sqrt(max(1.0 - x * x - y * y, 0.0))])
         poses.append(RigidTransform.from_components([-2.0 * r * x * y, r * (y * y - x * x), z], rotation))
-    joints = poses[0].apply(r * geometry.radial_directions)
-    return Configuration(geometry, poses[0] * poses[1].inv(), joints)
+    joints = poses[0].apply(r * machine.radial_directions)
+    return Configuration(machine, poses[0] * poses[1].inv(), joints)
 
 
 @dataclass(frozen=True)

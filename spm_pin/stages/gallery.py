@@ -19,7 +19,7 @@ class RealMachine:
     architecture: str
     """Its name in the literature, such as "3-RRS"."""
     stages: tuple[Stage, ...]
-    """The stage; or two, which `spm_pin.Geometry.of_stages` takes.
+    """The stage; or two, which `spm_pin.Manipulator.of_stages` takes.
 
     Of a 3-SPR the plate of pivots moves, and the stage is the machine as seen from there.
     """

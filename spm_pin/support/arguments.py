@@ -57,7 +57,7 @@ def check_instance(value: Any, kind: type[Kind], argument: str, cause: str = "")
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         if type(value).__name__ in ("Stage", "StageConfiguration") and kind.__name__ in ("Geometry", "Configuration"):
-            cause = "For a stage alone there is spm_pin.stages; Geometry.of_stages makes a robot of two"
+            cause = "For a stage alone there is spm_pin.stages; Manipulator.of_stages makes a robot of two"
         raise ArgumentError(argument, f"{article} {kind.__name__}", type(value).__name__, cause)
     return value
 

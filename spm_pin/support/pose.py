@@ -165,10 +165,10 @@ def first_wrong_quaternion(quaternions: FloatArray) -> tuple[tuple[int, ...], st
     return index, f"length {lengths[index]:g}", cause
 
 
-def inverse_command(translation: FloatArray, xyx: FloatArray, geometry_file: str | None = None) -> str:
+def inverse_command(translation: FloatArray, xyx: FloatArray, machine_file: str | None = None) -> str:
     """Return the command that solves one pose: translation (3,) [m], X-Y-X angles (3,) in degrees."""
     numbers = [" ".join(repr(float(x)) for x in part) for part in (translation, xyx)]
-    robot = "" if geometry_file is None else f" --geometry {shlex.quote(geometry_file)}"
+    robot = "" if machine_file is None else f" --machine {shlex.quote(machine_file)}"
     return f"spm-pin inverse --translation {numbers[0]} --xyx {numbers[1]}{robot}"
 
 

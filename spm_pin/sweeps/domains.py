@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import LEGS, Geometry
+from spm_pin.machine import LEGS, Manipulator
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, whole_number
 from spm_pin.sweeps.metrics import STATUS, Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points, Space
@@ -291,7 +291,7 @@ def _three(ranges: Any, argument: str) -> list[AxisRange]:
 class SweepPlan:
     """Everything that determines the bytes of a store."""
 
-    geometry: Geometry
+    machine: Manipulator
     domain: Domain
     metrics: tuple[Metric, ...]
     """In the order of their names."""
@@ -301,11 +301,11 @@ class SweepPlan:
     """Version of this package."""
 
     @classmethod
-    def make(cls, geometry: Geometry, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> SweepPlan:
+    def make(cls, machine: Manipulator, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> SweepPlan:
         """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
-        check_instance(geometry, Geometry, "geometry")
+        check_instance(machine, Manipulator, "machine")
         check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
-        for axis, least in zip(domain.axes, geometry.legs.free_limits.minimum, strict=True):
+        for axis, least in zip(domain.axes, machine.legs.free_limits.minimum, strict=True):
             if axis.name in LEGS and axis.start <= least:
                 raise ArgumentError(axis.name, "positive lengths in metres", f"{axis.start:g}")
         # By name, so that their order makes no other sweep.
@@ -313,17 +313,17 @@ class SweepPlan:
         reserved = [metric.name for metric in ordered if metric.name in _RESERVED]
         if reserved:
             raise ArgumentError("metrics", "names other than those of the coordinates", ", ".join(reserved))
-        return cls(geometry, domain, ordered, domain.chunk_shape(chunk), package_version())
+        return cls(machine, domain, ordered, domain.chunk_shape(chunk), package_version())
 
     @classmethod
     def from_definition(cls, content: dict[str, Any]) -> SweepPlan:
         """Make a plan from its `text` as JSON; metrics that are none of this package's are named, but not computed."""
-        geometry, domain = Geometry.from_data(content["geometry"], "geometry"), content["domain"]
+        machine, domain = Manipulator.from_data(content["geometry"], "geometry"), content["domain"]
         axes, sample = tuple(Axis(**axis) for axis in domain["axes"]), domain["sample"]
         domain = Domain(domain["space"], axes, sample and Sample(**sample))
         metrics = tuple(map(Metric.from_definition, content["metrics"]))
         chunk = domain.chunk_shape(math.prod(content["chunk"]))
-        return cls(geometry, domain, metrics, chunk, content["spm_pin"])
+        return cls(machine, domain, metrics, chunk, content["spm_pin"])
 
     @cached_property
     def text(self) -> str:
@@ -331,7 +331,7 @@ class SweepPlan:
         definition = {
             "format": FORMAT,
             "spm_pin": self.version,
-            "geometry": self.geometry.as_data(),
+            "geometry": self.machine.as_data(),
             "domain": asdict(self.domain),
             "metrics": [metric.definition() for metric in self.metrics],
             "chunk": self.chunk,
@@ -350,7 +350,7 @@ class SweepPlan:
 
     def unit(self, axis: Axis) -> str:
         """Return the unit of a coordinate, "m" or "rad"."""
-        legs = dict(zip(LEGS, self.geometry.legs.units, strict=True))
+        legs = dict(zip(LEGS, self.machine.legs.units, strict=True))
         return legs.get(axis.name, "rad" if axis.name in _ANGLES else "m")
 
     @property
@@ -377,7 +377,7 @@ class SweepPlan:
 
         first = self.domain.points((0,) * len(self.chunk), (1,) * len(self.chunk))
         with expecting(self.domain.size):
-            prepare_metrics(self.metrics, Points(self.geometry, self.domain.space, first))
+            prepare_metrics(self.metrics, Points(self.machine, self.domain.space, first))
 
     def evaluate(self, index: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
         """Return the values of all variables on the chunk at `index`, each of the shape of its region."""
@@ -386,7 +386,7 @@ class SweepPlan:
         values = {metric.name: np.empty(count, dtype=metric.dtype) for metric in variables}
         for first in range(0, count, _BLOCK):
             block = slice(first, first + _BLOCK)
-            points = Points(self.geometry, self.domain.space, coordinates[block])
+            points = Points(self.machine, self.domain.space, coordinates[block])
             for metric in variables:
                 values[metric.name][block] = metric.evaluate(points)
         shape = tuple(part.stop - part.start for part in self.domain.region(index, self.chunk))

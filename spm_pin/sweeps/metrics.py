@@ -268,7 +268,7 @@ def condition(
     --------
     >>> import spm_pin as spm
     >>> good = spm.sweeps.condition("conditioning", least=1 / 60)
-    >>> state = spm.forward_physical(spm.Geometry.paper(), [[1.11, 1.49, 1.43, 1.15, 1.44, 1.2], [1.3] * 6])
+    >>> state = spm.forward_physical(spm.Manipulator.paper(), [[1.11, 1.49, 1.43, 1.15, 1.44, 1.2], [1.3] * 6])
     >>> good(state).tolist()
     [True, False]
     """
@@ -285,8 +285,8 @@ def condition(
 
 
 def _is_within(metric: Metric, least: float, most: float, states: Configuration) -> BoolArray:
-    # States may be outside limits of the geometry, where others were given to the function that asks.
-    machine = dataclasses.replace(states.geometry, limits=None)
+    # States may be outside limits of the machine, where others were given to the function that asks.
+    machine = dataclasses.replace(states.machine, limits=None)
     values = metric.evaluate(Points(machine, "legs", states.readings.reshape(-1, 6)))
     return np.asarray((values >= least) & (values <= most)).reshape(states.shape)
 
@@ -311,15 +311,15 @@ def _branch(points: Points) -> npt.ArrayLike:
 def _assembly_modes(points: Points) -> npt.ArrayLike:
     readings = points.reached.readings
     batches = range(0, max(1, len(readings)), _MODES_AT_A_TIME)
-    counts = [forward_displacement(points.geometry, readings[k : k + _MODES_AT_A_TIME]).count for k in batches]
+    counts = [forward_displacement(points.machine, readings[k : k + _MODES_AT_A_TIME]).count for k in batches]
     return points.spread(np.concatenate(counts), absent=0.0).astype(np.int16)
 
 
 def _leg_margin(points: Points) -> npt.ArrayLike:
     """Return the margin of the worst leg; of the physical branches of a pose the one with the largest margin counts."""
-    if points.geometry.limits is None:
-        raise ArgumentError("geometry", "one with leg limits, of which a margin can be left", "none")
-    scale = points.geometry.legs.largest_slopes
+    if points.machine.limits is None:
+        raise ArgumentError("machine", "one with leg limits, of which a margin can be left", "none")
+    scale = points.machine.legs.largest_slopes
     if points.space == "legs":
         return np.where(points.assembled.exists, points.limits.margin(points.coordinates, scale), np.nan)
     margins = points.limits.margin(points.solutions.readings, scale)

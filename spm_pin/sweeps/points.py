@@ -18,7 +18,7 @@ from spm_pin.kinematics import (
     singular_values,
     singularities,
 )
-from spm_pin.machine import BRANCHES, Configuration, Geometry, LegLimits, SolutionSet, Status
+from spm_pin.machine import BRANCHES, Configuration, LegLimits, Manipulator, SolutionSet, Status
 from spm_pin.support.arguments import BoolArray, FloatArray, frozen
 
 Space = Literal["pose", "legs"]
@@ -37,7 +37,7 @@ class Points:
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator; its leg limits, if it has any, decide what is reachable.
     space : {"pose", "legs"}
         Kind of the coordinates.
@@ -45,8 +45,8 @@ class Points:
         x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], of RRS legs [rad].
     """
 
-    def __init__(self, geometry: Geometry, space: Space, coordinates: FloatArray) -> None:
-        self.geometry = geometry
+    def __init__(self, machine: Manipulator, space: Space, coordinates: FloatArray) -> None:
+        self.machine = machine
         self.space = space
         self.coordinates = frozen(coordinates)
         self._singular_values: dict[float, FloatArray] = {}
@@ -56,8 +56,8 @@ class Points:
 
     @cached_property
     def limits(self) -> LegLimits:
-        """The geometry's leg limits; without any, limits that exclude nothing."""
-        return self.geometry.limits or self.geometry.legs.free_limits
+        """The machine's leg limits; without any, limits that exclude nothing."""
+        return self.machine.limits or self.machine.legs.free_limits
 
     @cached_property
     def status(self) -> npt.NDArray[np.int8]:
@@ -83,8 +83,8 @@ class Points:
         Where points are leg lengths, of the pose of `assembled`; no branch exists where that does not.
         """
         if self.space == "pose":
-            return inverse_displacement(self.geometry, self._poses)
-        exists, solutions = self.assembled.exists, inverse_displacement(self.geometry, self._poses)
+            return inverse_displacement(self.machine, self._poses)
+        exists, solutions = self.assembled.exists, inverse_displacement(self.machine, self._poses)
         branches = solutions.configurations.transformed(lambda values, _: _spread(values, exists))
         status = _spread(np.asarray(solutions.status), exists, Status.UNREACHABLE).astype(np.int8)
         return SolutionSet(branches, BRANCHES, status)
@@ -111,7 +111,7 @@ class Points:
             return frozen(reachable), self.assembled[reachable]
         # Most points of a box have no branch within the limits: the others alone are solved for the joints.
         reachable = np.asarray(self.branches_within.any(axis=-1))
-        states = inverse_physical(self.geometry, _Poses(*(values[reachable] for values in self._poses)))
+        states = inverse_physical(self.machine, _Poses(*(values[reachable] for values in self._poses)))
         is_within = self.limits.contains(states.readings)
         reachable[reachable] = is_within
         return frozen(reachable), states[is_within]
@@ -128,7 +128,7 @@ class Points:
     @cached_property
     def determinants(self) -> FloatArray:
         """Values of det J_b, det J_c and det K over d³ at the M `reached` points, shape (M, 3)."""
-        return frozen(determinants(self.reached) / self.geometry.middle_side**3)
+        return frozen(determinants(self.reached) / self.machine.middle_side**3)
 
     @cached_property
     def platform_jacobians(self) -> FloatArray:
@@ -140,9 +140,9 @@ class Points:
 
         Rates of RRS legs are those of their knees [m/s].
         """
-        length = self.geometry.platform_radius if length is None else length
+        length = self.machine.platform_radius if length is None else length
         if length not in self._singular_values:
-            scales = np.repeat([1.0, length], 3)[:, None] / self.geometry.legs.largest_slopes
+            scales = np.repeat([1.0, length], 3)[:, None] / self.machine.legs.largest_slopes
             scaled = self.platform_jacobians * scales
             self._singular_values[length] = frozen(singular_values(scaled))
         return self._singular_values[length]
@@ -150,7 +150,7 @@ class Points:
     @cached_property
     def assembled(self) -> Configuration:
         """The physical configuration with readings that are the coordinates, limits aside, shape (N,)."""
-        return forward_physical(self.geometry, self.coordinates)
+        return forward_physical(self.machine, self.coordinates)
 
     @cached_property
     def _poses(self) -> _Poses:
@@ -163,11 +163,11 @@ class Points:
     @cached_property
     def _branches(self) -> tuple[FloatArray, npt.NDArray[np.int8]]:
         """Readings of all branches, shape (N, 8, 6), and the status of the M `_poses`."""
-        if self.geometry.legs.are_rps:
-            lengths, status = branch_lengths(self.geometry, self._poses)
-            readings = lengths + self.geometry.legs.offsets
+        if self.machine.legs.are_rps:
+            lengths, status = branch_lengths(self.machine, self._poses)
+            readings = lengths + self.machine.legs.offsets
         else:
-            branches = inverse_displacement(self.geometry, self._poses)
+            branches = inverse_displacement(self.machine, self._poses)
             readings, status = np.array(branches.readings), np.array(branches.status)
         if self.space == "legs":
             readings = _spread(readings, self.assembled.exists)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from spm_pin.errors import ArgumentError, SpmError, require_extra
-from spm_pin.machine import Geometry
+from spm_pin.machine import Manipulator
 from spm_pin.support.arguments import check_instance, check_progress, whole_number
 from spm_pin.support.progress import shown_progress
 from spm_pin.sweeps.domains import Domain, SweepPlan, package_version
@@ -87,7 +87,7 @@ class SweepStatus:
 
 
 def run_sweep(
-    geometry: Geometry,
+    machine: Manipulator,
     domain: Domain,
     metrics: Iterable[str | Metric],
     store: str | os.PathLike[str],
@@ -101,7 +101,7 @@ def run_sweep(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator, with the leg limits that decide what is reachable.
     domain : Domain
         Poses or leg lengths: see `pose_grid`, `leg_grid`, `pose_sample`, `leg_sample`.
@@ -127,7 +127,7 @@ def run_sweep(
         The results, read from the store when used. Besides the metrics it has `status`, a `Status` for each point, and
         -128 where nothing has been computed.
     """
-    plan = SweepPlan.make(geometry, domain, metrics, chunk)
+    plan = SweepPlan.make(machine, domain, metrics, chunk)
     return _run(plan, store_path(store), scheduler, workers, progress)
 
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.machine import Geometry, LegLimits
+from spm_pin.machine import LegLimits, Manipulator
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -194,7 +194,7 @@ class BoundaryPoints:
 class Boundary(ClosedMesh):
     """The boundary of the reachable positions, a mesh in {B}; made by `reachable_boundary`."""
 
-    geometry: Geometry
+    machine: Manipulator
     """The manipulator."""
     limits: LegLimits
     """The leg limits."""
@@ -220,7 +220,7 @@ class Boundary(ClosedMesh):
         weights = np.stack([share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]], axis=-1)
         on_mesh = (self.vertices[self.faces[face]] * weights[..., None]).sum(axis=1)
         outwards = doubled[face] / double_area[face, None]
-        states = states_within(self.geometry, self.limits)
+        states = states_within(self.machine, self.limits)
         left, lift = np.arange(count), 0.1 * self.spacing
         points = on_mesh + lift * outwards
         result = _globally_nearest(states, points)
@@ -331,14 +331,14 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
     # such readings may lead elsewhere: those of the last state within do not.
     vertices = inner + low[:, None] * along
     readings = np.clip(states.readings(outermost), states.minimum, states.maximum)
-    reached = forward_physical(states.geometry, readings).translation
+    reached = forward_physical(states.machine, readings).translation
     lost = ~(np.abs(reached - vertices).max(axis=-1) < 1e-6 * states.size)
     readings[lost] = np.clip(states.readings(within[lost]), states.minimum, states.maximum)
     return vertices, readings
 
 
 def reachable_boundary(
-    geometry: Geometry,
+    machine: Manipulator,
     limits: LegLimits | None = None,
     *,
     spacing: float | None = None,
@@ -348,10 +348,10 @@ def reachable_boundary(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator.
     limits : LegLimits, optional
-        Leg limits; the geometry's own if not given.
+        Leg limits; the machine's own if not given.
     spacing : float
         Of the grid [m]; about a twentieth of the longest side of what is reached if not given. What is smaller may be
         missed; the vertices lie on the boundary whatever it is. Half the spacing takes eight times as long.
@@ -367,14 +367,14 @@ def reachable_boundary(
     Examples
     --------
     >>> import spm_pin as spm
-    >>> boundary = spm.workspace.reachable_boundary(spm.Geometry.paper(), spacing=0.2)
+    >>> boundary = spm.workspace.reachable_boundary(spm.Manipulator.paper(), spacing=0.2)
     >>> 1.7 < boundary.volume < 1.9
     True
     """
     require_extra("workspace", "skimage")
     measure: Any = import_module("skimage.measure")
-    limits = finite_limits(geometry, limits)
-    states = states_within(geometry, limits)
+    limits = finite_limits(machine, limits)
+    states = states_within(machine, limits)
     if spacing is None:
         spacing = float(f"{np.ptp(start_table(states).extent, axis=0).max() / _STEPS:.2g}")
     spacing = real_number(spacing, "spacing", "a positive length in metres", above=0.0)
@@ -386,5 +386,5 @@ def reachable_boundary(
         raise ArgumentError("spacing", "a spacing much smaller than the reachable set, in metres", spacing, cause)
     corners, faces, _, _ = measure.marching_cubes(np.where(grid.inside, 1.0, -1.0), 0.0)
     vertices, readings = grid.crossings(corners.astype(np.float64))
-    boundary = Boundary(vertices, faces.astype(np.intp), geometry, limits, spacing, readings)
+    boundary = Boundary(vertices, faces.astype(np.intp), machine, limits, spacing, readings)
     return boundary if boundary.volume > 0.0 else replace(boundary, faces=boundary.faces[:, ::-1])

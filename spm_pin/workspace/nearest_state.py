@@ -51,10 +51,10 @@ class _Problem:
 
     def __init__(self, states: StateSet, target: FloatArray, body: FloatArray) -> None:
         rows = 3 * len(body)
-        self._states, self._machine = states, states.machine(body)
+        self._states, self._constants = states, states.constants(body)
         self._target, self._size = target / np.sqrt(len(body)), states.size
         # Rows of what is limited, in units of the size: see `state_search.Problem`.
-        low, high, metres = np.asarray(self._machine[6])
+        low, high, metres = np.asarray(self._constants[6])
         low[6:8], low[8:] = SINGULARITY_MARGIN, _LEAST_ROOM * states.size
         units = metres / states.size
         below, above = np.isfinite(low), np.isfinite(high)
@@ -86,7 +86,7 @@ class _Problem:
         if x.tobytes() != self._at:
             self._at = x.tobytes()
             results = self._points, self._moved, self._values, self._rates, self._places
-            state_terms(x.reshape(2, 3).copy(), self._machine, *results)
+            state_terms(x.reshape(2, 3).copy(), self._constants, *results)
         return bool((self._places >= BEYOND).all())
 
     def objective(self, x: FloatArray) -> tuple[float, FloatArray]:

@@ -20,8 +20,8 @@ from spm_pin.machine import (
     BRANCHES,
     FAMILIES,
     Configuration,
-    Geometry,
     LegLimits,
+    Manipulator,
     PoseLike,
     SolutionSet,
     Status,
@@ -124,7 +124,7 @@ def leg_clearance(configuration: Configuration) -> FloatArray:
     check_configuration(configuration)
     # Of RPS legs the first segment has no length.
     points = [configuration.leg_bases, configuration.circle_centres, configuration.balls]
-    segments = [*pairwise(points[configuration.geometry.legs.are_rps :])]
+    segments = [*pairwise(points[configuration.machine.legs.are_rps :])]
     i, j = _PAIRS.T
     squares = [
         _segment_distance2(p[..., i, :], (q - p)[..., i, :], r[..., j, :], (s - r)[..., j, :]).min(axis=-1)
@@ -204,7 +204,7 @@ class NearestPose:
 
 
 def reachable(
-    geometry: Geometry,
+    machine: Manipulator,
     pose: PoseLike,
     limits: LegLimits | None = None,
     *,
@@ -215,12 +215,12 @@ def reachable(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator.
     pose : pose of shape (...)
         Of {m} in {B}, translation in metres.
     limits : LegLimits, optional
-        Leg limits; the geometry's own if not given; without either, legs are not limited.
+        Leg limits; the machine's own if not given; without either, legs are not limited.
     joints : JointLimits, optional
         Limits of the passive joints' angles, and of the distance between legs.
     branch : str
@@ -235,18 +235,18 @@ def reachable(
     --------
     >>> import numpy as np, spm_pin as spm
     >>> pose = spm.pose([0.614, 0.451, 2.298], xyx=np.deg2rad([-9.72, 29.12, -11.76]))
-    >>> answer = spm.workspace.reachable(spm.Geometry.paper(), pose)
+    >>> answer = spm.workspace.reachable(spm.Manipulator.paper(), pose)
     >>> answer.reachable, spm.machine.BRANCHES[answer.branch], float(answer.leg_margin[answer.branch].round(2))
     (True, 'TT+', 0.05)
     """
-    limits = given_limits(geometry, limits)
+    limits = given_limits(machine, limits)
     choice(branch, "branch", ("physical", "any", *BRANCHES))
     joints = JointLimits() if joints is None else check_instance(joints, JointLimits, "joints")
-    branches = inverse_displacement(geometry, pose)
+    branches = inverse_displacement(machine, pose)
     states = branches.configurations
     leg_margin = np.where(states.exists, np.inf, np.nan)
     if limits is not None:
-        leg_margin = limits.margin(states.readings, geometry.legs.largest_slopes)
+        leg_margin = limits.margin(states.readings, machine.legs.largest_slopes)
     angle_margin, clearance_margin = joints.angle_margin(states), joints.clearance_margin(states)
     with np.errstate(invalid="ignore"):
         allowed = (leg_margin >= 0.0) & (angle_margin >= 0.0) & (clearance_margin >= 0.0)
@@ -257,28 +257,28 @@ def reachable(
     return Reachability(branches, allowed, leg_margin, angle_margin, clearance_margin)
 
 
-def pose_distance(geometry: Geometry, first: PoseLike, second: PoseLike) -> Any:
+def pose_distance(machine: Manipulator, first: PoseLike, second: PoseLike) -> Any:
     """Return the root mean square displacement of c_1, c_2, c_3 between poses (...) of {m} in {B} [m], (...)."""
-    check_instance(geometry, Geometry, "geometry")
+    check_instance(machine, Manipulator, "machine")
     matrices = [as_rigid_transform(pose, name).as_matrix() for pose, name in ((first, "first"), (second, "second"))]
-    return _distance(geometry, *matrices)
+    return _distance(machine, *matrices)
 
 
-def _distance(geometry: Geometry, first: FloatArray, second: FloatArray) -> Any:
+def _distance(machine: Manipulator, first: FloatArray, second: FloatArray) -> Any:
     """Return the root mean square displacement of the joints between poses (..., 4, 4), a float for one [m]."""
-    moved = _joint_positions(geometry, first - second)
+    moved = _joint_positions(machine, first - second)
     distance = np.asarray(np.sqrt((moved**2).sum(axis=-1) / 3.0))
     return distance if distance.shape else float(distance)
 
 
-def _joint_positions(geometry: Geometry, matrices: FloatArray) -> FloatArray:
+def _joint_positions(machine: Manipulator, matrices: FloatArray) -> FloatArray:
     """Return the positions of c_1, c_2, c_3 in poses (..., 4, 4), shape (..., 9) [m]; linear in the matrices."""
-    moved = geometry.platform_joints @ np.swapaxes(matrices[..., :3, :3], -1, -2)
+    moved = machine.platform_joints @ np.swapaxes(matrices[..., :3, :3], -1, -2)
     return (matrices[..., None, :3, 3] + moved).reshape(*matrices.shape[:-2], 9)
 
 
 def nearest_reachable_pose(
-    geometry: Geometry,
+    machine: Manipulator,
     pose: PoseLike,
     limits: LegLimits | None = None,
     *,
@@ -289,12 +289,12 @@ def nearest_reachable_pose(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator.
     pose : pose of shape (...)
         Of {m} in {B}, translation in metres.
     limits : LegLimits, optional
-        Leg limits; the geometry's own if not given. With `LegLimits(0.0, inf)`, or without either, legs are not
+        Leg limits; the machine's own if not given. With `LegLimits(0.0, inf)`, or without either, legs are not
         limited.
     branch : str, optional
         Without leg limits, the branch that has to be real, one of `BRANCHES`; if not given that of `near`, or "TT+".
@@ -311,52 +311,52 @@ def nearest_reachable_pose(
     Raises
     ------
     ArgumentError
-        If `near` does not exist, is outside the limits or of another geometry, or no lengths within the limits belong
+        If `near` does not exist, is outside the limits or of another machine, or no lengths within the limits belong
         to a configuration.
 
     Examples
     --------
     >>> import spm_pin as spm
-    >>> geometry = spm.Geometry.paper()
-    >>> nearest = spm.workspace.nearest_reachable_pose(geometry, spm.pose([0.3, 0.1, 3.0], xyx=[0.1, 0.3, -0.1]))
-    >>> bool(geometry.limits.contains(nearest.configuration.readings)), round(nearest.distance, 3)
+    >>> machine = spm.Manipulator.paper()
+    >>> nearest = spm.workspace.nearest_reachable_pose(machine, spm.pose([0.3, 0.1, 3.0], xyx=[0.1, 0.3, -0.1]))
+    >>> bool(machine.limits.contains(nearest.configuration.readings)), round(nearest.distance, 3)
     (True, 0.141)
     """
-    limits, target = given_limits(geometry, limits), as_rigid_transform(pose)
-    free = geometry.legs.free_limits
+    limits, target = given_limits(machine, limits), as_rigid_transform(pose)
+    free = machine.legs.free_limits
     limits = limits or free
     limited = bool(np.greater(limits.minimum, free.minimum).any()) or min(limits.maximum) < np.inf
     if near is not None:
-        _check_near(geometry, near, limits)
+        _check_near(machine, near, limits)
     if branch is not None:
         if limited:
             raise ArgumentError("branch", "None where legs are limited", repr(branch))
         choice(branch, "branch", BRANCHES)
     matrices = target.as_matrix().reshape(-1, 4, 4)
     if limited:
-        states = _nearest_within(geometry, matrices, limits, near)
+        states = _nearest_within(machine, matrices, limits, near)
     else:
         own = "TT+" if near is None else FAMILIES[int(family(near))] + ("+" if branch_sign(near) >= 0.0 else "-")
-        states = _nearest_real(geometry, matrices, branch or own, near)
+        states = _nearest_real(machine, matrices, branch or own, near)
     states = states.transformed(lambda array, inner: array.reshape(*target.shape, *array.shape[array.ndim - inner :]))
-    return NearestPose(states, _distance(geometry, states.pose.as_matrix(), target.as_matrix()))
+    return NearestPose(states, _distance(machine, states.pose.as_matrix(), target.as_matrix()))
 
 
-def _check_near(geometry: Geometry, near: Configuration, limits: LegLimits) -> None:
+def _check_near(machine: Manipulator, near: Configuration, limits: LegLimits) -> None:
     if check_instance(near, Configuration, "near").shape or not near.exists:
         raise ArgumentError("near", "a single Configuration that exists", repr(near))
-    check_same_machine(near.geometry, geometry, "near", "`geometry`")
+    check_same_machine(near.machine, machine, "near", "`machine`")
     if not limits.contains(near.readings):
         raise ArgumentError("near", "a configuration within the leg limits", repr(near))
 
 
 def _nearest_within(
-    geometry: Geometry, matrices: FloatArray, limits: LegLimits, near: Configuration | None
+    machine: Manipulator, matrices: FloatArray, limits: LegLimits, near: Configuration | None
 ) -> Configuration:
     """Return the states (N,) within leg limits nearest to poses (N, 4, 4)."""
-    joints, targets = geometry.platform_joints, _joint_positions(geometry, matrices)
+    joints, targets = machine.platform_joints, _joint_positions(machine, matrices)
     if near is None:
-        states = states_within(geometry, limits)
+        states = states_within(machine, limits)
         pairs, places = states.pairs_of_few(joints)
         ends = []
         for target in targets:
@@ -368,10 +368,10 @@ def _nearest_within(
     if states.aspects == (HOME_ASPECT, HOME_ASPECT):
         return states.states(result.coordinates, result.readings)
     # Elsewhere the sign of a determinant does not tell one aspect from another: the way from `near` does.
-    followed = forward_physical(geometry, result.readings, near=near)
+    followed = forward_physical(machine, result.readings, near=near)
     gap = np.abs(followed.middle_joints - states.states(result.coordinates).middle_joints).max(axis=(-1, -2))
     with np.errstate(invalid="ignore"):
-        kept = gap <= _MODE_TOLERANCE * geometry.middle_side
+        kept = gap <= _MODE_TOLERANCE * machine.middle_side
     return states.states(np.where(kept[:, None, None], result.coordinates, start))
 
 
@@ -384,14 +384,14 @@ def _unlike(states: FloatArray, count: int) -> FloatArray:
     return states[chosen]
 
 
-def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: Configuration | None) -> Configuration:
+def _nearest_real(machine: Manipulator, matrices: FloatArray, branch: str, near: Configuration | None) -> Configuration:
     """Return the states (N,) nearest to poses (N, 4, 4) in which a branch is real, whatever the lengths of the legs."""
-    solved = inverse_displacement(geometry, as_rigid_transform(matrices))[branch]
+    solved = inverse_displacement(machine, as_rigid_transform(matrices))[branch]
     left = np.flatnonzero(~solved.exists)
     if not len(left):
         return solved
-    states, joints = free_states(geometry, branch[:2]), geometry.platform_joints
-    targets, rng = _joint_positions(geometry, matrices[left]), np.random.default_rng(_SEED)
+    states, joints = free_states(machine, branch[:2]), machine.platform_joints
+    targets, rng = _joint_positions(machine, matrices[left]), np.random.default_rng(_SEED)
     sample = np.empty((_FREE_SAMPLE, 2, 3))
     # Most near the rim of the unit circle: in families of two modes the nearest states are there.
     radius = np.sqrt(1.0 - rng.uniform(0.0, 1.0, sample.shape[:2]) ** 2)
@@ -400,12 +400,12 @@ def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: C
     heights = rng.uniform(-1.0, 1.0, sample.shape[:2]) / states.radius
     nearest = []
     for target in targets:
-        sample[..., 2] = heights * (np.abs(target).max() + geometry.middle_side)
+        sample[..., 2] = heights * (np.abs(target).max() + machine.middle_side)
         distance = ((states.positions(sample, joints) - target) ** 2).sum(axis=-1)
         nearest.append(sample[np.argpartition(distance, _FREE_STARTS)[:_FREE_STARTS]])
     starts = np.array(nearest)
     if near is not None and FAMILIES[int(family(near))] == branch[:2]:
-        last = states.coordinates(Configuration(geometry, near.pose.as_matrix()[None], near.middle_joints[None]))
+        last = states.coordinates(Configuration(machine, near.pose.as_matrix()[None], near.middle_joints[None]))
         starts = np.concatenate([np.broadcast_to(last, (len(left), 1, 2, 3)), starts], axis=1)
     result = nearest_states(states, targets, starts, joints)
     for spread in _SPREADS:
@@ -428,4 +428,4 @@ def _nearest_real(geometry: Geometry, matrices: FloatArray, branch: str, near: C
         array, (first, second) = np.array(getattr(solved, name)), (getattr(side, name) for side in sides)
         array[left] = np.where(wanted.reshape(-1, *(1,) * (first.ndim - 1)), first, second)
         arrays.append(array)
-    return Configuration.from_arrays(geometry, *arrays)
+    return Configuration.from_arrays(machine, *arrays)

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.machine import Configuration, Geometry, LegLimits
+from spm_pin.machine import Configuration, LegLimits, Manipulator
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -156,12 +156,12 @@ def _counted_ends(values: FloatArray, unseen: float, confidence: float) -> tuple
     return end(0.5 - 0.5 * confidence, 0.0), end(0.5 + 0.5 * confidence, max(float(values.max()), unseen))
 
 
-def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLimits | None = None) -> PositionReach:
+def reachable_position(machine: Manipulator, points: npt.ArrayLike, limits: LegLimits | None = None) -> PositionReach:
     """Find which positions o can reach in some orientation, in the physical mode, and the nearest to the others.
 
     Parameters
     ----------
-    geometry, limits
+    machine, limits
         As for `reachable_boundary`.
     points : array_like, shape (..., 3)
         In {B} [m].
@@ -172,7 +172,7 @@ def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLim
     the nearest position either, `undecided` says so.
     """
     array = real_array(points, "points", (3,), "positions in metres")
-    states = states_within(geometry, limits)
+    states = states_within(machine, limits)
     flat, shape = array.reshape(-1, 3), array.shape[:-1]
     result = nearest_points(states, flat)
     reached = result.distance <= RESOLUTION * states.size
@@ -186,7 +186,7 @@ def reachable_position(geometry: Geometry, points: npt.ArrayLike, limits: LegLim
 
 
 def reachable_volume(
-    geometry: Geometry,
+    machine: Manipulator,
     limits: LegLimits | None = None,
     *,
     method: Literal["sampling", "mesh"] = "sampling",
@@ -200,7 +200,7 @@ def reachable_volume(
 
     Parameters
     ----------
-    geometry, limits, progress
+    machine, limits, progress
         As for `reachable_boundary`.
     method : str
         "sampling": the share of uniform points that are reachable, with Clopper and Pearson's interval, whose upper end
@@ -221,11 +221,11 @@ def reachable_volume(
     if choice(method, "method", ("sampling", "mesh")) == "mesh":
         if where is not None:
             raise ArgumentError("where", 'None with the method "mesh"', type_and_value(where))
-        coarse = reachable_boundary(geometry, limits, spacing=spacing, progress=progress)
-        fine = reachable_boundary(geometry, limits, spacing=0.5 * coarse.spacing, progress=progress)
+        coarse = reachable_boundary(machine, limits, spacing=spacing, progress=progress)
+        fine = reachable_boundary(machine, limits, spacing=0.5 * coarse.spacing, progress=progress)
         return Estimate.from_meshes(coarse, fine)
     count = whole_number(samples, "samples", least=2)
-    states, rng = states_within(geometry, limits), generator(rng)
+    states, rng = states_within(machine, limits), generator(rng)
     points, region = start_table(states).draw_around(count, rng)
     member = search_states(states, points, what="reachable points", progress=shown_progress(progress))
     hits, undecided = member.reached, member.undecided
@@ -237,7 +237,7 @@ def reachable_volume(
 
 
 def pose_volume(
-    geometry: Geometry,
+    machine: Manipulator,
     limits: LegLimits | None = None,
     *,
     where: Condition | None = None,
@@ -248,7 +248,7 @@ def pose_volume(
 
     Parameters
     ----------
-    geometry, limits, rng
+    machine, limits, rng
         As for `reachable_volume`.
     where : callable, optional
         Takes states (n,) and returns which of them count, (n,); all if not given. A state counts with one over the
@@ -263,7 +263,7 @@ def pose_volume(
     Student's; with `where` the wider of that and one of the effective number of states that count, in `method`.
     """
     count = whole_number(samples, "samples", least=2)
-    states, rng = states_within(geometry, limits), generator(rng)
+    states, rng = states_within(machine, limits), generator(rng)
     (lower, first), (upper, second) = (states.draw_stages(stage, count, rng) for stage in range(2))
     number = min(len(lower), len(upper))
     coordinates = np.stack([lower[:number], upper[:number]], axis=1)
@@ -348,7 +348,7 @@ class OrientationWorkspace:
 
 
 def orientation_workspace(
-    geometry: Geometry,
+    machine: Manipulator,
     position: npt.ArrayLike,
     limits: LegLimits | None = None,
     *,
@@ -359,7 +359,7 @@ def orientation_workspace(
 
     Parameters
     ----------
-    geometry, limits, rng
+    machine, limits, rng
         As for `reachable_volume`.
     position : array_like, shape (3,)
         Of o in {B} [m].
@@ -383,7 +383,7 @@ def orientation_workspace(
     if len(point) != 1:
         raise ArgumentError("position", "one position of shape (3,), in metres", f"{len(point)} of them")
     count = whole_number(samples, "samples", least=2)
-    states, rng = states_within(geometry, limits), generator(rng)
+    states, rng = states_within(machine, limits), generator(rng)
     lower, region = states.draw_stages(0, count, rng)
     upper = states.upper_for(lower, point)
     index = np.flatnonzero(states.contains(1, upper))

@@ -167,7 +167,7 @@ def search_states(
     With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `StartTable.nearby`.
     Determinants are larger than `margin`. `what` says what is being done, for `progress`.
     """
-    machine = states.machine(margin=margin)
+    machine = states.constants(margin=margin)
 
     def search(points: FloatArray, starts: FloatArray | None = None) -> Membership:
         from spm_pin.kinematics.kernels.state_search import search_points
@@ -209,7 +209,7 @@ def nearest_states(
     from spm_pin.kinematics.kernels.state_search import search_nearest
 
     inputs = [np.require(array, requirements=("C", "W")) for array in (targets / np.sqrt(len(body)), starts)]
-    constants = states.machine(body, SINGULARITY_MARGIN), most
+    constants = states.constants(body, SINGULARITY_MARGIN), most
     results = ((2, 3), np.float64), ((6,), np.float64), ((2,), np.float64)
     coordinates, readings, quality = run_kernel(search_nearest, inputs, constants, results, 16)
     distance, slope = quality.T

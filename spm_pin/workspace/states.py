@@ -19,7 +19,7 @@ from spm_pin.formulas.stages import ANY_ASPECT, HOME_ASPECT
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.machine import LEGS, Configuration, Geometry, LegLimits
+from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator
 from spm_pin.machine.branch_of_state import FAMILIES, family, physical, stage_coordinates
 from spm_pin.support.arguments import (
     BoolArray,
@@ -72,7 +72,7 @@ class Stages:
 class StateSet:
     """The states of a machine of one family and one aspect, and which of them are within limits."""
 
-    geometry: Geometry
+    machine: Manipulator
     minimum: FloatArray
     """Least readings (6,) [m], of RRS legs [rad]."""
     maximum: FloatArray
@@ -85,12 +85,12 @@ class StateSet:
     @property
     def radius(self) -> float:
         """The middle platform's radius r [m], the unit of heights."""
-        return self.geometry.middle_radius
+        return self.machine.middle_radius
 
     @property
     def size(self) -> float:
         """E + C + d and how far legs reach [m]: lengths are small or large in proportion to it."""
-        g, longest = self.geometry, float(self._longest.max())
+        g, longest = self.machine, float(self._longest.max())
         return float(g.base_radius + g.platform_radius + g.middle_side + (longest if np.isfinite(longest) else 0.0))
 
     @cached_property
@@ -103,8 +103,8 @@ class StateSet:
 
     def _circle_of(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the centres (6, 3) from the pivots, and the radii (6,) of the balls' circles at readings (6,) [m]."""
-        centres, radii = self.geometry.legs.circles(readings)
-        return centres - self.geometry.legs.pivots, radii
+        centres, radii = self.machine.legs.circles(readings)
+        return centres - self.machine.legs.pivots, radii
 
     @cached_property
     def _turns(self) -> FloatArray:
@@ -119,7 +119,7 @@ class StateSet:
     @cached_property
     def legs(self) -> FloatArray:
         """Constants of both stages' legs for `kernels.stage_states`, (2, 3, 20); axes are tangents of the platforms."""
-        legs = self.geometry.legs
+        legs = self.machine.legs
         axes = np.tile(TANGENT_SIGNS, 2)[:, None] * legs.axes
         balls = legs.balls * np.repeat(self._turns, 3, axis=0)
         numbers = np.zeros((6, 5))
@@ -132,16 +132,16 @@ class StateSet:
     @cached_property
     def _signed_aspects(self) -> FloatArray:
         """The aspects for `kernels.stage_states`, (2,): that of the home is negative for a stage that hangs."""
-        aspects, ups = np.array(self.aspects), self.geometry.legs.ups[::3]
+        aspects, ups = np.array(self.aspects), self.machine.legs.ups[::3]
         return np.where(aspects == HOME_ASPECT, ups * aspects, aspects)
 
-    def machine(self, body: FloatArray = CENTRE, margin: float = 0.0) -> tuple[object, ...]:
+    def constants(self, body: FloatArray = CENTRE, margin: float = 0.0) -> tuple[object, ...]:
         """Return the constants of the searches of `state_search`, for points `body` (K, 3) of {m} [m].
 
         Determinants are to be larger than `margin`, where the aspect matters, and rooms of legs than `margin` times
         the size. RPS legs have an end of their reach where they have no length: their limits say enough.
         """
-        legs, aspects = self.geometry.legs, self._signed_aspects
+        legs, aspects = self.machine.legs, self._signed_aspects
         least = np.where(aspects == ANY_ASPECT, -np.inf, margin)
         rooms = np.full(0 if legs.are_rps else 6, margin * self.size)
         limits = [
@@ -182,9 +182,9 @@ class StateSet:
         lower, upper, rotation = self._both(coordinates)
         translation = lower.centre - (rotation @ upper.centre[..., None])[..., 0]
         balls = self.legs[0, :, 6:9] @ lower.rotation.mT + lower.centre[:, None]
-        legs = self.geometry.legs
+        legs = self.machine.legs
         lengths = None if readings is None or not legs.are_rps else readings - legs.offsets
-        return Configuration.from_arrays(self.geometry, rotation, translation, balls, lengths)
+        return Configuration.from_arrays(self.machine, rotation, translation, balls, lengths)
 
     def positions(self, coordinates: FloatArray, body: FloatArray = CENTRE) -> FloatArray:
         """Return the positions of points `body` (K, 3) of the platform in {B} [m], (N, 3K)."""
@@ -276,7 +276,7 @@ class StateSet:
 
         In a leg's plane that region ends at the circles of both limits and, but of RPS legs, where the leg is singular.
         """
-        legs, own = slice(3 * stage, 3 * stage + 3), self.geometry.legs
+        legs, own = slice(3 * stage, 3 * stage + 3), self.machine.legs
         arms = self.legs[stage, :, 6:9] @ stages.rotation.mT + stages.centre[:, None] - own.pivots[legs]
         places = np.stack([(arms * axes[legs]).sum(axis=-1) for axes in own.planes], axis=-1)
         rooms = own.kinds[stage].rooms(places)
@@ -320,7 +320,7 @@ class StateSet:
         for stage in range(2):
             legs = np.tile(self.readings(self.sample[:1]), (count, 1))
             legs[:, 3 * stage : 3 * stage + 3] = readings[:, 3 * stage : 3 * stage + 3]
-            states = forward_physical(self.geometry, legs)
+            states = forward_physical(self.machine, legs)
             halves.append(self.coordinates(states[states.exists])[:, stage])
         number = min(map(len, halves))
         return np.stack([half[:number] for half in halves], axis=1)
@@ -332,7 +332,7 @@ class StateSet:
         Each of the lower stage goes with each of the upper one. None where the set is empty.
         """
         rng = np.random.default_rng(_SEED)
-        drawn = forward_physical(self.geometry, rng.uniform(self.minimum, self.maximum, (_FEW, 6)))
+        drawn = forward_physical(self.machine, rng.uniform(self.minimum, self.maximum, (_FEW, 6)))
         if np.count_nonzero(drawn.exists) >= _FEWEST:
             lower, upper = np.moveaxis(self.coordinates(drawn[drawn.exists]), 1, 0)
         else:
@@ -367,23 +367,23 @@ def pose_densities(states: StateSet, coordinates: FloatArray) -> FloatArray:
 
 def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArray:
     """Return how many physical states within the limits have the pose of each of `configurations` (N,), (N,)."""
-    branches = inverse_displacement(states.geometry, configurations.pose).configurations
+    branches = inverse_displacement(states.machine, configurations.pose).configurations
     within = states.admits(branches.readings).all(axis=-1)
     # A state at a limit may miss it by rounding: it counts itself at least.
     return np.asarray(np.maximum((physical(branches) & within).sum(axis=-1), 1), dtype=np.intp)
 
 
-def given_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits | None:
-    """Return leg limits, or those of the geometry, which may have none."""
-    check_instance(geometry, Geometry, "geometry")
-    return geometry.limits if limits is None else geometry.check_limits(limits)
+def given_limits(machine: Manipulator, limits: LegLimits | None) -> LegLimits | None:
+    """Return leg limits, or those of the machine, which may have none."""
+    check_instance(machine, Manipulator, "machine")
+    return machine.limits if limits is None else machine.check_limits(limits)
 
 
-def finite_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:
-    """Return leg limits, or those of the geometry, which have to be finite."""
-    limits = given_limits(geometry, limits)
+def finite_limits(machine: Manipulator, limits: LegLimits | None) -> LegLimits:
+    """Return leg limits, or those of the machine, which have to be finite."""
+    limits = given_limits(machine, limits)
     if limits is None:
-        raise ArgumentError("limits", "LegLimits(minimum, maximum) in metres", None, "The geometry has none of its own")
+        raise ArgumentError("limits", "LegLimits(minimum, maximum) in metres", None, "The machine has none of its own")
     for leg, ends in zip(LEGS, zip(limits.minimum, limits.maximum, strict=True), strict=True):
         if not np.isfinite(ends).all():
             expected = "a finite minimum and maximum for every leg"
@@ -391,16 +391,16 @@ def finite_limits(geometry: Geometry, limits: LegLimits | None) -> LegLimits:
     return limits
 
 
-def states_within(geometry: Geometry, limits: LegLimits | None = None) -> StateSet:
-    """Return the physical states within `limits`, or within those of `geometry`; these have to be finite."""
-    return _checked(geometry, finite_limits(geometry, limits))
+def states_within(machine: Manipulator, limits: LegLimits | None = None) -> StateSet:
+    """Return the physical states within `limits`, or within those of `machine`; these have to be finite."""
+    return _checked(machine, finite_limits(machine, limits))
 
 
 @lru_cache(maxsize=8)
-def _checked(geometry: Geometry, limits: LegLimits) -> StateSet:
+def _checked(machine: Manipulator, limits: LegLimits) -> StateSet:
     # A leg of no length has no direction.
-    maximum, least = np.array(limits.maximum), np.array(geometry.legs.free_limits.minimum)
-    states = StateSet(geometry, np.maximum(limits.minimum, least + 1e-6 * np.abs(maximum)), maximum)
+    maximum, least = np.array(limits.maximum), np.array(machine.legs.free_limits.minimum)
+    states = StateSet(machine, np.maximum(limits.minimum, least + 1e-6 * np.abs(maximum)), maximum)
     if not all(map(len, states.few)):
         received = f"{limits!r}, which reach no pose"
         cause = "Too short to join the platforms, too different from each other, or in another unit?"
@@ -410,9 +410,9 @@ def _checked(geometry: Geometry, limits: LegLimits) -> StateSet:
 
 def states_around(near: Configuration, limits: LegLimits) -> tuple[StateSet, FloatArray]:
     """Return the states within limits on the side of forward singularities of `near`, and its coordinates (1, 2, 3)."""
-    geometry, joints = near.geometry, near.middle_joints[None]
-    batch = Configuration.from_arrays(geometry, near.rotation[None], near.translation[None], joints)
-    states = StateSet(geometry, *limits.ends)
+    machine, joints = near.machine, near.middle_joints[None]
+    batch = Configuration.from_arrays(machine, near.rotation[None], near.translation[None], joints)
+    states = StateSet(machine, *limits.ends)
     start = states.coordinates(batch)
     stages = [states.stages(stage, start[:, stage]) for stage in range(2)]
     readings = np.concatenate([stage.readings[0] for stage in stages])
@@ -420,19 +420,19 @@ def states_around(near: Configuration, limits: LegLimits) -> tuple[StateSet, Flo
     if all(stage.in_aspect[0] for stage in stages) and np.abs(readings - near.readings).max() <= 1e-6 * states.radius:
         return states, start
     modes = FAMILIES[int(family(near))]
-    free = StateSet(geometry, states.minimum, states.maximum, modes, (1.0, 1.0))
+    free = StateSet(machine, states.minimum, states.maximum, modes, (1.0, 1.0))
     start = free.coordinates(batch)
     lower, upper = (float(np.sign(free.stages(stage, start[:, stage]).determinant[0])) for stage in range(2))
-    return StateSet(geometry, states.minimum, states.maximum, modes, (lower, upper)), start
+    return StateSet(machine, states.minimum, states.maximum, modes, (lower, upper)), start
 
 
-def free_states(geometry: Geometry, modes: str) -> StateSet:
+def free_states(machine: Manipulator, modes: str) -> StateSet:
     """Return all states of a family, whatever the readings, on all sides of forward singularities."""
-    return StateSet(geometry, np.full(6, -np.inf), np.full(6, np.inf), modes, (ANY_ASPECT, ANY_ASPECT))
+    return StateSet(machine, np.full(6, -np.inf), np.full(6, np.inf), modes, (ANY_ASPECT, ANY_ASPECT))
 
 
 def sample_reachable(
-    geometry: Geometry,
+    machine: Manipulator,
     count: int,
     limits: LegLimits | None = None,
     *,
@@ -444,7 +444,7 @@ def sample_reachable(
 
     Parameters
     ----------
-    geometry, limits
+    machine, limits
         As for `reachable_boundary`.
     count : int
         How many.
@@ -469,7 +469,7 @@ def sample_reachable(
     """
     count = whole_number(count, "count")
     choice(space, "space", ("legs", "poses"))
-    states, rng, report = states_within(geometry, limits), generator(rng), shown_progress(progress)
+    states, rng, report = states_within(machine, limits), generator(rng), shown_progress(progress)
     parts, largest, kept = [np.empty((0, 2, 3))], 0.0, 0
     for _ in range(_MOST_CHUNKS):
         report("reachable states", min(kept, count), count)

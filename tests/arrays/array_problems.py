@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 BUILT = PAPER.perturbed(1, length=2e-3, angle=2e-3)
 NOWHERE = [[0.1, 0.1, 0.1, 5.0, 5.0, 5.0], [1.2, 1.2, 1.2, 1e-3, 1.0, 1.0], [0.1] * 6]
 """Readings of no state."""

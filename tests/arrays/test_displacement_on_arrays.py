@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from arrays.array_problems import BUILT, PAPER, random_poses, random_readings
 from kinds_of_legs import PAIRS, states
-from kinds_of_legs import machine as machine_of
+from kinds_of_legs import machine_of_kinds as machine_of
 from problems import at_end_stops
 
 import spm_pin as spm
@@ -64,13 +64,13 @@ def test_the_physical_states_of_poses_and_of_readings_are_those_of_the_kernels(n
 @pytest.mark.parametrize("built", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), PAIRS)
 def test_legs_of_any_kind_are_those_of_the_kernels(lower: str, upper: str, built: bool) -> None:
-    geometry = machine_of(lower, upper, built=built)
-    known = states(geometry)
+    machine = machine_of(lower, upper, built=built)
+    known = states(machine)
     sigma = spm.singularities(known).sigma.min(axis=-1)[:, None]
-    wrench, names = np.random.default_rng(1).normal(size=(len(known), 6)), value_names(geometry)
+    wrench, names = np.random.default_rng(1).normal(size=(len(known), 6)), value_names(machine)
     values = spm.machine.joint_angles(known, (0,)).values
-    values = values[:, [names.index(name) for name in joint_names(geometry)]]
-    for given in (geometry, (geometry, geometry.parameters)):
+    values = values[:, [names.index(name) for name in joint_names(machine)]]
+    for given in (machine, (machine, machine.parameters)):
         state = arrays.forward_physical(given, known.readings)
         assert state.exists.all()
         near = arrays.forward_physical(given, known.readings + 1e-6, near=state)
@@ -86,33 +86,33 @@ def test_legs_of_any_kind_are_those_of_the_kernels(lower: str, upper: str, built
         assert (np.abs(forces - expected) <= 1e-13 / sigma**3).all()
         np.testing.assert_allclose(arrays.joint_values(given, state), values, rtol=0, atol=1e-12)
     if not built:
-        found = arrays.inverse_displacement(geometry, known.rotation, known.translation)
-        expected = spm.inverse_displacement(geometry, known.pose)
+        found = arrays.inverse_displacement(machine, known.rotation, known.translation)
+        expected = spm.inverse_displacement(machine, known.pose)
         np.testing.assert_array_equal(found.exists, expected.exists)
         real = expected.exists
         np.testing.assert_allclose(found.readings[real], expected.readings[real], rtol=0, atol=1e-11)
 
 
 def test_balls_out_of_reach_and_other_working_modes_are_no_states() -> None:
-    geometry = machine_of("RRS", "PRS")
-    known = states(geometry)
-    wound = known.readings + 4.0 * np.pi * (np.array(geometry.legs.units) == "rad")
-    assert not arrays.forward_physical(geometry, wound).exists.any()
-    assert spm.casadi.forward_physical(geometry)(wound[0])[4] == 0.0
+    machine = machine_of("RRS", "PRS")
+    known = states(machine)
+    wound = known.readings + 4.0 * np.pi * (np.array(machine.legs.units) == "rad")
+    assert not arrays.forward_physical(machine, wound).exists.any()
+    assert spm.casadi.forward_physical(machine)(wound[0])[4] == 0.0
     up = known.translation + np.array([0.0, 0.0, 1.5])
-    assert not arrays.inverse_physical(geometry, known.rotation, up).exists.any()
-    assert not arrays.inverse_displacement(geometry, known.rotation, up).exists[:, :2].any()
+    assert not arrays.inverse_physical(machine, known.rotation, up).exists.any()
+    assert not arrays.inverse_displacement(machine, known.rotation, up).exists[:, :2].any()
     # The same circles, on whose other side crank and rod would be.
     places = known.places[:, :3]
     angle = np.arctan2(places[..., 1], places[..., 0])
     mirrored = np.concatenate([2.0 * angle - known.readings[:, :3], known.readings[:, 3:]], axis=-1)
-    other = spm.Geometry.of_stages(
-        spm.machine.Stage(geometry.base_radius, geometry.middle_radius, RRS(crank=1.1, rod=0.9, sign=1)),
-        spm.machine.Stage(geometry.platform_radius, geometry.middle_radius, geometry.legs.kinds[1]),
+    other = spm.Manipulator.of_stages(
+        spm.machine.Stage(machine.base_radius, machine.middle_radius, RRS(crank=1.1, rod=0.9, sign=1)),
+        spm.machine.Stage(machine.platform_radius, machine.middle_radius, machine.legs.kinds[1]),
     )
     both = spm.forward_physical(other, mirrored)
     assert both.exists.any()
-    assert not (arrays.forward_physical(geometry, mirrored).exists & both.exists).any()
+    assert not (arrays.forward_physical(machine, mirrored).exists & both.exists).any()
     np.testing.assert_array_equal(arrays.forward_physical(other, mirrored).exists, both.exists)
 
 
@@ -147,8 +147,8 @@ def test_a_state_beside_another_is_on_its_branch(name: str) -> None:
 
 def test_dimensions_and_parameters_are_machines_of_their_own() -> None:
     readings = random_readings(200)
-    for geometry, machine in ((np.array(PAPER.dimensions), PAPER), (BUILT.parameters, BUILT)):
-        found, expected = arrays.forward_physical(geometry, readings), arrays.forward_physical(machine, readings)
+    for machine, machine in ((np.array(PAPER.dimensions), PAPER), (BUILT.parameters, BUILT)):
+        found, expected = arrays.forward_physical(machine, readings), arrays.forward_physical(machine, readings)
         assert (found.exists == expected.exists).all()
         np.testing.assert_allclose(found.rotation[found.exists], expected.rotation[found.exists], rtol=0, atol=1e-10)
     machines = [PAPER.perturbed(k) for k in range(3)]

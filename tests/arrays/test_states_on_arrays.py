@@ -16,7 +16,7 @@ from spm_pin.description import JOINTS, joint_values
 
 
 @pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["drawn", "as built"])
-def test_what_a_state_determines_is_what_the_kernels_compute(machine: spm.Geometry) -> None:
+def test_what_a_state_determines_is_what_the_kernels_compute(machine: spm.Manipulator) -> None:
     states = spm.forward_physical(machine, random_readings(300))
     states = states[states.exists]
     sigma = spm.singularities(states).sigma
@@ -30,7 +30,7 @@ def test_what_a_state_determines_is_what_the_kernels_compute(machine: spm.Geomet
 
 
 @pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["drawn", "as built"])
-def test_joint_values_are_those_of_the_tree(machine: spm.Geometry) -> None:
+def test_joint_values_are_those_of_the_tree(machine: spm.Manipulator) -> None:
     assert arrays.JOINTS == JOINTS
     states = spm.forward_physical(machine, random_readings(60))
     states = states[states.exists]
@@ -41,10 +41,10 @@ def test_joint_values_are_those_of_the_tree(machine: spm.Geometry) -> None:
 FUNCTIONS: dict[str, Any] = {
     "joint_values": arrays.joint_values,
     "inverse_jacobian": arrays.inverse_jacobian,
-    "leg_forces": lambda geometry, state: arrays.leg_forces(geometry, state, state.readings),
+    "leg_forces": lambda machine, state: arrays.leg_forces(machine, state, state.readings),
     "singularity_distance": arrays.singularity_distance,
 }
-GEOMETRIES = {
+MANIPULATORS = {
     "drawn": PAPER,
     "as built": BUILT,
     "dimensions": np.array(PAPER.dimensions),
@@ -53,38 +53,38 @@ GEOMETRIES = {
 }
 
 
-def absent_and_level(geometry: Any) -> list[arrays.State]:
+def absent_and_level(machine: Any) -> list[arrays.State]:
     """Return states of readings and of poses; some do not exist, and two stand level."""
     readings = np.array([*NOWHERE, [2.1, 1.6, 0.416, 1.57, 0.8, 0.57], *LEVEL, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40]])
-    forward = arrays.forward_physical(geometry, readings)
+    forward = arrays.forward_physical(machine, readings)
     assert forward.exists.tolist() == [False] * 4 + [True] * 3
     rotation = np.concatenate([forward.rotation[-3:], np.broadcast_to(np.eye(3), (4, 3, 3))])
     translation = np.concatenate(
         [forward.translation[-3:], [[3.0, 2.0, 9.0], [0.0, 0.0, 0.0], [1.0, 0.0, 2.0], [0.0, 0.0, 1.0]]]
     )
-    inverse = arrays.inverse_physical(geometry, rotation, translation)
+    inverse = arrays.inverse_physical(machine, rotation, translation)
     assert inverse.exists[2]
     assert not inverse.exists.all()
     return [forward, inverse]
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-@pytest.mark.parametrize("kind", GEOMETRIES)
+@pytest.mark.parametrize("kind", MANIPULATORS)
 def test_all_is_finite_where_nothing_exists_and_at_level_states(kind: str, name: str) -> None:
-    for state in absent_and_level(GEOMETRIES[kind]):
-        assert np.isfinite(FUNCTIONS[name](GEOMETRIES[kind], state)).all()
+    for state in absent_and_level(MANIPULATORS[kind]):
+        assert np.isfinite(FUNCTIONS[name](MANIPULATORS[kind], state)).all()
 
 
 @pytest.mark.parametrize("name", [pytest.param("joint_values", marks=pytest.mark.slow), *list(FUNCTIONS)[1:]])
 @pytest.mark.parametrize("kind", ["dimensions", "parameters"])
 @pytest.mark.usefixtures("double_precision")
 def test_what_does_not_exist_leaves_a_masked_gradient_finite(kind: str, name: str) -> None:
-    geometry = GEOMETRIES[kind]
-    *fields, exists = map(jnp.concatenate, zip(*absent_and_level(geometry), strict=True))
+    machine = MANIPULATORS[kind]
+    *fields, exists = map(jnp.concatenate, zip(*absent_and_level(machine), strict=True))
 
     def cost(fields: Any, machine: Any) -> Any:
         values = FUNCTIONS[name](machine, arrays.State(*fields, exists))
         return jnp.where(exists, values.reshape(len(values), -1).sum(axis=-1), 0.0).sum()
 
-    slopes = jax.grad(cost, argnums=(0, 1))(tuple(fields), jnp.asarray(geometry))
+    slopes = jax.grad(cost, argnums=(0, 1))(tuple(fields), jnp.asarray(machine))
     assert all(jnp.isfinite(x).all() for x in jax.tree.leaves(slopes))

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin import calibration
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 
 
 @cache
@@ -27,7 +27,7 @@ def elsewhere() -> spm.Configuration:
 
 
 def measure(
-    machine: spm.Geometry, seed: int, noise: float = 1.0, states: spm.Configuration | None = None
+    machine: spm.Manipulator, seed: int, noise: float = 1.0, states: spm.Configuration | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Poses (N, 4, 4) and readings (N, 6): 10 µm and 10 µrad, and 1 µm, times `noise`."""
     random = np.random.default_rng(seed)
@@ -39,7 +39,7 @@ def measure(
     return poses, readings + 1e-6 * noise * random.standard_normal(readings.shape)
 
 
-def position_errors(first: spm.Geometry, second: spm.Geometry) -> np.ndarray:
+def position_errors(first: spm.Manipulator, second: spm.Manipulator) -> np.ndarray:
     """Distances [m] of the platform of two machines at the same readings, all over the workspace."""
     legs = elsewhere().leg_lengths
     places = (spm.forward_physical(machine, legs).translation for machine in (first, second))

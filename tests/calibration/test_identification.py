@@ -28,7 +28,7 @@ def test_the_platform_is_placed_to_micrometres_afterwards(positions_only: bool) 
         poses, readings = measure(machine, seed)
         found = identify(PAPER, poses[:, :3, 3] if positions_only else poses, readings)
         before.append(position_errors(PAPER, machine))
-        after.append(position_errors(found.geometry, machine))
+        after.append(position_errors(found.machine, machine))
         assert not found.outliers.any()
         assert len(found.deviations) == (45 if positions_only else 48)
         assert len(found.unidentifiable) == (9 if positions_only else 6)
@@ -42,13 +42,13 @@ def test_the_platform_is_placed_to_micrometres_afterwards(positions_only: bool) 
 def test_exact_measurements_give_the_machine_up_to_the_choice_of_the_middle_frame() -> None:
     machine = PAPER.perturbed(1)
     found = identify(PAPER, *measure(machine, 0, noise=0.0))
-    assert position_errors(found.geometry, machine).max() < 1e-11
+    assert position_errors(found.machine, machine).max() < 1e-11
     assert np.abs(found.residuals).max() < 1e-12
     scale = np.tile(np.repeat([1.0, PAPER.middle_side], [2, 7]), 6)
-    difference = (found.geometry.parameters - machine.parameters) / scale
+    difference = (found.machine.parameters - machine.parameters) / scale
     # What is not identified has been left as it was, all else is right.
     np.testing.assert_allclose(found.identifiable @ difference, 0.0, atol=1e-6)
-    moved = (found.geometry.parameters - PAPER.parameters) / scale
+    moved = (found.machine.parameters - PAPER.parameters) / scale
     np.testing.assert_allclose(found.unidentifiable @ moved, 0.0, atol=1e-12)
     np.testing.assert_allclose(found.identifiable @ found.identifiable.T, np.eye(48), atol=1e-12)
     np.testing.assert_allclose(found.identifiable @ found.unidentifiable.T, 0.0, atol=1e-12)
@@ -60,7 +60,7 @@ def test_parameters_not_asked_for_keep_their_values() -> None:
     errors = np.where(wanted, 2e-4 * np.random.default_rng(3).standard_normal(54), 0.0)
     machine = PAPER.from_parameters(nominal + errors)
     found = identify(PAPER, *measure(machine, 1), parameters=["offset", "pivot_z"])
-    changed = found.geometry.parameters - nominal
+    changed = found.machine.parameters - nominal
     np.testing.assert_array_equal(changed[~wanted], 0.0)
     deviations = np.sqrt(np.diagonal(found.covariance))
     assert (deviations[~wanted] == 0.0).all()
@@ -69,7 +69,7 @@ def test_parameters_not_asked_for_keep_their_values() -> None:
     # A machine known before is the start, and what is not asked for stays as it was.
     again = identify(machine, *measure(machine, 2), parameters="r_b1")
     same = np.array([not name.startswith("r_b1") for name in PARAMETERS])
-    np.testing.assert_allclose(again.geometry.parameters[same], machine.parameters[same], atol=1e-15)
+    np.testing.assert_allclose(again.machine.parameters[same], machine.parameters[same], atol=1e-15)
 
 
 @pytest.mark.slow
@@ -79,7 +79,7 @@ def test_weights_are_those_of_the_noise() -> None:
     pair = identify(PAPER, poses, readings, pose_noise=(1e-5, 1e-5), reading_noise=1e-6)
     pose = np.broadcast_to(1e-10 * np.eye(6), (40, 6, 6))
     full = identify(PAPER, poses, readings, pose_noise=pose, reading_noise=1e-12 * np.eye(6))
-    assert position_errors(full.geometry, pair.geometry).max() < 1e-9
+    assert position_errors(full.machine, pair.machine).max() < 1e-9
     twice = identify(PAPER, poses, readings, pose_noise=(2e-5, 2e-5), reading_noise=2e-6)
     np.testing.assert_allclose(twice.deviations, 2.0 * pair.deviations, rtol=1e-3)
     np.testing.assert_allclose(twice.misfit, 0.5 * pair.misfit, rtol=1e-2)
@@ -94,7 +94,7 @@ def test_the_covariance_covers_the_errors_as_often_as_it_says() -> None:
         machine = PAPER.perturbed(seed)
         found = identify(PAPER, *measure(machine, 1000 + seed))
         legs = states.leg_lengths
-        true, predicted = (spm.forward_physical(m, legs) for m in (machine, found.geometry))
+        true, predicted = (spm.forward_physical(m, legs) for m in (machine, found.machine))
         gap = predicted.translation - true.translation
         covariance = found.accuracy(predicted)[:, :3, :3]
         squares.append((gap[0] * np.linalg.solve(covariance[0], gap[0])).sum())
@@ -181,7 +181,7 @@ def test_encoders_that_all_begin_elsewhere_are_identified(shift: float, loss: st
     found = identify(PAPER, poses, readings + shift, loss=loss)
     assert (found.status, found.outliers.any()) == ("fits", False)
     legs = elsewhere().leg_lengths
-    places = [spm.forward_physical(m, lengths) for m, lengths in ((machine, legs), (found.geometry, legs + shift))]
+    places = [spm.forward_physical(m, lengths) for m, lengths in ((machine, legs), (found.machine, legs + shift))]
     np.testing.assert_allclose(places[0].translation, places[1].translation, atol=1e-9)
 
 
@@ -206,7 +206,7 @@ def test_a_wrong_row_alone_is_named(change: Callable[..., Any], row: int, loss: 
     assert found.chi_square < 2.0
     if loss == "linear":
         assert found.status == "outliers"
-        for use in (lambda: found.geometry, lambda: found.accuracy(plan())):
+        for use in (lambda: found.machine, lambda: found.accuracy(plan())):
             with pytest.raises(MeasurementError, match=rf"outlier in row {row}\. Look at this row, leave it out"):
                 use()
     legs, shift = elsewhere().leg_lengths, float(np.median(readings - measure(machine, 5)[1]))
@@ -240,7 +240,7 @@ def test_measurements_that_fit_no_machine_are_not_used() -> None:
         assert found.status in ("misfit", "not converged")
         assert not found.chi_square < 9.0
         with pytest.raises(MeasurementError, match=f"times what the noise explains.*{cause}"):
-            _ = found.geometry
+            _ = found.machine
 
 
 @pytest.mark.parametrize(
@@ -258,17 +258,17 @@ def test_another_nominal_machine_is_fitted_and_refused(
     factors: tuple[float, float, float], size: float, cause: str
 ) -> None:
     machine = PAPER.perturbed(1, length=size * PAPER.middle_side, angle=size)
-    found = identify(spm.Geometry(*(np.array(PAPER.dimensions) * factors)), *measure(machine, 0))
+    found = identify(spm.Manipulator(*(np.array(PAPER.dimensions) * factors)), *measure(machine, 0))
     assert (found.status, found.chi_square < 2.0) == ("another nominal", True)
     assert position_errors(found.fitted, machine).max() < 5e-5
-    with pytest.raises(MeasurementError, match=f"near the nominal one.*{cause}.*Another nominal geometry"):
-        _ = found.geometry
+    with pytest.raises(MeasurementError, match=f"near the nominal one.*{cause}.*Another nominal machine"):
+        _ = found.machine
 
 
 @pytest.mark.parametrize("seed", [2, 4, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(10, 20))])
 def test_errors_of_one_percent_are_taken_for_manufacture(seed: int) -> None:
     machine = PAPER.perturbed(seed, length=0.01 * PAPER.middle_side, angle=0.01)
-    assert position_errors(identify(PAPER, *measure(machine, seed)).geometry, machine).max() < 5e-5
+    assert position_errors(identify(PAPER, *measure(machine, seed)).machine, machine).max() < 5e-5
 
 
 @pytest.mark.slow
@@ -298,8 +298,8 @@ def test_few_candidates_are_chosen_from_as_by_trying_all() -> None:
     assert value(chosen) <= best + 0.2
     with pytest.raises(spm.ArgumentError, match=r"count.*at least 8 for 48"):
         calibration.choose_poses(PAPER, 5)
-    with pytest.raises(spm.ArgumentError, match=r"geometry.*leg limits"):
-        calibration.choose_poses(spm.Geometry(0.7, 0.3, 0.8), 40)
+    with pytest.raises(spm.ArgumentError, match=r"machine.*leg limits"):
+        calibration.choose_poses(spm.Manipulator(0.7, 0.3, 0.8), 40)
 
 
 HEADING = "x,y,z,qx,qy,qz,qw,r_b1,r_b2,r_b3,r_c1,r_c2,r_c3"
@@ -371,7 +371,7 @@ def test_named_columns_of_a_table_are_taken_by_their_names() -> None:
         spm.forward_physical(PAPER, shuffled).readings, spm.forward_physical(PAPER, readings).readings
     )
     found = identify(PAPER, shuffled[["z", "x", "y"]], shuffled)
-    assert position_errors(found.geometry, machine).max() < 1e-4
+    assert position_errors(found.machine, machine).max() < 1e-4
     # Without names it is by place, and other names are refused.
     plain = pandas.DataFrame(readings)
     assert spm.forward_physical(PAPER, plain).shape == (40,)

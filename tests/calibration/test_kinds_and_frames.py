@@ -23,32 +23,32 @@ STAGES: dict[str, tuple[LegKind, tuple[float, float]]] = {
 PAIRS = list(itertools.product(STAGES, repeat=2))
 
 
-def machine(lower: str, upper: str) -> spm.Geometry:
+def machine_of(lower: str, upper: str) -> spm.Manipulator:
     bases = zip((0.30, 0.22), (STAGES[lower], STAGES[upper]), strict=True)
-    return spm.Geometry.of_stages(*(Stage(base, 0.25, legs, limits) for base, (legs, limits) in bases))
+    return spm.Manipulator.of_stages(*(Stage(base, 0.25, legs, limits) for base, (legs, limits) in bases))
 
 
-def states(geometry: spm.Geometry, count: int, seed: int = 0) -> spm.Configuration:
-    assert geometry.limits is not None
-    readings = np.random.default_rng(seed).uniform(geometry.limits.minimum, geometry.limits.maximum, (count, 6))
-    found = spm.forward_physical(geometry, readings)
+def states(machine: spm.Manipulator, count: int, seed: int = 0) -> spm.Configuration:
+    assert machine.limits is not None
+    readings = np.random.default_rng(seed).uniform(machine.limits.minimum, machine.limits.maximum, (count, 6))
+    found = spm.forward_physical(machine, readings)
     return found[found.exists]
 
 
-def measured(geometry: spm.Geometry, readings: np.ndarray) -> np.ndarray:
-    return spm.forward_physical(geometry, readings).pose.as_matrix()
+def measured(machine: spm.Manipulator, readings: np.ndarray) -> np.ndarray:
+    return spm.forward_physical(machine, readings).pose.as_matrix()
 
 
 @pytest.mark.parametrize(("lower", "upper"), PAIRS)
 def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(lower: str, upper: str) -> None:
-    geometry = machine(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
-    found = states(geometry, 12)
+    machine = machine_of(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
+    found = states(machine, 12)
     assert len(found) >= 10
     jacobian, unit = error_jacobian(found), 1e-6
-    assert jacobian.shape == (len(found), 6, len(geometry.parameter_names))
+    assert jacobian.shape == (len(found), 6, len(machine.parameter_names))
     for k, step in enumerate(unit * np.eye(jacobian.shape[-1])):
         ends = [
-            spm.forward_physical(geometry.from_parameters(geometry.parameters + s * step), found.readings)
+            spm.forward_physical(machine.from_parameters(machine.parameters + s * step), found.readings)
             for s in (1, -1)
         ]
         turn = Rotation.from_matrix(ends[0].rotation @ ends[1].rotation.mT).as_rotvec()
@@ -59,8 +59,8 @@ def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(low
 @pytest.mark.parametrize(("lower", "upper"), PAIRS)
 def test_what_no_measurement_shows_is_known(lower: str, upper: str) -> None:
     """The null space of the derivative by all parameters and frames is spanned by the gauge directions, no more."""
-    geometry = machine(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
-    found = states(geometry, 60)
+    machine = machine_of(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
+    found = states(machine, 60)
     seen_from = calibration.frames.Frames(
         *(
             RigidTransform.from_components(*pair).as_matrix()
@@ -70,15 +70,15 @@ def test_what_no_measurement_shows_is_known(lower: str, upper: str) -> None:
             )
         )
     )
-    hidden, slides = gauge_directions(geometry, seen_from.target[:3, 3]), 3 * (lower, upper).count("PRS")
+    hidden, slides = gauge_directions(machine, seen_from.target[:3, 3]), 3 * (lower, upper).count("PRS")
     for components, frames in ((6, True), (3, True), (6, False), (3, False)):
         rows = (
             seen_from.jacobian(found)[:, :components]
             if frames
             else calibration.frames.Frames.as_defined().jacobian(found)[:, :components]
         )
-        used = np.arange(rows.shape[-1]) < len(geometry.parameters) + (6 + components if frames else 0)
-        scale = np.concatenate([parameter_scale(geometry), np.ones(12)])
+        used = np.arange(rows.shape[-1]) < len(machine.parameters) + (6 + components if frames else 0)
+        scale = np.concatenate([parameter_scale(machine), np.ones(12)])
         matrix = (rows * scale).reshape(-1, len(scale))[:, used]
         values = np.linalg.svd(matrix, compute_uv=False)
         count = (18 if frames else 6 if components == 6 else 9) + slides
@@ -93,7 +93,7 @@ def test_what_no_measurement_shows_is_known(lower: str, upper: str) -> None:
 @pytest.mark.parametrize("positions_only", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS"), ("RRS", "RRS")])
 def test_servos_and_screws_are_identified(lower: str, upper: str, positions_only: bool) -> None:
-    nominal = machine(lower, upper)
+    nominal = machine_of(lower, upper)
     true = nominal.perturbed(2, length=1e-4, angle=5e-4)
     plan = states(nominal, 60)
     poses = measured(true, plan.readings)
@@ -104,18 +104,18 @@ def test_servos_and_screws_are_identified(lower: str, upper: str, positions_only
     assert len(found.unidentifiable) + len(found.deviations) == count
     other = states(nominal, 60, seed=1).readings
     before, after = (
-        np.abs(measured(x, other) - measured(true, other))[:, :3, 3].max() for x in (nominal, found.geometry)
+        np.abs(measured(x, other) - measured(true, other))[:, :3, 3].max() for x in (nominal, found.machine)
     )
     assert before > 1e-4
     assert after < 1e-8
-    difference = (found.geometry.parameters - true.parameters) / parameter_scale(nominal)
+    difference = (found.machine.parameters - true.parameters) / parameter_scale(nominal)
     np.testing.assert_allclose(found.identifiable[:30] @ difference, 0.0, atol=1e-6)
-    moved = (found.geometry.parameters - nominal.parameters) / parameter_scale(nominal)
+    moved = (found.machine.parameters - nominal.parameters) / parameter_scale(nominal)
     np.testing.assert_allclose(found.unidentifiable @ moved, 0.0, atol=1e-12)
 
 
 def test_parts_of_a_leg_alone_are_identified() -> None:
-    nominal = machine("RRS", "PRS")
+    nominal = machine_of("RRS", "PRS")
     parameters = nominal.parameters.copy()
     wrong = [name for name in nominal.parameter_names if name.split(".")[1] in ("crank", "rod")]
     assert len(wrong) == 9
@@ -123,12 +123,12 @@ def test_parts_of_a_leg_alone_are_identified() -> None:
         parameters[nominal.parameter_names.index(name)] += 1e-3 * (-1) ** k
     true, plan = nominal.from_parameters(parameters), states(nominal, 30)
     found = identify(nominal, measured(true, plan.readings), plan.readings, parameters=["crank", "rod"])
-    np.testing.assert_allclose(found.geometry.parameters, parameters, atol=1e-9)
+    np.testing.assert_allclose(found.machine.parameters, parameters, atol=1e-9)
     assert len(found.deviations) == 9
 
 
 def test_angles_in_degrees_and_lengths_in_millimetres_are_named() -> None:
-    nominal = machine("RRS", "PRS")
+    nominal = machine_of("RRS", "PRS")
     plan = states(nominal, 30)
     for factors, message in (([180.0 / np.pi, 1.0], "radians.*degrees"), ([1.0, 1e3], "metres.*out of proportion")):
         readings = plan.readings * np.repeat(factors, 3)
@@ -137,7 +137,7 @@ def test_angles_in_degrees_and_lengths_in_millimetres_are_named() -> None:
 
 
 def test_tolerances_of_cranks_and_rods() -> None:
-    nominal = machine("RRS", "PRS")
+    nominal = machine_of("RRS", "PRS")
     found = tolerance(nominal, {"rod": 1e-4, "crank": 1e-4, "offset": 1e-3}, states(nominal, 30), samples=200, rng=0)
     assert found.sampled_rms == pytest.approx(found.rms, rel=0.1)
     assert {name for name, share in found.ranking("kind") if share} == {"rod", "crank", "offset"}
@@ -158,7 +158,7 @@ def test_a_tracker_s_frame_and_target_are_estimated_with_the_machine(positions_o
     assert len(found.deviations) == (45 if positions_only else 48)
     assert len(found.unidentifiable) == 18
     assert found.names[-1] == ("target.z" if positions_only else "target.turn_z")
-    predicted, exact = (measured(x, elsewhere().readings) for x in (found.geometry, true))
+    predicted, exact = (measured(x, elsewhere().readings) for x in (found.machine, true))
     errors = (
         found.base.as_matrix() @ predicted @ found.target.as_matrix() - TRACKER.as_matrix() @ exact @ TARGET.as_matrix()
     )
@@ -170,7 +170,7 @@ def test_a_tracker_s_own_frame_is_named_as_a_cause() -> None:
     poses, readings = measure(PAPER.perturbed(3), 1, states=elsewhere()[:18])
     found = identify(PAPER, (TRACKER.as_matrix() @ poses @ TARGET.as_matrix())[:, :3, 3], readings)
     with pytest.raises(MeasurementError, match=r"Poses of a target in a tracker's own frame\? With frames=True"):
-        _ = found.geometry
+        _ = found.machine
 
 
 def test_poses_are_chosen_for_unknown_frames_too() -> None:
@@ -185,14 +185,14 @@ def test_with_tolerances_what_is_seen_badly_stays_as_near_as_machines_are_made()
     true = PAPER.perturbed(3)
     measurements = measure(true, 1)
     free, held = (identify(PAPER, *measurements, tolerances=x) for x in (None, dict.fromkeys(spm.machine.LEGS, 1e-4)))
-    assert np.abs(free.geometry.parameters - PAPER.parameters).max() > 2e-3
-    assert np.abs(held.geometry.parameters - PAPER.parameters).max() < 4e-4
-    assert np.abs(held.geometry.parameters - true.parameters).max() < 4e-4
+    assert np.abs(free.machine.parameters - PAPER.parameters).max() > 2e-3
+    assert np.abs(held.machine.parameters - PAPER.parameters).max() < 4e-4
+    assert np.abs(held.machine.parameters - true.parameters).max() < 4e-4
     for found in (free, held):
         assert found.status == "fits"
-        predicted, exact = (measured(x, elsewhere().readings) for x in (found.geometry, true))
+        predicted, exact = (measured(x, elsewhere().readings) for x in (found.machine, true))
         assert np.linalg.norm((predicted - exact)[:, :3, 3], axis=-1).max() < 4e-5
-    certificate = spm.certify(held.geometry, spm.LegLimits(1.1, 1.5))
+    certificate = spm.certify(held.machine, spm.LegLimits(1.1, 1.5))
     assert certificate.holds
     assert certificate.errors[0] < 4e-4
-    assert spm.certify(free.geometry, spm.LegLimits(1.15, 1.45), boxes=4_000).errors[0] > 2e-3
+    assert spm.certify(free.machine, spm.LegLimits(1.15, 1.45), boxes=4_000).errors[0] > 2e-3

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from calibration.measured import PAPER, elsewhere
-from problems import GEOMETRIES, as_built
+from problems import MANIPULATORS, as_built
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -17,12 +17,12 @@ TABLE = {"direction": 1e-4, "pivot": 1e-4, "ball": 1e-4, "offset": 1e-4}
 
 
 @pytest.mark.parametrize("size", [0.0, 2e-2])
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_it_is_the_derivative_of_the_pose_at_constant_readings(name: str, size: float) -> None:
-    geometry = GEOMETRIES[name]
-    built, side = as_built(geometry, size), geometry.middle_side
+    machine = MANIPULATORS[name]
+    built, side = as_built(machine, size), machine.middle_side
     legs = (1.6 + np.random.default_rng(0).uniform(-0.15, 0.15, (30, 6))) * max(
-        side, 1.2 * abs(geometry.base_radius - geometry.middle_radius)
+        side, 1.2 * abs(machine.base_radius - machine.middle_radius)
     )
     state = spm.forward_physical(built, legs)
     state = state[state.exists]
@@ -92,7 +92,7 @@ def test_states_are_drawn_within_the_leg_limits() -> None:
     ("call", "message"),
     [
         (lambda: tolerance(PAPER, -np.ones(54)), "tolerances"),
-        (lambda: tolerance(spm.Geometry(0.7, 0.3, 0.8), TABLE), "geometry.*leg limits"),
+        (lambda: tolerance(spm.Manipulator(0.7, 0.3, 0.8), TABLE), "machine.*leg limits"),
         (lambda: tolerance(PAPER.perturbed(1), TABLE, elsewhere()), "states.*of this machine"),
         (lambda: tolerance(PAPER, TABLE, elsewhere(), samples=0).percentile(), "samples"),
         (lambda: tolerance(PAPER, TABLE, elsewhere(), samples=0).ranking("machine"), "by"),

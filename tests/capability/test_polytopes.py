@@ -11,7 +11,7 @@ import spm_pin as spm
 from spm_pin.capability import acceleration_polytope, joint_reactions, velocity_polytope, wrench_polytope
 from spm_pin.kinematics import platform_jacobian
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 MACHINE = PAPER.perturbed(2, length=0.01, angle=0.02)
 LENGTHS = np.random.default_rng(0).uniform(1.15, 1.45, (1000, 6))
 STATES = spm.forward_physical(MACHINE, LENGTHS)

@@ -10,10 +10,10 @@ import spm_pin as spm
 from spm_pin.capability import joint_reactions, velocity_polytope, wrench_polytope
 from spm_pin.machine import PRS, RRS, Stage
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 MACHINE = PAPER.perturbed(2, length=0.01, angle=0.02)
 SERVOS, SCREWS = Stage(0.7, 0.46, RRS(crank=0.5, rod=1.0)), Stage(0.35, 0.46, PRS(rod=1.0, direction=1.4))
-MIXED = spm.Geometry.of_stages(SERVOS, SCREWS).perturbed(2, length=0.01, angle=0.02)
+MIXED = spm.Manipulator.of_stages(SERVOS, SCREWS).perturbed(2, length=0.01, angle=0.02)
 LENGTHS = [[1.20, 1.20, 1.40, 1.25, 1.20, 1.50], [1.30, 1.42, 1.17, 1.22, 1.36, 1.28]]
 READINGS = [[0.5, 0.6, 0.7, 0.2, 0.25, 0.3], [0.7, 0.4, 0.5, 0.3, 0.2, 0.15]]
 WRENCH = np.array([30.0, -20.0, -50.0, 4.0, 3.0, -2.0])
@@ -27,9 +27,9 @@ def leg_loads(states: spm.Configuration) -> tuple[np.ndarray, np.ndarray]:
     return (spm.leg_forces(states, WRENCH) / states.slopes)[..., None] * along + axial * states.leg_axes, states.balls
 
 
-@pytest.mark.parametrize("geometry", [PAPER, MACHINE, MIXED], ids=["drawn", "as built", "servos and screws"])
-def test_both_platforms_are_in_equilibrium(geometry: spm.Geometry) -> None:
-    states = spm.forward_physical(geometry, READINGS if geometry is MIXED else LENGTHS)
+@pytest.mark.parametrize("machine", [PAPER, MACHINE, MIXED], ids=["drawn", "as built", "servos and screws"])
+def test_both_platforms_are_in_equilibrium(machine: spm.Manipulator) -> None:
+    states = spm.forward_physical(machine, READINGS if machine is MIXED else LENGTHS)
     assert states.exists.all()
     forces, points = leg_loads(states)
     o = states.translation[:, None]
@@ -40,10 +40,10 @@ def test_both_platforms_are_in_equilibrium(geometry: spm.Geometry) -> None:
         np.testing.assert_allclose(moment, -np.broadcast_to(WRENCH[3:], (2, 3)), atol=1e-9)
 
 
-@pytest.mark.parametrize("geometry", [PAPER, MACHINE], ids=["drawn", "as built"])
-def test_the_forces_in_the_cut_balls_are_those_of_pinocchio(geometry: spm.Geometry) -> None:
-    states = spm.forward_physical(geometry, LENGTHS)
-    chain = spm.ClosedChain.from_urdf(geometry=geometry)
+@pytest.mark.parametrize("machine", [PAPER, MACHINE], ids=["drawn", "as built"])
+def test_the_forces_in_the_cut_balls_are_those_of_pinocchio(machine: spm.Manipulator) -> None:
+    states = spm.forward_physical(machine, LENGTHS)
+    chain = spm.ClosedChain.from_urdf(machine=machine)
     cuts = chain.state(chain.joint_values(states)).cut_forces(WRENCH)
     forces, _ = leg_loads(states)
     for number, closure in enumerate(chain.closures):

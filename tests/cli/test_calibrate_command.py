@@ -35,7 +35,7 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
     assert "48 of 54 combinations of parameters identified from 40 measurements" in done.stdout
     assert "least known is the combination that moves" in done.stdout
-    assert position_errors(spm.Geometry.from_yaml(out), MACHINE).max() < 5e-5
+    assert position_errors(spm.Manipulator.from_yaml(out), MACHINE).max() < 5e-5
     assert figure.stat().st_size > 10_000
     # r_c3, drawn at its limit of 1.5 m, is 0.8 mm beyond it in this machine.
     for code, words, *command in (
@@ -45,13 +45,13 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
         (5, "physical*", "statics", *POSE, "--force", "0", "0", "-9"),
         (0, "physical", "forward", *LEGS),
     ):
-        other = run(*command, "--geometry", out)
+        other = run(*command, "--machine", out)
         assert other.returncode == code, other.stderr
         assert words in other.stdout
-    pose = json.loads(run("forward", *LEGS, "--geometry", out, "--json").stdout)["modes"][0]["translation"]
-    expected = spm.forward_physical(spm.Geometry.from_yaml(out), [float(x) / 100.0 for x in running.LEGS[1:]])
+    pose = json.loads(run("forward", *LEGS, "--machine", out, "--json").stdout)["modes"][0]["translation"]
+    expected = spm.forward_physical(spm.Manipulator.from_yaml(out), [float(x) / 100.0 for x in running.LEGS[1:]])
     np.testing.assert_allclose(pose, 100.0 * expected.translation, atol=1e-10)
-    again = run("calibrate", str(measured), "--geometry", str(out), "--identify", "offset", "--json")
+    again = run("calibrate", str(measured), "--machine", str(out), "--identify", "offset", "--json")
     content = json.loads(again.stdout)
     assert content["identified"] == 6
     assert content["rms"]["position"]["before"] < 0.03
@@ -61,9 +61,9 @@ def test_a_machine_is_identified_and_written(measured: Path, tmp_path: Path) -> 
 def test_what_is_of_the_drawing_alone_refuses_a_machine_as_built(command: list[str], tmp_path: Path) -> None:
     file = tmp_path / "machine.yaml"
     MACHINE.to_yaml(file)
-    done = run(*command, "--geometry", file)
+    done = run(*command, "--machine", file)
     assert (done.returncode, done.stdout) == (2, "")
-    assert f"--geometry {file}: expected a machine as drawn" in done.stderr
+    assert f"--machine {file}: expected a machine as drawn" in done.stderr
 
 
 @pytest.mark.parametrize(("option", "name"), [("--out", "built.yaml"), ("--figure", "errors.png")])
@@ -112,7 +112,7 @@ def test_a_machine_that_the_measurements_do_not_fit_is_not_written(measured: Pat
     content = json.loads(forced.stdout)
     assert (content["status"], content["reason"][:16]) == ("outliers", "outlier in row 5")
     assert content["reason_rows"] == content["outliers"] == [5]
-    assert position_errors(spm.Geometry.from_yaml(out), MACHINE).max() < 5e-5
+    assert position_errors(spm.Manipulator.from_yaml(out), MACHINE).max() < 5e-5
 
 
 def test_a_misfit_names_the_options_of_the_noise(measured: Path, tmp_path: Path) -> None:
@@ -124,14 +124,14 @@ def test_a_misfit_names_the_options_of_the_noise(measured: Path, tmp_path: Path)
 
 def test_another_nominal_machine_is_not_written(measured: Path, tmp_path: Path) -> None:
     nominal, out = tmp_path / "nominal.yaml", tmp_path / "machine.yaml"
-    spm.Geometry(1.05 * PAPER.base_radius, *PAPER.dimensions[1:]).to_yaml(nominal)
-    command = "calibrate", str(measured), "--geometry", str(nominal), "--out", str(out)
+    spm.Manipulator(1.05 * PAPER.base_radius, *PAPER.dimensions[1:]).to_yaml(nominal)
+    command = "calibrate", str(measured), "--machine", str(nominal), "--out", str(out)
     done = run(*command)
     assert (done.returncode, out.exists()) == (1, False)
     assert "do not fit the nominal machine: a machine whose E is 69" in done.message
-    assert "Another nominal geometry?" in done.message
+    assert "Another nominal machine?" in done.message
     assert run(*command, "--force").returncode == 0
-    assert position_errors(spm.Geometry.from_yaml(out), MACHINE).max() < 5e-5
+    assert position_errors(spm.Manipulator.from_yaml(out), MACHINE).max() < 5e-5
 
 
 def test_tolerances_are_weighed() -> None:

@@ -100,7 +100,7 @@ def test_every_command_has_a_row_in_the_readme(command: str) -> None:
 
 def test_special_characters_survive_a_round_trip(tmp_path: Path) -> None:
     for value in ("[viewer]", "[/]", "[bold]"):
-        done = run("inverse", *EXAMPLE, "--geometry", tmp_path / f"{value}.yaml")
+        done = run("inverse", *EXAMPLE, "--machine", tmp_path / f"{value}.yaml")
         assert (done.returncode, value in done.message) == (2, True)
         assert value in run("inverse", *EXAMPLE, "--unit", value).message
         assert value in run("statics", *EXAMPLE, "--unit", "cm", *LOAD, "--branch", value).message
@@ -173,9 +173,9 @@ def test_lengths_in_the_wrong_unit_are_answered_with_the_right_one(command: list
 def test_a_geometry_file_in_centimetres_is_noticed(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("base_side: 120\nplatform_side: 60\nmiddle_side: 80\n", encoding="utf-8")
-    done = run("inverse", *EXAMPLE, "--geometry", path)
+    done = run("inverse", *EXAMPLE, "--machine", path)
     assert done.returncode == 0
-    assert "--geometry: " in done.message
+    assert "--machine: " in done.message
     assert "middle_side is 80 m" in done.message
     assert "Warning" not in done.stderr
 
@@ -280,7 +280,7 @@ def test_zeros_of_commands_are_zeros() -> None:
 
 def test_small_determinants_are_printed_with_significant_digits() -> None:
     # Near the home, which is an inverse singularity: with four decimals det K would be 0.0000.
-    state = spm.forward_physical(spm.Geometry.paper(), [1.3, 1.31, 1.29, 1.305, 1.3, 1.295])
+    state = spm.forward_physical(spm.Manipulator.paper(), [1.3, 1.31, 1.29, 1.305, 1.3, 1.295])
     xyx = np.rad2deg(state.pose.rotation.as_euler("XYX"))
     pose = ["--translation", *map(repr, state.translation.tolist()), "--xyx", *map(repr, xyx.tolist())]
     done = run("singularities", *pose, "--branch", "TT-")
@@ -403,7 +403,7 @@ def test_a_degenerate_pose_shows_its_isolated_branches_and_exits_with_4() -> Non
     # A tilt about a horizontal axis, at the position on it where the family TF is continuous: h = r sin²(θ/2) sin 3ψ.
     azimuth, tilt = 0.4, 0.5
     axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    h = spm.Geometry.paper().middle_radius * np.sin(tilt / 2) ** 2 * np.sin(3 * azimuth)
+    h = spm.Manipulator.paper().middle_radius * np.sin(tilt / 2) ** 2 * np.sin(3 * azimuth)
     xyx = Rotation.from_rotvec(tilt * axis).as_euler("XYX", degrees=True)
     pose = ["--translation", *(repr(float(x)) for x in h * axis + [0.0, 0.0, 2.2]), "--xyx", *map(repr, xyx.tolist())]
     done = run("inverse", *pose, "--json")

@@ -29,7 +29,7 @@ def test_inverse_in_every_unit_and_as_json() -> None:
         assert [branch["label"] for branch in content["branches"]] == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
         lengths[unit] = np.array([branch["leg_lengths"] for branch in content["branches"]]) / factor
     pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
-    expected = spm.inverse_displacement(spm.Geometry.paper(), pose)
+    expected = spm.inverse_displacement(spm.Manipulator.paper(), pose)
     for found in lengths.values():
         np.testing.assert_allclose(found, 100 * expected.leg_lengths[expected.exists], rtol=1e-12)
 
@@ -63,7 +63,7 @@ def test_singularities_of_each_branch() -> None:
     assert list(content["branches"]) == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
     assert {branch["kind"] for branch in content["branches"].values()} == {"regular"}
     pose = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX_DEGREES))
-    expected = spm.singularities(spm.inverse_displacement(spm.Geometry.paper(), pose)["TT-"])
+    expected = spm.singularities(spm.inverse_displacement(spm.Manipulator.paper(), pose)["TT-"])
     np.testing.assert_allclose(
         list(content["branches"]["TT-"]["scaled_determinants"].values()), expected.scaled_determinants, rtol=1e-12
     )
@@ -158,7 +158,7 @@ def test_forward_as_json_in_every_unit(unit: str, factor: float) -> None:
     # By another way to the same configuration: as many digits as a pose has.
     (alone,) = json.loads(forward(*command))["modes"]
     assert [mode["label"] for mode in content["modes"] if mode["physical"]] == [alone["label"]]
-    expected = spm.forward_displacement(spm.Geometry.paper(), readings)
+    expected = spm.forward_displacement(spm.Manipulator.paper(), readings)
     for mode in (*content["modes"], alone):
         state = expected[mode["label"]]
         for key in ("translation", "middle_joints"):
@@ -171,6 +171,6 @@ def test_forward_as_json_in_every_unit(unit: str, factor: float) -> None:
 def test_a_continuous_family_is_named(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("base_radius: 1.0\nplatform_radius: 0.7\nmiddle_side: 2.0\n", encoding="utf-8")
-    out = " ".join(forward("--legs", "1", "3", "1", "2", "2", "2", "--geometry", str(path), code=4).split())
+    out = " ".join(forward("--legs", "1", "3", "1", "2", "2", "2", "--machine", str(path), code=4).split())
     assert "status: degenerate" in out
     assert "continuous family of dimension 1" in out

@@ -41,13 +41,13 @@ def test_one_method_has_no_differences_to_show() -> None:
 
 
 def test_methods_that_know_the_drawing_alone_are_mentioned(tmp_path: Path) -> None:
-    spm.Geometry.paper().perturbed(3).to_yaml(tmp_path / "built.yaml")
-    done = run("crosscheck", "--poses", "2", "--geometry", tmp_path / "built.yaml")
+    spm.Manipulator.paper().perturbed(3).to_yaml(tmp_path / "built.yaml")
+    done = run("crosscheck", "--poses", "2", "--machine", tmp_path / "built.yaml")
     assert "Left out, since they know machines as drawn alone, or their packages are not" in done.stdout
 
 
 def test_the_printed_lever_arm_fails_and_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def printed(geometry: spm.Geometry) -> Method:
+    def printed(geometry: spm.Manipulator) -> Method:
         return Paper(geometry, mistakes=Table5Mistakes(printed_lever_arm=True))
 
     monkeypatch.setitem(METHODS, "paper", printed)
@@ -62,13 +62,13 @@ def test_the_printed_lever_arm_fails_and_is_named(monkeypatch: pytest.MonkeyPatc
 def test_commands_name_the_geometry_they_are_for(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
-    done = run("crosscheck", "--poses", "3", "--method", "closed-form", "--method", "nlp", "--geometry", str(path))
+    done = run("crosscheck", "--poses", "3", "--method", "closed-form", "--method", "nlp", "--machine", str(path))
     assert done.returncode == 0, done.stderr
-    assert f"--geometry {path}" in done.stdout
+    assert f"--machine {path}" in done.stdout
 
 
 def test_a_method_that_cannot_be_imported_is_mentioned(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(geometry: spm.Geometry) -> Method:
+    def missing(geometry: spm.Manipulator) -> Method:
         raise ImportError("pinocchio")
 
     monkeypatch.setitem(METHODS, "pinocchio", missing)

@@ -37,8 +37,8 @@ def test_every_format_is_what_the_writers_write(tmp_path: Path) -> None:
 def test_another_geometry_and_a_prefix(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
-    done = run("export", "--format", "mjcf", "--geometry", str(path), "--prefix", "left_")
-    assert done.stdout == mjcf_text(spm.Geometry(0.7, 0.35, 0.8), prefix="left_")
+    done = run("export", "--format", "mjcf", "--machine", str(path), "--prefix", "left_")
+    assert done.stdout == mjcf_text(spm.Manipulator(0.7, 0.35, 0.8), prefix="left_")
     srdf = ElementTree.fromstring(run("export", "--format", "srdf", "--prefix", "left_").stdout)
     assert [g.get("name") for g in srdf.findall("group_state")] == ["home"]
     assert len(srdf.findall("passive_joint")) == 12
@@ -88,7 +88,7 @@ def test_a_stage_in_every_format(tmp_path: Path) -> None:
         (["mjcf"], mjcf_text(stage)),
         (["mjcf", "--ball", "--actuators", "motors"], mjcf_text(stage, ball=ball, actuators="motors")),
         (["sdf", "--prefix", "left_"], sdf_text(stage, prefix="left_")),
-        (["srdf"], spm.description.srdf_text(geometry=stage)),
+        (["srdf"], spm.description.srdf_text(machine=stage)),
         (["extended-urdf"], spm.description.extended_urdf_text(stage)),
     ):
         done = run("export", *arguments, "--stage", file)
@@ -111,7 +111,7 @@ def test_what_does_not_go_with_a_stage(tmp_path: Path) -> None:
     for arguments, message in (
         (["mjcf", "--ball"], "--ball: expected a --stage for it to roll on"),
         (["sdf", "--stage", file, "--ball"], "--ball: expected to be left out with --format sdf"),
-        (["mjcf", "--stage", file, "--geometry", file], "--geometry: expected to be left out with a stage"),
+        (["mjcf", "--stage", file, "--machine", file], "--machine: expected to be left out with a stage"),
         (["ros", "--stage", file], "--stage: expected to be left out with --format ros"),
         (["ros2", "--stage", file], "--stage: expected to be left out with --format ros"),
         (["c-stage"], "--stage: expected a stage: its file, or --base, --platform and what follows, got none"),

@@ -36,12 +36,12 @@ def test_errors_of_the_machine_are_in_the_unit_and_in_radians() -> None:
 
 def test_the_file_of_a_machine_as_built(tmp_path: Path) -> None:
     file = tmp_path / "machine.yaml"
-    nominal = spm.Geometry.paper().nominal
+    nominal = spm.Manipulator.paper().nominal
     nominal.perturbed(0, length=1e-4, angle=1e-4).to_yaml(file)
-    done = run("certify", *LIMITS, "--geometry", str(file))
+    done = run("certify", *LIMITS, "--machine", str(file))
     assert done.returncode == 0, done.stderr
     assert "For all machines" in done.stdout
-    done = run("certify", *LIMITS, "--geometry", str(file), "--inverse")
+    done = run("certify", *LIMITS, "--machine", str(file), "--inverse")
     assert done.returncode == 2
     assert "--inverse" in done.message
 
@@ -76,15 +76,15 @@ def test_the_csv_has_the_motion_and_the_viewer_reads_it(tmp_path: Path) -> None:
     assert max(abs(float(row[f"{SLIDES[2]}.effort"])) for row in rows) == pytest.approx(1500.0, rel=0.01)
     recording = read_recording(out)
     assert recording.times[-1] == pytest.approx(float(rows[-1]["time"]))
-    assert recording.follow(spm.Geometry.paper()).path.complete
+    assert recording.follow(spm.Manipulator.paper()).path.complete
     assert plot.stat().st_size > 10_000
 
 
 def test_a_machine_as_built_moves_between_its_readings(tmp_path: Path) -> None:
     file = tmp_path / "machine.yaml"
-    spm.Geometry.paper().perturbed(1, length=1e-4, angle=1e-4).to_yaml(file)
+    spm.Manipulator.paper().perturbed(1, length=1e-4, angle=1e-4).to_yaml(file)
     limits = ["--leg-force", "1500", "--leg-acceleration", "3", "--period", "0.02"]
-    done = run("move", *ENDS, *limits, "--geometry", str(file), "--json")
+    done = run("move", *ENDS, *limits, "--machine", str(file), "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["certified"] is True

@@ -29,7 +29,7 @@ REFUSED = [
     (f"inverse {POSE} --rpy 1 2 3", "error: --xyx and --rpy: expected one orientation"),
     (f"inverse {PLACE} --quat 0 0 1 1", "error: --quat: expected a quaternion of length 1"),
     (f"inverse {POSE} --unit furlong", "furlong"),
-    (f"inverse {POSE} --geometry missing.yaml", "error: --geometry: missing.yaml: expected"),
+    (f"inverse {POSE} --machine missing.yaml", "error: --machine: missing.yaml: expected"),
     ("nothing", "No such command"),
     # calibrate, certify, crosscheck
     ("calibrate nope.csv", "error: CSV: nope.csv: expected a readable CSV file"),

@@ -12,7 +12,7 @@ from cli.running import run
 import spm_pin as spm
 from spm_pin.machine import PRS, RRS, Stage
 
-MACHINE = spm.Geometry.of_stages(
+MACHINE = spm.Manipulator.of_stages(
     Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(0.1, 0.9)),
     Stage(0.20, 0.25, PRS(rod=0.30), limits=(0.0, 0.2)),
 )
@@ -28,7 +28,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_readings_lead_to_a_pose_and_back(file: Path) -> None:
-    done = run("forward", "--legs", *TYPED, "--unit", "mm", "--geometry", file, "--quat", "--json")
+    done = run("forward", "--legs", *TYPED, "--unit", "mm", "--machine", file, "--quat", "--json")
     assert done.returncode == 0, done.stderr
     content = json.loads(done.stdout)
     assert content["reading_units"] == ["deg"] * 3 + ["mm"] * 3
@@ -36,12 +36,12 @@ def test_readings_lead_to_a_pose_and_back(file: Path) -> None:
     expected = spm.forward_physical(MACHINE, READINGS)
     np.testing.assert_allclose(mode["translation"], 1e3 * expected.translation, atol=1e-5)
     pose = ["--translation", *map(repr, mode["translation"]), "--quat", *map(repr, mode["quat"])]
-    back = run("inverse", *pose, "--unit", "mm", "--geometry", file)
+    back = run("inverse", *pose, "--unit", "mm", "--machine", file)
     assert back.returncode == 0, back.stderr
     assert "Real branches: readings in degrees (r_b1 to r_b3) and mm (r_c1 to r_c3)" in back.stdout
     row = next(line for line in back.stdout.splitlines() if "physical" in line).split()
     np.testing.assert_allclose(np.array(row[1:7], dtype=float), np.array(TYPED, dtype=float), atol=6e-3)
-    branches = json.loads(run("inverse", *pose, "--unit", "mm", "--geometry", file, "--json").stdout)["branches"]
+    branches = json.loads(run("inverse", *pose, "--unit", "mm", "--machine", file, "--json").stdout)["branches"]
     physical = next(branch for branch in branches if branch["physical"])
     np.testing.assert_allclose(physical["readings"], np.array(TYPED, dtype=float), atol=1e-4)
     np.testing.assert_allclose(physical["leg_lengths"], 1e3 * expected.leg_lengths, atol=1e-4)
@@ -49,11 +49,11 @@ def test_readings_lead_to_a_pose_and_back(file: Path) -> None:
 
 def test_efforts_are_torques_and_rates_degrees_per_second(file: Path) -> None:
     load = ["--force", "0", "0", "-50", "--angular-velocity", "0", "5", "0"]
-    done = run("statics", "--legs", *TYPED, *load, "--unit", "mm", "--geometry", file)
+    done = run("statics", "--legs", *TYPED, *load, "--unit", "mm", "--machine", file)
     assert done.returncode == 0, done.stderr
     assert "Efforts in N m (r_b1 to r_b3) and N (r_c1 to r_c3): positive increases the reading" in done.stdout
     assert "Rates of the readings per second, in degrees (r_b1 to r_b3) and mm (r_c1 to r_c3)" in done.stdout
-    content = json.loads(run("statics", "--legs", *TYPED, *load, "--unit", "mm", "--geometry", file, "--json").stdout)
+    content = json.loads(run("statics", "--legs", *TYPED, *load, "--unit", "mm", "--machine", file, "--json").stdout)
     (branch,) = content["branches"].values()
     state = spm.forward_physical(MACHINE, READINGS)
     np.testing.assert_allclose(branch["forces"], spm.leg_forces(state, [0, 0, -50, 0, 0, 0]), rtol=1e-6)
@@ -63,18 +63,18 @@ def test_efforts_are_torques_and_rates_degrees_per_second(file: Path) -> None:
 
 def test_a_unit_of_length_is_hinted_at_by_lengths_alone(file: Path) -> None:
     wrong = [*TYPED[:3], *(f"{x:.6f}" for x in 1e3 * READINGS[3:])]
-    done = run("statics", "--legs", *wrong, "--force", "0", "0", "-9", "--geometry", file)
+    done = run("statics", "--legs", *wrong, "--force", "0", "0", "-9", "--machine", file)
     assert done.returncode == 3
     assert "--legs was read in m: 140 m" in done.message
     # Ten degrees are no ten metres.
-    near = run("forward", "--legs", "25", "27", "29", "0.1", "0.12", "0.14", "--geometry", file)
+    near = run("forward", "--legs", "25", "27", "29", "0.1", "0.12", "0.14", "--machine", file)
     assert near.returncode == 0, near.stdout
 
 
 def test_limits_of_cranks_in_radians_are_said_and_no_unit_of_length_is_hinted_at(tmp_path: Path) -> None:
     servos = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35))
-    spm.Geometry.of_stages(servos, servos).to_yaml(tmp_path / "servos.yaml")
-    geometry = ("--geometry", tmp_path / "servos.yaml")
+    spm.Manipulator.of_stages(servos, servos).to_yaml(tmp_path / "servos.yaml")
+    geometry = ("--machine", tmp_path / "servos.yaml")
     done = run("certify", "--min", "0.3", "--max", "0.5", *geometry)
     assert done.returncode == 0
     assert "--max was read in degrees: 0.5° at most. In radians 0.5 are 29°" in done.message
@@ -84,14 +84,14 @@ def test_limits_of_cranks_in_radians_are_said_and_no_unit_of_length_is_hinted_at
 
 def test_limits_of_a_stage_are_certified_in_degrees(tmp_path: Path) -> None:
     servos = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35))
-    spm.Geometry.of_stages(servos, servos).to_yaml(tmp_path / "servos.yaml")
-    done = run("certify", "--min", "20", "--max", "30", "--geometry", tmp_path / "servos.yaml")
+    spm.Manipulator.of_stages(servos, servos).to_yaml(tmp_path / "servos.yaml")
+    done = run("certify", "--min", "20", "--max", "30", "--machine", tmp_path / "servos.yaml")
     assert done.returncode == 0, done.stderr
     assert f"Readings from {np.deg2rad(20.0):g} rad to {np.deg2rad(30.0):g} rad" in done.stdout
     assert "nor is a leg singular itself" in done.stdout
 
 
 def test_what_is_outside_the_limits_is_starred_in_its_own_unit(file: Path) -> None:
-    done = run("forward", "--legs", "60", *TYPED[1:], "--unit", "mm", "--geometry", file)
+    done = run("forward", "--legs", "60", *TYPED[1:], "--unit", "mm", "--machine", file)
     assert done.returncode == 5
     assert "* r_b1 beyond the limits" in done.stdout

@@ -48,7 +48,7 @@ def test_workspace_prints_the_patches_the_volume_and_its_convergence() -> None:
 def test_json_in_every_unit(unit: str, factor: float) -> None:
     limits = [f"{1.1 * factor:g}", f"{1.4 * factor:g}"]
     content = json.loads(run(*FEW, "--limits", *limits, "--unit", unit, "--json").stdout)
-    shell = workspace_shell(spm.Geometry.paper(), spm.LegLimits(1.1, 1.4), resolution=6)
+    shell = workspace_shell(spm.Manipulator.paper(), spm.LegLimits(1.1, 1.4), resolution=6)
     assert content["unit"] == unit
     assert content["euler_characteristic"] == 2
     np.testing.assert_allclose(content["limits"]["maximum"], 1.4 * factor)
@@ -59,9 +59,9 @@ def test_json_in_every_unit(unit: str, factor: float) -> None:
 
 
 def test_workspace_finds_what_this_machine_reaches(tmp_path: Path) -> None:
-    machine, path = spm.Geometry.paper().perturbed(1, length=5e-3, angle=5e-3), tmp_path / "built.yaml"
+    machine, path = spm.Manipulator.paper().perturbed(1, length=5e-3, angle=5e-3), tmp_path / "built.yaml"
     machine.to_yaml(path)
-    options = ["--geometry", str(path), "--unit", "cm", "--spacing", "40"]
+    options = ["--machine", str(path), "--unit", "cm", "--spacing", "40"]
     done = run("workspace", *options, "--out", str(tmp_path / "reached.stl"), "--json")
     assert done.returncode == 0, done.stderr
     content = json.loads(done.stdout)
@@ -101,22 +101,22 @@ def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     text = "base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n"
     path.write_text(text, encoding="utf-8")
-    done = run(*FEW, "--geometry", str(path))
+    done = run(*FEW, "--machine", str(path))
     assert done.returncode == 2
     assert done.message.startswith("error: --limits: ")
-    assert "The geometry has none of its own" in done.message
+    assert "The machine has none of its own" in done.message
     pairs = {leg: "[1.1, 1.5]" if leg.startswith("r_b") else "[1.2, 1.4]" for leg in spm.machine.LEGS}
     limits = ", ".join(f"{leg}: {pair}" for leg, pair in pairs.items())
     path.write_text(f"{text}leg_limits: {{{limits}}}\n", encoding="utf-8")
     assert "legs from 1.1, 1.1, 1.1, 1.2, 1.2, 1.2 to 1.5, 1.5, 1.5, 1.4, 1.4, 1.4 m" in run(
-        *FEW, "--geometry", str(path)
+        *FEW, "--machine", str(path)
     ).stdout.replace("\n", " ")
 
 
 def test_readings_of_cranks_are_typed_in_degrees_whatever_the_unit(tmp_path: Path) -> None:
     stage = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(0.0, 1.0))
-    spm.Geometry.of_stages(stage, stage).to_yaml(tmp_path / "servos.yaml")
-    options = ["--geometry", tmp_path / "servos.yaml", "--unit", "mm", "--workers", 1, "--limits", 10, 60]
+    spm.Manipulator.of_stages(stage, stage).to_yaml(tmp_path / "servos.yaml")
+    options = ["--machine", tmp_path / "servos.yaml", "--unit", "mm", "--workers", 1, "--limits", 10, 60]
     output("--legs", "20:40:3", "--legs", "30", *options, "--metric", "reachable", "--out", tmp_path / "map")
     stored = xarray.open_zarr(tmp_path / "map")
     np.testing.assert_allclose(stored.r_b1, np.deg2rad([20.0, 30.0, 40.0]), rtol=1e-15)
@@ -144,7 +144,7 @@ def test_a_grid_of_poses_is_that_of_python(tmp_path: Path) -> None:
         2.5,
         xyx=[float(np.deg2rad(1)), (float(np.deg2rad(17)), float(np.deg2rad(20)), 2), float(np.deg2rad(6))],
     )
-    expected = spm.sweeps.run_sweep(spm.Geometry.paper(), grid, ["branches"], tmp_path / "b", workers=1).load()
+    expected = spm.sweeps.run_sweep(spm.Manipulator.paper(), grid, ["branches"], tmp_path / "b", workers=1).load()
     found = xarray.open_zarr(tmp_path / "a").load()
     np.testing.assert_array_equal(found.branches, expected.branches)
     np.testing.assert_allclose(found.x, expected.x, rtol=1e-15)

@@ -4,7 +4,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from kinds_of_legs import machine
+from kinds_of_legs import machine_of_kinds
 from problems import PAPER, in_leg_space
 
 import spm_pin as spm
@@ -53,14 +53,14 @@ def test_closure_residuals_stay_within_the_stated_rounding(name: str) -> None:
 
 @pytest.mark.parametrize(("lower", "upper", "built"), [("RRS", "PRS", False), ("PRS", "RRS", True)])
 def test_legs_of_any_kind_are_compared_with_the_tolerances_of_cylinders(lower: str, upper: str, built: bool) -> None:
-    geometry = machine(lower, upper, built=built)
-    report = compare_methods(geometry, poses=6, seed=3, methods=["closed-form", "nlp"])
+    machine = machine_of_kinds(lower, upper, built=built)
+    report = compare_methods(machine, poses=6, seed=3, methods=["closed-form", "nlp"])
     assert report.agrees, report.verdict
     assert report.scores[0].branches == report.scores[1].branches == report.states > 8
     # Rounding is far below what conditioning would allow, as of cylinders.
     assert max(pair.ratio for pair in report.differences) < 0.1
     with pytest.raises(spm.GeometryError, match="machine of RPS legs for the paper's equations"):
-        METHODS["paper"](geometry)
+        METHODS["paper"](machine)
 
 
 @pytest.mark.parametrize("size", [1e-4, 3e-3])

@@ -25,7 +25,7 @@ from spm_pin.crosscheck.paper_shell import (
 )
 from spm_pin.errors import SelectionError
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 SHELL = workspace_shell(PAPER, resolution=16)
 
 
@@ -45,7 +45,7 @@ def flux(shell: Shell, nodes: int = 12) -> float:
         half = (high - low) / 2.0
         legs[..., first] = (low + half)[first] + half[first] * x[:, None]
         legs[..., second] = (low + half)[second] + half[second] * x
-        state = spm.forward_physical(shell.geometry, legs)
+        state = spm.forward_physical(shell.machine, legs)
         columns = spm.kinematics.platform_jacobian(state)[..., :3, :]
         normal = np.cross(columns[..., first], columns[..., second])
         corner = [int(patch.grid[at]) for at in ((0, 0), (1, 0), (1, 1))]
@@ -122,9 +122,9 @@ def test_scaled_machines_have_scaled_shells(
     base: float, platform: float, side: float, ends: list[tuple[float, float]], scale: float
 ) -> None:
     low, high = zip(*ends, strict=True)
-    shell = workspace_shell(spm.Geometry(base, platform, side), spm.LegLimits(low, high), resolution=4)
+    shell = workspace_shell(spm.Manipulator(base, platform, side), spm.LegLimits(low, high), resolution=4)
     limits = spm.LegLimits([scale * x for x in low], [scale * x for x in high])
-    scaled = workspace_shell(spm.Geometry(scale * base, scale * platform, scale * side, limits), resolution=4)
+    scaled = workspace_shell(spm.Manipulator(scale * base, scale * platform, scale * side, limits), resolution=4)
     assert scaled.volume == pytest.approx(scale**3 * shell.volume, rel=1e-9)
     assert scaled.area == pytest.approx(scale**2 * shell.area, rel=1e-9)
     np.testing.assert_allclose(scaled.vertices, scale * shell.vertices, rtol=0.0, atol=1e-11 * scale)
@@ -182,18 +182,18 @@ def test_arrays_are_read_only_and_the_shell_says_what_it_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("geometry", "limits", "says"),
+    ("machine", "limits", "says"),
     [
-        (spm.Geometry(0.7, 0.35, 0.8), None, "The geometry has none"),
+        (spm.Manipulator(0.7, 0.35, 0.8), None, "The machine has none"),
         (PAPER, spm.LegLimits(0.0, 1.5), "a positive minimum for every leg"),
         (PAPER, spm.LegLimits(1.1, np.inf), "infinity for r_b1"),
         (PAPER, spm.LegLimits(0.05, 0.1), "26 of 26 vertices .* Too short to join the platforms"),
         (PAPER, spm.LegLimits(0.3, 4.0), "vertices without a physical configuration, as at r_b1 = 0.3"),
     ],
 )
-def test_limits_and_geometries_without_a_shell(geometry: object, limits: object, says: str) -> None:
+def test_limits_and_geometries_without_a_shell(machine: object, limits: object, says: str) -> None:
     with pytest.raises(spm.ArgumentError, match=says):
-        workspace_shell(geometry, limits, resolution=4)  # type: ignore[arg-type]
+        workspace_shell(machine, limits, resolution=4)  # type: ignore[arg-type]
 
 
 def test_without_trimesh_all_but_the_mesh_works(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from cli.running import run
-from problems import GEOMETRIES, PAPER
+from problems import MANIPULATORS, PAPER
 from scipy.spatial.transform import RigidTransform
 
 import spm_pin as spm
@@ -72,7 +72,7 @@ def test_command_of_a_report_solves_its_pose(report: Report) -> None:
     again = spm.inverse_displacement(PAPER, spm.pose(numbers[:3], xyx=np.deg2rad(numbers[3:])))
     assert again[worst.branch].exists
     assert f"{again.count} of 8 branches real" in run(*words[1:]).stdout
-    assert report.command(worst.pose, "my robot.yaml").endswith(" --geometry 'my robot.yaml'")
+    assert report.command(worst.pose, "my robot.yaml").endswith(" --machine 'my robot.yaml'")
 
 
 @contextmanager
@@ -80,9 +80,9 @@ def flipped_sign() -> Iterator[None]:
     """Change one sign in one of CasADi's loop equations: b_2 + c_2 where it says b_2 - c_2."""
     true = loop_equations.equations
 
-    def flipped(geometry: spm.Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
-        rows = ca.vertsplit(true(geometry, b, rotation, translation))
-        axis, vector = loop_equations.legs(geometry, b, rotation, translation)[4]
+    def flipped(machine: spm.Manipulator, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
+        rows = ca.vertsplit(true(machine, b, rotation, translation))
+        axis, vector = loop_equations.legs(machine, b, rotation, translation)[4]
         rows[4] = ca.dot(axis, 2.0 * b[3:6] - vector)
         return ca.vertcat(*rows)
 
@@ -100,7 +100,7 @@ class Forgetful(ClosedForm):
     name: str = "forgetful"
 
     def inverse(self, pose: RigidTransform) -> spm.SolutionSet:
-        solutions = spm.inverse_displacement(self.geometry, pose)
+        solutions = spm.inverse_displacement(self.machine, pose)
         keep = solutions.exists.copy()
         for n in range(0, len(keep), 3):
             keep[n, np.flatnonzero(keep[n])[:1]] = False
@@ -142,16 +142,16 @@ def test_the_printed_lever_arm_is_found() -> None:
         assert (pair.disagreements > 0) == wrong_pair, pair
 
 
-@pytest.mark.parametrize("geometry", [PAPER, PAPER.perturbed(1, length=1e-3, angle=1e-3)])
-def test_lost_branches_are_found(geometry: spm.Geometry) -> None:
+@pytest.mark.parametrize("machine", [PAPER, PAPER.perturbed(1, length=1e-3, angle=1e-3)])
+def test_lost_branches_are_found(machine: spm.Manipulator) -> None:
     # Of the machine as built `nlp`, which comes first, knows no labels: the others are put into its order.
-    found = compare_methods(geometry, poses=12, methods=["nlp", "closed-form", Forgetful(geometry)])
+    found = compare_methods(machine, poses=12, methods=["nlp", "closed-form", Forgetful(machine)])
     assert found.outliers == ("forgetful",)
     (score,) = (score for score in found.scores if score.name == "forgetful")
     assert score.missed >= 3
     assert score.invented == 0
     lost = spm.inverse_displacement(
-        geometry, spm.pose(found.translation[score.pose], xyx=np.deg2rad(found.xyx[score.pose]))
+        machine, spm.pose(found.translation[score.pose], xyx=np.deg2rad(found.xyx[score.pose]))
     )
     assert lost.count > 0
 
@@ -199,8 +199,8 @@ def test_progress_names_the_method_and_counts_poses() -> None:
 
 
 def test_each_batch_reports_all_poses_so_far() -> None:
-    geometry, names = spm.Geometry(0.06, 0.04, 0.05), ["closed-form", "paper", "nlp"]
-    partial, whole = list(compare_in_batches(geometry, poses=16, seed=4, methods=names))
+    machine, names = spm.Manipulator(0.06, 0.04, 0.05), ["closed-form", "paper", "nlp"]
+    partial, whole = list(compare_in_batches(machine, poses=16, seed=4, methods=names))
     assert whole.agrees
     assert (len(partial.xyx), len(whole.xyx), partial.requested) == (10, 16, 16)
     np.testing.assert_array_equal(partial.xyx, whole.xyx[:10])
@@ -211,7 +211,7 @@ def test_each_batch_reports_all_poses_so_far() -> None:
     for before, after in zip(partial.differences, whole.differences, strict=True):
         assert after.compared > before.compared
         assert after.ratio >= before.ratio
-    branches = spm.inverse_displacement(geometry, spm.pose(whole.translation, xyx=np.deg2rad(whole.xyx)))
+    branches = spm.inverse_displacement(machine, spm.pose(whole.translation, xyx=np.deg2rad(whole.xyx)))
     assert whole.states == branches.count.sum()
     assert whole.scores[0].branches == branches.count.sum()
 
@@ -223,19 +223,19 @@ def test_a_slow_method_gets_its_share_spread_over_all_poses() -> None:
     assert whole.scores[1].missed == 0
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_poses_in_leg_space_have_a_branch_there(name: str) -> None:
-    geometry = GEOMETRIES[name]
-    poses = in_leg_space(geometry, 60, np.random.default_rng(0))
+    machine = MANIPULATORS[name]
+    poses = in_leg_space(machine, 60, np.random.default_rng(0))
     assert poses.shape == (60,)
-    branches = spm.inverse_displacement(geometry, poses)
+    branches = spm.inverse_displacement(machine, poses)
     assert branches.exists.any(axis=-1).all()
-    if geometry.limits is not None:
+    if machine.limits is not None:
         inside = branches.within()
         assert inside.count.min() >= 1
         # Drawn uniformly: the legs of those branches fill their range.
         legs = inside.leg_lengths[inside.exists]
-        width = np.array(geometry.limits.maximum) - geometry.limits.minimum
+        width = np.array(machine.limits.maximum) - machine.limits.minimum
         assert (np.ptp(legs, axis=0) > 0.8 * width).all()
 
 

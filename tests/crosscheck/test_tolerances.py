@@ -33,7 +33,7 @@ def test_norm_of_the_inverse_agrees_with_the_inverse_jacobian() -> None:
     for sample in (states(5), spm.forward_physical(built, np.random.default_rng(0).uniform(1.15, 1.45, (20, 6)))):
         rates = spm.inverse_jacobian(sample) / np.repeat([1.0, PAPER.middle_side], 3)
         expected = 1.0 / np.linalg.svd(rates, compute_uv=False)[..., -1]
-        rtol = 1e-6 if sample.geometry.is_nominal else 1e-9
+        rtol = 1e-6 if sample.machine.is_nominal else 1e-9
         np.testing.assert_allclose(Conditioning.from_configuration(sample).inverse, expected, rtol=rtol)
 
 

@@ -16,7 +16,7 @@ from spm_pin.description import joint_values, mjcf_text, read_closures, sdf_text
 from spm_pin.description.robot import read_robot
 from spm_pin.errors import DescriptionError
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 MACHINES = {
     "without errors": PAPER,
     "a millimetre": PAPER.perturbed(1, length=1e-3, angle=1e-3),
@@ -26,13 +26,13 @@ BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).perturbed(1, len
 LEGS = np.random.default_rng(0).uniform(1.2, 1.4, (12, 6))
 
 
-def states(machine: spm.Geometry) -> spm.Configuration:
+def states(machine: spm.Manipulator) -> spm.Configuration:
     found = spm.forward_physical(machine, LEGS)
     assert found.exists.sum() > 8
     return found[found.exists]
 
 
-def state_of(machine: spm.Geometry | spm.Stage) -> spm.Configuration | spm.machine.StageConfiguration:
+def state_of(machine: spm.Manipulator | spm.Stage) -> spm.Configuration | spm.machine.StageConfiguration:
     if isinstance(machine, spm.Stage):
         return spm.stages.forward_physical(machine, [0.2, 0.1, 0.3])
     return states(machine)[0]
@@ -64,7 +64,7 @@ def test_a_state_named_in_the_description_is_of_its_machine() -> None:
     assert list(keys) == ["home", "measured"]
     values = joint_values(state)
     assert keys["measured"] == " ".join(repr(values[joint.name]) for joint in read_robot(machine).moving)
-    with pytest.raises(DescriptionError, match="one geometry in all states, the robot's"):
+    with pytest.raises(DescriptionError, match="one machine in all states, the robot's"):
         mjcf_text(PAPER, states={"measured": state})
 
 
@@ -77,7 +77,7 @@ def test_leg_forces_balance_in_mujoco(name: str) -> None:
     model = mujoco.MjModel.from_xml_string(mjcf_text(machine, anchors="sites"))
     data = mujoco.MjData(model)
     loads = np.random.default_rng(2).standard_normal((len(LEGS), 6))
-    chain = spm.ClosedChain.from_urdf(geometry=machine)
+    chain = spm.ClosedChain.from_urdf(machine=machine)
     for state, load in zip(states(machine), loads, strict=False):
         for joint, value in joint_values(state).items():
             data.qpos[model.joint(joint).qposadr[0]] = value
@@ -104,7 +104,7 @@ def test_files_of_a_machine(tmp_path: Path) -> None:
     file = tmp_path / "machine.yaml"
     machine.to_yaml(file)
     for kind, text in (("urdf", urdf_text), ("mjcf", mjcf_text), ("sdf", sdf_text)):
-        done = run("export", kind, "--geometry", str(file))
+        done = run("export", kind, "--machine", str(file))
         assert done.returncode == 0, done.stderr
         assert done.stdout == text(machine)
     tree, state = KinematicTree(urdf_text(machine)), states(machine)[0]

@@ -1,4 +1,4 @@
-"""The tree is assembled at home for every geometry, and in every real configuration."""
+"""The tree is assembled at home for every machine, and in every real configuration."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from description.kinematic_tree import SLIDES, STATES, TREE, KinematicTree
-from problems import GEOMETRIES, in_leg_space
+from problems import MANIPULATORS, in_leg_space
 
 import spm_pin as spm
 from spm_pin.description import urdf_text
@@ -16,12 +16,12 @@ from spm_pin.description.tree import joint_values
 from spm_pin.machine.joint_angles import home_readings
 
 EPS = np.finfo(float).eps
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 CLOSURES = read_closures()
 
 
-def limited(minimum: float | list[float], maximum: float | list[float]) -> spm.Geometry:
-    return spm.Geometry(1.2, 0.5, 0.8, spm.LegLimits(minimum, maximum))
+def limited(minimum: float | list[float], maximum: float | list[float]) -> spm.Manipulator:
+    return spm.Manipulator(1.2, 0.5, 0.8, spm.LegLimits(minimum, maximum))
 
 
 LIMITED = {
@@ -32,17 +32,17 @@ LIMITED = {
     "too short to stand": limited(0.2, 0.3),
     "nothing shared": limited([0.9, 1.2, 1.5, 0.9, 1.2, 1.5], [1.0, 1.3, 1.6, 1.0, 1.3, 1.6]),
 }
-ALL = GEOMETRIES | LIMITED
+ALL = MANIPULATORS | LIMITED
 
 
 @pytest.fixture(scope="module")
 def trees() -> dict[str, KinematicTree]:
-    return {name: KinematicTree(urdf_text(geometry)) for name, geometry in ALL.items()}
+    return {name: KinematicTree(urdf_text(machine)) for name, machine in ALL.items()}
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_home_is_assembled_and_symmetric(name: str, trees: dict[str, KinematicTree]) -> None:
-    tree, geometry = trees[name], ALL[name]
+    tree, machine = trees[name], ALL[name]
     assert tree.gap({}, CLOSURES) < 1e-12
     frames = tree.frames({})
     for platform in ("base", "middle_platform", "terminal_platform"):
@@ -50,22 +50,22 @@ def test_home_is_assembled_and_symmetric(name: str, trees: dict[str, KinematicTr
         np.testing.assert_allclose(frames[platform][:2, 3], 0.0, atol=1e-14)
     heights = [frames[platform][2, 3] for platform in ("base", "middle_platform", "terminal_platform")]
     assert heights[0] == 0.0 < heights[1] < heights[2]
-    lower, upper = home_readings(geometry)[[0, 3]]
+    lower, upper = home_readings(machine)[[0, 3]]
     for leg, corner, home in (("b", "base_a", lower), ("c", "terminal_c", upper)):
         for i in (1, 2, 3):
             hip, tip, middle = (frames[name][:3, 3] for name in (f"{corner}{i}", f"leg_{leg}{i}_tip", f"middle_b{i}"))
             np.testing.assert_allclose(tip, middle, atol=1e-12)
             assert np.linalg.norm(tip - hip) == pytest.approx(home, abs=1e-12)
-    # Corners and axes are the geometry's.
+    # Corners and axes are the machine's.
     for i in range(3):
         a, c = frames[f"base_a{i + 1}"], np.linalg.inv(frames["terminal_platform"]) @ frames[f"terminal_c{i + 1}"]
-        np.testing.assert_allclose(a[:3, 3], geometry.base_joints[i], atol=1e-15)
-        np.testing.assert_allclose(c[:3, 3], geometry.platform_joints[i], atol=1e-14)
+        np.testing.assert_allclose(a[:3, 3], machine.base_joints[i], atol=1e-15)
+        np.testing.assert_allclose(c[:3, 3], machine.platform_joints[i], atol=1e-14)
         for corner in (a, c):
-            np.testing.assert_allclose(corner[:3, 0], geometry.revolute_axes[i], atol=1e-15)
+            np.testing.assert_allclose(corner[:3, 0], machine.revolute_axes[i], atol=1e-15)
             np.testing.assert_allclose(corner[:3, 2], [0.0, 0.0, 1.0], atol=1e-15)
         for leg in (f"leg_b{i + 1}", f"leg_c{i + 1}"):
-            np.testing.assert_allclose(frames[f"{leg}_cylinder"][:3, 0], geometry.revolute_axes[i], atol=1e-14)
+            np.testing.assert_allclose(frames[f"{leg}_cylinder"][:3, 0], machine.revolute_axes[i], atol=1e-14)
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -85,9 +85,9 @@ def test_home_lies_in_the_middle_of_the_shared_limits_if_it_can() -> None:
     assert set(home_readings(PAPER).tolist()) == {1.3}
     assert home_readings(LIMITED["a limit for each leg"])[[0, 3]] == pytest.approx((1.3, 0.95))
     for name in ("no longest leg", "too short to stand", "nothing shared"):
-        geometry = LIMITED[name]
-        for length, radius in zip(home_readings(geometry)[[0, 3]], (1.2, 0.5), strict=True):
-            assert length > abs(geometry.middle_radius - radius)
+        machine = LIMITED[name]
+        for length, radius in zip(home_readings(machine)[[0, 3]], (1.2, 0.5), strict=True):
+            assert length > abs(machine.middle_radius - radius)
 
 
 def test_joint_values_of_what_a_machine_does_are_small(trees: dict[str, KinematicTree]) -> None:
@@ -102,18 +102,18 @@ def test_joint_values_of_what_a_machine_does_are_small(trees: dict[str, Kinemati
 
 def test_ball_joint_values_at_a_gimbal_singularity() -> None:
     """Middle angle ±90°: the outer two are not determined, yet the rotation is."""
-    geometry = spm.Geometry(0.7, 0.7, 0.7 * 3**0.5)
-    tree = KinematicTree(urdf_text(geometry))
+    machine = spm.Manipulator(0.7, 0.7, 0.7 * 3**0.5)
+    tree = KinematicTree(urdf_text(machine))
     corner = tree.frames({})["base_a1"][:3, :3]
     along_y = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     for turn in (along_y, along_y.T):
         middle = corner @ turn @ corner.T
         leg = np.array([0.0, 0.0, 1.4])
-        b1 = geometry.base_joints[0] + leg
-        b = b1 + geometry.middle_radius * (geometry.radial_directions - geometry.radial_directions[0]) @ middle.T
-        pose = spm.pose(b1 + leg - geometry.platform_joints[0], rotation=np.eye(3))
+        b1 = machine.base_joints[0] + leg
+        b = b1 + machine.middle_radius * (machine.radial_directions - machine.radial_directions[0]) @ middle.T
+        pose = spm.pose(b1 + leg - machine.platform_joints[0], rotation=np.eye(3))
         # The other legs cannot follow, so only leg 1's chain is looked at.
-        values = joint_values(spm.Configuration(geometry, pose, b))
+        values = joint_values(spm.Configuration(machine, pose, b))
         assert abs(values["ball_b1_y"]) == pytest.approx(np.pi / 2, abs=1e-7)
         frames = tree.frames(values)
         np.testing.assert_allclose(frames["middle_platform"][:3, :3], middle, atol=1e-14)

@@ -14,14 +14,14 @@ import pytest
 import trimesh
 from description.kinematic_tree import STATES, TREE, Array, origin, vector
 from engines import Drake, Mujoco, Pinocchio, Yourdfpy
-from problems import GEOMETRIES
+from problems import MANIPULATORS
 
 import spm_pin as spm
 from spm_pin.description import Masses, urdf_text
 from spm_pin.description.source_files import MJCF, URDF, description_directory, description_file
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_check_urdf(name: str, tmp_path: Path) -> None:
     # Debian's liburdfdom-tools have it, and so does the urdfdom wheel that Pinocchio brings along.
     path = f"{sysconfig.get_path('scripts')}:/usr/local/bin:/usr/bin:/bin"
@@ -29,7 +29,7 @@ def test_check_urdf(name: str, tmp_path: Path) -> None:
     if not binaries:
         pytest.skip("check_urdf is not installed (Debian: liburdfdom-tools)")
     urdf = tmp_path / "spm.urdf"
-    urdf.write_text(urdf_text(GEOMETRIES[name], prefix="left_", ros_constraints=True), encoding="utf-8")
+    urdf.write_text(urdf_text(MANIPULATORS[name], prefix="left_", ros_constraints=True), encoding="utf-8")
     for binary in binaries:
         answer = subprocess.run([str(binary), str(urdf)], capture_output=True, text=True, check=False)
         assert answer.returncode == 0, answer.stdout + answer.stderr

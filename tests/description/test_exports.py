@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from description.kinematic_tree import SLIDES, STATES, TREE, KinematicTree, inertia
 from engines import ENGINES, JOINTS, Array, Drake, Engine, Mujoco, Pinocchio, Values, Yourdfpy
-from problems import GEOMETRIES
+from problems import MANIPULATORS
 
 from spm_pin.description import MJCF_PATH, PACKAGE_PATH, SDF_PATH, URDF_PATH, mjcf_text, sdf_text, urdf_text
 from spm_pin.description.source_files import read_closures
@@ -256,14 +256,14 @@ def test_falling_in_mujoco_the_loops_hold(load: Load) -> None:
         robot.model.eq_active0[:] = 1
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_mjcf_of_any_geometry(name: str, tmp_path: Path) -> None:
-    geometry = GEOMETRIES[name]
-    tree = KinematicTree(urdf_text(geometry))
+    machine = MANIPULATORS[name]
+    tree = KinematicTree(urdf_text(machine))
     path = tmp_path / "robot.xml"
-    path.write_text(mjcf_text(geometry), encoding="utf-8")
+    path.write_text(mjcf_text(machine), encoding="utf-8")
     values = tree.random_values(np.random.default_rng(23))
-    size = max(1.0, geometry.base_radius)
+    size = max(1.0, machine.base_radius)
     for engine, reader in ENGINES.items():
         robot = reader(path)
         assert worst_frame(robot, values, tree)[0] < 1e-11 * size, engine

@@ -35,7 +35,7 @@ from spm_pin.description.visuals import read_obj
 from spm_pin.errors import ArgumentError, DescriptionError
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 
@@ -84,12 +84,12 @@ def same(text: str) -> str:
 
 
 def test_the_xacro_command_gives_the_same_tree(tmp_path: Path) -> None:
-    other, file = spm.Geometry(1.5, 0.25, 0.5), tmp_path / "geometry.yaml"
+    other, file = spm.Manipulator(1.5, 0.25, 0.5), tmp_path / "geometry.yaml"
     file.write_text(yaml.safe_dump(other.as_data()), encoding="utf-8")
     for prefix in ("", "left_"):
         by_hand, ours = expanded(tmp_path, f"prefix:={prefix}"), urdf_text(prefix=prefix, meshes=MESHES)
         assert same(by_hand) == same(ours)
-    assert same(expanded(tmp_path, f"geometry:={file}")) == same(urdf_text(other, meshes=MESHES))
+    assert same(expanded(tmp_path, f"machine:={file}")) == same(urdf_text(other, meshes=MESHES))
 
 
 def test_written_files_contain_no_local_path() -> None:
@@ -160,8 +160,8 @@ def test_srdf_of_other_states() -> None:
     assert list(named_states(text)) == ["home", "mine"]
     with pytest.raises(DescriptionError, match="names other than home"):
         srdf_text({"home": state})
-    other = random_branches(spm.Geometry(0.7, 0.35, 0.8), "TT", 1, seed=0).configuration[0]
-    with pytest.raises(DescriptionError, match="one geometry"):
+    other = random_branches(spm.Manipulator(0.7, 0.35, 0.8), "TT", 1, seed=0).configuration[0]
+    with pytest.raises(DescriptionError, match="one machine"):
         srdf_text({"mine": state, "other": other})
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from engines import Drake, Mujoco, Pinocchio, Yourdfpy
-from kinds_of_legs import EACH_KIND, machine, states
+from kinds_of_legs import EACH_KIND, machine_of_kinds, states
 
 import spm_pin as spm
 from spm_pin.description import (
@@ -31,7 +31,7 @@ from spm_pin.machine.joint_angles import home_readings
 
 SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
 SCREWS = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))
-ROBOT = spm.Geometry.of_stages(SERVOS, SCREWS)
+ROBOT = spm.Manipulator.of_stages(SERVOS, SCREWS)
 STATE = [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]
 STAGES = {
     "without limits": Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35)),
@@ -57,14 +57,14 @@ def closed(frames: dict[str, np.ndarray], state: spm.Configuration) -> None:
 @pytest.mark.parametrize("built", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), EACH_KIND)
 def test_loops_close_at_the_joint_values_of_a_state(lower: str, upper: str, built: bool, tmp_path: Path) -> None:
-    geometry = machine(lower, upper, built=built)
-    robot, file = read_robot(geometry), tmp_path / "robot.urdf"
-    file.write_text(urdf_text(geometry), encoding="utf-8")
+    machine = machine_of_kinds(lower, upper, built=built)
+    robot, file = read_robot(machine), tmp_path / "robot.urdf"
+    file.write_text(urdf_text(machine), encoding="utf-8")
     peer = Yourdfpy(file)
-    assert {joint.name for joint in robot.moving} == set(joint_names(geometry)) == set(peer.joints)
-    assert tuple(robot.motors) == actuated_joints(geometry)
+    assert {joint.name for joint in robot.moving} == set(joint_names(machine)) == set(peer.joints)
+    assert tuple(robot.motors) == actuated_joints(machine)
     assert robot.is_assembled() == (not built)
-    for state in states(geometry)[:3]:
+    for state in states(machine)[:3]:
         closed(robot.frames(joint_values(state)), state)
         closed(peer.frames(joint_values(state)), state)
 
@@ -74,16 +74,16 @@ def test_the_robot_stands_assembled_at_the_home_of_its_stages(name: str) -> None
     """The sources in xacro and the joint values in Python take the same place for home: level, on one axis."""
     is_above = list(STAGES).index(name) % 2
     stages = (SCREWS, STAGES[name]) if is_above else (STAGES[name], SERVOS)
-    geometry = spm.Geometry.of_stages(*stages)
-    robot, home = read_robot(geometry), home_readings(geometry)
+    machine = spm.Manipulator.of_stages(*stages)
+    robot, home = read_robot(machine), home_readings(machine)
     assert robot.is_assembled()
     if STAGES[name].limits:
-        limits = geometry.limits
+        limits = machine.limits
         np.testing.assert_allclose(home, 0.5 * np.add(limits.minimum, limits.maximum))
     frames = robot.frames()
     np.testing.assert_allclose(frames["terminal_platform"][:3, :3], np.eye(3), atol=1e-14)
     pose = spm.pose(frames["terminal_platform"][:3, 3], rpy=[0.0, 0.0, 0.0])
-    state = spm.Configuration(geometry, pose, np.array([frames[f"middle_b{i}"][:3, 3] for i in "123"]))
+    state = spm.Configuration(machine, pose, np.array([frames[f"middle_b{i}"][:3, 3] for i in "123"]))
     assert state.closure_residual < 1e-13
     np.testing.assert_allclose(state.readings, home, atol=1e-12)
     np.testing.assert_allclose(list(joint_values(state).values()), 0.0, atol=1e-12)
@@ -91,7 +91,7 @@ def test_the_robot_stands_assembled_at_the_home_of_its_stages(name: str) -> None
 
 def test_a_leg_of_the_other_working_mode_has_its_own_reading_at_home() -> None:
     kinds = RRS(crank=0.15, rod=0.35, sign=(-1, 1, -1)), PRS(rod=0.30)
-    mixed = spm.Geometry(*ROBOT.dimensions, legs=Legs(*ROBOT.legs.arrays, kinds))
+    mixed = spm.Manipulator(*ROBOT.dimensions, legs=Legs(*ROBOT.legs.arrays, kinds))
     home = home_readings(mixed)
     assert home[0] == home[2] != home[1]
     assert read_robot(mixed).is_assembled()
@@ -107,7 +107,7 @@ def test_limits_and_efforts_of_actuated_joints_are_those_of_the_readings() -> No
     np.testing.assert_allclose(
         [joint.limits["effort"] for joint in joints[:3]], force * built.legs.kinds[0].numbers[:, 0]
     )
-    free = read_robot(spm.Geometry.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35)), SCREWS))
+    free = read_robot(spm.Manipulator.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35)), SCREWS))
     ends = free.joints["leg_b1_hip"].limits
     assert ends["upper"] - ends["lower"] == pytest.approx(2.0 * np.pi)
 
@@ -164,4 +164,4 @@ def test_sdf_closes_its_loops_by_joints() -> None:
 def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
     level = Stage(0.20, 0.25, PRS(rod=0.30, direction=np.pi))
     with pytest.raises(spm.GeometryError, match="A rod too short, another sign"):
-        urdf_text(spm.Geometry.of_stages(level, SCREWS))
+        urdf_text(spm.Manipulator.of_stages(level, SCREWS))

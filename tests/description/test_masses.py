@@ -13,7 +13,7 @@ import pytest
 import yaml
 import yourdfpy
 from description.kinematic_tree import TREE, Array, KinematicTree, inertia, origin, vector
-from problems import GEOMETRIES
+from problems import MANIPULATORS
 
 import spm_pin as spm
 from spm_pin.description import Masses, RigidBody, mjcf_text, urdf_text
@@ -21,7 +21,7 @@ from spm_pin.description.masses import with_masses
 from spm_pin.description.source_files import description_file
 from spm_pin.errors import DescriptionError
 
-STATE = spm.forward_physical(spm.Geometry.paper(), [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
+STATE = spm.forward_physical(spm.Manipulator.paper(), [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
 TURN = pin.rpy.rpyToMatrix(0.3, -0.2, 0.5)
 INERTIA = TURN @ np.diag([0.5, 0.7, 1.0]) @ TURN.T
 PAYLOAD = RigidBody(10.0, [0.1, -0.05, 0.2], np.diag([0.1, 0.2, 0.25]))
@@ -152,9 +152,9 @@ def test_an_unknown_link_is_refused() -> None:
 NUMBERS = yaml.safe_load(description_file("config/inertials.yaml").read_text(encoding="utf-8"))
 
 
-@pytest.fixture(scope="module", params=GEOMETRIES)
+@pytest.fixture(scope="module", params=MANIPULATORS)
 def tree(request: pytest.FixtureRequest) -> KinematicTree:
-    return KinematicTree(urdf_text(GEOMETRIES[request.param]))
+    return KinematicTree(urdf_text(MANIPULATORS[request.param]))
 
 
 def volume_and_moments(kind: str, *size: float) -> tuple[float, Array]:

@@ -85,7 +85,7 @@ def test_no_collision_where_a_machine_can_be(model: Any) -> None:
     assert not collides(STATES["reference"])
     # Both stages turned half round: the legs cross.
     assert collides(STATES["solution_7"])
-    for configuration in in_leg_space(spm.Geometry.paper(), 50, seed=5).configuration:
+    for configuration in in_leg_space(spm.Manipulator.paper(), 50, seed=5).configuration:
         assert not collides(joint_values(configuration))
 
 

@@ -91,7 +91,7 @@ def test_a_batch_has_the_joint_angles_of_its_members_and_of_the_lower_stage_of_a
     angles = joint_angles(states)
     np.testing.assert_array_equal(angles.values, [joint_angles(state).values for state in states])
     assert angles.passive.shape == angles.actuated.shape == angles.ball_x.shape == (6, 3)
-    robot = spm.Geometry.of_stages(stage, stage)
+    robot = spm.Manipulator.of_stages(stage, stage)
     both = joint_angles(spm.Configuration(robot, states.pose, states.balls))
     for name in ("passive", "ball_x", "ball_y", "ball_z", "actuated"):
         np.testing.assert_allclose(getattr(angles, name), getattr(both, name)[..., :3], atol=1e-14, err_msg=name)
@@ -277,9 +277,9 @@ def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
 
 def test_states_of_another_stage_are_refused() -> None:
     _, states = stage_and_states("RRS")
-    with pytest.raises(DescriptionError, match="one geometry in all states"):
+    with pytest.raises(DescriptionError, match="one machine in all states"):
         mjcf_text(DRAWN["RPS"], states={"mine": states[0]})
-    with pytest.raises(ArgumentError, match="a Geometry or a Stage"):
+    with pytest.raises(ArgumentError, match="a Manipulator or a Stage"):
         urdf_text("stage.yaml")  # type: ignore[arg-type]
 
 

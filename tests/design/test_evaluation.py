@@ -10,9 +10,9 @@ import spm_pin as spm
 from spm_pin.design import evaluate_designs
 
 LIMITS = spm.LegLimits(1.2, 1.4)
-MACHINES = [spm.Geometry(0.7, c, 0.8, LIMITS) for c in (0.3, 0.35, 0.5)]
-WIDE = spm.Geometry(0.7, 0.35, 0.8, spm.LegLimits(0.6, 1.6))
-SHORT = spm.Geometry(0.7, 0.35, 0.1, spm.LegLimits(0.01, 0.02))
+MACHINES = [spm.Manipulator(0.7, c, 0.8, LIMITS) for c in (0.3, 0.35, 0.5)]
+WIDE = spm.Manipulator(0.7, 0.35, 0.8, spm.LegLimits(0.6, 1.6))
+SHORT = spm.Manipulator(0.7, 0.35, 0.1, spm.LegLimits(0.01, 0.02))
 METRICS = ("payload", "least_stiffness")
 
 
@@ -41,7 +41,7 @@ def test_rows_are_what_each_machine_gives_by_itself() -> None:
 
 
 def test_the_volume_is_that_of_the_poses_where_each_has_one_state() -> None:
-    machine = spm.Geometry(0.7, 0.35, 0.8, spm.LegLimits(1.25, 1.3))
+    machine = spm.Manipulator(0.7, 0.35, 0.8, spm.LegLimits(1.25, 1.3))
     volume = evaluate_designs([machine], states=4096).columns["volume"][0]
     expected = spm.workspace.pose_volume(machine, samples=20_000, rng=1)
     # A narrow box around the inverse singularity of the home, on both sides of which a pose has a state.
@@ -68,6 +68,6 @@ def test_machines_that_cannot_be_assembled_or_certified_stop_nothing() -> None:
     with pytest.raises(spm.ArgumentError, match=r"an iterable of .* got Geometry"):
         evaluate_designs(MACHINES[0])  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match="index 1"):
-        evaluate_designs([MACHINES[0], spm.Geometry(0.7, 0.3, 0.8)])
+        evaluate_designs([MACHINES[0], spm.Manipulator(0.7, 0.3, 0.8)])
     with pytest.raises(spm.ArgumentError, match="an iterable of at least one"):
         evaluate_designs([])

@@ -21,7 +21,7 @@ from spm_pin.sweeps import METRICS
 
 pytest.importorskip("pymoo")
 
-GEOMETRY = spm.Geometry(0.7, 0.35, 0.8, spm.LegLimits(1.2, 1.4))
+GEOMETRY = spm.Manipulator(0.7, 0.35, 0.8, spm.LegLimits(1.2, 1.4))
 PROBLEM = DesignProblem(
     GEOMETRY,
     free={"platform_radius": (0.25, 0.6), "base_radius": (0.5, 0.9), "upper_stroke": (0.1, 0.25)},
@@ -32,13 +32,13 @@ SMALL: dict[str, Any] = {"population": 8, "generations": 4, "states": 64, "seed"
 
 
 def test_machines_have_the_values_of_the_free_variables() -> None:
-    machine = PROBLEM.machine(np.array([0.3, 0.6, 0.2]))
+    machine = PROBLEM.machine_of(np.array([0.3, 0.6, 0.2]))
     assert machine.dimensions == (0.6, 0.3, 0.8)
     assert machine.limits is not None
     np.testing.assert_allclose(machine.limits.minimum, [1.2] * 6)
     np.testing.assert_allclose(machine.limits.maximum, [1.4] * 3 + [1.4] * 3)
     both = DesignProblem(GEOMETRY, {"minimum": (1.0, 1.2), "stroke": (0.1, 0.3)}, PROBLEM.aims)
-    assert both.machine(np.array([1.1, 0.15])).limits == spm.LegLimits(1.1, 1.1 + 0.15)
+    assert both.machine_of(np.array([1.1, 0.15])).limits == spm.LegLimits(1.1, 1.1 + 0.15)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_a_front_is_what_no_evaluated_machine_beats(front: Front) -> None:
     for row in chosen:
         assert not ((every <= row).all(axis=-1) & (every < row).any(axis=-1)).any()
     assert (np.diff(chosen[:, 0]) >= 0.0).all()
-    again = evaluate_designs(front.designs.geometries, "payload", states=64, seed=5)
+    again = evaluate_designs(front.designs.machines, "payload", states=64, seed=5)
     np.testing.assert_array_equal(again.columns["payload_low"], front.designs.columns["payload_low"])
     reference = front.reference.columns["payload_low"][0], front.reference.columns["footprint"][0]
     np.testing.assert_array_equal(front.better, (-chosen[:, 0] >= reference[0]) & (chosen[:, 1] <= reference[1]))
@@ -130,7 +130,7 @@ def test_processes_are_started_once_for_a_search_and_give_the_same(
 
 def test_bounds_are_kept_and_machines_without_numbers_lose(tmp_path: Path) -> None:
     wide = DesignProblem(
-        spm.Geometry(0.7, 0.35, 0.8, spm.LegLimits(0.5, 0.7)),
+        spm.Manipulator(0.7, 0.35, 0.8, spm.LegLimits(0.5, 0.7)),
         free={"middle_side": (0.2, 1.2), "stroke": (0.1, 1.2)},
         aims={"volume": "max", "conditioning_low": "max"},
         at_least={"certified": 1.0},
@@ -159,18 +159,18 @@ def test_bounds_are_kept_and_machines_without_numbers_lose(tmp_path: Path) -> No
         ({"at_most": {"beauty": 1.0}}, "volume"),
         ({"aims": {"volume": "most", "footprint": "min"}}, "max"),
         ({"aims": {"beauty": "max", "footprint": "min"}}, "volume"),
-        ({"geometry": spm.Geometry(0.7, 0.35, 0.8)}, "finite"),
+        ({"machine": spm.Manipulator(0.7, 0.35, 0.8)}, "finite"),
     ],
 )
 def test_problems_that_are_none_are_refused(changes: dict[str, Any], text: str) -> None:
-    arguments = {name: getattr(PROBLEM, name) for name in ("geometry", "free", "aims", "at_least")}
+    arguments = {name: getattr(PROBLEM, name) for name in ("machine", "free", "aims", "at_least")}
     with pytest.raises(spm.ArgumentError, match=text):
         DesignProblem(**{**arguments, **changes})
 
 
 def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None:
     GEOMETRY.to_yaml(tmp_path / "start.yaml")
-    command = ["design", tmp_path / "front.json", "--geometry", tmp_path / "start.yaml"]
+    command = ["design", tmp_path / "front.json", "--machine", tmp_path / "start.yaml"]
     command += ["--free", "platform_radius:0.25:0.6", "--free", "base_radius:0.5:0.9"]
     command += ["--maximise", "payload_low", "--minimise", "footprint", "--at-least", "assembled:1"]
     command += ["--population", "8", "--generations", "3", "--states", "64"]
@@ -181,7 +181,7 @@ def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None
     assert heading.endswith("payload_low [N]  footprint [m²]  assembled")
     assert "24 machines evaluated" in done.stdout
     content = json.loads(run(*command, "--json").stdout)
-    chosen = spm.Geometry.from_yaml(tmp_path / "chosen.yaml")
+    chosen = spm.Manipulator.from_yaml(tmp_path / "chosen.yaml")
     assert content["machines"][0] == chosen.as_data()
     best = max(content["columns"]["payload_low"])
     assert content["columns"]["payload_low"][0] == best
@@ -226,7 +226,7 @@ def test_a_search_without_a_machine_within_the_bounds_says_so(tmp_path: Path) ->
 def test_a_file_beside_the_store_is_left_alone(tmp_path: Path) -> None:
     other = tmp_path / "front.json.draft"
     other.write_text("not ours", encoding="utf-8")
-    problem = DesignProblem(spm.Geometry.paper(), {"stroke": (0.1, 0.3)}, {"volume": "max", "footprint": "min"})
+    problem = DesignProblem(spm.Manipulator.paper(), {"stroke": (0.1, 0.3)}, {"volume": "max", "footprint": "min"})
     pareto_front(problem, store=tmp_path / "front.json", population=4, generations=2, states=16)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["front.json", "front.json.draft"]
     assert other.read_text(encoding="utf-8") == "not ours"
@@ -235,16 +235,16 @@ def test_a_file_beside_the_store_is_left_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ends", [(1.0, 1.0 + 1e-15), (1e-12, 1.0), (1.0, 1e12)])
 def test_ranges_without_choice_or_out_of_bounds_are_refused(ends: tuple[float, float]) -> None:
     with pytest.raises(spm.ArgumentError, match="low < high"):
-        DesignProblem(spm.Geometry.paper(), {"stroke": ends}, {"volume": "max"})
+        DesignProblem(spm.Manipulator.paper(), {"stroke": ends}, {"volume": "max"})
 
 
 def test_a_range_in_millimetres_is_refused() -> None:
     with pytest.raises(spm.ArgumentError, match=r"middle_side.*In mm or cm\?"):
-        DesignProblem(spm.Geometry.paper(), {"middle_side": (500, 1100)}, {"volume": "max"})
+        DesignProblem(spm.Manipulator.paper(), {"middle_side": (500, 1100)}, {"volume": "max"})
 
 
 def test_a_task_has_the_margin_and_the_efforts_of_its_states() -> None:
-    machine = spm.Geometry.paper()
+    machine = spm.Manipulator.paper()
     state = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     here = state.pose.as_matrix()
     there = here.copy()
@@ -272,7 +272,7 @@ def test_a_task_has_the_margin_and_the_efforts_of_its_states() -> None:
 def test_aims_may_be_functions_and_metrics_of_ones_own_and_cranks_are_variables(tmp_path: Path) -> None:
     servos = Stage(base_radius=0.30, platform_radius=0.25, legs=RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
     screws = Stage(base_radius=0.20, platform_radius=0.25, legs=PRS(rod=0.30), limits=(-0.05, 0.25))
-    machine = spm.Geometry.of_stages(servos, screws)
+    machine = spm.Manipulator.of_stages(servos, screws)
     here = spm.forward_physical(machine, [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]).pose.as_matrix()
     task, payload = Task([here], [0.0, 0.0, -50.0, 0.0, 0.0, 0.0]), METRICS["payload"](push=20.0)
     problem = DesignProblem(
@@ -285,7 +285,7 @@ def test_aims_may_be_functions_and_metrics_of_ones_own_and_cranks_are_variables(
         metrics=[payload],
     )
     np.testing.assert_allclose(problem.values(machine), [0.15, 0.30, -0.05])
-    changed = problem.machine(np.array([0.12, 0.33, -0.02]))
+    changed = problem.machine_of(np.array([0.12, 0.33, -0.02]))
     assert changed.legs.kinds == (RRS(crank=0.12, rod=0.35), PRS(rod=0.33))
     assert changed.limits == spm.LegLimits.stages((-0.5, 1.5), (-0.02, -0.02 + 0.3))
     np.testing.assert_allclose(problem.values(changed), [0.12, 0.33, -0.02])
@@ -294,9 +294,9 @@ def test_aims_may_be_functions_and_metrics_of_ones_own_and_cranks_are_variables(
     front = pareto_front(problem, tmp_path / "front.json", **search)
     columns = front.evaluated.columns
     for name, function in problem.functions.items():
-        np.testing.assert_array_equal(columns[name], [function(each) for each in front.evaluated.geometries])
+        np.testing.assert_array_equal(columns[name], [function(each) for each in front.evaluated.machines])
     assert (front.designs.columns["arms"] <= 0.49).all()
-    again = evaluate_designs(front.evaluated.geometries, METRICS["payload"], states=32)
+    again = evaluate_designs(front.evaluated.machines, METRICS["payload"], states=32)
     np.testing.assert_allclose(columns["payload_low"], 20.0 * again.columns["payload_low"], rtol=1e-12)
     other = dataclasses.replace(problem, functions={**problem.functions, "effort": Task([here]).effort})
     with pytest.raises(spm.ArgumentError, match="functions"):
@@ -306,7 +306,7 @@ def test_aims_may_be_functions_and_metrics_of_ones_own_and_cranks_are_variables(
             dataclasses.replace(problem, free=free)
 
 
-def arms(machine: spm.Geometry) -> float:
+def arms(machine: spm.Manipulator) -> float:
     kind = machine.legs.kinds[0]
     assert isinstance(kind, RRS)
     return float(np.sum([kind.crank, kind.rod]))

@@ -22,7 +22,7 @@ from spm_pin.motion import plan, time_optimal
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.support.notebook import VIEW
 
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 
 
 @pytest.mark.parametrize("ending", ["pdf", "svg"])
@@ -47,7 +47,7 @@ def test_a_legend_lies_within_its_figure(name: str) -> None:
 
 
 def motion() -> Figure:
-    chain = ClosedChain.from_urdf(geometry=GEOMETRY)
+    chain = ClosedChain.from_urdf(machine=GEOMETRY)
     home, end = [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.21, 1.2, 1.4, 1.25, 1.2, 1.5]
     planned = plan(GEOMETRY, home, end, spm.LegLimits(1.0, 1.6))
     return motion_figure(time_optimal(chain, planned, leg_accelerations=1.0))

@@ -27,7 +27,7 @@ from spm_pin.display.rendering import AXIS_COLOURS, TRIAD, camera_axes, robot_so
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.support.notebook import VIEW
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 SOLUTIONS = spm.inverse_displacement(PAPER, POSE)
 STATE = SOLUTIONS.physical()
@@ -68,7 +68,7 @@ def pixel(ax, point):
 def test_plates_hide_one_another_from_above_and_below(elevation, radius, name):
     # Opposite leg 1 the terminal platform ends 0.15 m from the middle, the middle one 0.19 m, the base 0.30 m.
     right, up, _ = looking((0.0, elevation * np.pi))
-    point = -radius * HOME.geometry.radial_directions[0]
+    point = -radius * HOME.machine.radial_directions[0]
     colour = pixel(draw(HOME, view=(0.0, elevation * np.pi), labels=False, dpi=60), (point @ right, point @ up))
     plates = {body: COLOURS[f"{body} {mesh}_plate"] for body, mesh in PLATES}
     assert min(plates, key=lambda plate: off_shade(colour, plates[plate])) == name
@@ -158,10 +158,10 @@ def along(vertices, start, end):
     return lengths.min(), lengths.max(), np.linalg.norm(across, axis=-1).max()
 
 
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
+@pytest.mark.parametrize("name", problems.MANIPULATORS)
 def test_every_machine_in_every_family_makes_closed_solids(name):
     for family in spm.machine.FAMILIES:
-        built = robot_solids(problems.random_branches(problems.GEOMETRIES[name], family, 1, seed=5).configuration[0])
+        built = robot_solids(problems.random_branches(problems.MANIPULATORS[name], family, 1, seed=5).configuration[0])
         assert len({solid.name for solid in built}) == len(built)
         for solid in built:
             mesh = trimesh.Trimesh(solid.vertices, solid.faces)
@@ -170,15 +170,15 @@ def test_every_machine_in_every_family_makes_closed_solids(name):
             assert mesh.volume > 0.0, solid.name
 
 
-@pytest.mark.parametrize("name", [*problems.GEOMETRIES, "as built"])
+@pytest.mark.parametrize("name", [*problems.MANIPULATORS, "as built"])
 def test_solids_are_those_of_the_urdf_where_its_joints_put_them(name):
-    geometry = problems.GEOMETRIES.get(name, problems.as_built(PAPER, 5e-2))
-    tree = KinematicTree(urdf_text(geometry))
+    machine = problems.MANIPULATORS.get(name, problems.as_built(PAPER, 5e-2))
+    tree = KinematicTree(urdf_text(machine))
     colours = {m.get("name"): vector(m.find("color").get("rgba"))[:3] for m in tree.root.findall("material")}
-    if geometry.is_nominal:
-        state = problems.random_branches(geometry, "TT", 1, seed=2).configuration[0]
+    if machine.is_nominal:
+        state = problems.random_branches(machine, "TT", 1, seed=2).configuration[0]
     else:
-        state = spm.forward_physical(geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
+        state = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     frames, built = tree.frames(joint_values(state)), solids(state, frames=False)
     count = 0
     for link, element in tree.links.items():
@@ -202,9 +202,9 @@ def test_solids_are_those_of_the_urdf_where_its_joints_put_them(name):
 @pytest.mark.parametrize("limits", [None, spm.LegLimits(1.1, 1.5), spm.LegLimits(0.3, 3.0)])
 def test_a_leg_is_one_leg_whatever_its_length(label, limits):
     """The real branches have legs from 0.6 to 2 m; the rod begins inside the barrel and ends in the ball."""
-    geometry = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side, limits)
+    machine = spm.Manipulator(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side, limits)
     state = SOLUTIONS[label]
-    built = solids(spm.Configuration(geometry, state.pose, state.middle_joints))
+    built = solids(spm.Configuration(machine, state.pose, state.middle_joints))
     for leg, hip, ball in zip(spm.machine.LEGS, state.leg_bases, state.balls, strict=True):
         length = np.linalg.norm(ball - hip)
         start, joint, barrel_radius = along(built[f"leg_{leg[2:]}_cylinder tube"].vertices, hip, ball)
@@ -219,8 +219,8 @@ def test_a_leg_is_one_leg_whatever_its_length(label, limits):
 def test_within_its_limits_a_leg_is_that_of_the_urdf():
     """Rod and barrel of fixed lengths overlap, from the shortest leg to the longest, and no rod leaves its hip."""
     for limits in (PAPER.limits, spm.LegLimits(1.0, 1.9), spm.LegLimits([0.9] * 3 + [0.5] * 3, [1.6] * 3 + [0.9] * 3)):
-        geometry = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side, limits)
-        tubes = {part.name: np.ptp(part.vertices[:, 2]) for part in visual_parts(geometry) if part.mesh == "tube"}
+        machine = spm.Manipulator(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side, limits)
+        tubes = {part.name: np.ptp(part.vertices[:, 2]) for part in visual_parts(machine) if part.mesh == "tube"}
         for k, leg in enumerate(spm.machine.LEGS):
             barrel, rod = (tubes[f"leg_{leg[2:]}_{half} tube"] for half in ("cylinder", "rod"))
             assert barrel + rod > limits.maximum[k]
@@ -264,8 +264,8 @@ def test_pins_lie_on_the_revolute_axes_and_legs_go_from_pivots_to_balls(size):
 
 @pytest.mark.parametrize(("lower", "upper", "built"), [("PRS", "RRS", True), ("RRS", "PRS", False)])
 def test_solids_of_carriages_and_cranks_are_where_the_urdf_has_them(lower, upper, built):
-    state = kinds_of_legs.states(kinds_of_legs.machine(lower, upper, built=built))[0]
-    robot = read_robot(state.geometry)
+    state = kinds_of_legs.states(kinds_of_legs.machine_of_kinds(lower, upper, built=built))[0]
+    robot = read_robot(state.machine)
     frames, found = robot.frames(joint_values(state)), iter(robot_solids(state, frames=False))
     seen = set()
     for name, link in robot.links.items():
@@ -295,8 +295,8 @@ def test_frames_are_arrows_along_their_axes_and_can_be_left_out():
 
 def test_sizes_scale_with_the_machine():
     factor = 0.01
-    small = spm.Geometry(PAPER.base_radius * factor, PAPER.platform_radius * factor, PAPER.middle_side * factor)
-    large = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
+    small = spm.Manipulator(PAPER.base_radius * factor, PAPER.platform_radius * factor, PAPER.middle_side * factor)
+    large = spm.Manipulator(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
     pose = spm.pose(STATE.translation * factor, rotation=STATE.rotation)
     little = robot_solids(spm.Configuration(small, pose, STATE.middle_joints * factor))
     big = robot_solids(spm.Configuration(large, POSE, STATE.middle_joints))

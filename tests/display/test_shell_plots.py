@@ -26,7 +26,7 @@ from spm_pin.display.shell_plots import (
 from spm_pin.display.writing import save_figure
 from spm_pin.errors import ArgumentError
 
-SHELL = workspace_shell(spm.Geometry.paper(), resolution=10)
+SHELL = workspace_shell(spm.Manipulator.paper(), resolution=10)
 NAMES = [patch.name for patch in SHELL.patches]
 LEVEL = Plane.level(2.1)
 

@@ -42,8 +42,8 @@ from spm_pin.display.writing import fixed, to_json
 from spm_pin.kinematics.forward_displacement import starting_configuration
 from spm_pin.machine import PRS, RRS, Stage
 
-PAPER = spm.Geometry.paper()
-FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
+PAPER = spm.Manipulator.paper()
+FREE = spm.Manipulator(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
 START = starting_configuration(PAPER)
 
 
@@ -51,12 +51,12 @@ def moved(pose, shift=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0)):
     return spm.pose(pose.translation + np.array(shift), rotation=Rotation.from_rotvec(turn) * pose.rotation)
 
 
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
+@pytest.mark.parametrize("name", problems.MANIPULATORS)
 def test_every_machine_has_a_physical_start_the_paper_s_is_its_solution_3(name):
-    start = starting_configuration(problems.GEOMETRIES[name])
+    start = starting_configuration(problems.MANIPULATORS[name])
     state = ViewerModel(start).state
     assert state.is_physical
-    if start.geometry == PAPER:
+    if start.machine == PAPER:
         np.testing.assert_allclose(start.leg_lengths, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], atol=1e-12)
         assert state.label == "TT+"
         assert state.labels == ("TT+", "TT-", "TF+", "TF-", "FF+", "FF-")
@@ -84,7 +84,7 @@ def test_a_machine_as_built_is_dragged_on_its_branch_and_stays_within_its_limits
     again = spm.forward_physical(machine, state.shown.readings)
     np.testing.assert_allclose(again.pose.as_matrix(), target.as_matrix(), atol=1e-9)
     state = model.drag(moved(target, shift=(0.0, 0.0, 0.8)))
-    assert state.shown.geometry == machine
+    assert state.shown.machine == machine
     assert machine.limits.margin(state.shown.readings) >= -1e-9
     assert 0.1 < state.distance < 0.8
     assert "beyond the leg limits" in " ".join(state.warnings) or "does not reach it" in " ".join(state.warnings)
@@ -436,7 +436,7 @@ def test_the_motion_of_a_chain_is_read_back(tmp_path):
 def test_servos_are_shown_in_degrees_and_screws_in_metres():
     servos = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
     screws = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))
-    machine = spm.Geometry.of_stages(servos, screws)
+    machine = spm.Manipulator.of_stages(servos, screws)
     model = ViewerModel(spm.forward_physical(machine, [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]))
     np.testing.assert_allclose(model.reading_ranges(), [[-0.5, 1.5]] * 3 + [[-0.05, 0.25]] * 3)
     units = reading_units(machine)
@@ -448,7 +448,7 @@ def test_servos_are_shown_in_degrees_and_screws_in_metres():
     assert "in ° and m, between limits" in bars
     assert "-34.4°" in bars
     assert "in N m and N" in forces_table(model.load([0.0, 0.0, -50.0, 0.0, 0.0, 0.0]))
-    free = spm.Geometry.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35)), Stage(0.20, 0.25, PRS(rod=0.30)))
+    free = spm.Manipulator.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35)), Stage(0.20, 0.25, PRS(rod=0.30)))
     start = starting_configuration(free)
     for k, ends in enumerate(ViewerModel(start).reading_ranges()):
         assert ends[0] < start.readings[k] < ends[1]
@@ -568,8 +568,8 @@ def test_what_is_shared_of_another_machine_needs_its_file():
     for stage in (built, apart):
         model = StageModel(spm.stages.inverse_physical(stage, spm.stages.home_height(stage)))
         assert model.command().startswith("spm-pin stage inverse --stage FILE --height ")
-    assert "--geometry" not in ViewerModel(START).command()
-    assert ViewerModel(starting_configuration(FREE)).command().endswith(" --geometry FILE")
+    assert "--machine" not in ViewerModel(START).command()
+    assert ViewerModel(starting_configuration(FREE)).command().endswith(" --machine FILE")
 
 
 @pytest.mark.parametrize("machine", MACHINES)
@@ -577,7 +577,7 @@ def test_the_solids_of_a_stage_are_those_of_the_robot_that_stands_on_it(machine)
     stage, height = stage_and_height(machine)
     state = spm.stages.inverse_physical(stage, height, roll=0.1, pitch=-0.05)
     above = spm.stages.inverse_physical(stage, height, roll=-0.05)
-    robot = spm.Geometry.of_stages(stage, stage)
+    robot = spm.Manipulator.of_stages(stage, stage)
     both = spm.forward_physical(robot, [*state.readings, *above.readings[::-1]])
     parts = visual_parts(robot)
     lower = [k for k, part in enumerate(parts) if not part.body.startswith(("leg_c", "terminal"))]

@@ -82,9 +82,9 @@ def run_cmake(*steps: list[object]) -> None:
         assert done.returncode == 0, done.stderr
 
 
-def geometry_numbers(geometry: spm.Geometry) -> np.ndarray:
+def geometry_numbers(machine: spm.Manipulator) -> np.ndarray:
     """Return the numbers of an `spm_geometry`."""
-    return np.concatenate(list(machine_fields(geometry).values()))
+    return np.concatenate(list(machine_fields(machine).values()))
 
 
 @dataclass(frozen=True)
@@ -95,19 +95,19 @@ class CLibrary:
     machine: np.ndarray
 
     @classmethod
-    def build(cls, geometry: spm.Geometry, folder: Path, *flags: str) -> CLibrary:
+    def build(cls, machine: spm.Manipulator, folder: Path, *flags: str) -> CLibrary:
         """Export, compile and load; `flags` such as ``-O2``."""
-        spm.export.write_c(geometry, folder)
-        loops = [_batch_of(f.name, [len(x) for x in f.arguments.values()], f.count) for f in state_functions(geometry)]
+        spm.export.write_c(machine, folder)
+        loops = [_batch_of(f.name, [len(x) for x in f.arguments.values()], f.count) for f in state_functions(machine)]
         (folder / "batches.c").write_text(_BATCHES + "".join(loops), encoding="utf-8")
         library = folder / "library.so"
         inputs = folder / "batches.c", folder / "spm_kinematics.c"
         compile_c(compilers()[0], *STRICT, *flags, "-fPIC", "-shared", *inputs, "-lm", "-o", library)
-        return cls(ctypes.CDLL(str(library)), geometry_numbers(geometry))
+        return cls(ctypes.CDLL(str(library)), geometry_numbers(machine))
 
-    def of(self, geometry: spm.Geometry) -> CLibrary:
+    def of(self, machine: spm.Manipulator) -> CLibrary:
         """Return the same library, given another machine."""
-        return CLibrary(self.library, geometry_numbers(geometry))
+        return CLibrary(self.library, geometry_numbers(machine))
 
     def _call(self, name: str, count: int, *arrays: np.ndarray | None) -> np.ndarray:
         status = np.empty(count, np.int32)

@@ -11,12 +11,12 @@ import spm_pin as spm
 Poses = tuple[np.ndarray, np.ndarray]
 
 
-def spread_poses(geometry: spm.Geometry, count: int, seed: int) -> Poses:
+def spread_poses(machine: spm.Manipulator, count: int, seed: int) -> Poses:
     """Poses of known branches of all families, and some anywhere, most out of reach."""
     rng = np.random.default_rng(seed)
-    size = sum(geometry.dimensions)
+    size = sum(machine.dimensions)
     made = [
-        random_branches(geometry, family, count // 5, seed + k).pose for k, family in enumerate(spm.machine.FAMILIES)
+        random_branches(machine, family, count // 5, seed + k).pose for k, family in enumerate(spm.machine.FAMILIES)
     ]
     rest = count - sum(len(pose) for pose in made)
     rotation = [pose.rotation.as_matrix() for pose in made] + [Rotation.random(rest, rng=rng).as_matrix()]
@@ -25,11 +25,11 @@ def spread_poses(geometry: spm.Geometry, count: int, seed: int) -> Poses:
     )
 
 
-def hard_poses(geometry: spm.Geometry, count: int, seed: int) -> Poses:
+def hard_poses(machine: spm.Manipulator, count: int, seed: int) -> Poses:
     """Level and nearly level platforms, half turns, folds, and platforms upside down, on the axis and off it."""
     rng = np.random.default_rng(seed)
-    r = geometry.middle_radius
-    size = sum(geometry.dimensions)
+    r = machine.middle_radius
+    size = sum(machine.dimensions)
     azimuth, aside, turn = rng.uniform(-np.pi, np.pi, (3, count))
     small = 10.0 ** rng.uniform(-17.0, -1.0, count)
     tilt = rng.choice([0.0, 1.0, -1.0], count) * small + rng.choice([0.0, np.pi], count)
@@ -47,24 +47,24 @@ def hard_poses(geometry: spm.Geometry, count: int, seed: int) -> Poses:
     position = np.stack([off * np.cos(aside), off * np.sin(aside), rng.uniform(0.3, 1.5, count) * size], axis=-1)
     folds = []
     for index, family in enumerate(spm.machine.FAMILIES):
-        problem = random_branches(geometry, family, 20, seed + index)
+        problem = random_branches(machine, family, 20, seed + index)
         for n in range(20):
-            beyond = (-1.0) ** n * 10.0 ** rng.uniform(-15, -4) * geometry.middle_side
-            folds.append(at_discriminant(problem.pose[n], index, beyond, geometry))
+            beyond = (-1.0) ** n * 10.0 ** rng.uniform(-15, -4) * machine.middle_side
+            folds.append(at_discriminant(problem.pose[n], index, beyond, machine))
     matrix = np.concatenate([matrix, [pose.rotation.as_matrix() for pose in folds]])
     return matrix, np.concatenate([position, [pose.translation for pose in folds]])
 
 
-def possible_lengths(geometry: spm.Geometry, count: int, seed: int, spread: float) -> np.ndarray:
+def possible_lengths(machine: spm.Manipulator, count: int, seed: int, spread: float) -> np.ndarray:
     """Leg lengths (count, 6) [m] of level stages, varied by up to `spread` times the middle platform's radius."""
     rng = np.random.default_rng(seed)
-    size = sum(geometry.dimensions)
-    aside = np.repeat([geometry.base_radius, geometry.platform_radius], 3) - geometry.middle_radius
+    size = sum(machine.dimensions)
+    aside = np.repeat([machine.base_radius, machine.platform_radius], 3) - machine.middle_radius
     level = np.hypot(aside, size * rng.uniform(0.3, 0.9, (count, 2)).repeat(3, axis=-1))
-    return np.abs(level + spread * geometry.middle_radius * rng.uniform(-1.0, 1.0, (count, 6)))
+    return np.abs(level + spread * machine.middle_radius * rng.uniform(-1.0, 1.0, (count, 6)))
 
 
-def held_states(geometry: spm.Geometry, count: int, seed: int) -> spm.Configuration:
+def held_states(machine: spm.Manipulator, count: int, seed: int) -> spm.Configuration:
     """Configurations in the home's aspect, a part of `count` of them."""
-    found = spm.forward_physical(geometry, possible_lengths(geometry, count, seed, 0.5))
+    found = spm.forward_physical(machine, possible_lengths(machine, count, seed, 0.5))
     return found[found.exists]

@@ -51,7 +51,7 @@ class StageLibrary:
 
     library: ctypes.CDLL
     dtype: type
-    geometry: bytes = b""
+    machine: bytes = b""
 
     @classmethod
     def build(cls, folder: Path, dtype: type) -> StageLibrary:
@@ -72,7 +72,7 @@ class StageLibrary:
         given = [np.ascontiguousarray(x, self.dtype) for x in arrays]
         states, status = np.full((len(given[0]), STATE), 7.0, self.dtype), np.empty(len(given[0]), np.int32)
         pointers = [x.ctypes.data_as(ctypes.c_void_p) for x in (*given, states, status)]
-        getattr(self.library, f"{name}_all")(self.geometry, ctypes.c_long(len(states)), *pointers)
+        getattr(self.library, f"{name}_all")(self.machine, ctypes.c_long(len(states)), *pointers)
         return states, status
 
     def inverse(self, normals: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,8 +15,8 @@ import pytest
 from cli.running import run
 from export.c_library import STRICT, CLibrary, as_states, compile_c, compilers, run_cmake
 from export.c_poses import hard_poses, held_states, possible_lengths, spread_poses
-from kinds_of_legs import machine, states
-from problems import GEOMETRIES, as_built, at_end_stops
+from kinds_of_legs import machine_of_kinds, states
+from problems import MANIPULATORS, as_built, at_end_stops
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -25,7 +25,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.export.c_export import STATE_FUNCTIONS, STATUSES
 from spm_pin.machine.joint_angles import joint_names, value_names
 
-PAPER = GEOMETRIES["paper"]
+PAPER = MANIPULATORS["paper"]
 EPS = np.finfo(float).eps
 STATUS = {name: value for name, (value, _) in STATUSES.items()}
 SANITIZED = ("-O1", "-fsanitize=undefined,address", "-fno-sanitize-recover=all")
@@ -72,20 +72,20 @@ def structure_condition(state: spm.Configuration) -> np.ndarray:
 
     The formula of J_f solves for the latter first: where these are nearly dependent it loses digits that J_f has.
     """
-    legs, lower = state.geometry.legs, state.balls[..., :3, :]
+    legs, lower = state.machine.legs, state.balls[..., :3, :]
     axes = np.concatenate(
         [np.broadcast_to(legs.axes[:3], lower.shape), legs.axes[3:] @ np.swapaxes(state.rotation, -1, -2)], axis=-2
     )
     numbers = []
     for balls in (state.balls, np.concatenate([lower, lower], axis=-2)):
-        arms = (balls - lower.mean(axis=-2, keepdims=True)) / state.geometry.middle_side
+        arms = (balls - lower.mean(axis=-2, keepdims=True)) / state.machine.middle_side
         numbers.append(np.linalg.cond(np.concatenate([axes, np.cross(arms, axes)], axis=-1)))
     return np.maximum(*numbers)
 
 
-def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarray) -> None:
+def check_machine(library: CLibrary, machine: spm.Manipulator, readings: np.ndarray) -> None:
     """Compare all functions with the package's for one machine."""
-    own, state = library.of(geometry), spm.forward_physical(geometry, readings)
+    own, state = library.of(machine), spm.forward_physical(machine, readings)
     states, status = own.forward(readings)
     np.testing.assert_array_equal(status == 0, state.exists)
     assert state.exists.all()
@@ -94,7 +94,7 @@ def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarra
     assert (np.abs(states - known).max(axis=-1) <= 1e-12 + 16.0 * EPS * scale).all()
     np.testing.assert_allclose(states[:, 21:], readings, rtol=0, atol=1e-12)
 
-    expected = spm.inverse_physical(geometry, state.pose)
+    expected = spm.inverse_physical(machine, state.pose)
     found, status = own.inverse(state.rotation, state.translation)
     assert (status == 0).all()
     error = np.abs(found[:, 21:] - expected.readings).max(axis=-1)
@@ -119,21 +119,21 @@ def check_machine(library: CLibrary, geometry: spm.Geometry, readings: np.ndarra
 
 @pytest.mark.parametrize("size", [0.0, 1e-5, 1e-3, 1e-2])
 def test_a_random_machine_is_computed_as_by_the_package(library: CLibrary, size: float) -> None:
-    geometry = PAPER if size == 0.0 else as_built(PAPER, size, 11)
-    check_machine(library, geometry, random_readings(200, 1))
+    machine = PAPER if size == 0.0 else as_built(PAPER, size, 11)
+    check_machine(library, machine, random_readings(200, 1))
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-3])
 def test_states_at_end_stops_keep_their_branch_as_in_the_package(library: CLibrary, size: float) -> None:
-    geometry = PAPER if size == 0.0 else as_built(PAPER, size, 11)
-    states = at_end_stops(geometry, 4_000)
+    machine = PAPER if size == 0.0 else as_built(PAPER, size, 11)
+    states = at_end_stops(machine, 4_000)
     expected, (found, status) = (
-        spm.inverse_physical(geometry, states.pose),
-        library.of(geometry).inverse(states.rotation, states.translation),
+        spm.inverse_physical(machine, states.pose),
+        library.of(machine).inverse(states.rotation, states.translation),
     )
     assert (status == 0).mean() > 0.99
     solved = status == 0
-    assert geometry.limits.contains(found[solved, 21:]).all()
+    assert machine.limits.contains(found[solved, 21:]).all()
     np.testing.assert_allclose(found[solved, 21:], expected.readings[solved], rtol=0, atol=1e-9)
 
 
@@ -142,12 +142,12 @@ def test_the_first_leg_beyond_its_limits_is_that_of_the_package(library: CLibrar
     rng = np.random.default_rng(2)
     shares = 1.0 + np.array([0.0, 9e-9, -9e-9, 1.1e-8, -1.1e-8, 1e-3, -1e-3])
     for limits in (spm.LegLimits(1.1, 1.5), spm.LegLimits([1.1, 1.1, 1.1, 1.2, 1.1, 1.1], np.inf)):
-        geometry = replace(PAPER, limits=limits)
+        machine = replace(PAPER, limits=limits)
         readings = rng.choice(np.outer([1.1, 1.2, 1.5], shares).ravel(), (20_000, 6))
         readings[::7] = np.clip(readings[::7], 1.2, 1.49)
         excess = limits.excess(readings)
         expected = np.where((excess != 0.0).any(axis=-1), (excess != 0.0).argmax(axis=-1) + 1, 0)
-        np.testing.assert_array_equal(library.of(geometry).beyond_limits(readings), expected)
+        np.testing.assert_array_equal(library.of(machine).beyond_limits(readings), expected)
         assert (np.bincount(expected) > 100).all()
     assert library.of(PAPER).beyond_limits(np.array([[1.2, np.nan, 1.2, 1.2, 1.2, 1.2]])).tolist() == [2]
 
@@ -158,11 +158,11 @@ def test_the_first_leg_beyond_its_limits_is_that_of_the_package(library: CLibrar
 )
 def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str, tmp_path: Path) -> None:
     """One build for the drawn machine and for machines as built, at thousands of states each."""
-    compiled = CLibrary.build(machine(lower, upper), tmp_path, "-O2")
+    compiled = CLibrary.build(machine_of_kinds(lower, upper), tmp_path, "-O2")
     for built in (False, True):
-        geometry = machine(lower, upper, built=built)
-        own, state = compiled.of(geometry), states(geometry, 4_000 if not built else 400)
-        known, largest = as_states(state), geometry.legs.largest_slopes
+        machine = machine_of_kinds(lower, upper, built=built)
+        own, state = compiled.of(machine), states(machine, 4_000 if not built else 400)
+        known, largest = as_states(state), machine.legs.largest_slopes
         rates = spm.inverse_jacobian(state)
         size = np.abs(largest[:, None] * rates).max(axis=(-1, -2))
         away = size < 1e3
@@ -175,7 +175,7 @@ def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str,
             assert (status[away] == 0).all()
             assert (np.abs(found - known).max(axis=-1) <= bound)[away].all()
         expected, (found, status) = (
-            spm.inverse_physical(geometry, state.pose),
+            spm.inverse_physical(machine, state.pose),
             own.inverse(state.rotation, state.translation),
         )
         np.testing.assert_array_equal(status[away] == 0, expected.exists[away])
@@ -190,13 +190,13 @@ def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str,
         assert (status == 0).all()
         np.testing.assert_allclose(forces, spm.leg_forces(state, wrench), rtol=0, atol=1e-10 * np.abs(forces).max())
         values = spm.machine.joint_angles(state, (0,)).values
-        order = [value_names(geometry).index(name) for name in joint_names(geometry)]
+        order = [value_names(machine).index(name) for name in joint_names(machine)]
         found, status = own.of_states("joint_values", known)
         assert (status == 0).all()
         np.testing.assert_allclose(found, values[:, order], rtol=0, atol=1e-12)
         # Ways to other states, which turn cranks by up to half a radian; and balls out of reach.
         moved, arrived = own.forward(np.roll(state.readings, 1, axis=0), known)
-        followed = spm.forward_physical(geometry, np.roll(state.readings, 1, axis=0), state)
+        followed = spm.forward_physical(machine, np.roll(state.readings, 1, axis=0), state)
         both = followed.exists & (arrived == 0)
         assert both.mean() > 0.8
         assert ((arrived == 0) == followed.exists).mean() > 0.99
@@ -206,7 +206,7 @@ def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str,
             assert lower == "RPS" or not (status == 0).any()  # slides lead outwards, and cranks have an end
             np.testing.assert_array_equal(np.isnan(found).all(axis=-1), status != 0)
     # Cranks where they were, two turns later: they are taken for degrees.
-    wound = state.readings + 4.0 * np.pi * (np.array(geometry.legs.units) == "rad")
+    wound = state.readings + 4.0 * np.pi * (np.array(machine.legs.units) == "rad")
     for further in ((), (known,)):
         assert (own.forward(wound, *further)[1] == STATUS["OUT_OF_RANGE"]).all()
     # A crank and a rod that just do not reach, of a state that is passed in, and numbers that are none.
@@ -225,9 +225,9 @@ def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str,
 
 
 def test_files_of_a_machine_name_the_kinds_of_its_legs() -> None:
-    geometry = machine("RRS", "PRS")
-    assert "lower_rrs 1.1 0.9 -1.0 1.1 0.9 -1.0 1.1 0.9 -1.0\n" in spm.export.c_sources(geometry)["spm_machine.txt"]
-    header = spm.export.c_sources(geometry)["spm_kinematics.h"]
+    machine = machine_of_kinds("RRS", "PRS")
+    assert "lower_rrs 1.1 0.9 -1.0 1.1 0.9 -1.0 1.1 0.9 -1.0\n" in spm.export.c_sources(machine)["spm_machine.txt"]
+    header = spm.export.c_sources(machine)["spm_kinematics.h"]
     assert "double upper_prs[9]; /* rod, direction, sign" in header
     assert "spm_bodies" not in header
     names = list(spm.export.c_export.machine_fields(PAPER))
@@ -238,16 +238,16 @@ def test_files_of_a_machine_name_the_kinds_of_its_legs() -> None:
 def test_a_thousand_random_machines_are_computed_as_by_the_package(library: CLibrary) -> None:
     rng = np.random.default_rng(5)
     for seed in range(1000):
-        geometry = PAPER.perturbed(seed, length=0.008 * rng.random(), angle=0.01 * rng.random())
-        check_machine(library, geometry, random_readings(20, seed))
+        machine = PAPER.perturbed(seed, length=0.008 * rng.random(), angle=0.01 * rng.random())
+        check_machine(library, machine, random_readings(20, seed))
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_all_branches_of_a_drawn_machine_are_those_of_the_package(library: CLibrary, name: str) -> None:
-    geometry = GEOMETRIES[name]
-    rotation, position = spread_poses(geometry, 5000, 1)
-    found, status = library.of(geometry).all_branches(rotation, position)
-    branches = spm.inverse_displacement(geometry, spm.pose(position, rotation=rotation))
+    machine = MANIPULATORS[name]
+    rotation, position = spread_poses(machine, 5000, 1)
+    found, status = library.of(machine).all_branches(rotation, position)
+    branches = spm.inverse_displacement(machine, spm.pose(position, rotation=rotation))
     clear = (np.abs(branches.discriminants) > 1e-9).all(axis=-1)
     assert clear.mean() > 0.99
     np.testing.assert_array_equal(status[clear], branches.status[clear])
@@ -265,8 +265,8 @@ def test_hard_poses_have_a_status_and_no_infinite_number(library: CLibrary) -> N
     assert {int(s) for s in status} == {0, 1, 2}
     assert not np.isinf(found["readings"]).any()
     assert (library.of(as_built(PAPER, 1e-6)).all_branches(rotation, position)[1] == STATUS["BAD_GEOMETRY"]).all()
-    for geometry in (PAPER, as_built(PAPER, 1e-3)):
-        states, status = library.of(geometry).inverse(rotation, position)
+    for machine in (PAPER, as_built(PAPER, 1e-3)):
+        states, status = library.of(machine).inverse(rotation, position)
         assert set(status.tolist()) <= {0, 1, 2}
         np.testing.assert_array_equal(np.isfinite(states).all(axis=-1), status == 0)
 
@@ -283,8 +283,8 @@ def follower(exported: Path, tmp_path_factory: pytest.TempPathFactory) -> ctypes
 def test_a_way_from_a_state_ends_where_a_thousand_times_finer_steps_end(
     library: CLibrary, follower: ctypes.CDLL, as_drawn: bool
 ) -> None:
-    geometry = PAPER if as_drawn else as_built(PAPER, 3e-3)
-    jumps, reached = compare_with_fine_steps(library, follower, geometry, 40, 7)
+    machine = PAPER if as_drawn else as_built(PAPER, 3e-3)
+    jumps, reached = compare_with_fine_steps(library, follower, machine, 40, 7)
     assert jumps == 0
     assert reached >= 50
 
@@ -293,8 +293,8 @@ def test_a_way_from_a_state_ends_where_a_thousand_times_finer_steps_end(
 def test_no_way_of_a_hundred_thousand_jumps(library: CLibrary, follower: ctypes.CDLL) -> None:
     jumps, reached = 0, 0
     for seed in range(50):
-        geometry = PAPER.perturbed(seed, length=1e-3, angle=1e-3)
-        results = compare_with_fine_steps(library, follower, geometry, 1000, seed)
+        machine = PAPER.perturbed(seed, length=1e-3, angle=1e-3)
+        results = compare_with_fine_steps(library, follower, machine, 1000, seed)
         jumps, reached = jumps + results[0], reached + results[1]
     assert jumps == 0
     assert reached > 80_000
@@ -309,7 +309,7 @@ def test_fine_steps_that_jump_are_seen(library: CLibrary, follower: ctypes.CDLL)
 def compare_with_fine_steps(
     library: CLibrary,
     follower: ctypes.CDLL,
-    geometry: spm.Geometry,
+    machine: spm.Manipulator,
     count: int,
     seed: int,
     parts: int = 1000,
@@ -317,7 +317,7 @@ def compare_with_fine_steps(
     angle: float = np.deg2rad(2.0),
 ) -> tuple[int, int]:
     """Move `count` states by up to 2 cm and 2° both ways; return how many ended elsewhere, and how many arrived."""
-    own, state = library.of(geometry), spm.forward_physical(geometry, random_readings(count, seed))
+    own, state = library.of(machine), spm.forward_physical(machine, random_readings(count, seed))
     start = as_states(state)
     shift, turn = random_steps(count, seed + 1, length, angle)
     change = np.random.default_rng(seed + 2).uniform(-length, length, (count, 6))
@@ -353,18 +353,18 @@ def test_a_way_into_a_fold_is_refused(library: CLibrary) -> None:
     assert library.forward(readings[:1])[1].tolist() == [STATUS["UNREACHABLE"]]
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_legs_of_all_kinds_are_solved_where_the_package_solves_them(library: CLibrary, name: str) -> None:
-    geometry = GEOMETRIES[name]
-    wild = possible_lengths(geometry, 2000, 3, 1.0)
-    expected = spm.forward_physical(geometry, wild)
-    states, status = library.of(geometry).forward(wild)
+    machine = MANIPULATORS[name]
+    wild = possible_lengths(machine, 2000, 3, 1.0)
+    expected = spm.forward_physical(machine, wild)
+    states, status = library.of(machine).forward(wild)
     assert not ((status == 0) & ~expected.exists).any()
     assert (status == 0).sum() >= 0.995 * expected.exists.sum() > 300
     found = status == 0
     scale = np.linalg.norm(spm.kinematics.platform_jacobian(expected[np.flatnonzero(found)]), axis=(-1, -2))
     error = np.abs(states[found, :21] - as_states(expected)[found, :21]).max(axis=-1)
-    assert (error <= 64.0 * EPS * scale * (1.0 + sum(geometry.dimensions))).all()
+    assert (error <= 64.0 * EPS * scale * (1.0 + sum(machine.dimensions))).all()
 
 
 def test_singular_states_are_refused(library: CLibrary) -> None:
@@ -464,8 +464,8 @@ def test_a_rotation_with_rounding_of_single_precision_is_repaired_as_by_the_pack
 def test_the_test_program_builds_without_a_warning_and_finds_all_right(
     name: str, flags: tuple[str, ...], tmp_path: Path
 ) -> None:
-    geometry = as_built(PAPER, 1e-3) if name == "built" else GEOMETRIES[name]
-    spm.export.write_c(geometry, tmp_path, prefix="left_")
+    machine = as_built(PAPER, 1e-3) if name == "built" else MANIPULATORS[name]
+    spm.export.write_c(machine, tmp_path, prefix="left_")
     for compiler in compilers():
         compile_c(compiler, *STRICT, *flags, *sorted(tmp_path.glob("*.c")), "-lm", "-o", tmp_path / "program")
         done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
@@ -484,11 +484,11 @@ def test_fast_mathematics_is_refused(exported: Path) -> None:
 @pytest.mark.parametrize("size", [0.0, 1e-3])
 def test_sanitizers_find_nothing_in_hard_poses(size: float, tmp_path: Path) -> None:
     """All functions of a sanitized library, in a process that has the sanitizers' runtime loaded."""
-    geometry = PAPER if size == 0.0 else as_built(PAPER, size)
-    spm.export.write_c(geometry, tmp_path)
+    machine = PAPER if size == 0.0 else as_built(PAPER, size)
+    spm.export.write_c(machine, tmp_path)
     rotation, position = hard_poses(PAPER, 3000, 3)
     position[:3], rotation[3:6] = np.inf, [[[np.nan]], [[1e200]], [[2.0]]]
-    held = spm.forward_physical(geometry, random_readings(500, 3))
+    held = spm.forward_physical(machine, random_readings(500, 3))
     rotation, position = np.concatenate([rotation, held.rotation]), np.concatenate([position, held.translation])
     np.concatenate([rotation.reshape(-1, 9), position], axis=-1).tofile(tmp_path / "numbers")
     (tmp_path / "driver.c").write_text(_DRIVER, encoding="utf-8")
@@ -559,8 +559,8 @@ def test_no_function_needs_more_than_eight_kilobytes_of_stack(compiled: Path) ->
 @pytest.mark.filterwarnings("ignore:.*another unit")
 @pytest.mark.parametrize("sizes", [(1e-9, 1e9, 1.0), (1.0, 1.001e3, 1.0), (1.0, 1.0, 0.999e-3)])
 def test_dimensions_too_far_apart_are_refused(sizes: tuple[float, float, float], tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match="geometry: expected dimensions within a factor of 1000"):
-        spm.export.write_c(spm.Geometry(*sizes), tmp_path / "c")
+    with pytest.raises(ArgumentError, match="machine: expected dimensions within a factor of 1000"):
+        spm.export.write_c(spm.Manipulator(*sizes), tmp_path / "c")
     assert not (tmp_path / "c").exists()
 
 
@@ -590,13 +590,13 @@ def test_nothing_is_allocated_and_only_mathematics_is_called(compiled: Path) -> 
 
 def test_the_command_writes_the_files_of_any_machine(tmp_path: Path) -> None:
     as_built(PAPER, 1e-3).to_yaml(tmp_path / "machine.yaml")
-    done = run("export", "c", "--out", tmp_path / "c", "--prefix", "arm_", "--geometry", tmp_path / "machine.yaml")
+    done = run("export", "c", "--out", tmp_path / "c", "--prefix", "arm_", "--machine", tmp_path / "machine.yaml")
     assert done.returncode == 0, done.message
     names = {f"arm_{name}" for name in ("kinematics.h", "kinematics.c", "kinematics_test.c", "machine.txt")}
     names |= {"CMakeLists.txt", "arm_read_machine.h"}
     assert {path.name for path in (tmp_path / "c").iterdir()} == names
     header = (tmp_path / "c" / "arm_kinematics.h").read_text(encoding="utf-8")
-    assert f"Generated by spm_pin {spm.__version__} for Geometry(base_radius=0.69282," in header
+    assert f"Generated by spm_pin {spm.__version__} for Manipulator(base_radius=0.69282," in header
     assert "@" not in header
     assert run("export", "--format", "c", "--out", tmp_path / "c").returncode == 0
 

@@ -22,7 +22,7 @@ import yaml
 from balancers import MACHINES, stage_and_height
 from cli.running import run
 from export.c_library import STRICT, compile_c, compilers, run_cmake
-from problems import GEOMETRIES, as_built
+from problems import MANIPULATORS, as_built
 
 import spm_pin as spm
 from spm_pin.description import joint_values
@@ -31,8 +31,8 @@ from spm_pin.export.c_texts import machine_text
 from spm_pin.export.ros_export import start_readings, travel
 from spm_pin.machine import PRS, RRS, Stage
 
-PAPER = GEOMETRIES["paper"]
-SERVOS = spm.Geometry.of_stages(
+PAPER = MANIPULATORS["paper"]
+SERVOS = spm.Manipulator.of_stages(
     Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), (-0.5, 1.5)), Stage(0.20, 0.25, PRS(rod=0.30), (-0.05, 0.25))
 )
 STAND_INS = Path(__file__).parent / "stand_ins"
@@ -67,7 +67,7 @@ def test_packages_start_servos_and_screws_in_a_state_off_the_level_within_their_
 
 @pytest.mark.parametrize("machine", [as_built(PAPER, 1e-3), SERVOS, replace(SERVOS, limits=None)])
 def test_the_axes_of_linuxcnc_move_the_legs_at_half_their_rate_and_its_program_is_within_reach(
-    machine: spm.Geometry,
+    machine: spm.Manipulator,
 ) -> None:
     files = spm.export.linuxcnc_configuration(machine)
     values = np.array(re.search(r"^HOME = (.* .*)$", files["spm.ini"], re.MULTILINE)[1].split(), dtype=float)
@@ -100,10 +100,10 @@ def test_the_axes_of_linuxcnc_move_the_legs_at_half_their_rate_and_its_program_i
     assert np.ptp(program, axis=0)[3:].max() > 1.0
 
 
-def exported(machine: spm.Geometry, folder: Path) -> Path:
+def exported(machine: spm.Manipulator, folder: Path) -> Path:
     """Write a ROS 2 package, and the machine's file beside it."""
     machine.to_yaml(folder / "machine.yaml")
-    done = run("export", "ros", "--out", folder / "spm_robot", "--geometry", folder / "machine.yaml")
+    done = run("export", "ros", "--out", folder / "spm_robot", "--machine", folder / "machine.yaml")
     assert done.returncode == 0, done.message
     return folder / "spm_robot"
 
@@ -170,7 +170,7 @@ def test_the_controller_for_ros2_control_follows_set_points_and_refuses_bad_ones
         f"{name} {' '.join(map(str, x)) if isinstance(x, list) else x}\n" for name, x in parameters_of(package).items()
     ]
     (tmp_path / "parameters.txt").write_text("".join(lines), encoding="utf-8")
-    machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
+    machine = spm.Manipulator.from_yaml(package.parent / "machine.yaml")
     start, near = start_readings(machine)
     state = spm.forward_physical(machine, start + 0.2 * (near.readings - start))
     values = [*start, *state.translation, *state.pose.rotation.as_quat(), *state.readings]
@@ -184,7 +184,7 @@ def test_bad_set_points_never_break_a_limit(
     kind: str, request: pytest.FixtureRequest, tmp_path: Path, ticks: int
 ) -> None:
     package = request.getfixturevalue(kind)
-    machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
+    machine = spm.Manipulator.from_yaml(package.parent / "machine.yaml")
     numbers = machine_text("", machine_fields(machine) | {"start": np.array(start_readings(machine)[0])})
     (tmp_path / "machine.txt").write_text(numbers, encoding="utf-8")
     program = Path(__file__).parent / "follow_set_points.cpp"
@@ -245,7 +245,7 @@ def test_the_hardware_of_the_description_has_the_joints_of_the_controller(packag
     assert (np.array(velocities) >= parameters["max_velocity"]).all()
     assert robot.find(f"link[@name='{parameters['frame_id']}']") is not None
     # The start is the state whose slides are these.
-    machine = spm.Geometry.from_yaml(package.parent / "machine.yaml")
+    machine = spm.Manipulator.from_yaml(package.parent / "machine.yaml")
     slides = [float(x.text) for x in control.iter("param") if x.get("name") == "initial_value"]
     state = spm.forward_physical(machine, np.add(slides, zeros))
     expected = [joint_values(state)[name] for name in names]
@@ -301,7 +301,7 @@ def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_start
         *arguments, opaque = runpy.run_path(str(package / "launch/robot.launch.py"))["generate_launch_description"]()
     (topic, complete) = node.create_subscription.call_args.args[1:3]
     assert topic == "leg_states"
-    machine, now = spm.Geometry.from_yaml(package.parent / "machine.yaml"), object()
+    machine, now = spm.Manipulator.from_yaml(package.parent / "machine.yaml"), object()
     node.get_clock().now().to_msg.return_value = now
     names, zeros = parameters["joints"], parameters["zeros"]
     readings, rates = np.array([1.2, 1.3, 1.4, 1.2, 1.3, 1.25]), np.array([0.02, -0.1, 0.05, 0.0, 0.03, -0.01])
@@ -376,13 +376,13 @@ def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_start
     [
         PAPER,
         as_built(PAPER, 1e-3),
-        spm.Geometry(0.3, 0.2, 0.35, spm.LegLimits(0.62, 0.68)),
-        spm.Geometry(*PAPER.dimensions, spm.LegLimits(1.29, 1.31)),
-        spm.Geometry(*PAPER.dimensions, spm.LegLimits(1.2, np.inf)),
-        spm.Geometry(*PAPER.dimensions),
+        spm.Manipulator(0.3, 0.2, 0.35, spm.LegLimits(0.62, 0.68)),
+        spm.Manipulator(*PAPER.dimensions, spm.LegLimits(1.29, 1.31)),
+        spm.Manipulator(*PAPER.dimensions, spm.LegLimits(1.2, np.inf)),
+        spm.Manipulator(*PAPER.dimensions),
     ],
 )
-def test_the_start_is_within_the_limits_and_the_pose_to_paste_is_reached_from_it(machine: spm.Geometry) -> None:
+def test_the_start_is_within_the_limits_and_the_pose_to_paste_is_reached_from_it(machine: spm.Manipulator) -> None:
     files = spm.export.ros_package(machine)
     robot = ElementTree.fromstring(files["urdf/spm.urdf"])
     for joint in robot.iter("joint"):

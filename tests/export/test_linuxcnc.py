@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 from balancers import STAGES
 from cli.running import run
-from problems import GEOMETRIES, as_built
+from problems import MANIPULATORS, as_built
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 
 FILES = Path(__file__).parent / "linuxcnc"
 MODULES = Path("/usr/lib/linuxcnc/modules")
-PAPER = GEOMETRIES["paper"]
-SERVOS = spm.Geometry.of_stages(
+PAPER = MANIPULATORS["paper"]
+SERVOS = spm.Manipulator.of_stages(
     spm.Stage(0.30, 0.25, spm.RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5)),
     spm.Stage(0.20, 0.25, spm.PRS(rod=0.30), limits=(-0.05, 0.25)),
 )
@@ -39,7 +39,7 @@ pytestmark = pytest.mark.skipif(
     shutil.which("halcompile") is None or not os.access(MODULES, os.W_OK),
     reason="no halcompile (Debian: linuxcnc-uspace-dev), or no right to install LinuxCNC's modules with it",
 )
-Machine = spm.Geometry | spm.Stage
+Machine = spm.Manipulator | spm.Stage
 Step = list[Any]
 
 
@@ -68,7 +68,7 @@ class Bench:
         """Export a machine by the command, and install its module; returns the beginning of its files' names."""
         name = name_of(machine)
         machine.to_yaml(self.folder / "machine.yaml")
-        option = "--stage" if name == "stage" else "--geometry"
+        option = "--stage" if name == "stage" else "--machine"
         done = run("export", "linuxcnc", "--out", self.folder, option, self.folder / "machine.yaml")
         assert done.returncode == 0, done.message
         module = MODULES / f"{name}kins.so"

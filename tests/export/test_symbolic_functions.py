@@ -1,4 +1,4 @@
-"""CasADi functions of any geometry: values, derivatives, what they are out of reach, and their own C."""
+"""CasADi functions of any machine: values, derivatives, what they are out of reach, and their own C."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from as_built_oracle import root_near
 from export.c_library import compile_c, compilers
 from export.c_poses import hard_poses, held_states, possible_lengths, spread_poses
 from flint import arb, arb_mat, ctx
-from kinds_of_legs import PAIRS, machine, states
+from kinds_of_legs import PAIRS, machine_of_kinds, states
 from oracle import dot
-from problems import GEOMETRIES, as_built, conditioning, random_branches
+from problems import MANIPULATORS, as_built, conditioning, random_branches
 
 import spm_pin as spm
 from spm_pin.description.tree import joint_values
 from spm_pin.errors import ArgumentError
 
-PAPER = GEOMETRIES["paper"]
+PAPER = MANIPULATORS["paper"]
 EPS = np.finfo(float).eps
 
 
@@ -45,13 +45,13 @@ def as_columns(state: spm.Configuration) -> tuple[np.ndarray, np.ndarray, np.nda
     return state.middle_joints, state.rotation, state.translation
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_every_branch_has_the_lengths_and_joints_of_the_package(name: str) -> None:
-    geometry = GEOMETRIES[name]
+    machine = MANIPULATORS[name]
     for index, label in enumerate(spm.machine.BRANCHES):
-        problem = random_branches(geometry, label[:2], 300, index)
-        expected = spm.inverse_displacement(geometry, problem.pose)[label]
-        function = spm.casadi.inverse_branch(label, geometry)
+        problem = random_branches(machine, label[:2], 300, index)
+        expected = spm.inverse_displacement(machine, problem.pose)[label]
+        function = spm.casadi.inverse_branch(label, machine)
         rotation = problem.pose.rotation.as_matrix()
         lengths, joints, discriminant, exists = called(function, rotation, problem.pose.translation)
         there = expected.exists
@@ -62,15 +62,15 @@ def test_every_branch_has_the_lengths_and_joints_of_the_package(name: str) -> No
         assert (np.abs(joints - expected.middle_joints)[there].max(axis=(-1, -2)) <= tolerance).all()
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_the_physical_branch_is_that_of_the_package_and_nothing_is_ever_nan(name: str) -> None:
-    geometry = GEOMETRIES[name]
-    parts = [hard_poses(geometry, 1000, 2), spread_poses(geometry, 1000, 3)]
-    held = held_states(geometry, 500, 4)
+    machine = MANIPULATORS[name]
+    parts = [hard_poses(machine, 1000, 2), spread_poses(machine, 1000, 3)]
+    held = held_states(machine, 500, 4)
     rotation = np.concatenate([*(part[0] for part in parts), held.rotation])
     position = np.concatenate([*(part[1] for part in parts), held.translation])
-    expected = spm.inverse_physical(geometry, spm.pose(position, rotation=rotation))
-    function = spm.casadi.inverse_physical(geometry)
+    expected = spm.inverse_physical(machine, spm.pose(position, rotation=rotation))
+    function = spm.casadi.inverse_physical(machine)
     found = called(function, rotation, position)
     np.testing.assert_array_equal(found[3][:, 0] == 1.0, expected.exists)
     assert 300 < expected.exists.sum() < len(position) - 1000
@@ -88,9 +88,9 @@ def test_the_physical_branch_is_that_of_the_package_and_nothing_is_ever_nan(name
 
 
 def test_symbolic_dimensions_give_what_built_in_ones_give() -> None:
-    geometry = GEOMETRIES["wide base"]
-    state = held_states(geometry, 20, 1)[0]
-    sizes, pose, parts = geometry.dimensions, (state.rotation, state.translation), as_columns(state)
+    machine = MANIPULATORS["wide base"]
+    state = held_states(machine, 20, 1)[0]
+    sizes, pose, parts = machine.dimensions, (state.rotation, state.translation), as_columns(state)
     for make, arguments in (
         (spm.casadi.inverse_physical, pose),
         (spm.casadi.forward_physical, (state.leg_lengths,)),
@@ -100,32 +100,32 @@ def test_symbolic_dimensions_give_what_built_in_ones_give() -> None:
     ):
         symbolic = make("symbolic")
         assert symbolic.name_in()[-1] == "dimensions"
-        for a, b in zip(numbers(make(geometry), *arguments), numbers(symbolic, *arguments, sizes), strict=True):
+        for a, b in zip(numbers(make(machine), *arguments), numbers(symbolic, *arguments, sizes), strict=True):
             np.testing.assert_allclose(b, a, rtol=1e-12, atol=1e-14)
-        # Without a geometry it is the paper's machine.
+        # Without a machine it is the paper's machine.
         for a, b in zip(numbers(make(PAPER), *arguments), numbers(make(), *arguments), strict=True):
             np.testing.assert_array_equal(a, b)
     assert spm.casadi.inverse_physical().name_in() == ["rotation", "position"]
     assert spm.casadi.inverse_physical().name_out() == ["readings", "joints", "discriminant", "exists"]
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_jacobians_forces_and_residuals_are_those_of_the_package(name: str) -> None:
-    geometry = GEOMETRIES[name]
-    state = held_states(geometry, 500, 6)
-    (matrices,) = called(spm.casadi.inverse_jacobian(geometry), *as_columns(state))
+    machine = MANIPULATORS[name]
+    state = held_states(machine, 500, 6)
+    (matrices,) = called(spm.casadi.inverse_jacobian(machine), *as_columns(state))
     expected = spm.inverse_jacobian(state)
     assert (np.abs(matrices - expected).max(axis=(-1, -2)) <= 1e-12 * np.abs(expected).max(axis=(-1, -2)) ** 2).all()
     wrench = np.random.default_rng(1).normal(size=(len(expected), 6))
-    (forces,) = called(spm.casadi.leg_forces(geometry), *as_columns(state), wrench)
+    (forces,) = called(spm.casadi.leg_forces(machine), *as_columns(state), wrench)
     known = spm.leg_forces(state, wrench)
     assert (np.abs(forces - known).max(axis=-1) <= 1e-11 * np.abs(known).max(axis=-1)).all()
-    (residual,) = called(spm.casadi.closure_residual(geometry), *as_columns(state))
+    (residual,) = called(spm.casadi.closure_residual(machine), *as_columns(state))
     size = np.abs(state.middle_joints).max()
     assert np.abs(residual).max() <= 64 * EPS * size
     moved = state.middle_joints + np.random.default_rng(2).normal(size=state.middle_joints.shape) * 0.01 * size
-    (residual,) = called(spm.casadi.closure_residual(geometry), moved, state.rotation, state.translation)
-    torn = spm.Configuration.from_arrays(geometry, state.rotation, state.translation, moved).closure_residual
+    (residual,) = called(spm.casadi.closure_residual(machine), moved, state.rotation, state.translation)
+    torn = spm.Configuration.from_arrays(machine, state.rotation, state.translation, moved).closure_residual
     np.testing.assert_allclose(np.abs(residual[:, :6]).max(axis=-1) <= torn * (1.0 + 1e-9), True)
     assert np.abs(residual).max() > 1e-3 * size
 
@@ -147,20 +147,20 @@ def check_rates(found: np.ndarray, expected: np.ndarray) -> None:
     assert (error <= 1e-10 * size).all()
 
 
-def check_joint_rates(geometry: spm.Geometry, state: spm.Configuration, joints: np.ndarray, pose: tuple) -> None:
+def check_joint_rates(machine: spm.Manipulator, state: spm.Configuration, joints: np.ndarray, pose: tuple) -> None:
     """Check that the loops stay closed."""
-    (opening,) = rates_along(spm.casadi.closure_residual(geometry), as_columns(state), (joints, *pose))
+    (opening,) = rates_along(spm.casadi.closure_residual(machine), as_columns(state), (joints, *pose))
     size = np.abs(joints).reshape(len(joints), -1).max(axis=-1)
     assert (np.abs(opening).max(axis=-1) <= 1e-12 * (1.0 + size)).all()
 
 
 @pytest.mark.parametrize("name", ["paper", "wide base"])
 def test_first_derivatives_at_a_thousand_states_are_velocities_of_the_closed_chain(name: str) -> None:
-    geometry = GEOMETRIES[name]
-    state = held_states(geometry, 12_000, 31)
+    machine = MANIPULATORS[name]
+    state = held_states(machine, 12_000, 31)
     state = state[np.abs(spm.determinants(state)[..., 2]) > 0.005]
     state = state[np.flatnonzero(np.linalg.cond(spm.inverse_jacobian(state)) < 1000.0)[:1010]]
-    forward = spm.casadi.forward_physical(geometry)
+    forward = spm.casadi.forward_physical(machine)
     # Beside a fold fourteen steps may be too few.
     there = called(forward, state.leg_lengths)[4][:, 0] == 1.0
     assert there.sum() > 1000
@@ -169,26 +169,26 @@ def test_first_derivatives_at_a_thousand_states_are_velocities_of_the_closed_cha
     rotation, position, joints, *_ = rates_along(forward, (state.leg_lengths,), (spm.leg_rates(state, twist),))
     check_rates(rotation, pose[0])
     check_rates(position, pose[1])
-    check_joint_rates(geometry, state, joints, pose)
+    check_joint_rates(machine, state, joints, pose)
     count = 0
     for index, label in enumerate(spm.machine.BRANCHES):
-        branch = spm.inverse_displacement(geometry, random_branches(geometry, label[:2], 600, 40 + index).pose)[label]
+        branch = spm.inverse_displacement(machine, random_branches(machine, label[:2], 600, 40 + index).pose)[label]
         branch = branch[branch.exists]
         branch = branch[np.abs(spm.determinants(branch)[..., 2]) > 0.02]
         twist, pose = twisted(branch, 36 + index)
-        lengths, joints, *_ = rates_along(spm.casadi.inverse_branch(label, geometry), as_columns(branch)[1:], pose)
+        lengths, joints, *_ = rates_along(spm.casadi.inverse_branch(label, machine), as_columns(branch)[1:], pose)
         check_rates(lengths, spm.leg_rates(branch, twist))
-        check_joint_rates(geometry, branch, joints, pose)
+        check_joint_rates(machine, branch, joints, pose)
         count += len(branch)
     assert count > 1000
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_forward_displacement_is_that_of_the_package(name: str) -> None:
-    geometry = GEOMETRIES[name]
-    lengths = possible_lengths(geometry, 1000, 7, 0.8)
-    expected = spm.forward_physical(geometry, lengths)
-    rotation, position, joints, _, exists = called(spm.casadi.forward_physical(geometry), lengths)
+    machine = MANIPULATORS[name]
+    lengths = possible_lengths(machine, 1000, 7, 0.8)
+    expected = spm.forward_physical(machine, lengths)
+    rotation, position, joints, _, exists = called(spm.casadi.forward_physical(machine), lengths)
     there = exists[:, 0] == 1.0
     assert not (there & ~expected.exists).any()
     # Beside a fold fourteen steps may be too few.
@@ -337,29 +337,29 @@ def test_nothing_exists_for_what_is_no_pose_and_no_machine() -> None:
 def test_bad_arguments_are_clear_errors() -> None:
     with pytest.raises(ArgumentError, match=r"branch: expected one of 'TT\+', .*, got 'TX'"):
         spm.casadi.inverse_branch("TX")
-    with pytest.raises(ArgumentError, match='geometry: expected a Geometry, "symbolic" or None'):
+    with pytest.raises(ArgumentError, match='machine: expected a Manipulator, "symbolic" or None'):
         spm.casadi.leg_forces(3)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="geometry: expected a machine as drawn, got one as built"):
+    with pytest.raises(ArgumentError, match="machine: expected a machine as drawn, got one as built"):
         spm.casadi.inverse_branch("TT+", PAPER.perturbed(1))
 
 
 @pytest.mark.parametrize("size", [1e-5, 1e-3])
 def test_functions_of_a_machine_as_built_are_those_of_the_package(size: float) -> None:
     """Its numbers built in, and as 54 parameters."""
-    geometry = as_built(PAPER, size, 4)
-    state = spm.forward_physical(geometry, np.random.default_rng(1).uniform(1.1, 1.5, (100, 6)))
-    expected, wrench = spm.inverse_physical(geometry, state.pose), np.ones((100, 6))
+    machine = as_built(PAPER, size, 4)
+    state = spm.forward_physical(machine, np.random.default_rng(1).uniform(1.1, 1.5, (100, 6)))
+    expected, wrench = spm.inverse_physical(machine, state.pose), np.ones((100, 6))
     values = np.array([list(joint_values(one).values()) for one in state])
     near = as_columns(state)
     for parameters in (False, True):
-        further = [np.tile(geometry.parameters, (100, 1))] if parameters else []
-        machine = PAPER if parameters else geometry
+        further = [np.tile(machine.parameters, (100, 1))] if parameters else []
+        machine = PAPER if parameters else machine
 
         def of(name: str, *arguments: np.ndarray, machine=machine, further=further, **options: bool) -> list:
             function = getattr(spm.casadi, name)(machine, parameters=bool(further), **options)
             return called(function, *arguments, *further)
 
-        moved = spm.forward_physical(geometry, state.readings + 1e-3)
+        moved = spm.forward_physical(machine, state.readings + 1e-3)
         for found, known in (
             (of("forward_physical", state.readings), state),
             (of("forward_physical", moved.readings, *near, near=True), moved),
@@ -380,12 +380,12 @@ def test_functions_of_a_machine_as_built_are_those_of_the_package(size: float) -
 
 
 def test_derivatives_by_the_54_parameters_are_differences() -> None:
-    geometry = as_built(PAPER, 1e-3, 4)
-    state, parameters = spm.forward_physical(geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]), ca.MX.sym("p", 54)
+    machine = as_built(PAPER, 1e-3, 4)
+    state, parameters = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]), ca.MX.sym("p", 54)
     inverse = spm.casadi.inverse_physical(PAPER, parameters=True)
     readings = inverse(state.rotation, state.translation, parameters)[0]
     slope = ca.Function("slope", [parameters], [ca.jacobian(readings, parameters)])
-    here, found = geometry.parameters, np.asarray(slope(geometry.parameters))
+    here, found = machine.parameters, np.asarray(slope(machine.parameters))
     for k, step in enumerate(1e-6 * np.eye(54)):
         ends = [spm.inverse_physical(PAPER.from_parameters(here + s), state.pose).readings for s in (step, -step)]
         np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-6)
@@ -394,15 +394,15 @@ def test_derivatives_by_the_54_parameters_are_differences() -> None:
 @pytest.mark.parametrize("built", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), PAIRS)
 def test_legs_of_any_kind_are_those_of_the_package(lower: str, upper: str, built: bool) -> None:
-    geometry = machine(lower, upper, built=built)
-    state, wrench = states(geometry), np.ones(6)
+    machine = machine_of_kinds(lower, upper, built=built)
+    state, wrench = states(machine), np.ones(6)
     arrays, pose = as_columns(state), (state.rotation, state.translation)
     rates = spm.inverse_jacobian(state)
     for parameters in (False, True):
-        further = [np.tile(geometry.parameters, (len(state), 1))] if parameters else []
+        further = [np.tile(machine.parameters, (len(state), 1))] if parameters else []
 
         def of(name: str, *arguments: np.ndarray, further=further, **options: bool) -> list:
-            function = getattr(spm.casadi, name)(geometry, parameters=bool(further), **options)
+            function = getattr(spm.casadi, name)(machine, parameters=bool(further), **options)
             return called(function, *arguments, *further)
 
         for found in (
@@ -412,7 +412,7 @@ def test_legs_of_any_kind_are_those_of_the_package(lower: str, upper: str, built
             assert found[4].all()
             np.testing.assert_allclose(found[1], state.translation, rtol=0, atol=1e-12)
         readings, _, _, exists = of("inverse_physical", *pose)
-        expected = spm.inverse_physical(geometry, state.pose)
+        expected = spm.inverse_physical(machine, state.pose)
         assert exists.all()
         # With errors of a hundredth another root may be passed over.
         assert (np.abs(readings - expected.readings).max(axis=-1) < 1e-11).mean() > (0.97 if built else 0.999)
@@ -429,26 +429,26 @@ def test_legs_of_any_kind_are_those_of_the_package(lower: str, upper: str, built
 
 @pytest.mark.parametrize("built", [False, True])
 def test_derivatives_by_the_numbers_of_servos_and_screws_are_differences(built: bool) -> None:
-    geometry = machine("RRS", "PRS", built=built)
-    state, parameters = states(geometry)[0], ca.MX.sym("p", 66)
-    readings = spm.casadi.inverse_physical(geometry, parameters=True)(state.rotation, state.translation, parameters)[0]
+    machine = machine_of_kinds("RRS", "PRS", built=built)
+    state, parameters = states(machine)[0], ca.MX.sym("p", 66)
+    readings = spm.casadi.inverse_physical(machine, parameters=True)(state.rotation, state.translation, parameters)[0]
     slope = ca.Function("slope", [parameters], [ca.jacobian(readings, parameters)])
-    here = geometry.parameters
+    here = machine.parameters
     found = np.asarray(slope(here))
     for k in range(8, 66, 2):
         step = 1e-6 * (np.arange(66) == k)
-        ends = [spm.inverse_physical(geometry.from_parameters(here + s), state.pose).readings for s in (step, -step)]
+        ends = [spm.inverse_physical(machine.from_parameters(here + s), state.pose).readings for s in (step, -step)]
         np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize("size", [0.0, 3e-3])
 def test_gravity_is_that_of_the_closed_chain(size: float) -> None:
-    geometry = PAPER if size == 0.0 else as_built(PAPER, size)
-    chain, bodies = spm.ClosedChain.from_urdf(geometry=geometry), spm.casadi.bodies(geometry)
-    state = held_states(geometry, 20, 5)
+    machine = PAPER if size == 0.0 else as_built(PAPER, size)
+    chain, bodies = spm.ClosedChain.from_urdf(machine=machine), spm.casadi.bodies(machine)
+    state = held_states(machine, 20, 5)
     arrays = as_columns(state)
     weights = (np.tile(x, (len(state.translation), 1)) for x in (bodies, [7.0, 0.1, -0.2, 0.3], [0.0, 0.0, -9.81]))
-    (forces,) = called(spm.casadi.gravity(geometry), *arrays, *weights)
+    (forces,) = called(spm.casadi.gravity(machine), *arrays, *weights)
     q, rest = chain.forward_kinematics(state.readings), np.zeros((len(forces), 18))
     payload = np.tile([0.0, 0.0, -7.0 * 9.81, 0.0, 0.0, 0.0], (len(forces), 1))
     payload[:, 3:] = np.cross(state.rotation @ [0.1, -0.2, 0.3], payload[:, :3])

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 from as_built_oracle import certified_real_branches, distance_to_root
-from problems import EXAMPLE, GEOMETRIES, PAPER, as_built, at_discriminant, in_leg_space, random_branches
+from problems import EXAMPLE, MANIPULATORS, PAPER, as_built, at_discriminant, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
@@ -18,22 +18,22 @@ DIRECTION = np.random.default_rng(1).standard_normal(54)
 SIZES = (1e-9, 1e-5, 1e-3, 1e-2, 5e-2)
 
 
-def along(size: float) -> spm.Geometry:
+def along(size: float) -> spm.Manipulator:
     return PAPER.from_parameters(PAPER.parameters + size * DIRECTION)
 
 
 @pytest.mark.parametrize(("machines", "poses"), [(5, 3), pytest.param(40, 5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_all_eight_roots_are_certified(name: str, size: float, machines: int, poses: int) -> None:
-    geometry, families = GEOMETRIES[name], spm.machine.FAMILIES
+    machine, families = MANIPULATORS[name], spm.machine.FAMILIES
     for seed in range(machines):
-        built = as_built(geometry, size, seed)
-        pose = random_branches(geometry, families[seed % 4], poses, seed=1000 + seed).pose
+        built = as_built(machine, size, seed)
+        pose = random_branches(machine, families[seed % 4], poses, seed=1000 + seed).pose
         solutions, joints = spm.inverse_displacement(built, pose), complex_middle_joints(built, pose)
         assert not (solutions.status == spm.Status.UNSOLVED).any()
         exists = solutions.exists
-        assert np.nanmax(solutions.residual, initial=0.0) <= 1e-13 * geometry.middle_side
+        assert np.nanmax(solutions.residual, initial=0.0) <= 1e-13 * machine.middle_side
         np.testing.assert_array_equal(joints.imag.any(axis=(-1, -2)), ~exists)
         np.testing.assert_array_equal(joints.real[exists], solutions.middle_joints[exists])
         for k in range(poses):
@@ -42,23 +42,23 @@ def test_all_eight_roots_are_certified(name: str, size: float, machines: int, po
             assert proved == solutions.count[k], (name, size, seed, k)
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_vanishing_errors_lead_to_the_nominal_branches_under_their_labels(name: str) -> None:
-    geometry = GEOMETRIES[name]
-    pose = random_branches(geometry, "TT", 300, seed=8).pose
-    nominal = spm.inverse_displacement(geometry, pose)
+    machine = MANIPULATORS[name]
+    pose = random_branches(machine, "TT", 300, seed=8).pose
+    nominal = spm.inverse_displacement(machine, pose)
     # Away from the singularities at which branches of a family or of two families meet.
     apart = np.abs(nominal.middle_joints[:, :, None] - nominal.middle_joints[:, None]).max(axis=(-1, -2))
-    apart = np.where(np.eye(8, dtype=bool) | np.isnan(apart), np.inf, apart) / geometry.middle_side
+    apart = np.where(np.eye(8, dtype=bool) | np.isnan(apart), np.inf, apart) / machine.middle_side
     clear = (apart.min(axis=(-1, -2)) > 1e-2) & (np.abs(nominal.discriminants).min(axis=-1) > 1e-3)
     assert clear.sum() > 150
     errors = []
     for size in (1e-11, 1e-9):
-        built = spm.inverse_displacement(as_built(geometry, size, seed=9), pose)
+        built = spm.inverse_displacement(as_built(machine, size, seed=9), pose)
         np.testing.assert_array_equal(built.exists[clear], nominal.exists[clear])
         assert not built.merged[clear].any()
         moved = np.abs(built.middle_joints - nominal.middle_joints)[clear][nominal.exists[clear]]
-        errors.append(np.median(moved.max(axis=(-1, -2))) / geometry.middle_side)
+        errors.append(np.median(moved.max(axis=(-1, -2))) / machine.middle_side)
     # In proportion to the errors.
     assert errors[0] < 1e-9
     assert errors[1] / errors[0] == pytest.approx(100.0, rel=0.05)
@@ -150,21 +150,21 @@ def test_two_branches_of_the_papers_example_end_where_they_meet_in_an_inverse_si
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-3, 1e-2])
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_the_physical_branch_alone_is_that_of_all_branches(name: str, size: float) -> None:
-    geometry = GEOMETRIES[name]
-    built = as_built(geometry, size, seed=3)
-    sets = [random_branches(geometry, "TT", 1500, seed=2)]
-    if geometry.limits is not None:
-        sets.append(in_leg_space(geometry, 700, seed=1))
+    machine = MANIPULATORS[name]
+    built = as_built(machine, size, seed=3)
+    sets = [random_branches(machine, "TT", 1500, seed=2)]
+    if machine.limits is not None:
+        sets.append(in_leg_space(machine, 700, seed=1))
     for problem in sets:
         chosen = spm.inverse_displacement(built, problem.pose).physical()
         alone = spm.inverse_physical(built, problem.pose)
         assert chosen.exists.any()
-        np.testing.assert_allclose(alone.middle_joints, chosen.middle_joints, atol=1e-11 * geometry.middle_side)
+        np.testing.assert_allclose(alone.middle_joints, chosen.middle_joints, atol=1e-11 * machine.middle_side)
         np.testing.assert_allclose(alone.leg_lengths, chosen.leg_lengths, rtol=1e-11)
         np.testing.assert_array_equal(alone.translation, chosen.translation)
-        assert np.nanmax(alone.closure_residual) <= 1e-14 * geometry.middle_side
+        assert np.nanmax(alone.closure_residual) <= 1e-14 * machine.middle_side
         np.testing.assert_array_equal(
             spm.inverse_physical(built, problem.pose[7:8]).leg_lengths[0], alone[7].leg_lengths
         )
@@ -269,8 +269,8 @@ def test_results_are_written_into_memory_of_the_same_machine_only() -> None:
         for name in ("rotation", "translation", "middle_joints", "leg_lengths", "discriminants", "status"):
             np.testing.assert_array_equal(getattr(again, name), getattr(expected, name), err_msg=name)
         np.testing.assert_array_equal(first.rotation, expected.rotation)
-        for other in (spm.Geometry(0.7, 0.35, 0.8), as_built(PAPER, 1e-4, seed=3), replace(PAPER, limits=None)):
-            with pytest.raises(spm.ArgumentError, match="out: expected BranchMemory of this geometry for 20 poses"):
+        for other in (spm.Manipulator(0.7, 0.35, 0.8), as_built(PAPER, 1e-4, seed=3), replace(PAPER, limits=None)):
+            with pytest.raises(spm.ArgumentError, match="out: expected BranchMemory of this machine for 20 poses"):
                 spm.inverse_displacement(other, poses[1], out=memory)
         for wrong in (poses[0], expected, spm.kinematics.BranchMemory(machine, 19)):
             with pytest.raises(spm.ArgumentError, match=r"^out: expected"):
@@ -284,7 +284,7 @@ def assert_roots_are_within(branches: spm.SolutionSet) -> None:
     for place in np.argwhere(proved):
         at = tuple(place)
         where = branches.rotation[at], branches.translation[at], branches.middle_joints[at]
-        assert distance_to_root(branches.geometry, *where) <= branches.radius[at]
+        assert distance_to_root(branches.machine, *where) <= branches.radius[at]
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-2])

@@ -19,7 +19,7 @@ def test_all_modes_and_no_others(size: float, count: int) -> None:
     rng = np.random.default_rng(count)
     for _ in range(count):
         dimensions = rng.uniform(0.2, 1.5, 2) * PAPER.middle_side
-        drawn = spm.Geometry(*dimensions, PAPER.middle_side)
+        drawn = spm.Manipulator(*dimensions, PAPER.middle_side)
         machine = as_built(drawn, size, seed=int(rng.integers(1000))) if size else drawn
         reach = drawn.middle_radius + dimensions.repeat(3)
         lengths = reach * rng.uniform(0.6, 1.3) * (1.0 + 0.15 * rng.normal(size=6)).clip(0.3)
@@ -52,7 +52,7 @@ def test_labels_are_carried_while_the_errors_grow(size: float, count: int) -> No
         axes /= np.linalg.norm(axes, axis=1)[:, None]
         arrays = (a + share * (b - a) for a, b in zip(drawn.arrays[1:3], built.arrays[1:3], strict=True))
         legs = spm.machine.Legs(axes, *arrays, np.zeros(6))
-        between = spm.forward_displacement(spm.Geometry(*PAPER.dimensions, legs=legs), lengths)
+        between = spm.forward_displacement(spm.Manipulator(*PAPER.dimensions, legs=legs), lengths)
         gaps = np.linalg.norm(between.middle_joints[:, None] - points[:, :, None], axis=-1).max(axis=-1)
         nearest = np.nan_to_num(gaps, nan=np.inf).argmin(axis=-1)
         moved = np.take_along_axis(between.middle_joints, nearest[..., None, None], axis=1)

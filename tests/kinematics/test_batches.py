@@ -65,7 +65,7 @@ OF_A_STATE = {
 }
 
 
-def answers(machine: spm.Geometry, pose: np.ndarray, readings: np.ndarray, vector: np.ndarray) -> dict[str, tuple]:
+def answers(machine: spm.Manipulator, pose: np.ndarray, readings: np.ndarray, vector: np.ndarray) -> dict[str, tuple]:
     """Return what the functions answer, each with its shape for one member."""
     branches, state = spm.inverse_displacement(machine, pose), spm.forward_physical(machine, readings)
     found = {name: (getattr(branches, name), shape) for name, shape in BRANCHES.items()}
@@ -94,7 +94,7 @@ def answers(machine: spm.Geometry, pose: np.ndarray, readings: np.ndarray, vecto
 
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_a_batch_is_its_members(shape: tuple[int, ...], machine: spm.Geometry) -> None:
+def test_a_batch_is_its_members(shape: tuple[int, ...], machine: spm.Manipulator) -> None:
     rng, count = np.random.default_rng(1), int(np.prod(shape))
     poses = random_branches(PAPER, "TF", count, seed=6).pose.as_matrix()
     # A degenerate pose, one out of reach, and readings that no mode has.
@@ -129,7 +129,7 @@ def test_a_batch_is_its_members(shape: tuple[int, ...], machine: spm.Geometry) -
 
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_a_batch_of_seeds_is_its_members(shape: tuple[int, ...], machine: spm.Geometry) -> None:
+def test_a_batch_of_seeds_is_its_members(shape: tuple[int, ...], machine: spm.Manipulator) -> None:
     lengths = np.random.default_rng(2).uniform(1.15, 1.45, (*shape, 6))
     start, target = spm.forward_physical(machine, lengths), lengths[..., ::-1]
     end = spm.forward_physical(machine, target, near=start)
@@ -323,9 +323,9 @@ from spm_pin.kinematics.inverse_displacement import branch_lengths
 from spm_pin.kinematics.batches import set_threads
 set_threads(2)
 pose = np.repeat(spm.pose([0.6889, 0.4963, 2.253], xyx=[-0.19, 0.57, -0.22]).as_matrix()[None], 40000, axis=0)
-before = branch_lengths(spm.Geometry.paper(), pose)[0]
+before = branch_lengths(spm.Manipulator.paper(), pose)[0]
 child = os.fork()
-after = branch_lengths(spm.Geometry.paper(), pose)[0]
+after = branch_lengths(spm.Manipulator.paper(), pose)[0]
 same = np.array_equal(before, after, equal_nan=True)
 if not child:
     os._exit(0 if same else 1)

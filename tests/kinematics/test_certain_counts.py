@@ -7,7 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 from oracle import discriminants, quaternion_of, rotation_rows
-from problems import GEOMETRIES, PAPER, in_leg_space, random_branches
+from problems import MANIPULATORS, PAPER, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
@@ -33,20 +33,20 @@ def poses(count: int, seed: int, size: float = 0.6) -> RigidTransform:
     return spm.pose(place, rotation=matrices)
 
 
-def folds(geometry: spm.Geometry, family: int, count: int, seed: int, beyond: float) -> RigidTransform:
+def folds(machine: spm.Manipulator, family: int, count: int, seed: int, beyond: float) -> RigidTransform:
     """Return poses at which the two branches of a family are about to meet, to `beyond` [m] and rounding.
 
     The discriminant is a quadratic in the shift of o along the common normal of the Z axes.
     """
-    poses = random_branches(geometry, spm.machine.FAMILIES[family], count, seed).pose
+    poses = random_branches(machine, spm.machine.FAMILIES[family], count, seed).pose
     rotation, position = poses.rotation.as_matrix(), poses.translation
     normal = np.stack([-rotation[:, 1, 2], rotation[:, 0, 2], np.zeros(count)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     for step in (0.1, 1e-4, 1e-7):
-        shift = step * geometry.middle_side
+        shift = step * machine.middle_side
 
         def value(s: float, position: np.ndarray = position) -> np.ndarray:
-            found = spm.inverse_displacement(geometry, spm.pose(position + s * normal, rotation=rotation))
+            found = spm.inverse_displacement(machine, spm.pose(position + s * normal, rotation=rotation))
             return found.discriminants[:, family]
 
         low, middle, high = value(-shift), value(0.0), value(shift)
@@ -60,44 +60,44 @@ def folds(geometry: spm.Geometry, family: int, count: int, seed: int, beyond: fl
     return spm.pose(position + beyond * rng.uniform(-1.0, 1.0, (count, 1)) * normal, rotation=rotation)
 
 
-def check_against_balls(geometry: spm.Geometry, *answers: spm.SolutionSet) -> None:
+def check_against_balls(machine: spm.Manipulator, *answers: spm.SolutionSet) -> None:
     """Check of answers for the same poses that no family is said to be certainly real, or not, that is otherwise."""
     rotation, position = answers[0].rotation[:, 0], answers[0].translation[:, 0]
     claims = [(solutions.certain, solutions.exists[:, ::2]) for solutions in answers]
     for n in range(len(position)):
-        values = discriminants(rotation[n], position[n], geometry.middle_side)
+        values = discriminants(rotation[n], position[n], machine.middle_side)
         for certain, exists in claims:
             for family in np.flatnonzero(certain[n]):
                 value = values[family]
                 if not (value > 0 or value < 0):
-                    value = discriminants(rotation[n], position[n], geometry.middle_side, bits=2000)[family]
+                    value = discriminants(rotation[n], position[n], machine.middle_side, bits=2000)[family]
                 assert value >= 0 if exists[n, family] else value < 0
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_rounding_error_of_a_discriminant_is_below_its_bound(name: str) -> None:
-    geometry = GEOMETRIES[name]
-    solutions = spm.inverse_displacement(geometry, poses(400, 3, geometry.middle_side))
+    machine = MANIPULATORS[name]
+    solutions = spm.inverse_displacement(machine, poses(400, 3, machine.middle_side))
     position = solutions.translation[:, 0]
-    allowed = (1.0 + np.abs(position[:, :2]).sum(axis=-1) / geometry.middle_radius) ** 2
+    allowed = (1.0 + np.abs(position[:, :2]).sum(axis=-1) / machine.middle_radius) ** 2
     for n in range(400):
-        exact = discriminants(solutions.rotation[n, 0], position[n], geometry.middle_side, bits=300)
+        exact = discriminants(solutions.rotation[n, 0], position[n], machine.middle_side, bits=300)
         for computed, ball in zip(solutions.discriminants[n], exact, strict=True):
             # The bound is a sum of worst cases; a fiftieth of it is never reached.
             assert abs(float(computed) - ball) <= ROUNDING_BOUND * float(allowed[n]) / 50.0
 
 
 @pytest.mark.parametrize(
-    ("geometry", "count", "seed", "size"),
+    ("machine", "count", "seed", "size"),
     [
-        *((geometry, 300, 4, geometry.middle_side) for geometry in GEOMETRIES.values()),
+        *((machine, 300, 4, machine.middle_side) for machine in MANIPULATORS.values()),
         *(pytest.param(PAPER, 100_000, seed, 0.6, marks=pytest.mark.slow) for seed in range(3)),
     ],
 )
-def test_generic_poses_are_certain_and_right(geometry: spm.Geometry, count: int, seed: int, size: float) -> None:
-    solutions = spm.inverse_displacement(geometry, poses(count, seed, size))
+def test_generic_poses_are_certain_and_right(machine: spm.Manipulator, count: int, seed: int, size: float) -> None:
+    solutions = spm.inverse_displacement(machine, poses(count, seed, size))
     assert solutions.certain[::2].all()
-    check_against_balls(geometry, solutions)
+    check_against_balls(machine, solutions)
 
 
 @pytest.mark.parametrize("family", range(4))

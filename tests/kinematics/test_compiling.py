@@ -27,7 +27,7 @@ from spm_pin.kinematics.kernels.branch_kernels import all_branches
 from spm_pin.kinematics.kernels.compilation import ENVIRONMENT, Kernel, expecting, is_worth_compiling
 from spm_pin.kinematics.singularity_analysis import determinants
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 
 
 def all_kernels() -> list[Kernel]:
@@ -54,7 +54,7 @@ def test_several_problems_share_a_vector_register() -> None:
 # --- The interpreter ----------------------------------------------------------------------------------------------
 
 
-def use_machine(machine: spm.Geometry, readings: Any) -> None:
+def use_machine(machine: spm.Manipulator, readings: Any) -> None:
     """Call what has a kernel."""
     state = spm.forward_physical(machine, readings)
     spm.forward_physical(machine, readings + 1e-3, near=state)
@@ -128,7 +128,7 @@ def test_little_work_is_interpreted_and_much_is_compiled(monkeypatch: pytest.Mon
 FIRST = """
 import sys, warnings, numpy as np, spm_pin as spm
 warnings.simplefilter("error")
-paper = spm.Geometry.paper()
+paper = spm.Manipulator.paper()
 for machine in (paper, paper.perturbed(0)):
     state = spm.forward_physical(machine, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     spm.forward_displacement(machine, state.readings)
@@ -242,7 +242,7 @@ def test_a_kernel_is_compiled_once_for_all_processes_until_a_formula_changes(pac
 
 @pytest.mark.parametrize("method", [m for m in ("fork", "spawn") if m in multiprocessing.get_all_start_methods()])
 def test_child_processes_compute_the_same(method: str) -> None:
-    state = spm.Configuration(spm.Geometry(0.7, 0.35, 0.8), np.eye(4), np.arange(9.0).reshape(3, 3) ** 2)
+    state = spm.Configuration(spm.Manipulator(0.7, 0.35, 0.8), np.eye(4), np.arange(9.0).reshape(3, 3) ** 2)
     with multiprocessing.get_context(method).Pool(1) as pool:
         assert pool.apply(determinants, (state,)).tolist() == determinants(state).tolist()
 

@@ -18,7 +18,7 @@ from spm_pin.formulas import branches, leg_planes, stages, vectors, wrenches
 from spm_pin.formulas.operations import bind
 from spm_pin.kinematics.intervals import Interval
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 MACHINE = PAPER.perturbed(3, length=1e-2, angle=1e-2)
 R, E, C = PAPER.middle_radius, PAPER.base_radius, PAPER.platform_radius
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])).as_matrix()

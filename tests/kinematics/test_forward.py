@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, PAPER, Problem, distance, random_branches
+from problems import MANIPULATORS, PAPER, Problem, distance, random_branches
 from stage_oracle import certified_modes
 
 import spm_pin as spm
@@ -22,7 +22,7 @@ def sensitivity(state: spm.Configuration) -> np.ndarray:
             matrix = spm.kinematics.platform_jacobian(state[k])
         except spm.SingularConfigurationError:
             continue
-        matrix[3:] *= state.geometry.middle_side + state.geometry.platform_radius
+        matrix[3:] *= state.machine.middle_side + state.machine.platform_radius
         gain[k] = np.linalg.norm(matrix)
     return gain
 
@@ -30,7 +30,7 @@ def sensitivity(state: spm.Configuration) -> np.ndarray:
 def assert_modes(solutions: spm.SolutionSet, lengths: np.ndarray) -> None:
     """Every mode closes, has the lengths, and no two of a problem are the same."""
     exists = solutions.exists
-    size = solutions.geometry.middle_side + lengths.max(axis=-1)[..., None]
+    size = solutions.machine.middle_side + lengths.max(axis=-1)[..., None]
     assert (np.where(exists, solutions.residual, 0.0) <= 64 * EPS * size).all()
     error = np.abs(solutions.leg_lengths - lengths[..., None, :]).max(axis=-1)
     # A leg much shorter than the machine is known as well as the machine's coordinates are.
@@ -40,11 +40,11 @@ def assert_modes(solutions: spm.SolutionSet, lengths: np.ndarray) -> None:
 def assert_found(problem: Problem) -> None:
     known = problem.configuration
     lengths = known.leg_lengths
-    solutions = forward_displacement(problem.geometry, lengths)
+    solutions = forward_displacement(problem.machine, lengths)
     assert (solutions.status == spm.Status.OK).all()
     assert_modes(solutions, lengths)
     error = distance(solutions.nearest(known), known)
-    size = problem.geometry.middle_side + lengths.max(axis=-1)
+    size = problem.machine.middle_side + lengths.max(axis=-1)
     doubtful = error > 64 * EPS * size
     assert doubtful.mean() < 0.5
     assert (error[doubtful] <= 64 * EPS * size[doubtful] * (1.0 + sensitivity(known[doubtful]))).all()
@@ -71,15 +71,15 @@ def test_the_papers_example() -> None:
 
 def test_the_number_of_modes_is_the_product_of_certified_ones() -> None:
     rng = np.random.default_rng(1)
-    for geometry in GEOMETRIES.values():
-        size = geometry.middle_radius + np.repeat([geometry.base_radius, geometry.platform_radius], 3)
+    for machine in MANIPULATORS.values():
+        size = machine.middle_radius + np.repeat([machine.base_radius, machine.platform_radius], 3)
         lengths = size * rng.uniform(0.5, 1.5, (25, 1)) * (1.0 + 0.1 * rng.normal(size=(25, 6)))
-        solutions = forward_displacement(geometry, lengths)
-        d = geometry.middle_side
+        solutions = forward_displacement(machine, lengths)
+        d = machine.middle_side
         certified = []
         for legs in lengths:
-            lower = certified_modes(legs[:3], geometry.base_radius, d)
-            upper = certified_modes(legs[3:], geometry.platform_radius, d)
+            lower = certified_modes(legs[:3], machine.base_radius, d)
+            upper = certified_modes(legs[3:], machine.platform_radius, d)
             certified.append(lower * upper)
         np.testing.assert_array_equal(solutions.count, certified)
         assert (solutions.status == np.where(solutions.count > 0, spm.Status.OK, spm.Status.UNREACHABLE)).all()
@@ -95,12 +95,12 @@ def test_some_lengths_have_all_256_modes() -> None:
     assert apart[~np.eye(256, dtype=bool)].min() > 1e-3
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 @pytest.mark.parametrize("modes", spm.machine.FAMILIES)
 def test_a_known_configuration_is_found_from_its_lengths(name: str, modes: str) -> None:
-    problem = random_branches(GEOMETRIES[name], modes, 300, seed=2)
+    problem = random_branches(MANIPULATORS[name], modes, 300, seed=2)
     assert_found(problem)
-    solutions = forward_displacement(problem.geometry, problem.configuration.leg_lengths[:50])
+    solutions = forward_displacement(problem.machine, problem.configuration.leg_lengths[:50])
     state = solutions.nearest(problem.configuration[:50])
     apart = distance(solutions.configurations, state[:, None])
     labels = [solutions.labels[k] for k in np.nanargmin(apart, axis=-1)]
@@ -118,11 +118,11 @@ def test_a_short_leg_keeps_its_digits() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_round_trips_of_many_random_states(name: str) -> None:
     for seed in range(2):
         for modes in spm.machine.FAMILIES:
-            assert_found(random_branches(GEOMETRIES[name], modes, 1_000, seed=100 + seed))
+            assert_found(random_branches(MANIPULATORS[name], modes, 1_000, seed=100 + seed))
 
 
 # --- What has no solution, a family of them, or no meaning --------------------------------------------------------
@@ -142,16 +142,16 @@ def test_a_triangle_that_cannot_close_is_unreachable(legs: list[float]) -> None:
 
 
 def test_stages_that_move_with_their_legs_locked_are_degenerate() -> None:
-    geometry = spm.Geometry(0.3, 0.4, 0.9)
-    r, lower, upper = geometry.middle_radius, [0.9], [1.2]
+    machine = spm.Manipulator(0.3, 0.4, 0.9)
+    r, lower, upper = machine.middle_radius, [0.9], [1.2]
     lower += [float(np.sqrt(3 * (r**2 - 0.3**2)))] * 2
     upper += [float(np.sqrt(3 * (r**2 - 0.4**2)))] * 2
-    solutions = forward_displacement(geometry, [[*lower, 0.7, 0.75, 0.8], [0.7, 0.75, 0.8, *upper], [*lower, *upper]])
+    solutions = forward_displacement(machine, [[*lower, 0.7, 0.75, 0.8], [0.7, 0.75, 0.8, *upper], [*lower, *upper]])
     assert (solutions.status == spm.Status.DEGENERATE).all()
     np.testing.assert_array_equal(solutions.degeneracy.dimension, [1, 1, 2])
-    kept = spm.inverse_displacement(geometry, solutions[0].configurations[0].pose)
+    kept = spm.inverse_displacement(machine, solutions[0].configurations[0].pose)
     assert kept.status is spm.Status.OK
-    shut = forward_displacement(geometry, [*lower, 0.7, 0.75, 9.0])
+    shut = forward_displacement(machine, [*lower, 0.7, 0.75, 9.0])
     assert shut.status is spm.Status.UNREACHABLE
     assert int(shut.degeneracy.dimension) == 0
 
@@ -178,33 +178,33 @@ R = PAPER.middle_radius
 REGULAR = [1.2, 1.3, 1.4]
 
 
-def assert_counted_or_unsolved(geometry: spm.Geometry, legs: np.ndarray) -> spm.Status:
+def assert_counted_or_unsolved(machine: spm.Manipulator, legs: np.ndarray) -> spm.Status:
     """Lower legs have the certified number of modes, or none at all and the status says so."""
-    solutions = spm.forward_displacement(geometry, [*legs, *REGULAR])
+    solutions = spm.forward_displacement(machine, [*legs, *REGULAR])
     counted = solutions.exists.reshape(16, 16).any(axis=-1).sum()
     if solutions.status is spm.Status.UNSOLVED:
         assert counted == 0
     else:
-        assert counted == certified_modes(legs, geometry.base_radius, geometry.middle_side)
+        assert counted == certified_modes(legs, machine.base_radius, machine.middle_side)
     return solutions.status
 
 
 @pytest.mark.parametrize("ratio", [0.4, 0.75, 0.99, 0.5])
 def test_beside_a_continuous_family_modes_are_counted_or_unsolved(ratio: float) -> None:
     rng = np.random.default_rng(5)
-    geometry = spm.Geometry(ratio * R, PAPER.platform_radius, PAPER.middle_side)
+    machine = spm.Manipulator(ratio * R, PAPER.platform_radius, PAPER.middle_side)
     family = np.full(3, 1.2) if ratio == 0.5 else R * np.array([3 * ratio, *np.sqrt([3 - 3 * ratio**2] * 2)])
     for away in (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-13):
         legs = np.roll(family * (1.0 + away * rng.normal(size=3)), rng.integers(3))
-        status = assert_counted_or_unsolved(geometry, legs)
+        status = assert_counted_or_unsolved(machine, legs)
         assert status is spm.Status.OK if away > 1e-4 else status in (spm.Status.OK, spm.Status.UNSOLVED)
         assert status is spm.Status.UNSOLVED or away > 1e-6
 
 
 def test_very_short_legs_are_unsolved() -> None:
     """Hips as far out as the corners."""
-    geometry = spm.Geometry(R, PAPER.platform_radius, PAPER.middle_side)
+    machine = spm.Manipulator(R, PAPER.platform_radius, PAPER.middle_side)
     for size in (1e-2, 1e-4, 1e-8):
-        assert assert_counted_or_unsolved(geometry, size * np.array([1.0, 1.2, 1.3])) is (
+        assert assert_counted_or_unsolved(machine, size * np.array([1.0, 1.2, 1.3])) is (
             spm.Status.OK if size > 1e-3 else spm.Status.UNSOLVED
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, PAPER, as_built, distance, in_leg_space, random_branches
+from problems import MANIPULATORS, PAPER, as_built, distance, in_leg_space, random_branches
 from scipy.integrate import solve_ivp
 from stage_cases import cases
 from stages import solve_stage
@@ -22,8 +22,8 @@ LEGS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
 # --- Both stages followed by the angles of their legs, without the package ----------------------------------------
 
 
-def hips(geometry: spm.Geometry) -> np.ndarray:
-    return np.array([[geometry.base_radius], [geometry.platform_radius]])
+def hips(machine: spm.Manipulator) -> np.ndarray:
+    return np.array([[machine.base_radius], [machine.platform_radius]])
 
 
 def stage_joints(state: spm.Configuration) -> np.ndarray:
@@ -32,27 +32,27 @@ def stage_joints(state: spm.Configuration) -> np.ndarray:
     return np.stack([state.middle_joints, local], axis=-3)
 
 
-def leg_angles(geometry: spm.Geometry, joints: np.ndarray) -> np.ndarray:
+def leg_angles(machine: spm.Manipulator, joints: np.ndarray) -> np.ndarray:
     """Angles of the legs in their planes, (..., 2, 3) [rad]."""
-    return np.arctan2(joints[..., 2], (joints * RADIAL).sum(axis=-1) - hips(geometry))
+    return np.arctan2(joints[..., 2], (joints * RADIAL).sum(axis=-1) - hips(machine))
 
 
-def joints_at(geometry: spm.Geometry, legs: np.ndarray, theta: np.ndarray) -> np.ndarray:
+def joints_at(machine: spm.Manipulator, legs: np.ndarray, theta: np.ndarray) -> np.ndarray:
     """The b_i of legs at their angles, (..., 2, 3, 3) [m]."""
-    rho, z = hips(geometry) + legs * np.cos(theta), legs * np.sin(theta)
+    rho, z = hips(machine) + legs * np.cos(theta), legs * np.sin(theta)
     return rho[..., None] * RADIAL + z[..., None] * UP
 
 
-def side_errors(geometry: spm.Geometry, legs: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+def side_errors(machine: spm.Manipulator, legs: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """Errors of the squared sides 12, 23, 31, |b_i - b_j|² = ρ_i² + ρ_j² + ρ_i ρ_j + (z_i - z_j)², (..., 2, 3) [m²].
 
     Returns them with their derivatives by θ_i, by θ_j, and by l_i and l_j, (..., 2, 3, 2).
     """
     cos, sin = np.cos(theta), np.sin(theta)
-    rho, z = hips(geometry) + legs * cos, legs * sin
+    rho, z = hips(machine) + legs * cos, legs * sin
     rho_j, z_j, cos_j, sin_j, legs_j = (np.roll(x, -1, axis=-1) for x in (rho, z, cos, sin, legs))
     by_rho, by_rho_j, by_z = 2 * rho + rho_j, 2 * rho_j + rho, 2 * (z - z_j)
-    gap = rho**2 + rho_j**2 + rho * rho_j + (z - z_j) ** 2 - geometry.middle_side**2
+    gap = rho**2 + rho_j**2 + rho * rho_j + (z - z_j) ** 2 - machine.middle_side**2
     by_own = legs * (by_z * cos - by_rho * sin)
     by_next = -legs_j * (by_z * cos_j + by_rho_j * sin_j)
     by_legs = np.stack([by_rho * cos + by_z * sin, by_rho_j * cos_j - by_z * sin_j], axis=-1)
@@ -71,7 +71,7 @@ def cyclic_solution(by_own: np.ndarray, by_next: np.ndarray, right: np.ndarray) 
 
 
 def follow_finely(
-    geometry: spm.Geometry, theta: np.ndarray, start: np.ndarray, end: np.ndarray, steps: int, newton: int
+    machine: spm.Manipulator, theta: np.ndarray, start: np.ndarray, end: np.ndarray, steps: int, newton: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Follow both stages by some steps of Newton's method on the angles of the legs (N, 2, 3) at equal distances.
 
@@ -82,23 +82,23 @@ def follow_finely(
         for t in np.linspace(0.0, 1.0, steps + 1):
             legs = start + t * (end - start)
             for _ in range(newton):
-                gap, by_own, by_next, _ = side_errors(geometry, legs, theta)
+                gap, by_own, by_next, _ = side_errors(machine, legs, theta)
                 step, determinant = cyclic_solution(by_own, by_next, -gap)
                 theta = theta + step
             sign = np.sign(determinant) if sign is None else sign
-            closed = np.abs(gap).max(axis=-1) < 1e-9 * geometry.middle_side**2
+            closed = np.abs(gap).max(axis=-1) < 1e-9 * machine.middle_side**2
             regular &= ((np.sign(determinant) == sign) & closed).all(axis=-1)
             theta = np.where(regular[:, None, None], theta, np.nan)
-    return joints_at(geometry, end, theta), regular
+    return joints_at(machine, end, theta), regular
 
 
-def continued_from_home(geometry: spm.Geometry, lengths: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def continued_from_home(machine: spm.Manipulator, lengths: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Follow both stages from equal legs, the upper one below its hips."""
-    r, side = geometry.middle_radius, np.array([[1.0], [-1.0]])
+    r, side = machine.middle_radius, np.array([[1.0], [-1.0]])
     target = lengths.reshape(-1, 2, 3)
-    home = np.maximum(target.mean(axis=-1, keepdims=True), 1.001 * np.abs(r - hips(geometry)) + 1e-3 * r)
-    theta = side * np.arccos(np.clip((r - hips(geometry)) / home, -1.0, 1.0)) * np.ones(3)
-    return follow_finely(geometry, theta, home * np.ones(3), target, steps, newton=4)
+    home = np.maximum(target.mean(axis=-1, keepdims=True), 1.001 * np.abs(r - hips(machine)) + 1e-3 * r)
+    theta = side * np.arccos(np.clip((r - hips(machine)) / home, -1.0, 1.0)) * np.ones(3)
+    return follow_finely(machine, theta, home * np.ones(3), target, steps, newton=4)
 
 
 def follow_adaptively(seed: spm.Configuration, end: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -136,15 +136,15 @@ def test_the_physical_configuration_is_the_one_continued_from_home() -> None:
     assert spm.determinants(state)[:, :2].min() > 0.0
 
 
-@pytest.mark.parametrize("name", [*GEOMETRIES, "small platforms"])
+@pytest.mark.parametrize("name", [*MANIPULATORS, "small platforms"])
 def test_far_from_home_the_physical_configuration_is_continued_or_absent(name: str) -> None:
-    geometry = {**GEOMETRIES, "small platforms": spm.Geometry(0.05, 0.1, 0.8)}[name]
+    machine = {**MANIPULATORS, "small platforms": spm.Manipulator(0.05, 0.1, 0.8)}[name]
     rng = np.random.default_rng(6)
-    size = geometry.middle_radius + np.repeat([geometry.base_radius, geometry.platform_radius], 3)
+    size = machine.middle_radius + np.repeat([machine.base_radius, machine.platform_radius], 3)
     spread = rng.uniform(0.0, 0.4, (1_500, 1))
     lengths = size * rng.uniform(0.6, 2.0, (1_500, 1)) * np.abs(1.0 + spread * rng.normal(size=(1_500, 6))).clip(0.05)
-    state = forward_physical(geometry, lengths)
-    joints, whole = continued_from_home(geometry, lengths, steps=200)
+    state = forward_physical(machine, lengths)
+    joints, whole = continued_from_home(machine, lengths, steps=200)
     assert 0.1 < whole.mean() < 0.97
     assert state.exists[whole].all()
     np.testing.assert_allclose(stage_joints(state)[whole], joints[whole], rtol=0, atol=1e-7)
@@ -237,13 +237,13 @@ def test_where_modes_vanish_their_seeds_end_and_no_two_end_in_one_mode() -> None
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-3, 1e-2])
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_states_of_a_machine_as_built_are_found_whose_readings_they_are(name: str, size: float) -> None:
-    geometry = GEOMETRIES[name]
-    built, side = as_built(geometry, size), geometry.middle_side
-    problem = random_branches(geometry, "TT", 2000, seed=2)
-    if geometry.limits is not None:
-        problem = in_leg_space(geometry, 300, seed=2)
+    machine = MANIPULATORS[name]
+    built, side = as_built(machine, size), machine.middle_side
+    problem = random_branches(machine, "TT", 2000, seed=2)
+    if machine.limits is not None:
+        problem = in_leg_space(machine, 300, seed=2)
     state = spm.inverse_physical(built, problem.pose)
     state = state[state.exists]
     found = forward_physical(built, state.readings)
@@ -277,7 +277,7 @@ def test_a_state_of_a_machine_as_built_is_followed_to_other_readings() -> None:
 
 
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
-def test_invalid_seeds_and_readings_are_refused(machine: spm.Geometry) -> None:
+def test_invalid_seeds_and_readings_are_refused(machine: spm.Manipulator) -> None:
     state = forward_physical(machine, LEGS)
     torn = spm.Configuration(machine, state.pose, state.middle_joints + np.diag([0.0, 0.0, 0.01]))
     absent = forward_physical(machine, LEGS * 100)
@@ -287,7 +287,7 @@ def test_invalid_seeds_and_readings_are_refused(machine: spm.Geometry) -> None:
         (state.middle_joints, "a Configuration"),
         (torn, "that closes"),
         (absent, "that exist"),
-        (other, "of `geometry`"),
+        (other, "of `machine`"),
         (batch, "broadcast"),
     ):
         with pytest.raises(spm.ArgumentError, match=words):
@@ -298,7 +298,7 @@ def test_invalid_seeds_and_readings_are_refused(machine: spm.Geometry) -> None:
 
 
 def test_states_of_the_common_table() -> None:
-    for name, (geometry, readings, *arrays) in cases().items():
-        state = forward_physical(geometry, readings)
+    for name, (machine, readings, *arrays) in cases().items():
+        state = forward_physical(machine, readings)
         for found, expected in zip((state.rotation, state.translation, state.middle_joints), arrays, strict=True):
             np.testing.assert_allclose(found, expected, atol=1e-13, err_msg=name)

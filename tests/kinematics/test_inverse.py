@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 from oracle import certified_counts
-from problems import GEOMETRIES, PAPER, Problem, conditioning, in_leg_space, random_branches
+from problems import MANIPULATORS, PAPER, Problem, conditioning, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
@@ -22,21 +22,21 @@ EPS = np.finfo(float).eps
 def assert_closed(solutions: spm.SolutionSet) -> None:
     """Closure to 64 roundings of the largest coordinate: 1e-14 m for a machine of the paper's size."""
     exists = solutions.exists
-    size = np.abs(solutions.middle_joints[exists]).max(axis=(-1, -2), initial=solutions.geometry.middle_side)
+    size = np.abs(solutions.middle_joints[exists]).max(axis=(-1, -2), initial=solutions.machine.middle_side)
     assert (solutions.residual[exists] <= 64 * EPS * size).all()
 
 
-@pytest.mark.parametrize(("name", "modes"), [("paper", "in leg space"), *product(GEOMETRIES, spm.machine.FAMILIES)])
+@pytest.mark.parametrize(("name", "modes"), [("paper", "in leg space"), *product(MANIPULATORS, spm.machine.FAMILIES)])
 def test_the_known_branch_is_among_those_found(name: str, modes: str) -> None:
     by_legs = modes == "in leg space"
-    problem = in_leg_space(PAPER, 10_000, 2) if by_legs else random_branches(GEOMETRIES[name], modes, 5_000, seed=1)
-    solutions = spm.inverse_displacement(problem.geometry, problem.pose)
+    problem = in_leg_space(PAPER, 10_000, 2) if by_legs else random_branches(MANIPULATORS[name], modes, 5_000, seed=1)
+    solutions = spm.inverse_displacement(problem.machine, problem.pose)
     assert (solutions.status == spm.Status.OK).all()
     assert_closed(solutions)
     found = solutions.nearest(problem.configuration)
     error = np.abs(found.middle_joints - problem.middle_joints).max(axis=(-1, -2))
     assert (error <= 32 * EPS * conditioning(problem.configuration)).all()
-    assert np.median(error) < 1e-15 * 10 * problem.geometry.middle_side
+    assert np.median(error) < 1e-15 * 10 * problem.machine.middle_side
     if by_legs:
         assert set(np.unique(solutions.count)) == {4, 6, 8}
     else:
@@ -52,12 +52,12 @@ def test_the_number_of_branches_is_certified(count: int, seed: int) -> None:
     pose = spm.pose(position, rotation=Rotation.random(count // 2, rng=rng))
     anywhere = Problem(PAPER, pose, np.full((count // 2, 3, 3), np.nan))
     problems = [anywhere, in_leg_space(PAPER, count, seed=seed)]
-    for k, geometry in enumerate(GEOMETRIES.values()):
-        problems += [random_branches(geometry, modes, count // 16, seed + k) for modes in spm.machine.FAMILIES]
+    for k, machine in enumerate(MANIPULATORS.values()):
+        problems += [random_branches(machine, modes, count // 16, seed + k) for modes in spm.machine.FAMILIES]
     for problem in problems:
-        solutions = spm.inverse_displacement(problem.geometry, problem.pose)
+        solutions = spm.inverse_displacement(problem.machine, problem.pose)
         assert_closed(solutions)
-        np.testing.assert_array_equal(solutions.count, certified_counts(problem.pose, problem.geometry.middle_side))
+        np.testing.assert_array_equal(solutions.count, certified_counts(problem.pose, problem.machine.middle_side))
         assert (solutions.status == np.where(solutions.count > 0, spm.Status.OK, spm.Status.UNREACHABLE)).all()
         assert problem is not anywhere or 0.05 < (solutions.count == 0).mean() < 0.95
 
@@ -127,8 +127,8 @@ def test_a_pose_object_of_another_library_is_read_without_importing_it() -> None
 
 @pytest.mark.parametrize("limits", [None, spm.LegLimits(1.1, 1.5)])
 def test_the_physical_branch_alone_is_that_of_all(limits: spm.LegLimits | None) -> None:
-    geometry, pose = dataclasses.replace(PAPER, limits=limits), in_leg_space(PAPER, 500, seed=12).pose
-    solutions, found = spm.inverse_displacement(geometry, pose), inverse_physical(geometry, pose)
+    machine, pose = dataclasses.replace(PAPER, limits=limits), in_leg_space(PAPER, 500, seed=12).pose
+    solutions, found = spm.inverse_displacement(machine, pose), inverse_physical(machine, pose)
     chosen = solutions.physical()
     for name in ("rotation", "translation", "middle_joints", "leg_lengths"):
         np.testing.assert_array_equal(getattr(found, name), getattr(chosen, name), err_msg=name)

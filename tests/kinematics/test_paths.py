@@ -122,7 +122,7 @@ def test_a_limit_is_crossed_where_the_leg_is_as_long_as_it_may_be() -> None:
 def test_two_crossings_within_one_step_are_found() -> None:
     length = float(spm.inverse_displacement(PAPER, EXAMPLE)["TT+"].leg_lengths[0])
     limits = spm.LegLimits(0.5, [length + 1e-7, 9, 9, 9, 9, 9])
-    geometry = replace(PAPER, limits=limits)
+    machine = replace(PAPER, limits=limits)
 
     def path(s: float) -> RigidTransform:
         # r_b1 grows with the height; at most 2e-7 m beyond the limit, for about a twentieth of a step.
@@ -130,12 +130,12 @@ def test_two_crossings_within_one_step_are_found() -> None:
             EXAMPLE.translation + np.array([0, 0, 4e-7 - 2.0 * (s - 0.512) ** 2]), rotation=EXAMPLE.rotation
         )
 
-    found = follow(geometry, path, "TT+", samples=50)
+    found = follow(machine, path, "TT+", samples=50)
     crossings = of_kind(found, EventKind.LIMIT)
     assert len(crossings) == 2
     assert crossings[0] < 0.512 < crossings[1]
     for s in crossings:
-        there = spm.inverse_displacement(geometry, path(s))["TT+"].leg_lengths[0]
+        there = spm.inverse_displacement(machine, path(s))["TT+"].leg_lengths[0]
         assert there == pytest.approx(length + 1e-7, abs=1e-12)
 
 
@@ -184,7 +184,7 @@ def test_along_readings_of_servos_and_screws_events_are_no_numbers_of_modes() ->
     """The numbers of their modes are names only, and change without any event."""
     servos = spm.Stage(0.30, 0.25, spm.RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
     screws = spm.Stage(0.20, 0.25, spm.PRS(rod=0.30), limits=(-0.05, 0.25))
-    machine = spm.Geometry.of_stages(servos, screws)
+    machine = spm.Manipulator.of_stages(servos, screws)
     ends = np.array([[0.4, 0.5, 0.6, 0.10, 0.12, 0.14], [0.9, 0.1, 0.5, 0.15, 0.02, 0.20]])
     found = spm.follow(machine, ends)
     assert found.complete

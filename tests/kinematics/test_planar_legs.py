@@ -12,7 +12,7 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
-from kinds_of_legs import KINDS_OF_STAGES, PAIRS, machine, states
+from kinds_of_legs import KINDS_OF_STAGES, PAIRS, machine_of_kinds, states
 from problems import Array
 from scipy.optimize import fsolve
 
@@ -80,24 +80,24 @@ def test_formulas_of_legs_on_every_kind_of_number(kind: Any) -> None:
 @pytest.mark.parametrize("built", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), PAIRS)
 def test_readings_lead_to_the_pose_and_the_pose_to_the_readings(lower: str, upper: str, built: bool) -> None:
-    geometry = machine(lower, upper, built=built)
-    found = states(geometry)
+    machine = machine_of_kinds(lower, upper, built=built)
+    found = states(machine)
     assert len(found) > 20
     assert found.closure_residual.max() < 1e-14
-    branches = spm.inverse_displacement(geometry, found.pose)
+    branches = spm.inverse_displacement(machine, found.pose)
     error = np.abs(branches.readings - found.readings[:, None]).max(axis=-1)
     np.testing.assert_allclose(np.nanmin(error, axis=-1), 0.0, atol=1e-11)
-    physical = spm.inverse_physical(geometry, found.pose, near=found)
+    physical = spm.inverse_physical(machine, found.pose, near=found)
     np.testing.assert_allclose(physical.readings, found.readings, atol=1e-11)
     # The balls are on the circles that the readings leave, seen from outside.
-    centres, radii = geometry.legs.circles(found.readings)
+    centres, radii = machine.legs.circles(found.readings)
     np.testing.assert_allclose(found.own_circle_centres, centres)
     np.testing.assert_allclose(np.linalg.norm(found.leg_vectors, axis=-1), radii, atol=1e-13)
-    outward, forward = geometry.legs.planes
-    plane = LegPlane(*map(tuple, (geometry.legs.pivots[0], outward[0], forward[0])))
+    outward, forward = machine.legs.planes
+    plane = LegPlane(*map(tuple, (machine.legs.pivots[0], outward[0], forward[0])))
     x, z = place_in_plane(tuple(found.balls[:, 0].T), plane)
     np.testing.assert_allclose(np.stack([x, z], axis=-1), found.places[:, 0], atol=1e-15)
-    moved = spm.forward_physical(geometry, found.readings[1:], near=found[:-1])
+    moved = spm.forward_physical(machine, found.readings[1:], near=found[:-1])
     assert moved.exists.mean() > 0.9
     np.testing.assert_allclose(
         moved.translation[moved.exists], found.translation[1:][moved.exists], atol=1e-11, err_msg="followed elsewhere"
@@ -107,12 +107,12 @@ def test_readings_lead_to_the_pose_and_the_pose_to_the_readings(lower: str, uppe
 @pytest.mark.parametrize("built", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS"), ("RRS", "RRS")])
 def test_rates_forces_and_gradients_are_those_of_the_readings(lower: str, upper: str, built: bool) -> None:
-    geometry = machine(lower, upper, built=built)
-    found = states(geometry)[:12]
+    machine = machine_of_kinds(lower, upper, built=built)
+    found = states(machine)[:12]
     jacobian, inverse, h = platform_jacobian(found), spm.inverse_jacobian(found), 1e-6
     gradients = determinant_gradients(found)
     for leg in range(6):
-        ends = [spm.forward_physical(geometry, found.readings + sign * h * np.eye(6)[leg], found) for sign in (1, -1)]
+        ends = [spm.forward_physical(machine, found.readings + sign * h * np.eye(6)[leg], found) for sign in (1, -1)]
         linear = (ends[0].translation - ends[1].translation) / (2.0 * h)
         angular = (ends[0].pose.rotation * ends[1].pose.rotation.inv()).as_rotvec() / (2.0 * h)
         expected = np.concatenate([linear, angular], axis=-1)
@@ -131,9 +131,9 @@ def test_rates_forces_and_gradients_are_those_of_the_readings(lower: str, upper:
 @pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RPS")])
 @pytest.mark.parametrize("built", [False, True])
 def test_all_modes_have_the_readings_and_hold_the_physical_state(lower: str, upper: str, built: bool) -> None:
-    geometry = machine(lower, upper, built=built)
-    found = states(geometry)[:8]
-    modes = spm.forward_displacement(geometry, found.readings)
+    machine = machine_of_kinds(lower, upper, built=built)
+    found = states(machine)[:8]
+    modes = spm.forward_displacement(machine, found.readings)
     assert (np.asarray(modes.status) == spm.Status.OK).all()
     assert np.nanmax(modes.residual) < 1e-13
     assert np.nanmax(np.abs(modes.readings - found.readings[:, None])) < 1e-10
@@ -141,20 +141,20 @@ def test_all_modes_have_the_readings_and_hold_the_physical_state(lower: str, upp
 
 
 def test_a_ball_out_of_a_legs_reach_is_data() -> None:
-    geometry = spm.Geometry.of_stages(Stage(0.7, 0.45, RRS(crank=0.6, rod=0.8)), Stage(0.4, 0.45))
-    branches = spm.inverse_displacement(geometry, spm.pose([0.0, 0.0, 9.0], rpy=[0.1, 0.1, 0.0]))
+    machine = spm.Manipulator.of_stages(Stage(0.7, 0.45, RRS(crank=0.6, rod=0.8)), Stage(0.4, 0.45))
+    branches = spm.inverse_displacement(machine, spm.pose([0.0, 0.0, 9.0], rpy=[0.1, 0.1, 0.0]))
     assert branches.status == spm.Status.UNREACHABLE
     assert "r_b1" in branches.physical().missing_reason
 
 
 def test_a_leg_is_singular_where_rod_and_crank_are_in_line() -> None:
-    geometry = machine("RRS", "RPS")
-    state = states(geometry)[0]
+    machine = machine_of_kinds("RRS", "RPS")
+    state = states(machine)[0]
     # The same state of a machine whose first leg just reaches its ball.
     reach = float(np.hypot(*state.places[0]))
     kind = RRS(crank=(reach - 0.9, 1.1, 1.1), rod=0.9)
-    legs = Legs(*geometry.legs.arrays, (kind, RPS()))
-    built = spm.Geometry(*geometry.dimensions, legs=legs)
+    legs = Legs(*machine.legs.arrays, (kind, RPS()))
+    built = spm.Manipulator(*machine.dimensions, legs=legs)
     stretched = spm.machine.Configuration(built, state.pose, state.middle_joints)
     kind_of = spm.kinematics.SingularityKind
     assert kind_of(int(spm.singularities(stretched, tolerance=1e-6).kind)) & kind_of.LEG
@@ -162,10 +162,10 @@ def test_a_leg_is_singular_where_rod_and_crank_are_in_line() -> None:
 
 
 def test_a_path_of_poses_ends_where_a_leg_no_longer_reaches() -> None:
-    geometry = machine("RRS", "RRS")
-    state = states(geometry)[0]
+    machine = machine_of_kinds("RRS", "RRS")
+    state = states(machine)[0]
     up = spm.pose(state.translation + np.array([0.0, 0.0, 1.5]), rotation=state.pose.rotation)
-    path = spm.follow(geometry, [state.pose.as_matrix(), up.as_matrix()], state, samples=20)
+    path = spm.follow(machine, [state.pose.as_matrix(), up.as_matrix()], state, samples=20)
     end = path.events[-1]
     assert end.kind == "solution ends"
     assert "whose actuator no longer moves its ball" in end.detail
@@ -173,15 +173,15 @@ def test_a_path_of_poses_ends_where_a_leg_no_longer_reaches() -> None:
 
 @pytest.mark.parametrize("built", [False, True])
 def test_files_copies_and_parameters_keep_the_legs(built: bool, tmp_path: Path) -> None:
-    geometry = machine("RRS", "PRS", built=built)
-    geometry.to_yaml(tmp_path / "machine.yaml")
-    for copy in (spm.Geometry.from_yaml(tmp_path / "machine.yaml"), pickle.loads(pickle.dumps(geometry))):
-        assert copy == geometry
-        assert copy.is_nominal == geometry.is_nominal != built
-    again = geometry.from_parameters(geometry.parameters)
-    np.testing.assert_allclose(again.parameters, geometry.parameters, atol=1e-15)
-    assert len(geometry.parameter_names) == len(geometry.parameter_units) == len(geometry.parameters) == 66
-    assert geometry.parameter_units[-1] == "rad", "the direction of a slide"
+    machine = machine_of_kinds("RRS", "PRS", built=built)
+    machine.to_yaml(tmp_path / "machine.yaml")
+    for copy in (spm.Manipulator.from_yaml(tmp_path / "machine.yaml"), pickle.loads(pickle.dumps(machine))):
+        assert copy == machine
+        assert copy.is_nominal == machine.is_nominal != built
+    again = machine.from_parameters(machine.parameters)
+    np.testing.assert_allclose(again.parameters, machine.parameters, atol=1e-15)
+    assert len(machine.parameter_names) == len(machine.parameter_units) == len(machine.parameters) == 66
+    assert machine.parameter_units[-1] == "rad", "the direction of a slide"
 
 
 WRONG: dict[str, tuple[Callable[[], Any], str]] = {
@@ -190,16 +190,18 @@ WRONG: dict[str, tuple[Callable[[], Any], str]] = {
     "degrees": (lambda: PRS(rod=1.0, direction=90.0), "Given in degrees"),
     "four legs": (lambda: RRS(crank=[1.0] * 4, rod=1.0), "one for each of the three legs"),
     "limits in degrees": (
-        lambda: dataclasses.replace(machine("RRS", "RPS"), limits=spm.LegLimits.stages((-7.0, 7.0), (1.0, 1.5))),
+        lambda: dataclasses.replace(
+            machine_of_kinds("RRS", "RPS"), limits=spm.LegLimits.stages((-7.0, 7.0), (1.0, 1.5))
+        ),
         "In degrees",
     ),
     "a negative length": (
-        lambda: spm.Geometry.of_stages(Stage(0.7, 0.45, RPS(), (-0.3, 0.9)), Stage(0.4, 0.45)),
+        lambda: spm.Manipulator.of_stages(Stage(0.7, 0.45, RPS(), (-0.3, 0.9)), Stage(0.4, 0.45)),
         "0 <= minimum",
     ),
-    "two triangles": (lambda: spm.Geometry.of_stages(Stage(0.7, 0.45), Stage(0.4, 0.46)), "platform_radius"),
+    "two triangles": (lambda: spm.Manipulator.of_stages(Stage(0.7, 0.45), Stage(0.4, 0.46)), "platform_radius"),
     "readings in degrees": (
-        lambda: spm.forward_physical(machine("RRS", "RPS"), [7.0, 6.0, 6.0, 1.3, 1.3, 1.3]),
+        lambda: spm.forward_physical(machine_of_kinds("RRS", "RPS"), [7.0, 6.0, 6.0, 1.3, 1.3, 1.3]),
         "In degrees",
     ),
 }
@@ -231,7 +233,7 @@ def test_limits_at_the_ends_of_the_turn_of_a_cranks_readings_are_accepted() -> N
     assert dataclasses.replace(servos, legs=legs, limits=spm.machine.StageLimits(-2.5, 0.5)).limits is not None
 
 
-REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
+REFUSED: dict[str, Callable[[spm.Manipulator], Any]] = {
     "certify_inverse": lambda g: spm.proofs.certify_inverse(g, spm.LegLimits(1.2, 1.3)),
     "weights in CasADi": lambda g: spm.casadi.gravity(g),
     "the paper's method": lambda g: spm.crosscheck.compare_methods(g, poses=2, methods=["paper"]),
@@ -243,7 +245,7 @@ REFUSED: dict[str, Callable[[spm.Geometry], Any]] = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_known_for_rps_legs_alone_refuses_others_by_name(name: str) -> None:
     with pytest.raises(spm.GeometryError, match="RRS below and RPS above"):
-        REFUSED[name](machine("RRS", "RPS"))
+        REFUSED[name](machine_of_kinds("RRS", "RPS"))
 
 
 def test_the_kinds_have_their_names() -> None:
@@ -252,13 +254,13 @@ def test_the_kinds_have_their_names() -> None:
 
 def test_where_slides_are_measured_from_does_not_matter() -> None:
     """Rails measured from their upper end: balls below the pivots, and the robot as far down as the zero is up."""
-    geometry = spm.Geometry.of_stages(Stage(0.35, 0.25, PRS(rod=0.42)), Stage(0.30, 0.25, PRS(rod=0.40)))
+    machine = spm.Manipulator.of_stages(Stage(0.35, 0.25, PRS(rod=0.42)), Stage(0.30, 0.25, PRS(rod=0.40)))
     readings = np.random.default_rng(0).uniform(0.05, 0.2, (50, 6))
     down = np.concatenate([readings[:, :3] - 0.9, readings[:, 3:] - 0.7], axis=1)
-    above, below = spm.forward_physical(geometry, readings), spm.forward_physical(geometry, down)
+    above, below = spm.forward_physical(machine, readings), spm.forward_physical(machine, down)
     assert above.exists.all()
     shift = 0.9 * np.array([0.0, 0.0, 1.0]) + 0.7 * above.rotation[..., 2]
     np.testing.assert_allclose(below.translation, above.translation - shift, atol=1e-12)
     assert (below.middle_joints[..., 2] < 0.0).all()
-    np.testing.assert_allclose(spm.inverse_physical(geometry, below.pose, near=below).readings, down, atol=1e-9)
-    assert spm.inverse_displacement(geometry, below.pose).is_physical.any(axis=-1).all()
+    np.testing.assert_allclose(spm.inverse_physical(machine, below.pose, near=below).readings, down, atol=1e-9)
+    assert spm.inverse_displacement(machine, below.pose).is_physical.any(axis=-1).all()

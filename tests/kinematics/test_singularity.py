@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from finite_differences import extrapolated
 from problems import (
-    GEOMETRIES,
+    MANIPULATORS,
     PAPER,
     PAPER_TILTS,
     as_built,
@@ -138,7 +138,7 @@ def test_gained_twist_leaves_the_leg_lengths() -> None:
     assert 50 < changes[1] / changes[2] < 200
 
 
-@pytest.mark.parametrize("name", [*GEOMETRIES, "as built"])
+@pytest.mark.parametrize("name", [*MANIPULATORS, "as built"])
 @pytest.mark.parametrize("modes", spm.machine.FAMILIES)
 def test_determinants_are_those_of_the_matrices_and_of_the_jacobian(name: str, modes: str) -> None:
     if name == "as built":
@@ -146,10 +146,10 @@ def test_determinants_are_those_of_the_matrices_and_of_the_jacobian(name: str, m
         state = branches[f"{modes}+"]
         state = state[state.exists]
     else:
-        state = random_branches(GEOMETRIES[name], modes, 200, seed=1).configuration
+        state = random_branches(MANIPULATORS[name], modes, 200, seed=1).configuration
     found, expected = singularities(state), np.linalg.det(wrench_matrices(state))
     np.testing.assert_allclose(found.scaled_determinants, expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(found.determinants, expected * state.geometry.middle_side**3, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.determinants, expected * state.machine.middle_side**3, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(found.determinants, spm.determinants(state), rtol=1e-15)
     regular = state[found.sigma.min(axis=-1) > 5e-3]
     lower, upper, structure = np.moveaxis(spm.determinants(regular), -1, 0)
@@ -157,7 +157,7 @@ def test_determinants_are_those_of_the_matrices_and_of_the_jacobian(name: str, m
 
 
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
-def test_gradients_of_the_determinants_against_finite_differences(machine: spm.Geometry) -> None:
+def test_gradients_of_the_determinants_against_finite_differences(machine: spm.Manipulator) -> None:
     readings = np.random.default_rng(3).uniform(1.15, 1.45, (20, 6))
     gradient = determinant_gradients(spm.forward_physical(machine, readings))
     steps = np.eye(6)[:, None]

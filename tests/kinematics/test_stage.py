@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, corners, stage
+from problems import MANIPULATORS, corners, stage
 from stage_oracle import certified_modes
 from stages import MODES, StageModes, solve_stage
 
@@ -14,8 +14,8 @@ import spm_pin as spm
 
 EPS = np.finfo(float).eps
 STAGES = {
-    **{f"{name}, lower": (g.base_radius, g.middle_side) for name, g in GEOMETRIES.items()},
-    **{f"{name}, upper": (g.platform_radius, g.middle_side) for name, g in GEOMETRIES.items()},
+    **{f"{name}, lower": (g.base_radius, g.middle_side) for name, g in MANIPULATORS.items()},
+    **{f"{name}, upper": (g.platform_radius, g.middle_side) for name, g in MANIPULATORS.items()},
     "κ near zero": (0.3, 0.6 * 3**0.5),
     "small hips": (0.05, 1.0),
 }
@@ -94,13 +94,13 @@ def folds(mode: str, hips: float, d: float, count: int, seed: int) -> Iterator[n
 
     Where the derivative of the leg lengths with respect to tilt axis, tilt and height is singular.
     """
-    rng, geometry = np.random.default_rng(seed), spm.Geometry(hips, hips, d)
-    r = geometry.middle_radius
+    rng, machine = np.random.default_rng(seed), spm.Manipulator(hips, hips, d)
+    r = machine.middle_radius
 
     def lengths(parameters: np.ndarray) -> np.ndarray:
         w = complex(*parameters[:2])
         placed = stage(mode, np.angle(w), abs(w), parameters[2], r)
-        return np.linalg.norm(corners(geometry, placed) - geometry.base_joints, axis=-1)
+        return np.linalg.norm(corners(machine, placed) - machine.base_joints, axis=-1)
 
     def determinant(parameters: np.ndarray) -> float:
         h = 1e-6

@@ -208,7 +208,7 @@ def test_all_sixteen_modes_and_no_others(machine: str, count: int) -> None:
 
 
 def test_modes_of_the_tripod_are_those_of_the_robots_stage() -> None:
-    robot = spm.Geometry.of_stages(STAGES["RPS"], STAGES["RPS"])
+    robot = spm.Manipulator.of_stages(STAGES["RPS"], STAGES["RPS"])
     lengths = np.array([1.2, 1.25, 1.4])
     modes = spm.stages.forward(STAGES["RPS"], lengths)
     whole = spm.forward_displacement(robot, np.tile(lengths, 2))
@@ -230,14 +230,14 @@ def test_the_robot_of_two_stages_is_one_on_the_other_turned_over(machine: str) -
     below, above = below[both], above[both]
     half_turn = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, np.pi, 0.0]))
     expected = (below.pose * half_turn * above.pose.inv() * half_turn).as_matrix()
-    robot = spm.Geometry.of_stages(lower, upper)
+    robot = spm.Manipulator.of_stages(lower, upper)
     state = spm.forward_physical(robot, np.concatenate([below.readings, above.readings[:, ::-1]], axis=-1))
     assert len(expected) > 10
     np.testing.assert_allclose(state.pose.as_matrix(), expected, rtol=0, atol=1e-13)
 
 
 def test_what_takes_robots_alone_says_where_a_stage_s_own_is() -> None:
-    with pytest.raises(spm.ArgumentError, match=r"geometry: expected a Geometry, got Stage\. .*Geometry\.of_stages"):
+    with pytest.raises(spm.ArgumentError, match=r"machine: expected a Manipulator, got Stage\. .*Geometry\.of_stages"):
         spm.certify(BALANCER)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match=r"got StageConfiguration. .* spm_pin\.stages"):
         spm.singularities(spm.stages.inverse_physical(BALANCER, 0.12))  # type: ignore[arg-type]
@@ -245,7 +245,7 @@ def test_what_takes_robots_alone_says_where_a_stage_s_own_is() -> None:
 
 def test_the_upper_stage_keeps_its_limits() -> None:
     upper = Stage(0.5, 0.46, limits=([0.1, 0.2, 0.3], [1.1, 1.2, 1.3]))
-    robot = spm.Geometry.of_stages(STAGES["RPS"], upper)
+    robot = spm.Manipulator.of_stages(STAGES["RPS"], upper)
     assert robot.limits.minimum == (0.0, 0.0, 0.0, 0.3, 0.2, 0.1)
     assert robot.limits.maximum[3:] == (1.3, 1.2, 1.1)
 
@@ -304,7 +304,9 @@ def test_why_there_is_no_solution_is_said() -> None:
         spm.stages.forward_physical(BALANCER, absent)
     with pytest.raises(spm.ArgumentError, match=r"got -0\.1\. To the other side"):
         spm.stages.inverse(BALANCER, 0.12, tilt=-0.1, azimuth=0.0)
-    with pytest.raises(spm.ArgumentError, match=r"a Geometry, got Stage\. For a stage alone there is spm_pin\.stages"):
+    with pytest.raises(
+        spm.ArgumentError, match=r"a Manipulator, got Stage\. For a stage alone there is spm_pin\.stages"
+    ):
         spm.inverse_physical(BALANCER, 0.12)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match=r"azimuth: .*radians.*, got 15\. Given in degrees"):
         spm.stages.inverse(BALANCER, 0.12, tilt=0.1, azimuth=15.0)
@@ -334,7 +336,7 @@ def test_why_there_is_no_solution_is_said() -> None:
         "no working mode": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11, sign=0)), "the working mode"),
         "limits in millimetres": (lambda: Stage(0.7, 0.46, limits=(1100, 1500)), "is it 1500 mm"),
         "limits exchanged": (lambda: Stage(0.7, 0.46, limits=(1.5, 1.1)), "exchanged"),
-        "legs of six": (lambda: Stage(0.7, 0.46, spm.Geometry.paper().legs), "Legs of six"),
+        "legs of six": (lambda: Stage(0.7, 0.46, spm.Manipulator.paper().legs), "Legs of six"),
     }.values(),
 )
 def test_numbers_that_are_no_stage_are_refused_with_the_cause(make: object, cause: str) -> None:
@@ -353,7 +355,7 @@ def test_numbers_that_are_no_stage_are_refused_with_the_cause(make: object, caus
         ),
         "a crank in centimetres": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.0005, rod=0.11)), "0.11 m and crank"),
         "a mirror's radius": (lambda: Stage(0.3, 0.002), "base_radius is 0.3 m and platform_radius 0.002 m"),
-        "a large robot": (lambda: spm.Geometry(6.0, 5.0, 7.0), "middle_side is 7 m. .*another unit"),
+        "a large robot": (lambda: spm.Manipulator(6.0, 5.0, 7.0), "middle_side is 7 m. .*another unit"),
         "crank and rod exchanged": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.11, rod=0.05)), "exchanged"),
     }.values(),
 )
@@ -394,10 +396,10 @@ def test_a_file_holds_every_digit(machine: str, tmp_path: object) -> None:
 
 def test_files_of_robots_and_of_stages_are_told_apart(tmp_path: Path) -> None:
     robot, stage = tmp_path / "robot.yaml", tmp_path / "stage.yaml"
-    spm.Geometry.paper().to_yaml(robot)
+    spm.Manipulator.paper().to_yaml(robot)
     spm.Stage(0.08, 0.09, BALANCER.kind, limits=(-0.5, 1.0)).to_yaml(stage)
     with pytest.raises(spm.GeometryError, match=r"limits is a key of a stage's file, which spm_pin\.Stage"):
-        spm.Geometry.from_yaml(stage)
+        spm.Manipulator.from_yaml(stage)
     with pytest.raises(spm.GeometryError, match=r"middle_side is a key of a robot's file, which spm_pin\.Geometry"):
         spm.Stage.from_yaml(robot)
 
@@ -437,7 +439,7 @@ def test_a_pose_close_to_turned_over_is_right_or_absent(from_over: float, exists
 def test_two_stages_are_the_robot() -> None:
     """The lower stage of a machine of two is the stage alone: SciPy closes its loops from another start."""
     stage = STAGES["RPS"]
-    robot = spm.Geometry.of_stages(stage, stage)
+    robot = spm.Manipulator.of_stages(stage, stage)
     state = spm.forward_physical(robot, [1.2, 1.25, 1.4, 1.3, 1.2, 1.25])
     alone = spm.stages.forward_physical(stage, [1.2, 1.25, 1.4])
     np.testing.assert_array_equal(alone.balls.round(14), state.middle_joints.round(14))

@@ -13,7 +13,7 @@ from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
 
 EPS = np.finfo(float).eps
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.kinematics import compliance, principal_stiffness
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 LENGTHS = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
 LEGS = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e7
 STATE = spm.forward_physical(PAPER, LENGTHS)
@@ -31,7 +31,7 @@ def test_compliance_is_the_displacement_under_load(name: str, column: int) -> No
 
     def moved(load: np.ndarray) -> np.ndarray:
         shortened = LENGTHS - spm.leg_forces(state, load) / LEGS
-        return displacement(state, spm.forward_physical(state.geometry, shortened, near=state))
+        return displacement(state, spm.forward_physical(state.machine, shortened, near=state))
 
     found = (moved(20.0 * wrench) - moved(-20.0 * wrench)) / 40.0
     expected = compliance(state, LEGS)[:, column]
@@ -41,10 +41,10 @@ def test_compliance_is_the_displacement_under_load(name: str, column: int) -> No
 @pytest.mark.parametrize("name", STATES)
 def test_compliance_is_the_error_of_changed_lengths_and_of_pivots_moved_along_their_axes(name: str) -> None:
     state, structure = STATES[name], LEGS[::-1] / 3.0
-    geometry = state.geometry if name == "as built" else PAPER
+    machine = state.machine if name == "as built" else PAPER
     errors = spm.calibration.error_jacobian(state).reshape(6, 6, 9)
     along = errors[..., 8]
-    across = (errors[..., 2:5] * geometry.legs.axes).sum(axis=-1)
+    across = (errors[..., 2:5] * machine.legs.axes).sum(axis=-1)
     expected = (along / LEGS) @ along.T + (across / structure) @ across.T
     found = compliance(state, LEGS, structure)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from problems import GEOMETRIES, PAPER, random_branches
+from problems import MANIPULATORS, PAPER, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
@@ -22,15 +22,15 @@ def regular(solutions: spm.SolutionSet) -> np.ndarray:
     return np.asarray((np.abs(solutions.discriminants) > 1e-4).all(axis=-1) & (tilt > 0.05))
 
 
-@given(st.sampled_from(spm.machine.FAMILIES), st.integers(0, 2**32 - 1), st.sampled_from(sorted(GEOMETRIES)))
+@given(st.sampled_from(spm.machine.FAMILIES), st.integers(0, 2**32 - 1), st.sampled_from(sorted(MANIPULATORS)))
 def test_images_of_a_pose_have_the_images_of_its_branches(family: str, seed: int, name: str) -> None:
-    geometry, third, mirror = GEOMETRIES[name], Rotation.from_euler("z", 120, degrees=True), np.diag([-1.0, 1.0, 1.0])
-    pose = random_branches(geometry, family, 20, seed).pose
-    before = spm.inverse_displacement(geometry, pose)
-    b, keep, size = before.middle_joints, regular(before), geometry.middle_side
+    machine, third, mirror = MANIPULATORS[name], Rotation.from_euler("z", 120, degrees=True), np.diag([-1.0, 1.0, 1.0])
+    pose = random_branches(machine, family, 20, seed).pose
+    before = spm.inverse_displacement(machine, pose)
+    b, keep, size = before.middle_joints, regular(before), machine.middle_side
 
     def images(other: RigidTransform) -> np.ndarray:
-        return spm.inverse_displacement(geometry, other).middle_joints
+        return spm.inverse_displacement(machine, other).middle_joints
 
     # A third of a turn of base and platform permutes the legs. Both sides round, and the pose once more in between.
     turned = images(spm.pose(third.apply(pose.translation), rotation=third * pose.rotation * third.inv()))
@@ -41,13 +41,13 @@ def test_images_of_a_pose_have_the_images_of_its_branches(family: str, seed: int
     expected = in_pairs(b[..., ::-1, :] @ mirror)[:, :, ::-1]
     np.testing.assert_allclose(in_pairs(mirrored)[keep], expected[keep], rtol=0, atol=1e-9 * size)
     # Seen from the platform, TF and FT change places: base and platform differ in size only.
-    after = spm.inverse_displacement(geometry, pose.inv())
+    after = spm.inverse_displacement(machine, pose.inv())
     expected = in_pairs((b - before.translation[..., None, :]) @ before.rotation)[:, [0, 2, 1, 3]]
     both = keep & regular(after)
     found = (np.sort(np.nan_to_num(x[both, :, :, 0, 2], nan=9e9)) for x in (in_pairs(after.middle_joints), expected))
     np.testing.assert_allclose(*found, rtol=0, atol=1e-8 * size)
     # The sizes of base and platform do not matter for the joints.
-    other = spm.Geometry(3.0 * size, 0.1 * size, size)
+    other = spm.Manipulator(3.0 * size, 0.1 * size, size)
     np.testing.assert_array_equal(spm.inverse_displacement(other, pose).middle_joints, b)
 
 

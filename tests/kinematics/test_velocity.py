@@ -18,8 +18,8 @@ from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces, le
 from spm_pin.kinematics.singularity_analysis import determinant_gradients
 
 EPS = np.finfo(float).eps
-PAPER = spm.Geometry.paper()
-EVERY_FAMILY = [(name, family) for name in problems.GEOMETRIES for family in spm.machine.FAMILIES]
+PAPER = spm.Manipulator.paper()
+EVERY_FAMILY = [(name, family) for name in problems.MANIPULATORS for family in spm.machine.FAMILIES]
 
 
 def smallest(matrix: np.ndarray) -> np.ndarray:
@@ -30,7 +30,7 @@ def scaling(state: spm.Configuration) -> np.ndarray:
     """(1, 1, 1, s, s, s) with s = d + |o - p|: makes a twist's parts comparable wherever o is."""
     distance = np.linalg.norm(state.translation - state.middle_joints.mean(axis=-2), axis=-1)
     scales = np.ones((*state.shape, 6))
-    scales[..., 3:] = (state.geometry.middle_side + distance)[..., None]
+    scales[..., 3:] = (state.machine.middle_side + distance)[..., None]
     return scales
 
 
@@ -40,7 +40,7 @@ def norm(matrices: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("name", "family"), EVERY_FAMILY)
 def test_the_two_jacobians_are_inverse_in_every_family(name, family):
-    state = problems.random_branches(problems.GEOMETRIES[name], family, 500, seed=42).configuration
+    state = problems.random_branches(problems.MANIPULATORS[name], family, 500, seed=42).configuration
     product = platform_jacobian(state) @ inverse_jacobian(state)
     scales = scaling(state)
     error = norm(scales[..., :, None] * (product - np.eye(6)) / scales[..., None, :])
@@ -56,14 +56,14 @@ def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.nd
 
     Two branches meet at a fold as square roots do, so its distance goes with 1/|J|², and the steps as well.
     """
-    d = state.geometry.middle_side
+    d = state.machine.middle_side
     unit = np.concatenate([np.eye(6), -np.eye(6)]) * np.array([1, 1, 1, *[1 / d] * 3])
 
     def central(h: np.ndarray) -> np.ndarray:
         step = h[:, None, None] * unit
         turn = Rotation.from_rotvec(step[..., 3:].reshape(-1, 3)).as_matrix().reshape(*step.shape[:2], 3, 3)
         pose = spm.pose(state.translation[:, None] + step[..., :3], rotation=turn @ state.rotation[:, None])
-        lengths = spm.inverse_displacement(state.geometry, pose).leg_lengths
+        lengths = spm.inverse_displacement(state.machine, pose).leg_lengths
         lengths = np.take_along_axis(lengths, labels[:, None, None, None], axis=-2)[..., 0, :]
         difference = lengths[:, :6] - lengths[:, 6:]
         return np.swapaxes(difference / (2 * h[:, None, None] * unit[:6].sum(axis=-1)[:, None]), -1, -2)
@@ -82,12 +82,12 @@ def test_finite_differences(name, family):
     if family == "in leg space":
         problem = problems.in_leg_space(PAPER, 500, seed=44)
     else:
-        problem = problems.random_branches(problems.GEOMETRIES[name], family, 100, seed=43)
+        problem = problems.random_branches(problems.MANIPULATORS[name], family, 100, seed=43)
     state = problem.configuration
-    solved = spm.inverse_displacement(problem.geometry, problem.pose)
+    solved = spm.inverse_displacement(problem.machine, problem.pose)
     distance = np.abs(solved.middle_joints - problem.middle_joints[:, None]).max(axis=(-1, -2))
     exact = inverse_jacobian(state)
-    columns = np.array([1, 1, 1, *[state.geometry.middle_side] * 3])
+    columns = np.array([1, 1, 1, *[state.machine.middle_side] * 3])
     size = norm(exact / columns)
     approximate, tolerance = finite_differences(state, np.nanargmin(distance, axis=-1), size)
     error = norm((approximate - exact) / columns)
@@ -96,17 +96,17 @@ def test_finite_differences(name, family):
     assert (error <= tolerance)[telling].all()
 
 
-def in_stages(geometry: spm.Geometry, lower: tuple[float, ...], upper: tuple[float, ...]) -> spm.Configuration:
+def in_stages(machine: spm.Manipulator, lower: tuple[float, ...], upper: tuple[float, ...]) -> spm.Configuration:
     """One state, each stage from its tilt axis, sine of half the tilt, and height in units of d."""
-    tilts = ((axis, half_sine, height * geometry.middle_side) for axis, half_sine, height in (lower, upper))
-    return problems.without_torsion(geometry, *tilts)
+    tilts = ((axis, half_sine, height * machine.middle_side) for axis, half_sine, height in (lower, upper))
+    return problems.without_torsion(machine, *tilts)
 
 
 PATHS = ("inverse", "forward")
 REGULAR = (0.3, 0.2, 1.5), (2.0, 0.15, -1.4)
 
 
-def crossing(path: str, geometry: spm.Geometry) -> tuple[Callable[[float], spm.Configuration], float]:
+def crossing(path: str, machine: spm.Manipulator) -> tuple[Callable[[float], spm.Configuration], float]:
     """Return states over the azimuth of the upper stage's tilt, or the height of the lower stage, and a singular one.
 
     There det K or det J_b changes sign, to the last bit.
@@ -119,8 +119,8 @@ def crossing(path: str, geometry: spm.Geometry) -> tuple[Callable[[float], spm.C
     def make(value: float) -> spm.Configuration:
         lower, upper = REGULAR
         if path == "inverse":
-            return in_stages(geometry, lower, (value, *upper[1:]))
-        return in_stages(geometry, (*lower[:2], value), upper)
+            return in_stages(machine, lower, (value, *upper[1:]))
+        return in_stages(machine, (*lower[:2], value), upper)
 
     def sign(value: float) -> float:
         return float(np.sign(spm.determinants(make(value))[which]))
@@ -139,11 +139,11 @@ FLAT = (0.3, 0.0, 0.0), REGULAR[1]
 TURNED_OVER = (0.3, 1.0, 1.5), REGULAR[1]
 
 
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
+@pytest.mark.parametrize("name", problems.MANIPULATORS)
 def test_singular_states(name):
-    geometry = problems.GEOMETRIES[name]
-    inverse, forward = (make(value) for make, value in (crossing(path, geometry) for path in PATHS))
-    constraint = in_stages(geometry, *TURNED_OVER)
+    machine = problems.MANIPULATORS[name]
+    inverse, forward = (make(value) for make, value in (crossing(path, machine) for path in PATHS))
+    constraint = in_stages(machine, *TURNED_OVER)
     expected = [
         (inverse, inverse_jacobian, "inverse"),
         (forward, platform_jacobian, "forward"),

@@ -106,7 +106,7 @@ def test_path_goes_on_from_each_member_to_the_next() -> None:
     # The crank turns fully: coupler and rocker come back.
     assert_allclose(path[-1, 1:] - path[0, 1:], [-2.0 * np.pi, 0.0], atol=1e-12)
     assert_allclose(path[0], chain.q0, atol=1e-13)
-    # Distances of the joints, of plain geometry.
+    # Distances of the joints, of plain machine.
     tip = 0.1 * np.array([np.cos(path[:, 0]), np.sin(path[:, 0])])
     tip += 0.35 * np.array([np.cos(path[:, 0] + path[:, 1]), np.sin(path[:, 0] + path[:, 1])])
     other = np.array([0.3 + 0.25 * np.cos(path[:, 2]), 0.25 * np.sin(path[:, 2])])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import kinds_of_legs
 import numpy as np
 import pytest
-from kinds_of_legs import PAIRS, machine
-from problems import GEOMETRIES, as_built, random_branches
+from kinds_of_legs import PAIRS, machine_of_kinds
+from problems import MANIPULATORS, as_built, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -14,7 +14,7 @@ from spm_pin.formulas.leg_constants import TANGENT_SIGNS
 from spm_pin.machine import FAMILIES, PRS, RRS, Stage, joint_angles
 from spm_pin.machine.joint_angles import home_readings
 
-PAPER = GEOMETRIES["paper"]
+PAPER = MANIPULATORS["paper"]
 NAMES = ("passive", "actuated", "ball_x", "ball_y", "ball_z", "closure_residual")
 
 
@@ -27,19 +27,19 @@ def frame_about(axis: np.ndarray) -> np.ndarray:
 
 def check_turns(states: spm.Configuration) -> None:
     """The values of a leg's joints lead from its platform to the middle one."""
-    geometry, angles, home = states.geometry, joint_angles(states), home_readings(states.geometry)
+    machine, angles, home = states.machine, joint_angles(states), home_readings(states.machine)
     middle, terminal = states.middle_pose.rotation.as_matrix(), states.rotation
-    at_home, _ = geometry.nominal.legs.circles(home + geometry.nominal.legs.offsets)
-    centres, radii = geometry.legs.circles(angles.actuated + home + geometry.legs.offsets)
+    at_home, _ = machine.nominal.legs.circles(home + machine.nominal.legs.offsets)
+    centres, radii = machine.legs.circles(angles.actuated + home + machine.legs.offsets)
     for leg in range(6):
         stage, sign = leg // 3, -TANGENT_SIGNS[leg % 3] * (1.0 - 2.0 * (leg // 3))
-        frame, corner = frame_about(geometry.legs.axes[leg]), frame_about(geometry.revolute_axes[leg % 3])
+        frame, corner = frame_about(machine.legs.axes[leg]), frame_about(machine.revolute_axes[leg % 3])
         ball, turned = states.balls[:, leg], middle
         if stage:
             ball = ((ball - states.translation)[:, None] @ terminal)[:, 0]
             turned = np.swapaxes(terminal, -1, -2) @ turned
         # At home the balls are above their triangle, or below it where they hang, on the circles of the drawing's legs.
-        kind, corner_place = geometry.legs.kinds[stage].nominal, geometry.nominal.legs.balls[leg] * [1.0, 1.0, 0.0]
+        kind, corner_place = machine.legs.kinds[stage].nominal, machine.nominal.legs.balls[leg] * [1.0, 1.0, 0.0]
         _, radius = kind.circles(home[3 * stage : 3 * stage + 3])
         rod = corner_place - at_home[leg] * [1.0, 1.0, 0.0]
         rise = kind.up * np.sqrt(radius[leg % 3] ** 2 - rod @ rod)
@@ -60,36 +60,36 @@ def check_turns(states: spm.Configuration) -> None:
 @pytest.mark.parametrize("built", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), PAIRS)
 def test_the_turns_of_legs_of_any_kind_lead_to_the_middle_platform(lower: str, upper: str, built: bool) -> None:
-    geometry = machine(lower, upper, built=built)
-    found = kinds_of_legs.states(geometry)
+    machine = machine_of_kinds(lower, upper, built=built)
+    found = kinds_of_legs.states(machine)
     check_turns(found)
     together = joint_angles(found).values
     for k in range(3):
         np.testing.assert_array_equal(joint_angles(found[k]).values, together[k])
     np.testing.assert_allclose(
-        joint_angles(found).actuated + home_readings(geometry), found.readings - geometry.legs.offsets
+        joint_angles(found).actuated + home_readings(machine), found.readings - machine.legs.offsets
     )
 
 
 def test_homes_of_right_triangles() -> None:
     screws = Stage(4.0, 1.0, PRS(rod=5.0), limits=(0.0, 2.0))
     servos = Stage(3.0, 1.0, RRS(crank=2.0, rod=3.0), limits=(1.0, np.pi - 1.0))
-    both = spm.Geometry.of_stages(screws, servos)
+    both = spm.Manipulator.of_stages(screws, servos)
     np.testing.assert_allclose(home_readings(both), [1.0] * 3 + [0.5 * np.pi] * 3)
     # Carriages at 1, rods of 5 over a distance of 3; cranks upright, rods of 3 over one of 2.
     found = spm.forward_physical(both, home_readings(both))
     assert found.translation == pytest.approx([0.0, 0.0, 1.0 + 4.0 + 2.0 + np.sqrt(5.0)])
     assert joint_angles(found).values == pytest.approx(0.0, abs=1e-14)
     # With the carriages above, a leg of the other working mode has its carriage 8 higher in the same place.
-    mixed = spm.Geometry.of_stages(Stage(4.0, 1.0, PRS(rod=5.0, sign=(-1, 1, -1)), limits=(0.0, 2.0)), servos)
+    mixed = spm.Manipulator.of_stages(Stage(4.0, 1.0, PRS(rod=5.0, sign=(-1, 1, -1)), limits=(0.0, 2.0)), servos)
     np.testing.assert_allclose(home_readings(mixed)[:3], [1.0, 9.0, 1.0])
 
 
 def test_a_ball_out_of_reach_has_no_joint_values() -> None:
-    geometry = machine("RRS", "RPS")
-    state = kinds_of_legs.states(geometry)[0]
-    far = spm.Configuration(geometry, state.pose, state.middle_joints + np.array([0.0, 0.0, 5.0]))
-    for found in (joint_angles(far), joint_angles(spm.Configuration(geometry, far.pose, far.middle_joints[None]))):
+    machine = machine_of_kinds("RRS", "RPS")
+    state = kinds_of_legs.states(machine)[0]
+    far = spm.Configuration(machine, state.pose, state.middle_joints + np.array([0.0, 0.0, 5.0]))
+    for found in (joint_angles(far), joint_angles(spm.Configuration(machine, far.pose, far.middle_joints[None]))):
         assert np.isnan(found.actuated[..., :3]).all()
         assert np.isfinite(found.actuated[..., 3:]).all()
 
@@ -98,13 +98,13 @@ def test_a_stage_that_stands_level_neither_at_its_limits_nor_without_is_refused(
     """With carriages on level slides at the pivots the balls would be behind them, in the other working mode."""
     level = Stage(0.20, 0.25, PRS(rod=0.30, direction=np.pi))
     with pytest.raises(spm.GeometryError, match=r"level at the middle of its limits.* A rod too short, another sign"):
-        home_readings(spm.Geometry.of_stages(level, Stage(0.20, 0.25)))
+        home_readings(spm.Manipulator.of_stages(level, Stage(0.20, 0.25)))
 
 
-@pytest.mark.parametrize("name", list(GEOMETRIES))
+@pytest.mark.parametrize("name", list(MANIPULATORS))
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_turns_of_a_leg_s_joints_lead_from_its_platform_to_the_middle_one(name: str, family: str) -> None:
-    check_turns(random_branches(GEOMETRIES[name], family, 12, 1).configuration)
+    check_turns(random_branches(MANIPULATORS[name], family, 12, 1).configuration)
 
 
 @pytest.mark.parametrize("size", [1e-3, 5e-2])

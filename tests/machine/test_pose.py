@@ -129,7 +129,7 @@ def test_what_is_no_pose_is_refused(make: object, words: str) -> None:
 
 def test_the_argument_is_named_in_the_callers_words() -> None:
     with pytest.raises(spm.PoseError, match=r"^pose: expected") as caught:
-        spm.inverse_displacement(spm.Geometry.paper(), np.zeros((3, 3)))
+        spm.inverse_displacement(spm.Manipulator.paper(), np.zeros((3, 3)))
     assert caught.value.argument == "pose"
     assert isinstance(caught.value, ValueError)
 

@@ -15,7 +15,7 @@ from spm_pin.machine.branch_of_state import tilt_cosine_sum
 from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.machine import likely_unit
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 STAGE = spm.stages.inverse(spm.Stage(0.4, 0.3), 0.5)
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
@@ -110,20 +110,20 @@ def test_within_keeps_what_respects_the_limits(batch: spm.SolutionSet) -> None:
     assert unlimited.within() is unlimited
 
 
-@pytest.mark.parametrize(("geometry", "count"), [(PAPER, 50_000), (PAPER.perturbed(1, length=1e-3, angle=1e-3), 5_000)])
-def test_a_state_with_legs_at_their_end_stops_keeps_its_branch(geometry: spm.Geometry, count: int) -> None:
+@pytest.mark.parametrize(("machine", "count"), [(PAPER, 50_000), (PAPER.perturbed(1, length=1e-3, angle=1e-3), 5_000)])
+def test_a_state_with_legs_at_their_end_stops_keeps_its_branch(machine: spm.Manipulator, count: int) -> None:
     """Its readings computed from its pose are beyond the stops by rounding in about half of all cases."""
-    states, limits = at_end_stops(geometry, count), geometry.limits
+    states, limits = at_end_stops(machine, count), machine.limits
     assert limits is not None
-    solutions = spm.inverse_displacement(geometry, states.pose)
+    solutions = spm.inverse_displacement(machine, states.pose)
     own = solutions.nearest(states)
     np.testing.assert_allclose(own.readings, states.readings, rtol=0, atol=1e-9)
     beyond = (own.readings < limits.minimum) | (own.readings > limits.maximum)
     assert 0.2 < beyond.any(axis=-1).mean() < 0.9
     np.testing.assert_array_equal(solutions.within().nearest(states).readings, own.readings)
-    assert limits.contains(spm.inverse_physical(geometry, states.pose).readings).all()
+    assert limits.contains(spm.inverse_physical(machine, states.pose).readings).all()
     assert limits.contains(solutions.physical().readings).all()
-    assert spm.workspace.reachable(geometry, states.pose).reachable.all()
+    assert spm.workspace.reachable(machine, states.pose).reachable.all()
     assert not limits.excess(own.readings).any()
     assert (limits.margin(own.readings) >= 0.0).all()
 
@@ -304,8 +304,8 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
         (lambda s: s.within((1.1, 1.5)), "limits: expected a LegLimits, got tuple"),
         (lambda s: s.within(spm.machine.StageLimits(0, 1)), "limits: expected limits of 6 legs, got StageLimits of 3"),
         (lambda s: STAGE.within(spm.LegLimits(1.1, 1.5)), "limits: expected limits of 3 legs, got LegLimits of 6"),
-        (lambda s: spm.inverse_physical(None, POSE), "geometry: expected a Geometry, got NoneType"),
-        (lambda s: spm.forward_physical(None, [1.2] * 6), "geometry: expected a Geometry, got NoneType"),
+        (lambda s: spm.inverse_physical(None, POSE), "machine: expected a Manipulator, got NoneType"),
+        (lambda s: spm.forward_physical(None, [1.2] * 6), "machine: expected a Manipulator, got NoneType"),
         (lambda s: spm.SolutionSet(s, ["a"], 0), "configurations.*: expected"),
         (lambda s: spm.SolutionSet(s.configurations, ["a"], 0), "configurations.*: expected"),
         (lambda s: spm.SolutionSet.from_unordered(PAPER, POSE, np.zeros((0, 3, 3))), "middle_joints.*: expected"),

@@ -13,7 +13,7 @@ from spm_pin.machine.configuration import Configuration
 
 
 def test_items_of_a_set_have_types() -> None:
-    branches = spm.inverse_displacement(spm.Geometry.paper(), spm.pose([0, 0, 2], rpy=[0, 0, 0]))
+    branches = spm.inverse_displacement(spm.Manipulator.paper(), spm.pose([0, 0, 2], rpy=[0, 0, 0]))
     assert_type(branches[0], Configuration | SolutionSet)
     assert_type(branches["TT+"], Configuration)
     assert_type(branches.physical(), Configuration)

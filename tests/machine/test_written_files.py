@@ -13,7 +13,7 @@ import pytest
 import spm_pin as spm
 from spm_pin.support.files import write_files
 
-BUILT = spm.Geometry.paper().perturbed(1)
+BUILT = spm.Manipulator.paper().perturbed(1)
 
 FULL = """
 import resource, signal
@@ -21,7 +21,7 @@ import spm_pin as spm
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1024, 1024))
 try:
-    spm.Geometry.paper().perturbed(2).to_yaml("machine.yaml")
+    spm.Manipulator.paper().perturbed(2).to_yaml("machine.yaml")
 except spm.errors.GeometryError as error:
     print(error.argument, error.received, error.cause, sep=";")
 """
@@ -32,7 +32,7 @@ def test_a_full_device_leaves_the_machine_that_was_there(tmp_path: Path) -> None
     BUILT.to_yaml(tmp_path / "machine.yaml")
     done = subprocess.run([sys.executable, "-c", FULL], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout == "path;machine.yaml;File too large\n"
-    assert spm.Geometry.from_yaml(tmp_path / "machine.yaml") == BUILT
+    assert spm.Manipulator.from_yaml(tmp_path / "machine.yaml") == BUILT
     assert list(tmp_path.iterdir()) == [tmp_path / "machine.yaml"]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import spm_pin as spm
 from spm_pin.motion import LegPath
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 CHAIN = spm.ClosedChain.from_urdf()
 LEGS = CHAIN.leg_indices
 START = [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]

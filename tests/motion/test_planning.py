@@ -23,7 +23,7 @@ def check(found: MotionPlan, limits: spm.LegLimits, start: object, goal: object,
     signs = np.sign(spm.determinants(states)[:, :2])
     assert (signs == signs[0]).all()
     moves = np.abs(np.diff(states.middle_joints, axis=0)).max()
-    assert moves < 0.1 * found.geometry.nominal.middle_side
+    assert moves < 0.1 * found.machine.nominal.middle_side
 
 
 def test_a_straight_line_is_taken_where_it_is_safe() -> None:
@@ -43,7 +43,7 @@ def test_a_machine_as_built_is_planned_for_by_its_readings() -> None:
         found = spm.plan(machine, START, goal, joint_limits=limits, line=line)
         check(found, spm.LegLimits(1.1, 1.5), START, goal)
         states = found.configurations(50)
-        assert states.geometry == machine
+        assert states.machine == machine
         assert (limits.angle_margin(states) > 0.0).all()
         assert (leg_clearance(states) > 0.05).all()
     wide, apart = spm.LegLimits(0.7, 1.9), JointLimits(clearance=0.415)
@@ -56,11 +56,11 @@ def test_a_machine_as_built_is_planned_for_by_its_readings() -> None:
     assert spm.plan(near, START, GOAL, certificate=certificate).certified
     assert spm.plan(near, START, GOAL, certificate=spm.certify(near)).certified
     with pytest.raises(
-        spm.ArgumentError, match="certificate: expected a certificate of `geometry`, got one of another machine"
+        spm.ArgumentError, match="certificate: expected a certificate of `machine`, got one of another machine"
     ):
         spm.plan(machine, START, GOAL, certificate=certificate)
     state = spm.forward_physical(PAPER, START)
-    with pytest.raises(spm.GeometryError, match=r"start: expected the r_b1.direction_1 of `geometry`, .* rad, got "):
+    with pytest.raises(spm.GeometryError, match=r"start: expected the r_b1.direction_1 of `machine`, .* rad, got "):
         spm.plan(machine, state, GOAL)
 
 
@@ -73,23 +73,23 @@ def test_configurations_poses_and_lengths_are_places() -> None:
 
 def test_states_and_certificates_of_the_machine_with_other_limits_are_of_the_same_machine() -> None:
     limits = spm.LegLimits(1.1, 1.5)
-    bare = spm.Geometry(*PAPER.dimensions)
+    bare = spm.Manipulator(*PAPER.dimensions)
     start, goal = (spm.forward_physical(bare, lengths) for lengths in (START, GOAL))
-    assert start.geometry != PAPER
+    assert start.machine != PAPER
     certificate = spm.certify(bare, limits)
     for line in ("legs", "poses"):
         found = spm.plan(PAPER, start, goal, limits, line=line, certificate=certificate)
-        assert found.geometry == PAPER
+        assert found.machine == PAPER
         assert found.certified is found.exists
     narrow = spm.certify(PAPER, spm.LegLimits(1.1, 1.45))
     assert not spm.plan(PAPER, START, GOAL, limits, certificate=narrow).certified
     assert spm.plan(PAPER, start, GOAL).exists
-    other = spm.forward_physical(spm.Geometry(0.5, 0.5, 0.6), [0.8] * 6)
-    with pytest.raises(spm.ArgumentError, match="base_radius of `geometry`") as caught:
+    other = spm.forward_physical(spm.Manipulator(0.5, 0.5, 0.6), [0.8] * 6)
+    with pytest.raises(spm.ArgumentError, match="base_radius of `machine`") as caught:
         spm.plan(PAPER, other, GOAL)
     assert caught.value.argument == "start"
     with pytest.raises(spm.ArgumentError, match="another machine"):
-        spm.plan(spm.Geometry(0.5, 0.5, 0.6), [0.8] * 6, [0.7] * 6, certificate=certificate)
+        spm.plan(spm.Manipulator(0.5, 0.5, 0.6), [0.8] * 6, [0.7] * 6, certificate=certificate)
 
 
 def test_via_points_are_passed() -> None:
@@ -199,26 +199,26 @@ def test_places_that_cannot_be_planned_to_are_named(
 
 
 @pytest.mark.parametrize(
-    "geometry",
-    [PAPER, spm.Geometry(0.5, 0.5, 0.6), pytest.param(spm.Geometry(0.9, 0.3, 1.0), marks=pytest.mark.slow)],
+    "machine",
+    [PAPER, spm.Manipulator(0.5, 0.5, 0.6), pytest.param(spm.Manipulator(0.9, 0.3, 1.0), marks=pytest.mark.slow)],
 )
 @pytest.mark.parametrize("count", [30, pytest.param(150, marks=pytest.mark.slow)])
-def test_random_pairs_have_a_plan_or_a_reason(geometry: spm.Geometry, count: int) -> None:
+def test_random_pairs_have_a_plan_or_a_reason(machine: spm.Manipulator, count: int) -> None:
     rng = np.random.default_rng(count)
-    size = geometry.base_radius + geometry.middle_side
+    size = machine.base_radius + machine.middle_side
     limits = spm.LegLimits(0.6 * size, 1.3 * size)
-    starts, goals = (spm.forward_physical(geometry, rng.uniform(0.6, 1.3, (count, 6)) * size) for _ in range(2))
+    starts, goals = (spm.forward_physical(machine, rng.uniform(0.6, 1.3, (count, 6)) * size) for _ in range(2))
     planned = eligible = 0
     for start, goal in zip(starts, goals, strict=True):
         if not (start.exists and goal.exists):
             continue
         least = min(np.abs(spm.determinants(state)[:2]).min() for state in (start, goal))
-        if least < 0.05 * geometry.middle_side**3:
+        if least < 0.05 * machine.middle_side**3:
             with pytest.raises(spm.ArgumentError, match="forward singularity"):
-                spm.plan(geometry, start, goal, limits)
+                spm.plan(machine, start, goal, limits)
             continue
         eligible += 1
-        found = spm.plan(geometry, start, goal, limits)
+        found = spm.plan(machine, start, goal, limits)
         assert found.exists or "%" in found.reason
         if found.exists:
             planned += 1

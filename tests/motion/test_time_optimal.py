@@ -71,7 +71,7 @@ def test_a_machine_as_built_moves_within_its_limits(jerk: float | None) -> None:
     options = {**limits, "leg_jerks": jerk, "grid": 200}
     nominal = spm.time_optimal(CHAIN, LINE, **options)
     machine = PAPER.perturbed(1, length=5e-3, angle=5e-3)
-    chain = spm.ClosedChain.from_urdf(geometry=machine)
+    chain = spm.ClosedChain.from_urdf(machine=machine)
     planned = spm.plan(machine, START, GOAL)
     motion = spm.time_optimal(chain, planned, **options)
     used = shares(motion, limits).max(axis=0)
@@ -180,7 +180,7 @@ def test_a_path_may_begin_at_any_time() -> None:
 
 
 def test_a_plan_made_with_other_limits_is_of_the_same_machine_and_a_coarse_grid_keeps_its_limits() -> None:
-    wider = spm.Geometry(*PAPER.dimensions, limits=spm.LegLimits(0.9, 1.8))
+    wider = spm.Manipulator(*PAPER.dimensions, limits=spm.LegLimits(0.9, 1.8))
     planned, limits = spm.plan(wider, START, GOAL), {"leg_accelerations": 3.0, "leg_rates": 0.4}
     for path, grid in ((CURVE, 10), (CURVE, 60), (planned, 200)):
         motion = spm.time_optimal(CHAIN, path, grid=grid, **limits)

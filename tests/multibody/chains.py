@@ -14,9 +14,9 @@ import spm_pin as spm
 Array = npt.NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-MACHINES = {**problems.GEOMETRIES, "as built": problems.as_built(PAPER, 1e-2)}
+MACHINES = {**problems.MANIPULATORS, "as built": problems.as_built(PAPER, 1e-2)}
 NAMES = list(MACHINES)
 BALL_ANGLES = ("ball_b1_y", "ball_c1_y")
 
@@ -25,7 +25,7 @@ BALL_ANGLES = ("ball_b1_y", "ball_c1_y")
 def chain(name: str = "paper") -> Any:
     from spm_pin.multibody.chain import ClosedChain
 
-    return ClosedChain.from_urdf(geometry=MACHINES[name])
+    return ClosedChain.from_urdf(machine=MACHINES[name])
 
 
 def six_branches() -> list[spm.Configuration]:
@@ -37,12 +37,12 @@ def placed(name: str, count: int, seed: int) -> list[tuple[spm.Configuration, Ar
 
     Of a machine as built, physical states.
     """
-    found, geometry = [], MACHINES[name]
-    if not geometry.is_nominal:
-        readings = geometry.legs.offsets + np.random.default_rng(seed).uniform(1.15, 1.45, (3 * count, 6))
-        return [(state, chain(name).joint_values(state)) for state in spm.forward_physical(geometry, readings)]
+    found, machine = [], MACHINES[name]
+    if not machine.is_nominal:
+        readings = machine.legs.offsets + np.random.default_rng(seed).uniform(1.15, 1.45, (3 * count, 6))
+        return [(state, chain(name).joint_values(state)) for state in spm.forward_physical(machine, readings)]
     for family in spm.machine.FAMILIES:
-        for state in problems.random_branches(problems.GEOMETRIES[name], family, count, seed).configuration:
+        for state in problems.random_branches(problems.MANIPULATORS[name], family, count, seed).configuration:
             q = chain(name).joint_values(state)
             if np.abs(q[chain(name).joint_indices(*BALL_ANGLES)]).max() <= np.deg2rad(85.0):
                 found.append((state, q))
@@ -84,7 +84,7 @@ def plain_accelerations(model: Any, closures: Any, q: Array, v: Array, force: Ar
 def rounding(owner: Any, q: Array) -> float:
     """Closure gap that rounding explains: some eps times the length of the loops."""
     legs = np.abs(owner.leg_lengths(q)).sum(axis=-1).max()
-    return float(32 * EPS * (legs + sum(owner.geometry.nominal.dimensions)))
+    return float(32 * EPS * (legs + sum(owner.machine.nominal.dimensions)))
 
 
 def random_q(owner: Any, rng: np.random.Generator) -> Array:

@@ -275,16 +275,16 @@ def test_targets_that_no_physical_mode_has_are_refused_or_nan() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_physical_branch_is_that_of_all_branches(name: str) -> None:
-    geometry, robot = MACHINES[name], chain(name)
+    machine, robot = MACHINES[name], chain(name)
     rng = np.random.default_rng(415)
     readings = robot.readings(np.zeros(18)) * rng.uniform(0.98, 1.02, (20, 6))
-    poses = spm.forward_physical(geometry, readings).pose
-    expected = robot.joint_values(spm.inverse_displacement(geometry, poses).physical())
+    poses = spm.forward_physical(machine, readings).pose
+    expected = robot.joint_values(spm.inverse_displacement(machine, poses).physical())
     together = robot.inverse_kinematics(poses)
     assert np.array_equal(together, expected)
     assert robot.inverse_kinematics(poses[:0]).shape == (0, 18)
     # The same by continuation from beside it.
-    near = robot.forward_kinematics(readings[7] + 1e-4 * geometry.middle_side * rng.normal(size=6))
+    near = robot.forward_kinematics(readings[7] + 1e-4 * machine.middle_side * rng.normal(size=6))
     followed = robot.inverse_kinematics(poses[7], near)
     assert np.abs(np.exp(1j * followed) - np.exp(1j * together[7])).max() <= 1e-9
 
@@ -306,7 +306,7 @@ def residuals(robot: Any, q: Array) -> list[float]:
 def test_a_perturbed_q_is_closed(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(131)
     units = np.ones(18)
-    units[robot.leg_indices] = robot.geometry.middle_side
+    units[robot.leg_indices] = robot.machine.middle_side
     for _, q in placed(name, 25, seed=132):
         if robot.state(q).singular_values().constraint < 0.05:
             continue

@@ -26,7 +26,7 @@ def states(name: str, count: int, seed: int) -> list[tuple[Array, Array]]:
     for _, q in placed(name, count, seed):
         values = robot.state(q).singular_values()
         if min(values.inverse, values.forward, values.constraint) > 3e-3:
-            rates = rng.normal(size=6) * robot.geometry.middle_side
+            rates = rng.normal(size=6) * robot.machine.middle_side
             found.append((q, robot.state(q).joint_rates(rates)))
     assert len(found) >= count
     return found
@@ -37,7 +37,7 @@ def test_forward_dynamics_is_the_plain_solution(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(200)
     for q, v in states(name, 5, seed=201):
         weight = 9.81 * sum(body.mass for body in robot.model.inertias)
-        f, wrench = weight * rng.normal(size=6), weight * rng.normal(size=6) * robot.geometry.middle_side
+        f, wrench = weight * rng.normal(size=6), weight * rng.normal(size=6) * robot.machine.middle_side
         force = frame_jacobian(robot, q, "terminal_platform").T @ wrench
         force[robot.leg_indices] += f
         expected = plain_accelerations(robot.model, robot.closures, q, v, force)
@@ -49,7 +49,7 @@ def test_closures_that_repeat_each_other_do_not_change_the_motion() -> None:
     from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel
 
     robot, rng = chain(), np.random.default_rng(202)
-    repeated = ConstrainedModel(robot.model, robot.closures * 2, robot.geometry, robot.prefix)
+    repeated = ConstrainedModel(robot.model, robot.closures * 2, robot.machine, robot.prefix)
     for q, v in states("paper", 5, seed=203):
         force = 500.0 * rng.normal(size=18)
         expected = plain_accelerations(robot.model, robot.closures, q, v, force)
@@ -63,7 +63,7 @@ def test_two_other_engines_accelerate_alike(engine: Any, name: str, tmp_path: Pa
     pytest.importorskip("mujoco" if engine is Mujoco else "pydrake")
     robot, rng = chain(name), np.random.default_rng(204)
     file = tmp_path / "machine.urdf"
-    file.write_text(urdf_text(robot.geometry), encoding="utf-8")
+    file.write_text(urdf_text(robot.machine), encoding="utf-8")
     other = engine(file)
     for q, v in states(name, 5, seed=205):
         f = 500.0 * rng.normal(size=6)
@@ -75,7 +75,7 @@ def test_two_other_engines_accelerate_alike(engine: Any, name: str, tmp_path: Pa
 def test_forward_after_inverse_returns_the_motion(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(206)
     for q, v in states(name, 5, seed=207):
-        d = robot.geometry.middle_side
+        d = robot.machine.middle_side
         a = robot.state(q, v).joint_accelerations(rng.normal(size=6) * [d, d, d, 1, 1, 1])
         wrench = rng.normal(size=6)
         f = robot.state(q, v).inverse_dynamics(a, wrench)
@@ -93,7 +93,7 @@ def test_mujoco_holds_the_mechanism_with_the_same_forces() -> None:
     """
     pytest.importorskip("mujoco")
     robot = chain()
-    for state in six_branches()[:1] + list(spm.forward_physical(robot.geometry, [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45]])):
+    for state in six_branches()[:1] + list(spm.forward_physical(robot.machine, [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45]])):
         q, rest = robot.joint_values(state), np.zeros(18)
         engine = Mujoco(step=1e-4, locked=True)
         engine.hold(q[robot.leg_indices])
@@ -108,7 +108,7 @@ def test_mujoco_holds_the_mechanism_with_the_same_forces() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_platform_s_equations(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(208)
-    d = robot.geometry.middle_side
+    d = robot.machine.middle_side
     for q, v in states(name, 4, seed=209):
         change, wrench = rng.normal(size=6) * [d, d, d, 1, 1, 1], rng.normal(size=6)
         a = robot.state(q, v).joint_accelerations(change)
@@ -127,7 +127,7 @@ def test_the_platform_s_equations(name: str) -> None:
 def test_finite_differences_of_the_platform_s_equations() -> None:
     """Λ̇ = C + Cᵀ, so that Λ̇ - 2 C is skew; and gravity is the slope of the potential energy."""
     robot, rng = chain(), np.random.default_rng(210)
-    d, h, rest = robot.geometry.middle_side, 1e-2, np.zeros(18)
+    d, h, rest = robot.machine.middle_side, 1e-2, np.zeros(18)
     for q, _ in states("paper", 4, seed=211)[:6]:
         twist = 0.1 * rng.normal(size=6) * [d, d, d, 1, 1, 1] * robot.state(q).singular_values().inverse
         at, ends = robot.state(q, robot.state(q).joint_velocities(twist)).platform_dynamics(), []
@@ -199,7 +199,7 @@ LEGS = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e9
 
 def test_frequencies_are_the_spectrum_of_the_linearised_motion() -> None:
     """Accelerations of the legs when each is stretched in turn, its spring pulling back, less those without springs."""
-    state = spm.forward_physical(chain().geometry, LENGTHS)
+    state = spm.forward_physical(chain().machine, LENGTHS)
     q = chain().joint_values(state)
     stiff = spm.stiffness(state, LEGS)
     step = 1e-6
@@ -225,7 +225,7 @@ def test_frequencies_are_the_spectrum_of_the_linearised_motion() -> None:
 
 
 def test_modes_are_orthogonal_with_respect_to_mass_and_stiffness() -> None:
-    states = spm.forward_physical(chain().geometry, np.random.default_rng(1).uniform(1.15, 1.45, (4, 6)))
+    states = spm.forward_physical(chain().machine, np.random.default_rng(1).uniform(1.15, 1.45, (4, 6)))
     q, stiff = chain().joint_values(states), spm.stiffness(states, LEGS)
     found = chain().state(q).natural_frequencies(stiff)
     assert found.frequencies.shape == (4, 6)

@@ -24,12 +24,12 @@ from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 HOME = np.zeros(18)
 
 
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
+@pytest.mark.parametrize("name", problems.MANIPULATORS)
 def test_round_trip_in_every_family(name: str) -> None:
     robot = chain(name)
     slides, lower, upper = robot.leg_indices, robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     for family in spm.machine.FAMILIES:
-        for state in problems.random_branches(robot.geometry, family, 50, seed=71).configuration:
+        for state in problems.random_branches(robot.machine, family, 50, seed=71).configuration:
             q = robot.joint_values(state)
             assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13
             assert (np.delete(lower, slides) <= np.delete(q, slides)).all()
@@ -142,12 +142,12 @@ def test_arguments_are_not_changed() -> None:
 
 @cache
 def built(name: str, size: float) -> Any:
-    return ClosedChain.from_urdf(geometry=problems.as_built(problems.GEOMETRIES[name], size)) if size else chain(name)
+    return ClosedChain.from_urdf(machine=problems.as_built(problems.MANIPULATORS[name], size)) if size else chain(name)
 
 
 def states(robot: Any, count: int, seed: int) -> spm.Configuration:
     """Physical states of a machine, about where its nominal one has its random branches without torsion."""
-    nominal = robot.geometry.nominal
+    nominal = robot.machine.nominal
     start = problems.random_branches(nominal, "TT", 40 * count, seed).configuration
     if nominal.limits is not None:
         start = problems.in_leg_space(nominal, 4 * count, seed).configuration
@@ -155,23 +155,23 @@ def states(robot: Any, count: int, seed: int) -> spm.Configuration:
     far = (np.abs(spm.singularities(start).sigma[:, 2]) > 1e-2) & (
         start.leg_lengths.min(axis=-1) > 0.1 * nominal.middle_side
     )
-    found = spm.forward_physical(robot.geometry, start.leg_lengths[far] + robot.geometry.legs.offsets)
+    found = spm.forward_physical(robot.machine, start.leg_lengths[far] + robot.machine.legs.offsets)
     found = found[found.exists][:count]
     assert len(found) >= count // 2
     return found
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-3, 5e-2])
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
+@pytest.mark.parametrize("name", problems.MANIPULATORS)
 def test_states_have_joint_values_to_which_their_readings_and_poses_lead(name: str, size: float) -> None:
     robot = built(name, size)
-    state, side = states(robot, 20, seed=4), robot.geometry.nominal.middle_side
+    state, side = states(robot, 20, seed=4), robot.machine.nominal.middle_side
     q = robot.joint_values(state)
     assert np.abs(robot.state(q).closure_gap()).max() <= rounding(robot, q)
     np.testing.assert_allclose(robot.leg_lengths(q), state.leg_lengths, atol=1e-14 * side)
     np.testing.assert_allclose(robot.readings(q), state.readings, atol=1e-14 * side)
     back = robot.state(q).configuration()
-    assert back.geometry == robot.geometry
+    assert back.machine == robot.machine
     np.testing.assert_allclose(back.pose.as_matrix(), state.pose.as_matrix(), atol=1e-13 * max(side, 1.0))
     np.testing.assert_allclose(back.middle_joints, state.middle_joints, atol=1e-13 * side)
     np.testing.assert_allclose(back.leg_lengths, state.leg_lengths, atol=1e-13 * side)
@@ -194,10 +194,10 @@ def test_states_have_joint_values_to_which_their_readings_and_poses_lead(name: s
 
 def test_offsets_change_readings_and_nothing_else() -> None:
     plain = built("paper", 1e-3)
-    geometry = plain.geometry
+    machine = plain.machine
     shift = np.array([0.5, -0.05, 0.02, 0.0, 0.03, 0.01])
     shifted = ClosedChain.from_urdf(
-        geometry=replace(geometry, legs=replace(geometry.legs, offsets=geometry.legs.offsets + shift))
+        machine=replace(machine, legs=replace(machine.legs, offsets=machine.legs.offsets + shift))
     )
     q = plain.joint_values(states(plain, 3, seed=16))
     np.testing.assert_allclose(shifted.readings(q) - plain.readings(q), np.broadcast_to(shift, (3, 6)), atol=1e-15)
@@ -209,15 +209,15 @@ def test_offsets_change_readings_and_nothing_else() -> None:
 
 
 def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
-    geometry = problems.as_built(PAPER, 1e-3)
+    machine = problems.as_built(PAPER, 1e-3)
     limited = spm.LegLimits(1.2, 1.5)
     larger = [replace(PAPER, **{name: 1.01 * getattr(PAPER, name)}) for name in ("base_radius", "middle_side")]
-    moved = problems.as_built(PAPER, 1e-3, seed=4), geometry.from_parameters(geometry.parameters + 1e-8)
+    moved = problems.as_built(PAPER, 1e-3, seed=4), machine.from_parameters(machine.parameters + 1e-8)
     others = {
-        geometry: (None, PAPER, *moved, replace(geometry, limits=limited)),
-        PAPER: (geometry, *larger, replace(PAPER, limits=limited)),
+        machine: (None, PAPER, *moved, replace(machine, limits=limited)),
+        PAPER: (machine, *larger, replace(PAPER, limits=limited)),
     }
-    file, message = tmp_path / "robot.urdf", "The arguments geometry and prefix are those the file was written for"
+    file, message = tmp_path / "robot.urdf", "The arguments machine and prefix are those the file was written for"
     for written, machines in others.items():
         file.write_text(urdf_text(written), encoding="utf-8")
         for machine in machines:

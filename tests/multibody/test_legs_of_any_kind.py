@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from engines import Drake, Mujoco, accelerations
-from kinds_of_legs import EACH_KIND, machine, states
+from kinds_of_legs import EACH_KIND, machine_of_kinds, states
 from problems import Array
 from scipy.spatial.transform import Rotation
 
@@ -21,25 +21,25 @@ WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
 SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
 SCREWS = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))
 BOTH = {
-    "servos below": (spm.Geometry.of_stages(SERVOS, SCREWS), [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]),
-    "screws below": (spm.Geometry.of_stages(SCREWS, SERVOS), [0.10, 0.12, 0.14, 0.4, 0.5, 0.6]),
+    "servos below": (spm.Manipulator.of_stages(SERVOS, SCREWS), [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]),
+    "screws below": (spm.Manipulator.of_stages(SCREWS, SERVOS), [0.10, 0.12, 0.14, 0.4, 0.5, 0.6]),
 }
 
 
 def start(name: str) -> tuple[spm.ClosedChain, spm.Configuration, Array]:
     """Return a chain, a state of it, and efforts that nearly hold its weights: a servo exerts more."""
-    geometry, readings = BOTH[name]
-    chain, state = spm.ClosedChain.from_urdf(geometry=geometry), spm.forward_physical(geometry, readings)
+    machine, readings = BOTH[name]
+    chain, state = spm.ClosedChain.from_urdf(machine=machine), spm.forward_physical(machine, readings)
     efforts = chain.state(chain.joint_values(state)).inverse_dynamics(np.zeros(18))
-    efforts[geometry.legs.units.index("rad")] *= 1.3
+    efforts[machine.legs.units.index("rad")] *= 1.3
     return chain, state, efforts
 
 
 @pytest.mark.parametrize("built", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), EACH_KIND)
 def test_constraint_jacobians_give_the_rates_and_forces_of_the_closed_form(lower: str, upper: str, built: bool) -> None:
-    found = states(machine(lower, upper, built=built))[:3]
-    chain = spm.ClosedChain.from_urdf(geometry=found.geometry)
+    found = states(machine_of_kinds(lower, upper, built=built))[:3]
+    chain = spm.ClosedChain.from_urdf(machine=found.machine)
     q = chain.joint_values(found)
     state = chain.state(q)
     assert np.abs(state.closure_gap()).max() < 1e-14
@@ -85,7 +85,7 @@ def test_accelerations_by_the_equations_of_other_engines(engine: Any, name: str,
     pytest.importorskip("mujoco" if engine is Mujoco else "pydrake")
     chain, state, efforts = start(name)
     file = tmp_path / "robot.urdf"
-    file.write_text(urdf_text(state.geometry), encoding="utf-8")
+    file.write_text(urdf_text(state.machine), encoding="utf-8")
     other, q = engine(file, chain.joint_names), chain.joint_values(state)
     v = chain.state(q).joint_rates(0.3 * np.cos(np.arange(6.0)))
     found = chain.state(q, v).forward_dynamics(efforts)
@@ -105,7 +105,7 @@ def test_mujoco_s_own_steps_under_torques_of_servos_come_to_the_simulation(name:
     assert run.complete
     assert moved > 0.1
     for step in (1e-3, 2.5e-4):
-        text = mjcf_text(state.geometry, collisions="none").replace('timestep="0.001"', f'timestep="{step}"')
+        text = mjcf_text(state.machine, collisions="none").replace('timestep="0.001"', f'timestep="{step}"')
         model = mujoco.MjModel.from_xml_string(text)
         data = mujoco.MjData(model)
         for joint, value in joint_values(state).items():
@@ -113,8 +113,8 @@ def test_mujoco_s_own_steps_under_torques_of_servos_come_to_the_simulation(name:
         data.ctrl[:] = efforts
         for _ in range(round(until / step)):
             mujoco.mj_step(model, data)
-        joints = [data.joint(joint).qpos[0] for joint in actuated_joints(state.geometry)]
-        errors.append(np.abs(joints + home_readings(state.geometry) - run.readings[-1]).max())
+        joints = [data.joint(joint).qpos[0] for joint in actuated_joints(state.machine)]
+        errors.append(np.abs(joints + home_readings(state.machine) - run.readings[-1]).max())
         assert np.abs(data.efc_pos[:12]).max() < 1e-5
     assert errors[0] < 0.05 * moved
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
@@ -125,19 +125,19 @@ def test_energy_is_kept_where_servos_and_screws_move_freely() -> None:
     run = chain.simulate(chain.joint_values(state), np.zeros(18), None, np.linspace(0.0, 0.1, 5))
     assert run.complete
     assert np.abs(run.energy_error).max() < 1e-9
-    assert (np.abs(run.limit_excess) > 0.0).any() == (not state.geometry.limits.contains(run.readings).all())
+    assert (np.abs(run.limit_excess) > 0.0).any() == (not state.machine.limits.contains(run.readings).all())
 
 
 def test_a_trajectory_says_in_which_units_legs_are() -> None:
     chain, state, _ = start("servos below")
-    poses = [state.pose.as_matrix(), spm.forward_physical(state.geometry, state.readings + 0.01).pose.as_matrix()]
+    poses = [state.pose.as_matrix(), spm.forward_physical(state.machine, state.readings + 0.01).pose.as_matrix()]
     path = spm.multibody.PlatformPath([0.0, 1.0], np.array(poses), ease=True)
     motion = chain.joint_trajectory(path, np.linspace(0.0, 1.0, 5), chain.joint_values(state))
     assert motion.leg_units == ("rad, m", "rad/s, m/s", "rad/s², m/s²", "N m, N")
     names = [motion.joint_names[k] for k in motion.actuated]
     assert (
         names
-        == list(actuated_joints(state.geometry))
+        == list(actuated_joints(state.machine))
         == [f"leg_b{i}_hip" for i in "123"] + [f"leg_c{i}_slide" for i in "123"]
     )
     np.testing.assert_allclose(motion.readings[-1], state.readings + 0.01, atol=1e-9)
@@ -147,14 +147,14 @@ def test_a_trajectory_says_in_which_units_legs_are() -> None:
 def test_states_of_other_legs_and_lengths_that_no_leg_has_are_refused() -> None:
     chain, state, _ = start("servos below")
     kinds = RRS(crank=0.16, rod=0.35), PRS(rod=0.30)
-    other = spm.Geometry(*state.geometry.dimensions, legs=spm.machine.Legs(*state.geometry.legs.arrays, kinds))
+    other = spm.Manipulator(*state.machine.dimensions, legs=spm.machine.Legs(*state.machine.legs.arrays, kinds))
     with pytest.raises(spm.GeometryError, match=r"r_b1\.crank of the chain, 0\.15 m, got 0\.16 m"):
         chain.joint_values(spm.Configuration(other, state.pose, state.middle_joints))
     with pytest.raises(spm.GeometryError, match="RPS legs for lengths of the legs in q"):
         chain.leg_lengths(np.zeros(18))
-    far = spm.Geometry.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.20)), Stage(0.20, 0.25, RPS()))
-    near = spm.Geometry.of_stages(Stage(0.30, 0.25), Stage(0.20, 0.25))
+    far = spm.Manipulator.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.20)), Stage(0.20, 0.25, RPS()))
+    near = spm.Manipulator.of_stages(Stage(0.30, 0.25), Stage(0.20, 0.25))
     high = spm.forward_physical(near, [0.5, 0.51, 0.52] * 2)
-    chain, state = spm.ClosedChain.from_urdf(geometry=far), spm.Configuration(far, high.pose, high.middle_joints)
+    chain, state = spm.ClosedChain.from_urdf(machine=far), spm.Configuration(far, high.pose, high.middle_joints)
     with pytest.raises(spm.ArgumentError, match="reach of r_b1"):
         chain.joint_values(state)

@@ -24,26 +24,26 @@ from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 SHIPPED = description_file(URDF)
 
 
-def state_of(geometry: spm.Geometry) -> spm.Configuration:
-    return problems.random_branches(geometry, "TF", 1, seed=91).configuration[0]
+def state_of(machine: spm.Manipulator) -> spm.Configuration:
+    return problems.random_branches(machine, "TF", 1, seed=91).configuration[0]
 
 
 def test_the_paper_s_robot_by_default() -> None:
     robot = ClosedChain.from_urdf()
-    assert robot.geometry == PAPER
+    assert robot.machine == PAPER
     assert robot.closures == read_closures()
     assert robot.model.nq == robot.model.nv == 18
-    assert repr(robot).startswith("<ClosedChain: 18 joints, 4 closures, Geometry(base_radius=0.69")
+    assert repr(robot).startswith("<ClosedChain: 18 joints, 4 closures, Manipulator(base_radius=0.69")
 
 
 @pytest.mark.parametrize(("name", "prefix"), [*((name, "") for name in NAMES), ("as built", "left_")])
 def test_a_file_gives_the_chain_of_its_geometry(name: str, prefix: str, tmp_path: Path) -> None:
-    geometry = MACHINES[name]
+    machine = MACHINES[name]
     path = tmp_path / "robot.urdf"
-    path.write_text(urdf_text(geometry, prefix=prefix), encoding="utf-8")
-    robot = ClosedChain.from_urdf(path, geometry, prefix=prefix)
-    expected = ClosedChain.from_urdf(geometry=geometry, prefix=prefix) if prefix else chain(name)
-    assert robot.geometry == geometry
+    path.write_text(urdf_text(machine, prefix=prefix), encoding="utf-8")
+    robot = ClosedChain.from_urdf(path, machine, prefix=prefix)
+    expected = ClosedChain.from_urdf(machine=machine, prefix=prefix) if prefix else chain(name)
+    assert robot.machine == machine
     ((state, q),) = placed(name, 1, seed=91)[:1]
     assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13
     assert np.allclose(robot.state(q).configuration().middle_joints, state.middle_joints, atol=1e-13)
@@ -142,11 +142,11 @@ def test_files_that_are_no_urdf(tmp_path: Path) -> None:
 
 
 def test_copies_and_pickles() -> None:
-    robot = ClosedChain.from_urdf(geometry=problems.GEOMETRIES["wide base"], prefix="left_")
-    state = state_of(robot.geometry)
+    robot = ClosedChain.from_urdf(machine=problems.MANIPULATORS["wide base"], prefix="left_")
+    state = state_of(robot.machine)
     q = robot.joint_values(state)
     for other in (copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
-        assert other.geometry == robot.geometry
+        assert other.machine == robot.machine
         assert other.joint_names == robot.joint_names
         assert np.array_equal(other.joint_values(state), q)
         assert np.array_equal(other.state(q).inverse_jacobian(), robot.state(q).inverse_jacobian())

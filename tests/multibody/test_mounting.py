@@ -17,13 +17,13 @@ robots = pytest.importorskip("example_robot_data")
 
 from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 
-SMALL = spm.Geometry(0.06, 0.04, 0.05)
+SMALL = spm.Manipulator(0.06, 0.04, 0.05)
 PLACEMENT = pinocchio.SE3(pinocchio.rpy.rpyToMatrix(0.3, -0.2, 0.1), np.array([0.0, 0.02, 0.1]))
 
 
 @cache
 def small() -> Any:
-    return ClosedChain.from_urdf(geometry=SMALL, prefix="spm_")
+    return ClosedChain.from_urdf(machine=SMALL, prefix="spm_")
 
 
 @cache
@@ -130,7 +130,7 @@ def test_batches_states_joining_and_wrapping() -> None:
 def test_invalid_mountings_are_refused() -> None:
     robot = arm("ur5")
     with pytest.raises(ArgumentError, match=r"names that the chain has not, got base\. Give the chain a prefix"):
-        ClosedChain.from_urdf(geometry=SMALL).mounted_on(robot, "tool0")
+        ClosedChain.from_urdf(machine=SMALL).mounted_on(robot, "tool0")
     with pytest.raises(ArgumentError, match=r"^frame: expected a frame of ur5, got 'tool1'"):
         small().mounted_on(robot, "tool1")
     with pytest.raises(ArgumentError, match=r"^frame: "):

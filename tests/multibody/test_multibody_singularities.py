@@ -90,7 +90,7 @@ def test_constraint_singularities(which: str) -> None:
 
 def test_kinds_are_those_of_the_closed_form() -> None:
     """Each smallest singular value goes to zero with its counterpart in the 6 x 6 matrices."""
-    for name in problems.GEOMETRIES:
+    for name in problems.MANIPULATORS:
         for state, q in placed(name, 40, seed=122):
             values = chain(name).state(q).singular_values()
             stages, both = wrench_conditions(state)

@@ -39,21 +39,21 @@ def test_gaps_and_jacobians_of_the_frames(name: str) -> None:
 @pytest.mark.parametrize(("count", "seed"), [(60, 101), pytest.param(600, 102, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", NAMES)
 def test_three_methods_agree_in_every_family(name: str, count: int, seed: int) -> None:
-    robot, d = chain(name), chain(name).geometry.middle_side
+    robot, d = chain(name), chain(name).machine.middle_side
     scale = np.array([1, 1, 1, 1 / d, 1 / d, 1 / d])
     for state, q in placed(name, count, seed):
         found = robot.state(q).inverse_jacobian()
         # A solve errs by eps / σ², times the size of the rows of the twist at o.
         reach = 1.0 + np.linalg.norm(state.translation - state.middle_joints.mean(axis=0)) / d
         allowed = 32 * EPS * reach / min(robot.state(q).singular_values().inverse, wrench_conditions(state)[1]) ** 2
-        for other in (spm.inverse_jacobian, paper.J_f) if robot.geometry.is_nominal else (spm.inverse_jacobian,):
+        for other in (spm.inverse_jacobian, paper.J_f) if robot.machine.is_nominal else (spm.inverse_jacobian,):
             assert np.linalg.norm((found - other(state)) * scale) <= allowed
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_joint_velocities_give_the_twist_and_keep_the_loops_closed(name: str) -> None:
     robot, rng = chain(name), np.random.default_rng(103)
-    d, h = robot.geometry.middle_side, 1e-5
+    d, h = robot.machine.middle_side, 1e-5
     units = np.ones(18)
     units[robot.leg_indices] = d
     for state, q in placed(name, 15, seed=104):
@@ -78,7 +78,7 @@ def test_joint_velocities_give_the_twist_and_keep_the_loops_closed(name: str) ->
 
 def rounding(robot: Any, q: Array, wrench: Array, smallest: float) -> float:
     """Return the error of forces from a solve with [S; Jc]: eps / σ², times the load at the distance of o."""
-    d = robot.geometry.middle_side
+    d = robot.machine.middle_side
     load = np.linalg.norm(wrench / np.array([1, 1, 1, d, d, d]))
     return float(32 * EPS * (1.0 + robot.leg_lengths(q).sum() / d) * load / smallest**2)
 
@@ -87,7 +87,7 @@ def rounding(robot: Any, q: Array, wrench: Array, smallest: float) -> float:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_closed_form_in_every_family(name: str, count: int, seed: int) -> None:
     robot, rng = chain(name), np.random.default_rng(seed)
-    d = robot.geometry.middle_side
+    d = robot.machine.middle_side
     for state, q in placed(name, count, seed):
         wrench = rng.normal(size=6) * [1, 1, 1, d, d, d]
         smallest = min(robot.state(q).singular_values().forward, wrench_conditions(state)[0])

@@ -25,7 +25,7 @@ MOVING = [0.1, -0.2, 0.15, 0.05, -0.1, 0.2]
 def reference() -> Array:
     """The paper's solution 3, from the leg lengths it was made of."""
     robot = chain()
-    return np.asarray(robot.joint_values(spm.forward_physical(robot.geometry, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])))
+    return np.asarray(robot.joint_values(spm.forward_physical(robot.machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])))
 
 
 def free(t: float, q: Array, v: Array) -> Array:
@@ -94,16 +94,16 @@ def test_a_conservative_run_keeps_its_energy(name: str) -> None:
     q = robot.forward_kinematics(home * (1.0 + 0.05 * np.sin(np.arange(6))))
     rest, lengths = np.zeros(18), robot.leg_lengths(q)
     held = robot.state(q, rest).inverse_dynamics(rest)
-    stiffness = 20.0 * np.abs(held).max() / robot.geometry.middle_side
+    stiffness = 20.0 * np.abs(held).max() / robot.machine.middle_side
 
     def springs(t: float, q: Array, v: Array) -> Array:
         return np.asarray(0.7 * held - stiffness * (robot.leg_lengths(q) - lengths))
 
     run = robot.simulate(q, rest, springs, np.linspace(0.0, 2.0, 41))
     assert run.complete
-    assert np.ptp(run.readings, axis=0).max() > 1e-3 * robot.geometry.middle_side
+    assert np.ptp(run.readings, axis=0).max() > 1e-3 * robot.machine.middle_side
     assert np.abs(run.energy_error).max() <= 1e-9 * np.abs(run.energy).max()
-    assert run.closure_gap.max() <= 1e-13 * robot.geometry.middle_side * 10.0
+    assert run.closure_gap.max() <= 1e-13 * robot.machine.middle_side * 10.0
     opening = np.einsum("nij,nj->ni", robot.state(run.q).constraint_jacobian(), run.v)
     assert np.abs(opening).max() <= 1e-12 * max(1.0, np.abs(run.v).max())
     moved = run.readings - robot.readings(q)
@@ -192,7 +192,7 @@ def test_a_leg_of_no_length_ends_a_run() -> None:
     run = robot.simulate(rest, rest, np.full(6, -3000.0), np.linspace(0.0, 2.0, 21))
     assert run.end is SimulationEnd.COLLAPSE
     assert run.detail in spm.machine.LEGS
-    assert run.readings[-1].min() == pytest.approx(1e-6 * robot.geometry.middle_side, rel=1e-6)
+    assert run.readings[-1].min() == pytest.approx(1e-6 * robot.machine.middle_side, rel=1e-6)
 
 
 def test_errors_of_callables_reach_the_caller() -> None:
@@ -262,5 +262,5 @@ def test_a_run_says_where_its_legs_are_beyond_their_limits() -> None:
     robot = chain()
     q = robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 0.2, 3))
-    np.testing.assert_array_equal(run.limit_excess, robot.geometry.limits.excess(robot.readings(run.q)))
+    np.testing.assert_array_equal(run.limit_excess, robot.machine.limits.excess(robot.readings(run.q)))
     assert (run.limit_excess[-1] < 0.0).tolist() == [True, True, False, False, False, False]

@@ -19,7 +19,7 @@ from spm_pin.kinematics.path_following import existing_share
 from spm_pin.proofs.stage_proof import StageProof, StageRegion, configuration_at, has_one_state, region_coordinates
 from spm_pin.support.arguments import FloatArray
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
 
 
@@ -149,14 +149,14 @@ def test_stage_coordinates_and_back() -> None:
 def test_limits_with_a_known_singularity_are_never_certified(seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.2, 1.0)
-    geometry = spm.Geometry(size * rng.uniform(0.6, 1.4), size * rng.uniform(0.6, 1.4), size)
+    machine = spm.Manipulator(size * rng.uniform(0.6, 1.4), size * rng.uniform(0.6, 1.4), size)
     middle = np.full(6, size * rng.uniform(1.5, 2.2))
     ends = np.maximum(middle + 1.5 * size * rng.normal(size=(30, 6)), 0.01 * size)
-    shares = existing_share(partial(spm.forward_physical, geometry), middle, ends, parts=64)
+    shares = existing_share(partial(spm.forward_physical, machine), middle, ends, parts=64)
     assert shares.min() < 1.0
     fold = middle + shares.min() * (ends[shares.argmin()] - middle)
     limits = spm.LegLimits(tuple(np.minimum(middle, fold) * 0.999), tuple(np.maximum(middle, fold) * 1.001))
-    found = spm.certify(geometry, limits, boxes=30_000)
+    found = spm.certify(machine, limits, boxes=30_000)
     assert not found.holds
     assert 0.0 in found.bounds
 
@@ -180,13 +180,13 @@ def test_counterexample_is_singular_in_fifty_digits_and_within_the_limits() -> N
             assert signs == {-1, 1}, "D changes its sign within 1e-12 of the state"
 
 
-def half_width_of_the_first_fold(geometry: spm.Geometry, middle: float) -> float:
+def half_width_of_the_first_fold(machine: spm.Manipulator, middle: float) -> float:
     """Return the least half-width of equal limits at which a lower stage, of 2,000 directions sampled, has a fold."""
     directions = np.random.default_rng(0).uniform(-1.0, 1.0, (2_000, 6))
     directions[:8, :3] = list(product((-1, 1), repeat=3))
     directions[:, 3:] = 0.0
     ends = middle + 0.999 * middle * directions / np.abs(directions).max(axis=-1, keepdims=True)
-    shares = existing_share(partial(spm.forward_physical, geometry), np.full(6, middle), ends, parts=64)
+    shares = existing_share(partial(spm.forward_physical, machine), np.full(6, middle), ends, parts=64)
     return 0.999 * middle * float(shares.min())
 
 
@@ -194,11 +194,11 @@ def half_width_of_the_first_fold(geometry: spm.Geometry, middle: float) -> float
 @pytest.mark.parametrize(("hips", "side", "middle"), [(PAPER.base_radius, 0.8, 1.3), (0.5, 0.6, 1.0), (0.9, 0.7, 1.4)])
 def test_limits_certify_until_shortly_before_the_first_singularity(hips: float, side: float, middle: float) -> None:
     # Both stages are the same.
-    geometry = spm.Geometry(hips, hips, side)
-    fold = half_width_of_the_first_fold(geometry, middle)
-    assert spm.certify(geometry, spm.LegLimits(middle - 0.9 * fold, middle + 0.9 * fold)).holds
-    assert not spm.certify(geometry, spm.LegLimits(middle - 1.01 * fold, middle + 1.01 * fold), boxes=60_000).holds
-    assert spm.certify(geometry, spm.LegLimits(middle - 1.1 * fold, middle + 1.1 * fold)).witness is not None
+    machine = spm.Manipulator(hips, hips, side)
+    fold = half_width_of_the_first_fold(machine, middle)
+    assert spm.certify(machine, spm.LegLimits(middle - 0.9 * fold, middle + 0.9 * fold)).holds
+    assert not spm.certify(machine, spm.LegLimits(middle - 1.01 * fold, middle + 1.01 * fold), boxes=60_000).holds
+    assert spm.certify(machine, spm.LegLimits(middle - 1.1 * fold, middle + 1.1 * fold)).witness is not None
 
 
 @pytest.mark.parametrize("half", [0.1, 0.02, 1e-4])
@@ -213,10 +213,10 @@ def test_bounds_of_narrow_limits_are_within_a_factor_of_two_of_a_sample(half: fl
 
 # In the second machine a singular state that is not joined to the home does not narrow the limits.
 @pytest.mark.parametrize(
-    ("geometry", "centre", "least"), [(PAPER, 1.3, 0.15), (spm.Geometry(1.0, 1.0, 3.0), 3.6, 0.85)]
+    ("machine", "centre", "least"), [(PAPER, 1.3, 0.15), (spm.Manipulator(1.0, 1.0, 3.0), 3.6, 0.85)]
 )
-def test_the_widest_limits_hold(geometry: spm.Geometry, centre: float, least: float) -> None:
-    found = spm.largest_certified_limits(geometry, centre, tolerance=0.2, boxes=60_000)
+def test_the_widest_limits_hold(machine: spm.Manipulator, centre: float, least: float) -> None:
+    found = spm.largest_certified_limits(machine, centre, tolerance=0.2, boxes=60_000)
     assert found.holds
     assert found.limits.maximum[0] - centre > least
     assert found.limits.minimum[0] == pytest.approx(2.0 * centre - found.limits.maximum[0])
@@ -240,9 +240,9 @@ def test_too_few_boxes_leave_it_undecided() -> None:
 
 
 def test_errors_do_not_make_the_nominal_machine_singular_where_it_is_proved_not_to_be() -> None:
-    geometry, wide, narrow = spm.Geometry(0.25, 0.12, 0.30), spm.LegLimits(0.35, 0.5), spm.LegLimits(0.38, 0.46)
-    assert spm.certify(geometry, wide).holds
-    found = spm.certify(geometry, narrow, boxes=60_000, length_error=0.0132, angle_error=0.0019)
+    machine, wide, narrow = spm.Manipulator(0.25, 0.12, 0.30), spm.LegLimits(0.35, 0.5), spm.LegLimits(0.38, 0.46)
+    assert spm.certify(machine, wide).holds
+    found = spm.certify(machine, narrow, boxes=60_000, length_error=0.0132, angle_error=0.0019)
     assert found.lower.singular is not None or found.upper.singular is not None
     assert (found.verdict, found.witness) == ("undecided", None)
     assert "for errors this large" in found.explain()

@@ -13,12 +13,12 @@ from spm_pin.proofs import certify_inverse
 from spm_pin.proofs.certificate import stage_regions
 from spm_pin.proofs.stage_proof import region_coordinates
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 LIMITS = spm.LegLimits(1.1, 1.5)
 CORNERS = np.array(np.meshgrid(*[[1.1, 1.5]] * 6)).reshape(6, -1).T
 
 
-def machine_within(length: float, angle: float, rng: np.random.Generator) -> spm.Geometry:
+def machine_within(length: float, angle: float, rng: np.random.Generator) -> spm.Manipulator:
     """Return a random machine; half of them are at corners of the set."""
     share = rng.uniform(-1.0, 1.0, 54) if rng.uniform() < 0.5 else rng.choice([-1.0, 1.0], 54)
     return PAPER.from_parameters(PAPER.parameters + np.tile(np.repeat([angle, length], [2, 7]), 6) * share)
@@ -101,12 +101,12 @@ def test_a_machine_as_built_is_proved_with_its_own_errors() -> None:
     machine = machine_within(2e-4, 3e-4, np.random.default_rng(1))
     found = spm.certify(machine, LIMITS)
     assert found.holds
-    assert found.geometry == PAPER
+    assert found.machine == PAPER
     assert found.errors[0] <= 2e-4 * (1.0 + 1e-9)
     assert found.errors[1] <= 3e-4 * (1.0 + 1e-9)
     assert found.covers(spm.forward_physical(machine, np.full(6, 1.3)))
     far = PAPER.from_parameters(PAPER.parameters + 0.3)
-    with pytest.raises(spm.ArgumentError, match="geometry: expected a machine within"):
+    with pytest.raises(spm.ArgumentError, match="machine: expected a machine within"):
         spm.certify(far, LIMITS)
 
 
@@ -133,7 +133,7 @@ def test_errors_of_one_kind_cover_machines_with_errors_of_this_kind(errors: tupl
 
 @pytest.mark.parametrize("signs", [[1, 1, 1], [-1, 1, -1]])
 def test_other_dimensions_are_errors_of_pivots_and_balls(certificate: spm.Certificate, signs: list[int]) -> None:
-    other = spm.Geometry(*(np.array(PAPER.dimensions) + 0.999e-4 * np.array(signs)))
+    other = spm.Manipulator(*(np.array(PAPER.dimensions) + 0.999e-4 * np.array(signs)))
     assert certificate.covers(spm.forward_physical(other, np.full(6, 1.4)))
 
 

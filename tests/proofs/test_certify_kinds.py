@@ -15,26 +15,26 @@ from spm_pin.proofs.stage_proof import region_coordinates
 SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(0.1, 0.9))
 SCREWS = Stage(0.22, 0.25, PRS(rod=0.30, direction=1.4), limits=(0.0, 0.12))
 MACHINES = {
-    "RRS-PRS": spm.Geometry.of_stages(SERVOS, SCREWS),
-    "PRS-RRS": spm.Geometry.of_stages(
+    "RRS-PRS": spm.Manipulator.of_stages(SERVOS, SCREWS),
+    "PRS-RRS": spm.Manipulator.of_stages(
         Stage(0.30, 0.25, PRS(rod=0.30, direction=1.4, sign=-1), limits=(0.0, 0.12)),
         Stage(0.22, 0.25, RRS(crank=0.15, rod=0.35), limits=(0.1, 0.9)),
     ),
-    "inner knees": spm.Geometry.of_stages(
+    "inner knees": spm.Manipulator.of_stages(
         Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35, sign=1), limits=(1.9, 2.4)),
         Stage(0.22, 0.25, RPS(), limits=(0.35, 0.42)),
     ),
 }
 
 
-def machine_within(nominal: spm.Geometry, error: float, rng: np.random.Generator) -> spm.Geometry:
+def machine_within(nominal: spm.Manipulator, error: float, rng: np.random.Generator) -> spm.Manipulator:
     """Return a random machine; half of them are at corners of the set."""
     count = len(nominal.parameters)
     share = rng.uniform(-1.0, 1.0, count) if rng.uniform() < 0.5 else rng.choice([-1.0, 1.0], count)
     return nominal.from_parameters(nominal.parameters + error * share)
 
 
-def random_readings(machine: spm.Geometry, count: int, rng: np.random.Generator) -> np.ndarray:
+def random_readings(machine: spm.Manipulator, count: int, rng: np.random.Generator) -> np.ndarray:
     """Return readings within the limits, half of them at ends."""
     low, high = np.array([machine.limits.minimum, machine.limits.maximum])
     readings = rng.uniform(low, high, (count, 6))
@@ -113,10 +113,10 @@ def test_boxes_contain_what_their_states_have() -> None:
 def test_limits_up_to_a_leg_s_own_singularity_do_not_certify() -> None:
     """The rods of screws become level, and their carriages pass on: κ = 0 inside the limits."""
     stage = Stage(0.30, 0.25, PRS(rod=0.12), limits=(-0.05, 0.05))
-    found = spm.certify(spm.Geometry.of_stages(stage, SCREWS), boxes=12_000)
+    found = spm.certify(spm.Manipulator.of_stages(stage, SCREWS), boxes=12_000)
     assert found.upper.bound > 0.0
     wide = spm.certify(
-        spm.Geometry.of_stages(Stage(0.30, 0.25, PRS(rod=0.06), limits=(-0.06, 0.06)), SCREWS), boxes=12_000
+        spm.Manipulator.of_stages(Stage(0.30, 0.25, PRS(rod=0.06), limits=(-0.06, 0.06)), SCREWS), boxes=12_000
     )
     assert not wide.holds
     assert wide.lower.bound == 0.0
@@ -130,13 +130,13 @@ def test_a_machine_is_judged_by_what_moves_it() -> None:
     moved = nominal.from_parameters(np.concatenate([parameters.ravel(), nominal.parameters[54:]]))
     found = spm.certify(moved)
     assert max(found.errors) < 1e-12
-    other = spm.Geometry.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35, sign=1)), SCREWS)
+    other = spm.Manipulator.of_stages(Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35, sign=1)), SCREWS)
     assert not spm.certify(nominal).concerns(other)
-    assert not spm.certify(nominal).concerns(spm.Geometry.paper())
+    assert not spm.certify(nominal).concerns(spm.Manipulator.paper())
 
 
 def test_the_widest_limits_of_servos_and_screws() -> None:
-    screws = spm.Geometry.of_stages(Stage(0.30, 0.25, PRS(rod=0.30)), Stage(0.22, 0.25, PRS(rod=0.30)))
+    screws = spm.Manipulator.of_stages(Stage(0.30, 0.25, PRS(rod=0.30)), Stage(0.22, 0.25, PRS(rod=0.30)))
     found = spm.largest_certified_limits(screws, 0.05, tolerance=0.3, boxes=20_000)
     assert found.holds
     assert 0.02 < found.limits.maximum[0] - 0.05 < 0.3
@@ -145,13 +145,13 @@ def test_the_widest_limits_of_servos_and_screws() -> None:
 
 
 def test_a_singular_configuration_says_whose_it_is() -> None:
-    found = spm.certify(spm.Geometry.paper(), spm.LegLimits(1.0, 1.6), boxes=30_000)
+    found = spm.certify(spm.Manipulator.paper(), spm.LegLimits(1.0, 1.6), boxes=30_000)
     assert found.verdict == "not proved"
     assert found.witness is not None
     text = found.explain()
     assert "a configuration of the nominal machine within the limits is forward singular" in text
     # Seen from this singular state the machine as assembled ends, or is elsewhere: of equal readings found by itself.
-    physical = spm.forward_physical(found.geometry, found.witness.readings)
+    physical = spm.forward_physical(found.machine, found.witness.readings)
     is_same = np.abs(physical.balls - found.witness.balls).max() < 1e-6
     assert ("a regular one: |det J| is" in text) is not is_same
     assert "Narrower limits help" in text

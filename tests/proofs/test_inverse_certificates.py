@@ -14,7 +14,7 @@ from spm_pin.proofs import certify_inverse
 from spm_pin.proofs.inverse_certificate import structure_determinant
 from spm_pin.proofs.stage_proof import region_coordinates
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 LEGS = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
 
 
@@ -109,7 +109,7 @@ def test_limits_in_which_the_determinant_changes_its_sign_have_a_witness(limits:
 
 def test_a_witness_is_found_where_the_straight_way_between_samples_has_no_states() -> None:
     limits = spm.LegLimits(1.08319, 1.59089)
-    found = certify_inverse(spm.Geometry(1.33448, 0.932207, 0.821107, limits))
+    found = certify_inverse(spm.Manipulator(1.33448, 0.932207, 0.821107, limits))
     assert found.witness is not None
     assert limits.contains(found.witness.leg_lengths)
     assert abs(spm.determinants(found.witness)[2]) < 1e-14
@@ -117,6 +117,6 @@ def test_a_witness_is_found_where_the_straight_way_between_samples_has_no_states
 
 def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(spm.GeometryError, match="limits"):
-        certify_inverse(spm.Geometry(0.6, 0.4, 0.5))
-    with pytest.raises(spm.GeometryError, match="geometry: expected a drawn machine"):
+        certify_inverse(spm.Manipulator(0.6, 0.4, 0.5))
+    with pytest.raises(spm.GeometryError, match="machine: expected a drawn machine"):
         certify_inverse(PAPER.perturbed(0))

@@ -14,20 +14,20 @@ from spm_pin.kinematics.path_following import existing_share
 from spm_pin.proofs import stage_proof
 from spm_pin.proofs.certificate import free_of_singularities
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 
 
-def machine(lower: tuple[float, float], upper: tuple[float, float], *sizes: float) -> spm.Geometry:
-    return spm.Geometry(*(sizes or PAPER.dimensions), spm.LegLimits.stages(lower, upper))
+def machine(lower: tuple[float, float], upper: tuple[float, float], *sizes: float) -> spm.Manipulator:
+    return spm.Manipulator(*(sizes or PAPER.dimensions), spm.LegLimits.stages(lower, upper))
 
 
-def drawn(rng: np.random.Generator) -> spm.Geometry:
+def drawn(rng: np.random.Generator) -> spm.Manipulator:
     (low, other), strokes = rng.uniform(0.6, 1.4, 2), rng.uniform(0.05, 0.6, 2)
     sizes = map(float, rng.uniform([0.3, 0.2, 0.4], [1.0, 0.8, 1.2]))
     return machine((low, low + strokes[0]), (other, other + strokes[1]), *sizes)
 
 
-def middle(one: spm.Geometry) -> spm.Configuration:
+def middle(one: spm.Manipulator) -> spm.Configuration:
     """Return the physical configuration with the lengths in the middle of the limits."""
     assert one.limits is not None
     return spm.forward_physical(one, 0.5 * (np.array(one.limits.minimum) + np.array(one.limits.maximum)))
@@ -49,9 +49,9 @@ def test_verdicts_are_those_of_each_machine_by_itself() -> None:
 
 def test_limits_that_differ_within_a_stage_and_machines_as_built_are_certified_too() -> None:
     limits = spm.LegLimits((1.2, 1.25, 1.3, 1.1, 1.25, 1.4), (1.25, 1.28, 1.4, 1.2, 1.3, 1.45))
-    uneven = spm.Geometry(*PAPER.dimensions, limits)
+    uneven = spm.Manipulator(*PAPER.dimensions, limits)
     built = machine((1.25, 1.35), (1.25, 1.35)).perturbed(0, length=1e-5, angle=1e-5)
-    fold = spm.Geometry(*PAPER.dimensions, spm.LegLimits((0.8, 1.0, 1.0, 1.1, 1.1, 1.1), 1.6))
+    fold = spm.Manipulator(*PAPER.dimensions, spm.LegLimits((0.8, 1.0, 1.0, 1.1, 1.1, 1.1), 1.6))
     assert free_of_singularities([uneven, built, fold], 30_000).tolist() == [True, True, False]
 
 

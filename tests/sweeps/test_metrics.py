@@ -15,7 +15,7 @@ from spm_pin.sweeps import METRICS, Metric, Points
 from spm_pin.sweeps.metrics import resolve_metrics
 from spm_pin.sweeps.points import Space
 
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 BUILT = GEOMETRY.perturbed(3, length=2e-3, angle=2e-3)
 
 
@@ -41,7 +41,7 @@ def points(request: pytest.FixtureRequest) -> Points:
 
 @pytest.mark.parametrize("name", METRICS)
 @pytest.mark.parametrize("machine", [GEOMETRY, BUILT], ids=["drawn", "as built"])
-def test_every_metric_has_a_value_where_it_says(points: Points, machine: spm.Geometry, name: str) -> None:
+def test_every_metric_has_a_value_where_it_says(points: Points, machine: spm.Manipulator, name: str) -> None:
     mine, points = METRICS[name], Points(machine, points.space, points.coordinates)
     values = mine.evaluate(points)
     assert values.shape == (len(points),)
@@ -54,7 +54,7 @@ def test_every_metric_has_a_value_where_it_says(points: Points, machine: spm.Geo
 
 @pytest.mark.parametrize("space", ["pose", "legs"])
 @pytest.mark.parametrize("machine", [GEOMETRY, BUILT], ids=["drawn", "as built"])
-def test_metrics_are_those_of_direct_calls(machine: spm.Geometry, space: Space) -> None:
+def test_metrics_are_those_of_direct_calls(machine: spm.Manipulator, space: Space) -> None:
     coordinates = mixed_poses(120) if space == "pose" else legs(40, low=1.05, high=1.55)
     points, accuracy = Points(machine, space, coordinates), 1e-12 if machine is GEOMETRY else 1e-9
     if space == "pose":
@@ -122,7 +122,7 @@ def test_assembly_modes_are_counted_as_the_solver_does() -> None:
 
 
 def test_conditioning_does_not_depend_on_the_size_of_the_machine() -> None:
-    small = spm.Geometry(GEOMETRY.base_radius / 50, GEOMETRY.platform_radius / 50, GEOMETRY.middle_side / 50)
+    small = spm.Manipulator(GEOMETRY.base_radius / 50, GEOMETRY.platform_radius / 50, GEOMETRY.middle_side / 50)
     lengths = legs(20)
     for name in ("conditioning", "isotropy", "forward_distance", "inverse_distance", "det_structure", "payload"):
         large = METRICS[name].evaluate(Points(GEOMETRY, "legs", lengths))

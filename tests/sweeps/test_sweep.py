@@ -251,7 +251,7 @@ def test_the_note_of_an_interrupt_says_what_is_complete(tmp_path: Path, undistur
 
 def test_a_sweep_of_a_machine_as_built_is_resumed_from_its_store(tmp_path: Path) -> None:
     path, built = tmp_path / "map.zarr", GEOMETRY.perturbed(1, length=1e-3)
-    small(path, geometry=built)
+    small(path, machine=built)
     whole = contents(path)
     for record in records(path)[3:]:
         record.unlink()
@@ -263,14 +263,14 @@ def test_a_sweep_of_a_machine_as_built_is_resumed_from_its_store(tmp_path: Path)
 # What is refused
 
 OTHERS: dict[str, tuple[dict[str, Any], str]] = {
-    "geometry": ({"geometry": dataclasses.replace(GEOMETRY, base_radius=0.7)}, r"geometry.base_radius is 0.69.* 0.7 "),
+    "machine": ({"machine": dataclasses.replace(GEOMETRY, base_radius=0.7)}, r"machine.base_radius is 0.69.* 0.7 "),
     "legs": (
-        {"geometry": GEOMETRY.perturbed(1)},
-        r"geometry.legs is null in the store and {\"r_b1\": {\"axis\": \[0.49.* … in this sweep",
+        {"machine": GEOMETRY.perturbed(1)},
+        r"machine.legs is null in the store and {\"r_b1\": {\"axis\": \[0.49.* … in this sweep",
     ),
     "limits": (
-        {"geometry": dataclasses.replace(GEOMETRY, limits=spm.LegLimits(1.1, 1.45))},
-        r"geometry.leg_limits\[1\] is 1.5 in the store and 1.45 in this sweep",
+        {"machine": dataclasses.replace(GEOMETRY, limits=spm.LegLimits(1.1, 1.45))},
+        r"machine.leg_limits\[1\] is 1.5 in the store and 1.45 in this sweep",
     ),
     "grid": (
         {"domain": pose_grid((0.37, 0.44, 8), (-0.16, -0.12, 6), (2.45, 2.55, 5), xyx=[0.01, (0.3, 0.34, 3), 0.1])},
@@ -492,9 +492,9 @@ def test_memory_does_not_grow_with_the_number_of_points(tmp_path: Path) -> None:
 
 
 def test_a_plan_is_made_again_from_its_definition() -> None:
-    geometry = dataclasses.replace(GEOMETRY, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
+    nominal = dataclasses.replace(GEOMETRY, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
     sample = leg_sample(100, (1.1, 1.5), [1.2, (1.1, 1.3), 1.4], seed=3)
-    for machine, domain in ((geometry, GRID), (geometry.perturbed(1), sample)):
+    for machine, domain in ((nominal, GRID), (nominal.perturbed(1), sample)):
         plan = SweepPlan.make(machine, domain, (payload(push=3.0),), CHUNK)
         again = SweepPlan.from_definition(json.loads(plan.text))
-        assert (again.text, again.geometry, again.domain) == (plan.text, machine, domain)
+        assert (again.text, again.machine, again.domain) == (plan.text, machine, domain)

@@ -69,7 +69,7 @@ def test_axes_and_names() -> None:
     assert (grid.dims, grid.shape) == (("x", "z", "beta"), (3, 2, 7))
     assert leg_grid((1.1, 1.5, 4), 1.2).dims == ("r_b1", "r_b2", "r_b3")
     assert leg_grid(1.2, [1.1, (1.1, 1.5, 4), 1.3]).dims == ("r_c2",)
-    plan = SweepPlan.make(spm.Geometry.paper(), grid, ["branches"], 10)
+    plan = SweepPlan.make(spm.Manipulator.paper(), grid, ["branches"], 10)
     assert [plan.unit(axis) for axis in grid.axes] == ["m"] * 3 + ["rad"] * 3
 
 
@@ -119,7 +119,7 @@ XYX = [0.1, 0.2, 0.3]
         (lambda: pose_grid((0, 1, 5), 0, 2, xyx=[0.1, 0.2]), "xyx: expected three values or ranges"),
         (lambda: pose_grid((0, 1, 5), 0, 2, xyx=[0.1, (-30, 30, 5), 0.2]), "Degrees"),
         (
-            lambda: SweepPlan.make(spm.Geometry.paper(), leg_grid((0, 1, 5), 1), ["branches"], 5),
+            lambda: SweepPlan.make(spm.Manipulator.paper(), leg_grid((0, 1, 5), 1), ["branches"], 5),
             "r_b1: expected positive",
         ),
         (lambda: pose_grid((0, 1, 5), 0, 2, 0.1, 0.2, 0.3), "xyx: expected the three angles as xyx"),

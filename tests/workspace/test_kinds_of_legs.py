@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from kinds_of_legs import machine
+from kinds_of_legs import machine_of_kinds
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -20,33 +20,33 @@ MACHINES = [("PRS", "PRS", False), ("RRS", "PRS", True), ("RPS", "RRS", True), (
 NAMES = [f"{lower} and {upper}{', as built' * built}" for lower, upper, built in MACHINES]
 
 
-def limited(lower: str, upper: str, built: bool) -> spm.Geometry:
+def limited(lower: str, upper: str, built: bool) -> spm.Manipulator:
     return dataclasses.replace(
-        machine(lower, upper, built=built), limits=LegLimits.stages(LIMITS[lower], LIMITS[upper])
+        machine_of_kinds(lower, upper, built=built), limits=LegLimits.stages(LIMITS[lower], LIMITS[upper])
     )
 
 
 @pytest.fixture(scope="module", params=MACHINES, ids=NAMES)
-def geometry(request: pytest.FixtureRequest) -> spm.Geometry:
+def machine(request: pytest.FixtureRequest) -> spm.Manipulator:
     return limited(*request.param)
 
 
 @pytest.fixture(scope="module")
-def within(geometry: spm.Geometry) -> StateSet:
-    return states_within(geometry)
+def within(machine: spm.Manipulator) -> StateSet:
+    return states_within(machine)
 
 
-def random_states(geometry: spm.Geometry, count: int, seed: int) -> spm.Configuration:
+def random_states(machine: spm.Manipulator, count: int, seed: int) -> spm.Configuration:
     """Return states at readings drawn uniformly, which no search has seen."""
-    assert geometry.limits is not None
+    assert machine.limits is not None
     rng = np.random.default_rng(seed)
-    readings = rng.uniform(geometry.limits.minimum, geometry.limits.maximum, (60 * count, 6))
-    found = spm.forward_physical(geometry, readings)
+    readings = rng.uniform(machine.limits.minimum, machine.limits.maximum, (60 * count, 6))
+    found = spm.forward_physical(machine, readings)
     return found[found.exists][:count]
 
 
-def test_coordinates_are_those_of_the_forward_displacement(geometry: spm.Geometry, within: StateSet) -> None:
-    states = random_states(geometry, 50, 1)
+def test_coordinates_are_those_of_the_forward_displacement(machine: spm.Manipulator, within: StateSet) -> None:
+    states = random_states(machine, 50, 1)
     coordinates = within.coordinates(states)
     np.testing.assert_allclose(within.readings(coordinates), states.readings, atol=1e-9)
     again = within.states(coordinates)
@@ -55,18 +55,18 @@ def test_coordinates_are_those_of_the_forward_displacement(geometry: spm.Geometr
 
 
 def test_the_set_holds_what_is_physical_within_the_limits_and_within_reach(
-    geometry: spm.Geometry, within: StateSet
+    machine: spm.Manipulator, within: StateSet
 ) -> None:
-    assert geometry.limits is not None
+    assert machine.limits is not None
     rng = np.random.default_rng(2)
     coordinates = within.sample[:3000] + rng.normal(0.0, 0.15, (3000, 2, 3))
     coordinates = coordinates[(np.hypot(coordinates[..., 0], coordinates[..., 1]) < 0.99).all(axis=-1)]
     states = within.states(coordinates)
-    expected = physical(states) & geometry.limits.contains(states.readings)
+    expected = physical(states) & machine.limits.contains(states.readings)
     held = within.contains(0, coordinates[:, 0]) & within.contains(1, coordinates[:, 1])
     assert 0.05 < held.mean() < 0.95
     np.testing.assert_array_equal(held, expected)
-    slopes = states[held].slopes * geometry.legs.slope_signs
+    slopes = states[held].slopes * machine.legs.slope_signs
     assert slopes.min() > 0.0
 
 
@@ -77,7 +77,7 @@ def test_derivatives_are_those_by_differences(within: StateSet) -> None:
         coordinates = within.sample[:200, stage]
         states = within.states(within.sample[:200])
         # Nearer to its own singularity a leg's rates are bounded.
-        regular = np.abs(states.slopes) > 0.2 * within.geometry.legs.largest_slopes
+        regular = np.abs(states.slopes) > 0.2 * within.machine.legs.largest_slopes
         coordinates = coordinates[regular[:, 3 * stage : 3 * stage + 3].all(axis=-1)]
         assert len(coordinates) > 20
         count = len(coordinates)
@@ -95,47 +95,47 @@ def test_derivatives_are_those_by_differences(within: StateSet) -> None:
 
 
 def test_positions_of_random_readings_are_reachable_and_the_readings_found_lead_there(
-    geometry: spm.Geometry,
+    machine: spm.Manipulator,
 ) -> None:
-    assert geometry.limits is not None
-    states = random_states(geometry, 60, 3)
+    assert machine.limits is not None
+    states = random_states(machine, 60, 3)
     away = states.translation + np.random.default_rng(4).normal(0.0, 0.3, (len(states), 3))
     for points, all_reached in ((states.translation, True), (away, False)):
-        reach = reachable_position(geometry, points)
+        reach = reachable_position(machine, points)
         assert reach.reachable.all() or not all_reached
-        assert geometry.limits.contains(reach.readings).all()
+        assert machine.limits.contains(reach.readings).all()
         # The nearest of the others may be beside a forward singularity, where rounding decides what is physical.
-        there = spm.forward_physical(geometry, reach.readings[reach.reachable]).translation
+        there = spm.forward_physical(machine, reach.readings[reach.reachable]).translation
         np.testing.assert_allclose(there, points[reach.reachable], atol=1e-6)
 
 
-def test_no_state_that_a_random_search_finds_is_nearer_than_the_nearest(geometry: spm.Geometry) -> None:
-    assert geometry.limits is not None
-    rng, states = np.random.default_rng(5), random_states(geometry, 4, 6)
+def test_no_state_that_a_random_search_finds_is_nearer_than_the_nearest(machine: spm.Manipulator) -> None:
+    assert machine.limits is not None
+    rng, states = np.random.default_rng(5), random_states(machine, 4, 6)
     for pose in states.pose:
         turn = Rotation.from_rotvec(rng.normal(0.0, 0.3, 3)) * pose.rotation
         target = spm.pose(pose.translation + rng.normal(0.0, 0.3, 3), rotation=turn)
-        found = nearest_reachable_pose(geometry, target)
+        found = nearest_reachable_pose(machine, target)
         state = found.configuration
-        assert geometry.limits.contains(state.readings)
+        assert machine.limits.contains(state.readings)
         assert physical(state)
-        assert (state.slopes * geometry.legs.slope_signs > 0.0).all()
+        assert (state.slopes * machine.legs.slope_signs > 0.0).all()
         steps = rng.normal(0.0, 1.0, (2000, 6)) * np.geomspace(1e-4, 0.4, 2000)[:, None]
-        readings = np.clip(state.readings + steps, geometry.limits.minimum, geometry.limits.maximum)
-        others = spm.forward_physical(geometry, readings)
+        readings = np.clip(state.readings + steps, machine.limits.minimum, machine.limits.maximum)
+        others = spm.forward_physical(machine, readings)
         others = others[others.exists]
-        assert found.distance < pose_distance(geometry, others.pose, target).min() + 2e-5
+        assert found.distance < pose_distance(machine, others.pose, target).min() + 2e-5
 
 
-def test_a_reachable_pose_is_said_to_be_one(geometry: spm.Geometry) -> None:
-    states = random_states(geometry, 20, 7)
-    answer = reachable(geometry, states.pose)
+def test_a_reachable_pose_is_said_to_be_one(machine: spm.Manipulator) -> None:
+    states = random_states(machine, 20, 7)
+    answer = reachable(machine, states.pose)
     assert answer.reachable.all()
-    assert nearest_reachable_pose(geometry, states.pose[0]).distance < 1e-7
+    assert nearest_reachable_pose(machine, states.pose[0]).distance < 1e-7
 
 
-def test_the_distance_of_legs_is_that_of_points_along_them(geometry: spm.Geometry) -> None:
-    states = random_states(geometry, 5, 8)
+def test_the_distance_of_legs_is_that_of_points_along_them(machine: spm.Manipulator) -> None:
+    states = random_states(machine, 5, 8)
     share = np.linspace(0.0, 1.0, 101)[:, None]
     for state, least in zip(states, leg_clearance(states), strict=True):
         corners = np.stack([state.leg_bases, state.circle_centres, state.balls])
@@ -152,6 +152,6 @@ def test_the_distance_of_legs_is_that_of_points_along_them(geometry: spm.Geometr
 
 
 def test_limits_of_angles_have_to_be_finite() -> None:
-    geometry = machine("RRS", "RRS")
+    machine = machine_of_kinds("RRS", "RRS")
     with pytest.raises(spm.ArgumentError, match="finite minimum and maximum"):
-        reachable_position(geometry, [0.0, 0.0, 1.5], LegLimits(-np.inf, 1.0))
+        reachable_position(machine, [0.0, 0.0, 1.5], LegLimits(-np.inf, 1.0))

@@ -13,9 +13,9 @@ from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import nearest_reachable_pose, pose_distance
 from spm_pin.workspace.states import states_within
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 BUILT = PAPER.perturbed(3, length=5e-3, angle=5e-3)
-FREE = spm.Geometry(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
+FREE = spm.Manipulator(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
 START = spm.forward_physical(PAPER, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
 TARGET = spm.pose([1.5, 0.4, 2.2], xyx=np.deg2rad([20.0, 30.0, -15.0]))
 
@@ -30,22 +30,22 @@ def random_targets(count, seed=3):
 
 
 @pytest.mark.parametrize(
-    ("geometry", "near"),
+    ("machine", "near"),
     [(PAPER, START), (PAPER, None), (BUILT, None)],
     ids=["from a state", "from the sample", "as built"],
 )
-def test_nothing_within_the_limits_is_nearer(geometry, near):
+def test_nothing_within_the_limits_is_nearer(machine, near):
     rng = np.random.default_rng(3)
     nearer = []
     for target in random_targets(6):
-        found = nearest_reachable_pose(geometry, target, near=near)
+        found = nearest_reachable_pose(machine, target, near=near)
         readings = found.configuration.readings
         assert PAPER.limits.margin(readings) >= -1e-12
         # The same mode all over the box: any readings will do, near to the result and far away.
         steps = rng.normal(0.0, 1.0, (500, 6)) * np.geomspace(1e-4, 0.3, 500)[:, None]
-        others = spm.forward_physical(geometry, np.clip(readings + steps, 1.1, 1.5))
+        others = spm.forward_physical(machine, np.clip(readings + steps, 1.1, 1.5))
         assert others.exists.all()
-        nearer.append(found.distance - pose_distance(geometry, others.pose, target).min())
+        nearer.append(found.distance - pose_distance(machine, others.pose, target).min())
     assert max(nearer) < 2e-5
 
 
@@ -112,31 +112,31 @@ def test_distance_is_that_of_the_platform_joints():
         ({"limits": spm.LegLimits(0.0, np.inf), "branch": "TX+"}, "branch"),
         ({"branch": "TT+"}, "branch"),
         ({"near": spm.forward_physical(PAPER, [1.0] * 6)}, "near"),
-        ({"near": spm.forward_physical(spm.Geometry(0.5, 0.5, 0.5), [1.2] * 6)}, "near"),
+        ({"near": spm.forward_physical(spm.Manipulator(0.5, 0.5, 0.5), [1.2] * 6)}, "near"),
     ],
 )
 def test_wrong_arguments_are_named(arguments, named):
     with pytest.raises(spm.ArgumentError, match=named):
-        nearest_reachable_pose(**{"geometry": PAPER, "pose": START.pose, **arguments})
+        nearest_reachable_pose(**{"machine": PAPER, "pose": START.pose, **arguments})
 
 
-@pytest.mark.parametrize("geometry", [PAPER, BUILT], ids=["as drawn", "as built"])
+@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
 @pytest.mark.parametrize("limits", [(1.1, 1.5), (0.6, 2.0)])
 def test_a_drag_stays_within_the_limits_and_comes_never_farther(
-    geometry: spm.Geometry, limits: tuple[float, float]
+    machine: spm.Manipulator, limits: tuple[float, float]
 ) -> None:
     rng, box = np.random.default_rng(6), spm.LegLimits(*limits)
-    here = spm.forward_physical(geometry, [1.3] * 6)
+    here = spm.forward_physical(machine, [1.3] * 6)
     place, turn = here.translation.copy(), here.pose.rotation
     for _ in range(60):
         place = place + rng.normal(0.0, 0.04, 3)
         turn = Rotation.from_rotvec(rng.normal(0.0, 0.03, 3)) * turn
         target = spm.pose(place, rotation=turn)
-        before = pose_distance(geometry, here.pose, target)
-        nearest = nearest_reachable_pose(geometry, target, box, near=here)
+        before = pose_distance(machine, here.pose, target)
+        nearest = nearest_reachable_pose(machine, target, box, near=here)
         here = nearest.configuration
         assert nearest.distance <= before + 1e-8
-        assert nearest.distance == pytest.approx(pose_distance(geometry, here.pose, target), abs=1e-12)
+        assert nearest.distance == pytest.approx(pose_distance(machine, here.pose, target), abs=1e-12)
         assert box.margin(here.readings) >= -1e-12
         assert here.closure_residual < 1e-13
         assert physical(here)
@@ -168,9 +168,9 @@ def test_a_search_from_one_side_alone_stops_in_a_bad_minimum() -> None:
         lambda machine, limits: spm.plan(machine, [1.2] * 6, [1.3] * 6, limits),
     ],
 )
-def test_leg_limits_in_another_unit_are_refused(ask: Callable[[spm.Geometry, spm.LegLimits], object]) -> None:
+def test_leg_limits_in_another_unit_are_refused(ask: Callable[[spm.Manipulator, spm.LegLimits], object]) -> None:
     with pytest.raises(spm.GeometryError, match=r"limits: .*is it 1500 mm\?"):
-        ask(spm.Geometry.paper(), spm.LegLimits(1100, 1500))
+        ask(spm.Manipulator.paper(), spm.LegLimits(1100, 1500))
 
 
 def test_one_pose_needs_no_large_sample() -> None:

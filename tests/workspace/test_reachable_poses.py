@@ -74,9 +74,9 @@ def test_shapes(shape: tuple[int, ...]) -> None:
 
 
 def test_without_limits_every_real_branch_that_counts_is_allowed() -> None:
-    geometry = spm.Geometry(0.7, 0.35, 0.8)
-    problem = random_branches(geometry, "TT", 50, 5)
-    answer = reachable(geometry, problem.pose, branch="any")
+    machine = spm.Manipulator(0.7, 0.35, 0.8)
+    problem = random_branches(machine, "TT", 50, 5)
+    answer = reachable(machine, problem.pose, branch="any")
     np.testing.assert_array_equal(answer.allowed, answer.branches.exists)
     assert np.isposinf(answer.leg_margin[answer.branches.exists]).all()
     assert np.isnan(answer.leg_margin[~answer.branches.exists]).all()
@@ -113,7 +113,7 @@ def test_joint_limits_exclude_what_violates_them() -> None:
 def test_limits_without_a_sample_are_refused() -> None:
     for words, call in (
         ("infinity for r_b1", lambda: sample_reachable(PAPER, 1, spm.LegLimits(1.0, np.inf))),
-        ("none of its own", lambda: sample_reachable(spm.Geometry(0.7, 0.35, 0.8), 1)),
+        ("none of its own", lambda: sample_reachable(spm.Manipulator(0.7, 0.35, 0.8), 1)),
         ("assembled", lambda: sample_reachable(PAPER, 1, spm.LegLimits(0.15, 0.2))),
     ):
         with pytest.raises(spm.ArgumentError, match=words):
@@ -169,7 +169,7 @@ def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
 @pytest.mark.parametrize("space", ["legs", "poses"])
 def test_random_states_of_a_machine_as_built(space: str) -> None:
     states = sample_reachable(BUILT, 300, space=space, rng=1)  # type: ignore[arg-type]
-    assert states.geometry == BUILT
+    assert states.machine == BUILT
     assert states.closure_residual.max() < 1e-13
     assert spm.LegLimits(1.1 - 1e-12, 1.5 + 1e-12).contains(states.readings).all()
     assert physical(states).all()
@@ -182,7 +182,7 @@ def test_random_states_of_a_machine_as_built(space: str) -> None:
 
 
 @pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
-def test_clearance_is_the_least_distance_of_two_legs_without_a_common_joint(machine: spm.Geometry) -> None:
+def test_clearance_is_the_least_distance_of_two_legs_without_a_common_joint(machine: spm.Manipulator) -> None:
     states = spm.forward_physical(machine, in_leg_space(PAPER, 6, 3).configuration.leg_lengths)
     found = leg_clearance(states)
     for k in range(6):
@@ -211,7 +211,7 @@ def test_crossed_legs_touch() -> None:
 
 
 @pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
-def test_margins_are_the_worst_and_infinite_without_limits(machine: spm.Geometry) -> None:
+def test_margins_are_the_worst_and_infinite_without_limits(machine: spm.Manipulator) -> None:
     states = spm.forward_physical(machine, in_leg_space(PAPER, 50, 4).configuration.leg_lengths)
     angles = joint_angles(states)
     assert np.isposinf(JointLimits().angle_margin(states)).all()

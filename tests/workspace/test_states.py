@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, PAPER
+from problems import MANIPULATORS, PAPER
 
 import spm_pin as spm
 from spm_pin.machine.branch_of_state import FAMILIES, family, physical
@@ -13,30 +13,30 @@ from spm_pin.workspace.states import StateSet, free_states, states_within
 BUILT = PAPER.perturbed(1, length=5e-3, angle=5e-3)
 
 
-@pytest.mark.parametrize("geometry", [PAPER, GEOMETRIES["equal triangles"], BUILT], ids=["paper", "equal", "as built"])
-def test_states_are_those_of_the_forward_displacement(geometry: spm.Geometry) -> None:
+@pytest.mark.parametrize("machine", [PAPER, MANIPULATORS["equal triangles"], BUILT], ids=["paper", "equal", "as built"])
+def test_states_are_those_of_the_forward_displacement(machine: spm.Manipulator) -> None:
     readings = np.random.default_rng(1).uniform(1.15, 1.45, (300, 6))
-    states = spm.forward_physical(geometry, readings)
+    states = spm.forward_physical(machine, readings)
     assert states.exists.all()
-    within = states_within(geometry, spm.LegLimits(1.1, 1.5))
+    within = states_within(machine, spm.LegLimits(1.1, 1.5))
     coordinates = within.coordinates(states)
     again = within.states(coordinates)
     np.testing.assert_allclose(within.readings(coordinates), readings, atol=1e-12)
     np.testing.assert_allclose(again.translation, states.translation, atol=1e-12)
     np.testing.assert_allclose(again.rotation, states.rotation, atol=1e-12)
     np.testing.assert_allclose(again.balls, states.balls, atol=1e-12)
-    joints = within.positions(coordinates, geometry.platform_joints).reshape(-1, 3, 3)
-    for k, joint in enumerate(geometry.platform_joints):
+    joints = within.positions(coordinates, machine.platform_joints).reshape(-1, 3, 3)
+    for k, joint in enumerate(machine.platform_joints):
         np.testing.assert_allclose(joints[:, k], states.pose.apply(joint), atol=1e-12)
 
 
-@pytest.mark.parametrize("geometry", [PAPER, BUILT], ids=["as drawn", "as built"])
+@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
 @pytest.mark.parametrize("modes", FAMILIES)
-def test_all_coordinates_in_the_unit_circle_are_states_of_their_family(geometry: spm.Geometry, modes: str) -> None:
+def test_all_coordinates_in_the_unit_circle_are_states_of_their_family(machine: spm.Manipulator, modes: str) -> None:
     rng = np.random.default_rng(2)
     coordinates = rng.uniform([-0.5, -0.5, 2.0], [0.5, 0.5, 3.0], (200, 2, 3))
     coordinates[:, 1, 2] *= -1.0
-    within = free_states(geometry, modes)
+    within = free_states(machine, modes)
     states = within.states(coordinates)
     assert states.closure_residual.max() < 1e-14
     np.testing.assert_array_equal(family(states), FAMILIES.index(modes))
@@ -54,12 +54,14 @@ def test_all_coordinates_in_the_unit_circle_are_states_of_their_family(geometry:
     assert np.isnan(within.readings(coordinates)[:, :3]).all()
 
 
-@pytest.mark.parametrize("geometry", [PAPER, BUILT], ids=["as drawn", "as built"])
-def test_the_aspect_is_that_of_physical_states_and_the_determinant_vanishes_at_its_end(geometry: spm.Geometry) -> None:
+@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
+def test_the_aspect_is_that_of_physical_states_and_the_determinant_vanishes_at_its_end(
+    machine: spm.Manipulator,
+) -> None:
     rng = np.random.default_rng(3)
     coordinates = rng.uniform(-0.8, 0.8, (3000, 2, 3)) * [1.0, 1.0, 2.0] + [[0.0, 0.0, 1.5], [0.0, 0.0, -1.5]]
     coordinates = coordinates[(np.hypot(coordinates[..., 0], coordinates[..., 1]) < 0.99).all(axis=-1)]
-    within = StateSet(geometry, np.zeros(6), np.full(6, 9.0))
+    within = StateSet(machine, np.zeros(6), np.full(6, 9.0))
     stages = [within.stages(stage, coordinates[:, stage]) for stage in range(2)]
     inside = stages[0].in_aspect & stages[1].in_aspect
     assert 0.1 < inside.mean() < 0.9
@@ -75,9 +77,9 @@ def test_derivatives_of_readings_and_determinants_are_those_by_differences() -> 
     from spm_pin.kinematics.kernels.stage_states import stage_states
 
     rng = np.random.default_rng(4)
-    for geometry in (PAPER, BUILT):
+    for machine in (PAPER, BUILT):
         for stage, upward in ((0, 1.0), (1, -1.0)):
-            within = states_within(geometry, spm.LegLimits(1.1, 1.5))
+            within = states_within(machine, spm.LegLimits(1.1, 1.5))
             coordinates = within.sample[:100, stage] + rng.normal(0.0, 0.1, (100, 3))
 
             def run(c: np.ndarray, within=within, stage=stage, upward=upward) -> tuple[np.ndarray, np.ndarray]:
@@ -93,13 +95,13 @@ def test_derivatives_of_readings_and_determinants_are_those_by_differences() -> 
 
 def test_uniform_states_of_a_stage_are_within_the_limits_and_their_volume_is_that_by_the_legs() -> None:
     limits, rng = spm.LegLimits(1.1, 1.5), np.random.default_rng(5)
-    for geometry in (PAPER, BUILT):
-        within = states_within(geometry, limits)
+    for machine in (PAPER, BUILT):
+        within = states_within(machine, limits)
         for stage in range(2):
             drawn, volume = within.draw_stages(stage, 20_000, rng)
             assert within.contains(stage, drawn).all()
             # ∫ dc = ∫ |det ∂c/∂l| dl.
-            coordinates = within.coordinates(spm.forward_physical(geometry, rng.uniform(1.1, 1.5, (20_000, 6))))
+            coordinates = within.coordinates(spm.forward_physical(machine, rng.uniform(1.1, 1.5, (20_000, 6))))
             slopes = np.empty((len(coordinates), 3, 3))
             for k in range(3):
                 step = 1e-6 * np.eye(3)[k]

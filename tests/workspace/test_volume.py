@@ -40,7 +40,7 @@ def test_two_methods_agree_on_the_volume() -> None:
 
 
 def test_a_volume_scales_with_the_cube_of_the_machine() -> None:
-    small = spm.Geometry(0.1 * PAPER.base_radius, 0.1 * PAPER.platform_radius, 0.1 * PAPER.middle_side)
+    small = spm.Manipulator(0.1 * PAPER.base_radius, 0.1 * PAPER.platform_radius, 0.1 * PAPER.middle_side)
     metres = reachable_volume(PAPER, NARROW, samples=150, rng=2)
     tenth = reachable_volume(small, spm.LegLimits(0.12, 0.14), samples=150, rng=2)
     assert tenth.value == pytest.approx(1e-3 * metres.value, rel=0.02)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES, PAPER
+from problems import MANIPULATORS, PAPER
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +15,7 @@ from spm_pin.workspace.positions import reachable_position, reachable_volume
 from spm_pin.workspace.search import search_states, start_table
 from spm_pin.workspace.states import states_within
 
-SMALL = spm.Geometry(0.4, 0.4, 0.4)
+SMALL = spm.Manipulator(0.4, 0.4, 0.4)
 BOXES = [
     (1.0, 1.5),
     (1.0, 1.6),
@@ -32,16 +32,16 @@ BOXES = [
 ]
 MACHINES = {
     "small": (SMALL, (0.5, 0.9)),
-    "equal triangles": (GEOMETRIES["equal triangles"], (0.8, 1.5)),
-    "wide base": (spm.Geometry(1.0, 0.3, 0.6), (0.9, 1.5)),
-    "wide platform": (spm.Geometry(0.5, 0.8, 0.7), (0.8, 1.4)),
+    "equal triangles": (MANIPULATORS["equal triangles"], (0.8, 1.5)),
+    "wide base": (spm.Manipulator(1.0, 0.3, 0.6), (0.9, 1.5)),
+    "wide platform": (spm.Manipulator(0.5, 0.8, 0.7), (0.8, 1.4)),
 }
 # m³: from meshes, see docs/theory/reachable_set.md; from the points of `volume_by_orientations`, sides 17 and 12,
 # that it or `search_states` reaches. Alone it gives 26.10 and 42.86. Every point counted has a pose within the limits.
 VOLUMES = {(1.1, 1.5): 1.859, (0.8, 1.8): 26.49, (0.6, 2.0): 43.07}
 
 
-def random_states(geometry: spm.Geometry, limits: spm.LegLimits, count: int, seed: int) -> spm.Configuration:
+def random_states(machine: spm.Manipulator, limits: spm.LegLimits, count: int, seed: int) -> spm.Configuration:
     """Physical states, from leg lengths drawn for each stage by itself, a part of them at limits."""
     rng = np.random.default_rng(seed)
     low, high = np.array(limits.minimum), np.array(limits.maximum)
@@ -52,13 +52,13 @@ def random_states(geometry: spm.Geometry, limits: spm.LegLimits, count: int, see
         share = np.where(rng.uniform(size=share.shape) < 0.3, np.round(share), share)
         legs = low + share * (high - low)
         if known is None:
-            known = legs[np.flatnonzero(spm.forward_physical(geometry, legs).exists)[0]]
+            known = legs[np.flatnonzero(spm.forward_physical(machine, legs).exists)[0]]
         for k in range(2):
             mixed = np.tile(known, (len(legs), 1))
             mixed[:, 3 * k : 3 * k + 3] = legs[:, 3 * k : 3 * k + 3]
-            good = spm.forward_physical(geometry, mixed).exists
+            good = spm.forward_physical(machine, mixed).exists
             halves[k] = np.concatenate([halves[k], legs[good, 3 * k : 3 * k + 3]])
-    return spm.forward_physical(geometry, np.concatenate([half[:count] for half in halves], axis=-1))
+    return spm.forward_physical(machine, np.concatenate([half[:count] for half in halves], axis=-1))
 
 
 def lengths_beyond(points: np.ndarray, rotation: Rotation, limits: tuple[float, float]) -> np.ndarray:
@@ -133,19 +133,19 @@ BOUNDARIES = [(PAPER, limits, 0.4) for limits in BOXES] + [(*machine, 0.2) for m
 
 
 @pytest.mark.parametrize(
-    ("geometry", "limits", "spacing"),
+    ("machine", "limits", "spacing"),
     [(PAPER, (1.1, 1.6), 0.6), *(pytest.param(*case, marks=pytest.mark.slow) for case in BOUNDARIES)],
 )
 def test_a_boundary_is_found_where_legs_can_pass_forward_singularities(
-    geometry: spm.Geometry, limits: tuple[float, float], spacing: float
+    machine: spm.Manipulator, limits: tuple[float, float], spacing: float
 ) -> None:
     box = spm.LegLimits(*limits)
-    boundary = spm.workspace.reachable_boundary(geometry, box, spacing=spacing)
+    boundary = spm.workspace.reachable_boundary(machine, box, spacing=spacing)
     edges = np.concatenate([boundary.faces[:, [0, 1]], boundary.faces[:, [1, 2]], boundary.faces[:, [2, 0]]])
     assert {tuple(edge) for edge in edges.tolist()} == {tuple(edge[::-1]) for edge in edges.tolist()}
     assert boundary.volume > 0.0
     assert spm.LegLimits(limits[0] - 1e-12, limits[1] + 1e-12).contains(boundary.readings).all()
-    states = spm.forward_physical(geometry, boundary.readings)
+    states = spm.forward_physical(machine, boundary.readings)
     assert states.exists.all()
     assert np.abs(states.translation - boundary.vertices).max() < 1e-3 * spacing
 

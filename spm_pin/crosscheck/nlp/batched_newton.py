@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from spm_pin.crosscheck.nlp import loop_equations
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -34,14 +34,14 @@ _LOST = 1e6
 
 
 class LoopEquations:
-    """The loop equations of one geometry, evaluated for many points at once without copies."""
+    """The loop equations of one machine, evaluated for many points at once without copies."""
 
-    def __init__(self, geometry: Geometry) -> None:
-        self.geometry = geometry
-        weights = geometry.legs.upper_ball_weights
-        self.curvature = 1.5 * float(1.0 / geometry.legs.sides.min() + np.abs(weights[:, 2]).sum())
+    def __init__(self, machine: Manipulator) -> None:
+        self.machine = machine
+        weights = machine.legs.upper_ball_weights
+        self.curvature = 1.5 * float(1.0 / machine.legs.sides.min() + np.abs(weights[:, 2]).sum())
         """The bound q of the equations' quadratic part [1/m]."""
-        self._function = loop_equations.closure(geometry)
+        self._function = loop_equations.closure(machine)
         self._mapped: dict[int, ca.Function] = {}
 
     def __call__(self, b: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -67,7 +67,7 @@ class LoopEquations:
 
     def rounding(self, b: FloatArray, matrix: FloatArray) -> FloatArray:
         """Return the residual [m] that rounding alone leaves at points b (n, 9)."""
-        reach = np.linalg.norm(matrix[:3, 3]) + self.geometry.platform_radius + self.geometry.middle_side
+        reach = np.linalg.norm(matrix[:3, 3]) + self.machine.platform_radius + self.machine.middle_side
         return np.asarray(ROUNDING * (reach + np.abs(b).max(axis=-1)))
 
 
@@ -78,7 +78,7 @@ def newton(
     b = starts.copy()
     converged = np.zeros(len(b), dtype=bool)
     active = np.arange(len(b))
-    far = _LOST * (equations.geometry.middle_side + float(np.linalg.norm(matrix[:3, 3])))
+    far = _LOST * (equations.machine.middle_side + float(np.linalg.norm(matrix[:3, 3])))
     for step in range(iterations + 1):
         residual, jacobian = equations(b[active], matrix)
         done = np.abs(residual).max(axis=-1) <= equations.rounding(b[active], matrix)

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from spm_pin.crosscheck.nlp import loop_equations
 from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, newton
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import Configuration, Geometry, PoseLike, SolutionSet, Status, as_rigid_transform
+from spm_pin.machine import Configuration, Manipulator, PoseLike, SolutionSet, Status, as_rigid_transform
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -80,7 +80,7 @@ class Search:
 
 
 def search(
-    geometry: Geometry,
+    machine: Manipulator,
     pose: PoseLike,
     *,
     starts: int = STARTS,
@@ -92,7 +92,7 @@ def search(
 
     Parameters
     ----------
-    geometry : Geometry
+    machine : Manipulator
         The manipulator, drawn or as built; its leg limits are not applied.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
@@ -111,7 +111,7 @@ def search(
     is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten seeds each.
     In machines as built none was missed in 4680 searches, with errors of 0.1, 1 and 3 mm, and as many mrad.
     """
-    check_instance(geometry, Geometry, "geometry")
+    check_instance(machine, Manipulator, "machine")
     starts = whole_number(starts, "starts", "a positive whole number", least=1)
     seed = whole_number(seed, "seed", "a whole number, not negative", most=1 << 128)
     choice(solver, "solver", SOLVERS)
@@ -121,14 +121,14 @@ def search(
         cause = "Did you mean solver='ipopt'?"
         raise ArgumentError("options", f"none for the solver {solver}", ", ".join(options), cause)
     transform = as_rigid_transform(pose)
-    method = IpoptSolver(geometry, options) if solver == "ipopt" else None
-    equations = loop_equations_of(geometry)
+    method = IpoptSolver(machine, options) if solver == "ipopt" else None
+    equations = loop_equations_of(machine)
     runs = []
     for matrix in transform.as_matrix().reshape(-1, 4, 4):
         run = Multistart(equations, matrix)
         run.run(method, starts, np.random.default_rng(seed))
         runs.append(run)
-    return _collect(geometry, transform, runs)
+    return _collect(machine, transform, runs)
 
 
 class IpoptSolver:
@@ -137,9 +137,9 @@ class IpoptSolver:
     Options that IPOPT or CasADi refuses raise `ArgumentError`, some of them only when the solver is called.
     """
 
-    def __init__(self, geometry: Geometry, options: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, machine: Manipulator, options: Mapping[str, Any] | None = None) -> None:
         b, pose = ca.SX.sym("b", 9), ca.SX.sym("pose", 12)
-        residual = loop_equations.equations(geometry, b, ca.reshape(pose[:9], 3, 3), pose[9:])
+        residual = loop_equations.equations(machine, b, ca.reshape(pose[:9], 3, 3), pose[9:])
         self._options = dict(options or {})
         problem = {"x": b, "p": pose, "f": ca.SX(0), "g": residual}
         try:
@@ -183,7 +183,7 @@ class Multistart:
 
     def run(self, method: IpoptSolver | None, starts: int, rng: np.random.Generator) -> None:
         """Make this number of starts; `method` None means Newton's method."""
-        begin = random_starts(self.equations.geometry, self.matrix, starts, rng)
+        begin = random_starts(self.equations.machine, self.matrix, starts, rng)
         if method is None:
             ends, converged = newton(self.equations, begin, self.matrix, _ITERATIONS)
         else:
@@ -191,7 +191,7 @@ class Multistart:
             ends, converged = newton(self.equations, method(begin, self.matrix), self.matrix, 3)
         self._count_hits(ends[converged])
         if not self.certificates:
-            self._minimize_residual(random_starts(self.equations.geometry, self.matrix, _LEAST_SQUARES, rng))
+            self._minimize_residual(random_starts(self.equations.machine, self.matrix, _LEAST_SQUARES, rng))
 
     def _count_hits(self, ends: FloatArray) -> None:
         """Certify the solutions among the end points (n, 9), and count how many led to each."""
@@ -238,9 +238,9 @@ class Multistart:
         return Status.UNREACHABLE if self.infeasibility > 3.0 * rounding else Status.UNSOLVED
 
 
-def random_starts(geometry: Geometry, matrix: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+def random_starts(machine: Manipulator, matrix: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
     """Draw starts b (count, 9) [m] for a pose (4, 4)."""
-    legs, rotation = geometry.legs, matrix[:3, :3].T
+    legs, rotation = machine.legs, matrix[:3, :3].T
     axes = np.concatenate([legs.axes[:3], legs.axes[3:] @ rotation])
     pivots = np.concatenate([legs.pivots[:3], legs.pivots[3:] @ rotation + matrix[:3, 3]])
     balls = legs.balls @ np.swapaxes(Rotation.random(count, rng=rng).as_matrix(), -1, -2)
@@ -253,7 +253,7 @@ def random_starts(geometry: Geometry, matrix: FloatArray, count: int, rng: np.ra
 loop_equations_of = functools.lru_cache(maxsize=32)(LoopEquations)
 
 
-def _collect(geometry: Geometry, transform: Any, runs: list[Multistart]) -> Search:
+def _collect(machine: Manipulator, transform: Any, runs: list[Multistart]) -> Search:
     """Gather the searches of all poses into arrays of the batch's shape."""
     shape = transform.shape
     joints = np.full((len(runs), MOST_BRANCHES, 9), np.nan)
@@ -266,15 +266,15 @@ def _collect(geometry: Geometry, transform: Any, runs: list[Multistart]) -> Sear
             joints[n, place] = run.certificates[k].b
     by_place, status = joints.reshape(*shape, MOST_BRANCHES, 3, 3), status.reshape(shape)
     # The equations do not know how far the legs reach.
-    readings = Configuration(geometry, transform.as_matrix()[..., None, :, :], by_place).readings
+    readings = Configuration(machine, transform.as_matrix()[..., None, :, :], by_place).readings
     by_place[~np.isfinite(readings).all(axis=-1)] = np.nan
     is_lost = (status == Status.OK) & np.isnan(by_place[..., 0, 0]).all(axis=-1)
     status = np.where(is_lost, Status.UNREACHABLE, status)
-    if geometry.is_nominal:
-        ordered = SolutionSet.from_unordered(geometry, transform, by_place, status != Status.UNSOLVED)
+    if machine.is_nominal:
+        ordered = SolutionSet.from_unordered(machine, transform, by_place, status != Status.UNSOLVED)
         status = np.where(status == Status.DEGENERATE, status, ordered.status)
     else:
-        states = Configuration(geometry, transform.as_matrix()[..., None, :, :], by_place)
+        states = Configuration(machine, transform.as_matrix()[..., None, :, :], by_place)
         ordered = SolutionSet(states, NUMBERS, status)
     branches = ordered.middle_joints.reshape(joints.shape)
     # Hits, sigma, error and isolation of each branch.

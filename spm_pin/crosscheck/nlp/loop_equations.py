@@ -1,4 +1,4 @@
-"""The loop equations in task space, as CasADi functions made from the geometry alone.
+"""The loop equations in task space, as CasADi functions made from the machine alone.
 
 The unknowns are the nine coordinates of the lower legs' ball joints b_1, b_2, b_3 in {B}. Each leg moves in a plane,
 Eqs. (5b) and (5c), and the joints are as far apart as the middle platform holds them, Eq. (12): nine equations, of any
@@ -18,30 +18,30 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.machine.manipulator import Geometry
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, type_and_value
 
 _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 """Shapes of the derivatives that `leg_jacobian` returns."""
 
 
-def legs(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
+def legs(machine: Manipulator, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
     """Return of each leg the unit revolute axis, and the vector from its pivot to its ball [m], in {B}. Eqs. (2), (4b).
 
     b (9,) are the lower legs' balls in {B} [m]; `rotation` (3, 3) and `translation` (3,) are the pose of {m} in {B}.
     """
-    axes, pivots = ([ca.SX(row) for row in rows] for rows in (geometry.legs.axes, geometry.legs.pivots))
+    axes, pivots = ([ca.SX(row) for row in rows] for rows in (machine.legs.axes, machine.legs.pivots))
     axes[3:] = [rotation @ axis for axis in axes[3:]]
     pivots[3:] = [translation + rotation @ pivot for pivot in pivots[3:]]
     b_1, b_2, b_3 = balls = _points(b)
     # In a machine as built the upper legs' balls are beside the lower ones, fixed to their triangle.
     frame = ca.horzcat(b_2 - b_1, b_3 - b_1, ca.cross(b_2 - b_1, b_3 - b_1))
-    weights = geometry.legs.upper_ball_weights
+    weights = machine.legs.upper_ball_weights
     balls = balls + [ball + frame @ ca.SX(row) for ball, row in zip(balls, weights, strict=True)]
     return [(axis, ball - pivot) for axis, pivot, ball in zip(axes, pivots, balls, strict=True)]
 
 
-def equations(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
+def equations(machine: Manipulator, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
     """Return the nine loop equations [m] as an expression (9,).
 
     They are the distances of the six legs' balls from the planes of their legs; and for the sides 12, 23, 31 of length
@@ -49,21 +49,21 @@ def equations(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX)
     `legs`.
     """
     points = _points(b)
-    planes = [ca.dot(axis, vector) for axis, vector in legs(geometry, b, rotation, translation)]
+    planes = [ca.dot(axis, vector) for axis, vector in legs(machine, b, rotation, translation)]
     sides = [
         (ca.sumsqr(points[i] - points[(i + 1) % 3]) - side * side) / (2.0 * side)
-        for i, side in enumerate(geometry.legs.sides.tolist())
+        for i, side in enumerate(machine.legs.sides.tolist())
     ]
     return ca.vertcat(*planes, *sides)
 
 
-def readings_of_legs(geometry: Geometry, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
+def readings_of_legs(machine: Manipulator, b: ca.SX, rotation: ca.SX, translation: ca.SX) -> ca.SX:
     """Return the readings of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 as an expression (6,): leg lengths by Eq. (20)."""
-    planes, shown = geometry.legs.planes, list[ca.SX]()
-    for leg, (_, vector) in enumerate(legs(geometry, b, rotation, translation)):
-        kind, turn = geometry.legs.kinds[leg // 3], (ca.SX.eye(3), rotation)[leg // 3]
+    planes, shown = machine.legs.planes, list[ca.SX]()
+    for leg, (_, vector) in enumerate(legs(machine, b, rotation, translation)):
+        kind, turn = machine.legs.kinds[leg // 3], (ca.SX.eye(3), rotation)[leg // 3]
         x, z = (ca.dot(turn @ ca.SX(direction[leg]), vector) for direction in planes)
-        shown.append(_READINGS[type(kind)](x, z, *kind.numbers[leg % 3].tolist()) + geometry.legs.offsets[leg])
+        shown.append(_READINGS[type(kind)](x, z, *kind.numbers[leg % 3].tolist()) + machine.legs.offsets[leg])
     readings: ca.SX = ca.vertcat(*shown)
     return readings
 
@@ -92,27 +92,27 @@ _READINGS: dict[type[LegKind], Callable[..., ca.SX]] = {
 """Readings of balls in the planes of the legs, written here again: methods share no code."""
 
 
-def closure(geometry: Geometry) -> ca.Function:
+def closure(machine: Manipulator) -> ca.Function:
     """Make ``closure(b, rotation, translation) -> residual, jacobian``.
 
     b (9,) [m] and the pose of {m} in {B}; residual (9,) [m] as in `equations`, and its dense Jacobian (9, 9) with
     respect to b, dimensionless with entries of at most one where the sides are right.
     """
-    b, rotation, translation = state = _symbols(geometry)
-    residual = equations(geometry, b, rotation, translation)
+    b, rotation, translation = state = _symbols(machine)
+    residual = equations(machine, b, rotation, translation)
     return _function("closure", state, residual=residual, jacobian=ca.densify(ca.jacobian(residual, b)))
 
 
-def readings(geometry: Geometry) -> ca.Function:
+def readings(machine: Manipulator) -> ca.Function:
     """Make ``readings(b, rotation, translation) -> readings``: those of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3.
 
     In metres, of RRS legs in radians; not a number for a ball out of a leg's reach.
     """
-    state = _symbols(geometry)
-    return _function("readings", state, readings=readings_of_legs(geometry, *state))
+    state = _symbols(machine)
+    return _function("readings", state, readings=readings_of_legs(machine, *state))
 
 
-def leg_jacobian(geometry: Geometry) -> ca.Function:
+def leg_jacobian(machine: Manipulator) -> ca.Function:
     """Make the derivatives from which the inverse Jacobian follows by the implicit function theorem.
 
     With F the loop equations, q the readings and x a small motion of the platform, (v, ω) at o in {B}, the inverse
@@ -124,7 +124,7 @@ def leg_jacobian(geometry: Geometry) -> ca.Function:
         ``leg_jacobian(b, rotation, translation) -> closure_b, closure_x, readings_b, readings_x`` of shapes (9, 9),
         (9, 6), (6, 9) and (6, 6); derivatives with respect to an angle are in metres.
     """
-    b, rotation, translation = state = _symbols(geometry)
+    b, rotation, translation = state = _symbols(machine)
     motion = ca.SX.sym("x", 6)
     # Around zero motion, R + [ω] R is the rotation to first order, and only that is differentiated.
     moved = rotation + ca.skew(motion[3:]) @ rotation
@@ -132,8 +132,8 @@ def leg_jacobian(geometry: Geometry) -> ca.Function:
     at_rest = {
         f"{name}_{variable}": ca.densify(ca.substitute(ca.jacobian(value, by), motion, ca.SX.zeros(6)))
         for name, value in (
-            ("closure", equations(geometry, b, moved, position)),
-            ("readings", readings_of_legs(geometry, b, moved, position)),
+            ("closure", equations(machine, b, moved, position)),
+            ("readings", readings_of_legs(machine, b, moved, position)),
         )
         for variable, by in (("b", b), ("x", motion))
     }
@@ -160,8 +160,8 @@ def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray
     return np.asarray(readings_x - readings_b @ motion)
 
 
-def _symbols(geometry: Geometry) -> tuple[ca.SX, ca.SX, ca.SX]:
-    check_instance(geometry, Geometry, "geometry")
+def _symbols(machine: Manipulator) -> tuple[ca.SX, ca.SX, ca.SX]:
+    check_instance(machine, Manipulator, "machine")
     return ca.SX.sym("b", 9), ca.SX.sym("R", 3, 3), ca.SX.sym("o", 3)
 
 

@@ -68,7 +68,7 @@ def J_alpha(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) ->
     [rad/s].
     """
     r_b, _, δ_b, δ_c = _legs(configuration)
-    R_1 = configuration.geometry.revolute_axes
+    R_1 = configuration.machine.revolute_axes
     R_2 = configuration.platform_axes
     ω_b = np.cross(R_1, r_b)  # the share of ω_rbi in the velocity of b_i, Eq. (27)
     b = configuration.middle_joints
@@ -117,7 +117,7 @@ def J(configuration: Configuration, mistakes: Table5Mistakes = CORRECT) -> Float
     """
     J_α = J_alpha(configuration, mistakes)
     scaled = J_α.copy()
-    scaled[..., 6:] /= configuration.geometry.middle_side
+    scaled[..., 6:] /= configuration.machine.middle_side
     regular = _are_regular(scaled, "inverse", configuration)[..., None, None]
     solved = np.linalg.solve(np.where(regular, J_α, np.eye(9)), J_lambda(configuration, mistakes))  # Eq. (30b)
     return np.where(regular, solved, np.nan)
@@ -146,7 +146,7 @@ def f_r(
     shape = broadcastable("T", torque.shape[:-1], "F and the configuration", shape)
     matrix = J_f(configuration, mistakes)
     scaled = matrix.copy()
-    scaled[..., 3:] /= configuration.geometry.middle_side
+    scaled[..., 3:] /= configuration.machine.middle_side
     regular = _are_regular(scaled, "forward", configuration)[..., None]
     matrix = np.where(regular[..., None], matrix, np.eye(6))
     both = np.concatenate([np.broadcast_to(force, (*shape, 3)), np.broadcast_to(torque, (*shape, 3))], axis=-1)
@@ -184,7 +184,7 @@ def _are_regular(scaled: FloatArray, kind: str, configuration: Configuration) ->
 
 def _legs(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the vectors r_b and r_c [m] and their unit vectors δ_b and δ_c, each (..., 3, 3), a row per leg."""
-    check_rps(configuration.geometry, "the paper's equations")
+    check_rps(configuration.machine, "the paper's equations")
     lengths = configuration.leg_lengths
     short = (lengths == 0.0).any(axis=-1)
     if short.any() and not configuration.shape:

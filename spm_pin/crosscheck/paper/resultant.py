@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from spm_pin.machine import Geometry, PoseLike, SolutionSet, as_rigid_transform
+from spm_pin.machine import Manipulator, PoseLike, SolutionSet, as_rigid_transform
 from spm_pin.support.arguments import FloatArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -45,13 +45,13 @@ class Resultant:
     """Side of the middle platform [m]."""
 
     @classmethod
-    def from_pose(cls, geometry: Geometry, pose: PoseLike) -> Resultant:
+    def from_pose(cls, machine: Manipulator, pose: PoseLike) -> Resultant:
         """Set up the lines for a pose, or a batch that is flattened."""
         matrix = as_rigid_transform(pose).as_matrix().reshape(-1, 4, 4)
         R, o = matrix[:, :3, :3], matrix[:, :3, 3]
         x, y = np.moveaxis(R[:, :, 0], -1, 0), np.moveaxis(R[:, :, 1], -1, 0)
         (x_l, x_m, x_n), (y_l, y_m, y_n) = x, y
-        c = geometry.platform_joints @ np.swapaxes(R, -1, -2) + o[:, None, :]  # Eq. (2a)
+        c = machine.platform_joints @ np.swapaxes(R, -1, -2) + o[:, None, :]  # Eq. (2a)
         (c_1x, c_1y, c_1z), (c_2x, c_2y, c_2z), (c_3x, c_3y, c_3z) = np.moveaxis(c, 0, -1)
         with np.errstate(divide="ignore", invalid="ignore"):
             # Eq. (10); the line b_3z = s_31 + s_32 b_3y is missing in print.
@@ -62,7 +62,7 @@ class Resultant:
             s_31 = ((-x_l + q * y_l) * c_3x - (x_m - q * y_m) * c_3y - (x_n - q * y_n) * c_3z) / (-x_n + q * y_n)
             s_32 = (q * x_l - 3 * y_l + x_m - q * y_m) / (-x_n + q * y_n)
         s = np.stack([s_11, s_12, s_21, s_22, s_31, s_32], axis=-1).reshape(-1, 3, 2)
-        return cls(np.where(np.isfinite(s), s, np.nan), geometry.middle_side)
+        return cls(np.where(np.isfinite(s), s, np.nan), machine.middle_side)
 
     @property
     def p(self) -> FloatArray:
@@ -188,16 +188,16 @@ def _quadratic(a: FloatArray, b: ComplexArray, c: ComplexArray) -> tuple[Complex
     return (-b + root) / (2 * a), (-b - root) / (2 * a)
 
 
-def solve(geometry: Geometry, pose: PoseLike) -> ComplexArray:
+def solve(machine: Manipulator, pose: PoseLike) -> ComplexArray:
     """Return all eight solutions of poses (...) as the paper finds them, real or complex.
 
     Rows b_i (..., 8, 3, 3) in {B} [m], in no particular order; NaN where Eq. (10) divides by zero.
     """
     transform = as_rigid_transform(pose)
-    return Resultant.from_pose(geometry, transform).solutions(0).reshape(*transform.shape, 8, 3, 3)
+    return Resultant.from_pose(machine, transform).solutions(0).reshape(*transform.shape, 8, 3, 3)
 
 
-def inverse_displacement(geometry: Geometry, pose: PoseLike, *, refine: int = 4) -> SolutionSet:
+def inverse_displacement(machine: Manipulator, pose: PoseLike, *, refine: int = 4) -> SolutionSet:
     """Return the paper's real solutions under the canonical labels, without discriminants.
 
     `refine` Newton steps on Eq. (13) are taken. Solutions whose imaginary parts are below 1e-7, in units of d
@@ -205,11 +205,11 @@ def inverse_displacement(geometry: Geometry, pose: PoseLike, *, refine: int = 4)
     line is vertical, or so steep that the solutions contradict one another.
     """
     transform = as_rigid_transform(pose)
-    resultant = Resultant.from_pose(geometry, transform)
+    resultant = Resultant.from_pose(machine, transform)
     joints = resultant.solutions(refine).reshape(*transform.shape, 8, 3, 3)
     slopes = np.abs(resultant.s[..., 1]).max(axis=-1)
     # A steep line magnifies what is left of an error in the y coordinates.
-    bound = (_REAL * geometry.middle_side * (1.0 + slopes)).reshape(*transform.shape, 1)
+    bound = (_REAL * machine.middle_side * (1.0 + slopes)).reshape(*transform.shape, 1)
     with np.errstate(invalid="ignore"):
         real = np.abs(joints.imag).max(axis=(-1, -2)) <= bound
         points = joints.real
@@ -219,7 +219,7 @@ def inverse_displacement(geometry: Geometry, pose: PoseLike, *, refine: int = 4)
     # Each side right to the tolerance: what Newton left unconverged is no solution.
     sides = np.sqrt(((points - np.roll(points, -1, axis=-2)) ** 2).sum(axis=-1))
     with np.errstate(invalid="ignore"):
-        closed = np.abs(sides - geometry.middle_side).max(axis=-1) <= bound
+        closed = np.abs(sides - machine.middle_side).max(axis=-1) <= bound
     keep = real & closed & ~repeated
     solved = np.isfinite(joints).all(axis=(-1, -2, -3))
-    return SolutionSet.from_unordered(geometry, transform, np.where(keep[..., None, None], points, np.nan), solved)
+    return SolutionSet.from_unordered(machine, transform, np.where(keep[..., None, None], points, np.nan), solved)

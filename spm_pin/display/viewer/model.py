@@ -28,7 +28,7 @@ from spm_pin.kinematics import (
 from spm_pin.kinematics.forward_displacement import read_readings
 from spm_pin.kinematics.path_following import existing_share, last_on_line
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.machine import FAMILIES, LEGS, Configuration, Geometry, SolutionSet, Stage, StageConfiguration, Status
+from spm_pin.machine import FAMILIES, LEGS, Configuration, Manipulator, SolutionSet, Stage, StageConfiguration, Status
 from spm_pin.machine.batched import Batched
 from spm_pin.machine.branch_of_state import family, physical
 from spm_pin.multibody.chain import ClosedChain
@@ -98,7 +98,7 @@ class SessionState:
     @cached_property
     def is_near(self) -> BoolArray:
         """Which of `SINGULARITIES` are near (3,), see `NEAR`."""
-        return np.asarray((self.travel < NEAR * self.shown.geometry.middle_side) | np.isnan(self.travel))
+        return np.asarray((self.travel < NEAR * self.shown.machine.middle_side) | np.isnan(self.travel))
 
     @property
     def measures(self) -> list[Measure]:
@@ -106,7 +106,7 @@ class SessionState:
         singular, measures = self.singularities, []
         rows = zip(SINGULARITIES, self.is_near, self.travel, singular.sigma, singular.condition, strict=True)
         for name, is_near, travel, *numbers in rows:
-            far = 10.0 * NEAR * self.shown.geometry.middle_side
+            far = 10.0 * NEAR * self.shown.machine.middle_side
             share, away = (min(travel / far, 1.0), length_text(travel)) if np.isfinite(travel) else (0.0, "–")
             measures.append(Measure(name, bool(is_near), share, away, *numbers))
         return measures
@@ -161,7 +161,7 @@ class SessionState:
 class ViewerModel:
     """A session's state and its transitions, from a configuration that exists. Not for several threads at once.
 
-    `chain` gives q, and `file` is where the geometry came from: for what is shared of a state.
+    `chain` gives q, and `file` is where the machine came from: for what is shared of a state.
     """
 
     conventions: ClassVar[dict[str, tuple[str, ...]]] = {
@@ -176,35 +176,35 @@ class ViewerModel:
     def __init__(self, start: Configuration, chain: ClosedChain | None = None, file: Path | None = None) -> None:
         self.chain, self.file = chain, file
         self.hold_limits = True  # whether a machine that is within its leg limits stays there
-        solutions = inverse_displacement(start.geometry, start.pose)
+        solutions = inverse_displacement(start.machine, start.pose)
         self.state = SessionState(start.pose, start, _label(solutions, start, ""), solutions, 0.0, np.zeros(6))
 
     def drag(self, target: RigidTransform) -> SessionState:
         """Move to a pose on the branch, or to the nearest reachable one."""
-        before, geometry = self.state.shown, self.state.shown.geometry
+        before, machine = self.state.shown, self.state.shown.machine
         label = self.state.label or FAMILIES[max(int(family(before)), 0)] + "+"
-        solutions = inverse_displacement(geometry, target)
+        solutions = inverse_displacement(machine, target)
         wanted = solutions[label]
-        limited = self.hold_limits and geometry.limits is not None and not before.limit_excess.any()
+        limited = self.hold_limits and machine.limits is not None and not before.limit_excess.any()
         if wanted.exists and not (limited and wanted.limit_excess.any()):
             return self._show(target, wanted, solutions)
         if limited:
-            nearest = nearest_reachable_pose(geometry, target, near=before)
+            nearest = nearest_reachable_pose(machine, target, near=before)
         else:
-            nearest = nearest_reachable_pose(geometry, target, geometry.legs.free_limits, branch=label, near=before)
+            nearest = nearest_reachable_pose(machine, target, machine.legs.free_limits, branch=label, near=before)
         shown, distance = nearest.configuration, nearest.distance
         if not shown.exists:  # at the edge rounding may decide; what is shown is reachable in any case
-            shown, distance = before, pose_distance(geometry, before.pose, target)
-        if distance <= _REACHED * geometry.middle_side:
+            shown, distance = before, pose_distance(machine, before.pose, target)
+        if distance <= _REACHED * machine.middle_side:
             return self._show(target, shown)
         return self._show(target, shown, distance=distance, remarks=[_out_of_reach(solutions, label, distance)])
 
     def set_readings(self, readings: npt.ArrayLike) -> SessionState:
         """Move to encoder readings (6,) in the assembly mode, as far as it lasts."""
         before = self.state.shown
-        target = read_readings(before.geometry.legs, before.geometry.size, readings)
+        target = read_readings(before.machine.legs, before.machine.size, readings)
         # The physical mode is solved for, without a path to follow.
-        shown = forward_physical(before.geometry, target, near=None if physical(before) else before)
+        shown = forward_physical(before.machine, target, near=None if physical(before) else before)
         share = 1.0
         if not shown.exists:
             shown, share = last_on_line(before, target)
@@ -239,7 +239,7 @@ class ViewerModel:
         x, y, z [m] and the angles [degrees], those around the pose's own.
         """
         shown = self.state.shown
-        poses, tree = _sampled_poses(shown.geometry)
+        poses, tree = _sampled_poses(shown.machine)
         now = pose_coordinates(shown.pose, convention)
         nearest = poses[tree.query(shown.platform_joints.ravel(), _NEIGHBOURS)[1]]
         steps = np.atleast_2d(pose_coordinates(nearest, convention) - now)
@@ -251,13 +251,13 @@ class ViewerModel:
     def reading_ranges(self) -> FloatArray:
         """Return the ends (6, 2) of the legs' sliders, in the units of readings."""
         shown = self.state.shown
-        return ranges_of_readings(shown, partial(forward_physical, shown.geometry) if self.state.is_physical else None)
+        return ranges_of_readings(shown, partial(forward_physical, shown.machine) if self.state.is_physical else None)
 
     def command(self, digits: int | None = 7) -> str:
         """Return the `spm-pin inverse` of what is shown, to so many decimals, or to float64's digits."""
         values = pose_coordinates(self.state.shown.pose)
         values = values if digits is None else values.round(digits)
-        is_paper = self.state.shown.geometry == Geometry.paper()
+        is_paper = self.state.shown.machine == Manipulator.paper()
         file = "FILE" if self.file is None and not is_paper else self.file
         return inverse_command(values[:3], values[3:], None if file is None else str(file))
 
@@ -273,7 +273,7 @@ class ViewerModel:
         numbers = {name: getattr(kind, name) for name in ("sigma", "condition", "scaled_determinants")}
         numbers["leg_travel"] = state.travel
         return {
-            "geometry": {"leg_limits": None, **shown.geometry.as_data()},
+            "geometry": {"leg_limits": None, **shown.machine.as_data()},
             "branch": state.label or None,
             "pose": shown.pose.as_matrix(),
             "translation": shown.translation,
@@ -307,7 +307,7 @@ class ViewerModel:
     ) -> SessionState:
         """Replace the state; `solutions` are those of the pose of `shown`, solved here if not given."""
         if solutions is None:
-            solutions = inverse_displacement(shown.geometry, shown.pose)
+            solutions = inverse_displacement(shown.machine, shown.pose)
         before = self.state
         label = _label(solutions, shown, before.label)
         origin = None if jump else (before.label, before.singularities.scaled_determinants)
@@ -333,7 +333,7 @@ class ReadingUnit(NamedTuple):
         return length_text(difference, digits)
 
 
-def reading_units(machine: Geometry | Stage) -> list[ReadingUnit]:
+def reading_units(machine: Manipulator | Stage) -> list[ReadingUnit]:
     """Return in which units the readings of the legs are shown: metres, those of a stage millimetres, or degrees."""
     length = ReadingUnit("mm", 1e3, 1) if isinstance(machine, Stage) else ReadingUnit("m", 1.0, 3)
     units = {"m": length, "rad": ReadingUnit("°", math.degrees(1.0), 1)}
@@ -353,8 +353,8 @@ class Measure(NamedTuple):
 
 def excess_warnings(shown: Configuration | StageConfiguration, forces: FloatArray | None) -> list[str]:
     """Return what to beware of where legs are beyond their limits, or hold no load."""
-    units = reading_units(shown.mechanism)
-    excess = zip(shown.mechanism.legs.names, shown.limit_excess, units, strict=True)
+    units = reading_units(shown.machine)
+    excess = zip(shown.machine.legs.names, shown.limit_excess, units, strict=True)
     over = ", ".join(f"{leg} by {unit.difference(abs(x), 1)}" for leg, x, unit in excess if x)
     warnings = [f"Beyond the leg limits: {over}."] if over else []
     return warnings if forces is not None else [*warnings, "The legs cannot hold every load here."]
@@ -392,26 +392,26 @@ def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:
     gaps = np.where(solutions.exists, gaps, np.inf)
     if not np.isfinite(gaps).any():
         return ""
-    same = gaps <= max(_SAME_BRANCH * shown.geometry.middle_side, 2.0 * float(gaps.min()))
+    same = gaps <= max(_SAME_BRANCH * shown.machine.middle_side, 2.0 * float(gaps.min()))
     if last in solutions.labels and same[solutions.labels.index(last)]:
         return last
     return str(solutions.labels[int(gaps.argmin())])
 
 
 @lru_cache(maxsize=4)
-def sampled_states(geometry: Geometry) -> Configuration:
+def sampled_states(machine: Manipulator) -> Configuration:
     """Return physical states (n,) within the leg limits, always the same: all pairs of a few states of each stage."""
-    few = random_states(geometry, _FEW, np.random.default_rng(0))
+    few = random_states(machine, _FEW, np.random.default_rng(0))
     middle = few.middle_pose.as_matrix()
     matrices = (middle[:, None] @ np.linalg.inv(middle) @ few.pose.as_matrix()).reshape(-1, 4, 4)
     joints = np.repeat(few.middle_joints, _FEW, axis=0)
-    return Configuration.from_arrays(geometry, matrices[:, :3, :3], matrices[:, :3, 3], joints)
+    return Configuration.from_arrays(machine, matrices[:, :3, :3], matrices[:, :3, 3], joints)
 
 
 @lru_cache(maxsize=4)
-def _sampled_poses(geometry: Geometry) -> tuple[RigidTransform, KDTree]:
+def _sampled_poses(machine: Manipulator) -> tuple[RigidTransform, KDTree]:
     """Return the poses (n,) of `sampled_states`, and the search tree of the places of their platform joints."""
-    states = sampled_states(geometry)
+    states = sampled_states(machine)
     return states.pose, KDTree(states.platform_joints.reshape(-1, 9))
 
 
@@ -419,7 +419,7 @@ def ranges_of_readings(
     configuration: Configuration | StageConfiguration, solve: Callable[[FloatArray], Batched] | None
 ) -> FloatArray:
     """Return the ranges of either machine; `solve` finds physical states, None where `configuration` is not."""
-    machine, now = configuration.mechanism, np.array(configuration.readings)
+    machine, now = configuration.machine, np.array(configuration.readings)
     longest, legs, limits = 3.0 * machine.size, machine.legs, machine.limits
     are_lengths = np.array(legs.units) == "m"
     high, low = np.where(are_lengths, longest, 1.5 * np.pi), np.where(are_lengths, -longest, -0.5 * np.pi)

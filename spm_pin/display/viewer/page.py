@@ -26,7 +26,7 @@ from spm_pin.display.viewer.stage_model import StageModel
 from spm_pin.display.writing import to_json
 from spm_pin.errors import ArgumentError, SpmError, require_extra
 from spm_pin.kinematics.forward_displacement import starting_configuration
-from spm_pin.machine import Configuration, Geometry, Stage, StageConfiguration
+from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
 from spm_pin.machine.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.stages import home_height, inverse_physical
@@ -48,7 +48,7 @@ class Viewer:
 
     Parameters
     ----------
-    start : Configuration, Geometry, StageConfiguration or Stage, optional
+    start : Configuration, Manipulator, StageConfiguration or Stage, optional
         What the page shows at first: a single configuration that exists, of a stage a physical one; or the machine, in
         a regular configuration near its home. By default the paper's manipulator.
     host : str
@@ -59,8 +59,8 @@ class Viewer:
         A path of a manipulator, which plays when a page is opened.
     dark : bool
         Whether pages are dark at first.
-    geometry_file : Path, optional
-        Where the geometry came from, for exported command lines.
+    machine_file : Path, optional
+        Where the machine came from, for exported command lines.
     demo : bool, optional
         Whether a manipulator moves until the user moves it; by default where no configuration and no path is given.
     progress : callable, optional
@@ -69,13 +69,13 @@ class Viewer:
 
     def __init__(
         self,
-        start: Configuration | Geometry | StageConfiguration | Stage | None = None,
+        start: Configuration | Manipulator | StageConfiguration | Stage | None = None,
         *,
         host: str = "127.0.0.1",
         port: int = 8080,
         recording: Recording | None = None,
         dark: bool = False,
-        geometry_file: Path | None = None,
+        machine_file: Path | None = None,
         demo: bool | None = None,
         progress: Progress | None = None,
     ) -> None:
@@ -90,15 +90,15 @@ class Viewer:
                 raise ArgumentError("recording", "none of a stage alone", recording)
             self.start = _stage_start(start)
             visual_parts(self.start.stage)  # raises for a stage that the description does not have
-            self.new_model = partial(StageModel, self.start, geometry_file)
+            self.new_model = partial(StageModel, self.start, machine_file)
         else:
-            if start is None or isinstance(start, Geometry):
-                self.start = starting_configuration(start or Geometry.paper())
+            if start is None or isinstance(start, Manipulator):
+                self.start = starting_configuration(start or Manipulator.paper())
             else:
                 self.start = check_configuration(start, "start", single=True, existing=True)
-            chain = ClosedChain.from_urdf(geometry=self.start.geometry)
+            chain = ClosedChain.from_urdf(machine=self.start.machine)
             chain.joint_values(self.start)  # raises where its loops do not close
-            self.new_model = partial(ViewerModel, self.start, chain, geometry_file)
+            self.new_model = partial(ViewerModel, self.start, chain, machine_file)
             if (not isinstance(start, Configuration) if demo is None else demo) and recording is None:
                 self.demo = demo_motion(self.start)
         progress("page", 1, 2)
@@ -281,7 +281,7 @@ class Session:
         path = viewer.recording or viewer.demo
         if path is not None:
             self.player = Player(self.queue.post, self._show_frame, float(path.times[-1]), repeat=path is viewer.demo)
-        self.scene = RobotScene(client.scene, viewer.start.mechanism, partial(self.report, "branch"))
+        self.scene = RobotScene(client.scene, viewer.start.machine, partial(self.report, "branch"))
         self.panel = Panel(client.gui, viewer, self.model, self.report, narrow=self._narrow)
         self.gizmo = client.scene.add_transform_controls(
             "/gizmo", scale=1.1 * self.scene.size, line_width=3.0, depth_test=False, opacity=0.9
@@ -360,7 +360,7 @@ class Session:
         self.show()
 
     def _on_leg(self, value: tuple[int, float]) -> None:
-        self._legs[value[0]] = value[1] / reading_units(self.viewer.start.mechanism)[value[0]].factor
+        self._legs[value[0]] = value[1] / reading_units(self.viewer.start.machine)[value[0]].factor
         self.model.set_readings(self._legs)
         self.show(("leg", value[0]))
 
@@ -439,9 +439,9 @@ class Session:
         start = state.shown if isinstance(recording.points, np.ndarray) else (state.label or None)
         try:
             try:
-                self.playback = recording.follow(state.shown.geometry, start)
+                self.playback = recording.follow(state.shown.machine, start)
             except ArgumentError:
-                self.playback = recording.follow(state.shown.geometry)
+                self.playback = recording.follow(state.shown.machine)
         except SpmError as error:
             self.panel.show_path(f"⚠ {error}")
             raise

@@ -49,7 +49,7 @@ class Panel:
 
     def __init__(self, gui: Any, viewer: Any, model: ViewerModel | StageModel, report: Report, *, narrow: bool) -> None:
         self.gui, self.model, self._report = gui, model, report
-        machine, is_robot = viewer.start.mechanism, isinstance(model, ViewerModel)
+        machine, is_robot = viewer.start.machine, isinstance(model, ViewerModel)
         limits = machine.limits
         self.theme(viewer.dark)
         gui.main_panel.dock_right()
@@ -183,7 +183,7 @@ def _set_slider(slider: Any, value: float, low: float, high: float) -> None:
 def status(state: State, convention: str = "X-Y-X") -> str:
     """Return the branch, the position with the angles in a convention, and the notices."""
     tags = ["physical" if state.is_physical else "not physical"]
-    if state.shown.mechanism.limits is not None:
+    if state.shown.machine.limits is not None:
         tags.append("within limits" if not state.shown.limit_excess.any() else "beyond limits")
     title = f'<b data-spm="branch">{escape(state.title)}</b> &nbsp;{escape(", ".join(tags))}'
     lines = [
@@ -226,7 +226,7 @@ def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str 
 
 
 def _legs(state: State) -> str:
-    machine, readings, cells = state.shown.mechanism, state.shown.readings, []
+    machine, readings, cells = state.shown.machine, state.shown.readings, []
     legs, units, limits = machine.legs, reading_units(machine), machine.limits
     for k, (leg, reading, excess, unit) in enumerate(
         zip(legs.names, readings, state.shown.limit_excess, units, strict=True)
@@ -272,13 +272,13 @@ def forces_table(state: State) -> str:
         return note("⚠ The legs cannot hold every load here.")
     largest = float(np.abs(forces).max())
     cells = []
-    for leg, force in zip(state.shown.mechanism.legs.names, forces, strict=True):
+    for leg, force in zip(state.shown.machine.legs.names, forces, strict=True):
         share = 0.5 * abs(force) / largest if largest > 0.0 else 0.0
         pushes = force >= 0.0
         bar = _bar(share, LOAD, side="left" if pushes else "right", start=0.5)
         sign = "" if abs(force) < 5e-4 else ("▲" if pushes else "▼")
         shown = fixed(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
         cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
-    efforts = " and ".join(dict.fromkeys(kind.effort_unit for kind in state.shown.mechanism.legs.kinds))
+    efforts = " and ".join(dict.fromkeys(kind.effort_unit for kind in state.shown.machine.legs.kinds))
     heading = f"<div><b>Leg forces</b> in {efforts}: ▲ pushes, ▼ pulls</div>"
     return f'<div style="{_BOX}">{heading}{_grid("max-content minmax(3em,1fr) max-content 1em", cells)}</div>'

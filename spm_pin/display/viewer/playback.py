@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.kinematics.path_following import FollowedPath, follow
-from spm_pin.machine import LEGS, Configuration, Geometry
+from spm_pin.machine import LEGS, Configuration, Manipulator
 from spm_pin.machine.machine import unit_hint
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.motion_table import POSITION, QUATERNION, MotionTable
@@ -38,15 +38,15 @@ class Recording:
     times: FloatArray
     """When it was at each (n,) [s], increasing from 0."""
 
-    def follow(self, geometry: Geometry, start: Configuration | str | None = None) -> Playback:
+    def follow(self, machine: Manipulator, start: Configuration | str | None = None) -> Playback:
         """Follow a solution along the path, by default the physical one; see `spm_pin.follow`."""
-        self.check_unit(geometry)
-        return Playback(follow(geometry, self.points, start), self.times)
+        self.check_unit(machine)
+        return Playback(follow(machine, self.points, start), self.times)
 
-    def check_unit(self, geometry: Geometry) -> None:
+    def check_unit(self, machine: Manipulator) -> None:
         """Raise `ArgumentError` if lengths are out of proportion to the machine."""
         lengths = self.points.translation if isinstance(self.points, RigidTransform) else self.points
-        if hint := unit_hint(geometry, lengths):
+        if hint := unit_hint(machine, lengths):
             raise ArgumentError("points", "lengths in metres", f"values up to {np.abs(lengths).max():g}", hint)
 
 
@@ -114,11 +114,11 @@ def demo_motion(start: Configuration) -> Playback | None:
     swing = (1.0 - np.cos(angles)) * (_ALONG + 0.5 * np.sin(2.0 * angles) * _ACROSS)
     times = np.linspace(0.0, _SECONDS, _POINTS)
     for size in (0.1375, 0.07, 0.035):
-        readings = start.readings + size * start.geometry.middle_side * swing / start.slopes
-        if (readings <= start.geometry.legs.least_readings).any():
+        readings = start.readings + size * start.machine.middle_side * swing / start.slopes
+        if (readings <= start.machine.legs.least_readings).any():
             continue
         try:
-            playback = Recording(readings, times).follow(start.geometry, start)
+            playback = Recording(readings, times).follow(start.machine, start)
         except SpmError:
             return None
         if playback.path.complete and not playback.path.events:

@@ -16,7 +16,7 @@ from spm_pin.description.visuals import part_placements, platforms, section_size
 from spm_pin.display.viewer.model import SessionState, sampled_states
 from spm_pin.display.viewer.stage_model import StageState
 from spm_pin.errors import SpmError
-from spm_pin.machine import BRANCHES, Configuration, Geometry, Stage, StageConfiguration
+from spm_pin.machine import BRANCHES, Configuration, Manipulator, Stage, StageConfiguration
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.notebook import view_axes
 
@@ -56,8 +56,8 @@ def solid_placements(configuration: Configuration | StageConfiguration) -> tuple
 
 
 @lru_cache(maxsize=4)
-def _shell(geometry: Geometry) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
-    shell = workspace_shell(geometry, resolution=_SHELL_RESOLUTION)
+def _shell(machine: Manipulator) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
+    shell = workspace_shell(machine, resolution=_SHELL_RESOLUTION)
     return np.asarray(shell.vertices, np.float32), np.asarray(shell.faces, np.uint32)
 
 
@@ -69,7 +69,7 @@ def _linear(colour: Colour) -> Colour:
 class RobotScene:
     """The nodes of one session in a client's viser scene; `on_click` takes the label of a ghost that is clicked."""
 
-    def __init__(self, scene: Any, machine: Geometry | Stage, on_click: OnClick) -> None:
+    def __init__(self, scene: Any, machine: Manipulator | Stage, on_click: OnClick) -> None:
         self.scene = scene
         self.machine = machine
         self._legs = machine.legs.names

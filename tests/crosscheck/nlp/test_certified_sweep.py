@@ -12,7 +12,7 @@ import spm_pin as spm
 from spm_pin.crosscheck import in_leg_space, nlp, on_all_rotations
 from spm_pin.machine import Status
 
-GEOMETRY = spm.Geometry.paper()
+GEOMETRY = spm.Manipulator.paper()
 MISS_RATE = 1e-3
 
 

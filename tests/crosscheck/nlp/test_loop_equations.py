@@ -7,7 +7,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from kinds_of_legs import machine, states
+from kinds_of_legs import machine_of_kinds, states
 from problems import PAPER, random_branches
 
 import spm_pin as spm
@@ -19,14 +19,14 @@ def arguments(state: spm.Configuration) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def test_residuals_are_distances_from_planes_and_errors_of_sides_and_lengths_those_of_the_state() -> None:
-    geometry = PAPER
-    state = random_branches(geometry, "TT", 1, 0).configuration[0]
-    closure = nlp.closure(geometry)
+    machine = PAPER
+    state = random_branches(machine, "TT", 1, 0).configuration[0]
+    closure = nlp.closure(machine)
     b, rotation, translation = arguments(state)
     step = 1e-3
     for i in range(3):
         moved = b.copy()
-        moved[3 * i : 3 * i + 3] += step * geometry.revolute_axes[i]
+        moved[3 * i : 3 * i + 3] += step * machine.revolute_axes[i]
         residual = np.asarray(closure(moved, rotation, translation)[0]).ravel()
         assert residual[i] == pytest.approx(step, rel=1e-9)
         moved = b.copy()
@@ -34,8 +34,8 @@ def test_residuals_are_distances_from_planes_and_errors_of_sides_and_lengths_tho
         residual = np.asarray(closure(moved, rotation, translation)[0]).ravel()
         assert residual[3 + i] == pytest.approx(step, rel=1e-9)
     sides = np.asarray(closure(1.5 * b, np.eye(3), np.zeros(3))[0]).ravel()[6:]
-    np.testing.assert_allclose(sides, (1.5**2 - 1.0) * geometry.middle_side / 2.0, rtol=1e-12)
-    lengths = np.asarray(nlp.readings(geometry)(b, rotation, translation)).ravel()
+    np.testing.assert_allclose(sides, (1.5**2 - 1.0) * machine.middle_side / 2.0, rtol=1e-12)
+    lengths = np.asarray(nlp.readings(machine)(b, rotation, translation)).ravel()
     np.testing.assert_allclose(lengths, state.readings, rtol=1e-13)
 
 
@@ -63,9 +63,9 @@ def test_equations_and_their_jacobian_in_a_machine_as_built() -> None:
 @pytest.mark.parametrize("built", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS"), ("RPS", "RRS")])
 def test_readings_and_rates_of_legs_of_any_kind(lower: str, upper: str, built: bool) -> None:
-    geometry = machine(lower, upper, built=built)
-    shown, derivatives = nlp.readings(geometry), nlp.leg_jacobian(geometry)
-    for state in states(geometry)[:10]:
+    machine = machine_of_kinds(lower, upper, built=built)
+    shown, derivatives = nlp.readings(machine), nlp.leg_jacobian(machine)
+    for state in states(machine)[:10]:
         np.testing.assert_allclose(np.asarray(shown(*arguments(state))).ravel(), state.readings, rtol=0, atol=1e-13)
         rates, expected = nlp.inverse_jacobian(derivatives(*arguments(state))), spm.inverse_jacobian(state)
         np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-11 * np.abs(expected).max() ** 2)
@@ -73,9 +73,9 @@ def test_readings_and_rates_of_legs_of_any_kind(lower: str, upper: str, built: b
 
 def test_functions_can_be_saved_loaded_and_compiled_from_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    geometry = PAPER
-    state = random_branches(geometry, "TT", 1, 5).configuration[0]
-    closure = nlp.closure(geometry)
+    machine = PAPER
+    state = random_branches(machine, "TT", 1, 5).configuration[0]
+    closure = nlp.closure(machine)
     expected = np.asarray(closure(*arguments(state))[1])
     closure.save("closure.casadi")
     again = ca.Function.load("closure.casadi")

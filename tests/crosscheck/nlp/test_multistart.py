@@ -6,7 +6,7 @@ import threading
 
 import numpy as np
 import pytest
-from problems import EXAMPLE, GEOMETRIES, PAPER, at_discriminant, in_leg_space, random_branches
+from problems import EXAMPLE, MANIPULATORS, PAPER, at_discriminant, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
@@ -33,12 +33,12 @@ def test_the_paper_s_six_branches_for_every_seed(seed: int) -> None:
     assert (found.hits[closed.exists] >= 2).all()
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 @pytest.mark.parametrize("family", spm.machine.FAMILIES)
 def test_all_branches_over_all_rotations(name: str, family: str) -> None:
-    problem = random_branches(GEOMETRIES[name], family, 4, 17)
-    found = nlp.search(problem.geometry, problem.pose)
-    closed = spm.inverse_displacement(problem.geometry, problem.pose)
+    problem = random_branches(MANIPULATORS[name], family, 4, 17)
+    found = nlp.search(problem.machine, problem.pose)
+    closed = spm.inverse_displacement(problem.machine, problem.pose)
     np.testing.assert_array_equal(found.solutions.exists, closed.exists)
     difference = np.linalg.norm((found.solutions.middle_joints - closed.middle_joints).reshape(4, 8, 9), axis=-1)
     # The closed form has an error of its own, of the same order as the bound's rounding part.

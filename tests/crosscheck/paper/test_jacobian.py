@@ -17,7 +17,7 @@ from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.rates_and_forces import inverse_jacobian
 
 EPS = np.finfo(float).eps
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
 
@@ -40,7 +40,7 @@ def condition_bound(configuration: spm.Configuration) -> tuple[np.ndarray, np.nd
     order one, eps κ(K) / σ_min(K). Lengths in units of d; moments at the middle platform's centre, and that
     moved to o, which magnifies by the distance.
     """
-    d = configuration.geometry.middle_side
+    d = configuration.machine.middle_side
     sigma_k = np.linalg.svd(problems.wrench_matrices(configuration)[..., 2, :, :], compute_uv=False)
     size = d + np.linalg.norm(configuration.translation - configuration.middle_joints.mean(axis=-2), axis=-1)
     scales = np.ones((*configuration.shape, 1, 6))
@@ -54,13 +54,13 @@ def condition_bound(configuration: spm.Configuration) -> tuple[np.ndarray, np.nd
 
 
 @pytest.mark.parametrize(
-    ("name", "family"), [("paper", "in leg space"), *itertools.product(problems.GEOMETRIES, spm.machine.FAMILIES)]
+    ("name", "family"), [("paper", "in leg space"), *itertools.product(problems.MANIPULATORS, spm.machine.FAMILIES)]
 )
 def test_paper_and_closed_form_agree_at_random(name, family):
     if family == "in leg space":
         problem = problems.in_leg_space(PAPER, 10_000, seed=31)
     else:
-        problem = problems.random_branches(problems.GEOMETRIES[name], family, 2_500, seed=32)
+        problem = problems.random_branches(problems.MANIPULATORS[name], family, 2_500, seed=32)
     state = problem.configuration
     scales, bound = condition_bound(state)
     assert (norm((jacobian.J_f(state) - inverse_jacobian(state)) * scales) <= bound).all()
@@ -103,12 +103,12 @@ def test_all_nine_rows_are_derivatives(label):
     assert (np.abs(fine - exact) <= tolerance).all()
 
 
-@pytest.mark.parametrize("name", problems.GEOMETRIES)
+@pytest.mark.parametrize("name", problems.MANIPULATORS)
 def test_determinant_of_j_alpha(name):
     """It is r_b1 r_b2 r_b3 / d³ times det K."""
     for family in spm.machine.FAMILIES:
-        state = problems.random_branches(problems.GEOMETRIES[name], family, 500, seed=34).configuration
-        d = state.geometry.middle_side
+        state = problems.random_branches(problems.MANIPULATORS[name], family, 500, seed=34).configuration
+        d = state.machine.middle_side
         J_α = jacobian.J_alpha(state)
         expected = state.leg_lengths[:, :3].prod(axis=-1) / d**3 * spm.determinants(state)[:, 2]
         J_α_scaled = J_α / [*[1] * 6, d, d, d]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracle import certified_counts
-from problems import EXAMPLE, GEOMETRIES, PAPER, Problem, in_leg_space, random_branches
+from problems import EXAMPLE, MANIPULATORS, PAPER, Problem, in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.crosscheck.paper import resultant
@@ -16,15 +16,15 @@ def assert_agreement(problem: Problem, losses: float) -> None:
 
     `losses` bounds the share of poses where the paper's route finds another number of branches.
     """
-    paper = resultant.inverse_displacement(problem.geometry, problem.pose)
-    closed = spm.inverse_displacement(problem.geometry, problem.pose)
+    paper = resultant.inverse_displacement(problem.machine, problem.pose)
+    closed = spm.inverse_displacement(problem.machine, problem.pose)
     differ = (paper.exists != closed.exists).any(axis=-1)
     assert differ.mean() < losses
-    truth = certified_counts(problem.pose[differ], problem.geometry.middle_side)
+    truth = certified_counts(problem.pose[differ], problem.machine.middle_side)
     np.testing.assert_array_equal(closed.count[differ], truth)
     assert (paper.count[differ] <= truth).all(), "the paper's route invents nothing"
     error = np.abs(paper.middle_joints - closed.middle_joints).max(axis=(-1, -2))
-    error = error[paper.exists & closed.exists & ~differ[:, None]] / problem.geometry.middle_side
+    error = error[paper.exists & closed.exists & ~differ[:, None]] / problem.machine.middle_side
     assert np.quantile(error, 0.5) < 1e-13
     assert np.quantile(error, 0.99) < 1e-9
 
@@ -32,9 +32,9 @@ def assert_agreement(problem: Problem, losses: float) -> None:
 @pytest.mark.parametrize(("count", "seed"), [(5_000, 1), pytest.param(20_000, 3, marks=pytest.mark.slow)])
 def test_agreement_in_leg_space_and_over_all_rotations(count: int, seed: int) -> None:
     assert_agreement(in_leg_space(PAPER, count, seed), losses=0.015)
-    for geometry in GEOMETRIES.values():
+    for machine in MANIPULATORS.values():
         for family in spm.machine.FAMILIES:
-            assert_agreement(random_branches(geometry, family, max(500, count // 16), seed + 1), losses=0.1)
+            assert_agreement(random_branches(machine, family, max(500, count // 16), seed + 1), losses=0.1)
 
 
 def test_the_roots_are_those_of_the_determinant_which_is_an_octic() -> None:

@@ -22,7 +22,7 @@ POSE = spm.pose(np.array(published.POSITION) / 100, xyx=np.deg2rad(published.XYX
 @pytest.fixture(scope="module")
 def solution_3() -> spm.Configuration:
     """The branch whose leg lengths are the third column of Table 4."""
-    branches = spm.inverse_displacement(spm.Geometry.paper(), POSE)
+    branches = spm.inverse_displacement(spm.Manipulator.paper(), POSE)
     column = np.array([float(row[2]) for row in published.TABLE_4]) / 100
     distance = np.abs(branches.leg_lengths - column).max(axis=-1)
     chosen = int(np.nanargmin(distance))

@@ -50,8 +50,8 @@ def test_resultant_and_closed_form_find_the_same_eight_solutions(found: Reproduc
 
 def test_equation_17_as_printed_has_no_real_root(found: Reproduction) -> None:
     assert found.equation_17 == MisprintedEquation(printed=0, mended=6, true=6)
-    lines = resultant.Resultant.from_pose(spm.Geometry.paper(), EXAMPLE)
-    true = spm.inverse_displacement(spm.Geometry.paper(), EXAMPLE).middle_joints[:, 1, 1]
+    lines = resultant.Resultant.from_pose(spm.Manipulator.paper(), EXAMPLE)
+    true = spm.inverse_displacement(spm.Manipulator.paper(), EXAMPLE).middle_joints[:, 1, 1]
     true = true[np.isfinite(true)]
     across = np.linspace(-0.9, 0.9, 50)
     scale = np.abs(lines.determinant(across)).max()

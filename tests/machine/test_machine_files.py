@@ -28,37 +28,40 @@ Q = 3**0.5
 
 
 @pytest.mark.parametrize(
-    ("text", "geometry"),
+    ("text", "machine"),
     [
-        ("base_radius: 0.5\nplatform_side: 0.3\nmiddle_side: 0.4\n", spm.Geometry(0.5, 0.3 / Q, 0.4)),
-        ("\ufeff" + GOOD, spm.Geometry.paper()),  # the byte order mark of editors on Windows
+        ("base_radius: 0.5\nplatform_side: 0.3\nmiddle_side: 0.4\n", spm.Manipulator(0.5, 0.3 / Q, 0.4)),
+        ("\ufeff" + GOOD, spm.Manipulator.paper()),  # the byte order mark of editors on Windows
         (
             f"{SIDES}leg_limits:\n{LEG_BY_LEG}",
-            spm.Geometry(1 / Q, 1 / Q, 1, spm.LegLimits([1, 1.1, 1.2, 1.3, 1.4, 1.5], [2, 2.1, 2.2, 2.3, 2.4, 2.5])),
+            spm.Manipulator(1 / Q, 1 / Q, 1, spm.LegLimits([1, 1.1, 1.2, 1.3, 1.4, 1.5], [2, 2.1, 2.2, 2.3, 2.4, 2.5])),
         ),
-        (f"{SIDES}leg_limits: [0, .inf]\n", spm.Geometry(1 / Q, 1 / Q, 1, spm.LegLimits(0.0, float("inf")))),
+        (f"{SIDES}leg_limits: [0, .inf]\n", spm.Manipulator(1 / Q, 1 / Q, 1, spm.LegLimits(0.0, float("inf")))),
         *(
-            (f"base_radius: 0.1\nmiddle_side: 0.1\nplatform_radius: {number}\n", spm.Geometry(0.1, float(number), 0.1))
+            (
+                f"base_radius: 0.1\nmiddle_side: 0.1\nplatform_radius: {number}\n",
+                spm.Manipulator(0.1, float(number), 0.1),
+            )
             for number in ("1e-3", "1.0e+0", "+.5", "3.", "2")
         ),
     ],
 )
-def test_a_file_gives_its_geometry(tmp_path: Path, text: str, geometry: spm.Geometry) -> None:
-    assert spm.Geometry.from_yaml(written(tmp_path / "robot.yaml", text)) == geometry
+def test_a_file_gives_its_geometry(tmp_path: Path, text: str, machine: spm.Manipulator) -> None:
+    assert spm.Manipulator.from_yaml(written(tmp_path / "robot.yaml", text)) == machine
 
 
 def test_rods_that_differ_from_leg_to_leg_are_those_of_a_machine_as_built(tmp_path: Path) -> None:
     text = GOOD.replace("leg_limits: [1.10, 1.50]", "upper_legs: {kind: PRS, rod: [1, 1.001, 1]}")
-    machine = spm.Geometry.from_yaml(written(tmp_path / "robot.yaml", text))
+    machine = spm.Manipulator.from_yaml(written(tmp_path / "robot.yaml", text))
     assert not machine.is_nominal
     assert machine.legs.kinds == (spm.RPS(), spm.PRS(rod=(1.0, 1.001, 1.0)))
-    assert machine == spm.Geometry(1.2 / Q, 0.6 / Q, 0.8, legs=machine.legs.kinds)
+    assert machine == spm.Manipulator(1.2 / Q, 0.6 / Q, 0.8, legs=machine.legs.kinds)
 
 
 def test_a_file_in_centimetres_gives_a_warning(tmp_path: Path) -> None:
     path = written(tmp_path / "robot.yaml", "base_side: 120\nmiddle_side: 80\nplatform_side: 60\n")
     with pytest.warns(UserWarning, match=r"middle_side is 80 m\. .* another unit\?"):
-        assert spm.Geometry.from_yaml(path).middle_side == 80.0
+        assert spm.Manipulator.from_yaml(path).middle_side == 80.0
 
 
 BOMB = "".join(
@@ -110,17 +113,17 @@ BOMB = "".join(
 )
 def test_a_malformed_file_gives_a_short_geometry_error(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(spm.GeometryError, match=words) as caught:
-        spm.Geometry.from_yaml(written(tmp_path / "robot.yaml", text))
+        spm.Manipulator.from_yaml(written(tmp_path / "robot.yaml", text))
     assert len(str(caught.value)) < 1500
 
 
 def test_no_file_and_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     with pytest.raises(spm.GeometryError, match="No such file"):
-        spm.Geometry.from_yaml(path)
+        spm.Manipulator.from_yaml(path)
     path.write_bytes(b"base_side: \xff\xfe")
     with pytest.raises(spm.GeometryError, match="text in UTF-8"):
-        spm.Geometry.from_yaml(path)
+        spm.Manipulator.from_yaml(path)
 
 
 WORDS = ["- ", "? ", "&a ", "*a", "!!", "---\n", "...\n", "<<: ", "0x", ".inf", "1e999", "\n", "\ufeff"]
@@ -138,17 +141,17 @@ def test_a_mutated_file_gives_a_geometry_or_a_geometry_error(tmp_path: Path, edi
     path = tmp_path / "robot.yaml"
     path.write_bytes(text.encode("utf-8", "surrogatepass"))
     with contextlib.suppress(spm.GeometryError):
-        assert spm.Geometry.from_yaml(path).middle_side > 0.0
+        assert spm.Manipulator.from_yaml(path).middle_side > 0.0
 
 
 @pytest.mark.filterwarnings("ignore:.*another unit")
 @pytest.mark.parametrize("limits", [None, spm.LegLimits([1.0, 1.1, 1.2, 0.9, 0.8, 0.7], [1.5, np.inf, 2, 2, 2, 2])])
 def test_a_file_there_and_back_keeps_every_bit(tmp_path: Path, limits: spm.LegLimits | None) -> None:
-    nominal = spm.Geometry(0.7, 1e-7, 0.8, limits)
+    nominal = spm.Manipulator(0.7, 1e-7, 0.8, limits)
     built = nominal.perturbed(2, length=1e-9, angle=1e-3)
     file = tmp_path / "machine.yaml"
     built.to_yaml(file)
-    assert spm.Geometry.from_yaml(file) == built
+    assert spm.Manipulator.from_yaml(file) == built
     assert "r_b1:" in file.read_text(encoding="utf-8")
 
 
@@ -168,10 +171,10 @@ def test_a_file_there_and_back_keeps_every_bit(tmp_path: Path, limits: spm.LegLi
 )
 def test_errors_of_a_file_name_the_key(tmp_path: Path, old: str, new: str, message: str) -> None:
     file = tmp_path / "machine.yaml"
-    legs = spm.Geometry(0.7, 0.4, 0.8).legs
-    spm.Geometry(0.7, 0.4, 0.8, legs=replace(legs, offsets=[0, 0, 0, 0, 0, 1e-3])).to_yaml(file)
+    legs = spm.Manipulator(0.7, 0.4, 0.8).legs
+    spm.Manipulator(0.7, 0.4, 0.8, legs=replace(legs, offsets=[0, 0, 0, 0, 0, 1e-3])).to_yaml(file)
     text = file.read_text(encoding="utf-8")
     assert old in text, text
     file.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(spm.GeometryError, match=message):
-        spm.Geometry.from_yaml(file)
+        spm.Manipulator.from_yaml(file)

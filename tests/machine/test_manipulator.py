@@ -6,29 +6,29 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from problems import GEOMETRIES
+from problems import MANIPULATORS
 
 import spm_pin as spm
 from spm_pin.machine import PARAMETERS
 from spm_pin.machine.manipulator import check_same_machine
 
-PAPER = spm.Geometry.paper()
+PAPER = spm.Manipulator.paper()
 
 
 def test_dimensions_joints_and_axes_are_those_of_the_paper() -> None:
     assert PAPER.dimensions == pytest.approx((1.2 / 3**0.5, 0.6 / 3**0.5, 0.8), rel=1e-15)
     assert PAPER.limits == spm.LegLimits(1.10, 1.50)
-    geometry, q = spm.Geometry(2.0, 1.0, 0.5), 3**0.5
-    a = geometry.base_joints
+    machine, q = spm.Manipulator(2.0, 1.0, 0.5), 3**0.5
+    a = machine.base_joints
     np.testing.assert_allclose(a, [[q, -1, 0], [0, 2, 0], [-q, -1, 0]], atol=1e-15)
-    np.testing.assert_allclose(geometry.platform_joints, a / 2, atol=1e-15)
+    np.testing.assert_allclose(machine.platform_joints, a / 2, atol=1e-15)
     # Each revolute axis is parallel to the opposite side.
     opposite = np.roll(a, -1, axis=0) - np.roll(a, -2, axis=0)
-    np.testing.assert_allclose(np.cross(opposite, geometry.revolute_axes), 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.cross(opposite, machine.revolute_axes), 0.0, atol=1e-15)
     # What is handed out is a copy.
-    geometry.base_joints[:] = geometry.revolute_axes[:] = 0.0
-    assert np.abs(geometry.base_joints).max() == 2.0
-    assert np.abs(geometry.revolute_axes).max() == 1.0
+    machine.base_joints[:] = machine.revolute_axes[:] = 0.0
+    assert np.abs(machine.base_joints).max() == 2.0
+    assert np.abs(machine.revolute_axes).max() == 1.0
 
 
 @pytest.mark.parametrize("name", ["base_radius", "platform_radius", "middle_side"])
@@ -36,7 +36,7 @@ def test_dimensions_joints_and_axes_are_those_of_the_paper() -> None:
 def test_a_dimension_must_be_a_positive_number_of_a_sane_size(name: str, value: object) -> None:
     dimensions = {"base_radius": 1.0, "platform_radius": 0.5, "middle_side": 0.7, name: value}
     with pytest.raises(spm.GeometryError, match=f"{name}: expected a positive") as caught:
-        spm.Geometry(**dimensions)  # type: ignore[arg-type]
+        spm.Manipulator(**dimensions)  # type: ignore[arg-type]
     assert caught.value.argument == name
 
 
@@ -68,7 +68,7 @@ def test_limits_in_another_unit_than_the_dimensions_are_refused(
     dimensions: tuple[float, ...], limits: tuple[float, float], says: str
 ) -> None:
     with pytest.raises(spm.GeometryError, match=f"^limits: .*{says}"):
-        spm.Geometry(*dimensions, spm.LegLimits(*limits))
+        spm.Manipulator(*dimensions, spm.LegLimits(*limits))
 
 
 @pytest.mark.parametrize(
@@ -88,9 +88,9 @@ def test_wrong_limits_are_refused(minimum: object, maximum: object, words: str) 
 
 def test_the_text_of_a_geometry_is_short() -> None:
     assert repr(PAPER) == (
-        "Geometry(base_radius=0.69282, platform_radius=0.34641, middle_side=0.8, limits=LegLimits(1.1, 1.5))"
+        "Manipulator(base_radius=0.69282, platform_radius=0.34641, middle_side=0.8, limits=LegLimits(1.1, 1.5))"
     )
-    assert repr(spm.Geometry(1, 1, 1)) == "Geometry(base_radius=1, platform_radius=1, middle_side=1)"
+    assert repr(spm.Manipulator(1, 1, 1)) == "Manipulator(base_radius=1, platform_radius=1, middle_side=1)"
     assert repr(spm.LegLimits.stages((1, 2), (1.5, 3))) == "LegLimits.stages((1, 2), (1.5, 3))"
     assert repr(spm.LegLimits(range(6), 9)) == "LegLimits([0, 1, 2, 3, 4, 5], [9, 9, 9, 9, 9, 9])"  # type: ignore[arg-type]
 
@@ -98,14 +98,14 @@ def test_the_text_of_a_geometry_is_short() -> None:
 @pytest.mark.filterwarnings("ignore:.*another unit")
 @pytest.mark.parametrize("scale", [1e-9 / 0.34, 1e-6, 1e3, 1e9])
 def test_results_scale_with_the_machine(scale: float) -> None:
-    unit = spm.Geometry(1.2 / 3**0.5, 0.6 / 3**0.5, 0.8)
-    scaled = spm.Geometry(*(scale * size for size in (unit.base_radius, unit.platform_radius, unit.middle_side)))
+    unit = spm.Manipulator(1.2 / 3**0.5, 0.6 / 3**0.5, 0.8)
+    scaled = spm.Manipulator(*(scale * size for size in (unit.base_radius, unit.platform_radius, unit.middle_side)))
     position, angles, load = np.array([0.6889, 0.4963, 2.253]), np.deg2rad([-11.08, 32.97, -12.88]), np.ones(6)
 
-    def results(geometry: spm.Geometry, length: float) -> list[np.ndarray]:
-        branches = spm.inverse_displacement(geometry, spm.pose(length * position, xyx=angles))
+    def results(machine: spm.Manipulator, length: float) -> list[np.ndarray]:
+        branches = spm.inverse_displacement(machine, spm.pose(length * position, xyx=angles))
         state = branches.physical()
-        modes = spm.forward_displacement(geometry, state.leg_lengths)
+        modes = spm.forward_displacement(machine, state.leg_lengths)
         forces = spm.leg_forces(state, load * [1, 1, 1, length, length, length])
         near = spm.singularities(state)
         return [branches.leg_lengths / length, modes.translation / length, forces, near.sigma, near.scaled_determinants]
@@ -114,24 +114,24 @@ def test_results_scale_with_the_machine(scale: float) -> None:
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
-def machine(seed: int = 0, length: float = 1e-3, angle: float = 1e-3) -> spm.Geometry:
+def built_machine(seed: int = 0, length: float = 1e-3, angle: float = 1e-3) -> spm.Manipulator:
     return PAPER.perturbed(seed, length=length, angle=angle)
 
 
-@pytest.mark.parametrize("name", GEOMETRIES)
+@pytest.mark.parametrize("name", MANIPULATORS)
 def test_without_errors_it_has_the_nominal_dimensions(name: str) -> None:
-    geometry = GEOMETRIES[name]
-    legs = geometry.legs
-    np.testing.assert_array_equal(legs.pivots, np.concatenate([geometry.base_joints, geometry.platform_joints]))
-    np.testing.assert_array_equal(legs.axes, np.tile(geometry.revolute_axes, (2, 1)))
+    machine = MANIPULATORS[name]
+    legs = machine.legs
+    np.testing.assert_array_equal(legs.pivots, np.concatenate([machine.base_joints, machine.platform_joints]))
+    np.testing.assert_array_equal(legs.axes, np.tile(machine.revolute_axes, (2, 1)))
     sides = np.linalg.norm(legs.balls[:3] - np.roll(legs.balls[:3], 1, axis=0), axis=-1)
-    np.testing.assert_allclose(sides, geometry.middle_side, rtol=1e-15)
-    assert (geometry.parameters.reshape(6, 9)[:, :2] == 0.0).all()
+    np.testing.assert_allclose(sides, machine.middle_side, rtol=1e-15)
+    assert (machine.parameters.reshape(6, 9)[:, :2] == 0.0).all()
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-12, 1e-4, 0.05, 0.2])
 def test_parameters_there_and_back(size: float) -> None:
-    built = machine(3, size, size)
+    built = built_machine(3, size, size)
     again = built.from_parameters(built.parameters)
     for name in ("axes", "pivots", "balls", "offsets"):
         np.testing.assert_allclose(getattr(again.legs, name), getattr(built.legs, name), rtol=0, atol=4e-16)
@@ -141,19 +141,19 @@ def test_parameters_there_and_back(size: float) -> None:
 
 
 def test_errors_have_the_standard_deviations_asked_for() -> None:
-    many = np.stack([machine(seed, 2e-4, 5e-4).parameters - PAPER.parameters for seed in range(400)])
+    many = np.stack([built_machine(seed, 2e-4, 5e-4).parameters - PAPER.parameters for seed in range(400)])
     scale = np.tile(np.repeat([5e-4, 2e-4], [2, 7]), 6)
     # 400 samples: the standard deviation of a standard deviation is 3.5 %.
     assert (np.abs(many.std(axis=0) / scale - 1.0) < 0.18).all()
     assert (np.abs(many.mean(axis=0)) < 0.25 * scale).all()
-    turned = machine(1, 0.0, 1e-3)
+    turned = built_machine(1, 0.0, 1e-3)
     np.testing.assert_array_equal(turned.legs.pivots, PAPER.legs.pivots)
     np.testing.assert_array_equal(turned.legs.offsets, PAPER.legs.offsets)
-    assert machine(5) == machine(5) != machine(6)
+    assert built_machine(5) == built_machine(5) != built_machine(6)
 
 
 def test_geometry_is_frozen_and_compared_by_value() -> None:
-    built = machine()
+    built = built_machine()
     for twin in (copy.deepcopy(built), pickle.loads(pickle.dumps(built)), copy.copy(built)):
         assert twin == built
         assert hash(twin) == hash(built)
@@ -162,7 +162,7 @@ def test_geometry_is_frozen_and_compared_by_value() -> None:
     with pytest.raises(AttributeError):
         built.legs = built.legs  # type: ignore[misc]
     pivots = np.array(built.legs.pivots)
-    twin = spm.Geometry(*PAPER.dimensions, PAPER.limits, replace(built.legs, pivots=pivots))
+    twin = spm.Manipulator(*PAPER.dimensions, PAPER.limits, replace(built.legs, pivots=pivots))
     pivots[0, 0] = 99.0
     assert twin == built
     assert built != PAPER
@@ -173,16 +173,16 @@ def test_geometry_is_frozen_and_compared_by_value() -> None:
 
 
 def test_a_machine_without_errors_is_the_drawn_one() -> None:
-    copies = machine(0, 0.0, 0.0), replace(PAPER, legs=replace(PAPER.legs)), pickle.loads(pickle.dumps(PAPER))
-    for geometry in copies:
-        assert geometry.is_nominal
-        assert geometry == PAPER
-        assert geometry.nominal is geometry
-    built = machine()
+    copies = built_machine(0, 0.0, 0.0), replace(PAPER, legs=replace(PAPER.legs)), pickle.loads(pickle.dumps(PAPER))
+    for machine in copies:
+        assert machine.is_nominal
+        assert machine == PAPER
+        assert machine.nominal is machine
+    built = built_machine()
     assert not built.is_nominal
     assert built.nominal == PAPER
     # Drawn legs follow the dimensions; legs as built stay.
-    assert replace(PAPER, base_radius=0.5) == spm.Geometry(0.5, *PAPER.dimensions[1:], PAPER.limits)
+    assert replace(PAPER, base_radius=0.5) == spm.Manipulator(0.5, *PAPER.dimensions[1:], PAPER.limits)
     assert replace(built, base_radius=0.5).legs == built.legs
 
 
@@ -199,7 +199,7 @@ def test_a_machine_without_errors_is_the_drawn_one() -> None:
     ],
 )
 def test_what_is_no_machine_is_an_error_that_names_the_argument(name: str, value: object, message: str) -> None:
-    built = machine()
+    built = built_machine()
     with pytest.raises(spm.GeometryError, match=message):
         replace(built.legs, **{name: value})
     with pytest.raises(spm.ArgumentError, match=r"parameters.*degrees"):
