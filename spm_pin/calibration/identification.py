@@ -31,7 +31,6 @@ from spm_pin.kinematics.random_states import random_states
 from spm_pin.machine import LEGS, Configuration, Manipulator, as_rigid_transform
 from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.legs import RADIAL
-from spm_pin.support import notebook
 from spm_pin.support.arguments import BoolArray, FloatArray, as_bool, check_instance, choice, generator, whole_number
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
@@ -108,14 +107,6 @@ class Calibration:
             f"{len(self.deviations) + len(self.unidentifiable)} combinations from {len(self.residuals)} measurements, "
             f"position error {first:.3g} mm before, {last:.3g} mm after>"
         )
-
-    def _repr_html_(self) -> str:
-        rows = [
-            (name, f"{1e3 * np.sqrt((size**2).mean()):.3g}", f"{1e3 * size.max():.3g}")
-            for name, size in zip(("before", "after"), self._sizes(), strict=True)
-        ]
-        rows += [("reduced χ²", f"{self.chi_square:.3g}", ""), ("outliers", f"{np.count_nonzero(self.outliers)}", "")]
-        return notebook.table(repr(self), ("position error", "RMS [mm]", "largest [mm]"), rows)
 
     def _sizes(self) -> list[FloatArray]:
         """Return the position errors before and after [m], (N,) each."""

@@ -14,7 +14,6 @@ from spm_pin.calibration.identification import given_or_drawn
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.machine import Configuration, Manipulator
-from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, check_instance, choice, generator, real_number, whole_number
 
 
@@ -39,10 +38,6 @@ class ToleranceAnalysis:
         return (
             f"<ToleranceAnalysis: {1e3 * position:.3g} mm and {1e3 * angle:.3g} mrad RMS, {len(self.samples)} samples>"
         )
-
-    def _repr_html_(self) -> str:
-        rows = [(name, f"{share:.1%}") for name, share in self.ranking("component")]
-        return notebook.table(repr(self), ("component", "share of the variance of the position"), rows)
 
     @property
     def rms(self) -> tuple[float, float]:

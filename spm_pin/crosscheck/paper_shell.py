@@ -21,7 +21,6 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator
 from spm_pin.machine.manipulator import check_rps
-from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, IntArray, first_offender, frozen, type_and_value, whole_number
 from spm_pin.workspace.boundary import ClosedMesh
 from spm_pin.workspace.states import finite_limits
@@ -162,10 +161,6 @@ class Shell(ClosedMesh):
     def __repr__(self) -> str:
         size = f"{len(self.vertices)} vertices, {len(self.faces)} faces"
         return f"<Shell: {len(self.patches)} patches, {size}, {self.volume:.4f} m³>"
-
-    def _repr_html_(self) -> str:
-        rows = [(patch.name, f"{patch.area:.4f}") for patch in self.patches]
-        return notebook.table(repr(self), ("patch", "area [m²]"), rows)
 
     def __getitem__(self, name: str) -> Patch:
         for patch in self.patches:

@@ -28,7 +28,6 @@ from spm_pin.formulas.wrenches import determinant, structure_determinant
 from spm_pin.kinematics.batches import run_kernel, run_on_states
 from spm_pin.kinematics.rates_and_forces import SINGULAR, force_matrices, leg_constants, platform_jacobian
 from spm_pin.machine.configuration import Configuration, check_configuration
-from spm_pin.support import notebook
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 
 _MIN_BATCH_PER_THREAD = 1 << 11
@@ -110,23 +109,6 @@ class Singularities:
         smallest = np.where(exists[..., None], self.sigma, np.inf).reshape(-1, 3).min(axis=0, initial=np.inf)
         sigmas = ", ".join(f"{value:.2e}" for value in smallest)
         return f"<Singularities: {kinds_text(self.kind, exists)}; smallest singular values of J_b, J_c, K: {sigmas}>"
-
-    def _repr_html_(self) -> str:
-        if self.kind.shape:
-            header = ("index", "kind", *(f"smallest singular value of {name}" for name in _MATRICES), "mobility")
-            return notebook.table(repr(self), header, notebook.first_rows(self.kind.shape, self._cells))
-        columns = zip(_MATRICES, self.scaled_determinants, self.sigma, self.condition, strict=True)
-        rows = [(name, *(f"{value:.3g}" for value in values)) for name, *values in columns]
-        header = ("matrix", "determinant [d³]", "smallest singular value", "condition")
-        return notebook.table(repr(self), header, rows)
-
-    def _cells(self, index: tuple[int, ...]) -> tuple[str, ...]:
-        """Return the cells of a state in a notebook's table."""
-        if not self.rank[index].any():
-            return ("does not exist",)
-        kind, mobility = SingularityKind(int(self.kind[index])), int(self.mobility[index])
-        free = "not defined" if mobility < 0 else str(mobility)
-        return (str(kind), *(f"{value:.3g}" for value in self.sigma[index]), free)
 
 
 def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) -> Singularities:

@@ -89,8 +89,7 @@ class Configuration(Batched):
 
     def _repr_html_(self) -> str:
         if not self.shape:
-            picture = notebook.stick_figure(self.leg_bases, self.balls) if self.exists else ""
-            return notebook.table(repr(self), self._columns, [self._cells()] if self.exists else [], picture)
+            return notebook.table(repr(self), self._columns, [self._cells()] if self.exists else [])
         rows = notebook.first_rows(self.shape, lambda index: self[index]._cells())
         return notebook.table(repr(self), ("index", *self._columns), rows)
 

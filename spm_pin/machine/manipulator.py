@@ -38,7 +38,6 @@ from spm_pin.machine.machine_files import (
     read_mapping,
 )
 from spm_pin.machine.stage import Stage
-from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, check_instance, dimension
 
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in COMPONENTS)
@@ -110,26 +109,6 @@ class Manipulator(Machine):
         sizes = ", ".join(f"{name}={getattr(self, name):.6g}" for name in _DIMENSIONS.values())
         legs = "" if self.legs.are_rps else f", legs={self.legs.kinds!r}"
         return f"Manipulator({sizes}{legs}{self._repr_end()}"
-
-    def _repr_html_(self) -> str:
-        dimensions = zip(("E, base radius", "C, platform radius", "d, middle side"), self.dimensions, strict=True)
-        rows = [(name, f"{value:.6g} m") for name, value in dimensions]
-        limits = self.limits or LegLimits(-math.inf, math.inf)
-        ends = zip(limits.minimum, limits.maximum, self.legs.units, strict=True)
-        pairs = [f"{low:.6g} to {high:.6g} {unit}" for low, high, unit in ends if self.limits is not None]
-        if len(set(pairs)) <= 1:
-            rows.append(("leg limits", pairs[0] if pairs else "none"))
-        else:
-            rows += [(f"limits of {leg}", pair) for leg, pair in zip(LEGS, pairs, strict=True)]
-        if not self.is_nominal:
-            for name, deviations in zip(
-                ("axes", "pivots", "balls", "offsets"), self.legs.deviations(self.nominal.legs), strict=True
-            ):
-                leg = int(deviations.argmax())
-                unit = "m" + {"axes": "rad", "offsets": self.legs.units[leg]}.get(name, "m")
-                rows.append((f"{name} off the drawing", f"up to {1e3 * deviations[leg]:.3g} {unit}, {LEGS[leg]}"))
-        title = "Machine as drawn" if self.is_nominal else "Machine as built"
-        return notebook.table(title, ("dimension", ""), rows)
 
     @classmethod
     @raised_as(GeometryError)

@@ -169,9 +169,7 @@ class SolutionSet(Solutions[Configuration]):
             ]
         if self.count > len(rows):
             rows.append([f"and {self.count - len(rows)} more"])
-        legs = self.configurations
-        pictures = "".join(notebook.stick_figure(legs.leg_bases[k], legs.balls[k], names[k]) for k in list(names)[:8])
-        return notebook.table(repr(self), header, rows, pictures)
+        return notebook.table(repr(self), header, rows)
 
     def where(self, mask: npt.ArrayLike) -> SolutionSet:
         """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN."""

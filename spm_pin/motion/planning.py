@@ -27,7 +27,6 @@ from spm_pin.machine.manipulator import check_same_machine
 from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spaced_parameters, states_along
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
-from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -72,12 +71,6 @@ class MotionPlan:
             return f"<MotionPlan: none, {self.reason}>"
         proved = ", certified" if self.certified else ""
         return f"<MotionPlan: {self.method}{proved}, least determinant {self.margin:.3g} d³>"
-
-    def _repr_html_(self) -> str:
-        if self.path is None:
-            return notebook.table(repr(self), (), ())
-        picture = notebook.curves(np.linspace(0.0, 1.0, 200), self.configurations().readings, "readings over the path")
-        return notebook.table(repr(self), (), (), picture)
 
     @property
     def exists(self) -> bool:

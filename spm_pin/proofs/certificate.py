@@ -40,7 +40,6 @@ from spm_pin.proofs.stage_proof import (
     region_coordinates,
     rounded_down,
 )
-from spm_pin.support import notebook
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
 
 _ROUNDING = 1e-15
@@ -184,15 +183,6 @@ class Certificate:
             whose = "The machine as assembled is there singular, or ends in it."
         smaller = ", and so do smaller errors" if any(self.errors) else ""
         return [whose, f"Narrower limits help: largest_certified_limits finds the widest{smaller}."]
-
-    def _repr_html_(self) -> str:
-        names, least = ("lower", "upper"), (self.lower, self.upper)
-        rows = [
-            (name, f"{proof.boxes:,}", f"{len(proof.undecided):,}", f"{rounded_down(bound)} d³")
-            for name, proof, bound in zip(names, least, self.bounds, strict=True)
-        ]
-        header = ("stage", "boxes", "undecided", "least |det J|, proved")
-        return notebook.table(self.explain(), header, rows)
 
     def __repr__(self) -> str:
         return f"<Certificate: {self.verdict}>"
