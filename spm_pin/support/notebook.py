@@ -1,4 +1,4 @@
-"""HTML tables and small SVG pictures, which results show in notebooks; no library is needed for them."""
+"""HTML tables and small SVG pictures for results in notebooks, without further libraries."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from spm_pin.support.arguments import FloatArray
 
 MOST_ROWS = 16
-"""Solutions that a table shows."""
+"""Largest number of solutions that a table shows."""
 VIEW = (math.radians(15.0), math.radians(25.0))
-"""The azimuth and the elevation [rad] from which pictures are taken."""
+"""Azimuth and elevation [rad] from which pictures are seen."""
 _LOWER, _UPPER = "#0072b2", "#d98c00"
 _LEG_COLOURS = ("#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7")
 
@@ -37,7 +37,7 @@ def table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]], pict
 
 
 def first_rows(shape: tuple[int, ...], cells: Callable[[tuple[int, ...]], tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return rows of a table for the first members of a batch: index, and `cells` of it; and how many are left."""
+    """Return table rows of the first members of a batch, index and `cells` of each, and the number of further ones."""
     rows = [(", ".join(map(str, index)), *cells(index)) for index in itertools.islice(np.ndindex(shape), MOST_ROWS)]
     more = math.prod(shape) - len(rows)
     return [*rows, (f"and {more:,} more",)] if more else rows
@@ -52,7 +52,7 @@ def stick_figure(bases: FloatArray, balls: FloatArray, name: str = "", height: i
     width = max(float((high - low)[0]) * scale + 16.0, 6.2 * len(name))
     corner = np.array([0.5 * (width - float((high + low)[0]) * scale), float(high[1]) * scale + 8.0])
     pivots, ends = np.split(corner + points[:, :2] * np.array([scale, -scale]), 2)
-    # From below upwards: what hides what is right for most states, and lines are thin.
+    # Drawn from below upwards: this hides the right parts in most states, and the lines are thin.
     shapes = [_triangle(pivots[:3], "#8f979f"), *map(_leg, pivots[:3], ends[:3], [_LOWER] * 3)]
     shapes += [_triangle(ends[:3], "#b9c0c6"), *map(_leg, pivots[3:], ends[3:], [_UPPER] * 3)]
     shapes += [_triangle(pivots[3:], "#8f979f")]
@@ -60,7 +60,7 @@ def stick_figure(bases: FloatArray, balls: FloatArray, name: str = "", height: i
 
 
 def curves(x: FloatArray, columns: FloatArray, label: str, marks: Iterable[float] = ()) -> str:
-    """Return an SVG of curves (n, k) over x (n,), the ends of both axes named, with vertical lines at `marks`."""
+    """Return an SVG of curves (n, k) over x (n,), with labelled axis ends and vertical lines at `marks`."""
     width, height, left, bottom = 300.0, 120.0, 44.0, 18.0
     low, high = float(np.nanmin(columns)), float(np.nanmax(columns))
     across = left + (x - x[0]) / max(float(x[-1] - x[0]), 1e-300) * (width - left - 6.0)
