@@ -22,7 +22,7 @@ def table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> s
 
 
 def first_rows(shape: tuple[int, ...], cells: Callable[[tuple[int, ...]], tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return rows of a table for the first members of a batch: index, and `cells` of it; and how many are left."""
+    """Return table rows of the first members of a batch, index and `cells` of each, and the number of further ones."""
     rows = [(", ".join(map(str, index)), *cells(index)) for index in itertools.islice(np.ndindex(shape), MOST_ROWS)]
     more = math.prod(shape) - len(rows)
     return [*rows, (f"and {more:,} more",)] if more else rows

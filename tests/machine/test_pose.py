@@ -110,7 +110,7 @@ def replaced(row: object, column: object, value: object) -> np.ndarray:
         (lambda: as_rigid_transform(np.linalg.inv(replaced(0, 3, 2.0)).T), "Transposed"),
         (lambda: as_rigid_transform(replaced(0, 3, np.nan)), "pose: expected finite"),
         (lambda: as_rigid_transform(replaced(0, 0, 0.9)), "pose: expected a rotation matrix"),
-        (lambda: as_rigid_transform(Rotation.identity()), "A rotation alone is no pose"),
+        (lambda: as_rigid_transform(Rotation.identity()), "A rotation alone is not a pose"),
         (lambda: as_rigid_transform(RigidTransform(replaced(0, 0, 0.9), normalize=False)), "rotation matrix"),
         (lambda: as_rigid_transform(np.stack([GOOD, replaced(1, 1, -1)])), r"determinant -1 at index \(1,\)"),
         # Whole poses are refused with the way to say them.
