@@ -99,13 +99,13 @@ def pose_errors(predicted: FloatArray, measured: FloatArray) -> FloatArray:
     return np.concatenate([predicted[:, :3, 3] - measured[:, :3, 3], turn], axis=-1)
 
 
-def gauge_directions(machine: Machine, base: FloatArray, target: FloatArray, *, has_scale: bool = True) -> FloatArray:
+def gauge_directions(machine: Machine, base: FloatArray, target: FloatArray, *, has_lengths: bool = True) -> FloatArray:
     """Return the errors that change no measurement, of the parameters and of `Frames` (4, 4) each, (n + 12, k).
 
     Each of the frames {n}, {B} and {m} may move: {n} changes the coordinates of all balls, {B} and {m} those of a
     stage's axes and pivots, and what is measured from them; the {n} of a stage alone is what is measured. Where a
-    circle moves straight, on a slide, the pivot may be anywhere on it. Where no length is measured, `has_scale` is
-    False, and no reading is one, all lengths may be in proportion.
+    circle moves straight, on a slide, the pivot may be anywhere on it. Where no length is measured the balls of a stage
+    may be shifted, and where no reading is one, all its lengths may be in proportion.
     """
     legs, directions, point = machine.legs, [], target[:3, 3]
     count, is_alone = len(legs.names), len(legs.kinds) == 1
@@ -139,9 +139,18 @@ def gauge_directions(machine: Machine, base: FloatArray, target: FloatArray, *, 
         own[leg, 2:5] = rates[leg, 0] * outward[leg] + rates[leg, 1] * forward[leg]
         own[leg, 8] = 1.0
         add(own)
-    if not has_scale and "m" not in legs.units:
+    if not has_lengths:
+        owners = np.array([name.partition(".")[0] for name in legs.parameter_names])
         lengths = np.where(np.array(legs.parameter_units) == "m", legs.parameters, 0.0)
-        directions.append(np.concatenate([lengths, np.zeros(12)]))
+        for stage, kind in enumerate(legs.kinds):
+            part = slice(3 * stage, 3 * stage + 3)
+            for shift in np.eye(3):
+                own = np.zeros((count, 9))
+                own[part, 5:8] = shift
+                add(own)
+            if kind.unit == "rad":
+                scaled = np.where(np.isin(owners, legs.names[part]), lengths, 0.0)
+                directions.append(np.concatenate([scaled, np.zeros(12)]))
     return np.array(directions).T
 
 

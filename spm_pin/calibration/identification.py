@@ -322,7 +322,7 @@ def _visible_basis(
 
     Those are (l, n + 12). Of `wanted` parameters of the machine, and of frames if they are unknown.
     """
-    hidden = gauge_directions(start, frames.base, frames.target, has_scale=observable.lengths > 0)
+    hidden = gauge_directions(start, frames.base, frames.target, has_lengths=observable.lengths > 0)
     hidden = hidden / _scale(start)[:, None]
     # What is not seen of the frames, such as the turn of a target of which positions alone are measured, is free.
     used = np.concatenate([np.full(len(wanted), True), observable.frames])

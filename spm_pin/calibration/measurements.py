@@ -99,9 +99,10 @@ class Measurements:
                 raise MeasurementError(name, "lengths in metres", f"values of {sizes.max():g} for {column}", hint)
         if frames:
             return measured._in_frames(machine)
-        # Exchanged legs may explain positions as well as a mirrored axis does; only rotations tell the two apart.
+        # Exchanged legs may explain positions as well as a mirrored axis does; only rotations tell the two apart. Of an
+        # IMU a wrong sign is more likely than exchanged legs.
         checks = [measured._check_columns, measured._check_axes]
-        for check in checks[::-1] if observable == POSES else checks:
+        for check in checks if observable == POSITIONS else checks[::-1]:
             check(machine)
         measured._check_rows(machine)
         return measured

@@ -110,11 +110,11 @@ class Inclinations:
             if name in given and other not in given:
                 raise ArgumentError(other, f"{other} in radians beside {name}", None)
         arrays = {name: _column(x, name) for name, x in given.items()}
-        count = len(next(iter(arrays.values())))
+        first, count = next((name, len(array)) for name, array in arrays.items())
         for name in ("roll", "pitch", "height"):
             array = arrays.get(name, np.full(count, np.nan))
             if len(array) != count:
-                raise ArgumentError(name, f"one number for each of {count} states", f"{len(array)}")
+                raise ArgumentError(name, f"as many numbers as of {first}, {count}", f"{len(array)}")
             object.__setattr__(self, name, frozen(array))
         if (apart := np.isnan(self.roll) ^ np.isnan(self.pitch)).any():
             raise ArgumentError("pitch", "roll and pitch, or NaN for both", f"one alone in row {apart.argmax()}")
