@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.calibration.error_model import pose_errors
 from spm_pin.calibration.frames import Frames
-from spm_pin.calibration.observables import POSES, POSITIONS, Inclinations, Observable
+from spm_pin.calibration.observables import POSES, POSITIONS, Inclinations, Observable, poses_and_observable
 from spm_pin.errors import ArgumentError, SingularConfigurationError, raised_as
 from spm_pin.machine import LEGS, STAGE_LEGS, Machine, as_rigid_transform
 from spm_pin.machine.batched import Batched
@@ -75,7 +75,7 @@ class Measurements:
         """Read the arguments of `identify`, with its errors; `frames` says that those of the tracker are unknown."""
         array = as_array(poses) if not isinstance(poses, RigidTransform | Inclinations) else None
         if isinstance(poses, Inclinations):
-            matrix, observable = poses.poses, poses.observable
+            matrix, observable = poses_and_observable(poses)
         elif array is not None and array.shape[-1:] == (3,):
             position = real_array(poses, "poses", (3,), "positions of the platform's origin in {B} in metres")
             matrix, observable = homogeneous(np.eye(3), position), POSITIONS

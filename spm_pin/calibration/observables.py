@@ -123,18 +123,14 @@ class Inclinations:
                 "height", "roll and pitch, or a height, in every row", f"neither in row {empty.argmax()}"
             )
 
-    @property
-    def observable(self) -> Observable:
-        """The components that are measured in some row."""
-        has = {"z": np.isfinite(self.height).any(), "turn_x": np.isfinite(self.roll).any()}
-        has["turn_y"] = has["turn_x"]
-        return Observable(tuple(name for name in INCLINATIONS.components if has[name]), is_levelled=True)
 
-    @property
-    def poses(self) -> FloatArray:
-        """Poses (N, 4, 4) of a platform that shows this, straight above the origin and without yaw."""
-        place = self.height[:, None] * [0.0, 0.0, 1.0]
-        return homogeneous(_rotations(np.stack([self.roll, self.pitch], axis=-1)), place)
+def poses_and_observable(shown: Inclinations) -> tuple[FloatArray, Observable]:
+    """Return poses (N, 4, 4) without yaw that show this, and the components that were measured in some row."""
+    place = shown.height[:, None] * [0.0, 0.0, 1.0]
+    matrices = homogeneous(_rotations(np.stack([shown.roll, shown.pitch], axis=-1)), place)
+    has_height, has_tilt = (bool(np.isfinite(x).any()) for x in (shown.height, shown.roll))
+    given = has_height, has_tilt, has_tilt
+    return matrices, Observable(tuple(itertools.compress(INCLINATIONS.components, given)), is_levelled=True)
 
 
 def _column(value: npt.ArrayLike, name: str) -> FloatArray:

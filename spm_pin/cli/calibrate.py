@@ -15,6 +15,7 @@ from spm_pin.calibration import tolerance as analyse
 from spm_pin.calibration.measurements import LEVEL_NOISE, TRACKER_NOISE
 from spm_pin.cli import options, outputs
 from spm_pin.display.figures import calibration_figure
+from spm_pin.errors import ArgumentError
 from spm_pin.support.motion_table import MotionTable
 
 
@@ -56,9 +57,11 @@ def calibrate(
         Option("--frames", help="Estimate the frames too: of a tracker and its target, or of the base and an IMU."),
     ] = False,
     tolerance: Annotated[
-        float | None,
+        list[str] | None,
         Option(
-            metavar="SIGMA", help="Standard deviation of all dimensions as made, in metres and radians; unknown if not."
+            metavar="SIGMA",
+            help="Standard deviation of all dimensions as made, in metres and radians, or offset=SIGMA of some, which "
+            "are named as for --identify; may be repeated. Unknown if not given.",
         ),
     ] = None,
     loss: Annotated[
@@ -86,7 +89,7 @@ def calibrate(
     if pose_noise is None:
         pose_noise = LEVEL_NOISE if isinstance(poses, Inclinations) else TRACKER_NOISE
     noise: dict[str, Any] = {"pose_noise": pose_noise, "reading_noise": reading_noise, "frames": frames}
-    noise["tolerances"] = None if tolerance is None else dict.fromkeys(dimensions.legs.names, tolerance)
+    noise["tolerances"] = _read_tolerances(tolerance, dimensions.legs.names) if tolerance else None
     try:
         calibration = identify(dimensions, poses, readings, parameters=identified, loss=loss, **noise)
     except MeasurementError as error:
@@ -119,6 +122,18 @@ def calibrate(
             outputs.note(f"noise given: --pose-noise {metres:g} {radians:g} --reading-noise {reading_noise:g}")
         if not force:
             raise typer.Exit(1)
+
+
+def _read_tolerances(typed: list[str], legs: Sequence[str]) -> dict[str, float]:
+    """Return standard deviations by names: a number alone is of all legs, and later ones replace earlier ones."""
+    table: dict[str, float] = {}
+    for text in typed:
+        name, _, number = text.rpartition("=")
+        try:
+            table |= dict.fromkeys([name] if name else legs, float(number))
+        except ValueError:
+            raise ArgumentError("--tolerance", "a number, or a name and a number, such as offset=0.05", text) from None
+    return table
 
 
 def _sizes(calibration: Calibration) -> list[tuple[str, str, float, float]]:
