@@ -12,19 +12,20 @@ import numpy.typing as npt
 from spm_pin.calibration.error_model import error_jacobian, pose_errors, prior_deviations
 from spm_pin.calibration.identification import given_or_drawn
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.machine import Configuration, Manipulator
-from spm_pin.support.arguments import FloatArray, check_instance, choice, generator, real_number, whole_number
+from spm_pin.machine import Configuration, Machine, StageConfiguration
+from spm_pin.machine.machine import check_machine
+from spm_pin.stages.of_machine import forward_physical
+from spm_pin.support.arguments import FloatArray, choice, generator, real_number, whole_number
 
 
 @dataclass(frozen=True, repr=False)
 class ToleranceAnalysis:
     """Errors of the platform of machines whose dimensions are normally distributed, at N states."""
 
-    states: Configuration
+    states: Configuration | StageConfiguration
     """The states of the machine without errors, shape (N,)."""
     deviations: FloatArray
-    """Standard deviations of the parameters [m, rad], `Manipulator.parameter_names`, shape (n,)."""
+    """Standard deviations of the parameters [m, rad], `Machine.parameter_names`, shape (n,)."""
     covariance: FloatArray
     """Covariance of the platform's error (displacement, rotation vector) [m, rad] in {B}, to first order, shape
     (N, 6, 6)."""
@@ -75,9 +76,9 @@ class ToleranceAnalysis:
 
 
 def tolerance(
-    machine: Manipulator,
+    machine: Machine,
     tolerances: Mapping[str, float] | npt.ArrayLike,
-    states: Configuration | int = 60,
+    states: Configuration | StageConfiguration | int = 60,
     *,
     samples: int = 200,
     rng: Any = None,
@@ -86,13 +87,13 @@ def tolerance(
 
     Parameters
     ----------
-    machine : Manipulator
+    machine : Manipulator or Stage
         The machine whose readings are commanded.
     tolerances : mapping of str to float, or array_like, shape (n,)
-        Standard deviations [m, rad]: of each of `Manipulator.parameter_names`, or under names of parameters, components
+        Standard deviations [m, rad]: of each of `Machine.parameter_names`, or under names of parameters, components
         such as "pivot_x", kinds ("direction", "pivot", "ball", "offset", and "rod", "crank" of legs that have them) or
         legs; a later name replaces an earlier one, what is not named has no error.
-    states : Configuration or int
+    states : Configuration, StageConfiguration or int
         Where: states of shape (N,), or the number of states to draw uniformly within the leg limits.
     samples : int
         Random machines for the Monte Carlo analysis; 0 for none.
@@ -107,7 +108,7 @@ def tolerance(
     >>> [f"{name} {share:.0%}" for name, share in analysis.ranking("kind")]
     ['ball 33%', 'pivot 33%', 'offset 31%', 'direction 4%']
     """
-    machine, random = check_instance(machine, Manipulator, "machine"), generator(rng)
+    machine, random = check_machine(machine), generator(rng)
     deviations = prior_deviations(machine, tolerances)
     samples = whole_number(samples, "samples", least=0, most=10**6)
     places = given_or_drawn(machine, states, "states", random)

@@ -1,4 +1,4 @@
-"""`spm-pin calibrate`, the machine as built from measured poses and leg readings, and `tolerance`, what errors cost."""
+"""`spm-pin calibrate`, the machine as built from measurements and leg readings, and `tolerance`, what errors cost."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 import typer
 from typer import Argument, Option
 
-from spm_pin.calibration import Calibration, MeasurementError, identify, read_measurements
+from spm_pin.calibration import Calibration, Inclinations, MeasurementError, identify, read_measurements
 from spm_pin.calibration import tolerance as analyse
+from spm_pin.calibration.measurements import LEVEL_NOISE, TRACKER_NOISE
 from spm_pin.cli import options, outputs
 from spm_pin.display.figures import calibration_figure
-from spm_pin.machine import LEGS
+from spm_pin.errors import ArgumentError
 from spm_pin.support.motion_table import MotionTable
 
 
@@ -27,7 +28,12 @@ from spm_pin.support.motion_table import MotionTable
 )
 def calibrate(
     measurements: Annotated[
-        Path, Argument(metavar="CSV", help="Columns x y z \\[m], qx qy qz qw if measured, r_b1 to r_c3 \\[m or rad].")
+        Path,
+        Argument(
+            metavar="CSV",
+            help="Columns x y z \\[m], qx qy qz qw if measured; or roll pitch \\[rad], height \\[m], or all three; and "
+            "readings r_b1 to r_c3, of a stage r_1 to r_3 \\[m or rad].",
+        ),
     ],
     out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
@@ -36,18 +42,26 @@ def calibrate(
         Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. All if not."),
     ] = None,
     pose_noise: Annotated[
-        tuple[float, float], Option(metavar="M RAD", help="Standard deviations of positions and orientations.")
-    ] = (1e-5, 1e-5),
+        tuple[float, float] | None,
+        Option(
+            metavar="M RAD",
+            help="Standard deviations of positions or heights, and of orientations or tilts; if not given 1e-5 1e-5, "
+            "of roll, pitch and heights 5e-4 2e-3.",
+        ),
+    ] = None,
     reading_noise: Annotated[
         float, Option(metavar="M", help="Standard deviation of the readings, of RRS legs in radians.")
     ] = 1e-6,
     frames: Annotated[
-        bool, Option("--frames", help="Poses are a target's as a tracker sees them: estimate both frames too.")
+        bool,
+        Option("--frames", help="Estimate the frames too: of a tracker and its target, or of the base and an IMU."),
     ] = False,
     tolerance: Annotated[
-        float | None,
+        list[str] | None,
         Option(
-            metavar="SIGMA", help="Standard deviation of all dimensions as made, in metres and radians; unknown if not."
+            metavar="SIGMA",
+            help="Standard deviation of all dimensions as made, in metres and radians, or offset=SIGMA of some, which "
+            "are named as for --identify; may be repeated. Unknown if not given.",
         ),
     ] = None,
     loss: Annotated[
@@ -72,8 +86,10 @@ def calibrate(
     dimensions = options.read_machine(machine_file)
     with options.warnings_as_notes():
         poses, readings = read_measurements(measurements)
+    if pose_noise is None:
+        pose_noise = LEVEL_NOISE if isinstance(poses, Inclinations) else TRACKER_NOISE
     noise: dict[str, Any] = {"pose_noise": pose_noise, "reading_noise": reading_noise, "frames": frames}
-    noise["tolerances"] = None if tolerance is None else dict.fromkeys(LEGS, tolerance)
+    noise["tolerances"] = _read_tolerances(tolerance, dimensions.legs.names) if tolerance else None
     try:
         calibration = identify(dimensions, poses, readings, parameters=identified, loss=loss, **noise)
     except MeasurementError as error:
@@ -108,14 +124,24 @@ def calibrate(
             raise typer.Exit(1)
 
 
+def _read_tolerances(typed: list[str], legs: Sequence[str]) -> dict[str, float]:
+    """Return standard deviations by names: a number alone is of all legs, and later ones replace earlier ones."""
+    table: dict[str, float] = {}
+    for text in typed:
+        name, _, number = text.rpartition("=")
+        try:
+            table |= dict.fromkeys([name] if name else legs, float(number))
+        except ValueError:
+            raise ArgumentError("--tolerance", "a number, or a name and a number, such as offset=0.05", text) from None
+    return table
+
+
 def _sizes(calibration: Calibration) -> list[tuple[str, str, float, float]]:
     """Return each compared quantity, its unit, and its root mean square before and after."""
     rows = []
-    for name, unit, part in (("position", "mm", slice(3)), ("orientation", "mrad", slice(3, 6))):
-        if calibration.before[:, part].size:
-            errors = calibration.before[:, part], calibration.residuals[:, part]
-            before, after = (1e3 * float(np.sqrt((e**2).sum(axis=-1).mean())) for e in errors)
-            rows.append((name, unit, before, after))
+    for name, unit, *sizes in calibration.error_sizes:
+        before, after = (1e3 * float(np.sqrt(np.nanmean(size**2))) for size in sizes)
+        rows.append((name, f"m{unit}", before, after))
     return rows
 
 
@@ -136,7 +162,7 @@ def _report(calibration: Calibration, measurements: Path) -> None:
         lines.append(f"{name} predicted from the readings, RMS error: {errors}")
     if np.isfinite(calibration.chi_square):
         lines.append(f"residuals are {np.sqrt(calibration.chi_square):.2g} times what the noise given explains")
-    scale = np.where(np.array(calibration.units) == "rad", 1.0, calibration.fitted.middle_side)
+    scale = np.where(np.array(calibration.units) == "rad", 1.0, calibration.fitted.ball_side)
     worst = np.argsort(-np.abs(calibration.identifiable[-1]))[:2]
     apart = 1e3 * calibration.deviations[-1] * np.abs(calibration.identifiable[-1, worst] * scale[worst])
     least = " and ".join(
@@ -147,7 +173,7 @@ def _report(calibration: Calibration, measurements: Path) -> None:
         rows = np.flatnonzero(calibration.outliers).tolist()
         lines.append(_with_lines(f"{len(rows)} outlier{'s' * (len(rows) > 1)}", rows, measurements))
     if len(calibration.names) > len(calibration.fitted.parameters):
-        for name, frame in (("{B} from the tracker", calibration.base), ("the target in {m}", calibration.target)):
+        for name, frame in (("{B} as measured", calibration.base), ("what was measured, on it", calibration.target)):
             position = ", ".join(f"{x:.6g}" for x in frame.translation)
             turn = ", ".join(f"{x:.6g}" for x in frame.rotation.as_quat())
             lines.append(f"{name}: position {position} m, quaternion {turn}")
@@ -165,7 +191,7 @@ def _report(calibration: Calibration, measurements: Path) -> None:
     components = dict.fromkeys(name.partition(".")[2] for name in texts)
     columns: dict[str, Any] = {"leg": str}
     columns |= {part: lambda leg, part=part: texts.get(f"{leg}.{part}", "") for part in components}
-    outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, LEGS)
+    outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, fitted.legs.names)
     outputs.print_lines(
         ["(…) is smaller than twice its standard deviation: not known by itself, but in combinations with others."]
     )

@@ -171,10 +171,13 @@ _SMALL_TURN = 1.5
 """A pose turned by less may have been typed in radians [degrees]."""
 
 
-def read_machine(path: Path | None) -> Manipulator:
-    """Return the machine of `--machine`, by default the paper's; warnings about the file are notes on stderr."""
-    if path is None:
-        return Manipulator.paper()
+def read_machine(path: Path | Manipulator | None) -> Manipulator:
+    """Return the machine of `--machine`, by default the paper's; warnings about the file are notes on stderr.
+
+    One that other options describe, such as those of a stage, is returned as it is.
+    """
+    if not isinstance(path, Path):
+        return path or Manipulator.paper()
     with warnings_as_notes("--machine: "):
         return Manipulator.from_yaml(path)
 

@@ -12,9 +12,11 @@ import typer
 from typer import Option
 
 from spm_pin.cli import options, outputs
+from spm_pin.cli.calibrate import calibrate as calibrate_machine
+from spm_pin.cli.calibrate import tolerance as tolerance_of_machine
 from spm_pin.cli.draw import Browser, Dark, Host, Port, serve
 from spm_pin.cli.options import LengthUnit, Readings, Triple
-from spm_pin.cli.stage_options import takes_place, takes_stage
+from spm_pin.cli.stage_options import as_command_of_stage, takes_place, takes_stage
 from spm_pin.display import reach_figure, save_figure, stage_figure
 from spm_pin.display.writing import FORMATS, fixed
 from spm_pin.errors import ArgumentError, require_extra
@@ -173,6 +175,28 @@ def write(
     """
     stage.to_yaml(out)
     outputs.note(f"wrote {out}; spm-pin export c-stage --stage {out} writes its header for a microcontroller")
+
+
+@as_command_of_stage(calibrate_machine)
+def calibrate() -> None:
+    """Identify a stage as built from what an IMU and a ruler show, or from measured poses, and leg readings.
+
+    Example: spm-pin stage calibrate seen.csv --base 80 --platform 90 --crank 50 --rod 110 --unit mm --out built.yaml
+
+    The file has columns roll and pitch as the IMU on the platform shows them, height of the platform's centre, or all
+    three, and r_1 to r_3, in radians and metres; or poses, as for spm-pin calibrate. Cells of the three may be empty.
+    The stage written can be given as --stage to other commands. Exit codes are those of spm-pin calibrate.
+    """
+
+
+@as_command_of_stage(tolerance_of_machine)
+def tolerance() -> None:
+    """Predict how far a stage's platform is off if its dimensions are, and which tolerance pays.
+
+    Example: spm-pin stage tolerance --stage balancer.yaml --pivot 2e-4 --offset 2e-3
+
+    States are drawn within the limits of the readings, which the file has to have.
+    """
 
 
 @takes_stage()

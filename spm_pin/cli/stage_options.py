@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,32 @@ def takes_stage(*, required: bool = True) -> Callable[[Callable[..., None]], Cal
 
     If it is not `required`, it is None where no option is given.
     """
-    return partial(options.with_options, argument="stage", table=_STAGE, read=partial(_read_stage, required=required))
+    return functools.partial(
+        options.with_options, argument="stage", table=_STAGE, read=functools.partial(_read_stage, required=required)
+    )
+
+
+def as_command_of_stage(command: Callable[..., None]) -> Callable[[Callable[[], None]], Callable[..., None]]:
+    """Decorate an empty function so that it is a robot's command for a stage, with the docstring of the function.
+
+    It has the options of a stage in place of `machine_file`; --stage alone if the command has some of the others.
+    """
+    names = inspect.signature(command).parameters.keys()
+    table = _STAGE | {"unit": (LengthUnit, "UNIT", "Of the lengths among these options; metres if not given.")}
+    needed = ["stage"] if names & table.keys() else []
+    if needed:
+        table = {"stage": (Path, "FILE", "YAML file of a stage, see spm-pin stage write.")}
+
+    def read(typed: Typed, _: Typed) -> Stage | None:
+        unit = typed.pop("unit", None) or LengthUnit.M
+        return _read_stage(dict.fromkeys(_STAGE) | typed, {"unit": unit}, required=True)
+
+    def decorate(described: Callable[[], None]) -> Callable[..., None]:
+        made = options.with_options(command, "machine_file", table, read, needed=needed)
+        made.__doc__, made.__name__ = described.__doc__, described.__name__
+        return made
+
+    return decorate
 
 
 def takes_place(command: Callable[..., None]) -> Callable[..., None]:

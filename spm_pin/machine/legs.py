@@ -376,6 +376,19 @@ class Legs:
         return np.concatenate([rows.ravel(), *numbers])
 
     @property
+    def axis_derivatives(self) -> FloatArray:
+        """Derivatives of the axes by the two coordinates of their direction in `parameters`, (legs, 3, 2)."""
+        drawn, first, second = axis_directions(len(self.kinds))
+        turn = self.parameters[: 9 * len(drawn)].reshape(-1, 9)[:, None, :2]
+        angle = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
+        sinc, across = np.sinc(angle / np.pi), np.stack([first, second], axis=-1)
+        # (cos a - sin a / a) / a², which is -1/3 at zero.
+        small = angle < 1e-3
+        curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
+        along = (across * turn).sum(axis=-1, keepdims=True)
+        return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
+
+    @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the `parameters`, such as `r_b1.pivot_x`, and of PRS and RRS legs `r_b1.rod`."""
         own = (f"{leg}.{component}" for leg in self.names for component in COMPONENTS)

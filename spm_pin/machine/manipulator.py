@@ -26,7 +26,6 @@ from spm_pin.machine.legs import (
     LegLimits,
     Legs,
     StageLimits,
-    axis_directions,
 )
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.machine_files import (
@@ -214,19 +213,6 @@ class Manipulator(Machine):
     def revolute_axes(self) -> FloatArray:
         """Unit revolute axes of the drawn legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
         return AXES.copy()
-
-    @property
-    def axis_derivatives(self) -> FloatArray:
-        """Derivatives of the axes with respect to the two coordinates of their direction in `parameters`, (6, 3, 2)."""
-        drawn, first, second = axis_directions()
-        turn = self.parameters[:54].reshape(6, 9)[:, None, :2]
-        angle = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
-        sinc, across = np.sinc(angle / np.pi), np.stack([first, second], axis=-1)
-        # (cos a - sin a / a) / a², which is -1/3 at zero.
-        small = angle < 1e-3
-        curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
-        along = (across * turn).sum(axis=-1, keepdims=True)
-        return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
 
 
 def check_same_machine(machine: Manipulator, expected: Manipulator, argument: str, owner: str) -> None:

@@ -213,6 +213,12 @@ def determinants(state: StageConfiguration) -> FloatArray:
     return np.stack([np.linalg.det(_six_forces(state)), np.linalg.det(_inverse_matrices(state))], axis=-1)
 
 
+def stage_inverses(configuration: StageConfiguration) -> FloatArray:
+    """Return the twists (..., 1, 6, 6) of unit rates of the balls along legs and along axes; NaN where singular."""
+    parts = [_columns(configuration, along_legs=along) for along in (True, False)]
+    return np.concatenate(parts, axis=-1)[..., None, :, :]
+
+
 def _read(configuration: Any) -> StageConfiguration:
     state = check_instance(configuration, StageConfiguration, "configuration")
     check_members(state, "configuration", single=False, existing=not state.shape)

@@ -82,16 +82,18 @@ class MotionTable:
         """Return whether the table has at least one of these columns."""
         return not set(names).isdisjoint(self.names)
 
-    def columns(self, names: Sequence[str]) -> FloatArray:
-        """Return columns as an array (n, number of names)."""
-        missing = [name for name in names if name not in self.names]
-        if missing:
+    def columns(self, names: Sequence[str], *, missing: bool = False) -> FloatArray:
+        """Return columns as an array (n, number of names); with `missing` an empty cell is NaN."""
+        absent = [name for name in names if name not in self.names]
+        if absent:
             expected = f"a heading with the columns {', '.join(names)}"
-            raise ArgumentError("", expected, f"one without {', '.join(missing)}", file=str(self.path), line=1)
+            raise ArgumentError("", expected, f"one without {', '.join(absent)}", file=str(self.path), line=1)
         self._taken.update(names)
         places = [self.names.index(name) for name in names]
         numbers = np.array([[_number(cells[place]) for place in places] for _, cells in self._rows])
         wrong = ~np.isfinite(numbers)
+        if missing:
+            wrong &= np.array([[cells[place] != "" for place in places] for _, cells in self._rows])
         if wrong.any():
             row, column = first_offender(wrong)
             line, cells = self._rows[row]

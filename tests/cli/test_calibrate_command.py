@@ -134,6 +134,78 @@ def test_another_nominal_machine_is_not_written(measured: Path, tmp_path: Path) 
     assert position_errors(spm.Manipulator.from_yaml(out), MACHINE).max() < 5e-5
 
 
+@pytest.fixture(scope="module")
+def balancer(tmp_path_factory: pytest.TempPathFactory) -> tuple[spm.Stage, Path]:
+    """A stage whose servos are set badly, and a file of what an IMU shows, and a ruler at every other tilt."""
+    file = tmp_path_factory.mktemp("calibrate") / "seen.csv"
+    parameters = spm.Stage.from_data(BALANCER).parameters
+    parameters[8::9][:3] += [0.05, -0.03, 0.02]
+    built = spm.Stage.from_data(BALANCER).from_parameters(parameters)
+    readings = np.random.default_rng(3).uniform(-0.5, 1.0, (40, 3))
+    states = spm.stages.forward_physical(built, readings)
+    states = states[states.exists]
+    roll, pitch, _ = states.pose.rotation.as_euler("xyz").T
+    rows = zip(roll, pitch, states.height, *states.readings.T, strict=True)
+    lines = [",".join(f"{x:.6f}" for x in row) for row in rows]
+    lines[::2] = [",".join([*line.split(",")[:2], "", *line.split(",")[3:]]) for line in lines[::2]]
+    file.write_text("\n".join(["roll,pitch,height,r_1,r_2,r_3", *lines]), encoding="utf-8")
+    return built, file
+
+
+BALANCER = {
+    "base_radius": 0.08,
+    "platform_radius": 0.09,
+    "legs": {"kind": "RRS", "crank": 0.05, "rod": 0.11},
+    "limits": [-0.6, 1.2],
+}
+NUMBERS = ["--base", "80", "--platform", "90", "--crank", "50", "--rod", "110", "--unit", "mm"]
+
+
+def test_a_stage_is_identified_and_written(balancer: tuple[spm.Stage, Path], tmp_path: Path) -> None:
+    built, file = balancer
+    out, figure = tmp_path / "built.yaml", tmp_path / "errors.png"
+    command = "stage", "calibrate", file, "--identify", "offset"
+    done = run(*command, *NUMBERS, "--out", out, "--figure", figure)
+    assert done.returncode == 0, done.stderr
+    assert "3 of 3 combinations of parameters identified" in done.stdout
+    assert "height predicted from the readings" in done.stdout
+    assert "r_3" in done.stdout
+    found = spm.Stage.from_yaml(out)
+    np.testing.assert_allclose(found.legs.offsets, built.legs.offsets, atol=1e-5)
+    assert figure.stat().st_size > 10_000
+    again = run("stage", "forward", "--stage", out, "--readings", "20", "30", "10", "--json")
+    state = spm.stages.forward_physical(built, np.radians([20, 30, 10]))
+    assert json.loads(again.stdout)["modes"][0]["tilt"] == pytest.approx(np.degrees(state.tilt), abs=1e-3)
+    frames = json.loads(run(*command, "--stage", out, "--frames", "--json").stdout)
+    assert (frames["status"], frames["identified"]) == ("fits", 12)
+    np.testing.assert_allclose(frames["base"], np.eye(4), atol=1e-3)
+
+
+def test_what_a_stage_is_identified_from_is_checked(balancer: tuple[spm.Stage, Path], tmp_path: Path) -> None:
+    _, file = balancer
+    wrong = tmp_path / "wrong.csv"
+    wrong.write_text(file.read_text(encoding="utf-8").replace("roll,pitch", "pitch,roll"), encoding="utf-8")
+    done = run("stage", "calibrate", wrong, *NUMBERS, "--identify", "offset")
+    assert done.returncode == 1
+    assert "roll and pitch along other axes. As pitch, roll they agree" in done.message
+    done = run("stage", "calibrate", file, "--identify", "offset")
+    assert done.returncode == 2
+    assert "--base: expected a radius, or --stage with a file" in done.message
+    assert "expected real numbers of shape (..., 6)" in run("calibrate", file).message
+
+
+def test_tolerances_of_a_stage_are_weighed(tmp_path: Path) -> None:
+    file, stage = tmp_path / "stage.yaml", spm.Stage.from_data(BALANCER)
+    stage.to_yaml(file)
+    content = json.loads(run("stage", "tolerance", "--stage", file, "--samples", "0", "--by", "leg", "--json").stdout)
+    table = dict.fromkeys(("direction", "pivot", "ball", "offset", "rod", "crank"), 1e-4)
+    expected = spm.calibration.tolerance(stage, table, samples=0, rng=0)
+    assert content["rms"]["position"] == pytest.approx(expected.rms[0])
+    assert content["shares"] == pytest.approx(dict(expected.ranking("leg")))
+    assert set(content["shares"]) == {"r_1", "r_2", "r_3"}
+    assert "--stage" in run("stage", "tolerance").message
+
+
 def test_tolerances_are_weighed() -> None:
     done = run("tolerance", "--samples", "20", "--json")
     content = json.loads(done.stdout)
