@@ -22,12 +22,12 @@ from spm_pin.kinematics.rates_and_forces import (
 )
 from spm_pin.kinematics.singularity_analysis import (
     Singularities,
-    SingularityKind,
     determinant_gradients,
     determinants,
     singular_values,
     singularities,
 )
+from spm_pin.kinematics.singularity_kinds import SingularityKind
 
 __all__ = [
     "ASSEMBLY_MODES",
