@@ -170,6 +170,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("joint_loads.configuration", "parasitic_jacobian.configuration"), lambda: STAGE_STATE),
     "with a stage.configuration": lambda: STAGE_STATE,
     "with a stage.leg_rates.twist": lambda: np.zeros(3),
+    "with a stage.acceleration_polytope.mass": lambda: np.diag([10.0, 1.0, 1.0]),
     "StageConfiguration.pose": lambda: STAGE_STATE.pose,
     "StageSolutions.where.mask": lambda: np.ones(2, dtype=bool),
     "Stage.from_parameters.parameters": lambda: STAGE.parameters,
@@ -334,6 +335,8 @@ SKIPPED_PARAMETERS = ("progress", "argument", "state", "scheduler")
 EITHER = (
     *(spm.inverse_jacobian, spm.leg_forces, spm.leg_rates, spm.singularities, spm.stiffness),
     *(spm.kinematics.compliance, spm.kinematics.platform_jacobian, spm.kinematics.principal_stiffness),
+    *(spm.capability.acceleration_polytope, spm.capability.joint_reactions),
+    *(spm.capability.velocity_polytope, spm.capability.wrench_polytope),
 )
 """Functions that take a stage as well as a manipulator, and are called with both."""
 
