@@ -168,9 +168,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "stages.forward_physical.near": lambda: STAGE_STATE,
     "stages.follow.readings": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
     **dict.fromkeys(("joint_loads.configuration", "parasitic_jacobian.configuration"), lambda: STAGE_STATE),
-    "with a stage.configuration": lambda: STAGE_STATE,
-    "with a stage.leg_rates.twist": lambda: np.zeros(3),
-    "with a stage.acceleration_polytope.mass": lambda: np.diag([10.0, 1.0, 1.0]),
+    "one_stage.configuration": lambda: STAGE_STATE,
+    "one_stage.leg_rates.twist": lambda: np.zeros(3),
+    "one_stage.acceleration_polytope.mass": lambda: np.diag([10.0, 1.0, 1.0]),
     "StageConfiguration.pose": lambda: STAGE_STATE.pose,
     "StageSolutions.where.mask": lambda: np.ones(2, dtype=bool),
     "Stage.from_parameters.parameters": lambda: STAGE.parameters,
@@ -360,7 +360,7 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
                         if not method.startswith("_") and callable(getattr(member, method)):
                             yield f"{owner}.{method}", getattr(member, method)
             seen.add(id(member))
-    yield from ((f"with a stage.{function.__name__}", function) for function in EITHER)
+    yield from ((f"one_stage.{function.__name__}", function) for function in EITHER)
 
 
 def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
