@@ -22,12 +22,12 @@ from spm_pin.kinematics.rates_and_forces import (
 )
 from spm_pin.kinematics.singularity_analysis import (
     Singularities,
-    SingularityKind,
     determinant_gradients,
     determinants,
     singular_values,
     singularities,
 )
+from spm_pin.kinematics.singularity_kinds import SingularityKind
 from spm_pin.kinematics.stage_balls import STAGE_MODES
 from spm_pin.kinematics.tracking import CertifiedLimits, Event, EventKind, FollowedPath
 

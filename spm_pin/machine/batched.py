@@ -92,6 +92,21 @@ class Batched(ABC):
 
     @property
     @abstractmethod
+    def middle_pose(self) -> RigidTransform:
+        """Pose in {B} of the platform that holds the lower legs' balls."""
+
+    @property
+    @abstractmethod
+    def circle_centres(self) -> FloatArray:
+        """Centres of the circles that the locked actuators leave to the balls, as rows in {B} [m]."""
+
+    @property
+    @abstractmethod
+    def leg_vectors(self) -> FloatArray:
+        """Vectors between circle centres and balls, as rows in {B} [m], (..., legs, 3): along them the legs push."""
+
+    @property
+    @abstractmethod
     def readings(self) -> FloatArray:
         """Readings of the legs' encoders, shape (..., legs)."""
 

@@ -249,11 +249,23 @@ def check_configuration(
     value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False
 ) -> Configuration:
     """Return `value` if it is a configuration, no batch if `single`, without absent members if `existing`."""
-    several = hasattr(type(value), "physical")
-    cause = "Choose one of its solutions: .physical(), .nearest(near), or a label such as ['TT+']" if several else ""
-    configuration = check_instance(value, Configuration, argument, cause)
+    configuration = check_instance(value, Configuration, argument, _cause_of_kind(value))
     check_members(configuration, argument, single=single, existing=existing)
     return configuration
+
+
+def check_state(value: Any, argument: str = "configuration", *, existing: bool = False) -> Batched:
+    """Return `value` if it is a state of a manipulator or of a stage, without absent members if `existing`."""
+    if not isinstance(value, Batched):
+        received = type(value).__name__
+        raise ArgumentError(argument, "a Configuration or a StageConfiguration", received, _cause_of_kind(value))
+    check_members(value, argument, single=False, existing=existing)
+    return value
+
+
+def _cause_of_kind(value: Any) -> str:
+    several = hasattr(type(value), "physical")
+    return "Choose one of its solutions: .physical(), .nearest(near), or a label such as ['TT+']" if several else ""
 
 
 def check_members(configuration: Batched, argument: str, *, single: bool, existing: bool) -> None:

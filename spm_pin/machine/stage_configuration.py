@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from spm_pin.formulas import circles
 from spm_pin.formulas.operations import on_arrays, rows_of
@@ -140,6 +141,11 @@ class StageConfiguration(Batched):
         """Centres of the balls as rows in {B} [m], shape (..., 3, 3)."""
         turned = self.stage.legs.balls @ np.swapaxes(self._rotation, -1, -2)
         return frozen(turned + self._translation[..., None, :])
+
+    @property
+    def middle_pose(self) -> RigidTransform:
+        """Pose of the platform, as of a robot's middle platform."""
+        return self.pose
 
     @property
     def compared_points(self) -> FloatArray:
