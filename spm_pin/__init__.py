@@ -46,7 +46,9 @@ if TYPE_CHECKING:
     from spm_pin.kinematics import (
         determinants,
         follow,
+        forward_displacement,
         forward_physical,
+        inverse_displacement,
         inverse_jacobian,
         inverse_physical,
         leg_forces,
@@ -56,8 +58,6 @@ if TYPE_CHECKING:
         stiffness,
         threads,
     )
-    from spm_pin.kinematics.forward_displacement import forward_displacement
-    from spm_pin.kinematics.inverse_displacement import inverse_displacement
     from spm_pin.machine import (
         PRS,
         RPS,

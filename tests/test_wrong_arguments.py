@@ -167,12 +167,10 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **{f"StageSolutions.{name}.near": lambda: STAGE_STATE for name in ("nearest", "physical")},
     "stages.forward_physical.near": lambda: STAGE_STATE,
     "stages.follow.readings": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
-    **{
-        f"stages.{name}.configuration": lambda: STAGE_STATE
-        for name in ("inverse_jacobian", "joint_loads", "leg_forces", "leg_rates", "parasitic_jacobian")
-    },
-    **{f"stages.{name}.configuration": lambda: STAGE_STATE for name in ("platform_jacobian", "singularities")},
-    "motion": lambda: np.zeros(3),
+    **dict.fromkeys(("joint_loads.configuration", "parasitic_jacobian.configuration"), lambda: STAGE_STATE),
+    "one_stage.configuration": lambda: STAGE_STATE,
+    "one_stage.leg_rates.twist": lambda: np.zeros(3),
+    "one_stage.acceleration_polytope.mass": lambda: np.diag([10.0, 1.0, 1.0]),
     "StageConfiguration.pose": lambda: STAGE_STATE.pose,
     "StageSolutions.where.mask": lambda: np.ones(2, dtype=bool),
     "Stage.from_parameters.parameters": lambda: STAGE.parameters,
@@ -337,6 +335,15 @@ SKIPPED_PARAMETERS = ("progress", "argument", "state", "scheduler")
 """Callbacks of the user's own, names for messages, memory handed back, and addresses in a network."""
 
 
+EITHER = (
+    *(spm.inverse_jacobian, spm.leg_forces, spm.leg_rates, spm.singularities, spm.stiffness),
+    *(spm.kinematics.compliance, spm.kinematics.platform_jacobian, spm.kinematics.principal_stiffness),
+    *(spm.capability.acceleration_polytope, spm.capability.joint_reactions),
+    *(spm.capability.velocity_polytope, spm.capability.wrench_polytope),
+)
+"""Functions that take a stage as well as a manipulator, and are called with both."""
+
+
 def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Yield every public function, constructor of an input, and method of an instance, with its name."""
     seen: set[int] = set()
@@ -356,6 +363,7 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
                         if not method.startswith("_") and callable(getattr(member, method)):
                             yield f"{owner}.{method}", getattr(member, method)
             seen.add(id(member))
+    yield from ((f"one_stage.{function.__name__}", function) for function in EITHER)
 
 
 def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
@@ -366,7 +374,8 @@ def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
 def example(place: str, parameter: str) -> Any:
     """Return a good value for a parameter, or fail so that one is added to the table."""
     short = place.rsplit(".", 1)[-1]
-    for key in (f"{place}.{parameter}", f"{short}.{parameter}", parameter):
+    module = place.removesuffix(f".{short}")
+    for key in (f"{place}.{parameter}", f"{module}.{parameter}", f"{short}.{parameter}", parameter):
         if key in EXAMPLES:
             return EXAMPLES[key]()
     raise AssertionError(f"add a good value for {place}.{parameter} to EXAMPLES")

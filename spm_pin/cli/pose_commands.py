@@ -20,8 +20,8 @@ from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
-from spm_pin.kinematics.singularity_analysis import SingularityKind
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
+from spm_pin.kinematics.singularity_kinds import SingularityKind
 from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator, SolutionSet, Status
 
 Record = dict[str, Any]

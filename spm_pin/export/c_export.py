@@ -43,7 +43,7 @@ from spm_pin.kinematics import (
     leg_rates,
 )
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.kinematics.rates_and_forces import SINGULAR
+from spm_pin.kinematics.singularity_kinds import SINGULAR
 from spm_pin.machine import BRANCHES, FAMILIES, Configuration, Manipulator
 from spm_pin.machine.joint_angles import joint_angles, joint_names, value_names
 from spm_pin.support.arguments import FloatArray, check_instance

@@ -1,7 +1,7 @@
 """The closed form: branches, assembly modes, rates, forces and singularities, without iteration in the inverse."""
 
 from spm_pin.kinematics.batches import compile_kernels, set_threads, threads
-from spm_pin.kinematics.forward_displacement import ASSEMBLY_MODES, STAGE_MODES, forward_displacement, forward_physical
+from spm_pin.kinematics.forward_displacement import ASSEMBLY_MODES, forward_displacement, forward_physical
 from spm_pin.kinematics.inverse_displacement import (
     BranchMemory,
     branch_lengths,
@@ -9,7 +9,7 @@ from spm_pin.kinematics.inverse_displacement import (
     inverse_displacement,
     inverse_physical,
 )
-from spm_pin.kinematics.path_following import CertifiedLimits, Event, EventKind, FollowedPath, follow
+from spm_pin.kinematics.path_following import follow
 from spm_pin.kinematics.rates_and_forces import (
     PrincipalStiffness,
     compliance,
@@ -22,12 +22,14 @@ from spm_pin.kinematics.rates_and_forces import (
 )
 from spm_pin.kinematics.singularity_analysis import (
     Singularities,
-    SingularityKind,
     determinant_gradients,
     determinants,
     singular_values,
     singularities,
 )
+from spm_pin.kinematics.singularity_kinds import SingularityKind
+from spm_pin.kinematics.stage_balls import STAGE_MODES
+from spm_pin.kinematics.tracking import CertifiedLimits, Event, EventKind, FollowedPath
 
 __all__ = [
     "ASSEMBLY_MODES",

@@ -8,35 +8,25 @@ does not leave it. See `docs/theory/forward_displacement.md`.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.kinematics import stage_displacement
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
-from spm_pin.kinematics.stage_balls import Drawing, Modes, all_modes, followed_balls, physical_balls
+from spm_pin.kinematics.either_machine import or_of_stage
+from spm_pin.kinematics.readings import read_readings
+from spm_pin.kinematics.stage_balls import STAGE_MODES, Drawing, Modes, all_modes, followed_balls, physical_balls
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import homes
-from spm_pin.machine.legs import Legs
 from spm_pin.machine.machine import unit_hint
 from spm_pin.machine.manipulator import Manipulator, check_same_machine
 from spm_pin.machine.solution_axis import Status
 from spm_pin.machine.solutions import Degeneracy, SolutionSet
-from spm_pin.support.arguments import (
-    LARGEST_RATIO,
-    FloatArray,
-    IntArray,
-    broadcastable,
-    check_instance,
-    first_offender,
-    real_array,
-)
+from spm_pin.support.arguments import FloatArray, IntArray, broadcastable, check_instance
 
-STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
-"""Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
 
@@ -49,14 +39,15 @@ _STATE = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 
 
+@or_of_stage(stage_displacement.forward)
 def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> SolutionSet:
-    """Find all configurations that six leg lengths allow.
+    """Find all configurations that six leg lengths allow; of a stage as `spm_pin.stages.forward`.
 
     Parameters
     ----------
-    machine : Manipulator
+    machine : Manipulator or Stage
         The manipulator. Its leg limits are not applied.
-    readings : array_like, shape (..., 6)
+    readings : array_like, shape (..., 6), of a stage (..., 3)
         r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], in a drawn machine from revolute joint to ball joint centre.
 
     Returns
@@ -120,14 +111,17 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
     )
 
 
+@or_of_stage(stage_displacement.forward_physical)
 def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
     """Find the physical configuration with these readings: the one that the machine is in.
 
+    Of a stage as `spm_pin.stages.forward_physical`.
+
     Parameters
     ----------
-    machine : Manipulator
+    machine : Manipulator or Stage
         The manipulator. Its leg limits are not applied.
-    readings : array_like, shape (..., 6)
+    readings : array_like, shape (..., 6), of a stage (..., 3)
         What the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 show [m]: in a drawn machine the leg lengths.
     near : Configuration, optional
         Where the machine was. Its leading axes broadcast with those of `readings`.
@@ -196,38 +190,6 @@ def set_of_one(state: Configuration, label: str) -> SolutionSet:
     arrays = (array[None] for array in (state.rotation, state.translation, state.middle_joints))
     states = Configuration.from_arrays(state.machine, *arrays)
     return SolutionSet(states, (label,), Status.OK if state.exists else Status.UNREACHABLE)
-
-
-def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArray:
-    """Read readings (..., n) of these legs, none so large that a machine of this size [m] is lost in its rounding."""
-    meaning = f"in {legs.unit_text()}"
-    read = real_array(readings, "readings", (len(legs.names),), f"{', '.join(legs.names)} {meaning}")
-    own, farthest = np.asarray(read - legs.offsets), _farthest(legs.units, size)
-    short, is_far = own <= legs.least_readings, np.abs(own) > farthest
-    if not np.count_nonzero(short | is_far):
-        return read
-    if short.any():
-        index = first_offender(short)
-        where = f" for {legs.names[index[-1]]}" + (f" at index {index[:-1]}" if index[:-1] else "")
-        if legs.offsets[index[-1]]:
-            expected = f"readings that exceed their offset, {legs.offsets[index[-1]]:g} m{where}"
-            raise ArgumentError("readings", expected, f"{read[index]:g}")
-        cause = "Strokes of the actuators instead of distances between joint centres?"
-        expected = f"positive lengths {', '.join(legs.names)} {meaning}"
-        raise ArgumentError("readings", expected, f"{own[index]:g}{where}", cause)
-    index = first_offender(is_far)
-    if legs.units[index[-1]] == "rad":
-        expected, cause = f"angles in radians within ±{MOST_TURNED:g} for {legs.names[index[-1]]}", "In degrees?"
-    else:
-        expected = f"lengths in metres up to {LARGEST_RATIO:.0e} times the machine's own {size:.3g} m"
-        cause = "Lengths in another unit?"
-    raise ArgumentError("readings", expected, f"{own[index]:g}", cause)
-
-
-@functools.lru_cache
-def _farthest(units: tuple[str, ...], size: float) -> FloatArray:
-    """Return the largest readings of legs with these units in a machine of this size [m]."""
-    return np.where([unit == "m" for unit in units], LARGEST_RATIO * size, MOST_TURNED)
 
 
 def _check_near(machine: Manipulator, lengths: FloatArray, near: Configuration) -> None:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.branches import ROUNDING
+from spm_pin.kinematics import stage_displacement
 from spm_pin.kinematics.batches import (
     BUILT_BRANCHES,
     DRAWN_BRANCHES,
@@ -27,6 +28,7 @@ from spm_pin.kinematics.batches import (
     run_kernel,
     with_batch_shape,
 )
+from spm_pin.kinematics.either_machine import or_of_stage
 from spm_pin.machine.branch_of_state import BRANCHES
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LEGS
@@ -39,14 +41,17 @@ from spm_pin.support.pose import PoseLike
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 
 
+@or_of_stage(stage_displacement.inverse)
 def inverse_displacement(
     machine: Manipulator, pose: PoseLike, *, out: BranchMemory | None = None, certify: bool = False
 ) -> SolutionSet:
     """Find all configurations of the manipulator that hold the platform in a pose.
 
+    A stage is asked for a height and a tilt instead of a pose, with the arguments of `spm_pin.stages.inverse`.
+
     Parameters
     ----------
-    machine : Manipulator
+    machine : Manipulator or Stage
         The manipulator. Its leg limits are not applied; see `SolutionSet.within`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
@@ -184,12 +189,15 @@ def _method(machine: Manipulator) -> _Method:
     )
 
 
+@or_of_stage(stage_displacement.inverse_physical)
 def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
     """Find the physical configuration for a pose: the one in which the machine holds the platform there.
 
+    A stage is asked for a height and a tilt instead of a pose, with the arguments of `spm_pin.stages.inverse_physical`.
+
     Parameters
     ----------
-    machine : Manipulator
+    machine : Manipulator or Stage
         The manipulator. Its leg limits only decide between two configurations; see `LegLimits.contains`.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         As for `inverse_displacement`, one or a batch of shape (...).

@@ -1,13 +1,18 @@
 """Leg rates from the platform's twist and back, leg forces that hold a wrench, and the platform's stiffness.
 
+A stage has three freedoms: its *motion* (v_z, ω_x, ω_y) stands where a manipulator has a twist (v, ω), see
+`spm_pin.kinematics.stage_rates`. The wrench on its platform has six components all the same, of which the structure
+holds a part.
+
 Every leg acts on the middle platform through its ball along the leg, where its actuator holds, and along its revolute
 axis, where its structure holds: six forces in each stage, the rows of J_b and of J_c; K are the six structural ones.
 Both stages carry the whole load, so that their compliances add,
 
-    C = J_b⁻¹ D_b J_b⁻ᵀ + J_c⁻¹ D_c J_c⁻ᵀ,    D = diag(1 / stiffness) of the six forces.
+    C = J_b⁻¹ D_b J_b⁻ᵀ + J_c⁻¹ D_c J_c⁻ᵀ,    D = diag(1 / stiffness) of the six forces,
 
-With rigid structures that is C = G diag(1/k) Gᵀ, G = J_f⁻¹. Weights and other loads are taken to be small: what a load
-itself adds by turning the legs is of the size load / (leg length · k) relative to C⁻¹.
+and a stage alone has the first term. With rigid structures that is C = G diag(1/k) Gᵀ, G = J_f⁻¹. Weights and other
+loads are taken to be small: what a load itself adds by turning the legs is of the size load / (leg length · k) relative
+to C⁻¹.
 
 For rates and forces no 6 x 6 is decomposed, see `spm_pin.formulas.wrenches`; singular values decide about the few
 states that may be singular. A single state that is, or that does not exist, raises: `SingularConfigurationError` or
@@ -24,78 +29,86 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
+from spm_pin.kinematics import stage_rates
 from spm_pin.kinematics.batches import run_on_states
-from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.kinematics.singularity_kinds import SINGULAR
+from spm_pin.machine.configuration import Configuration, check_configuration, check_state
 from spm_pin.machine.manipulator import Manipulator
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcastable, leg_values, real_array
 
-SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
-"""A matrix is singular to rounding where its smallest singular value is at most this times its largest.
-
-A unit vector computed from joint positions is off by a few eps, and so is an arm (b_i - p)/d. Six rows of two
-such parts, of coordinates a few times d, make a matrix off by some 10 √12 eps < 64 eps in the Frobenius norm:
-a smaller singular value may as well be zero.
-"""
+State = Configuration | StageConfiguration
+"""States of a manipulator or of a stage."""
 _STIFFEST = 1e100
 """Largest stiffness [N/m]: products of two are still numbers."""
 
 
-def inverse_jacobian(configuration: Configuration) -> FloatArray:
+def inverse_jacobian(configuration: State) -> FloatArray:
     """Return J_f of states (...), which maps the platform's twist to the leg rates: the paper's Eq. (31).
 
     Returns
     -------
-    ndarray, shape (..., 6, 6)
-        Rows r_b1, r_b2, r_b3, r_c1, r_c2, r_c3; columns the twist (v, ω): velocity of o [m/s], angular velocity
-        of m [rad/s], both in {B}. Singular, but right, at a forward singularity. A single state raises
-        `SingularConfigurationError`, and a member of a batch is NaN, at an inverse or a constraint singularity, where a
-        twist has no leg rates or no unique ones; and, as "forward", where a leg has no length, hence no direction.
+    ndarray, shape (..., 6, 6), of a stage (..., 3, 3)
+        Rows the legs, r_b1, r_b2, r_b3, r_c1, r_c2, r_c3; columns the twist (v, ω): velocity of o [m/s], angular
+        velocity of m [rad/s], both in {B}, of a stage its motion (v_z, ω_x, ω_y).
+        Singular, but right, at a forward singularity. A single state raises `SingularConfigurationError`, and a member
+        of a batch is NaN, at an inverse or a constraint singularity, where a twist has no leg rates or no unique ones;
+        and, as "forward", where a leg has no length, hence no direction.
     """
+    if isinstance(configuration, StageConfiguration):
+        return stage_rates.inverse_jacobian(configuration)
     from spm_pin.kinematics.kernels.jacobian_kernels import inverse_jacobians
 
     return _matrices(configuration, inverse_jacobians, "inverse")
 
 
-def platform_jacobian(configuration: Configuration) -> FloatArray:
+def platform_jacobian(configuration: State) -> FloatArray:
     """Return G = J_f⁻¹ of states (...), which maps the leg rates to the platform's twist, without inverting J_f.
 
     Returns
     -------
-    ndarray, shape (..., 6, 6)
+    ndarray, shape (..., 6, 6), of a stage (..., 6, 3)
         Rows the twist (v, ω) of m at o, in {B} [m/s, rad/s]; columns the legs, as in `inverse_jacobian`. Singular, but
         right, at an inverse singularity. A single state raises `SingularConfigurationError`, and a member of a batch is
-        NaN, at a forward or a constraint singularity, where the legs do not hold the platform.
+        NaN, at a forward or a constraint singularity, where the legs do not hold the platform. Of a stage the parasitic
+        motion is included, and the rows `spm_pin.stages.MOTION` are the inverse of its `inverse_jacobian`.
     """
+    if isinstance(configuration, StageConfiguration):
+        return stage_rates.platform_jacobian(configuration)
     from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
 
     return _matrices(configuration, platform_jacobians, "forward")
 
 
-def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
+def leg_rates(configuration: State, twist: npt.ArrayLike) -> FloatArray:
     """Return the rates of the legs' readings for a twist of the platform.
 
     Parameters
     ----------
-    configuration : Configuration
+    configuration : Configuration or StageConfiguration
         States of shape (...).
-    twist : array_like, shape (..., 6)
-        (v, ω) of m at o in {B} [m/s, rad/s]. Leading axes broadcast with those of `configuration`.
+    twist : array_like, shape (..., 6), of a stage (..., 3)
+        (v, ω) of m at o in {B} [m/s, rad/s], of a stage its motion (v_z, ω_x, ω_y). Leading axes broadcast with those
+        of `configuration`.
 
     Returns
     -------
-    ndarray, shape (..., 6)
+    ndarray, shape (..., 6), of a stage (..., 3)
         Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s], of RRS legs [rad/s]; at singularities as `inverse_jacobian`.
     """
-    value = _broadcast_argument(twist, "twist", "(v, ω) at o in {B} in m/s and rad/s", configuration)
+    check_state(configuration)
+    of_stage = isinstance(configuration, StageConfiguration)
+    meaning = f"{'(v_z, ω_x, ω_y)' if of_stage else '(v, ω)'} at o in {{B}} in m/s and rad/s"
+    value = _broadcast_argument(twist, "twist", meaning, configuration, 3 if of_stage else 6)
     return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
 
 
-def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArray:
+def leg_forces(configuration: State, wrench: npt.ArrayLike) -> FloatArray:
     """Return the actuator forces that hold a wrench applied onto the terminal platform: the paper's Eq. (33).
 
     Parameters
     ----------
-    configuration : Configuration
+    configuration : Configuration or StageConfiguration
         States of shape (...).
     wrench : array_like, shape (..., 6)
         (f, m): force [N] and moment [N m] at o, in {B}, applied onto m from outside. Leading axes broadcast with
@@ -103,13 +116,17 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
 
     Returns
     -------
-    ndarray, shape (..., 6)
+    ndarray, shape (..., 6), of a stage (..., 3)
         What the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 exert [N], of RRS legs [N m]; positive increases the
-        reading: an RPS leg pushes. Weights and friction are left out. At singularities as `platform_jacobian`.
+        reading: an RPS leg pushes. Weights and friction are left out. At singularities as `platform_jacobian`. What
+        else the joints carry: `spm_pin.capability.joint_reactions`, and of a stage `spm_pin.stages.joint_loads`.
     """
+    check_state(configuration)
+    load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration, 6)
+    if isinstance(configuration, StageConfiguration):
+        return np.asarray(-(platform_jacobian(configuration).mT @ load[..., None])[..., 0])
     from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces
 
-    load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
     forces, suspect = _run(stage_forces, configuration, (6,), load)
     if np.count_nonzero(suspect):
         # A state is as singular under any wrench.
@@ -157,10 +174,11 @@ def _run(
     return values, suspect
 
 
-def _broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, configuration: Configuration) -> FloatArray:
-    """Read a twist or a wrench (..., 6) whose leading axes broadcast with those of `configuration`."""
-    check_configuration(configuration)
-    array = real_array(value, argument, (6,), meaning)
+def _broadcast_argument(
+    value: npt.ArrayLike, argument: str, meaning: str, configuration: State, count: int
+) -> FloatArray:
+    """Read a twist or a wrench (..., count) whose leading axes broadcast with those of `configuration`."""
+    array = real_array(value, argument, (count,), meaning)
     broadcastable(argument, array.shape[:-1], "the configuration", configuration.shape)
     return array
 
@@ -187,11 +205,13 @@ def force_matrices(configuration: Configuration) -> FloatArray:
     return np.stack([*stages, structure], axis=-3)
 
 
-def stage_inverses(configuration: Configuration) -> FloatArray:
-    """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), with twists (v, ω) at o in {B} [m/s, rad/s] for rows.
+def stage_inverses(configuration: State) -> FloatArray:
+    """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), with twists (v, ω) at o in {B} [m/s, rad/s] for rows; of a stage one.
 
     NaN where `platform_jacobian` is; a single state that is singular raises.
     """
+    if isinstance(configuration, StageConfiguration):
+        return stage_rates.stage_inverses(configuration)
     inverses = _inverses(force_matrices(configuration)[..., :2, :, :], _without_hold(configuration)[..., None])
     lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
     angular = inverses[..., 3:, :] / configuration.machine.middle_side
@@ -234,16 +254,16 @@ class PrincipalStiffness(NamedTuple):
     """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
 
 
-def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
+def compliance(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
     """Return the displacement of the platform per unit wrench.
 
     Parameters
     ----------
-    configuration : Configuration
+    configuration : Configuration or StageConfiguration
         States of shape (...).
-    legs : array_like, shape (..., 6) or ()
+    legs : array_like, shape (..., 6), of a stage (..., 3), or ()
         Stiffness of each actuator with its leg, by the reading: [N/m], of RRS legs [N m/rad]; one number for all.
-    structure : array_like, shape (..., 6) or (), optional
+    structure : array_like of such a shape, optional
         Stiffness of each leg and its joints along the axis of its revolute joint, at the ball joint [N/m]; rigid by
         default.
 
@@ -251,21 +271,22 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     -------
     ndarray, shape (..., 6, 6)
         Maps (f, m) at o in {B} [N, N m] to a displacement of o [m] and a small rotation [rad] in {B}; symmetric.
-        Of rank less than 6 at an inverse singularity with rigid structures; at others as `platform_jacobian`.
+        With rigid structures of rank 3 of a stage, and less than 6 at an inverse singularity; at others as
+        `platform_jacobian`.
     """
-    check_configuration(configuration)
+    check_state(configuration)
     along = _compliances(legs, "legs", configuration)
-    across = np.zeros(6) if structure is None else _compliances(structure, "structure", configuration)
+    across = np.zeros(along.shape[-1]) if structure is None else _compliances(structure, "structure", configuration)
     inverses = stage_inverses(configuration)
     if not configuration.machine.legs.are_rps:
         along = along * configuration.slopes**2
-    halves = (x.reshape(*x.shape[:-1], 2, 3) for x in (along, across))
-    shares = np.concatenate(np.broadcast_arrays(*halves), axis=-1)
+    stages = (x.reshape(*x.shape[:-1], -1, 3) for x in (along, across))
+    shares = np.concatenate(np.broadcast_arrays(*stages), axis=-1)
     total = ((inverses * shares[..., None, :]) @ inverses.swapaxes(-1, -2)).sum(axis=-3)
     return np.asarray(0.5 * (total + total.swapaxes(-1, -2)))
 
 
-def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
+def stiffness(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
     """Return the wrench per unit displacement of the platform: the inverse of `compliance`.
 
     Parameters
@@ -277,8 +298,10 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     -------
     ndarray, shape (..., 6, 6)
         Maps a displacement of o [m] and a small rotation [rad] to (f, m) at o [N, N m], all in {B}; symmetric and
-        positive definite. At singularities as `compliance`; with a rigid structure it raises, or is NaN, at an inverse
-        one as well, where the legs' lengths do not show some motion of the platform: its stiffness is infinite there.
+        positive definite. Of a stage with a rigid structure it is (..., 3, 3): a displacement along z and rotations
+        about x and y, which the parasitic ones follow, to the f_z, m_x and m_y that hold it. At singularities as
+        `compliance`; with a rigid structure it raises, or is NaN, at an inverse one as well, where the legs' lengths do
+        not show some motion of the platform: its stiffness is infinite there.
 
     Examples
     --------
@@ -291,13 +314,14 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
         flexible = compliance(configuration, legs, structure)
         inverses = _inverses(flexible, np.asarray(np.isnan(flexible).any(axis=(-1, -2))))
         return 0.5 * (inverses + inverses.swapaxes(-1, -2))
-    along = 1.0 / _compliances(legs, "legs", check_configuration(configuration))
+    check_state(configuration)
+    along = 1.0 / _compliances(legs, "legs", configuration)
     jacobian = inverse_jacobian(configuration)
     return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
 
 
 def principal_stiffness(
-    configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None
+    configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None
 ) -> PrincipalStiffness:
     """Return the stiffness against pure forces at o and against pure moments, in their principal directions.
 
@@ -309,7 +333,8 @@ def principal_stiffness(
     Returns
     -------
     PrincipalStiffness
-        Infinite where a direction is rigid; singularities as in `compliance`.
+        Infinite where a direction is rigid, as some of a stage are without `structure`; singularities as in
+        `compliance`.
     """
     matrices = compliance(configuration, legs, structure)
     absent = np.asarray(np.isnan(matrices).any(axis=(-1, -2)))
@@ -324,11 +349,12 @@ def principal_stiffness(
     return PrincipalStiffness(*principal)
 
 
-def _compliances(value: npt.ArrayLike, argument: str, configuration: Configuration) -> FloatArray:
-    """Return 1 / stiffness of six forces, shape (..., 6)."""
-    meaning = "the stiffness of r_b1 to r_c3 in N/m, or one for all"
+def _compliances(value: npt.ArrayLike, argument: str, configuration: State) -> FloatArray:
+    """Return 1 / stiffness of a force of each leg, shape (..., legs)."""
+    names = configuration.machine.legs.names
+    meaning = f"the stiffness of {names[0]} to {names[-1]} in N/m, or one for all"
     cause = "A rigid leg has a large stiffness, not none"
-    inverses = 1.0 / leg_values(value, argument, meaning, most=_STIFFEST, cause=cause)
+    inverses = 1.0 / leg_values(value, argument, meaning, most=_STIFFEST, cause=cause, count=len(names))
     broadcastable(argument, inverses.shape[:-1], "configuration", configuration.shape)
     return np.asarray(inverses)
 

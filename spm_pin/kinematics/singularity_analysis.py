@@ -14,9 +14,8 @@ in units of d, so that they are dimensionless and of order one:
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -25,36 +24,18 @@ from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.formulas.operations import rows_of
 from spm_pin.formulas.vectors import directions
 from spm_pin.formulas.wrenches import determinant, structure_determinant
+from spm_pin.kinematics import stage_rates
 from spm_pin.kinematics.batches import run_kernel, run_on_states
-from spm_pin.kinematics.rates_and_forces import SINGULAR, force_matrices, leg_constants, platform_jacobian
-from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.kinematics.rates_and_forces import force_matrices, leg_constants, platform_jacobian
+from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
+from spm_pin.machine.configuration import Configuration, check_configuration, check_state
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 
 _MIN_BATCH_PER_THREAD = 1 << 11
 _MATRICES = ("J_b", "J_c", "K")
 _STEP = 1e-100
 """Imaginary step of derivatives, in metres of leg length: its square is nothing beside one."""
-
-
-class SingularityKind(enum.IntFlag):
-    """Kinds of singularity; a configuration can be of several."""
-
-    REGULAR = 0
-    INVERSE = 1
-    FORWARD = 2
-    CONSTRAINT = 4
-    LEG = 8
-
-    def __str__(self) -> str:
-        return " and ".join(str(kind.name).lower() for kind in SingularityKind if kind & self) or "regular"
-
-
-def kinds_text(kinds: npt.NDArray[np.int8], exists: BoolArray) -> str:
-    """Return the kind of a state, or how many of a batch exist and are of each kind."""
-    if not kinds.shape:
-        return str(SingularityKind(int(kinds))) if exists else "does not exist"
-    counts = [f"{np.count_nonzero(kinds & kind)} {kind}" for kind in SingularityKind if (kinds & kind).any()]
-    return f"{kinds.shape} states, {np.count_nonzero(exists)} exist, {', '.join(counts) or 'all regular'}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -111,16 +92,31 @@ class Singularities:
         return f"<Singularities: {kinds_text(self.kind, exists)}; smallest singular values of J_b, J_c, K: {sigmas}>"
 
 
-def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) -> Singularities:
+@overload
+def singularities(configuration: Configuration, *, tolerance: float = ...) -> Singularities: ...
+
+
+@overload
+def singularities(configuration: StageConfiguration, *, tolerance: float = ...) -> stage_rates.StageSingularities: ...
+
+
+def singularities(
+    configuration: Configuration | StageConfiguration, *, tolerance: float = SINGULAR
+) -> Singularities | stage_rates.StageSingularities:
     """Describe the singularities of a configuration, or how near they are.
 
     Parameters
     ----------
-    configuration : Configuration
+    configuration : Configuration or StageConfiguration
         States of shape (...).
     tolerance : float
         A matrix is singular where its smallest singular value is at most this times its largest; by default
         where rounding cannot tell. Raise it to name singularities that are merely near.
+
+    Returns
+    -------
+    Singularities, of a stage StageSingularities
+        Their kinds and distances.
 
     Notes
     -----
@@ -132,7 +128,10 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
     from spm_pin.kinematics.kernels.singularity_kernels import describe_singularities
 
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
-    machine = check_configuration(configuration).machine
+    check_state(configuration)
+    if isinstance(configuration, StageConfiguration):
+        return stage_rates.singularities(configuration, tolerance)
+    machine = configuration.machine
     exists, side = configuration.exists, machine.middle_side
     three, six = ((3,), np.float64), ((6,), np.float64)
     results = (three, three, three, ((3,), np.int8), ((), np.bool_), ((3, 6), np.float64), six)

@@ -23,6 +23,8 @@ _is_home_state = on_arrays(formulas.is_home_state)
 _BALLS = ((3, 3), np.float64)
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_FOLLOWED, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 10, 1 << 12
 
+STAGE_MODES = tuple(f"{mode}{place + 1}{sheet}" for mode in "TF" for place in range(4) for sheet in "+-")
+"""Canonical order of the sixteen assembly modes of a stage: T1+, T1-, T2+ … F4-."""
 CentresAndRadii = tuple[FloatArray, FloatArray]
 """Centres (N, 3, 3) and radii (N, 3) [m]."""
 

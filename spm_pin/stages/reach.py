@@ -16,9 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, UnreachableError
-from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration
-from spm_pin.stages.displacement import (
+from spm_pin.kinematics.stage_displacement import (
     forward_physical,
     inverse,
     inverse_physical,
@@ -27,6 +25,8 @@ from spm_pin.stages.displacement import (
     poses,
     read_heights,
 )
+from spm_pin.machine.stage import Stage
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
 
 _STEP = math.radians(0.5)

@@ -213,16 +213,18 @@ def real_array(
     return finite_array(array, argument, trailing, meaning, allow_nan=allow_nan)
 
 
-def leg_values(value: npt.ArrayLike, argument: str, meaning: str, *, most: float, cause: str = "") -> FloatArray:
-    """Read positive numbers for r_b1 to r_c3, shape (..., 6), or one for all, as shape (6,); at most `most`."""
+def leg_values(
+    value: npt.ArrayLike, argument: str, meaning: str, *, most: float, cause: str = "", count: int = 6
+) -> FloatArray:
+    """Read a positive number for each leg, shape (..., count), or one for all, as (count,); at most `most`."""
     array = as_array(value)
     single = array is not None and not array.ndim
-    numbers = real_array(value, argument, () if single else (6,), meaning)
+    numbers = real_array(value, argument, () if single else (count,), meaning)
     outside = (numbers <= 0.0) | (numbers > most)
     if outside.any():
         expected = f"positive numbers of at most {most:g}, {meaning}"
         raise ArgumentError(argument, expected, f"{numbers[outside].flat[0]:g}", cause)
-    return np.full(6, numbers) if single else numbers
+    return np.full(count, numbers) if single else numbers
 
 
 def leg_bounds(

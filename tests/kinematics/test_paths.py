@@ -12,16 +12,9 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 import spm_pin as spm
-from spm_pin.kinematics.path_following import (
-    EventKind,
-    FollowedPath,
-    Tracker,
-    existing_share,
-    follow,
-    last_on_line,
-    watch_of,
-)
+from spm_pin.kinematics.path_following import existing_share, follow, last_on_line, watch_of
 from spm_pin.kinematics.singularity_analysis import determinants
+from spm_pin.kinematics.tracking import EventKind, FollowedPath, Tracker
 
 FREE = replace(PAPER, limits=None)
 RESOLUTION = 1e-9

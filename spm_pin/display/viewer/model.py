@@ -25,9 +25,9 @@ from spm_pin.kinematics import (
     leg_forces,
     singularities,
 )
-from spm_pin.kinematics.forward_displacement import read_readings
 from spm_pin.kinematics.path_following import existing_share, last_on_line
 from spm_pin.kinematics.random_states import random_states
+from spm_pin.kinematics.readings import read_readings
 from spm_pin.machine import FAMILIES, LEGS, Configuration, Manipulator, SolutionSet, Stage, StageConfiguration, Status
 from spm_pin.machine.batched import Batched
 from spm_pin.machine.branch_of_state import family, physical

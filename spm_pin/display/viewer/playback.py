@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SpmError
-from spm_pin.kinematics.path_following import FollowedPath, follow
+from spm_pin.kinematics.path_following import follow
+from spm_pin.kinematics.tracking import FollowedPath
 from spm_pin.machine import LEGS, Configuration, Manipulator
 from spm_pin.machine.machine import unit_hint
 from spm_pin.support.arguments import FloatArray

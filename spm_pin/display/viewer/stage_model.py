@@ -19,8 +19,8 @@ from spm_pin.display.viewer.model import Measure, excess_warnings, ranges_of_rea
 from spm_pin.display.writing import fixed
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics.path_following import existing_share
+from spm_pin.kinematics.stage_displacement import normals_of_request, read_stage_readings
 from spm_pin.machine import Stage, StageConfiguration
-from spm_pin.stages.displacement import normals_of_request, read_stage_readings
 from spm_pin.support.arguments import FloatArray, real_array
 
 _NEAR = 0.1

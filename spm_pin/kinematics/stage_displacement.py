@@ -12,8 +12,8 @@ from spm_pin.errors import ArgumentError
 from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
 from spm_pin.formulas.stage_poses import LEAST_RISE
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
-from spm_pin.kinematics.forward_displacement import STAGE_MODES, read_readings
-from spm_pin.kinematics.stage_balls import Drawing, all_modes, followed_balls, physical_balls
+from spm_pin.kinematics.readings import read_readings
+from spm_pin.kinematics.stage_balls import STAGE_MODES, Drawing, all_modes, followed_balls, physical_balls
 from spm_pin.machine.leg_kinds import RPS
 from spm_pin.machine.legs import PlacedLegs
 from spm_pin.machine.machine import likely_unit

@@ -1,4 +1,4 @@
-"""Rates, forces and singularities of a stage alone: `docs/theory/stages.md`.
+"""Rates, joint loads and singularities of one stage: `docs/theory/stages.md`.
 
 The platform has three freedoms, its *motion* (v_z, ω_x, ω_y): the velocity of its origin along z of {B} and the part of
 its angular velocity across z. What it does besides is parasitic. Each leg acts on it through its ball along
@@ -16,12 +16,11 @@ import numpy.typing as npt
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.formulas import stage_poses, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
-from spm_pin.kinematics.rates_and_forces import SINGULAR
-from spm_pin.kinematics.singularity_analysis import SingularityKind, kinds_text
+from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
 from spm_pin.machine.batched import masked
 from spm_pin.machine.configuration import check_members
 from spm_pin.machine.stage_configuration import StageConfiguration
-from spm_pin.support.arguments import FloatArray, broadcastable, check_instance, real_array, real_number
+from spm_pin.support.arguments import FloatArray, broadcastable, check_instance, real_array
 
 MOTION = slice(2, 5)
 """Rows of a twist (v, ω) that are the motion (v_z, ω_x, ω_y)."""
@@ -123,48 +122,10 @@ def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
     return np.asarray(forces @ twists / np.where(stuck, np.nan, slopes)[..., None])
 
 
-def leg_rates(configuration: StageConfiguration, motion: npt.ArrayLike) -> FloatArray:
-    """Return the rates of the readings (..., 3) for a motion (v_z, ω_x, ω_y) of the platform (..., 3).
-
-    Parameters
-    ----------
-    configuration : StageConfiguration
-        States of shape (...).
-    motion : array_like, shape (..., 3)
-        Of the platform's origin along z [m/s], and ω_x, ω_y in {B} [rad/s]. Leading axes broadcast.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        [m/s], of RRS legs [rad/s]; at singularities as `inverse_jacobian`.
-    """
-    value = _argument(configuration, motion, "motion", 3, "(v_z, ω_x, ω_y) in m/s and rad/s")
-    return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
-
-
-def leg_forces(configuration: StageConfiguration, wrench: npt.ArrayLike) -> FloatArray:
-    """Return what the actuators exert to hold a wrench applied onto the platform, shape (..., 3).
-
-    Parameters
-    ----------
-    configuration : StageConfiguration
-        States of shape (...).
-    wrench : array_like, shape (..., 6)
-        (f, m): force [N] and moment [N m] at the platform's origin, in {B}, from outside. Leading axes broadcast.
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        [N], of RRS legs [N m]; positive increases the reading: an RPS leg pushes. Half of the wrench's components the
-        structure holds, see `joint_loads`. At a forward singularity as `platform_jacobian`.
-    """
-    load = _argument(configuration, wrench, "wrench", 6, "(f, m) at the platform's origin in {B} in N and N m")
-    return np.asarray(-np.einsum("...ki,...k->...i", platform_jacobian(configuration), load))
-
-
 def joint_loads(configuration: StageConfiguration, wrench: npt.ArrayLike) -> JointLoads:
     """Return what actuators, legs, balls and pivots carry under a wrench (..., 6), both as for `leg_forces`."""
-    load = _argument(configuration, wrench, "wrench", 6, "(f, m) at the platform's origin in {B} in N and N m")
+    load = real_array(wrench, "wrench", (6,), "(f, m) at the platform's origin in {B} in N and N m")
+    broadcastable("wrench", load.shape[:-1], "the configuration", _read(configuration).shape)
     rods, across = (
         -np.einsum("...ki,...k->...i", _columns(configuration, along_legs=along), load) for along in (True, False)
     )
@@ -174,19 +135,11 @@ def joint_loads(configuration: StageConfiguration, wrench: npt.ArrayLike) -> Joi
     return JointLoads(rods * configuration.slopes, rods, across, balls, np.cross(arms, balls))
 
 
-def singularities(configuration: StageConfiguration, tolerance: float = SINGULAR) -> StageSingularities:
+def singularities(state: StageConfiguration, least: float) -> StageSingularities:
     """Find which states are singular, of which kind, and how far the others are from it.
 
-    Parameters
-    ----------
-    configuration : StageConfiguration
-        States of shape (...).
-    tolerance : float
-        Smallest singular value over the largest, and κ over the largest, up to which a state is singular.
+    `least` is the ratio of the smallest singular value to the largest, and of κ to its largest, of a singular state.
     """
-    state = check_instance(configuration, StageConfiguration, "configuration")
-    expected = "a number from 0 to less than 1, the ratio of singular values up to which a state is singular"
-    least = real_number(tolerance, "tolerance", expected, least=0.0, below=1.0)
     exists, scale = state.exists[..., None, None], state.stage.platform_radius
     # A leg of no length has no direction and resists nothing: its row is zero, and the state forward singular.
     six = np.nan_to_num(np.where(exists, _six_forces(state), np.eye(6)))
@@ -223,12 +176,6 @@ def _read(configuration: Any) -> StageConfiguration:
     state = check_instance(configuration, StageConfiguration, "configuration")
     check_members(state, "configuration", single=False, existing=not state.shape)
     return state
-
-
-def _argument(configuration: Any, value: npt.ArrayLike, argument: str, count: int, meaning: str) -> FloatArray:
-    array = real_array(value, argument, (count,), meaning)
-    broadcastable(argument, array.shape[:-1], "the configuration", _read(configuration).shape)
-    return array
 
 
 def _directions(state: StageConfiguration) -> tuple[FloatArray, FloatArray]:

@@ -9,11 +9,17 @@ import numpy.typing as npt
 import scipy
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.path_following import EventKind, FollowedPath, Watch, followed
+from spm_pin.kinematics.stage_displacement import (
+    forward,
+    inverse,
+    normals_of_request,
+    read_heights,
+    read_stage_readings,
+)
+from spm_pin.kinematics.stage_rates import determinants
+from spm_pin.kinematics.tracking import EventKind, FollowedPath, Watch, followed
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration, StageSolutions
-from spm_pin.stages.displacement import forward, inverse, normals_of_request, read_heights, read_stage_readings
-from spm_pin.stages.rates_and_forces import determinants
 from spm_pin.support.arguments import check_instance, whole_number
 
 _KINDS = (

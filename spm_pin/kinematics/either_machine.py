@@ -1,0 +1,48 @@
+"""Functions that take a `Manipulator` or a `Stage`: which of two functions is called is decided here."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any, ParamSpec, Protocol, TypeVar, cast, overload
+
+from spm_pin.machine.machine import check_machine
+from spm_pin.machine.stage import Stage
+
+P = ParamSpec("P")
+Q = ParamSpec("Q")
+R = TypeVar("R", covariant=True)
+T = TypeVar("T", covariant=True)
+
+
+class OfEither(Protocol[P, R, Q, T]):
+    """A function of a manipulator, with arguments P, or of a stage, with arguments Q."""
+
+    @overload
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R: ...
+    @overload
+    def __call__(self, *args: Q.args, **kwargs: Q.kwargs) -> T: ...
+
+
+def or_of_stage(of_stage: Callable[Q, T]) -> Callable[[Callable[P, R]], OfEither[P, R, Q, T]]:
+    """Return a decorator of a function of a manipulator, which calls `of_stage` if the first argument is a stage.
+
+    A stage is asked for a tilt and a height where a manipulator is asked for a pose, so that their arguments differ.
+    """
+
+    def decorate(of_manipulator: Callable[P, R]) -> OfEither[P, R, Q, T]:
+        first = next(iter(inspect.signature(of_manipulator).parameters))
+
+        @functools.wraps(of_manipulator)
+        def function(*args: Any, **kwargs: Any) -> Any:
+            if not args and first in kwargs:
+                args = (kwargs.pop(first),)
+            chosen: Any = of_manipulator
+            if args and isinstance(check_machine(args[0], first), Stage):
+                chosen = of_stage
+            return chosen(*args, **kwargs)
+
+        return cast("OfEither[P, R, Q, T]", function)
+
+    return decorate
