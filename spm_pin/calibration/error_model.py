@@ -23,14 +23,13 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import Machine
-from spm_pin.machine.batched import Batched
+from spm_pin.kinematics.rates_and_forces import stage_inverses
+from spm_pin.machine import Configuration, Machine, StageConfiguration
 from spm_pin.machine.configuration import check_state
-from spm_pin.stages.of_machine import stage_inverses
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, real_array, real_number
 
 
-def error_jacobian(configuration: Batched) -> FloatArray:
+def error_jacobian(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return how the platform moves in states (...) per error of each parameter, at constant readings.
 
     Returns

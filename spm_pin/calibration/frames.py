@@ -6,6 +6,7 @@ An IMU and a ruler are a tracker that sees less: its z is the vertical, and its 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -96,13 +97,13 @@ class Frames:
         """Return what the tracker sees of the target in states (N,): poses (N, 4, 4)."""
         return np.asarray(self.base @ states.pose.as_matrix() @ self.target)
 
-    def motions(self, states: Batched, twists: FloatArray) -> FloatArray:
+    def motions(self, states: Any, twists: FloatArray) -> FloatArray:
         """Return what the tracker sees of the platform's twists (v, ω) in {B}, (N, 6, k) each."""
         lever = states.rotation @ self.target[:3, 3]
         linear = twists[:, :3] + np.cross(twists[:, 3:], lever[..., None], axis=1)
         return np.concatenate([self.base[:3, :3] @ linear, self.base[:3, :3] @ twists[:, 3:]], axis=1)
 
-    def jacobian(self, states: Batched) -> FloatArray:
+    def jacobian(self, states: Any) -> FloatArray:
         """Return how what is seen moves per error of the machine's parameters and of the frames, (N, 6, n + 12)."""
         point = self.base[:3, :3] @ (states.rotation @ self.target[:3, 3] + states.translation)[..., None]
         turns = np.tile(np.eye(3), (len(states), 1, 1))

@@ -29,11 +29,11 @@ from spm_pin.calibration.frames import FRAME_PARAMETERS, Frames
 from spm_pin.calibration.measurements import MeasurementError, Measurements, total_covariances
 from spm_pin.calibration.observables import OBSERVABLES, Observable
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.random_states import random_states
 from spm_pin.machine import Configuration, Machine, StageConfiguration, as_rigid_transform
 from spm_pin.machine.batched import Batched
 from spm_pin.machine.configuration import check_state
 from spm_pin.machine.machine import check_machine
-from spm_pin.stages.of_machine import random_states
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, as_bool, choice, generator, whole_number
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")

@@ -17,10 +17,11 @@ from spm_pin.calibration.error_model import pose_errors
 from spm_pin.calibration.frames import Frames
 from spm_pin.calibration.observables import POSES, POSITIONS, Inclinations, Observable, poses_and_observable
 from spm_pin.errors import ArgumentError, SingularConfigurationError, raised_as
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.machine import LEGS, STAGE_LEGS, Machine, as_rigid_transform
 from spm_pin.machine.batched import Batched
 from spm_pin.machine.machine import unit_hint
-from spm_pin.stages.of_machine import forward_physical, platform_jacobian
 from spm_pin.support.arguments import (
     LARGEST,
     BoolArray,
@@ -125,7 +126,7 @@ class Measurements:
         """Which components of which rows were measured, (N, n)."""
         return ~np.isnan(self.observable.errors(np.tile(np.eye(4), (len(self.poses), 1, 1)), self.poses))
 
-    def states(self, machine: Machine) -> Batched:
+    def states(self, machine: Any) -> Batched:
         """Return the states (N,) of a machine with the readings; absent where it has none."""
         impossible = np.any(self._impossible(machine), axis=-1)
         possible = np.where(impossible[:, None], machine.legs.offsets + 1.0, self.readings)
@@ -287,7 +288,7 @@ def covariances(
 
 
 def total_covariances(
-    states: Batched,
+    states: Any,
     frames: Frames,
     observable: Observable,
     measured: FloatArray,

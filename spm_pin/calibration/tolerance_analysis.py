@@ -12,9 +12,9 @@ import numpy.typing as npt
 from spm_pin.calibration.error_model import error_jacobian, pose_errors, prior_deviations
 from spm_pin.calibration.identification import given_or_drawn
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.machine import Configuration, Machine, StageConfiguration
 from spm_pin.machine.machine import check_machine
-from spm_pin.stages.of_machine import forward_physical
 from spm_pin.support.arguments import FloatArray, choice, generator, real_number, whole_number
 
 
@@ -118,7 +118,7 @@ def tolerance(
     variances = (scaled[:, :3] ** 2).sum(axis=1).mean(axis=0)
     errors = np.empty((samples, len(places), 6))
     for sample in range(samples):
-        built = machine.from_parameters(machine.parameters + deviations * random.standard_normal(len(deviations)))
+        built: Any = machine.from_parameters(machine.parameters + deviations * random.standard_normal(len(deviations)))
         states_of_built = forward_physical(built, places.readings)
         errors[sample] = pose_errors(states_of_built.pose.as_matrix(), places.pose.as_matrix())
     return ToleranceAnalysis(

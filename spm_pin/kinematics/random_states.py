@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,10 +17,8 @@ _SPREAD = 1.33
 _ATTEMPTS = 100
 
 
-def random_states(
-    machine: Machine, count: int, rng: np.random.Generator, forward: Callable[..., Any] = forward_physical
-) -> Any:
-    """Draw physical states (count,) whose readings are uniform within the leg limits, by `forward` of the machine.
+def random_states(machine: Any, count: int, rng: np.random.Generator) -> Any:
+    """Draw physical states (count,) whose readings are uniform within the leg limits.
 
     Without limits the balls are as far from their pivots as at home, a third more or less; instead of limits of zero
     and infinity they are a third and three times as far. Raises `ArgumentError` where the limits hold no state, or next
@@ -36,10 +33,10 @@ def random_states(
         high = np.where(np.isfinite(most), most, np.maximum(high, 3.0 * low))
     readings = np.empty((0, len(legs.names)))
     for _ in range(_ATTEMPTS):
-        states = forward(machine, rng.uniform(low, high, (2 * count, len(legs.names))))
+        states = forward_physical(machine, rng.uniform(low, high, (2 * count, len(legs.names))))
         readings = np.concatenate([readings, states.readings[states.exists]])[:count]
         if len(readings) == count:
-            return forward(machine, readings)
+            return forward_physical(machine, readings)
     raise ArgumentError("machine", "leg limits within which the machine has states", repr(limits))
 
 

@@ -253,7 +253,7 @@ def check_configuration(
     return configuration
 
 
-def check_state(value: Any, argument: str = "configuration", *, existing: bool = False) -> Batched:
+def check_state(value: Any, argument: str = "configuration", *, existing: bool = False) -> Any:
     """Return `value` if it is a state of a manipulator or of a stage, without absent members if `existing`."""
     if not isinstance(value, Batched):
         received = type(value).__name__
