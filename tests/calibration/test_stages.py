@@ -178,8 +178,12 @@ def test_the_base_s_tilt_and_the_imu_s_mounting_are_estimated_with_the_stage(kin
     target = RigidTransform.from_components([0.1 * size, -0.2 * size, 0.05 * size], mounted).as_matrix()
     shown = Inclinations(*imu_and_ruler(base @ poses @ target))
     noise: Any = {"pose_noise": (1e-7, 1e-7), "reading_noise": 1e-9}
-    with pytest.raises(MeasurementError, match=r"IMU turned on the platform.*With frames=True|along other axes|order"):
-        _ = identify(nominal, shown, readings, **noise).machine
+    askew = Rotation.from_euler("xyz", [0.06, -0.05, 0.0]).as_matrix()
+    turned = poses.copy()
+    turned[:, :3, :3] = poses[:, :3, :3] @ askew
+    wrong = identify(nominal, Inclinations(*imu_and_ruler(turned)), readings, parameters="ball", **noise)
+    assert wrong.status != "fits"
+    assert "The IMU turned on the platform" in wrong.reason
     found = identify(nominal, shown, readings, frames=True, **noise)
     assert found.status == "fits", found.reason
     assert len(found.unidentifiable) == 12 + 3 * (kind == "PRS")
