@@ -73,7 +73,7 @@ def error_jacobian(configuration: Configuration | StageConfiguration) -> FloatAr
     rows[..., 1, :2] = -((state.balls - state.leg_bases)[..., None, :] @ (frames @ tilts))[..., 0, :]
     rows[..., 1, :] *= outward
     # Of each leg the motions (..., legs, 6) that its two equations make.
-    sides = np.swapaxes(stage_inverses(state), -1, -2).reshape(*state.shape, -1, 2, 3, 6)
+    sides = np.swapaxes(stage_inverses(state), -1, -2).reshape(*state.shape, len(legs.kinds), 2, 3, 6)
     along_leg, along_axis = (sides[..., k, :, :].reshape(*state.shape, count, 6) for k in range(2))
     moved = along_leg[..., None] * rows[..., 0, None, :] + along_axis[..., None] * rows[..., 1, None, :]
     columns = [_of_legs(moved)]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -62,14 +62,15 @@ _ESTIMATED = "With frames=True, --frames, both frames are estimated too"
 _TRACKER = f"Poses of a target in a tracker's own frame? {_ESTIMATED}"
 _ASKEW = f"The IMU turned on the platform, the base not level, or heights of another point? {_ESTIMATED}"
 
+M = TypeVar("M", bound=Machine)
 _Function = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, repr=False)
-class Calibration:
+class Calibration(Generic[M]):
     """A machine identified from N measurements, and how well it is known."""
 
-    fitted: Any
+    fitted: M
     """The `Manipulator` or `Stage` that fits the measurements best, whatever `status` says."""
     status: str
     """"fits"; or "outliers", "misfit", "not converged" or "another nominal": then `machine` raises an error."""
@@ -132,7 +133,7 @@ class Calibration:
         return rows
 
     @property
-    def machine(self) -> Any:
+    def machine(self) -> M:
         """The machine; raises `MeasurementError` if the measurements do not fit it, with the reason."""
         self._check_status()
         return self.fitted
@@ -164,7 +165,7 @@ class Calibration:
 
 
 def identify(
-    machine: Machine,
+    machine: M,
     poses: Any,
     readings: npt.ArrayLike,
     *,
@@ -174,7 +175,7 @@ def identify(
     frames: bool = False,
     tolerances: Mapping[str, float] | npt.ArrayLike | None = None,
     loss: str = "linear",
-) -> Calibration:
+) -> Calibration[M]:
     """Identify a machine from measured poses, or from what an IMU and a ruler show, and readings.
 
     Parameters
@@ -229,7 +230,8 @@ def identify(
     >>> spm.calibration.identify(balancer, shown, plan.readings, parameters=["offset", "crank", "rod"]).status
     'fits'
     """
-    start = check_machine(machine)
+    check_machine(machine)
+    start = machine
     unknown_frames = as_bool(frames, "frames")
     wanted = selected(start, start.parameter_names if parameters is None else parameters, "parameters")
     choice(loss, "loss", _LOSSES)
@@ -246,7 +248,7 @@ def identify(
         raise MeasurementError("poses", expected, f"{count}", "Measure more, or identify fewer parameters")
     scaled = _scale(start)[:, None] * basis
 
-    def machine_of(unknown: FloatArray) -> tuple[Machine, Frames]:
+    def machine_of(unknown: FloatArray) -> tuple[M, Frames]:
         changes = scaled @ unknown
         return start.from_parameters(start.parameters + changes[:own]), data.frames.changed(changes[own:])
 
@@ -470,8 +472,10 @@ def _check_determined(slopes: FloatArray, basis: FloatArray, count: int, paramet
         worst = basis @ right[-1]
         names = ", ".join(parameters[k] for k in np.argsort(-np.abs(worst))[:3])
         received = f"{count} poses that determine {int((~unknown).sum())}; the least determined one moves {names}"
-        cause = "Measure at poses further apart, see spm.calibration.choose_poses, or identify fewer parameters"
-        cause += ". Is the noise given too large?"
+        cause = (
+            "Measure at poses further apart, see spm.calibration.choose_poses, identify fewer parameters, or say by "
+        )
+        cause += "tolerances how machines are made. Is the noise given too large?"
         raise MeasurementError("poses", f"poses that determine {len(unknown)} combinations", received, cause)
 
 

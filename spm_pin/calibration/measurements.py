@@ -335,7 +335,7 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     if table.has(_LEVELS) and not table.has(POSITION):
         names = [name for name in _LEVELS if table.has([name])]
         readings, columns = table.columns(legs), table.columns(names, missing=True).T
-        with raised_as(MeasurementError, str(table.path)):
+        with raised_as(MeasurementError, file=str(table.path)):
             poses = Inclinations(**dict(zip(names, columns, strict=True)))
     else:
         readings, poses = table.columns([*POSITION, *legs])[:, 3:], table.poses()

@@ -136,7 +136,7 @@ def _read_tolerances(typed: list[str], legs: Sequence[str]) -> dict[str, float]:
     return table
 
 
-def _sizes(calibration: Calibration) -> list[tuple[str, str, float, float]]:
+def _sizes(calibration: Calibration[Any]) -> list[tuple[str, str, float, float]]:
     """Return each compared quantity, its unit, and its root mean square before and after."""
     rows = []
     for name, unit, *sizes in calibration.error_sizes:
@@ -154,7 +154,7 @@ def _with_lines(message: str, rows: Sequence[int], path: Path) -> str:
     return f"{message} (row{many} {', '.join(map(str, rows))}: line{many} {numbers} of {path.name})"
 
 
-def _report(calibration: Calibration, measurements: Path) -> None:
+def _report(calibration: Calibration[Any], measurements: Path) -> None:
     known, total = len(calibration.deviations), len(calibration.deviations) + len(calibration.unidentifiable)
     lines = [f"{known} of {total} combinations of parameters identified from {len(calibration.misfit)} measurements"]
     for name, unit, before, after in _sizes(calibration):
@@ -173,7 +173,9 @@ def _report(calibration: Calibration, measurements: Path) -> None:
         rows = np.flatnonzero(calibration.outliers).tolist()
         lines.append(_with_lines(f"{len(rows)} outlier{'s' * (len(rows) > 1)}", rows, measurements))
     if len(calibration.names) > len(calibration.fitted.parameters):
-        for name, frame in (("{B} as measured", calibration.base), ("what was measured, on it", calibration.target)):
+        frames_of = {"{B} in the frame of the measurements": calibration.base}
+        frames_of["target or IMU on the platform"] = calibration.target
+        for name, frame in frames_of.items():
             position = ", ".join(f"{x:.6g}" for x in frame.translation)
             turn = ", ".join(f"{x:.6g}" for x in frame.rotation.as_quat())
             lines.append(f"{name}: position {position} m, quaternion {turn}")

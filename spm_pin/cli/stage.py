@@ -179,7 +179,7 @@ def write(
 
 @as_command_of_stage(calibrate_machine)
 def calibrate() -> None:
-    """Identify a stage as built from what an IMU and a ruler show, or from measured poses, and leg readings.
+    """Calibrate a stage from what an IMU and a ruler show, or from measured poses, and leg readings.
 
     Example: spm-pin stage calibrate seen.csv --base 80 --platform 90 --crank 50 --rod 110 --unit mm --out built.yaml
 

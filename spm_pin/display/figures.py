@@ -57,7 +57,7 @@ def agreement_figure(report: Report) -> Figure:
     return figure
 
 
-def calibration_figure(calibration: Calibration) -> Figure:
+def calibration_figure(calibration: Calibration[Any]) -> Figure:
     """Draw the position errors of all measurements before and after, and the uncertainties of the combinations."""
     from spm_pin.calibration import Calibration
 

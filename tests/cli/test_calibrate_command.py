@@ -192,6 +192,21 @@ def test_what_a_stage_is_identified_from_is_checked(balancer: tuple[spm.Stage, P
     assert done.returncode == 2
     assert "--base: expected a radius, or --stage with a file" in done.message
     assert "expected real numbers of shape (..., 6)" in run("calibrate", file).message
+    for tolerance, words in (("offset=x", "such as offset=0.05"), ("knee=0.1", "knee"), ("offset=-1", "not negative")):
+        done = run("stage", "calibrate", file, *NUMBERS, "--tolerance", tolerance)
+        assert done.returncode == 2
+        assert "--tolerance" in done.message
+        assert words in done.message
+
+
+def test_tolerances_of_some_dimensions_hold_them(balancer: tuple[spm.Stage, Path]) -> None:
+    built, file = balancer
+    typed = "--tolerance", "1e-6", "--tolerance", "offset=0.05"
+    content = json.loads(run("stage", "calibrate", file, *NUMBERS, *typed, "--json").stdout)
+    assert content["status"] == "fits"
+    expected = dict(zip(built.parameter_names, built.parameters, strict=True))
+    for name, value in content["parameters"].items():
+        assert value == pytest.approx(expected[name], abs=1e-3 if name.endswith("offset") else 5e-6)
 
 
 def test_tolerances_of_a_stage_are_weighed(tmp_path: Path) -> None:
