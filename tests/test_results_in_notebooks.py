@@ -86,7 +86,7 @@ def test_singularities_of_a_batch_show_its_first_states() -> None:
     assert more == ["and 2 more"]
 
 
-def test_a_geometry_shows_its_dimensions_and_how_far_it_is_from_the_drawing() -> None:
+def test_a_geometry_shows_its_dimensions_and_how_far_it_is_from_nominal() -> None:
     _, *lines = rows(GEOMETRY)
     assert lines[1:] == [
         ["C, platform radius", "0.34641 m"],
@@ -98,10 +98,10 @@ def test_a_geometry_shows_its_dimensions_and_how_far_it_is_from_the_drawing() ->
     errors = np.zeros((6, 9))  # two of the direction, three each of pivot and ball, offset
     errors[4, :2], errors[1, 3], errors[5, 7], errors[0, 8] = (3e-3, 4e-3), -2e-3, 1e-3, -5e-4
     built = spm.Manipulator(*GEOMETRY.dimensions, limits).from_parameters(GEOMETRY.parameters + errors.ravel())
-    assert "as built" in "".join(shown(built).itertext())
+    assert "Calibrated machine" in "".join(shown(built).itertext())
     table = dict(rows(built)[1:])
     assert (table["limits of r_b3"], table["limits of r_c1"]) == ("1.1 to 1.4 m", "1.2 to 1.5 m")
-    deviations = {name: table[f"{name} off the drawing"] for name in ("axes", "pivots", "balls", "offsets")}
+    deviations = {name: table[f"{name} minus nominal"] for name in ("axes", "pivots", "balls", "offsets")}
     assert deviations == {
         "axes": "up to 5 mrad, r_c2",
         "pivots": "up to 2 mm, r_b2",

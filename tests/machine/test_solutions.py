@@ -277,7 +277,7 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
     long = length == 150
     solutions = spm.forward_displacement(PAPER, LONG) if long else spm.inverse_displacement(PAPER, FAR)
     absent = spm.forward_physical(PAPER, LONG) if long else spm.inverse_physical(PAPER, FAR)
-    hint = f"{length:g} m are out of proportion to this machine; is it {length:g} cm?"
+    hint = f"{length:g} m is out of proportion to this machine; is it {length:g} cm?"
     assert solutions.status is spm.Status.UNREACHABLE
     for found in (solutions, solutions.physical(), absent, pickle.loads(pickle.dumps(solutions))):
         assert hint in repr(found)
