@@ -187,7 +187,7 @@ def _of_legs(value: float | Sequence[float], argument: str, legs: tuple[str, ...
     if array.shape not in ((), (len(legs),)):
         raise GeometryError(argument, expected, f"shape {array.shape}")
     if np.isnan(array).any():
-        raise GeometryError("limits", expected, "NaN", "Use infinity for no limit, or 0 for no minimum of a length")
+        raise GeometryError("limits", expected, "NaN", "Use infinity for no maximum, or 0 for no minimum of a length")
     return tuple(float(x) for x in np.broadcast_to(array, len(legs)))
 
 

@@ -117,8 +117,8 @@ def replaced(row: object, column: object, value: object) -> np.ndarray:
         (lambda: spm.pose(np.ones(6)), r"spm\.pose\(a\[\.\.\., :3\], rpy=a"),
         (lambda: spm.pose(np.ones(7)), r"spm\.pose\(a\[\.\.\., :3\], quat=a"),
         (lambda: spm.pose(np.eye(4)), r"RigidTransform\.from_matrix\(a\)"),
-        (lambda: spm.pose(pinocchio.SE3.Identity()), "got a SE3. That is a pose already"),
-        (lambda: spm.pose(RigidTransform.identity(), rpy=np.zeros(3)), "got a RigidTransform. That is a pose already"),
+        (lambda: spm.pose(pinocchio.SE3.Identity()), "got a SE3. It is a pose already"),
+        (lambda: spm.pose(RigidTransform.identity(), rpy=np.zeros(3)), "got a RigidTransform. It is a pose already"),
         (lambda: spm.pose(np.ones(3), rotation=np.eye(4)), r"^rotation: .*RigidTransform\.from_matrix\(a\)"),
     ],
 )

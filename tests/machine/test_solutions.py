@@ -249,7 +249,7 @@ def test_the_ways_on_from_a_level_pose_lead_to_it() -> None:
     ("absent", "words"),
     [
         (lambda: spm.inverse_displacement(PAPER, spm.pose([9, 9, 9], rotation=POSE.rotation)), "out of reach"),
-        (lambda: spm.inverse_displacement(PAPER, spm.pose([0.7, 0.5, 2.3], rpy=[5, 3, 0])), "turned by 174° against"),
+        (lambda: spm.inverse_displacement(PAPER, spm.pose([0.7, 0.5, 2.3], rpy=[5, 3, 0])), "turned by 174° relative"),
         (lambda: spm.inverse_displacement(PAPER, spm.pose([0.7, 0.5, 2.3], rpy=[5, 3, 0])), "nearest_reachable_pose"),
         (lambda: spm.inverse_displacement(PAPER, POSE).within(), r"\.within\(limits\)"),
         (lambda: spm.forward_displacement(PAPER, [0.1, 1, 9, 1, 1, 1]), "out of reach"),
@@ -336,7 +336,7 @@ def test_only_what_was_used_is_named_where_no_solution_is_physical(branches: spm
     for found in (unphysical.physical(), unphysical.physical(near=branches["TT+"])):
         assert found.missing_reason.startswith("none of the solutions is physical")
     for found in (branches.where(~physical).physical(), branches.where(~physical).physical(near=branches["TT+"])):
-        assert found.missing_reason.startswith("none of the solutions that .within(limits) or .where(mask) kept is")
+        assert found.missing_reason.startswith("none of the solutions left by .within(limits) or .where(mask) is")
     nothing = branches.within(spm.LegLimits(0.1, 0.2)).physical()
     assert nothing.missing_reason.startswith(".within(limits) or .where(mask) excluded all solutions")
     np.testing.assert_array_equal(
