@@ -234,7 +234,7 @@ def is_home_aspect(c: Pairs) -> bool:
     """Return whether a stage is reached from equal legs without a forward singularity.
 
     The senses of the axes are such that all tangents of the nominal stage point the same way round. det J_b is D up to
-    a positive factor, and all six c_ij are positive for equal legs. Where D is positive, none, one, three or four of them
+    a positive factor, and all six c_ij are positive for equal legs. If D is positive, none, one, three or four of them
     are negative, never two: its sign alone does not determine the region, but together with this number it does.
     """
     return both(pair_determinant(c) > 0.0, negative_pairs(c) <= 1.0)
