@@ -157,7 +157,7 @@ class MachineOnArrays(NamedTuple):
     """Dimensions and legs; floats, or arrays of any shape of batch."""
 
     radii: tuple[Any, Any]  # E and C
-    r: Any  # of the drawn middle platform
+    r: Any  # of the nominal middle platform
     legs: tuple[StageLegs, StageLegs]  # in {B} and in {m}
     balls: tuple[Any, Any]  # in {n}
     squares: tuple[Any, Any]  # of the sides of the balls' triangles

@@ -77,7 +77,7 @@ def inverse_jacobian(machine: Manipulator | Array, state: State | Configuration)
 
 @quietly
 def leg_forces(machine: Manipulator | Array, state: State | Configuration, wrench: Array) -> Array:
-    """Compute what actuators exert (..., 6) to hold a wrench [N], of RRS legs [N m]; positive increases readings.
+    """Compute what actuators exert (..., 6) to hold a wrench [N], for RRS legs [N m]; positive increases readings.
 
     Parameters
     ----------

@@ -175,7 +175,7 @@ def identify(
         Measured poses of {m} in {B}; or positions of o alone [m]. With `frames`, those of a target on m as a tracker
         sees them.
     readings : array_like, shape (N, 6)
-        Readings of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 at these poses [m], of RRS legs [rad].
+        Readings of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 at these poses [m], for RRS legs [rad].
     parameters : collection of str, optional
         What to identify: `Manipulator.parameter_names`, components such as "pivot_x", "direction", "pivot", "ball",
         "offset", "crank", "rod", or legs; all if not given. The others keep their values.
@@ -307,7 +307,7 @@ def _visible_basis(
 
 def _other_nominal(start: Manipulator, fitted: Manipulator, covariance: FloatArray) -> str:
     """Return how E, C or d differ by more than manufacture and the noise explain; empty if none does."""
-    weights = np.zeros((3, 6, 9))  # of pivots and balls in E, C and d of the drawing nearest to them
+    weights = np.zeros((3, 6, 9))  # of pivots and balls in E, C and d of the nearest nominal machine
     weights[0, :3, 2:5] = weights[1, 3:, 2:5] = RADIAL / 3.0
     weights[2, :, 5:8] = np.sqrt(3.0) / 6.0 * np.tile(RADIAL, (2, 1))
     means = weights.reshape(3, 54)

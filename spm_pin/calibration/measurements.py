@@ -60,7 +60,7 @@ class Measurements:
     """N poses and readings, checked."""
 
     poses: FloatArray  # measured poses of the target (N, 4, 4); not turned if only positions were measured
-    readings: FloatArray  # readings of the legs, (N, 6) [m], of RRS legs [rad]
+    readings: FloatArray  # readings of the legs, (N, 6) [m], for RRS legs [rad]
     components: int  # 6 for poses, 3 for positions alone
     frames: Frames  # of the tracker
 
@@ -252,7 +252,7 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     """Read a CSV file of measurements.
 
     The heading names the columns, in any order: x, y, z, the position of o in {B} [m]; qx, qy, qz, qw, if measured, the
-    rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m], of RRS legs [rad]. A
+    rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m], for RRS legs [rad]. A
     warning lists other columns, which are not used. A `MeasurementError` names the line and column of what cannot be
     read.
 

@@ -276,8 +276,8 @@ def wrench_polytope(
     configuration : Configuration
         States of shape (...).
     force_limits : array_like, shape (), (6,) or (2, 6)
-        Largest effort of each actuator in either sense [N], of RRS legs [N m]; or the least, which is negative, and the
-        largest. A positive one increases the reading: an RPS leg pushes.
+        Largest effort of each actuator in either sense [N], for RRS legs [N m]; or the minimum, which is negative, and
+        the maximum. A positive one increases the reading: an RPS leg pushes.
     load : array_like, shape (..., 6), optional
         A wrench onto the platform that is there besides [N, N m]: the weight of a payload, or of all bodies,
         ``-chain.state(q, v).platform_dynamics().gravity``. Leading axes broadcast with those of `configuration`.

@@ -175,7 +175,7 @@ class MachineInCasadi:
         return symbolic
 
     def drawing(self) -> MachineInCasadi:
-        """Return a machine whose axes, pivots and balls are those of the drawing, and all else this one's."""
+        """Return a machine whose axes, pivots and balls are nominal, and all else this one's."""
         drawn = copy(self)
         drawn.is_drawn = True
         drawn._draw(self.base, self.platform, self.side)
@@ -370,7 +370,7 @@ class StateInCasadi:
 
 
 class Drawn:
-    """The closed form of the drawn machine at a pose."""
+    """The closed form of the nominal machine at a pose."""
 
     def __init__(self, machine: MachineInCasadi, rotation: Any, position: Any) -> None:
         rows = [parts(rotation[i, :]) for i in range(3)]

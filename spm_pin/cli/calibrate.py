@@ -1,4 +1,4 @@
-"""`spm-pin calibrate`, the machine as built from measured poses and leg readings, and `tolerance`, what errors cost."""
+"""`spm-pin calibrate`, which identifies a machine from measured poses and readings, and `tolerance`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def calibrate(
         tuple[float, float], Option(metavar="M RAD", help="Standard deviations of positions and orientations.")
     ] = (1e-5, 1e-5),
     reading_noise: Annotated[
-        float, Option(metavar="M", help="Standard deviation of the readings, of RRS legs in radians.")
+        float, Option(metavar="M", help="Standard deviation of the readings, for RRS legs in radians.")
     ] = 1e-6,
     frames: Annotated[
         bool, Option("--frames", help="Poses are a target's as a tracker sees them: estimate both frames too.")
@@ -57,7 +57,7 @@ def calibrate(
     force: Annotated[bool, Option("--force", help="Write --out even where the measurements do not fit.")] = False,
     json: options.AsJson = False,
 ) -> None:
-    """Identify the machine as built from measured poses and leg readings.
+    """Identify the calibrated machine from measured poses and leg readings.
 
     Example: spm-pin calibrate measurements.csv --out machine.yaml
 
@@ -180,7 +180,7 @@ def tolerance(
     direction: Annotated[float, _deviation("the directions of revolute axes and slides, in radians.")] = 1e-4,
     pivot: Annotated[float, _deviation("each coordinate of the pivots, in metres.")] = 1e-4,
     ball: Annotated[float, _deviation("each coordinate of the ball joints, in metres.")] = 1e-4,
-    offset: Annotated[float, _deviation("the encoders' offsets, in metres, of RRS legs in radians.")] = 1e-4,
+    offset: Annotated[float, _deviation("the encoders' offsets, in metres, for RRS legs in radians.")] = 1e-4,
     rod: Annotated[float | None, _deviation("the rods, in metres; 1e-4 of legs that have them.")] = None,
     crank: Annotated[float | None, _deviation("the cranks, in metres; 1e-4 of legs that have them.")] = None,
     by: Annotated[str, Option(help="What to rank: parameter, component, kind or leg.")] = "component",

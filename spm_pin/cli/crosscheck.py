@@ -158,7 +158,7 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
     lines = []
     absent = [name for name in METHODS if name.replace("-", " ") not in {score.name for score in report.scores}]
     if all_methods and absent:
-        drawn = "" if report.machine.is_nominal else "they know machines as drawn alone, or "
+        drawn = "" if report.machine.is_nominal else "they take nominal machines only, or "
         lines.append(f"Left out, since {drawn}their packages are not installed: {', '.join(absent)}.")
     worst = report.worst
     if worst is not None:

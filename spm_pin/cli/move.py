@@ -52,7 +52,7 @@ def _degrees(help_text: str) -> Any:
 )
 def certify(
     minimum: Annotated[
-        float | None, Option("--min", help="Least reading of all six legs, in --unit, of cranks in degrees.")
+        float | None, Option("--min", help="Least reading of all six legs, in --unit, for cranks in degrees.")
     ] = None,
     maximum: Annotated[float | None, Option("--max", help="Largest reading of all six legs, as --min.")] = None,
     boxes: Annotated[int, Option(min=1, help="Boxes to look at in each stage, at most.")] = 300_000,
@@ -127,7 +127,7 @@ def _content(certificate: Certificate, other: InverseCertificate | None) -> dict
 @options.takes_pose("goal_pose", "to-", required=False)
 def move(
     start: Annotated[
-        SixLegs | None, leg_option("--from", "Readings at the start, in --unit, of cranks in degrees.")
+        SixLegs | None, leg_option("--from", "Readings at the start, in --unit, for cranks in degrees.")
     ] = None,
     goal: Annotated[SixLegs | None, leg_option("--to", "Readings at the end, as --from.")] = None,
     start_pose: RigidTransform | None = None,

@@ -141,7 +141,7 @@ def leg_option(name: str, help_text: str) -> Any:
 
 
 AnyLegs = Annotated[
-    SixLegs | None, leg_option("--legs", "Readings of the legs in --unit, of cranks in degrees, instead of a pose.")
+    SixLegs | None, leg_option("--legs", "Readings of the legs in --unit, for cranks in degrees, instead of a pose.")
 ]
 Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")]
 MachineFile = Annotated[

@@ -165,7 +165,7 @@ def _lengths(state: Configuration, shown: Readings) -> Record:
 @outputs.name_options(leg_lengths="--legs", readings="--legs")
 def forward(
     legs: Annotated[
-        SixLegs, leg_option("--legs", "Readings r_b1 to r_b3, r_c1 to r_c3 in --unit, of cranks in degrees.")
+        SixLegs, leg_option("--legs", "Readings r_b1 to r_b3, r_c1 to r_c3 in --unit, for cranks in degrees.")
     ],
     every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
     xyx: Annotated[

@@ -83,7 +83,7 @@ def _options_of(nearest: StageConfiguration, place: Record, unit: LengthUnit) ->
 @outputs.name_options()
 def forward(
     stage: Stage,
-    readings: Annotated[Triple, Option(metavar="R1 R2 R3", help="In --unit, of servos in degrees.")],
+    readings: Annotated[Triple, Option(metavar="R1 R2 R3", help="In --unit, for servos in degrees.")],
     every: Annotated[bool, Option("--all", help="All sixteen assembly modes, not the physical one alone.")] = False,
     unit: options.Unit = LengthUnit.M,
     json: options.AsJson = False,

@@ -27,7 +27,7 @@ _STAGE: OptionTable = {
     ),
     "slide": (float, "DEGREES", "Direction of PRS legs' slides: 0 outwards, 90 upwards, the default."),
     "sign": (int, "±1", "Working mode: -1, knees outside and carriages below, the default, or 1."),
-    "limits": (tuple[float, float], "MIN MAX", "Of the readings: in --unit, of servos in degrees."),
+    "limits": (tuple[float, float], "MIN MAX", "Of the readings: in --unit, for servos in degrees."),
 }
 _PLACE: OptionTable = {
     "height": (float, "LENGTH", "Of the platform's centre above the pivots, in --unit; the middle if not given."),

@@ -63,7 +63,7 @@ def workspace(
         Option(metavar="FILE", help="Picture (.png, .svg, .pdf) or mesh in metres (.stl, .ply, .obj, .glb)."),
     ] = None,
     paper: Annotated[
-        bool, Option("--paper", help="The 24 surfaces of the paper's Table 6 instead, of RPS legs as drawn.")
+        bool, Option("--paper", help="The 24 surfaces of the paper's Table 6 instead, of nominal RPS legs.")
     ] = False,
     resolution: Annotated[int, Option(help="Increments of a varying leg for --paper, at least 2.")] = 40,
     sections: Annotated[bool, Option("--sections", help="Draw sections of --paper, with what is reached.")] = False,

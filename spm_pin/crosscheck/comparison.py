@@ -255,8 +255,8 @@ def compare_methods(
     Parameters
     ----------
     machine : Manipulator
-        The manipulator, drawn or as built. A numerical search knows no labels of a machine as built: the branches of
-        such a machine are compared as sets, each paired with the nearest of those that the methods before have found.
+        The manipulator, nominal or calibrated. A numerical search has no labels for a calibrated machine: its branches
+        are compared as sets, each paired with the nearest of those found by the previous methods.
     poses : int
         Number of poses; four fifths of them in leg space.
     seed : int
@@ -332,7 +332,7 @@ class _Comparison:
     def _solve(self, method: Method, poses: RigidTransform, selected: BoolArray, known: FloatArray) -> _Answer | None:
         """Return a method's branches of poses (n,); None if it solves none of them.
 
-        Those of a machine as built are put into the order of the branches `known` (n, 8, 3, 3), and added to these.
+        Those of a calibrated machine are put into the order of the branches `known` (n, 8, 3, 3), and added to these.
         """
         if not selected.any():
             return None

@@ -133,13 +133,13 @@ class Robot:
         return np.array([frames[c.frame_a][:3, 3] - frames[c.frame_b][:3, 3] for c in self.closures])
 
     def is_assembled(self) -> bool:
-        """Return whether all loops are closed at zero to 1e-9 m, as those of the drawing are."""
+        """Return whether all loops are closed at zero to 1e-9 m, as in a nominal machine."""
         return float(np.linalg.norm(self.gaps(), axis=-1).max()) <= 1e-9
 
     def closed_home(self) -> dict[str, float]:
         """Return the values of all moving joints, by name, at which the loops are closed and the actuated joints are 0.
 
-        They are 0 for a machine of the drawing. Otherwise Newton's method closes the loops from there, to rounding.
+        They are 0 for a nominal machine. Otherwise Newton's method closes the loops from there, to rounding.
         """
         values = {joint.name: 0.0 for joint in self.moving}
         if self.is_assembled():

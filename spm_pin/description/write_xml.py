@@ -86,7 +86,7 @@ def mjcf_text(
         As for `urdf_text`.
     states : mapping of str to Configuration or StageConfiguration, optional
         Named states of this machine, which become keyframes after `home`: all joints at zero, or, if the loops of a
-        machine as built are open there, the actuated joints, and the others where the loops close.
+        calibrated machine are open there, the actuated joints, and the others where the loops close.
     anchors : str, optional
         How a closure is written. "bodies", the default: by two bodies and a point in the first, which MuJoCo, Drake and
         Pinocchio take alike. "sites": by two sites, which MuJoCo and Pinocchio take, and Drake passes over.
@@ -176,7 +176,7 @@ def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
 
     Each is led to a reading, not to the value of its joint.
     """
-    said = "ctrl is what the legs are to read, in metres, of cranks in radians: the values of their joints, and "
+    said = "ctrl is what the legs are to read, in metres, for cranks in radians: the values of their joints, and "
     assumed = "Their largest forces are assumed, and all masses that were not given, by the machine's size."
     yield ElementTree.Comment(f" {said}{_written(zeros)}. {assumed} ")
     mass = sum(link.mass for name, link in robot.links.items() if robot.carrier(name)[0] != robot.base)

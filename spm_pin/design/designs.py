@@ -173,7 +173,7 @@ def _checked_functions(functions: dict[str, Function]) -> dict[str, Function]:
 
 
 def leg_ranges(machine: Manipulator) -> tuple[FloatArray, FloatArray]:
-    """Return the least readings and the strokes of the legs, shapes (6,) [m], of RRS legs [rad]."""
+    """Return the least readings and the strokes of the legs, shapes (6,) [m], for RRS legs [rad]."""
     assert machine.limits is not None
     low, high = machine.limits.ends
     return low.copy(), high - low
@@ -247,7 +247,7 @@ class DesignProblem:
     Parameters
     ----------
     machine : Manipulator
-        A drawn machine with finite leg limits: what is not free is as in this one, and it is compared with the others.
+        A nominal machine with finite leg limits. It has the values that are not free, and is compared with the others.
     free : dict of str to (low, high)
         Ranges of some of `VARIABLES` [m, rad].
     aims : dict of str to "max" or "min"
@@ -274,7 +274,7 @@ class DesignProblem:
     def __post_init__(self) -> None:
         machine = check_instance(self.machine, Manipulator, "machine")
         if not (machine.is_nominal and machine.limits and machine.limits.are_finite):
-            raise ArgumentError("machine", "a drawn machine with finite leg limits", repr(machine))
+            raise ArgumentError("machine", "a nominal machine with finite leg limits", repr(machine))
         for name in _CHOICES:
             object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))
         object.__setattr__(self, "functions", _checked_functions(self.functions))

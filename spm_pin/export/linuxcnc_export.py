@@ -38,7 +38,7 @@ def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
     Parameters
     ----------
     machine : Manipulator or Stage
-        The robot or the stage alone, drawn or as built, with legs of any kind.
+        The robot or the stage alone, nominal or calibrated, with legs of any kind.
 
     Returns
     -------

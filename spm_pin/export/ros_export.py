@@ -38,7 +38,7 @@ def ros_package(
     Parameters
     ----------
     machine : Manipulator
-        The machine, drawn or as built.
+        The machine, nominal or calibrated.
     prefix : str
         Put before the name of every link, joint and function in C.
     masses : Masses, optional

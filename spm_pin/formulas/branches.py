@@ -313,8 +313,8 @@ def is_physical(
     """Return whether a state of any machine is physical, without regard to leg limits.
 
     Both stages are upright and in their home assembly regions. b and c are the balls of the lower and upper legs;
-    `lower` and `upper` are vectors from circles' centres to lower balls and from upper balls to circles' centres, in {B};
-    those of a stage that hangs are reversed.
+    `lower` and `upper` are vectors from circles' centres to lower balls, and from upper balls to circles' centres, in
+    {B}; those of a stage that hangs are reversed.
     """
     aspects = both(is_stage_at_home(b, lower, axes), is_stage_at_home(c, upper, upper_axes))
     return both(is_upright(b, lower, upper, rotation, position), aspects)

@@ -69,7 +69,7 @@ _BRANCHES: tuple[Result, Result, Result, Result] = (
     ((8, 3, 3), np.float64),
     ((8, 6), np.float64),
 )
-"""Shapes and types of rotation, position, joints and lengths, which drawn machines and machines as built both have."""
+"""Shapes and types of rotation, position, joints and lengths, common to nominal and calibrated machines."""
 DRAWN_BRANCHES = DrawnBranches(
     *_BRANCHES,
     discriminants=((4,), np.float64),
@@ -172,7 +172,7 @@ def with_batch_shape(arrays: Iterable[npt.NDArray[Any]], shape: tuple[int, ...])
 
 
 def radii(machine: Manipulator) -> tuple[float, float, float]:
-    """Return the circumradii of the drawn middle, base and terminal platforms [m]."""
+    """Return the circumradii of the nominal middle, base and terminal platforms [m]."""
     return machine.middle_radius, machine.base_radius, machine.platform_radius
 
 

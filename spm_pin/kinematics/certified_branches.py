@@ -3,7 +3,7 @@
 A discriminant above the bound of its rounding error has the computed sign. The others are computed by the same formulas
 in balls (python-flint), with more digits until the ball leaves zero, and the joints with them. The exact
 rotation is that of the quaternion that the kernels compute from a rotation matrix, because a matrix of doubles is
-orthogonal to rounding only; pose and legs of a machine as built are taken as the exact numbers that are stored.
+orthogonal to rounding only; pose and legs of a calibrated machine are taken as the exact numbers that are stored.
 
 For the joints, the nine coordinates x of the lower legs' balls are unknown, and the equations, of degree two, are the
 six leg planes, the upper legs' balls being combinations of the lower ones, and the three distances. With A an
@@ -48,7 +48,7 @@ def certify_branches(machine: Manipulator, solved: DrawnBranches | BuiltBranches
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
     radius = _radii(machine, solved)
-    if isinstance(solved, DrawnBranches):  # of a machine as built there are no families
+    if isinstance(solved, DrawnBranches):  # of a calibrated machine there are no families
         flagged = solved.flagged[:, None]
         _decide_families(
             machine, solved, ~solved.certain & (flagged & [1, 2, 4, 8] == 0) & (flagged & VERTICAL == 0), radius
@@ -162,7 +162,7 @@ def _legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vectors]:
 
 
 def _drawn_legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vectors]:
-    """Return what `_legs` does of a drawn machine, exactly: all leg planes contain the Z axis of their platform."""
+    """Return what `_legs` does of a nominal machine, exactly: all leg planes contain the Z axis of their platform."""
     root, side = 0.5 * SQRT_3, Interval.from_numbers(machine.middle_side)
     half, one, zero = _vector(np.array([0.5, 1.0, 0.0]))
     axes = [(half, root, zero), (one, zero, zero), (-half, root, zero)]

@@ -57,20 +57,20 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
     machine : Manipulator
         The manipulator. Its leg limits are not applied.
     readings : array_like, shape (..., 6)
-        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], in a drawn machine from revolute joint to ball joint centre.
+        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], in a nominal machine from revolute joint to ball joint centre.
 
     Returns
     -------
     SolutionSet
         The assembly modes of `ASSEMBLY_MODES` along the last axis, so `.rotation` is (..., 256, 3, 3), `.translation`
         (..., 256, 3) and `.middle_joints` (..., 256, 3, 3), NaN where a mode is not real. `.status` (...) is
-        `Status.OK`; `UNREACHABLE` where a stage cannot be closed; `DEGENERATE` where a stage of a drawn machine moves
+        `Status.OK`; `UNREACHABLE` where a stage cannot be closed; `DEGENERATE` where a stage of a nominal machine moves
         with its legs locked: the continuous family is left out, and `.degeneracy` says in which families of modes it
         is; or `UNSOLVED`, and nothing exists, where not all modes could be told apart: beside such a family, with legs
-        shorter than a thousandth of the middle platform, and in a machine as built beside a forward singularity or
+        shorter than a thousandth of the middle platform, and in a calibrated machine beside a forward singularity or
         with legs of fifty times its sides.
 
-        Of a machine as built labels are carried from the drawn machine with the same leg lengths while the errors
+        Of a calibrated machine labels are carried from the nominal machine with the same leg lengths while the errors
         grow. `.merged` (..., 256) marks those whose mode has met another one, and those that were left over.
 
     Notes
@@ -128,7 +128,7 @@ def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Config
     machine : Manipulator
         The manipulator. Its leg limits are not applied.
     readings : array_like, shape (..., 6)
-        What the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 show [m]: in a drawn machine the leg lengths.
+        What the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 show [m]: in a nominal machine the leg lengths.
     near : Configuration, optional
         Where the machine was. Its leading axes broadcast with those of `readings`.
 
@@ -149,8 +149,8 @@ def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Config
 
     Notes
     -----
-    Of RPS legs as drawn the home's aspect holds one configuration at most; `docs/theory/uniqueness.md` proves it. It
-    has been T1+/T1+ wherever E and C are a twentieth of d or more. Other legs may have two: give `near`.
+    Nominal RPS legs have at most one configuration in the home assembly region; `docs/theory/uniqueness.md` proves
+    it. It was T1+/T1+ in all cases with E and C at least a twentieth of d. Other legs may have two: give `near`.
     Newton's method finds it from the level stages, or it is looked for among all modes where that leads to another one.
     Where that leads nowhere there is none: so it was in a million sets of leg lengths, but it is not proved. The state
     `near` may be far, for each step of the path is so short that Newton's method provably stays on it.
@@ -241,7 +241,7 @@ def _check_near(machine: Manipulator, lengths: FloatArray, near: Configuration) 
 
 
 def _drawings(machine: Manipulator) -> tuple[Drawing, Drawing]:
-    """Return the drawn stages. Of legs that are not RPS modes have no labels there, and take the first that fit."""
+    """Return the nominal stages. Of legs that are not RPS modes have no labels there, and take the first that fit."""
     legs, is_rps, (r, base, platform) = machine.nominal.legs, machine.legs.are_rps, radii(machine)
     whole = np.stack([legs.axes, legs.pivots, legs.balls])
     is_drawn = machine.is_nominal and is_rps

@@ -1,7 +1,7 @@
 """Inverse displacement in closed form: four quadratics, one per family, no iteration, no data-dependent branching.
 
-Derivation: `docs/theory/inverse_displacement.md`. A machine as built has no such quadratics: its six leg planes are
-three quadrics, all eight roots of which are found, and the labels of the drawn machine are carried to them, see
+Derivation: `docs/theory/inverse_displacement.md`. A calibrated machine has no such quadratics: its six leg planes are
+three quadrics, all eight roots of which are found, and the labels of the nominal machine are carried to them, see
 `docs/theory/as_built.md`.
 """
 
@@ -54,8 +54,8 @@ def inverse_displacement(
         Memory for the results, of this machine and for a batch of this size. What earlier calls with it returned then
         holds the new numbers.
     certify : bool
-        Bound the error of all joints, in `SolutionSet.radius`. In a drawn machine also decide the families that are not
-        `certain`, and compute their branches, with more digits, a few milliseconds each.
+        Bound the error of all joints, in `SolutionSet.radius`. For a nominal machine also decide the families that are
+        not `certain`, and compute their branches, with more digits, a few milliseconds each.
 
     Returns
     -------
@@ -65,12 +65,12 @@ def inverse_displacement(
         `UNREACHABLE` where no branch is real; or `DEGENERATE` where some solutions are a continuous family, which is
         left out.
 
-        Of a drawn machine `.discriminants` (..., 4), dimensionless, are those of the families' quadratics divided by
+        Of a nominal machine `.discriminants` (..., 4), dimensionless, are those of the families' quadratics divided by
         r² = d²/3: the two branches of a family are real where it is not negative, and meet where it is zero, at an
         inverse singularity. `.degeneracy` describes continuous families, and `.certain` (..., 4) says which families
         are proved to be real, or not; see `docs/theory/proofs.md`.
 
-        Of a machine as built labels are carried from the drawn machine while the errors grow. `.merged` (..., 8) is
+        Of a calibrated machine labels are carried from the nominal machine while the errors grow. `.merged` (..., 8) is
         true under a label whose branch met another one on the way, and under a label left over that a real root of this
         machine took. The status may be `UNSOLVED`, where not all eight roots could be isolated; see
         `docs/theory/as_built.md`.
@@ -271,7 +271,7 @@ def complex_middle_joints(machine: Manipulator, pose: PoseLike) -> npt.NDArray[n
     -------
     ndarray of complex128, shape (..., 8, 3, 3)
         Rows b_1, b_2, b_3 in {B} [m]. A family with a negative discriminant holds two conjugate solutions, as
-        in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. Of a machine as built
+        in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. Of a calibrated machine
         real roots stand under their labels of `inverse_displacement`, the others under those left over.
     """
     shape, rotation, position = read_pose(machine, pose)

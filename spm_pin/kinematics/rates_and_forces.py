@@ -104,7 +104,7 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     Returns
     -------
     ndarray, shape (..., 6)
-        What the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 exert [N], of RRS legs [N m]; positive increases the
+        What the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 exert [N], for RRS legs [N m]; positive increases the
         reading: an RPS leg pushes. Weights and friction are left out. At singularities as `platform_jacobian`.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces

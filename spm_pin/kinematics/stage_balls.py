@@ -28,7 +28,7 @@ CentresAndRadii = tuple[FloatArray, FloatArray]
 
 
 class Drawing(NamedTuple):
-    """The drawn stage, whose modes have labels."""
+    """The nominal stage, whose modes have labels."""
 
     legs: FloatArray
     """Axes, pivots and balls [m] (3, 3, 3)."""
@@ -49,19 +49,19 @@ class Modes(NamedTuple):
     merged: BoolArray
     """Labels (N, 16) whose mode has met another one, and those left over."""
     continuous: BoolArray
-    """Which of the modes T, F of a drawn stage of RPS legs are continuous families, (N, 2)."""
+    """Which of the modes T, F of a nominal stage of RPS legs are continuous families, (N, 2)."""
     status: npt.NDArray[np.int8]
     """`Status` (N,) but for continuous families."""
 
 
 def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Modes:
-    """Return all modes with readings (N, 3), under the labels of the drawn stage."""
+    """Return all modes with readings (N, 3), under the labels of the nominal stage."""
     modes = _modes(stage, _circles(stage, readings), drawing)
     return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
 
 
 def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
-    """Return the balls (N, 3, 3) [m] in the home's aspect with readings (N, 3), NaN where there is no such state."""
+    """Return the balls (N, 3, 3) [m] in the home assembly region with readings (N, 3), NaN if there are none."""
     from spm_pin.kinematics.kernels.ball_circles import home_states
 
     locked, results = _circles(stage, readings), (_BALLS, ((), np.bool_))

@@ -29,7 +29,7 @@ from spm_pin.support.arguments import FloatArray, IntArray, leg_bounds, leg_valu
 ROUNDING = 1e-9
 """Amount by which a rule of a path may be broken, in its unit: a state at its limit keeps it."""
 STEP = 0.005
-"""Largest distance of two samples of a path in the leg lengths, of RRS legs at the knees, in units of d."""
+"""Largest distance of two samples of a path in the leg lengths, for RRS legs at the knees, in units of d."""
 _LARGEST = 1e12
 """Largest limit of a leg that is accepted, far from overflow."""
 
@@ -55,7 +55,7 @@ class LegPath:
     Parameters
     ----------
     lengths : array_like, shape (n, 6)
-        Readings where it passes [m], of RRS legs [rad], in order, at least two and no two in succession the same.
+        Readings where it passes [m], for RRS legs [rad], in order, at least two and no two in succession the same.
     """
 
     def __init__(self, lengths: npt.ArrayLike) -> None:

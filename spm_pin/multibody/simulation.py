@@ -62,7 +62,7 @@ class Simulation:
     a: FloatArray
     """Joint accelerations, shape (n, 18)."""
     readings: FloatArray
-    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, 6)."""
+    """Readings of the legs' encoders [m], for RRS legs [rad], shape (n, 6)."""
     leg_forces: FloatArray
     """Forces of the actuators [N], of RRS legs torques [N m], shape (n, 6); positive increases the reading."""
     kinetic: FloatArray

@@ -113,8 +113,8 @@ def certify_inverse(
     check_instance(machine, Manipulator, "machine")
     check_rps(machine, "certificates of poses")
     if not machine.is_nominal:
-        cause = "Its drawing is one: machine.nominal, or the file without its legs"
-        raise GeometryError("machine", "a drawn machine", "a machine as built", cause)
+        cause = "Use its nominal machine, machine.nominal, or the file without its legs"
+        raise GeometryError("machine", "a nominal machine", "a calibrated machine", cause)
     whole_number(boxes, "boxes", least=1)
     if forward is None:
         forward = certify(machine, limits, boxes=boxes)

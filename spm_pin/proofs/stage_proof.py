@@ -286,7 +286,7 @@ def region_coordinates(configuration: Configuration) -> FloatArray:
 
 
 def configuration_at(machine: Manipulator, states: FloatArray) -> Configuration:
-    """Return the configuration of the states (2, 3) of both stages of a drawn machine."""
+    """Return the configuration of the states (2, 3) of both stages of a nominal machine."""
     r, poses = machine.middle_radius, []
     for x, y, z in _MIRROR * states:
         rotation = Rotation.from_quat([x, y, 0.0, np.sqrt(max(1.0 - x * x - y * y, 0.0))])

@@ -51,7 +51,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
     Parameters
     ----------
     stage : Stage, optional
-        The machine, drawn or as built, with limits; by default a balancer of three servos, 0.12 m high.
+        The machine, nominal or calibrated, with limits; by default a balancer of three servos, 0.12 m high.
     ball : Ball, optional
         The ball and its plate.
     max_tilt : float
@@ -94,7 +94,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (len(OBSERVATION),), np.float64)
 
     def action(self, readings: npt.ArrayLike) -> npt.NDArray[np.float32]:
-        """Return the action (3,) that leads the actuators to readings (3,) [m], of RRS legs [rad]."""
+        """Return the action (3,) that leads the actuators to readings (3,) [m], for RRS legs [rad]."""
         low, high = self.stage.reading_limits
         own = real_array(readings, "readings", (3,), f"what the actuators are to read, in {self.stage.unit}")
         return np.asarray(np.clip((2.0 * own - low - high) / (high - low), -1.0, 1.0), dtype=np.float32)

@@ -33,7 +33,7 @@ class JointLoads(NamedTuple):
     """What the joints of a stage carry, for states and wrenches of shape (...); weights and friction are left out."""
 
     efforts: FloatArray
-    """Of the actuators, positive where they increase the reading, shape (..., 3): [N], of RRS legs [N m]."""
+    """Of the actuators, positive where they increase the reading, shape (..., 3): [N], for RRS legs [N m]."""
     rods: FloatArray
     """Force of each leg along `leg_vectors`, positive where it pushes the platform [N], shape (..., 3)."""
     across: FloatArray
@@ -155,7 +155,7 @@ def leg_forces(configuration: StageConfiguration, wrench: npt.ArrayLike) -> Floa
     Returns
     -------
     ndarray, shape (..., 3)
-        [N], of RRS legs [N m]; positive increases the reading: an RPS leg pushes. Half of the wrench's components the
+        [N], for RRS legs [N m]; positive increases the reading: an RPS leg pushes. Half of the wrench's components the
         structure holds, see `joint_loads`. At a forward singularity as `platform_jacobian`.
     """
     load = _argument(configuration, wrench, "wrench", 6, "(f, m) at the platform's origin in {B} in N and N m")

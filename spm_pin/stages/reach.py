@@ -1,7 +1,7 @@
 """What a stage reaches: heights of the level platform, tilts in every direction, and the nearest tilt to one.
 
-A state counts if it is physical, in mode T and the home's aspect, and within the stage's limits. Tilts are those up to
-which every smaller one in the same direction counts too.
+A state counts if it is physical (mode T, in the home assembly region) and within the stage's limits. A tilt is the
+largest such that all smaller tilts in the same direction are reachable.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class Points:
     space : {"pose", "legs"}
         Kind of the coordinates.
     coordinates : ndarray, shape (N, 6)
-        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], of RRS legs [rad].
+        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], for RRS legs [rad].
     """
 
     def __init__(self, machine: Manipulator, space: Space, coordinates: FloatArray) -> None:

@@ -162,7 +162,7 @@ class Reachability:
     allowed: BoolArray
     """Which of them count and respect all limits, shape (..., 8)."""
     leg_margin: FloatArray
-    """How far the worst leg of a branch is inside its limits [m], of RRS legs at the knee, shape (..., 8); negative
+    """How far the worst leg of a branch is inside its limits [m], for RRS legs at the knee, shape (..., 8); negative
     outside, infinite without limits, NaN where the branch is not real."""
     angle_margin: FloatArray
     """How far the worst passive joint of a branch is inside its limits [rad], shape (..., 8)."""

@@ -63,7 +63,7 @@ def test_what_is_of_the_drawing_alone_refuses_a_machine_as_built(command: list[s
     MACHINE.to_yaml(file)
     done = run(*command, "--machine", file)
     assert (done.returncode, done.stdout) == (2, "")
-    assert f"--machine {file}: expected a machine as drawn" in done.stderr
+    assert f"--machine {file}: expected a nominal machine" in done.stderr
 
 
 @pytest.mark.parametrize(("option", "name"), [("--out", "built.yaml"), ("--figure", "errors.png")])

@@ -181,7 +181,7 @@ class StageModel:
         return f"spm-pin stage inverse {typed} --height {1e-3 * height!r} --roll {roll!r} --pitch {pitch!r}"
 
     def values(self) -> FloatArray:
-        """Return the readings of what is shown [m], of RRS legs [rad]."""
+        """Return the readings of what is shown [m], for RRS legs [rad]."""
         return self.state.shown.readings
 
     def data(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Newton's method on three quadrics from eight points side by side, real or complex.
 
-A point is a unit quaternion, up to a factor, at which the three quadratic forms of a machine as built vanish. Points
+A point is a unit quaternion, up to a factor, at which the three quadratic forms of a calibrated machine vanish. Points
 are one flat array, so that loops over them are vectorised: row i begins at i * POINTS. Rows 0 to 3 hold the real parts,
 rows 4 to 7 the imaginary ones.
 """

@@ -2,8 +2,8 @@
 
 A stage is three legs, each of which keeps its ball in a plane. Its middle platform has three freedoms: (x, y), two
 components of the unit quaternion (x0, x, y, x3), and the height Z of the triangle's centre, divided by its radius r.
-The three planes give x3 and the centre's other coordinates: zero and (-2r xy, r (y² - x²)) in the machine as drawn, and
-a few steps of Newton's method from there in one as built. So a state exists for all (x, y) in the unit circle. See
+The three planes give x3 and the centre's other coordinates: zero and (-2r xy, r (y² - x²)) in the nominal machine, and
+a few steps of Newton's method from there in a calibrated one. So a state exists for all (x, y) in the unit circle. See
 `docs/theory/reachable_set.md`.
 
 The upper stage is the same seen from {m}. A stage of mode F has its balls turned by half a turn about the platform's
@@ -107,7 +107,7 @@ def evaluate_stage(
 
     Returned is where the stage is, `NO_STATE` to `INSIDE`. `legs` (3, 20) are in {B} of a lower stage, in {m} of an
     upper one; `radius` is r [m], `upward` the sign of Z at home, and `aspect` the wanted one, see `stages.HOME_ASPECT`,
-    whose negative is the home's aspect of a stage that hangs.
+    whose negative is the home assembly region of a stage that hangs.
     """
     x, y, z = coordinates[0], coordinates[1], radius * coordinates[2]
     axes, pivots, corners = vectors_at(legs, AXIS), vectors_at(legs, PIVOT), vectors_at(legs, BALL)
@@ -191,7 +191,7 @@ def evaluate_stage(
         return OTHER_ASPECT
     if aspect == ANY_ASPECT:
         return INSIDE if room > 0.0 else BEYOND
-    # In the home's aspect at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
+    # In the home assembly region at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
     if abs(aspect) == HOME_ASPECT:
         negative = negative_pairs(c) if aspect > 0.0 else 6.0 - negative_pairs(c)
         if negative > 1.0 or not upward * z > 0.0:
