@@ -47,15 +47,15 @@ class Branches(NamedTuple):
     readings: Array
     """Readings of the encoders, shape (..., 8, 6): [m], for RRS legs [rad]."""
     exists: Array
-    """Which branches are real and in reach, shape (..., 8). The numbers of others are finite and mean nothing."""
+    """True for branches that are real and in reach, shape (..., 8); numbers of the others are arbitrary and finite."""
 
     def __getitem__(self, index: Any) -> Branches:
-        """Index the batch, all fields alike."""
+        """Index the batch axes of all fields."""
         return Branches._make(indexed(self, (3, 2, 1), index))
 
 
 class State(NamedTuple):
-    """States (...) of a machine, with fields that are read by name: an index is one of the batch, `state[k]`.
+    """States (...) of a machine, with fields to be read by name; an index selects members of the batch, `state[k]`.
 
     To JAX and PyTorch it is a named tuple of its fields, in this order.
     """
@@ -69,7 +69,7 @@ class State(NamedTuple):
     readings: Array
     """Readings of the encoders, shape (..., 6): [m], for RRS legs [rad]."""
     exists: Array
-    """Where there is such a state, shape (...). Elsewhere all is finite, and all derivatives with it."""
+    """True where the state exists, shape (...). Elsewhere numbers and all derivatives are arbitrary and finite."""
 
     def __getitem__(self, index: Any) -> Any:
         """Index the batch, all fields alike."""
@@ -322,7 +322,7 @@ class _Inverse:
 def _with_derivatives(
     library: Library, b: Any, exists: Any, motions: BallMotions, correction: Callable[[Any, BallMotions], Any]
 ) -> Any:
-    """Return balls with the derivatives of the solution that they are; any finite ones where they are none.
+    """Return balls with the derivatives of the solution; missing ones get arbitrary finite derivatives.
 
     `correction` is Newton's step with these motions, which are constants.
     """

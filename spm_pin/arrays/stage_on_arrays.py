@@ -30,7 +30,7 @@ class StageState(NamedTuple):
     readings: Array
     """Readings of the encoders, shape (..., 3): [m], for RRS legs [rad]."""
     exists: Array
-    """Where there is such a state, shape (...). Elsewhere numbers and derivatives are finite and mean nothing."""
+    """True where the state exists, shape (...). Elsewhere numbers and derivatives are arbitrary and finite."""
 
     def __getitem__(self, index: Any) -> Any:
         """Index the batch, all fields alike."""

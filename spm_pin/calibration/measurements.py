@@ -36,11 +36,11 @@ _SUSPICIOUS = 0.02
 _SUBSET = 40
 """Measurements, evenly spread over all, with which exchanged columns are tried."""
 _BETTER = 5.0
-"""How many times smaller that error must become when columns are exchanged."""
+"""Factor by which that error must decrease when columns are exchanged."""
 
 
 class MeasurementError(ArgumentError):
-    """Measurements that do not fit the machine, or do not determine what is asked for.
+    """Measurements that do not fit the machine, or do not determine the requested parameters.
 
     Attributes
     ----------

@@ -53,7 +53,7 @@ class ToleranceAnalysis:
 
     @property
     def sampled_rms(self) -> tuple[float, float]:
-        """Root mean squares of displacement [m] and angle [rad] of the samples, NaN if there are none."""
+        """Root mean squares of displacement [m] and angle [rad] of the samples, NaN if missing."""
         if not len(self.samples):
             return float("nan"), float("nan")
         position, angle = np.sqrt(np.nanmean((self.samples.reshape(-1, 2, 3) ** 2).sum(axis=-1), axis=0))
@@ -95,8 +95,8 @@ def tolerance(
         The machine whose readings are commanded.
     tolerances : mapping of str to float, or array_like, shape (n,)
         Standard deviations [m, rad]: of each of `Manipulator.parameter_names`, or under names of parameters, components
-        such as "pivot_x", kinds ("direction", "pivot", "ball", "offset", and "rod", "crank" of legs that have them) or
-        legs; a later name replaces an earlier one, what is not named has no error.
+        such as "pivot_x", kinds ("direction", "pivot", "ball", "offset", and for such legs "rod", "crank") or
+        legs; a later name replaces an earlier one, and all that is not named has no error.
     states : Configuration or int
         Where: states of shape (N,), or the number of states to draw uniformly within the leg limits.
     samples : int

@@ -198,9 +198,9 @@ class Polytope:
     def ellipsoid(self, part: str = "linear") -> Ellipsoid:
         """Return the section, where the other part is zero, of the ellipsoid Σ ((y_i - middle_i) / half range_i)² <= 1.
 
-        `part` as for `ball`. NaN where the ellipsoid has no such section. Of a parallelotope, the ellipsoid in six
-        dimensions is the one of largest volume inside it, which touches all twelve facets. With other rows it is
-        inside, not the largest.
+        `part` as for `ball`. NaN where the ellipsoid has no such section. For a parallelotope, the ellipsoid in six
+        dimensions is the largest one inside it, which touches all twelve facets. With other rows it is
+        inside, but not the largest.
         """
         half = 0.5 * (self.upper - self.lower)
         scaled = self.rows[..., _PARTS[choice(part, "part", tuple(_PARTS))]] / half[..., None]
@@ -310,8 +310,8 @@ def velocity_polytope(configuration: Configuration, rate_limits: npt.ArrayLike) 
     configuration : Configuration
         States of shape (...).
     rate_limits : array_like, shape (), (6,) or (2, 6)
-        Largest rate of each reading [m/s], of RRS legs [rad/s], in either sense; or the least, which is negative, and
-        the largest.
+        Largest rate of each reading [m/s], for RRS legs [rad/s], in either sense; or the minimum, which is negative,
+        and the maximum.
 
     Returns
     -------

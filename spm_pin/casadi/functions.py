@@ -1,12 +1,12 @@
 """The kinematics as CasADi functions, for optimisation and optimal control, with derivatives of any order.
 
-Arguments of all: `machine` is the machine that is built in, nominal or calibrated, of legs of any kind; None is the
-paper's machine, and `"symbolic"` a drawn one of RPS legs whose `dimensions` (3,) = E, C, d [m] are one more input. With
-`parameters` the parameters of the legs, see `spm_pin.Manipulator.parameters`, are one more input instead, and `machine`
-is the drawing. Readings are in metres, for RRS legs in radians; so are rates, and forces are then torques [N m].
+Common arguments: `machine` is the machine that is built in, nominal or calibrated, with legs of any kind. None is the
+paper's machine. `"symbolic"` is a nominal one with RPS legs whose `dimensions` (3,) = E, C, d [m] are one more input.
+With `parameters`, the legs' parameters, see `spm_pin.Manipulator.parameters`, are one more input, and `machine` is
+nominal. Readings are in metres, for RRS legs in radians; so are rates, and forces are then torques [N m].
 
 Functions of a state have the inputs `joints` (3, 3), rows b_i in {B} [m], `rotation` (3, 3) from {m} to {B} and
-`position` (3,) of o in {B} [m], and then what they say.
+`position` (3,) of o in {B} [m], and further inputs stated there.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Dimensions = Manipulator | Literal["symbolic"] | None
 _LEG_NAMES = ("b1", "b2", "b3", "c1", "c2", "c3")
 _NEWTON_STEPS = 14
 _LONGEST_STEP = 0.3
-"""Of a step of Newton's method, in units of d."""
+"""Largest step of Newton's method, in units of d."""
 
 
 def inverse_physical(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
@@ -57,16 +57,16 @@ def inverse_physical(machine: Dimensions = None, *, parameters: bool = False) ->
 
     Notes
     -----
-    The leg limits of `machine` decide between two physical branches, as in `spm_pin.inverse_physical`. Where none is
-    physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. A negative
-    `discriminant` is taken for zero, and so is what a rod is too short by, so readings are those of a machine that does
-    not close, and their derivatives finite: constrain the first to be positive. At a level platform they are finite and
-    mean nothing; `exists` is 0. Of a nominal machine nothing is NaN for finite arguments. A calibrated one is solved by
-    Newton's method from the branches TT of the nominal machine, and then by `casadi.rootfinder`, through which CasADi
+    The leg limits of `machine` decide between two physical branches, as in `spm_pin.inverse_physical`. If none is
+    physical the other outputs are continued smoothly: they are those of the branch with less tilted stages. A negative
+    `discriminant`, and the missing length of a rod, are replaced by zero, so that readings are those of a machine that
+    does not close, and derivatives are finite: constrain `discriminant` to be positive. For a level platform outputs
+    are arbitrary and finite, and `exists` is 0. Outputs of a nominal machine are never NaN for finite inputs. A
+    calibrated one is solved by Newton's method from the nominal branches TT, then by `casadi.rootfinder`, which CasADi
     differentiates implicitly.
 
-    `exists` is 0 as well for what is no pose, an entry of RᵀR - I being above 1e-6, and for dimensions not within 1e-9
-    to 1e9 m. A rotation is not repaired: up to there its error is one of the other outputs too.
+    `exists` is also 0 for an invalid pose, with an entry of RᵀR - I above 1e-6, and for dimensions not within 1e-9
+    to 1e9 m. A rotation is not repaired: below that bound its error is also one of the other outputs.
     """
     symbolic, rotation, position = MachineInCasadi(machine, parameters), *_pose()
     if not symbolic.is_drawn:

@@ -42,7 +42,7 @@ def export(
     prefix: Annotated[str | None, options.PREFIX] = None,
     machine_file: options.MachineFile = None,
     stage: Stage | None = None,
-    unit: Annotated[LengthUnit, Option(help="Of the numbers of a stage; what is written is in metres.")] = LengthUnit.M,
+    unit: Annotated[LengthUnit, Option(help="Unit of the stage's dimensions; files are in metres.")] = LengthUnit.M,
     masses: options.MassesFile = None,
     ros_constraints: Annotated[
         bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
@@ -57,23 +57,23 @@ def export(
     ] = None,
     actuators: Annotated[
         Literal["motors", "servos"] | None,
-        Option(help="mjcf: motors, of the robot if not given, or servos, of a stage."),
+        Option(help="mjcf: motors, the default for a robot, or servos, the default for a stage."),
     ] = None,
     ball: Annotated[bool, Option("--ball", help="mjcf: a ball on the platform of a --stage.")] = False,
     loops: Annotated[
         Literal["joints", "drake"] | None, Option(help="sdf: close loops by joints, or by Drake's elements.")
     ] = None,
 ) -> None:
-    """Write the robot or a stage with its loops closed, in the format of another engine, or its kinematics in C.
+    """Write the robot or a stage with closed loops in the format of another engine, or its kinematics in C.
 
     urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
-    YAML file that closes a URDF's loops. srdf: groups and passive joints. With --out, the meshes are put beside the
-    file, into a folder `meshes`. With --stage, or --base and what follows, these are of a stage alone.
+    YAML file with the closures of a URDF. srdf: groups and passive joints. With --out, the meshes are copied beside the
+    file, into a folder `meshes`. With --stage, or --base and so on, these files describe a stage alone.
 
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
     program. linuxcnc: a configuration that simulates the machine, or a stage alone, and the source of its kinematics
     module. ros or ros2: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
-    c-stage: of a stage alone, a ball balancer say, one header in C99 for a microcontroller.
+    c-stage: one header in C99 for a microcontroller, for a stage alone, such as a ball balancer.
     """
     if (format_ is None) == (option is None):
         received = "none" if format_ is None else "two"

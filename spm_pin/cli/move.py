@@ -139,7 +139,7 @@ def move(
     limits: Annotated[
         tuple[str, str] | None,
         Option(
-            metavar="MIN MAX", help="Of the readings, each one number or six, as --from; the machine's if not given."
+            metavar="MIN MAX", help="Limits of the readings, each one number or six, as --from; default: the machine's."
         ),
     ] = None,
     leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s].")] = None,

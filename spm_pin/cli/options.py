@@ -63,7 +63,7 @@ class Readings:
 
     @property
     def are_angles(self) -> BoolArray:
-        """True for the legs whose readings are angles, shape (6,), of a stage alone (3,)."""
+        """True for the legs whose readings are angles, shape (6,), or (3,) for a stage alone."""
         return np.asarray(np.array(self.machine.legs.units) == "rad")
 
     @property
@@ -406,7 +406,7 @@ def solve_pose(machine: Manipulator, pose: RigidTransform, unit: LengthUnit) -> 
 def solve_request(
     machine: Manipulator, pose: RigidTransform | None, legs: SixLegs | None, unit: LengthUnit
 ) -> tuple[SolutionSet, list[str]]:
-    """Return the branches of the pose typed, or the one that `--legs` determine, and remarks where there are none."""
+    """Return the branches of the typed pose, or the state of `--legs`, and remarks if there is no solution."""
     if pose is not None and legs is None:
         return solve_pose(machine, pose, unit)
     if legs is None or pose is not None:
@@ -427,7 +427,7 @@ def requested_solutions(
 ) -> tuple[SolutionSet, Configuration]:
     """Return the branches of the requested pose, and the one to take if none is named.
 
-    That is the physical one, or else the first; with `legs` the one they determine; with no option at all, a regular
+    That is the physical one, or else the first; with `legs` the state of these; without options, a regular
     configuration near the home.
     """
     if pose is None and legs is None:
@@ -436,7 +436,7 @@ def requested_solutions(
     solutions, remarks = solve_request(machine, pose, legs, unit)
     if not solutions.count:
         if legs is not None:
-            raise ArgumentError("--legs", "readings with which the machine can be assembled", "none such", *remarks)
+            raise ArgumentError("--legs", "readings with which the machine can be assembled", "others", *remarks)
         if solutions.status is Status.UNREACHABLE:
             remarks.append("spm-pin nearest finds the nearest pose that is reached.")
         received = f"status {solutions.status}"

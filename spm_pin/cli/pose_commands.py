@@ -101,7 +101,7 @@ def nearest(
 
 
 _INSET = 1e-4
-"""How far a nearest pose stays from the leg limits, as a share of the strokes."""
+"""Distance of a nearest pose from the leg limits, as a fraction of the strokes."""
 
 
 def _nearest(machine: Manipulator, pose: RigidTransform | None, unit: LengthUnit) -> Record | None:

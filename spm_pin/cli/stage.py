@@ -117,7 +117,7 @@ def reach(
     stage: Stage,
     height: Annotated[
         list[float] | None,
-        Option(metavar="LENGTH", help="Of the platform's centre, in --unit; may be repeated; nine if not given."),
+        Option(metavar="LENGTH", help="Height of the platform's centre, in --unit; may be repeated; default: nine."),
     ] = None,
     directions: Annotated[int, Option(metavar="N", help="In how many directions the largest tilt is sought.")] = 72,
     out: Annotated[Path | None, outputs.picture_option("Picture of the largest tilts to write.")] = None,

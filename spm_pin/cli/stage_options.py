@@ -17,25 +17,25 @@ from spm_pin.stages import home_height
 Typed = dict[str, Any]
 _STAGE: OptionTable = {
     "stage": (Path, "FILE", "YAML file of a stage, in place of the numbers that follow."),
-    "base": (float, "RADIUS", "From the centre of the base to the pivots, in --unit."),
-    "platform": (float, "RADIUS", "From the centre of the platform to the balls, in --unit."),
-    "crank": (float, "LENGTH", "Of servos' cranks, in --unit: with --rod, legs RRS."),
+    "base": (float, "RADIUS", "Distance from the centre of the base to the pivots, in --unit."),
+    "platform": (float, "RADIUS", "Distance from the centre of the platform to the balls, in --unit."),
+    "crank": (float, "LENGTH", "Length of the servos' cranks, in --unit; with --rod: RRS legs."),
     "rod": (
         float,
         "LENGTH",
-        "From knee or carriage to ball, in --unit, of all three: alone, legs PRS; without, RPS. Unequal ones: --stage.",
+        "Distance from knee or carriage to ball, in --unit; alone: PRS legs, without: RPS. Unequal rods: --stage.",
     ),
-    "slide": (float, "DEGREES", "Direction of PRS legs' slides: 0 outwards, 90 upwards, the default."),
-    "sign": (int, "±1", "Working mode: -1, knees outside and carriages below, the default, or 1."),
-    "limits": (tuple[float, float], "MIN MAX", "Of the readings: in --unit, for servos in degrees."),
+    "slide": (float, "DEGREES", "Direction of the slides of PRS legs: 0 outwards, 90 upwards (default)."),
+    "sign": (int, "±1", "Working mode: -1, knees outside and carriages below (default), or 1."),
+    "limits": (tuple[float, float], "MIN MAX", "Limits of the readings: in --unit, for servos in degrees."),
 }
 _PLACE: OptionTable = {
-    "height": (float, "LENGTH", "Of the platform's centre above the pivots, in --unit; the middle if not given."),
-    "tilt": (float, "DEGREES", "Of the platform, which is level if nothing is given."),
-    "azimuth": (float, "DEGREES", "Where it is lowest: 0, along x, if not given; legs are at -30, 90 and 210."),
-    "roll": (float, "DEGREES", "Instead of --tilt, with --pitch: about x."),
-    "pitch": (float, "DEGREES", "About y."),
-    "normal": (Triple, "X Y Z", "Instead: the platform's normal, of any length."),
+    "height": (float, "LENGTH", "Height of the platform's centre above the pivots, in --unit; default: the middle."),
+    "tilt": (float, "DEGREES", "Tilt of the platform; default: level."),
+    "azimuth": (float, "DEGREES", "Direction in which it is lowest; default: 0, along x. Legs: -30, 90 and 210."),
+    "roll": (float, "DEGREES", "In place of --tilt, with --pitch: angle about x."),
+    "pitch": (float, "DEGREES", "Angle about y."),
+    "normal": (Triple, "X Y Z", "In place of --tilt: the platform's normal, of any length."),
 }
 _WAYS: tuple[set[str], ...] = {"tilt", "azimuth"}, {"roll", "pitch"}, {"normal"}
 

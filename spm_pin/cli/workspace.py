@@ -39,7 +39,7 @@ _NAMES |= dict.fromkeys(("alpha", "beta", "lambda_"), "--xyx")
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 _LEGS = (
-    "Leg lengths as encoders show them, of RRS legs degrees, instead of poses: once for all six, twice for lower and "
+    "Readings of the legs, for RRS legs in degrees, instead of poses: once for all six, twice for lower and "
     "upper, or six times."
 )
 _SAMPLES = "Draw so many points instead; ranges are then START:STOP."
@@ -56,7 +56,7 @@ _NONE = "no machine keeps the bounds"
 def workspace(
     limits: options.Limits = None,
     spacing: Annotated[
-        float | None, Option(help="Of the grid, in --unit; a twentieth of what is reached if not given.")
+        float | None, Option(help="Spacing of the grid, in --unit; default: a twentieth of the reachable set.")
     ] = None,
     out: Annotated[
         Path | None,
@@ -301,7 +301,7 @@ def sweep(
 def _domain(
     poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], metres: FloatArray, scale: float
 ) -> Domain | None:
-    """Return the domain that the options describe; None where there is none of them.
+    """Return the domain that the options describe; None if not given of them.
 
     What is typed is times `metres` (6,) for readings, and times `scale` for positions.
     """

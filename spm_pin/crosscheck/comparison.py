@@ -116,9 +116,9 @@ class MethodScore:
     residual: float = 0.0
     """Largest closure residual in units of the one it states."""
     invented_at: int = -1
-    """Pose of the first branch invented; -1 if there is none."""
+    """Pose of the first branch invented; -1 if missing."""
     missed_at: int = -1
-    """Pose of the first branch missed; -1 if there is none."""
+    """Pose of the first branch missed; -1 if missing."""
 
     @property
     def pose(self) -> int:
@@ -221,7 +221,7 @@ def compare_in_batches(
             progress(description, done, poses)
 
     comparison = _Comparison(machine, made, step)
-    # Of a slow method a share of the poses, at least one, evenly spread.
+    # Slow methods compute only some of the poses, at least one, evenly distributed.
     counts = {method.name: max(1, round(method.share * poses)) for method in made}
     selected = {name: np.arange(poses) * count % poses < count for name, count in counts.items()}
     while done < poses:

@@ -157,7 +157,7 @@ class Shell(ClosedMesh):
     configuration: Configuration
     """The state at each vertex of the mesh, shape (V,)."""
     convergence: Convergence
-    """How the volume converges as the resolution grows."""
+    """Convergence of the volume with increasing resolution."""
 
     def __repr__(self) -> str:
         size = f"{len(self.vertices)} vertices, {len(self.faces)} faces"

@@ -133,7 +133,7 @@ def _read_body(body: Any, name: str) -> RigidBody:
 
 
 def _keys(content: Any) -> str:
-    """Return the keys of a mapping, or the type of what is none, for a message."""
+    """Return the keys of a mapping, or the type of another value, for a message."""
     return ", ".join(map(str, content)) if isinstance(content, Mapping) else type(content).__name__
 
 
@@ -178,7 +178,7 @@ def numbers(node: Any, key: str, default: str = "") -> Numbers:
 
 
 def read_placement(node: Element) -> Placement:
-    """Return the placement in the `<origin>` of an element, the identity if there is none."""
+    """Return the placement in the `<origin>` of an element, or the identity."""
     origin = node.find("origin")
     return Placement() if origin is None else Placement(*(numbers(origin, key, "0 0 0") for key in ("xyz", "rpy")))
 

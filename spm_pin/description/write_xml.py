@@ -91,8 +91,8 @@ def mjcf_text(
         How a closure is written. "bodies", the default: by two bodies and a point in the first, which MuJoCo, Drake and
         Pinocchio take alike. "sites": by two sites, which MuJoCo and Pinocchio take, and Drake passes over.
     actuators : str, optional
-        "motors", of which `ctrl` is the effort, by default of a manipulator; or "servos", which are led to the leg's
-        reading, their `ctrl`, within its limits, by default of a stage.
+        "motors", whose `ctrl` is the effort, the default for a manipulator; or "servos", whose `ctrl` is the reading
+        to reach, within its limits, the default for a stage.
     ball : Ball, optional
         A ball on a stage's platform, with its plate; they collide with one another and nothing else.
     collisions : str, optional
@@ -172,9 +172,9 @@ def _motors(robot: Robot) -> Iterable[Element]:
 
 
 def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
-    """Yield servos on which three carry all that moves with the frequency `SERVO`, critically damped.
+    """Yield servos, critically damped: three hold all moving masses with the frequency `SERVO`.
 
-    Each is led to a reading, not to the value of its joint.
+    The command of each is a reading, not the value of its joint.
     """
     said = "ctrl is what the legs are to read, in metres, for cranks in radians: the values of their joints, and "
     assumed = "Their largest forces are assumed, and all masses that were not given, by the machine's size."

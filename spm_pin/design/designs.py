@@ -395,7 +395,7 @@ class Front:
 
     @cached_property
     def better(self) -> BoolArray:
-        """Which machines of the front are at least as good as the reference in all aims and keep all bounds, (n,)."""
+        """True for machines of the front at least as good as the reference in all aims that keep all bounds, (n,)."""
         values = self.problem.objectives(self.designs)[0]
         return np.asarray((values <= self.problem.objectives(self.reference)[0]).all(axis=-1))
 

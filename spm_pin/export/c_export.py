@@ -281,7 +281,7 @@ def _formulas(machine: Manipulator) -> str:
         made("circles_of_readings", [readings], *(_column([stage[k] for stage in stages]) for k in (1, 2, 3)))
     )
     made_functions.append(made("limits_hold", [readings], ca.vertcat(*functions.within_limits(symbolic, readings))))
-    # Of the closure: how far terms of second order go, and how the planes of the upper legs move.
+    # Errors of the closure: size of terms of second order, and motion of the upper legs' planes.
     error = functions.closure_equations(symbolic, balls, rotation, position)
     points = [symbolic.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
     upper, weights = symbolic.all_balls(points)[3:], [[ca.fabs(x) for x in w] for w in symbolic.ball_weights()]
@@ -395,7 +395,7 @@ def _c_text(function: ca.Function) -> str:
     # No argument is ever left out.
     body = re.sub(r"(arg\[\d+\])\? (arg\[\d+\]\[\d+\]) : 0;", r"\2;", body)
     body = re.sub(r"if \(res\[\d+\]!=0\) ", "", body).replace("casadi_inf", "INFINITY").replace("casadi_fabs", "fabs")
-    # Numbers that stand for conditions are compared, as clang asks for.
+    # Numbers that are conditions are compared with zero, as clang requires.
     body = re.sub(r"\((a\d+)(?=\?)", r"(\1!=0.0", body)
     body = re.sub(r"(a\d+)(&&|\|\|)(a\d+)", r"\1!=0.0\2\3!=0.0", body)
     body = re.sub(r"!(a\d+)", r"\1==0.0", body)

@@ -142,7 +142,7 @@ def run_on_states(
     """
     state = configuration
     shape = state.shape if load is None else np.broadcast_shapes(state.shape, load.shape[:-1])
-    # Of RPS legs nothing is computed and nothing copied.
+    # For RPS legs nothing is computed or copied.
     centres = state.machine.legs.pivots if state.machine.legs.are_rps else state.own_circle_centres
     arrays = [state.middle_joints, state.rotation, state.translation, centres, *([] if load is None else [load])]
     # Two batch axes, so that what all branches of a pose share need not be copied.

@@ -95,7 +95,7 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
     is_drawn = machine.is_nominal and legs.are_rps
     stages = zip(legs.stages, _of_stages(readings), _drawings(machine), strict=True)
     below, above = (all_modes(*stage) for stage in stages)
-    # A stage that cannot be closed is enough to know that there is none.
+    # If one stage cannot be closed there is no solution.
     is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
     status = np.where(is_absent, Status.UNREACHABLE, np.maximum(below.status, above.status)).astype(np.int8)
     is_solved = status == Status.OK
@@ -151,9 +151,9 @@ def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Config
     -----
     Nominal RPS legs have at most one configuration in the home assembly region; `docs/theory/uniqueness.md` proves
     it. It was T1+/T1+ in all cases with E and C at least a twentieth of d. Other legs may have two: give `near`.
-    Newton's method finds it from the level stages, or it is looked for among all modes where that leads to another one.
-    Where that leads nowhere there is none: so it was in a million sets of leg lengths, but it is not proved. The state
-    `near` may be far, for each step of the path is so short that Newton's method provably stays on it.
+    Newton's method finds it from the level stages; if that leads to another state, it is searched among all modes.
+    If that fails no state exists: this held for a million sets of leg lengths, but is not proved. The state
+    `near` may be far: each step of the path is so short that Newton's method provably stays on it.
 
     Examples
     --------
@@ -241,7 +241,7 @@ def _check_near(machine: Manipulator, lengths: FloatArray, near: Configuration) 
 
 
 def _drawings(machine: Manipulator) -> tuple[Drawing, Drawing]:
-    """Return the nominal stages. Of legs that are not RPS modes have no labels there, and take the first that fit."""
+    """Return the nominal stages. Modes of other legs than RPS have no nominal labels, and take the first that fit."""
     legs, is_rps, (r, base, platform) = machine.nominal.legs, machine.legs.are_rps, radii(machine)
     whole = np.stack([legs.axes, legs.pivots, legs.balls])
     is_drawn = machine.is_nominal and is_rps

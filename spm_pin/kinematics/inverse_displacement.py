@@ -225,7 +225,7 @@ def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuratio
     solved = run_kernel(method.physical_branch, (rotation, position), constants, results, method.min_batch)
     state = Configuration.from_arrays(machine, *with_batch_shape(solved, shape))
     if not shape and not state.exists:
-        # The same, with the reason why there is none.
+        # The same, with the reason why it does not exist.
         return inverse_displacement(machine, pose).physical()
     return state
 
@@ -250,7 +250,7 @@ def branch_lengths(machine: Manipulator, pose: PoseLike) -> tuple[FloatArray, np
     method = _method(machine)
     results = method.results
     if isinstance(results, DrawnBranches):
-        # No memory for what is not asked for.
+        # No memory for results that are not requested.
         nothing = {name: new_result(0, getattr(results, name)) for name in results._fields}
         results = results._replace(**{x: nothing[x] for x in nothing if x not in ("lengths", "status", "flagged")})
     solved = method.branches(rotation, position, results)
@@ -270,9 +270,9 @@ def complex_middle_joints(machine: Manipulator, pose: PoseLike) -> npt.NDArray[n
     Returns
     -------
     ndarray of complex128, shape (..., 8, 3, 3)
-        Rows b_1, b_2, b_3 in {B} [m]. A family with a negative discriminant holds two conjugate solutions, as
-        in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. Of a calibrated machine
-        real roots stand under their labels of `inverse_displacement`, the others under those left over.
+        Rows b_1, b_2, b_3 in {B} [m]. A family with a negative discriminant has two conjugate solutions, as
+        in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. For a calibrated machine
+        real roots have their labels of `inverse_displacement`, the others the remaining labels.
     """
     shape, rotation, position = read_pose(machine, pose)
     method, roots = _method(machine), ((8, 3, 3), np.complex128)
@@ -316,7 +316,7 @@ def _find_degeneracy(machine: Manipulator, shape: tuple[int, ...], solved: Drawn
 def _vertical_families(rotation: FloatArray, place: FloatArray) -> IntArray:
     """Return the dimensions (N, 4) of the continuous families TT, TF, FT, FF where the Z axes are parallel; 0 for none.
 
-    `place` is o / r. All legs' planes are vertical then, so a solution can move along Z: there are none, or a
+    `place` is o / r. All legs' planes are vertical then, so a solution can move along Z: there is no solution, or a
     continuous family.
 
     - Platform level, turned by 0 or a half turn: planes in pairs parallel. On the axis they coincide and the middle

@@ -84,14 +84,14 @@ def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., 6)
-        Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s], of RRS legs [rad/s]; at singularities as `inverse_jacobian`.
+        Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s], for RRS legs [rad/s]; at singularities as `inverse_jacobian`.
     """
     value = _broadcast_argument(twist, "twist", "(v, ω) at o in {B} in m/s and rad/s", configuration)
     return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
 
 
 def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArray:
-    """Return the actuator forces that hold a wrench applied onto the terminal platform: the paper's Eq. (33).
+    """Return the actuator forces that balance a wrench applied to the terminal platform: the paper's Eq. (33).
 
     Parameters
     ----------
@@ -104,8 +104,8 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     Returns
     -------
     ndarray, shape (..., 6)
-        What the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 exert [N], for RRS legs [N m]; positive increases the
-        reading: an RPS leg pushes. Weights and friction are left out. At singularities as `platform_jacobian`.
+        Efforts of the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [N], for RRS legs [N m]; positive increases the
+        reading: an RPS leg pushes. Weights and friction are neglected. At singularities see `platform_jacobian`.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces
 
@@ -242,7 +242,7 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     configuration : Configuration
         States of shape (...).
     legs : array_like, shape (..., 6) or ()
-        Stiffness of each actuator with its leg, by the reading: [N/m], of RRS legs [N m/rad]; one number for all.
+        Stiffness of each actuator with its leg, by the reading: [N/m], for RRS legs [N m/rad]; one number for all.
     structure : array_like, shape (..., 6) or (), optional
         Stiffness of each leg and its joints along the axis of its revolute joint, at the ball joint [N/m]; rigid by
         default.

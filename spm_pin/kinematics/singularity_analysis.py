@@ -89,8 +89,8 @@ class Singularities:
     gained_twist: FloatArray
     """The twist (v, ω) at o in {B} that each stage resists least when its legs are locked, shape (..., 2, 6).
 
-    Of the lower stage, then the upper: the right singular vector of J_b, or J_c. At a forward singularity the platform
-    moves so. Its size is such that (v, dω) at the middle platform's centre has length 1 m/s.
+    First for the lower stage, then for the upper: the right singular vector of J_b, or J_c. At a forward singularity
+    the platform moves so. It is normalised so that (v, dω) at the middle platform's centre has length 1 m/s.
     """
     inner_twist: FloatArray
     """The twist (v, ω) at o in {B} of the middle platform with both ends standing still, shape (..., 6).

@@ -34,7 +34,7 @@ class Drawing(NamedTuple):
     """Axes, pivots and balls [m] (3, 3, 3)."""
     is_rps: bool
     is_drawn: bool
-    """Whether the stage itself is the drawn one, of RPS legs."""
+    """True if the stage itself is nominal, with RPS legs."""
     radius: float
     """Radius of the platform, on which the balls are [m]."""
     base_radius: float
@@ -47,11 +47,11 @@ class Modes(NamedTuple):
     balls: FloatArray
     """(N, 16, 3, 3) [m], NaN where a mode is not real."""
     merged: BoolArray
-    """Labels (N, 16) whose mode has met another one, and those left over."""
+    """True for labels (N, 16) whose mode has met another one, and for remaining ones."""
     continuous: BoolArray
-    """Which of the modes T, F of a nominal stage of RPS legs are continuous families, (N, 2)."""
+    """True for the modes T, F of a nominal stage with RPS legs that are continuous families, (N, 2)."""
     status: npt.NDArray[np.int8]
-    """`Status` (N,) but for continuous families."""
+    """`Status` (N,), without regard to continuous families."""
 
 
 def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Modes:
@@ -61,7 +61,7 @@ def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Mode
 
 
 def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
-    """Return the balls (N, 3, 3) [m] in the home assembly region with readings (N, 3), NaN if there are none."""
+    """Return the balls (N, 3, 3) [m] in the home assembly region with readings (N, 3), NaN if missing."""
     from spm_pin.kinematics.kernels.ball_circles import home_states
 
     locked, results = _circles(stage, readings), (_BALLS, ((), np.bool_))
@@ -85,10 +85,10 @@ def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
 
 
 def followed_balls(stage: PlacedLegs, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return where balls (N, 3, 3) [m] are led from readings (N, 3) to others, NaN where they meet a singularity."""
+    """Return the balls (N, 3, 3) [m] after their readings (N, 3) change to others, NaN if they meet a singularity."""
     from spm_pin.kinematics.kernels.ball_circles import follow_states
 
-    # Each crank is led along chords of its end's arc.
+    # The end of each crank moves along chords of its arc.
     turns = np.nan_to_num(np.abs(end - start)).max(initial=0.0) if stage.kind.unit == "rad" else 0.0
     parts, here = 1 + int(turns / LONGEST_CHORD), _circles(stage, start)
     for part in range(1, parts + 1):

@@ -208,7 +208,7 @@ class Solutions(ABC, Generic[S]):
         return several if self.shape else bool(several)
 
     def physical(self, near: S | npt.ArrayLike | None = None) -> S:
-        """Return the physical solution; NaN if there is none.
+        """Return the physical solution; NaN if missing.
 
         From `is_physical` it chooses the nearest to `near` if given. Without `near`, two solutions on either side of an
         inverse singularity may remain: it then chooses the one with less tilted stages, and `ambiguous` is true.

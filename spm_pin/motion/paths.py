@@ -225,7 +225,7 @@ class LimitRows:
 
 
 class MotionLimits:
-    """Limits of a motion, as `time_optimal` takes them; None where there is none."""
+    """Limits of a motion, as `time_optimal` takes them; None if not given."""
 
     def __init__(
         self,
@@ -290,7 +290,7 @@ class MotionLimits:
 
 
 def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:
-    """Return the positive limits of the legs (6,); None if there are none."""
+    """Return the positive limits of the legs (6,), or None."""
     if value is None:
         return None
     meaning = f"a limit of each leg or of all in {unit}"

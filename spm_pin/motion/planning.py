@@ -52,7 +52,7 @@ _SHORTCUTS = 100
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """A path between two states, or the reason why there is none; made by `plan`."""
+    """A path between two states, or the reason why no path was found; made by `plan`."""
 
     machine: Manipulator
     """The machine."""
@@ -137,7 +137,7 @@ def plan(
     Returns
     -------
     MotionPlan
-        With a path, or with the reason why there is none.
+        With a path, or with the reason why no path was found.
 
     Examples
     --------
@@ -166,7 +166,7 @@ def plan(
             raise UnreachableError(name, "a state that keeps the rules of the plan", broken)
     for (before, first), (name, state) in pairwise(zip(names, states, strict=True)):
         if np.linalg.norm(state.readings - first.readings) <= 1e-12 * machine.middle_side:
-            raise ArgumentError(name, f"another state than {before}", "the same: a motion of no length")
+            raise ArgumentError(name, f"another state than {before}", "the same state")
     if line == "poses":
         return _along_poses(rules, states, certificate)
     places = [state.readings for state in states]
@@ -225,7 +225,7 @@ def _sentence(reason: str) -> str:
 
 
 def _along_poses(rules: _PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
-    """Return the plan straight in poses, or the reason why there is none."""
+    """Return the plan straight in poses, or the reason why it is not possible."""
     machine = rules.machine
     poses = np.array([state.pose.as_matrix() for state in states])
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)

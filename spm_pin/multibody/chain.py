@@ -273,7 +273,7 @@ class ClosedChain:
     def _physical_values(
         self, configuration: Configuration, argument: str, expected: str, received: Callable[[], str]
     ) -> FloatArray:
-        """Return the joint values of a physical solution, or raise if there is none of a single problem."""
+        """Return the joint values of a physical solution; for a single problem without one, raise an error."""
         if not configuration.shape and not configuration.exists:
             reason = configuration.missing_reason or "Out of reach, or a misread number?"
             sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"

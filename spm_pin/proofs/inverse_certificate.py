@@ -55,7 +55,7 @@ class InverseCertificate:
     machine: Manipulator
     """Dimensions of the manipulator."""
     region: str
-    """Which limits were searched, in words."""
+    """Description of the limits that were searched."""
     bound: float
     """Proved lower bound of |det K| / d³; 0 where something is undecided, infinity if the region holds no state."""
     least: float
@@ -143,7 +143,7 @@ def certify_inverse(
 
 
 def _scaled_determinant(machine: Manipulator, legs: FloatArray) -> FloatArray:
-    """Return det K / d³ of the physical states of leg lengths (..., 6); NaN where there is none."""
+    """Return det K / d³ of the physical states of leg lengths (..., 6); NaN if missing."""
     return np.asarray(determinants(forward_physical(machine, legs))[..., 2] / machine.middle_side**3)
 
 

@@ -175,7 +175,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         good = states.exists & ~np.any(states.limit_excess, axis=-1)
         if not good.any():
             cause = "A smaller max_tilt, or wider limits?"
-            raise ArgumentError("stage", f"one that tilts by {self.max_tilt:g} rad", "none such", cause)
+            raise ArgumentError("stage", f"one that tilts by {self.max_tilt:g} rad", "one with a smaller tilt", cause)
         return states[int(good.argmax())]
 
     def _state(self, readings: npt.ArrayLike) -> StageConfiguration:

@@ -116,7 +116,7 @@ def inverse_physical(
     -------
     StageConfiguration
         Of shape (...): in mode T, and reached from the level platform without a forward singularity. `.exists` is
-        False, and everything NaN, where there is none. `.limit_excess` says which readings are beyond the limits.
+        False, and everything NaN, if missing. `.limit_excess` says which readings are beyond the limits.
 
     Examples
     --------
@@ -151,7 +151,7 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     -------
     StageSolutions
         The assembly modes of `STAGE_MODES` along the last axis, `.rotation` (..., 16, 3, 3), NaN where a mode is not
-        real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` where there is none;
+        real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` if none is real;
         `DEGENERATE` where a stage of nominal RPS legs moves with its legs locked, that family left out; or
         `UNSOLVED`, and nothing exists, where fewer than sixteen distinct modes were found, complex ones counted.
 
@@ -199,7 +199,7 @@ def forward_physical(
         Of shape (...). Without `near` the state in the home assembly region: without torsion, reached from the level
         platform without a forward singularity. With `near` the end of the path on which its readings change to the
         given ones in a straight line, whatever its mode, in steps that provably stay on it. `.exists` is False, and
-        everything NaN, where there is none, or where that path meets a forward singularity.
+        everything NaN, if it is missing, or if that path meets a forward singularity.
 
     Notes
     -----
@@ -257,7 +257,7 @@ def _half(stage: Stage) -> PlacedLegs:
 
 
 def _of_balls(stage: Stage, shape: tuple[int, ...], balls: FloatArray, readings: FloatArray) -> StageConfiguration:
-    """Return the states of this shape with balls, NaN where there is none, and readings that broadcast."""
+    """Return the states of this shape with balls, NaN if missing, and readings that broadcast."""
     from spm_pin.kinematics.kernels.ball_circles import platform_frames
 
     results = ((3, 3), np.float64), ((3,), np.float64)

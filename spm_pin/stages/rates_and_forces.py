@@ -30,10 +30,10 @@ _stage_twists, _parasitic_rates = on_arrays(wrenches.stage_twists), on_arrays(st
 
 
 class JointLoads(NamedTuple):
-    """What the joints of a stage carry, for states and wrenches of shape (...); weights and friction are left out."""
+    """Loads of the joints of a stage, for states and wrenches of shape (...); weights and friction are neglected."""
 
     efforts: FloatArray
-    """Of the actuators, positive where they increase the reading, shape (..., 3): [N], for RRS legs [N m]."""
+    """Efforts of the actuators, positive if they increase the reading, shape (..., 3): [N], for RRS legs [N m]."""
     rods: FloatArray
     """Force of each leg along `leg_vectors`, positive where it pushes the platform [N], shape (..., 3)."""
     across: FloatArray
@@ -111,7 +111,7 @@ def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., 3, 3)
-        Rows the legs, [m/s], of RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
+        Rows are legs, [m/s], for RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
         singularity as `parasitic_jacobian`; so, as "leg", where an actuator does not move its ball.
     """
     twists = parasitic_jacobian(configuration)
@@ -136,7 +136,7 @@ def leg_rates(configuration: StageConfiguration, motion: npt.ArrayLike) -> Float
     Returns
     -------
     ndarray, shape (..., 3)
-        [m/s], of RRS legs [rad/s]; at singularities as `inverse_jacobian`.
+        [m/s], for RRS legs [rad/s]; at singularities see `inverse_jacobian`.
     """
     value = _argument(configuration, motion, "motion", 3, "(v_z, ω_x, ω_y) in m/s and rad/s")
     return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
@@ -188,7 +188,7 @@ def singularities(configuration: StageConfiguration, tolerance: float = SINGULAR
     expected = "a number from 0 to less than 1, the ratio of singular values up to which a state is singular"
     least = real_number(tolerance, "tolerance", expected, least=0.0, below=1.0)
     exists, scale = state.exists[..., None, None], state.stage.platform_radius
-    # A leg of no length has no direction and resists nothing: its row is zero, and the state forward singular.
+    # A leg whose length is zero has no direction and resists nothing: its row is zero, the state forward singular.
     six = np.nan_to_num(np.where(exists, _six_forces(state), np.eye(6)))
     three = np.where(exists, _inverse_matrices(state), np.eye(3))
     _, sizes, right = np.linalg.svd(six)

@@ -95,7 +95,7 @@ class StateSet:
 
     @cached_property
     def _longest(self) -> FloatArray:
-        """How far each ball may be from its leg's pivot (6,) [m]; infinite without limits."""
+        """Largest distance of each ball from its leg's pivot (6,) [m]; infinite without limits."""
         with np.errstate(invalid="ignore"):
             reached = [self._circle_of(ends) for ends in (self.minimum, self.maximum)]
             longest = np.maximum(*(np.linalg.norm(centre, axis=-1) + radius for centre, radius in reached))
@@ -398,7 +398,7 @@ def states_within(machine: Manipulator, limits: LegLimits | None = None) -> Stat
 
 @lru_cache(maxsize=8)
 def _checked(machine: Manipulator, limits: LegLimits) -> StateSet:
-    # A leg of no length has no direction.
+    # A leg whose length is zero has no direction.
     maximum, least = np.array(limits.maximum), np.array(machine.legs.free_limits.minimum)
     states = StateSet(machine, np.maximum(limits.minimum, least + 1e-6 * np.abs(maximum)), maximum)
     if not all(map(len, states.few)):
@@ -416,7 +416,7 @@ def states_around(near: Configuration, limits: LegLimits) -> tuple[StateSet, Flo
     start = states.coordinates(batch)
     stages = [states.stages(stage, start[:, stage]) for stage in range(2)]
     readings = np.concatenate([stage.readings[0] for stage in stages])
-    # Of a state in another mode these coordinates are not.
+    # These are not coordinates of a state in another mode.
     if all(stage.in_aspect[0] for stage in stages) and np.abs(readings - near.readings).max() <= 1e-6 * states.radius:
         return states, start
     modes = FAMILIES[int(family(near))]

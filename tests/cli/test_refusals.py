@@ -87,7 +87,7 @@ REFUSED = [
     ("move --from-xyx 1 2 3", "error: --from-translation: expected a position"),
     ("move --leg-force 1500", "--from: expected either readings, or a pose by --from-translation"),
     (f"move --from {START} --unit cm --leg-force 9", "--to: expected either readings"),
-    (f"move --from {START} --to {START} --unit cm --leg-force 1500", "a motion of no length"),
+    (f"move --from {START} --to {START} --unit cm --leg-force 1500", "the same state"),
     (f"move {ENDS} --leg-rate 0.5", "--leg-force, --leg-acceleration: expected limits of one of them, got neither"),
     (f"move {ENDS} --leg-force 5", "--leg-force: expected forces that hold the machine"),
     (f"move {ENDS} --leg-force fast", "--leg-force: expected a number, or six separated by commas"),

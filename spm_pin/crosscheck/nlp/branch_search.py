@@ -76,7 +76,7 @@ class Search:
     isolated: BoolArray
     """True where it is proved to be the only one there, shape (..., 8)."""
     infeasibility: FloatArray
-    """Where no branch was found: the smallest norm of the loop equations that least squares reach [m]."""
+    """If no branch was found: the smallest norm of the loop equations that least squares reaches [m]."""
 
 
 def search(

@@ -17,7 +17,7 @@ from spm_pin.support.arguments import FloatArray
 
 POINTS = 8
 _SIZE, _LAST, STATE, ROWS = 8 * POINTS, 9 * POINTS, 10 * POINTS, 11
-"""Where the rows of the last step's size, of the size before and of the states begin; and the number of rows."""
+"""First rows of the size of the last step, of the size of the step before, and of the states; number of rows."""
 PENDING, CONVERGED, FAILED = 0.0, 1.0, 2.0
 """States. Steps move the points that are pending."""
 

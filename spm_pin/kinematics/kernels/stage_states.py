@@ -49,19 +49,19 @@ from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, vect
 from spm_pin.support.arguments import FloatArray
 
 AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND = 0, 3, 6, 9, 12, 15, 18, 19
-"""Where a leg's numbers begin in a row (20,) of `legs`: see `mechanism.Legs`, and `LegKind.number`."""
+"""Offsets of a leg's numbers in a row (20,) of `legs`: see `machine.Legs`, and `LegKind.number`."""
 ROTATION, CENTRE, READINGS, DETERMINANT, ROOMS, STAGE_NUMBERS = 0, 9, 12, 15, 16, 19
-"""Where a stage's rotation, centre [m], readings, determinant and rooms of the legs [m], see `planar_legs.Room`, begin
-in `values` (19,); and the length of it."""
+"""Offsets of a stage's rotation, centre [m], readings, determinant and rooms of the legs [m], see `planar_legs.Room`,
+in `values` (19,); and the length of that array."""
 SPIN, VELOCITY, RATES, SLOPE_NUMBERS = 0, 3, 6, 13
-"""Where the derivatives begin in the rows of `slopes` (13, 3): the rotation's, as a rotation vector, the centre's, and
-those of the three readings, the determinant and the three rooms, in this order; and the number of rows."""
+"""First rows of derivatives in `slopes` (13, 3): of the rotation, as a rotation vector, of the centre, and
+of the three readings, the determinant and the three rooms, in this order; and the number of rows."""
 NO_STATE, OTHER_ASPECT, BEYOND, INSIDE = 0, 1, 2, 3
-"""Where the coordinates are: where no state exists, in another aspect, slightly beyond a forward singularity or one of
-a leg, or in the wanted aspect and within reach of the legs."""
+"""Classes of coordinates: no state exists; in another aspect; slightly beyond a forward singularity or one of
+a leg; in the wanted aspect and within reach of the legs."""
 _BEYOND = -0.05
-"""Least determinant, in units in which it is about 1 at home, and least room of a leg over r, of a stage that counts as
-slightly beyond a singularity: so far searches may step."""
+"""Smallest determinant, in units in which it is about 1 at home, and smallest room of a leg over r, of a stage that is
+slightly beyond a singularity: searches may step that far."""
 _STEPS = 12  # Newton steps for x3 and the centre at most
 
 
