@@ -61,8 +61,8 @@ class Machine(ABC):
 
     @classmethod
     @abstractmethod
-    def from_data(cls, data: Any, place: str = "data") -> Self:
-        """Return the machine of `as_data`; errors name the wrong entry in `place`."""
+    def from_data(cls, data: Any, argument: str = "data") -> Self:
+        """Return the machine of `as_data`; errors name the wrong key, or `argument` for the whole."""
 
     def _set_legs(self, legs: Legs | tuple[LegKind, ...]) -> None:
         """Set the legs: kinds, and legs that are nominal for other dimensions, are replaced by nominal legs."""
@@ -202,13 +202,13 @@ class Machine(ABC):
             write_files({path: self._heading + text})
 
     @classmethod
-    @raised_as(GeometryError)
     def from_yaml(cls, path: str | Path) -> Self:
         """Read a machine from a YAML file, in metres and radians; `docs/howto/machine_files.md` describes it.
 
         A `GeometryError` names the key of an entry that does not describe a machine.
         """
-        return cls.from_data(read_yaml(path), str(path))
+        with raised_as(GeometryError, file=str(path)):
+            return cls.from_data(read_yaml(path), "")
 
 
 def check_machine(value: Any, argument: str = "machine") -> Machine:
