@@ -110,12 +110,12 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (SIZES[:6] + SIZES[8:], "--rod: expected the length of the rods beside --crank"),
+        (SIZES[:6] + SIZES[8:], "--rod: expected the length of the rods together with --crank"),
         (SIZES[:2], "--platform: expected a radius, or --stage with a file"),
-        ([*SIZES, "--slide", "90"], "--slide: expected not to be given with --crank"),
+        ([*SIZES, "--slide", "90"], "--slide: expected no such option with --crank"),
         ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
-        ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt beside --azimuth"),
+        ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt together with --azimuth"),
         ([*SIZES, "--tilt", "10", "--pitch", "2"], "--tilt and --pitch: expected --tilt with --azimuth, or --roll"),
         (
             [*SIZES, "--normal", "0", "0", "0"],
