@@ -1,7 +1,7 @@
 """A Gymnasium environment in MuJoCo: keep a ball on the platform of a stage by its three actuators.
 
 Importing this module registers it, as `gymnasium.make("spm_pin.stages.balancing:spm_pin/BallBalancer-v0")` does:
-nothing else of the package imports it, or Gymnasium and MuJoCo, of the extra `gym`.
+nothing else of the package imports it, or Gymnasium and MuJoCo of the extra `gym`.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def test_what_does_not_go_with_a_stage(tmp_path: Path) -> None:
         (["mjcf", "--stage", file, "--machine", file], "--machine: expected no such option with a stage"),
         (["ros", "--stage", file], "--stage: expected no such option with --format ros"),
         (["ros2", "--stage", file], "--stage: expected no such option with --format ros"),
-        (["c-stage"], "--stage: expected a stage: its file, or --base, --platform and what follows, got none"),
+        (["c-stage"], "--stage: expected a stage: its file, or --base, --platform and so on, got none"),
         (["c-stage", "--base", "80"], "--platform: expected a radius, or --stage with a file"),
     ):
         done = run("export", *arguments)

@@ -131,7 +131,7 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
         ),
         (
             [*SIZES, "--tilt", "-10", "--azimuth", "0"],
-            "--tilt: expected an angle in degrees, from 0 to less than 180, got -10. To the other",
+            "--tilt: expected an angle in degrees, from 0 to less than 180, got -10. For a tilt to the",
         ),
         ([*SIZES, "--roll", "800"], "--roll: expected an angle in degrees, of at most one turn, got 800"),
         ([*SIZES, "--stage", "no.yaml"], "--stage: expected a file alone"),
@@ -190,7 +190,8 @@ def test_a_platform_that_hangs_below_its_carriages_is_drawn(tmp_path: Path) -> N
 def test_a_picture_of_what_is_not_reached_is_refused_with_the_nearest(command: list[str]) -> None:
     done = run("stage", command[0], *SIZES, "--tilt", "80", *command[1:])
     assert done.returncode == 2
-    assert "--height, --tilt: expected a place that the stage reaches, got none. the ball is out of" in done.message
+    assert "--height, --tilt: expected a height and a tilt that the stage reaches" in done.message
+    assert "the ball is out of" in done.message
     nearest = done.message.rpartition("The nearest: ")[2]
     assert run("stage", "inverse", *SIZES[:8], *nearest.split()).returncode == 0
 
