@@ -1,7 +1,7 @@
-"""Following one solution of a robot, or of a stage, along a path of poses or readings.
+"""Following one solution of a manipulator or a stage along a path of poses or readings.
 
-At every parameter all solutions are known, so there is nothing to integrate and nothing drifts: the solution nearest
-to where the last two lead is taken, and the step is halved until it is clearly the nearest. Singularities and leg
+At every parameter all solutions are known, so nothing is integrated and nothing drifts: the solution nearest to the
+extrapolation of the last two is chosen, and the step is halved until it is clearly the nearest. Singularities and leg
 limits on the way are zeros of functions of the solution, found by root finding on the solutions themselves.
 """
 
@@ -44,19 +44,19 @@ Solver = Callable[[float], Solutions[S]]
 """The solutions at a parameter of the path."""
 
 _LONGEST_MOVE = 0.1
-"""A joint moves at most this share of d in a step, so that no turn is missed."""
+"""Largest motion of a joint in a step, relative to d, so that no turn is missed."""
 _EXCHANGED = 1e-4
-"""The same where the label changes: more is another solution, where the one followed has ended in a fold."""
+"""The same if the label changes: more means another solution, and the one followed has ended in a fold."""
 _CLEARLY = 0.25
-"""A solution is clearly the nearest to the predicted one if its error is at most this share of the next one's."""
+"""A solution is clearly the nearest to the predicted one if its error is at most this fraction of the next one's."""
 _SHORTEST_STEP = 1e-11
-"""Shortest step in the path's parameter; solutions that it does not separate are taken to meet."""
+"""Shortest step in the path's parameter; solutions that it does not separate are considered to meet."""
 _MOST_UNCLEAR = 100
-"""Number of successive shortest steps after which two solutions are taken to coincide."""
+"""Number of successive shortest steps after which two solutions are considered to coincide."""
 _AT_END = 1e-4
-"""Share of its largest value below which κ of a leg shows that a path ends at the edge of the leg's reach."""
+"""Fraction of its largest value below which κ of a leg shows that a path ends at the edge of the leg's reach."""
 _MOST_EVENTS = 4
-"""Events that the text of a path shows."""
+"""Number of events in the text of a path."""
 
 
 class EventKind(enum.StrEnum):
@@ -78,18 +78,18 @@ class Event:
     parameter: float
     """Parameter of the path at which it happens, from 0 to 1."""
     detail: str
-    """The stage, the leg and which limit, or the labels before and after."""
+    """The stage; the leg and which limit; or the labels before and after."""
 
 
 class CertifiedLimits(Protocol):
     """The part of a `Certificate` that `follow` uses; `proofs` is above this package and cannot be imported here."""
 
     def covers(self, configuration: Configuration) -> BoolArray:
-        """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...)."""
+        """Return which configurations (...) are proved to be the only one with their leg lengths, shape (...)."""
 
 
 class Watch(NamedTuple):
-    """Functions of a machine's states whose zeros are the events of a path, and the length to compare moves with."""
+    """Functions of a machine's states whose zeros are the events of a path, and a length to compare moves with."""
 
     length: float  # with which moves are compared [m]: a side of the balls' triangle
     determinants: Callable[[Any], FloatArray]  # of states (...), dimensionless, (..., n): zero at singularities
@@ -113,7 +113,6 @@ class FollowedPath(Generic[S]):
     """True for configurations that a certificate covers, if one was given, shape (n,).
 
     A path on straight lines between leg lengths is within certified limits if both ends of each line are.
-    -
     """
 
     def __repr__(self) -> str:
@@ -136,7 +135,7 @@ class FollowedPath(Generic[S]):
 
     @property
     def complete(self) -> bool:
-        """True if the solution lasts to the end of the path."""
+        """True if the solution exists up to the end of the path."""
         return bool(self.parameters[-1] == 1.0)
 
 
@@ -153,17 +152,17 @@ def follow(
     Parameters
     ----------
     machine : Manipulator
-        The manipulator. Where it has leg limits, crossing one is an event.
+        The manipulator. If it has leg limits, crossing one is an event.
     path : callable, RigidTransform of shape (n,), or array_like of shape (n, 4, 4) or (n, 6)
         Poses of {m} in {B}, or readings of the legs [m]. A callable takes the parameter, 0 to 1. Between poses the
         rotation is interpolated at constant angular velocity and the position, like readings, on a line.
     start : Configuration or str, optional
         The solution at parameter 0: the one nearest to a configuration, or a label. By default the physical one.
     samples : int
-        The path is solved in at least so many steps. Two crossings within one step of the same limit or of the
+        Least number of steps of the path. Two crossings within one step of the same limit or of the
         same kind of singularity are found if the function in between has its extremum beyond zero.
     certificate : Certificate, optional
-        Certified leg limits, see `spm_pin.certify`: the result then says which states are in them.
+        Certified leg limits, see `spm_pin.certify`: the result then says which states are within them.
 
     Returns
     -------

@@ -1,16 +1,16 @@
-"""Leg rates from the platform's twist and back, leg forces that hold a wrench, and the platform's stiffness.
+"""Leg rates from the platform's twist and vice versa, leg forces for a wrench, and the platform's stiffness.
 
-Every leg acts on the middle platform through its ball along the leg, where its actuator holds, and along its revolute
-axis, where its structure holds: six forces in each stage, the rows of J_b and of J_c; K are the six structural ones.
+Every leg acts on the middle platform through its ball: along the leg with its actuator's force, and along its revolute
+axis with its structure's force: six forces in each stage, the rows of J_b and of J_c; K are the six structural ones.
 Both stages carry the whole load, so that their compliances add,
 
     C = J_b⁻¹ D_b J_b⁻ᵀ + J_c⁻¹ D_c J_c⁻ᵀ,    D = diag(1 / stiffness) of the six forces.
 
-With rigid structures that is C = G diag(1/k) Gᵀ, G = J_f⁻¹. Weights and other loads are taken to be small: what a load
-itself adds by turning the legs is of the size load / (leg length · k) relative to C⁻¹.
+With rigid structures that is C = G diag(1/k) Gᵀ, G = J_f⁻¹. Weights and other loads are assumed small: the effect of
+a load that turns the legs is of the size load / (leg length · k) relative to C⁻¹.
 
-For rates and forces no 6 x 6 is decomposed, see `spm_pin.formulas.wrenches`; singular values decide about the few
-states that may be singular. A single state that is, or that does not exist, raises: `SingularConfigurationError` or
+For rates and forces no 6 x 6 matrix is decomposed, see `spm_pin.formulas.wrenches`; singular values decide for the few
+states that may be singular. A single state that is singular or missing raises `SingularConfigurationError` or
 `ArgumentError`. In a batch its result is NaN, and the `kind` of `singularities` says which are singular. Derivation:
 `docs/theory/rates_forces_singularities.md`.
 """
@@ -30,14 +30,14 @@ from spm_pin.machine.manipulator import Manipulator
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcastable, leg_values, real_array
 
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
-"""A matrix is singular to rounding where its smallest singular value is at most this times its largest.
+"""A matrix is singular to rounding if its smallest singular value is at most this times its largest.
 
-A unit vector computed from joint positions is off by a few eps, and so is an arm (b_i - p)/d. Six rows of two
-such parts, of coordinates a few times d, make a matrix off by some 10 √12 eps < 64 eps in the Frobenius norm:
-a smaller singular value may as well be zero.
+A unit vector computed from joint positions has an error of a few eps, and so has an arm (b_i - p)/d. Six rows of two
+such parts, of coordinates a few times d, give a matrix with an error of 10 √12 eps < 64 eps in the Frobenius norm:
+a smaller singular value may be zero.
 """
 _STIFFEST = 1e100
-"""Largest stiffness [N/m]: products of two are still numbers."""
+"""Largest stiffness [N/m], for which products of two are still finite."""
 
 
 def inverse_jacobian(configuration: Configuration) -> FloatArray:
@@ -47,9 +47,9 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
     -------
     ndarray, shape (..., 6, 6)
         Rows r_b1, r_b2, r_b3, r_c1, r_c2, r_c3; columns the twist (v, ω): velocity of o [m/s], angular velocity
-        of m [rad/s], both in {B}. Singular, but right, at a forward singularity. A single state raises
+        of m [rad/s], both in {B}. At a forward singularity it is singular, but correct. A single state raises
         `SingularConfigurationError`, and a member of a batch is NaN, at an inverse or a constraint singularity, where a
-        twist has no leg rates or no unique ones; and, as "forward", where a leg has no length, hence no direction.
+        twist has no leg rates or no unique ones; and, as "forward", if a leg has length zero, hence no direction.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import inverse_jacobians
 
@@ -62,9 +62,9 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., 6, 6)
-        Rows the twist (v, ω) of m at o, in {B} [m/s, rad/s]; columns the legs, as in `inverse_jacobian`. Singular, but
-        right, at an inverse singularity. A single state raises `SingularConfigurationError`, and a member of a batch is
-        NaN, at a forward or a constraint singularity, where the legs do not hold the platform.
+        Rows the twist (v, ω) of m at o, in {B} [m/s, rad/s]; columns the legs, as in `inverse_jacobian`. At an inverse
+        singularity it is singular, but correct. A single state raises `SingularConfigurationError`, a member of a batch
+        is NaN, at a forward or a constraint singularity, where the platform can move with locked actuators.
     """
     from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
 
@@ -112,13 +112,13 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration)
     forces, suspect = _run(stage_forces, configuration, (6,), load)
     if np.count_nonzero(suspect):
-        # A state is as singular under any wrench.
+        # Whether a state is singular does not depend on the wrench.
         forces[np.broadcast_to(_without_hold(configuration), forces.shape[:-1])] = np.nan
     return forces if configuration.machine.legs.are_rps else forces * configuration.slopes
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
-    """Return the matrices of a kernel, shape (..., 6, 6); NaN at a singularity of this kind, or raise for one state."""
+    """Return the matrices of a kernel (..., 6, 6); NaN at a singularity of this kind, or an error for one state."""
     check_configuration(configuration)
     matrices, suspect = _run(kernel, configuration, (6, 6))
     if np.count_nonzero(suspect):
@@ -133,7 +133,7 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
 
 
 def _regular_slopes(configuration: Configuration) -> FloatArray:
-    """Return κ of the legs (..., 6), NaN where a leg is singular; a single state raises."""
+    """Return κ of the legs (..., 6), NaN if a leg is singular; a single singular state raises an error."""
     slopes = configuration.slopes
     singular = np.abs(slopes) <= SINGULAR * configuration.machine.legs.largest_slopes
     if singular.any() and not configuration.shape:
@@ -142,7 +142,7 @@ def _regular_slopes(configuration: Configuration) -> FloatArray:
 
 
 def _without_hold(configuration: Configuration) -> BoolArray:
-    """Return which members of a batch are forward singular, or do not exist; a single one that is singular raises."""
+    """Return which members of a batch are forward singular or missing; a single singular state raises an error."""
     return np.asarray(np.isnan(platform_jacobian(configuration)).any(axis=(-1, -2)))
 
 
@@ -166,21 +166,21 @@ def _broadcast_argument(value: npt.ArrayLike, argument: str, meaning: str, confi
 
 
 def leg_constants(machine: Manipulator) -> FloatArray:
-    """Return the axes of the six legs and `upper_ball_weights` (9, 3), as the kernels take a machine."""
+    """Return the axes of the six legs and `upper_ball_weights` (9, 3), as arguments of the kernels."""
     return np.concatenate([machine.legs.axes, machine.legs.upper_ball_weights])
 
 
 def force_matrices(configuration: Configuration) -> FloatArray:
     """Return J_b, J_c and K (..., 3, 6, 6): rows (f, arm x f), arms from the lower balls' centre in units of d.
 
-    NaN for a state that does not exist, and in the row of a leg without length.
+    NaN for a missing state, and in the row of a leg whose length is zero.
     """
     vectors, machine = configuration.leg_vectors, configuration.machine
     centre = configuration.middle_joints.mean(axis=-2)[..., None, :]
     arms = (configuration.balls - centre) / machine.middle_side
     with np.errstate(invalid="ignore"):
         directions = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    # The axes of the lower legs do not depend on the state: one that does not exist has none of them either.
+    # The axes of the lower legs do not depend on the state, but must be NaN for a missing one.
     axes = np.where(configuration.exists[..., None, None], configuration.leg_axes, np.nan)
     legs, structure = (np.concatenate([f, np.cross(arms, f)], axis=-1) for f in (directions, axes))
     stages = [np.concatenate([legs[..., k, :], structure[..., k, :]], axis=-2) for k in (slice(3), slice(3, 6))]
@@ -190,7 +190,7 @@ def force_matrices(configuration: Configuration) -> FloatArray:
 def stage_inverses(configuration: Configuration) -> FloatArray:
     """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), with twists (v, ω) at o in {B} [m/s, rad/s] for rows.
 
-    NaN where `platform_jacobian` is; a single state that is singular raises.
+    NaN where `platform_jacobian` is; a single singular state raises an error.
     """
     inverses = _inverses(force_matrices(configuration)[..., :2, :, :], _without_hold(configuration)[..., None])
     lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
@@ -202,11 +202,11 @@ def stage_inverses(configuration: Configuration) -> FloatArray:
 def _are_singular(configuration: Configuration, indices: IntArray, kind: str) -> BoolArray:
     """Return which states at these indices (n, axes) are singular to rounding, "forward" or "inverse".
 
-    For a single configuration, raise if it is.
+    For a single singular configuration, raise an error.
     """
     some = configuration[tuple(indices.T)] if configuration.shape else configuration
     matrices = force_matrices(some).reshape(-1, 3, 6, 6)
-    # What exists has a row of NaN where a leg has no length.
+    # An existing state has a row of NaN if the length of a leg is zero.
     is_short = np.asarray(np.isnan(matrices).any(axis=(-1, -2, -3)))
     values = np.linalg.svd(np.nan_to_num(matrices[:, :2] if kind == "forward" else matrices[:, 2:]), compute_uv=False)
     smallest = np.where(values[..., -1] <= SINGULAR * values[..., 0], values[..., -1], np.inf).min(axis=-1)
@@ -225,11 +225,11 @@ class PrincipalStiffness(NamedTuple):
     """Stiffness in its principal directions, weakest first."""
 
     translational: FloatArray
-    """Force per displacement of o while the platform turns as it likes [N/m], shape (..., 3)."""
+    """Force per displacement of o with free rotation of the platform [N/m], shape (..., 3)."""
     translational_directions: FloatArray
     """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
     rotational: FloatArray
-    """Moment per rotation while o moves as it likes [N m/rad], shape (..., 3)."""
+    """Moment per rotation with free translation of o [N m/rad], shape (..., 3)."""
     rotational_directions: FloatArray
     """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
 
@@ -251,7 +251,7 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     -------
     ndarray, shape (..., 6, 6)
         Maps (f, m) at o in {B} [N, N m] to a displacement of o [m] and a small rotation [rad] in {B}; symmetric.
-        Of rank less than 6 at an inverse singularity with rigid structures; at others as `platform_jacobian`.
+        Rank below 6 at an inverse singularity with rigid structures; at other singularities as `platform_jacobian`.
     """
     check_configuration(configuration)
     along = _compliances(legs, "legs", configuration)
@@ -277,8 +277,8 @@ def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.
     -------
     ndarray, shape (..., 6, 6)
         Maps a displacement of o [m] and a small rotation [rad] to (f, m) at o [N, N m], all in {B}; symmetric and
-        positive definite. At singularities as `compliance`; with a rigid structure it raises, or is NaN, at an inverse
-        one as well, where the legs' lengths do not show some motion of the platform: its stiffness is infinite there.
+        positive definite. At singularities as `compliance`; with rigid structures also an error, or NaN, at an inverse
+        singularity, where some motion of the platform does not change leg lengths: its stiffness is infinite there.
 
     Examples
     --------
@@ -309,7 +309,7 @@ def principal_stiffness(
     Returns
     -------
     PrincipalStiffness
-        Infinite where a direction is rigid; singularities as in `compliance`.
+        Infinite in rigid directions; at singularities as `compliance`.
     """
     matrices = compliance(configuration, legs, structure)
     absent = np.asarray(np.isnan(matrices).any(axis=(-1, -2)))
@@ -327,7 +327,7 @@ def principal_stiffness(
 def _compliances(value: npt.ArrayLike, argument: str, configuration: Configuration) -> FloatArray:
     """Return 1 / stiffness of six forces, shape (..., 6)."""
     meaning = "the stiffness of r_b1 to r_c3 in N/m, or one for all"
-    cause = "A rigid leg has a large stiffness, not none"
+    cause = "Give a rigid leg a large stiffness, not zero"
     inverses = 1.0 / leg_values(value, argument, meaning, most=_STIFFEST, cause=cause)
     broadcastable(argument, inverses.shape[:-1], "configuration", configuration.shape)
     return np.asarray(inverses)

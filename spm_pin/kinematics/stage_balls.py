@@ -1,6 +1,6 @@
-"""The balls of one stage with given readings, in its physical state or near another one, for legs of any kind.
+"""The balls of one stage for given readings, in its physical state or near another one, for legs of any kind.
 
-A robot's two stages are solved one after the other.
+The two stages of a manipulator are solved one after the other.
 """
 
 from __future__ import annotations
@@ -66,13 +66,13 @@ def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
 
     locked, results = _circles(stage, readings), (_BALLS, ((), np.bool_))
     balls, is_elsewhere = run_kernel(home_states, locked, stage[:3], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    # From the level stage Newton's method leads to every state of cylinders, and wanders for 1 in 500 of other legs,
-    # a few into another working mode.
+    # From the level stage Newton's method leads to every state of cylinders, but fails for 1 in 500 of other legs,
+    # a few of which end in another working mode.
     balls = _in_working_mode(stage, balls, readings)
     is_elsewhere = is_elsewhere if isinstance(stage.kind, RPS) else np.isnan(balls[:, 0, 0])
     if np.count_nonzero(is_elsewhere):
         elsewhere = np.flatnonzero(is_elsewhere)
-        # The state is looked for among all modes.
+        # The state is searched among all modes.
         centres, radii = (x[elsewhere] for x in locked)
         unlabelled = Drawing(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
         modes, none = _modes(stage, (centres, radii), unlabelled).balls, np.zeros(3)
@@ -100,7 +100,7 @@ def followed_balls(stage: PlacedLegs, balls: FloatArray, start: FloatArray, end:
 
 
 def _circles(stage: PlacedLegs, readings: FloatArray) -> CentresAndRadii:
-    """Return the circles that readings (N, 3) leave to the balls."""
+    """Return the circles of the balls for readings (N, 3)."""
     from spm_pin.kinematics.kernels.ball_circles import circle_centres
 
     own = readings - stage.offsets
@@ -121,7 +121,7 @@ def _modes(stage: PlacedLegs, locked: CentresAndRadii, drawing: Drawing) -> Mode
 
 
 def _in_working_mode(stage: PlacedLegs, balls: FloatArray, readings: FloatArray) -> FloatArray:
-    """Return the balls (..., 3, 3) of states with readings (..., 3), NaN where a leg is in another working mode."""
+    """Return the balls (..., 3, 3) of states with readings (..., 3), NaN if a leg is in another working mode."""
     if isinstance(stage.kind, RPS):
         return balls
     from spm_pin.kinematics.kernels.one_stage import working_modes
