@@ -59,13 +59,13 @@ class ArgumentError(SpmError, ValueError):
     received : Any
         The value, or the wrong part of it; the message shows at most 500 characters of it.
     cause : str
-        The likely cause, or what to do; empty where none is known.
+        The likely cause, or what to do; may be empty.
     file : str
-        The file read, of which `argument` is then a key or a column; `argument` is empty where the whole file is meant.
+        The file, of which `argument` is then a key or a column, or empty for the whole file.
     line : int
-        Line of the file; 0 where it is not known.
+        Line of the file; 0 if not known.
     index : str
-        Key or index of the wrong entry of `argument`, as Python prints it; empty for the whole of it.
+        Key or index of the wrong entry of `argument`, as Python prints it; empty for the whole argument.
 
     Made with an argument such as ``via[0]``, it has the argument ``via`` and the index ``0``.
     """

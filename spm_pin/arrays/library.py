@@ -71,7 +71,7 @@ class Library:
         return math.sin(x) if type(x) is float else self.xp.sin(x)
 
     def arctan2(self, y: Any, x: Any) -> Any:
-        """Return the angle of a vector, zero of that of no length, where derivatives are finite too."""
+        """Return the angle of a vector; zero for a zero vector, where derivatives are finite too."""
         if type(x) is float and type(y) is float:
             return math.atan2(y, x)
         return self.xp.atan2(y, self.xp.where(x * x + y * y > self.normal, x, 1.0))
@@ -157,7 +157,7 @@ class MachineOnArrays(NamedTuple):
     """Dimensions and legs; floats, or arrays of any shape of batch."""
 
     radii: tuple[Any, Any]  # E and C
-    r: Any  # of the drawn middle platform
+    r: Any  # of the nominal middle platform
     legs: tuple[StageLegs, StageLegs]  # in {B} and in {m}
     balls: tuple[Any, Any]  # in {n}
     squares: tuple[Any, Any]  # of the sides of the balls' triangles
@@ -219,9 +219,9 @@ class MachineOnArrays(NamedTuple):
 
 
 def read_machine(library: Library, machine: Any) -> MachineOnArrays:
-    """Return a machine of a `Manipulator`, of dimensions (..., 3) E, C, d, or of the parameters of its legs.
+    """Return a machine from a `Manipulator`, dimensions (..., 3) E, C, d, or the parameters of its legs.
 
-    Parameters are an array (..., 54), of RPS legs, or a pair of a machine and of its parameters (..., n).
+    Parameters are an array (..., 54) for RPS legs, or a pair of a machine and its parameters (..., n).
     """
     if isinstance(machine, Manipulator):
         return _machine_of(machine)

@@ -28,9 +28,9 @@ class StageState(NamedTuple):
     translation: Array
     """Position of the platform's origin in {B} [m], shape (..., 3)."""
     readings: Array
-    """Readings of the encoders, shape (..., 3): [m], of RRS legs [rad]."""
+    """Readings of the encoders, shape (..., 3): [m], for RRS legs [rad]."""
     exists: Array
-    """Where there is such a state, shape (...). Elsewhere numbers and derivatives are finite and mean nothing."""
+    """True where the state exists, shape (...). Elsewhere numbers and derivatives are arbitrary and finite."""
 
     def __getitem__(self, index: Any) -> Any:
         """Index the batch, all fields alike."""
@@ -44,7 +44,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     Parameters
     ----------
     stage : Stage
-        The stage, drawn or as built.
+        The stage, nominal or calibrated.
     normal : array, shape (..., 3)
         Normal of the platform in {B}, of any length. Zero, NaN and directions within 1.4 mrad of -z (9° in float32)
         have no state: there the legs hardly hold the torsion.
@@ -54,7 +54,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     Returns
     -------
     StageState
-        As mode T of `spm_pin.stages.inverse`: whether it is in the home's aspect is not asked.
+        As mode T of `spm_pin.stages.inverse`: whether it is in the home assembly region is not asked.
     """
     machine = stage_machine(check_instance(stage, Stage, "stage"))
     library = library_of(normal=normal, height=height[..., None] if is_array_api_obj(height) else height)
@@ -82,9 +82,9 @@ def stage_forward(stage: Stage, readings: Array, near: StageState | None = None)
     Parameters
     ----------
     stage : Stage
-        The stage, drawn or as built.
+        The stage, nominal or calibrated.
     readings : array, shape (..., 3)
-        Readings of the encoders [m], of RRS legs [rad].
+        Readings of the encoders [m], for RRS legs [rad].
     near : StageState, optional
         From where Newton's method begins: the state to which it leads, if it is on the same side of the forward
         singularities and all legs are in their working modes. No proof is given that it has not left the assembly mode

@@ -56,8 +56,8 @@ class _Legs:
 def inverse_jacobian(machine: Manipulator | Array, state: State | Configuration) -> Array:
     """Compute J_f (..., 6, 6), which maps the twist (v, ω) at o to the leg rates; arguments as for `leg_forces`.
 
-    At an inverse singularity, as the level home is, or a leg's own, there is none: the numbers are finite and mean
-    nothing.
+    At an inverse singularity, such as the level home, or a leg's own singularity, J_f does not exist: the numbers are
+    arbitrary and finite.
     """
     legs = _Legs(machine, state)
     library, run = legs.library, legs.library.run
@@ -77,7 +77,7 @@ def inverse_jacobian(machine: Manipulator | Array, state: State | Configuration)
 
 @quietly
 def leg_forces(machine: Manipulator | Array, state: State | Configuration, wrench: Array) -> Array:
-    """Compute what actuators exert (..., 6) to hold a wrench [N], of RRS legs [N m]; positive increases readings.
+    """Compute what actuators exert (..., 6) to hold a wrench [N], for RRS legs [N m]; positive increases readings.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def leg_forces(machine: Manipulator | Array, state: State | Configuration, wrenc
 def joint_values(machine: Manipulator | Array, state: State | Configuration) -> Array:
     """Compute the values of the eighteen joints of the URDF, shape (..., 18), in the order of its tree.
 
-    Of RPS legs that is `JOINTS`, of others `spm_pin.machine.joint_angles.joint_names`.
+    For RPS legs the names are `JOINTS`, for others `spm_pin.machine.joint_angles.joint_names`.
 
     Angles in radians, slides in metres: with these a simulator of the open tree is reset to a closed state. Leg limits
     decide where the joints are at zero; dimensions and parameters have none. Arguments are as for `leg_forces`.

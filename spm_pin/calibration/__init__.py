@@ -1,4 +1,4 @@
-"""The machine as built identified from measurements, the poses to measure chosen, and what tolerances cost."""
+"""The calibrated machine identified from measurements, the poses to measure chosen, and what tolerances cost."""
 
 from spm_pin.calibration.error_model import error_jacobian
 from spm_pin.calibration.identification import Calibration, choose_poses, identify

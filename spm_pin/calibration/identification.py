@@ -85,7 +85,7 @@ class Calibration(Generic[M]):
     units: tuple[str, ...]
     """Their units, "m" or "rad"."""
     covariance: FloatArray
-    """Covariance of the parameters [m, rad], shape (P, P), zero along what is not identifiable."""
+    """Covariance of the parameters [m, rad], shape (P, P), zero along directions that are not identifiable."""
     identifiable: FloatArray
     """Combinations of parameters [rad, sides of the middle platform] that are determined, (n, P), the best first."""
     deviations: FloatArray

@@ -43,11 +43,11 @@ _SUBSET = 40
 TRACKER_NOISE, LEVEL_NOISE = (1e-5, 1e-5), (5e-4, 2e-3)
 """Standard deviations of lengths [m] and angles [rad] of a laser tracker, and of a ruler and an IMU."""
 _BETTER = 5.0
-"""How many times smaller that error must become when columns are exchanged."""
+"""Factor by which that error must decrease when columns are exchanged."""
 
 
 class MeasurementError(ArgumentError):
-    """Measurements that do not fit the machine, or do not determine what is asked for.
+    """Measurements that do not fit the machine, or do not determine the requested parameters.
 
     Attributes
     ----------

@@ -49,7 +49,7 @@ class ToleranceAnalysis:
 
     @property
     def sampled_rms(self) -> tuple[float, float]:
-        """Root mean squares of displacement [m] and angle [rad] of the samples, NaN if there are none."""
+        """Root mean squares of displacement [m] and angle [rad] of the samples, NaN if missing."""
         if not len(self.samples):
             return float("nan"), float("nan")
         position, angle = np.sqrt(np.nanmean((self.samples.reshape(-1, 2, 3) ** 2).sum(axis=-1), axis=0))

@@ -17,7 +17,7 @@ def stage_inverse(stage: Stage) -> ca.Function:
     Parameters
     ----------
     stage : Stage
-        The stage that is built in, drawn or as built.
+        The stage that is built in, nominal or calibrated.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def stage_forward(stage: Stage, *, near: bool = False) -> ca.Function:
     Parameters
     ----------
     stage : Stage
-        The stage that is built in, drawn or as built.
+        The stage that is built in, nominal or calibrated.
     near : bool
         Whether Newton's method begins from a pose, given as two more inputs `near_rotation` (3, 3) and `near_position`
         (3,), and not from the level platform.

@@ -39,7 +39,7 @@ from spm_pin.support.pose import ORTHONORMALITY_TOLERANCE
 FLOOR = 1e-40
 """Least radicand of a square root: its root is far below rounding, and its powers in derivatives are finite."""
 FIELDS = {"dimensions": 3, "axes": 18, "pivots": 18, "balls": 18, "offsets": 6, "minimum": 6, "maximum": 6}
-"""How many numbers describe a machine of RPS legs: E, C, d, the six legs and the limits of their readings."""
+"""Number of parameters of a machine with RPS legs: E, C, d, the six legs and the limits of their readings."""
 
 
 def sqrt(x: Any) -> Any:
@@ -48,7 +48,7 @@ def sqrt(x: Any) -> Any:
 
 
 def _arctan2(y: Any, x: Any) -> Any:
-    """Return the angle of a vector, zero of that of no length, where derivatives are finite too."""
+    """Return the angle of a vector; zero for a zero vector, where derivatives are finite too."""
     return ca.atan2(y, ca.if_else(x * x + y * y > 0.0, x, 1.0))
 
 
@@ -175,7 +175,7 @@ class MachineInCasadi:
         return symbolic
 
     def drawing(self) -> MachineInCasadi:
-        """Return a machine whose axes, pivots and balls are those of the drawing, and all else this one's."""
+        """Return a machine whose axes, pivots and balls are nominal, and all else this one's."""
         drawn = copy(self)
         drawn.is_drawn = True
         drawn._draw(self.base, self.platform, self.side)
@@ -370,7 +370,7 @@ class StateInCasadi:
 
 
 class Drawn:
-    """The closed form of the drawn machine at a pose."""
+    """The closed form of the nominal machine at a pose."""
 
     def __init__(self, machine: MachineInCasadi, rotation: Any, position: Any) -> None:
         rows = [parts(rotation[i, :]) for i in range(3)]

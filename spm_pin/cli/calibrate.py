@@ -39,7 +39,7 @@ def calibrate(
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
     identified: Annotated[
         list[str] | None,
-        Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. All if not."),
+        Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. Default: all."),
     ] = None,
     pose_noise: Annotated[
         tuple[float, float] | None,
@@ -50,7 +50,7 @@ def calibrate(
         ),
     ] = None,
     reading_noise: Annotated[
-        float, Option(metavar="M", help="Standard deviation of the readings, of RRS legs in radians.")
+        float, Option(metavar="M", help="Standard deviation of the readings, for RRS legs in radians.")
     ] = 1e-6,
     frames: Annotated[
         bool,
@@ -65,22 +65,22 @@ def calibrate(
         ),
     ] = None,
     loss: Annotated[
-        str, Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
+        str, Option(help="linear refuses outliers; soft_l1, huber and cauchy give them less weight.")
     ] = "linear",
     machine_file: options.MachineFile = None,
-    force: Annotated[bool, Option("--force", help="Write --out even where the measurements do not fit.")] = False,
+    force: Annotated[bool, Option("--force", help="Write --out even if the measurements do not fit.")] = False,
     json: options.AsJson = False,
 ) -> None:
-    """Identify the machine as built from measured poses and leg readings.
+    """Identify a machine from measured poses and leg readings.
 
     Example: spm-pin calibrate measurements.csv --out machine.yaml
 
-    Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. The file
-    written can be given as --machine to other commands. --figure needs the extra "plots".
+    Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. Other
+    commands take the written file as --machine. --figure needs the extra "plots".
 
-    The exit code is 1, and no machine is written without --force, if a row does not belong to the others, residuals
-    exceed three times what the noise explains, or E, C or d come out more than 4 % from the nominal ones. It is 1, and
-    there is no machine to write, if the measurements are in another unit, in other columns or rows, or too few. It is 2
+    The exit code is 1, and no machine is written without --force, if a row does not fit the others, residuals
+    exceed three times what the noise explains, or E, C or d differ by more than 4 % from the nominal ones. It is 1,
+    without a machine to write, if the measurements are in another unit, in other columns or rows, or too few. It is 2
     if the file cannot be read.
     """
     dimensions = options.read_machine(machine_file)
@@ -168,7 +168,7 @@ def _report(calibration: Calibration[Any], measurements: Path) -> None:
     least = " and ".join(
         f"{calibration.names[k]} by {x:.2g} m{calibration.units[k]}" for k, x in zip(worst, apart, strict=True)
     )
-    lines.append(f"least known is the combination that moves {least} (standard deviation)")
+    lines.append(f"the least accurate combination moves {least} (standard deviation)")
     if calibration.outliers.any():
         rows = np.flatnonzero(calibration.outliers).tolist()
         lines.append(_with_lines(f"{len(rows)} outlier{'s' * (len(rows) > 1)}", rows, measurements))
@@ -182,7 +182,7 @@ def _report(calibration: Calibration[Any], measurements: Path) -> None:
     outputs.print_lines(lines)
     fitted = calibration.fitted
     changes = fitted.parameters - fitted.nominal.parameters
-    # In brackets what is smaller than twice its standard deviation.
+    # Numbers below twice their standard deviation are in brackets.
     texts = {
         name: f"({text})" if abs(change) < 2.0 * deviation else text
         for name, change, deviation in zip(
@@ -195,7 +195,7 @@ def _report(calibration: Calibration[Any], measurements: Path) -> None:
     columns |= {part: lambda leg, part=part: texts.get(f"{leg}.{part}", "") for part in components}
     outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, fitted.legs.names)
     outputs.print_lines(
-        ["(…) is smaller than twice its standard deviation: not known by itself, but in combinations with others."]
+        ["(…) is below twice its standard deviation: not known by itself, but in combinations with others."]
     )
 
 
@@ -208,17 +208,17 @@ def tolerance(
     direction: Annotated[float, _deviation("the directions of revolute axes and slides, in radians.")] = 1e-4,
     pivot: Annotated[float, _deviation("each coordinate of the pivots, in metres.")] = 1e-4,
     ball: Annotated[float, _deviation("each coordinate of the ball joints, in metres.")] = 1e-4,
-    offset: Annotated[float, _deviation("the encoders' offsets, in metres, of RRS legs in radians.")] = 1e-4,
-    rod: Annotated[float | None, _deviation("the rods, in metres; 1e-4 of legs that have them.")] = None,
-    crank: Annotated[float | None, _deviation("the cranks, in metres; 1e-4 of legs that have them.")] = None,
-    by: Annotated[str, Option(help="What to rank: parameter, component, kind or leg.")] = "component",
-    states: Annotated[int, Option(min=1, help="States to draw within the leg limits.")] = 60,
-    samples: Annotated[int, Option(min=0, help="Random machines; 0 for first order alone.")] = 200,
+    offset: Annotated[float, _deviation("the encoders' offsets, in metres, for RRS legs in radians.")] = 1e-4,
+    rod: Annotated[float | None, _deviation("the rods, in metres; 1e-4 for legs with rods.")] = None,
+    crank: Annotated[float | None, _deviation("the cranks, in metres; 1e-4 for legs with cranks.")] = None,
+    by: Annotated[str, Option(help="Group of the ranking: parameter, component, kind or leg.")] = "component",
+    states: Annotated[int, Option(min=1, help="Number of random states within the leg limits.")] = 60,
+    samples: Annotated[int, Option(min=0, help="Number of random machines; 0 for first order only.")] = 200,
     seed: Annotated[int, Option(min=0, help="Seed of states and machines.")] = 0,
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Predict how far the platform is off if its dimensions are, and which tolerance pays.
+    """Predict the accuracy of the platform for tolerances of the dimensions, and rank them.
 
     Example: spm-pin tolerance --direction 1e-4 --pivot 5e-5 --ball 5e-5 --offset 1e-5
     """

@@ -156,7 +156,7 @@ class Shell(ClosedMesh):
     configuration: Configuration
     """The state at each vertex of the mesh, shape (V,)."""
     convergence: Convergence
-    """How the volume converges as the resolution grows."""
+    """Convergence of the volume with increasing resolution."""
 
     def __repr__(self) -> str:
         size = f"{len(self.vertices)} vertices, {len(self.faces)} faces"
@@ -212,8 +212,8 @@ def workspace_shell(machine: Manipulator, limits: LegLimits | None = None, *, re
     limits = finite_limits(machine, limits)
     check_rps(machine, "the paper's 24 surfaces")
     if not machine.is_nominal:
-        cause = "The paper's 24 surfaces are those of the drawing: machine.nominal, or the file without its legs"
-        raise GeometryError("machine", "a machine as drawn", "one as built", cause)
+        cause = "The paper's 24 surfaces are those of machine.nominal, or the file without its legs"
+        raise GeometryError("machine", "a nominal machine", "a calibrated one", cause)
     if min(limits.minimum) == 0.0:
         raise ArgumentError("limits", "a positive minimum for every leg", f"{limits.minimum} m")
     n = whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)

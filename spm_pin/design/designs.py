@@ -174,7 +174,7 @@ def _checked_functions(functions: dict[str, Function]) -> dict[str, Function]:
 
 
 def leg_ranges(machine: Manipulator) -> tuple[FloatArray, FloatArray]:
-    """Return the least readings and the strokes of the legs, shapes (6,) [m], of RRS legs [rad]."""
+    """Return the least readings and the strokes of the legs, shapes (6,) [m], for RRS legs [rad]."""
     assert machine.limits is not None
     low, high = machine.limits.ends
     return low.copy(), high - low
@@ -248,7 +248,7 @@ class DesignProblem:
     Parameters
     ----------
     machine : Manipulator
-        A drawn machine with finite leg limits: what is not free is as in this one, and it is compared with the others.
+        A nominal machine with finite leg limits. It has the values that are not free, and is compared with the others.
     free : dict of str to (low, high)
         Ranges of some of `VARIABLES` [m, rad].
     aims : dict of str to "max" or "min"
@@ -275,7 +275,7 @@ class DesignProblem:
     def __post_init__(self) -> None:
         machine = check_instance(self.machine, Manipulator, "machine")
         if not (machine.is_nominal and machine.limits and machine.limits.are_finite):
-            raise ArgumentError("machine", "a drawn machine with finite leg limits", repr(machine))
+            raise ArgumentError("machine", "a nominal machine with finite leg limits", repr(machine))
         for name in _CHOICES:
             object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))
         object.__setattr__(self, "functions", _checked_functions(self.functions))
@@ -396,7 +396,7 @@ class Front:
 
     @cached_property
     def better(self) -> BoolArray:
-        """Which machines of the front are at least as good as the reference in all aims and keep all bounds, (n,)."""
+        """True for machines of the front at least as good as the reference in all aims that keep all bounds, (n,)."""
         values = self.problem.objectives(self.designs)[0]
         return np.asarray((values <= self.problem.objectives(self.reference)[0]).all(axis=-1))
 

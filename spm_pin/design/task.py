@@ -62,16 +62,16 @@ class Task:
         return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
     def margin(self, machine: Manipulator) -> float:
-        """Return how far the worst leg at the worst pose is inside its limits [m], of RRS legs at the knee.
+        """Return how far the worst leg at the worst pose is inside its limits [m], for RRS legs at the knee.
 
         Negative outside; NaN where no physical branch leads through all poses. Of two that do the better one counts.
         """
         return self._along(machine)[0]
 
     def effort(self, machine: Manipulator) -> float:
-        """Return the largest effort of an actuator at any pose [N], of RRS legs [N m], in the branch of `margin`.
+        """Return the largest effort of an actuator at any pose [N], for RRS legs [N m], in the branch of `margin`.
 
-        NaN where there is none, or a pose is singular.
+        NaN if no branch exists, or a pose is singular.
         """
         states = self._along(machine)[1]
         return float("nan") if states is None else float(np.abs(leg_forces(states, self._load)).max())

@@ -30,7 +30,7 @@ def stage_c_sources(stage: Stage, *, prefix: str = "stage_") -> dict[str, str]:
     Parameters
     ----------
     stage : Stage
-        The stage that is built in, drawn or as built. The functions take others too.
+        The stage that is built in, nominal or calibrated. The functions take others too.
     prefix : str
         What all names begin with. Another one is put before the names of the files: `left_stage.h`.
 

@@ -1,7 +1,7 @@
-"""Planar legs: the reading of a leg whose ball is in a given place, and the circle of the ball at a given reading.
+"""Planar legs: the reading of a leg from the position of its ball, and the circle of the ball for a given reading.
 
 A planar leg has two joints that move in one plane, and a ball at its end. One joint is actuated: the reading is the
-length of an RPS leg [m], the place of a PRS leg's carriage on its slide [m], the angle of an RRS leg's crank [rad], all
+length of an RPS leg [m], the position of a PRS leg's carriage on its slide [m], the angle of an RRS leg's crank [rad],
 without the encoder's offset. `x` and `z` [m] are the ball's coordinates in the plane from the leg's pivot, radially
 outwards and towards the middle platform. With the actuator locked the ball moves on a circle, see `Circle`. The slope κ
 is the speed of the ball away from the circle's centre per unit rate of the reading; where it is zero the leg itself is
@@ -30,9 +30,9 @@ Numbers = tuple[float, ...]
 RPS_LEGS, PRS_LEGS, RRS_LEGS = 0, 1, 2
 """Numbers of the kinds of legs, by which kernels choose their formulas."""
 LONGEST_CHORD = 0.1
-"""Largest turn of a crank [rad] in which its end is taken to move along the chord where a state is followed."""
+"""Largest rotation of a crank [rad] in which its end may move along the chord when a state is followed."""
 MOST_TURNED = 6.3
-"""Largest reading of a crank, offset aside, and largest azimuth [rad]: a turn, and more is taken for degrees."""
+"""Largest reading of a crank without its offset, and largest azimuth [rad]: a turn; more is probably degrees."""
 
 
 class Circle(NamedTuple):
@@ -44,7 +44,7 @@ class Circle(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Distance of a ball from where its leg is singular, negative out of the leg's reach, and its gradient."""
+    """Distance of a ball from the leg's own singularities, negative out of the leg's reach, and its gradient."""
 
     distance: float
     x: float  # of the gradient
@@ -52,7 +52,7 @@ class Room(NamedTuple):
 
 
 class LegState(NamedTuple):
-    """The state of a leg, from its ball's place; of a ball out of reach, from the nearest place within reach."""
+    """The state of a leg from its ball's position; out of reach, from the nearest position within reach."""
 
     room: Room
     reading: float
@@ -71,12 +71,12 @@ class LegRates(NamedTuple):
 
 
 _WITHIN = 1e-10
-"""A leg whose ball is out of reach is evaluated this far within, over its length: there κ is 1e-5 of its largest."""
+"""A leg whose ball is out of reach is evaluated this far within, over its length: κ is then 1e-5 of its largest."""
 
 
 _LEAST_SLOPE = 0.01
-"""Share of the largest κ below which the gain 1/κ of a `LegState` falls again instead of growing: a search that relied
-on larger gains near a singularity of the leg could hardly leave it."""
+"""Fraction of the largest κ below which the gain 1/κ of a `LegState` decreases again: with larger gains a search
+could hardly leave the neighbourhood of a singularity of the leg."""
 
 
 class LegPlane(NamedTuple):
@@ -90,7 +90,7 @@ class LegPlane(NamedTuple):
 def plane_axes(axis: Vector, tangent_sign: float, up: float) -> tuple[Vector, Vector]:
     """Return the unit vectors radially outwards and towards the middle platform in the plane normal to a leg's axis.
 
-    `tangent_sign` is the leg's of `leg_constants.TANGENT_SIGNS`, `up` +1 of a lower leg and -1 of an upper.
+    `tangent_sign` is the leg's of `leg_constants.TANGENT_SIGNS`, `up` +1 for a lower leg and -1 for an upper.
     """
     outward = direction(scaled(-tangent_sign, cross(UP, axis)))
     return outward, scaled(up * tangent_sign, cross(outward, axis))
@@ -128,12 +128,12 @@ def rps_slope(x: float, z: float, reading: float, numbers: Numbers) -> float:
 
 
 def rps_home(x: float, height: float, least: float, numbers: Numbers) -> float:
-    """Return the length of an RPS leg: the least one, plus that of a leg whose ball is at this height."""
+    """Return the length of an RPS leg in the home: the minimum plus the length with the ball at this height."""
     return least + sqrt(x * x + height * height)
 
 
 def rps_passive(x: float, z: float, reading: float) -> tuple[float, float]:
-    """Return a direction in the frame of the plate, which carries the passive joint of an RPS leg."""
+    """Return a direction in the frame of the plate, which has the passive joint of an RPS leg."""
     return x, z
 
 
@@ -155,14 +155,14 @@ def rps_state(x: float, z: float, numbers: Numbers) -> LegState:
 
 
 def prs_reach(x: float, z: float, numbers: Numbers) -> float:
-    """Return the square of the rod's component along the slide of a PRS leg, negative where the rod is too short."""
+    """Return the square of the rod's component along the slide of a PRS leg, negative if the rod is too short."""
     rod, direction, _ = numbers
     across = cos(direction) * z - sin(direction) * x
     return (rod - across) * (rod + across)
 
 
 def prs_reading(x: float, z: float, numbers: Numbers) -> float:
-    """Return the place of a PRS leg's carriage along its slide, NaN where the rod is too short."""
+    """Return the position of a PRS leg's carriage along its slide, NaN if the rod is too short."""
     _, direction, sign = numbers
     return cos(direction) * x + sin(direction) * z + sign * sqrt(prs_reach(x, z, numbers))
 
@@ -189,7 +189,7 @@ def prs_up(first: Numbers, second: Numbers, third: Numbers) -> float:
 
 
 def prs_home(x: float, height: float, least: float, numbers: Numbers) -> float:
-    """Return the place of a PRS leg's carriage: at the pivot."""
+    """Return the position of a PRS leg's carriage in the home: the pivot."""
     return 0.0
 
 
@@ -205,7 +205,7 @@ def prs_largest_slope(numbers: Numbers) -> float:
 
 
 def prs_room(x: float, z: float, numbers: Numbers) -> Room:
-    """Return the room of a PRS leg: the rod's length less the ball's distance from the slide."""
+    """Return the room of a PRS leg: the rod's length minus the ball's distance from the slide."""
     rod, direction, _ = numbers
     cosine, sine = cos(direction), sin(direction)
     across = cosine * z - sine * x
@@ -223,7 +223,7 @@ def prs_state(x: float, z: float, numbers: Numbers) -> LegState:
 
 
 def rrs_reach(x: float, z: float, numbers: Numbers) -> float:
-    """Return 16 times the square of the area between crank, rod and ball, negative where these make no triangle."""
+    """Return 16 times the squared area of the triangle of crank, rod and ball, negative if these make no triangle."""
     crank, rod, _ = numbers
     square, longest, shortest = x * x + z * z, crank + rod, crank - rod
     return (longest * longest - square) * (square - shortest * shortest)
@@ -232,7 +232,7 @@ def rrs_reach(x: float, z: float, numbers: Numbers) -> float:
 def rrs_crank(x: float, z: float, numbers: Numbers) -> tuple[float, float]:
     """Return x² + z² times cosine and sine of the angle of an RRS leg's crank; NaN out of its reach."""
     crank, rod, sign = numbers
-    # The knee along the line from pivot to ball, and beside it, times that line's length.
+    # Coordinates of the knee along the line from pivot to ball, and perpendicular, times that line's length.
     along = (x * x + z * z + (crank + rod) * (crank - rod)) / (2.0 * crank)
     beside = sign * sqrt(rrs_reach(x, z, numbers)) / (2.0 * crank)
     return x * along - z * beside, z * along + x * beside
@@ -263,7 +263,7 @@ def _lever_arm(x: float, z: float, circle: Circle) -> float:
 
 
 def rrs_room(x: float, z: float, numbers: Numbers) -> Room:
-    """Return the room of an RRS leg: how far the ball is from where crank and rod are in line, stretched or folded."""
+    """Return the room of an RRS leg: distance of the ball from the positions with crank and rod in line."""
     crank, rod, _ = numbers
     distance = sqrt(x * x + z * z)
     stretched, folded = crank + rod - distance, distance - magnitude(crank - rod)
@@ -323,6 +323,6 @@ def _gain(slope: float, largest_slope: float) -> float:
 
 
 def _within(x: float, z: float, room: Room, length: float) -> tuple[float, float]:
-    """Return a ball's place, or the nearest one within the reach of a leg of this length."""
+    """Return a ball's position, or the nearest one within the reach of a leg of this length."""
     lack = larger(_WITHIN * length - room.distance, 0.0)
     return x + lack * room.x, z + lack * room.z

@@ -13,16 +13,16 @@ from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import FloatArray
 
 _SPREAD = 1.33
-"""Without limits, readings are those of the home times or divided by at most this."""
+"""Without limits, readings are those in the home times or divided by at most this."""
 _ATTEMPTS = 100
 
 
 def random_states(machine: Any, count: int, rng: np.random.Generator) -> Any:
     """Draw physical states (count,) whose readings are uniform within the leg limits.
 
-    Without limits the balls are as far from their pivots as at home, a third more or less; instead of limits of zero
-    and infinity they are a third and three times as far. Raises `ArgumentError` where the limits hold no state, or next
-    to none.
+    Without limits the balls are as far from their pivots as in the home, up to a third more or less; instead of limits
+    of zero and infinity they are at a third and three times that distance. Raises `ArgumentError` if there are no
+    states within the limits, or very few.
     """
     legs, limits = machine.legs, machine.limits
     low, high = _around_home(machine, _SPREAD)
@@ -43,7 +43,7 @@ def random_states(machine: Any, count: int, rng: np.random.Generator) -> Any:
 def _around_home(machine: Machine, factor: float) -> tuple[FloatArray, FloatArray]:
     """Return the readings (legs,) of balls so many times nearer to their pivots, or farther, than at home.
 
-    Out of a leg's reach it is the reading at home.
+    For a ball out of a leg's reach it is the reading in the home.
     """
     home, places = homes(machine)
     ends = [machine.legs.readings(places * share) for share in (1.0 / factor, factor)]

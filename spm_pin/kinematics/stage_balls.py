@@ -1,6 +1,6 @@
-"""The balls of one stage with given readings, in its physical state or near another one, for legs of any kind.
+"""The balls of one stage for given readings, in its physical state or near another one, for legs of any kind.
 
-A robot's two stages are solved one after the other.
+The two stages of a manipulator are solved one after the other.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ CentresAndRadii = tuple[FloatArray, FloatArray]
 
 
 class Drawing(NamedTuple):
-    """The drawn stage, whose modes have labels."""
+    """The nominal stage, whose modes have labels."""
 
     legs: FloatArray
     """Axes, pivots and balls [m] (3, 3, 3)."""
     is_rps: bool
     is_drawn: bool
-    """Whether the stage itself is the drawn one, of RPS legs."""
+    """True if the stage itself is nominal, with RPS legs."""
     radius: float
     """Radius of the platform, on which the balls are [m]."""
     base_radius: float
@@ -49,32 +49,32 @@ class Modes(NamedTuple):
     balls: FloatArray
     """(N, 16, 3, 3) [m], NaN where a mode is not real."""
     merged: BoolArray
-    """Labels (N, 16) whose mode has met another one, and those left over."""
+    """True for labels (N, 16) whose mode has met another one, and for remaining ones."""
     continuous: BoolArray
-    """Which of the modes T, F of a drawn stage of RPS legs are continuous families, (N, 2)."""
+    """True for the modes T, F of a nominal stage with RPS legs that are continuous families, (N, 2)."""
     status: npt.NDArray[np.int8]
-    """`Status` (N,) but for continuous families."""
+    """`Status` (N,), without regard to continuous families."""
 
 
 def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Modes:
-    """Return all modes with readings (N, 3), under the labels of the drawn stage."""
+    """Return all modes with readings (N, 3), under the labels of the nominal stage."""
     modes = _modes(stage, _circles(stage, readings), drawing)
     return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
 
 
 def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
-    """Return the balls (N, 3, 3) [m] in the home's aspect with readings (N, 3), NaN where there is no such state."""
+    """Return the balls (N, 3, 3) [m] in the home assembly region with readings (N, 3), NaN if missing."""
     from spm_pin.kinematics.kernels.ball_circles import home_states
 
     locked, results = _circles(stage, readings), (_BALLS, ((), np.bool_))
     balls, is_elsewhere = run_kernel(home_states, locked, stage[:3], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    # From the level stage Newton's method leads to every state of cylinders, and wanders for 1 in 500 of other legs,
-    # a few into another working mode.
+    # From the level stage Newton's method leads to every state of cylinders, but fails for 1 in 500 of other legs,
+    # a few of which end in another working mode.
     balls = _in_working_mode(stage, balls, readings)
     is_elsewhere = is_elsewhere if isinstance(stage.kind, RPS) else np.isnan(balls[:, 0, 0])
     if np.count_nonzero(is_elsewhere):
         elsewhere = np.flatnonzero(is_elsewhere)
-        # The state is looked for among all modes.
+        # The state is searched among all modes.
         centres, radii = (x[elsewhere] for x in locked)
         unlabelled = Drawing(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
         modes, none = _modes(stage, (centres, radii), unlabelled).balls, np.zeros(3)
@@ -87,10 +87,10 @@ def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
 
 
 def followed_balls(stage: PlacedLegs, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return where balls (N, 3, 3) [m] are led from readings (N, 3) to others, NaN where they meet a singularity."""
+    """Return the balls (N, 3, 3) [m] after their readings (N, 3) change to others, NaN if they meet a singularity."""
     from spm_pin.kinematics.kernels.ball_circles import follow_states
 
-    # Each crank is led along chords of its end's arc.
+    # The end of each crank moves along chords of its arc.
     turns = np.nan_to_num(np.abs(end - start)).max(initial=0.0) if stage.kind.unit == "rad" else 0.0
     parts, here = 1 + int(turns / LONGEST_CHORD), _circles(stage, start)
     for part in range(1, parts + 1):
@@ -102,7 +102,7 @@ def followed_balls(stage: PlacedLegs, balls: FloatArray, start: FloatArray, end:
 
 
 def _circles(stage: PlacedLegs, readings: FloatArray) -> CentresAndRadii:
-    """Return the circles that readings (N, 3) leave to the balls."""
+    """Return the circles of the balls for readings (N, 3)."""
     from spm_pin.kinematics.kernels.ball_circles import circle_centres
 
     own = readings - stage.offsets
@@ -123,7 +123,7 @@ def _modes(stage: PlacedLegs, locked: CentresAndRadii, drawing: Drawing) -> Mode
 
 
 def _in_working_mode(stage: PlacedLegs, balls: FloatArray, readings: FloatArray) -> FloatArray:
-    """Return the balls (..., 3, 3) of states with readings (..., 3), NaN where a leg is in another working mode."""
+    """Return the balls (..., 3, 3) of states with readings (..., 3), NaN if a leg is in another working mode."""
     if isinstance(stage.kind, RPS):
         return balls
     from spm_pin.kinematics.kernels.one_stage import working_modes

@@ -51,7 +51,7 @@ def inverse(
     Parameters
     ----------
     stage : Stage
-        The stage, drawn or as built. Its limits are not applied; see `StageSolutions.within`.
+        The stage, nominal or calibrated. Its limits are not applied; see `StageSolutions.within`.
     height : array_like, shape (...)
         Of the platform's origin, the centre of its balls, above the base's plane of pivots: z in {B} [m].
     tilt, azimuth : array_like, shape (...), optional
@@ -116,7 +116,7 @@ def inverse_physical(
     -------
     StageConfiguration
         Of shape (...): in mode T, and reached from the level platform without a forward singularity. `.exists` is
-        False, and everything NaN, where there is none. `.limit_excess` says which readings are beyond the limits.
+        False, and everything NaN, if missing. `.limit_excess` says which readings are beyond the limits.
 
     Examples
     --------
@@ -145,20 +145,20 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     stage : Stage
         The stage. Its limits are not applied.
     readings : array_like, shape (..., 3)
-        What the encoders show: [m], of RRS legs [rad].
+        What the encoders show: [m], for RRS legs [rad].
 
     Returns
     -------
     StageSolutions
         The assembly modes of `STAGE_MODES` along the last axis, `.rotation` (..., 16, 3, 3), NaN where a mode is not
-        real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` where there is none;
-        `DEGENERATE` where a stage of RPS legs as drawn moves with its legs locked, that family left out; or
+        real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` if none is real;
+        `DEGENERATE` where a stage of nominal RPS legs moves with its legs locked, that family left out; or
         `UNSOLVED`, and nothing exists, where fewer than sixteen distinct modes were found, complex ones counted.
 
     Notes
     -----
     T and F name modes as in `spm_pin.forward_displacement`, + is the side of the base on which the platform stands. Of
-    legs that are not RPS, and of a machine as built, numbers are names only.
+    legs that are not RPS, and of a calibrated machine, numbers are names only.
 
     Examples
     --------
@@ -189,22 +189,22 @@ def forward_physical(
     stage : Stage
         The stage. Its limits are not applied.
     readings : array_like, shape (..., 3)
-        What the encoders show: [m], of RRS legs [rad].
+        What the encoders show: [m], for RRS legs [rad].
     near : StageConfiguration, optional
         Where the machine was. Its leading axes broadcast with those of `readings`.
 
     Returns
     -------
     StageConfiguration
-        Of shape (...). Without `near` the state in the home's aspect: without torsion, and reached from the level
+        Of shape (...). Without `near` the state in the home assembly region: without torsion, reached from the level
         platform without a forward singularity. With `near` the end of the path on which its readings change to the
         given ones in a straight line, whatever its mode, in steps that provably stay on it. `.exists` is False, and
-        everything NaN, where there is none, or where that path meets a forward singularity.
+        everything NaN, if it is missing, or if that path meets a forward singularity.
 
     Notes
     -----
-    The home's aspect of a stage of RPS legs as drawn holds one state at most, `docs/theory/uniqueness.md`; that of one
-    of PRS legs, or of RRS legs with ``sign=+1``, may hold two, of which Newton's method from the level platform finds
+    A stage with nominal RPS legs has at most one state in the home assembly region, `docs/theory/uniqueness.md`; one
+    with PRS legs, or RRS legs with ``sign=+1``, may have two, of which Newton's method from the level platform finds
     one: give `near`.
 
     Examples
@@ -257,7 +257,7 @@ def _half(stage: Stage) -> PlacedLegs:
 
 
 def _of_balls(stage: Stage, shape: tuple[int, ...], balls: FloatArray, readings: FloatArray) -> StageConfiguration:
-    """Return the states of this shape with balls, NaN where there is none, and readings that broadcast."""
+    """Return the states of this shape with balls, NaN if missing, and readings that broadcast."""
     from spm_pin.kinematics.kernels.ball_circles import platform_frames
 
     results = ((3, 3), np.float64), ((3,), np.float64)

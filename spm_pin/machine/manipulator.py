@@ -1,8 +1,8 @@
-"""The dimensions of a manipulator and its parameters, as drawn or as built, its files, and lengths that fit its size.
+"""The dimensions and parameters of a manipulator, nominal or calibrated, and its files.
 
 Frames (Fig. 1 and Eq. (1) of the paper): {B} at the centre O of the base triangle, Z up; {m} at the centre o of the
 terminal platform, z up; {n} at the centre of the middle platform's triangle, x along b_3 b_1 and z normal to it. Legs
-1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in all three.
+1, 2, 3 are at the azimuths -30, 90 and 210 degrees in all three.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in COMPONE
 """Names of the 54 parameters of RPS legs, nine for each, in the order of `Manipulator.parameters`."""
 
 _SAME = 1e-9
-"""Machines that differ by less, relative to the middle side, are the same."""
+"""Machines with smaller relative differences, divided by the middle side, count as the same."""
 
 _DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
 _SYMBOLS = _DIMENSIONS | {"limits": "a key of a stage's file, which spm_pin.Stage.from_yaml reads, and spm-pin stage"}
@@ -59,7 +59,7 @@ def config_directory() -> Path:
 
 @dataclass(frozen=True, init=False, repr=False)
 class Manipulator(Machine):
-    """Dimensions of a manipulator, and its legs: those of the drawing, or those of one machine as built.
+    """Dimensions of a manipulator, and its legs, nominal or calibrated.
 
     Parameters
     ----------
@@ -68,15 +68,15 @@ class Manipulator(Machine):
     middle_side : float
         d, side of the middle platform's triangle b_1 b_2 b_3 [m].
     limits : LegLimits, optional
-        Limits of the encoders' readings, which in a drawn machine are the leg lengths. None means unlimited.
+        Limits of the encoders' readings, which in a nominal machine are the leg lengths. None means unlimited.
     legs : (LegKind, LegKind) or Legs, optional
-        Kinds of the lower and of the upper legs, `RPS` if not given; or the legs of a machine as built, whose branches
-        are named after those of the drawn machine.
+        Kinds of the lower and of the upper legs, `RPS` if not given; or the legs of a calibrated machine, whose
+        branches have the names of the nominal machine's.
 
     Notes
     -----
     A dimension is a number from 1e-9 to 1e9 m: then no product of lengths in this package over- or underflows. Six of
-    the 54 parameters of the legs are the choice of {n} and change no reading.
+    the 54 parameters of the legs are a choice of {n} and do not change readings.
     """
 
     base_radius: float
@@ -112,16 +112,16 @@ class Manipulator(Machine):
     @classmethod
     @raised_as(GeometryError)
     def of_stages(cls, lower: Stage, upper: Stage) -> Manipulator:
-        """Return the machine of two stages, of legs of either kind, whose platforms are one triangle of balls.
+        """Return the machine of two stages, each with legs of any kind, whose platforms are one triangle of balls.
 
-        The upper stage is turned over about its y axis, with its base for the terminal platform, and so stands on the
-        same balls: its legs 3, 2, 1 are `r_c1` to `r_c3`. Of stages as built the platforms' frames become one, {n}.
+        The upper stage is turned over about its y axis, its base is the terminal platform, and it is mounted on the
+        same balls: its legs 3, 2, 1 are `r_c1` to `r_c3`. The platforms' frames of calibrated stages become one, {n}.
         """
         check_instance(lower, Stage, "lower")
         check_instance(upper, Stage, "upper")
         if not math.isclose(lower.platform_radius, upper.platform_radius, rel_tol=_SAME):
             expected = (
-                f"the platform_radius of the lower stage, {lower.platform_radius:g} m: both stand on one triangle"
+                f"the platform_radius of the lower stage, {lower.platform_radius:g} m: both share one triangle of balls"
             )
             raise GeometryError("upper", expected, f"{upper.platform_radius:g} m")
         dimensions = lower.base_radius, upper.base_radius, math.sqrt(3.0) * lower.platform_radius
@@ -140,13 +140,13 @@ class Manipulator(Machine):
     def paper(cls) -> Manipulator:
         """Return the paper's manipulator: E = 1.2/√3 m, C = 0.6/√3 m, d = 0.8 m, legs from 1.10 to 1.50 m.
 
-        The paper prints no leg limits; these are the project's own, see `urdf/config/geometry.yaml`.
+        The paper prints no leg limits; these are this project's own, see `urdf/config/geometry.yaml`.
         """
         return cls.from_yaml(config_directory() / "geometry.yaml")
 
     @classmethod
     def from_data(cls, data: Any, argument: str = "data") -> Manipulator:
-        """Return the machine of `as_data`; a `GeometryError` names the key of what describes none."""
+        """Return the machine of `as_data`; a `GeometryError` names a wrong key, or `argument` for the whole."""
         sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
         own = {"leg_limits", "legs", *_KIND_KEYS}
         read = read_mapping(data, argument, {"middle_side"}, sizes | own, _SYMBOLS)
@@ -164,7 +164,7 @@ class Manipulator(Machine):
         return cls(radii[0], radii[1], lengths["middle_side"], limits, legs)
 
     def as_data(self) -> dict[str, Any]:
-        """Return what `to_yaml` writes."""
+        """Return the data that `to_yaml` writes."""
         data: dict[str, Any] = dict(zip(_DIMENSIONS.values(), self.dimensions, strict=True))
         if self.limits is not None:
             data["leg_limits"] = limits_as_data(self.limits)
@@ -181,45 +181,45 @@ class Manipulator(Machine):
 
     @property
     def size(self) -> float:
-        """E + C + 2 d [m], about the height of a machine."""
+        """E + C + 2 d [m], the approximate height of a machine."""
         return self.base_radius + self.platform_radius + 2.0 * self.middle_side
 
     @property
     def stage_radii(self) -> tuple[tuple[float, float], ...]:
-        """Radii of the drawn triangles of the lower and of the upper stage, of pivots and of balls [m]."""
+        """Radii of the nominal triangles of the lower and of the upper stage, of pivots and of balls [m]."""
         return (self.base_radius, self.middle_radius), (self.platform_radius, self.middle_radius)
 
     @property
     def middle_radius(self) -> float:
-        """Radius r = d/√3 of the drawn middle platform, from its centre to a ball joint b_i [m]."""
+        """Radius r = d/√3 of the nominal middle platform, from its centre to a ball joint b_i [m]."""
         return self.middle_side / math.sqrt(3.0)
 
     @property
     def base_joints(self) -> FloatArray:
-        """Lower revolute joints a_1..a_3 of the drawing as rows (3, 3) [m] in {B}. Eq. (1a)."""
+        """Lower revolute joints a_1..a_3 of the nominal machine as rows (3, 3) [m] in {B}. Eq. (1a)."""
         return self.base_radius * RADIAL
 
     @property
     def platform_joints(self) -> FloatArray:
-        """Upper revolute joints c_1..c_3 of the drawing as rows (3, 3) [m] in {m}. Eq. (1b)."""
+        """Upper revolute joints c_1..c_3 of the nominal machine as rows (3, 3) [m] in {m}. Eq. (1b)."""
         return self.platform_radius * RADIAL
 
     @property
     def radial_directions(self) -> FloatArray:
-        """Unit vectors from O towards the drawn a_i in {B}, equally from o towards c_i in {m}, as rows (3, 3)."""
+        """Unit vectors from O towards the nominal a_i in {B}, equally from o towards c_i in {m}, as rows (3, 3)."""
         return RADIAL.copy()
 
     @property
     def revolute_axes(self) -> FloatArray:
-        """Unit revolute axes of the drawn legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
+        """Unit revolute axes of the nominal legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
         return AXES.copy()
 
 
 def check_same_machine(machine: Manipulator, expected: Manipulator, argument: str, owner: str) -> None:
-    """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
+    """Raise `GeometryError` unless both have the same dimensions and legs; limits only define the tree's zero."""
     if machine.dimensions == expected.dimensions and machine.legs == expected.legs:
         return
-    cause = "Computed for another machine?"
+    cause = "Was it computed for another machine?"
     for kind, wanted in zip(machine.legs.kinds, expected.legs.kinds, strict=True):
         if type(kind) is not type(wanted) or getattr(kind, "sign", 0) != getattr(wanted, "sign", 0):
             raise GeometryError(argument, f"the kinds of {owner}, {wanted!r}", repr(kind), cause)
@@ -234,8 +234,8 @@ def check_same_machine(machine: Manipulator, expected: Manipulator, argument: st
 
 
 def check_rps(machine: Manipulator, what: str) -> None:
-    """Raise a `GeometryError` unless all legs are RPS, which `what` is known for alone."""
+    """Raise a `GeometryError` unless all legs are RPS, the only ones for which `what` is implemented."""
     if not machine.legs.are_rps:
         lower, upper = (kind.name for kind in machine.legs.kinds)
-        cause = "What takes PRS and RRS legs is listed in docs/howto/other_legs.md"
+        cause = "docs/howto/other_legs.md lists what takes PRS and RRS legs"
         raise GeometryError("machine", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)

@@ -29,7 +29,7 @@ from spm_pin.support.arguments import FloatArray, IntArray, leg_bounds, leg_valu
 ROUNDING = 1e-9
 """Amount by which a rule of a path may be broken, in its unit: a state at its limit keeps it."""
 STEP = 0.005
-"""Largest distance of two samples of a path in the leg lengths, of RRS legs at the knees, in units of d."""
+"""Largest distance of two samples of a path in the leg lengths, for RRS legs at the knees, in units of d."""
 _LARGEST = 1e12
 """Largest limit of a leg that is accepted, far from overflow."""
 
@@ -55,7 +55,7 @@ class LegPath:
     Parameters
     ----------
     lengths : array_like, shape (n, 6)
-        Readings where it passes [m], of RRS legs [rad], in order, at least two and no two in succession the same.
+        Readings where it passes [m], for RRS legs [rad], in order, at least two and no two in succession the same.
     """
 
     def __init__(self, lengths: npt.ArrayLike) -> None:
@@ -225,7 +225,7 @@ class LimitRows:
 
 
 class MotionLimits:
-    """Limits of a motion, as `time_optimal` takes them; None where there is none."""
+    """Limits of a motion, as `time_optimal` takes them; None if not given."""
 
     def __init__(
         self,
@@ -290,7 +290,7 @@ class MotionLimits:
 
 
 def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:
-    """Return the positive limits of the legs (6,); None if there are none."""
+    """Return the positive limits of the legs (6,), or None."""
     if value is None:
         return None
     meaning = f"a limit of each leg or of all in {unit}"

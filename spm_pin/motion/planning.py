@@ -1,7 +1,7 @@
 """Paths from one state to another in the physical mode: a straight line where it is safe, else a way around.
 
 Readings within limits are a box, and a point of it has at most one configuration in the physical mode; that is proved
-for RPS legs as drawn, not for others. So a path is planned in the six readings: a straight line first; where that
+for nominal RPS legs, not for others. So a path is planned in the six readings: a straight line first; where that
 breaks a rule, two trees grow towards each other (RRT-Connect: Kuffner and LaValle, IEEE International Conference on
 Robotics and Automation, 2000), and what they find is shortened and made smooth. The rules are checked at samples not
 farther apart than `paths.STEP`. A `Certificate` proves the rule about forward singularities in between as well.
@@ -51,7 +51,7 @@ _SHORTCUTS = 100
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """A path between two states, or the reason why there is none; made by `plan`."""
+    """A path between two states, or the reason why no path was found; made by `plan`."""
 
     machine: Manipulator
     """The machine."""
@@ -130,7 +130,7 @@ def plan(
     Returns
     -------
     MotionPlan
-        With a path, or with the reason why there is none.
+        With a path, or with the reason why no path was found.
 
     Examples
     --------
@@ -159,7 +159,7 @@ def plan(
             raise UnreachableError(name, "a state that keeps the rules of the plan", broken)
     for (before, first), (name, state) in pairwise(zip(names, states, strict=True)):
         if np.linalg.norm(state.readings - first.readings) <= 1e-12 * machine.middle_side:
-            raise ArgumentError(name, f"another state than {before}", "the same: a motion of no length")
+            raise ArgumentError(name, f"another state than {before}", "the same state")
     if line == "poses":
         return _along_poses(rules, states, certificate)
     places = [state.readings for state in states]
@@ -218,7 +218,7 @@ def _sentence(reason: str) -> str:
 
 
 def _along_poses(rules: _PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
-    """Return the plan straight in poses, or the reason why there is none."""
+    """Return the plan straight in poses, or the reason why it is not possible."""
     machine = rules.machine
     poses = np.array([state.pose.as_matrix() for state in states])
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)

@@ -51,8 +51,8 @@ class ClosedChain:
     `inverse_kinematics` without `near`, are vectorised closed forms. nq = nv = 18; the n = 6 actuators are legs.
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
-    of the batch says why. Joint values of a machine as built are zero at the home of its drawing, where its loops are
-    open by about its errors. The value of an actuated joint is its reading less the offset and the reading at home.
+    of the batch says why. Joint values of a calibrated machine are zero at the nominal home, where its loops are open
+    by about its errors. The value of an actuated joint is its reading minus the offset and the reading in the home.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ class ClosedChain:
         return self._constrained.readings(self._constrained.read_q(q))
 
     def readings(self, q: npt.ArrayLike) -> FloatArray:
-        """Return what the encoders show in q (..., 18), shape (..., 6): [m], of RRS legs [rad]."""
+        """Return what the encoders show in q (..., 18), shape (..., 6): [m], for RRS legs [rad]."""
         return np.asarray(self._constrained.readings(self._constrained.read_q(q)) + self.machine.legs.offsets)
 
     def with_readings(self, q: npt.ArrayLike, readings: npt.ArrayLike) -> FloatArray:
@@ -234,7 +234,7 @@ class ClosedChain:
         return np.array(state._each_member(lambda: close_loops(state.kinematics, state.kinematics.q, most=50), (18,)))
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
-        """Return all joints (..., 18) of readings (..., 6) [m], of RRS legs [rad].
+        """Return all joints (..., 18) of readings (..., 6) [m], for RRS legs [rad].
 
         By default in the physical assembly mode of each member, in closed form, angles in [-π, π]; see
         `spm_pin.forward_physical`. With `near` (18,), a closed q, the mechanism goes from there to the first member by
@@ -273,7 +273,7 @@ class ClosedChain:
     def _physical_values(
         self, configuration: Configuration, argument: str, expected: str, received: Callable[[], str]
     ) -> FloatArray:
-        """Return the joint values of a physical solution, or raise if there is none of a single problem."""
+        """Return the joint values of a physical solution; for a single problem without one, raise an error."""
         if not configuration.shape and not configuration.exists:
             reason = configuration.missing_reason or "Out of reach, or a misread number?"
             sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"

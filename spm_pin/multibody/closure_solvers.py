@@ -1,7 +1,7 @@
 """Closed joint values by Newton's method: from an open q nearby, and by continuation from another closed one.
 
 Continuation leads to six readings, or to a pose of the platform: eighteen equations for eighteen joints. The first
-Newton step from a point of the path is the path's tangent; where the corrections after it are no small part of it, the
+Newton step from a point of the path is the path's tangent; where the corrections after it are comparable to it, the
 step is shortened. So it is, too, where the determinant of the equations changes its sign or too much over the step or
 half of it. The determinant is zero at a fold, where a path ends, and its sign is another on the other side: steps
 become shorter in proportion to what is left, and none passes the fold or leads to another assembly mode or branch.
@@ -30,11 +30,11 @@ DETERMINANT_CHANGE = 1.5
 SHORTEST_SHARE = 2.0**-22
 """Share of the path below which the continuation ends."""
 SHORTEST_STEP = 1e-6
-"""In the units of `LONGEST_STEP`: nearer to a singularity, rounding moves a solution by no small part of a step."""
+"""Smallest step, in units of `LONGEST_STEP`: closer to a singularity, rounding errors are comparable to the step."""
 MOST_CORRECTIONS = 8
 
 Equations = Callable[[float, FloatArray], tuple[FloatArray, Callable[[], FloatArray]]]
-"""Of a share of the path, from 0 to 1, and q: the residual [m], and a function that returns the Newton step (18,)."""
+"""Function of a path parameter, from 0 to 1, and q: the residual [m], and a function for the Newton step (18,)."""
 
 
 def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> FloatArray:

@@ -62,9 +62,9 @@ class Simulation:
     a: FloatArray
     """Joint accelerations, shape (n, 18)."""
     readings: FloatArray
-    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, 6)."""
+    """Readings of the legs' encoders [m], for RRS legs [rad], shape (n, 6)."""
     leg_forces: FloatArray
-    """Forces of the actuators [N], of RRS legs torques [N m], shape (n, 6); positive increases the reading."""
+    """Efforts of the actuators [N], for RRS legs torques [N m], shape (n, 6); positive increases the reading."""
     kinetic: FloatArray
     """Kinetic energy of all bodies [J], shape (n,)."""
     potential: FloatArray
@@ -76,9 +76,9 @@ class Simulation:
     end: SimulationEnd
     """Why it ended there."""
     detail: str
-    """Which leg, or why no step was possible; empty if there is nothing to say."""
+    """The leg, or the reason why no step was possible; may be empty."""
     limit_excess: FloatArray
-    """By how much readings are above their limits, or below them (negative), shape (n, 6); 0 within."""
+    """Excess of readings above their limits, negative below them, shape (n, 6); 0 within."""
 
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"

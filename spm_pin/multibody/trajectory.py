@@ -118,7 +118,7 @@ class JointTrajectory:
     efforts: FloatArray
     """Forces of the actuators under gravity [N, N m], shape (n, 18); zero in passive joints."""
     readings: FloatArray
-    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, 6)."""
+    """Readings of the legs' encoders [m], for RRS legs [rad], shape (n, 6)."""
     pose: RigidTransform
     """Poses (n,) of the terminal platform, {m} in {B}."""
     actuated: tuple[int, ...]

@@ -206,8 +206,8 @@ def certify(
     Parameters
     ----------
     machine : Manipulator
-        Dimensions. For a machine as built it is proved for all machines that are as near to the nominal one, the choice
-        of the frame {n} aside.
+        Dimensions. For a calibrated machine it is proved for all machines that are as close to the nominal one, except
+        for the choice of the frame {n}.
     limits : LegLimits, optional
         Limits of the readings, finite; by default those of the machine.
     boxes : int
@@ -277,7 +277,7 @@ def largest_certified_limits(
     machine : Manipulator
         Dimensions.
     centre : array_like, shape (6,) or (), optional
-        Readings in the middle [m], of RRS legs [rad]; by default the middle of the machine's limits.
+        Readings in the middle [m], for RRS legs [rad]; by default the middle of the machine's limits.
     tolerance : float
         How far below the widest half-width that certifies the result may stay, relative to it.
     boxes : int

@@ -94,7 +94,7 @@ class ErrorBounds:
 
 
 class LegEnclosure(NamedTuple):
-    """What is known of a leg in states, of all machines; its numbers and those of `StageValues` are arrays."""
+    """Bounds for a leg in states, for all machines; its numbers and those of `StageValues` are arrays."""
 
     reading: Interval
     x: Interval  # of the circle's centre from the nominal pivot, radially
@@ -104,7 +104,7 @@ class LegEnclosure(NamedTuple):
 
 
 class StageValues(NamedTuple):
-    """What is known of states of a stage, of all machines."""
+    """Bounds for states of a stage, for all machines."""
 
     readings: list[Interval]  # without offsets
     squares: list[Interval]  # of the distances from the circles' centres to the balls [m²]
@@ -129,7 +129,7 @@ class StageRegion:
     maximum: FloatArray
     """Largest readings, shape (3,)."""
     legs: LegKind = RPS()  # noqa: RUF009  # frozen
-    """What the legs are, equal in the stage."""
+    """Kind of the legs, equal in the stage."""
     length_error: float = 0.0
     """Largest error of each coordinate of a pivot and of a ball, of a rod and a crank, and of a reading [m]."""
     angle_error: float = 0.0
@@ -147,7 +147,7 @@ class StageRegion:
 
     @cached_property
     def readings(self) -> list[Interval]:
-        """What readings within the limits are without their offsets."""
+        """Readings within the limits, without their offsets."""
         error = self.angle_error if self.legs.unit == "rad" else self.length_error
         within = Interval(self.minimum, self.maximum)
         within = within + Interval.within(error) if error else within
@@ -281,12 +281,12 @@ def _largest(value: Interval | float) -> FloatArray:
 
 
 def region_coordinates(configuration: Configuration) -> FloatArray:
-    """Return the states (x, y, Z [m]) of both stages, shape (..., 2, 3); NaN where there is none in mode T."""
+    """Return the states (x, y, Z [m]) of both stages, shape (..., 2, 3); NaN if missing in mode T."""
     return _MIRROR * stage_coordinates(configuration)
 
 
 def configuration_at(machine: Manipulator, states: FloatArray) -> Configuration:
-    """Return the configuration of the states (2, 3) of both stages of a drawn machine."""
+    """Return the configuration of the states (2, 3) of both stages of a nominal machine."""
     r, poses = machine.middle_radius, []
     for x, y, z in _MIRROR * states:
         rotation = Rotation.from_quat([x, y, 0.0, np.sqrt(max(1.0 - x * x - y * y, 0.0))])

@@ -1,7 +1,7 @@
 """A Gymnasium environment in MuJoCo: keep a ball on the platform of a stage by its three actuators.
 
 Importing this module registers it, as `gymnasium.make("spm_pin.stages.balancing:spm_pin/BallBalancer-v0")` does:
-nothing else of the package imports it, or Gymnasium and MuJoCo, of the extra `gym`.
+nothing else of the package imports it, or Gymnasium and MuJoCo of the extra `gym`.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
     Parameters
     ----------
     stage : Stage, optional
-        The machine, drawn or as built, with limits; by default a balancer of three servos, 0.12 m high.
+        The machine, nominal or calibrated, with limits; by default a balancer of three servos, 0.12 m high.
     ball : Ball, optional
         The ball and its plate.
     max_tilt : float
@@ -94,7 +94,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (len(OBSERVATION),), np.float64)
 
     def action(self, readings: npt.ArrayLike) -> npt.NDArray[np.float32]:
-        """Return the action (3,) that leads the actuators to readings (3,) [m], of RRS legs [rad]."""
+        """Return the action (3,) that leads the actuators to readings (3,) [m], for RRS legs [rad]."""
         low, high = self.stage.reading_limits
         own = real_array(readings, "readings", (3,), f"what the actuators are to read, in {self.stage.unit}")
         return np.asarray(np.clip((2.0 * own - low - high) / (high - low), -1.0, 1.0), dtype=np.float32)
@@ -175,7 +175,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         good = states.exists & ~np.any(states.limit_excess, axis=-1)
         if not good.any():
             cause = "A smaller max_tilt, or wider limits?"
-            raise ArgumentError("stage", f"one that tilts by {self.max_tilt:g} rad", "none such", cause)
+            raise ArgumentError("stage", f"one that tilts by {self.max_tilt:g} rad", "one with a smaller tilt", cause)
         return states[int(good.argmax())]
 
     def _state(self, readings: npt.ArrayLike) -> StageConfiguration:

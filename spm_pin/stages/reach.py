@@ -1,7 +1,7 @@
 """What a stage reaches: heights of the level platform, tilts in every direction, and the nearest tilt to one.
 
-A state counts if it is physical, in mode T and the home's aspect, and within the stage's limits. Tilts are those up to
-which every smaller one in the same direction counts too.
+A state counts if it is physical (mode T, in the home assembly region) and within the stage's limits. A tilt is the
+largest such that all smaller tilts in the same direction are reachable.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _PARTS, _ROUNDS, _FEW = np.linspace(0.0, 1.0, 17), 11, 5
 """An interval is divided into so many parts, so many times: to 6e-14 of it, or with few rounds to 1e-6."""
 _MOST_DIRECTIONS = 10_000
 _BESIDE = 1e-6
-"""How far beyond the end of the reach its cause is looked at [rad]."""
+"""Distance beyond the end of the reach at which its cause is determined [rad]."""
 
 
 class ReachEnd(enum.IntEnum):
@@ -67,7 +67,7 @@ class StageReach:
 
     stage: Stage
     heights: FloatArray
-    """Of the platform's origin [m], shape (n,)."""
+    """Heights of the platform's origin [m], shape (n,)."""
     azimuths: FloatArray
     """Directions in which the normal leans, evenly from -π [rad], shape (m,)."""
     tilts: FloatArray
@@ -85,7 +85,7 @@ class StageReach:
 
     @property
     def all_round(self) -> FloatArray:
-        """Largest tilt that is reached in every direction [rad], shape (n,); NaN where there is none."""
+        """Largest tilt that is reached in every direction [rad], shape (n,); NaN if missing."""
         return np.asarray(self.tilts.min(axis=-1))
 
 
@@ -100,7 +100,7 @@ def height_range(stage: Stage) -> tuple[float, float]:
     Returns
     -------
     lowest, highest : float
-        Heights of the platform's origin above the pivots: of several such ranges the widest, NaN where there is none.
+        Heights of the platform's origin above the pivots: of several such ranges the widest, NaN if missing.
     """
     return _height_range(check_instance(stage, Stage, "stage"))
 
@@ -150,7 +150,7 @@ def home_height(stage: Stage) -> float:
 
 
 def _middle_state(stage: Stage) -> StageConfiguration:
-    """Return the physical state with readings in the middle of their limits, or usual ones where there are none."""
+    """Return the physical state with readings in the middle of their limits, or usual readings without limits."""
     limits = stage.reading_limits
     is_limited = np.isfinite(limits).all(axis=0)
     radii = stage.base_radius, stage.platform_radius

@@ -118,7 +118,7 @@ class MotionTable:
         return pose(position, quat=quaternion)
 
     def times(self) -> FloatArray | None:
-        """Return increasing times (n,) [s]; None if there are none."""
+        """Return increasing times (n,) [s], or None."""
         if not self.has([TIME]):
             return None
         times = self.columns([TIME])[:, 0]

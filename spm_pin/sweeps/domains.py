@@ -60,7 +60,7 @@ class Axis:
     def from_range(name: str, value: AxisRange, sampled: bool) -> Axis:
         """Read an `AxisRange`."""
         unit, ends = "radians" if name in _ANGLES else "metres", "start, stop" if sampled else "start, stop, count"
-        unit += ", of RRS legs in radians" if name in LEGS else ""
+        unit += ", for RRS legs in radians" if name in LEGS else ""
         expected = f"one value or ({ends}), in {unit}"
         numbers = real_array(value, name, (), expected)
         if numbers.shape not in ((), (2 if sampled else 3,)):
@@ -130,7 +130,7 @@ class Domain:
     axes: tuple[Axis, ...]
     """The six coordinates, in the order of `AXES`."""
     sample: Sample | None = None
-    """How points are drawn from the box of the axes; all combinations of their values if not given."""
+    """Random sample of the box of the axes; all combinations of their values if not given."""
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -209,7 +209,7 @@ def leg_grid(
     Parameters
     ----------
     lower, upper : float, (start, stop, count), or three of these
-        Readings of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m], of RRS legs [rad]: the
+        Readings of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m], for RRS legs [rad]: the
         same for the three, or one after another in a list. A tuple of three numbers is a range.
     """
     return _domain("legs", _leg_ranges(lower, upper, others))

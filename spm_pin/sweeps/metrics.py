@@ -389,7 +389,7 @@ _ROWS = (
                lambda points, column=column: points.physical.translation[:, column])
         for column, axis in enumerate("XYZ")
     ),
-    Metric("leg_margin", "m", "how far the worst leg is inside its limits, of RRS legs at the knee, negative outside; "
+    Metric("leg_margin", "m", "how far the worst leg is inside its limits, for RRS legs at the knee, negative outside; "
            "NaN where no physical configuration exists, leg limits aside", _leg_margin),
     Metric("conditioning", "1", f"inverse condition number of the Jacobian {_HOMOGENEOUS}; {_ABSENT}", _conditioning),
     Metric("isotropy", "1", f"geometric over arithmetic mean of the eigenvalues of G G^T {_HOMOGENEOUS}; {_ABSENT}",

@@ -42,7 +42,7 @@ class Points:
     space : {"pose", "legs"}
         Kind of the coordinates.
     coordinates : ndarray, shape (N, 6)
-        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], of RRS legs [rad].
+        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], for RRS legs [rad].
     """
 
     def __init__(self, machine: Manipulator, space: Space, coordinates: FloatArray) -> None:
@@ -73,7 +73,7 @@ class Points:
 
     @cached_property
     def branches_within(self) -> BoolArray:
-        """Which branches are real and within the leg limits, shape (N, 8)."""
+        """True for branches that are real and within the leg limits, shape (N, 8)."""
         return frozen(self.limits.contains(self.branch_readings))
 
     @cached_property
@@ -91,7 +91,7 @@ class Points:
 
     @cached_property
     def physical(self) -> Configuration:
-        """The physical configuration, shape (N,); NaN where there is none within the leg limits."""
+        """The physical configuration, shape (N,); NaN if missing within the leg limits."""
         return self.reached.transformed(lambda values, _: _spread(values, self.reachable))
 
     @property

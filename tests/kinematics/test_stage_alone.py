@@ -307,7 +307,7 @@ def test_why_there_is_no_solution_is_said() -> None:
     with pytest.raises(spm.ArgumentError, match=r"got -0\.1\. To the other side"):
         spm.stages.inverse(BALANCER, 0.12, tilt=-0.1, azimuth=0.0)
     with pytest.raises(
-        spm.ArgumentError, match=r"a Manipulator, got Stage\. For a stage alone there is spm_pin\.stages"
+        spm.ArgumentError, match=r"a Manipulator, got Stage\. For a stage use the functions of spm_pin\.stages"
     ):
         spm.inverse_physical(BALANCER, 0.12)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match=r"azimuth: .*radians.*, got 15\. Given in degrees"):

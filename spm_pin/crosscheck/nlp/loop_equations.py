@@ -2,7 +2,7 @@
 
 The unknowns are the nine coordinates of the lower legs' ball joints b_1, b_2, b_3 in {B}. Each leg moves in a plane,
 Eqs. (5b) and (5c), and the joints are as far apart as the middle platform holds them, Eq. (12): nine equations, of any
-machine, drawn or as built. Nothing is eliminated.
+machine, nominal or calibrated. Nothing is eliminated.
 
 A `casadi.Function` can be called with numbers or symbols, saved with `Function.save`, and turned into C with
 `Function.generate`: https://web.casadi.org/docs/#generating-c-code.
@@ -34,7 +34,7 @@ def legs(machine: Manipulator, b: ca.SX, rotation: ca.SX, translation: ca.SX) ->
     axes[3:] = [rotation @ axis for axis in axes[3:]]
     pivots[3:] = [translation + rotation @ pivot for pivot in pivots[3:]]
     b_1, b_2, b_3 = balls = _points(b)
-    # In a machine as built the upper legs' balls are beside the lower ones, fixed to their triangle.
+    # In a calibrated machine the upper legs' balls are beside the lower ones, fixed to their triangle.
     frame = ca.horzcat(b_2 - b_1, b_3 - b_1, ca.cross(b_2 - b_1, b_3 - b_1))
     weights = machine.legs.upper_ball_weights
     balls = balls + [ball + frame @ ca.SX(row) for ball, row in zip(balls, weights, strict=True)]
@@ -106,7 +106,7 @@ def closure(machine: Manipulator) -> ca.Function:
 def readings(machine: Manipulator) -> ca.Function:
     """Make ``readings(b, rotation, translation) -> readings``: those of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3.
 
-    In metres, of RRS legs in radians; not a number for a ball out of a leg's reach.
+    In metres, for RRS legs in radians; not a number for a ball out of a leg's reach.
     """
     state = _symbols(machine)
     return _function("readings", state, readings=readings_of_legs(machine, *state))

@@ -121,10 +121,10 @@ def home_states(centres, radii, axes, balls, up, joints, is_elsewhere):
     f"{readonly_array(2)}, {readonly_array(2)}, f8[:,:,::1])"
 )
 def follow_states(joints, start, start_radii, end, end_radii, axes, balls, end_joints):
-    """Follow N states of a stage, its balls (N, 3, 3) [m], to other circles, which change in proportion.
+    """Follow N states of a stage, its balls (N, 3, 3) [m], to other circles along a straight line.
 
     The circles have the centres `start` and `end` (N, 3, 3) [m] and radii (N, 3) [m]; `axes` and `balls` are as for
-    `home_states`. Written are the balls, NaN where there are none at the start, and where the path meets a singularity.
+    `home_states`. Written are the balls, NaN if missing at the start, or if the path meets a singularity.
     """
     squares = squared_sides(rows_at(balls, 0))
     for n in range(len(end_radii)):

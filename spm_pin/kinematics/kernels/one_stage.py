@@ -35,7 +35,7 @@ _READING, _COSINE, _ROD_X, _ROD_Z, _HOME, _ROWS = 22, 25, 28, 31, 34, 35
 
 @jit
 def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray) -> None:
-    """Write the readings of the legs, of RRS legs their sines and cosines, and x and z of their rods."""
+    """Write the readings of the legs, for RRS legs sines and cosines, and x and z of their rods."""
     for leg in range(3):
         x, z, reading, cosine = _X + leg, _Z + leg, _READING + leg, _COSINE + leg
         along, up = _ROD_X + leg, _ROD_Z + leg
@@ -69,7 +69,7 @@ def poses_of_stages(
 
     `legs` (3, 3, 3) are axes, pivots and balls [m], `planes` (2, 3, 3) the directions of x and z of the legs' planes,
     and `numbers` (3, n) those fixed in the legs. Written are, for m modes, 1 or 2, R (N, m, 3, 3) and t (N, m, 3) [m],
-    NaN where there is none; readings without offsets (N, m, 3), NaN out of a leg's reach, of RRS legs multiples of
+    NaN if missing; readings without offsets (N, m, 3), NaN out of a leg's reach, for RRS legs multiples of
     their sines, and in `cosines`, if it has a length, of the cosines; and which are physical (N, m).
     """
     axes, pivots = rows_at(legs[0], 0), rows_at(legs[1], 0)
