@@ -28,23 +28,25 @@ Space = Literal["pose", "tilt", "legs"]
 """The coordinates of points: poses of the platform, heights and tilts of that of a stage, or readings of the legs."""
 
 
-class _Poses(NamedTuple):
+class Poses(NamedTuple):
     """Rotations (M, 3, 3) and positions (M, 3) [m] of a manipulator's platform."""
 
     rotation: FloatArray
     translation: FloatArray
 
     def solved_by(self, function: Any, machine: Any) -> Any:
+        """Return what a function of a machine and its pose, or its tilt and height, finds for these."""
         return function(machine, self)
 
 
-class _Tilts(NamedTuple):
+class Tilts(NamedTuple):
     """Unit normals (M, 3) and heights (M,) [m] of a stage's platform."""
 
     normal: FloatArray
     height: FloatArray
 
     def solved_by(self, function: Any, machine: Any) -> Any:
+        """Return what a function of a machine and its pose, or its tilt and height, finds for these."""
         return function(machine, self.height, normal=self.normal)
 
 
@@ -175,17 +177,17 @@ class Points:
         return forward_physical(self.machine, self.coordinates)
 
     @cached_property
-    def _requests(self) -> _Poses | _Tilts:
+    def _requests(self) -> Poses | Tilts:
         """All poses, or tilts; where points are readings, those of the physical configurations that exist."""
         if self.space == "pose":
-            return _Poses(_xyx_rotations(self.coordinates[:, 3:]), np.ascontiguousarray(self.coordinates[:, :3]))
+            return Poses(_xyx_rotations(self.coordinates[:, 3:]), np.ascontiguousarray(self.coordinates[:, :3]))
         if self.space == "tilt":
             heights, tilts, azimuths = self.coordinates.T
-            return _Tilts(normals_of_tilt(tilts, azimuths), heights)
+            return Tilts(normals_of_tilt(tilts, azimuths), heights)
         assembled = self.assembled[self.assembled.exists]
         if isinstance(assembled, StageConfiguration):
-            return _Tilts(assembled.normal, assembled.height)
-        return _Poses(assembled.rotation, assembled.translation)
+            return Tilts(assembled.normal, assembled.height)
+        return Poses(assembled.rotation, assembled.translation)
 
     @cached_property
     def _branches(self) -> tuple[FloatArray, npt.NDArray[np.int8]]:
