@@ -34,7 +34,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_jacobian, platform_jacobian
 from spm_pin.kinematics.rates_and_forces import State, stage_inverses
-from spm_pin.kinematics.stage_rates import MOTION
+from spm_pin.kinematics.stage_rates import motion_rows
 from spm_pin.machine.configuration import check_state
 from spm_pin.support.arguments import (
     BoolArray,
@@ -347,7 +347,8 @@ def velocity_polytope(configuration: State, rate_limits: npt.ArrayLike) -> Polyt
     """
     bounds = _limits_of(configuration, rate_limits, "rate_limits", "rates of the readings", "m/s", "rad/s")
     rows = inverse_jacobian(configuration)
-    return _polytope(rows, bounds, np.zeros(rows.shape[:-1]), partial(_square_jacobian, configuration))
+    columns = partial(_twists_of_rates, configuration)
+    return _polytope(rows, bounds, np.zeros(rows.shape[:-1]), columns)
 
 
 def acceleration_polytope(
@@ -378,7 +379,8 @@ def acceleration_polytope(
         `wrench_polytope`.
     """
     bounds = _limits_of(configuration, force_limits, "force_limits", "efforts of the actuators", "N", "N m")
-    forces = -_square_jacobian(configuration).mT
+    check_state(configuration)
+    forces = -motion_rows(platform_jacobian(configuration)).mT
     matrix = symmetric_matrices(mass, "mass", forces.shape[-1], "in kg, kg m, kg m²", allow_nan=True, positive=True)
     broadcastable("mass", matrix.shape[:-2], "the configuration", configuration.shape)
     offset = _taken(forces, load, "the configuration", configuration.shape) + np.zeros(matrix.shape[:-1])
@@ -411,12 +413,6 @@ def _limits_of(
     return leg_bounds(value, argument, f"{meaning} in {legs.unit_text(*units)}", most=_MOST, count=len(legs.names))
 
 
-def _square_jacobian(configuration: State) -> FloatArray:
-    """Return the rows of G that are the machine's freedoms: all of a manipulator, of a stage those of its motion."""
-    jacobian = platform_jacobian(configuration)
-    return jacobian if jacobian.shape[-1] == 6 else jacobian[..., MOTION, :]
-
-
 def _taken(rows: FloatArray, load: npt.ArrayLike | None, other: str, shape: tuple[int, ...]) -> FloatArray:
     """Return by how much a load shifts the limits of rows (..., n, k); 0 without one."""
     if load is None:
@@ -438,6 +434,10 @@ def _polytope(
 
 def _wrenches_of_forces(configuration: State) -> FloatArray:
     return -inverse_jacobian(configuration).mT
+
+
+def _twists_of_rates(configuration: State) -> FloatArray:
+    return motion_rows(platform_jacobian(configuration))
 
 
 def _accelerations_of_forces(configuration: State, mass: FloatArray) -> FloatArray:

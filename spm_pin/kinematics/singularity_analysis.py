@@ -28,7 +28,7 @@ from spm_pin.kinematics import stage_rates
 from spm_pin.kinematics.batches import run_kernel, run_on_states
 from spm_pin.kinematics.rates_and_forces import force_matrices, leg_constants, platform_jacobian
 from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
-from spm_pin.machine.configuration import Configuration, check_configuration, check_state
+from spm_pin.machine.configuration import Configuration, check_state
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 
@@ -209,14 +209,18 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
     return np.asarray(values.reshape(*shape, m))
 
 
-def determinants(configuration: Configuration) -> FloatArray:
+def determinants(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return det J_b, det J_c and det K of states (...) alone [m³], (..., 3), as `Singularities.determinants`.
 
-    NaN for a missing member, and for a leg whose length is zero.
+    For a stage it is det J_b, (..., 1). NaN for a missing member, and for a leg whose length is zero.
     """
+    check_state(configuration)
+    if isinstance(configuration, StageConfiguration):
+        scale = configuration.stage.platform_radius**3
+        return scale * stage_rates.determinants(configuration)[..., :1]
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
-    machine = check_configuration(configuration).machine
+    machine = configuration.machine
     (dets,) = run_on_states(all_determinants, configuration, [leg_constants(machine)], [((3,), np.float64)])
     return np.asarray(dets)
 

@@ -66,6 +66,11 @@ class StageSingularities:
     (v, r ω) has length 1 m/s, r the platform's radius.
     """
 
+    @property
+    def sigma(self) -> FloatArray:
+        """`forward` and `inverse`, shape (..., 2)."""
+        return np.stack([self.forward, self.inverse], axis=-1)
+
     def __repr__(self) -> str:
         exists = np.isfinite(self.forward)
         least = {"forward": self.forward, "inverse": self.inverse, "leg": self.leg}
@@ -84,6 +89,11 @@ def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
         raises `SingularConfigurationError`, and a member of a batch is NaN.
     """
     return _columns(configuration, along_legs=True) * configuration.slopes[..., None, :]
+
+
+def motion_rows(jacobian: FloatArray) -> FloatArray:
+    """Return the rows of G (..., 6, legs) of a machine's freedoms: all of a manipulator, of a stage those `MOTION`."""
+    return jacobian if jacobian.shape[-1] == 6 else jacobian[..., MOTION, :]
 
 
 def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:

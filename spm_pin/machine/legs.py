@@ -480,7 +480,8 @@ class Legs:
     @property
     def free_limits(self) -> LegLimits:
         """Infinite limits."""
-        return LegLimits([kind.least_reading for kind in self.kinds for _ in range(3)], math.inf)
+        least = [kind.least_reading for kind in self.kinds for _ in range(3)]
+        return (LegLimits if len(self.kinds) == 2 else StageLimits)(least, math.inf)
 
     @functools.cached_property
     def largest_slopes(self) -> FloatArray:

@@ -61,6 +61,16 @@ class Machine(ABC):
         """Radii of the drawn pivots of each stage, and the size of the triangle of balls [m]."""
 
     @property
+    def ball_side(self) -> float:
+        """Side of the drawn triangle of balls [m]."""
+        return math.sqrt(3.0) * self.stage_radii[0][1]
+
+    @property
+    @abstractmethod
+    def dimensions(self) -> tuple[float, ...]:
+        """Radii of the drawn pivots of each stage, and the size of the triangle of balls [m]."""
+
+    @property
     @abstractmethod
     def stage_radii(self) -> tuple[tuple[float, float], ...]:
         """Radii of the nominal triangles of each stage, of its pivots and of its balls [m]."""

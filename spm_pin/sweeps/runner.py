@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from spm_pin.errors import ArgumentError, SpmError, require_extra
-from spm_pin.machine import Manipulator
+from spm_pin.machine import Manipulator, Stage
 from spm_pin.support.arguments import check_instance, check_progress, whole_number
 from spm_pin.support.progress import shown_progress
 from spm_pin.sweeps.domains import Domain, SweepPlan, package_version
@@ -88,7 +88,7 @@ class SweepStatus:
 
 
 def run_sweep(
-    machine: Manipulator,
+    machine: Manipulator | Stage,
     domain: Domain,
     metrics: Iterable[str | Metric],
     store: str | os.PathLike[str],
@@ -102,10 +102,11 @@ def run_sweep(
 
     Parameters
     ----------
-    machine : Manipulator
-        The manipulator, with the leg limits that decide what is reachable.
+    machine : Manipulator or Stage
+        The machine, with the leg limits that decide what is reachable.
     domain : Domain
-        Poses or leg lengths: see `pose_grid`, `leg_grid`, `pose_sample`, `leg_sample`.
+        Poses, heights and tilts of a stage, or readings: see `pose_grid`, `tilt_grid`, `leg_grid`, `pose_sample`,
+        `tilt_sample`, `leg_sample`.
     metrics : iterable of str or Metric
         Names from `METRICS`, or metrics of your own. Those continue a store only with a `version`.
     store : path

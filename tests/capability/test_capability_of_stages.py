@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from balancers import MACHINES, existing_states, stage_and_height
+from balancers import MACHINES, STEP, equilibrium, existing_states, stage_and_height
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
@@ -14,7 +14,6 @@ from spm_pin.stages import MOTION
 
 LIMITS = np.array([[-3.0, -4.0, -5.0], [6.0, 5.0, 7.0]])
 LOAD = np.array([0.5, -0.2, -3.0, 0.02, -0.03, 0.01])
-STEP = 1e-6
 
 
 def states_of(machine: str) -> spm.stages.StageConfiguration:
@@ -22,21 +21,6 @@ def states_of(machine: str) -> spm.stages.StageConfiguration:
     states = existing_states(stage, height, 40)
     singular = spm.singularities(states)
     return states[(singular.forward > 0.1) & (singular.leg.min(axis=-1) > 0.2)][:6]
-
-
-def equilibrium(state: spm.stages.StageConfiguration) -> np.ndarray:
-    """Return the wrenches (6, 6) at o of the forces along the legs, per unit effort, and across their planes."""
-    legs, arms = state.stage.legs, state.balls - state.translation
-    # The reading's change per move of the ball within its plane, by differences of the legs' own formula.
-    outward, upward = legs.planes
-    changes = []
-    for axis in range(2):
-        ends = (legs.readings(state.places + sign * STEP * np.eye(2)[axis]) for sign in (1.0, -1.0))
-        changes.append(np.subtract(*ends) / (2.0 * STEP))
-    # By virtual work an effort t pushes the ball by t times the gradient of the reading.
-    along = changes[0][:, None] * outward + changes[1][:, None] * upward
-    forces = np.concatenate([along, legs.axes])
-    return np.concatenate([forces, np.cross(np.tile(arms, (2, 1)), forces)], axis=-1).T
 
 
 def extent(state: spm.stages.StageConfiguration, direction: np.ndarray, axial: float) -> float:
