@@ -227,11 +227,15 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
     return np.asarray(values.reshape(*shape, m))
 
 
-def determinants(configuration: Configuration) -> FloatArray:
+def determinants(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return det J_b, det J_c and det K of states (...) alone [m³], (..., 3), as `Singularities.determinants`.
 
-    NaN for a member that does not exist, or for a leg without length.
+    Of a stage (..., 2): det J of its six forces [m³], zero at forward singularities, and what is zero at inverse ones,
+    the determinant of v_x, v_y and ω_z in the equations of the legs' planes [m]. NaN for a member that does not exist,
+    or for a leg without length.
     """
+    if isinstance(configuration, StageConfiguration):
+        return stage_rates.determinants(configuration) * configuration.stage.platform_radius ** np.array([3, 1])
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
     machine = check_configuration(configuration).machine

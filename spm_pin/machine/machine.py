@@ -40,6 +40,8 @@ class Machine(ABC):
     base_radius: float
     legs: Legs
     limits: LegLimits | None
+    limits_class: ClassVar[type[LegLimits]] = LegLimits
+    """Class of its limits."""
     _heading: ClassVar[str]
     """First line of its files."""
     _least_share: ClassVar[float]
@@ -49,6 +51,16 @@ class Machine(ABC):
     @abstractmethod
     def size(self) -> float:
         """About its height [m]."""
+
+    @property
+    def ball_side(self) -> float:
+        """Side of the drawn triangle of balls [m]."""
+        return math.sqrt(3.0) * self.stage_radii[0][1]
+
+    @property
+    @abstractmethod
+    def dimensions(self) -> tuple[float, ...]:
+        """Radii of the drawn pivots of each stage, and the size of the triangle of balls [m]."""
 
     @property
     @abstractmethod
@@ -85,8 +97,8 @@ class Machine(ABC):
         """Return limits, or raise `GeometryError` if no readings of this machine have them or their unit is another."""
         legs = self.legs
         if not isinstance(limits, LegLimits) or limits.legs != legs.names:
-            own = "LegLimits" if len(legs.kinds) == 2 else "StageLimits"
-            raise GeometryError("limits", f"{own}(minimum, maximum)", type(limits).__name__)
+            expected = f"{self.limits_class.__name__}(minimum, maximum)"
+            raise GeometryError("limits", expected, type(limits).__name__)
         without_offsets = limits.ends - legs.offsets
         ends = np.where(np.isfinite(without_offsets), np.abs(without_offsets), 0.0)
         # A calibrated crank with the limits of the nominal one may swing beyond the turn by its offset.

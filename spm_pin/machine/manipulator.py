@@ -203,6 +203,11 @@ class Manipulator(Machine):
         return self.base_radius, self.platform_radius, self.middle_side
 
     @property
+    def ball_side(self) -> float:
+        """D [m]."""
+        return self.middle_side
+
+    @property
     def size(self) -> float:
         """E + C + 2 d [m], about the height of a machine."""
         return self.base_radius + self.platform_radius + 2.0 * self.middle_side
