@@ -203,7 +203,8 @@ def move(
         for name, text in typed.items()
         if text is not None
     }
-    MotionLimits(**largest, twist=twist)  # what it refuses is refused before the search for a path
+    # What it refuses is refused before the search for a path.
+    MotionLimits(dimensions.legs.names, **largest, twist=twist)
     ways: dict[str, Any] = {"via": passed, "joint_limits": joint_limits, "line": "poses" if straight else "legs"}
     certificate = prove(dimensions, allowed) if allowed is not None else None
     planned = plan(dimensions, first, last, allowed, margin=margin, certificate=certificate, **ways)

@@ -169,7 +169,7 @@ def test_counterexample_is_singular_in_fifty_digits_and_within_the_limits() -> N
     assert found.witness.closure_residual < 1e-14
     assert "forward singular" in found.explain()
     with mpmath.workdps(50):
-        for proof, hips in ((found.lower, PAPER.base_radius), (found.upper, PAPER.platform_radius)):
+        for proof, hips in zip(found.stages, (PAPER.base_radius, PAPER.platform_radius), strict=True):
             state = proof.singular
             signs = set()
             for shift in np.vstack([np.eye(3), -np.eye(3)]) * 1e-12:
