@@ -51,6 +51,11 @@ class Machine(ABC):
         """About its height [m]."""
 
     @property
+    def ball_side(self) -> float:
+        """Side of the drawn triangle of balls [m]."""
+        return math.sqrt(3.0) * self.stage_radii[0][1]
+
+    @property
     @abstractmethod
     def stage_radii(self) -> tuple[tuple[float, float], ...]:
         """Radii of the drawn triangles of each stage, of its pivots and of its balls [m]."""

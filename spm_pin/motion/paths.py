@@ -24,7 +24,7 @@ from spm_pin.machine import LEGS, Configuration, Manipulator
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.chain_state import ChainState
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
-from spm_pin.support.arguments import FloatArray, IntArray, leg_bounds, leg_values, real_array
+from spm_pin.support.arguments import FloatArray, IntArray, check_instance, leg_bounds, leg_values, real_array
 
 ROUNDING = 1e-9
 """Amount by which a rule of a path may be broken, in its unit: a state at its limit keeps it."""
@@ -154,7 +154,7 @@ class PathDynamics:
 
 def path_dynamics(chain: ClosedChain, path: MotionPath, parameters: FloatArray) -> PathDynamics:
     """Return the mechanism along a path; `ArgumentError` where it is out of reach or meets a singularity."""
-    states = states_along(chain.machine, path, parameters)
+    states = states_along(check_instance(chain.machine, Manipulator, "chain"), path, parameters)
     if not states.exists.all():
         bad = parameters[int((~states.exists).argmax())]
         expected = "a path that the machine can go along in its physical mode"
