@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,8 @@ from spm_pin.machine.leg_kinds import RPS, LegKind
 from spm_pin.machine.legs import LegLimits, Legs, drawn_legs
 from spm_pin.support.arguments import FloatArray, type_and_value
 from spm_pin.support.files import file_path, read_yaml, write_files
+
+M = TypeVar("M")
 
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """Units of length, and how many of them are a metre."""
@@ -223,7 +225,7 @@ class Machine(ABC):
         return cls.from_data(read_yaml(path), str(path))
 
 
-def check_machine(value: Any, argument: str = "machine") -> Machine:
+def check_machine(value: M, argument: str = "machine") -> M:
     """Return `value` if it is a `Manipulator` or a `Stage`."""
     if not isinstance(value, Machine):
         raise ArgumentError(argument, "a Manipulator or a Stage", type(value).__name__)

@@ -69,7 +69,7 @@ class TimedMotion(JointTrajectory):
         if self.evaluate is None:
             raise ArgumentError("times", "a motion as time_optimal returned it", "a copy from a file", "Plan it again")
         joints, readings, poses = self.evaluate(at)
-        return JointTrajectory(self.joint_names, at, *joints, readings, poses, self.actuated, self.units)
+        return JointTrajectory(self.joint_names, at, *joints, readings, poses, self.actuated, self.units, self.legs)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "evaluate": None}
@@ -186,8 +186,8 @@ def time_optimal(
 
     joints, readings, poses = rows(along, speeds, accelerations)
     above = slower * (1.0 + error) - 1.0
-    columns, units = tuple(chain.leg_indices.tolist()), chain.machine.legs.units
-    return TimedMotion(chain.joint_names, times, *joints, readings, poses, columns, units, above, motion_at)
+    names, columns, units = chain.joint_names, tuple(chain.leg_indices.tolist()), chain.machine.legs.units
+    return TimedMotion(names, times, *joints, readings, poses, columns, units, error=above, evaluate=motion_at)
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
