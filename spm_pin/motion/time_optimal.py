@@ -97,7 +97,7 @@ def time_optimal(
     Parameters
     ----------
     chain : ClosedChain
-        The machine with its masses, as built too.
+        A manipulator or a stage with its masses, calibrated too.
     path : MotionPlan, LegPath or PlatformPath
         The way; the times of a PlatformPath count as its parameter only. A plan keeps the leg limits it was made with,
         the others must keep those of `chain.machine`.
