@@ -16,7 +16,7 @@ from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
 from spm_pin.display.figures import certificate_figure, motion_figure
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.machine import LEGS, Configuration, LegLimits
+from spm_pin.machine import LEGS, Configuration, LegLimits, StageConfiguration
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
 from spm_pin.support.arguments import FloatArray, IntArray
@@ -36,6 +36,9 @@ _NAMES: dict[str, str | tuple[str, ...]] = {
 }
 
 _Ends = tuple[float, float] | None
+Boxes = Annotated[int, Option(min=1, help="Boxes to look at in each stage, at most.")]
+LengthError = Annotated[float, Option(help="Errors of pivots, balls, readings to prove it for, in --unit.")]
+AngleError = Annotated[float, Option(help="Errors of the revolute axes to prove it for, in radians.")]
 
 
 def _largest(help_text: str) -> Any:
@@ -54,10 +57,10 @@ def certify(
     minimum: Annotated[
         float | None, Option("--min", help="Minimum reading of all six legs, in --unit, for cranks in degrees.")
     ] = None,
-    maximum: Annotated[float | None, Option("--max", help="Maximum reading of all six legs, as --min.")] = None,
-    boxes: Annotated[int, Option(min=1, help="Largest number of boxes for each stage.")] = 300_000,
-    length_error: Annotated[float, Option(help="Largest error of pivots, balls and readings, in --unit.")] = 0.0,
-    angle_error: Annotated[float, Option(help="Largest error of the revolute axes, in radians.")] = 0.0,
+    maximum: Annotated[float | None, Option("--max", help="Largest reading of all six legs, as --min.")] = None,
+    boxes: Boxes = 300_000,
+    length_error: LengthError = 0.0,
+    angle_error: AngleError = 0.0,
     inverse: Annotated[
         bool, Option("--inverse", help="Also inverse singularities: a bound of |det K|, or a singular state.")
     ] = False,
@@ -89,7 +92,14 @@ def certify(
     with outputs.stderr.status("dividing the states of both stages"):
         certificate = prove(dimensions, limits, boxes=boxes, **errors)
         if inverse:
-            other = certify_inverse(certificate.machine, certificate.limits, boxes=boxes, forward=certificate)
+            other = certify_inverse(dimensions, certificate.limits, boxes=boxes, forward=certificate)
+    report_certificate(certificate, other, out, json=json)
+
+
+def report_certificate(
+    certificate: Certificate, other: InverseCertificate | None, out: Path | None, *, json: bool
+) -> None:
+    """Print certificates, write a picture if `out` is given, and end with 1 if one does not hold."""
     outputs.write_figure(out, certificate_figure, certificate)
     if json:
         outputs.write_json(_content(certificate, other))
@@ -101,18 +111,18 @@ def certify(
 
 
 def _content(certificate: Certificate, other: InverseCertificate | None) -> dict[str, Any]:
-    def state(witness: Configuration | None) -> dict[str, Any] | None:
+    def state(witness: Configuration | StageConfiguration | None) -> dict[str, Any] | None:
         return None if witness is None else {"readings": witness.readings, "pose": witness.pose.as_matrix()}
 
-    lower, upper = certificate.bounds
+    names = ("stage",) if len(certificate.stages) == 1 else ("lower", "upper")
     content = {
         "holds": certificate.holds,
         "limits": {"minimum": certificate.limits.minimum, "maximum": certificate.limits.maximum},
         "errors": {"length": certificate.errors[0], "angle": certificate.errors[1]},
-        "bounds": {"J_b": lower, "J_c": upper},
+        "bounds": dict(zip(certificate.names, certificate.bounds, strict=True)),
         "boxes": {
             name: {"examined": proof.boxes, "proved": len(proof.proved), "undecided": len(proof.undecided)}
-            for name, proof in (("lower", certificate.lower), ("upper", certificate.upper))
+            for name, proof in zip(names, certificate.stages, strict=True)
         },
         "witness": state(certificate.witness),
     }
@@ -193,7 +203,8 @@ def move(
         for name, text in typed.items()
         if text is not None
     }
-    MotionLimits(**largest, twist=twist)  # what it refuses is refused before the search for a path
+    # What it refuses is refused before the search for a path.
+    MotionLimits(dimensions.legs.names, **largest, twist=twist)
     ways: dict[str, Any] = {"via": passed, "joint_limits": joint_limits, "line": "poses" if straight else "legs"}
     certificate = prove(dimensions, allowed) if allowed is not None else None
     planned = plan(dimensions, first, last, allowed, margin=margin, certificate=certificate, **ways)

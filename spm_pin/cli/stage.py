@@ -15,6 +15,7 @@ from spm_pin.cli import options, outputs
 from spm_pin.cli.calibrate import calibrate as calibrate_machine
 from spm_pin.cli.calibrate import tolerance as tolerance_of_machine
 from spm_pin.cli.draw import Browser, Dark, Host, Port, serve
+from spm_pin.cli.move import AngleError, Boxes, LengthError, report_certificate
 from spm_pin.cli.options import LengthUnit, Readings, Triple
 from spm_pin.cli.stage_options import as_command_of_stage, takes_place, takes_stage
 from spm_pin.display import reach_figure, save_figure, stage_figure
@@ -22,6 +23,7 @@ from spm_pin.display.writing import FORMATS, fixed
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.machine import Stage, StageConfiguration, StageSolutions, Status
 from spm_pin.machine.stage_configuration import BELOW
+from spm_pin.proofs import certify as prove
 from spm_pin.stages import ReachEnd, best_height, forward_physical, height_range, inverse_physical, nearest_reachable
 from spm_pin.stages import forward as all_modes
 from spm_pin.stages import inverse as both_modes
@@ -160,6 +162,29 @@ def reach(
         at_best = f"best height: {unit.text(best)} {unit}, {fixed(tilt, 2)}° in every direction"
         outputs.print_lines([level, at_best] if math.isfinite(best) else ["level at no height"])
     outputs.write_figure(out, reach_figure, found)
+
+
+@takes_stage()
+@outputs.name_options(limits="--limits", boxes="--boxes", length_error="--length-error", angle_error="--angle-error")
+def certify(
+    stage: Stage,
+    boxes: Boxes = 300_000,
+    length_error: LengthError = 0.0,
+    angle_error: AngleError = 0.0,
+    out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
+    unit: options.Unit = LengthUnit.M,
+    json: options.AsJson = False,
+) -> None:
+    """Prove that the limits of a stage hold no forward singularity, so that three readings mean one configuration.
+
+    Example: spm-pin stage certify --base 80 --platform 90 --crank 50 --rod 110 --limits 0 50 --unit mm
+
+    The exit code is 0 if the proof succeeds, 1 if a singular configuration was found or boxes were left undecided.
+    --out needs the extra "plots". For the file of a calibrated stage it is proved for all as near to the nominal one.
+    """
+    with outputs.stderr.status("dividing the states of the stage"):
+        certificate = prove(stage, boxes=boxes, length_error=length_error / unit.per_metre, angle_error=angle_error)
+    report_certificate(certificate, None, out, json=json)
 
 
 @takes_stage()

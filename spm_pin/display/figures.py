@@ -151,13 +151,14 @@ def reach_figure(reach: StageReach) -> Figure:
 
 
 def certificate_figure(certificate: Certificate) -> Figure:
-    """Draw the boxes of both stages over the tilt of the middle platform, seen along Z."""
+    """Draw the boxes of each stage over the tilt of the platform on its balls, seen along Z."""
     from spm_pin.proofs import Certificate
 
     check_instance(certificate, Certificate, "certificate")
-    figure = new_figure(9.0, 4.6, layout="constrained")
-    stages = (("lower stage", certificate.lower, 0), ("upper stage", certificate.upper, 1))
-    for ax, (name, proof, k) in zip(figure.subplots(1, 2), stages, strict=True):
+    count = len(certificate.stages)
+    figure = new_figure(4.5 * count, 4.6, layout="constrained")
+    places = figure.subplots(1, count, squeeze=False)[0]
+    for k, (ax, name, proof) in enumerate(zip(places, certificate.names, certificate.stages, strict=True)):
         _draw_boxes(ax, proof.proved, _BLUE, "proved")
         _draw_boxes(ax, proof.undecided, _VERMILION, "undecided")
         reach = max(float(np.abs(boxes[:, :2]).max()) for boxes in (proof.proved, proof.undecided) if len(boxes))
@@ -168,13 +169,11 @@ def certificate_figure(certificate: Certificate) -> Figure:
                 ax.plot(radius * np.cos(angle), radius * np.sin(angle), color="0.6", lw=0.6)
                 around = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
                 ax.annotate(f"{tilt}°", (0.0, radius), color="0.2", fontsize=8, ha="center", va="center", bbox=around)
-        bound = certificate.bounds[k]
-        ax.set_title(
-            f"{name}: |det J_{'bc'[k]}| ≥ {bound:.3f} d³" if bound else f"{name}: {certificate.verdict}", fontsize=10
-        )
+        bound, whose = certificate.bounds[k], "" if count == 1 else f"{('lower', 'upper')[k]} stage: "
+        ax.set_title(f"{whose}|det {name}| ≥ {bound:.3f} d³" if bound else f"{whose}{certificate.verdict}", fontsize=10)
         ax.set(aspect="equal", xlabel="x", ylabel="y" if k == 0 else "")
     legend_below(figure, fontsize=8)
-    title = "Tilt of the middle platform, vector part (x, y) of its quaternion"
+    title = f"Tilt of the {'middle ' * (count == 2)}platform, vector part (x, y) of its quaternion"
     if any(certificate.errors):
         title += "; all machines within {:g} mm and {:g} mrad".format(*(1e3 * error for error in certificate.errors))
     figure.suptitle(title, fontsize=10)

@@ -351,3 +351,9 @@ def _vertical_families(rotation: FloatArray, place: FloatArray) -> IntArray:
     )
     of_level = np.where(np.abs(sine) <= tolerance, 3 * on_axis, on_circle)
     return np.where(is_level, of_level, on_segment * np.where(extent <= tolerance, 2, 1))
+
+
+@or_of_stage(stage_displacement.physical_at_poses)
+def physical_at_poses(machine: Manipulator, pose: PoseLike) -> Configuration:
+    """Return the physical states of poses (...); of a stage their heights and normals count."""
+    return inverse_physical(machine, pose)

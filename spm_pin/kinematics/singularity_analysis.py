@@ -212,12 +212,12 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
 def determinants(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return det J_b, det J_c and det K of states (...) alone [m³], (..., 3), as `Singularities.determinants`.
 
-    For a stage it is det J_b, (..., 1). NaN for a missing member, and for a leg whose length is zero.
+    Of a stage (..., 2): det J of its six forces [m³], zero at forward singularities, and what is zero at inverse ones,
+    the determinant of v_x, v_y and ω_z in the equations of the legs' planes [m]. NaN for a member that does not exist,
+    or for a leg without length.
     """
-    check_state(configuration)
     if isinstance(configuration, StageConfiguration):
-        scale = configuration.stage.platform_radius**3
-        return scale * stage_rates.determinants(configuration)[..., :1]
+        return stage_rates.determinants(configuration) * configuration.stage.platform_radius ** np.array([3, 1])
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
     machine = configuration.machine

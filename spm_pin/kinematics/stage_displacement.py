@@ -28,6 +28,7 @@ from spm_pin.support.arguments import (
     first_offender,
     real_array,
 )
+from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6
@@ -135,6 +136,12 @@ def inverse_physical(
     if not shape:
         state.missing_reason = inverse(stage, heights[0], normal=normals[0]).physical().missing_reason
     return state
+
+
+def physical_at_poses(stage: Stage, pose: PoseLike) -> StageConfiguration:
+    """Return the physical states with the heights and normals of poses (...); shift and torsion follow."""
+    matrices = as_rigid_transform(pose).as_matrix()
+    return inverse_physical(stage, matrices[..., 2, 3], normal=matrices[..., :3, 2])
 
 
 def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:

@@ -17,7 +17,6 @@ import scipy
 
 from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, stacked
-from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.solution_axis import Solutions
 from spm_pin.support.arguments import BoolArray, FloatArray
@@ -67,7 +66,7 @@ class Event:
 class CertifiedLimits(Protocol):
     """The part of a `Certificate` that `follow` uses; `proofs` is above this package and cannot be imported here."""
 
-    def covers(self, configuration: Configuration) -> BoolArray:
+    def covers(self, configuration: Any) -> BoolArray:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...)."""
 
 

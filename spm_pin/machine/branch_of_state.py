@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.formulas import branches, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of
+from spm_pin.machine.batched import Batched
 from spm_pin.machine.configuration import Configuration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
@@ -60,8 +61,8 @@ def _stages(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     return vectors[..., :3, :], vectors[..., 3:, :]
 
 
-def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatArray:
-    """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, shape (..., 2, 3).
+def stage_coordinates(configuration: Batched, modes: str = "TT") -> FloatArray:
+    """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, shape (..., 2, 3); of a stage one.
 
     x and y are parts of the quaternion of the middle platform, turned by half a turn about its normal in mode F; Z is
     the height of its centre. NaN where there is no configuration, or one of other modes.
@@ -69,8 +70,9 @@ def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatA
     middle, back = configuration.middle_pose.as_matrix(), np.swapaxes(configuration.rotation, -1, -2)
     rotation, centre = middle[..., :3, :3], middle[..., :3, 3]
     seen = (back @ (centre - configuration.translation)[..., None])[..., 0]
+    plates = [(rotation, centre), (back @ rotation, seen)][: len(configuration.machine.legs.kinds)]
     coordinates = []
-    for mode, turn, place in zip(modes, (rotation, back @ rotation), (centre, seen), strict=True):
+    for mode, (turn, place) in zip(modes, plates, strict=False):
         turn = turn if mode == "T" else turn * [-1.0, -1.0, 1.0]
         exists = np.asarray(np.isfinite(turn).all(axis=(-2, -1)))
         quaternion = Rotation.from_matrix(np.where(exists[..., None, None], turn, np.eye(3))).as_quat()

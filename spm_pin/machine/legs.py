@@ -164,12 +164,14 @@ class StageLimits(LegLimits):
 def check_path_readings(
     limits: LegLimits | None, units: Sequence[str], readings: FloatArray, argument: str, places: FloatArray, what: str
 ) -> None:
-    """Raise `UnreachableError` for the first of `places` (n,) at which readings (n, 6) are beyond the limits."""
-    excess = np.zeros(readings.shape) if limits is None else limits.excess(readings)
+    """Raise `UnreachableError` at the first of `places` (n,) where readings (n, legs) are beyond the limits, if any."""
+    if limits is None:
+        return
+    excess = limits.excess(readings)
     if excess.any():
         k = int(excess.any(axis=-1).argmax())
         leg = int(np.abs(excess[k]).argmax())
-        received = f"{LEGS[leg]} of {readings[k, leg]:.6g} {units[leg]} at {what} {places[k]:.4g}"
+        received = f"{limits.legs[leg]} of {readings[k, leg]:.6g} {units[leg]} at {what} {places[k]:.4g}"
         raise UnreachableError(argument, f"readings within the machine's {limits}", received)
 
 

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,8 @@ from spm_pin.machine.leg_kinds import RPS, LegKind
 from spm_pin.machine.legs import LegLimits, Legs, drawn_legs
 from spm_pin.support.arguments import FloatArray, type_and_value
 from spm_pin.support.files import file_path, read_yaml, write_files
+
+M = TypeVar("M")
 
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """Units of length, and their number per metre."""
@@ -40,6 +42,8 @@ class Machine(ABC):
     base_radius: float
     legs: Legs
     limits: LegLimits | None
+    limits_class: ClassVar[type[LegLimits]] = LegLimits
+    """Class of its limits."""
     _heading: ClassVar[str]
     """First line of its files."""
     _least_share: ClassVar[float]
@@ -52,23 +56,13 @@ class Machine(ABC):
 
     @property
     def ball_side(self) -> float:
-        """Side of the drawn triangle of balls [m]."""
+        """Side of the nominal triangle of balls [m]."""
         return math.sqrt(3.0) * self.stage_radii[0][1]
 
     @property
     @abstractmethod
     def dimensions(self) -> tuple[float, ...]:
-        """Radii of the drawn pivots of each stage, and the size of the triangle of balls [m]."""
-
-    @property
-    def ball_side(self) -> float:
-        """Side of the drawn triangle of balls [m]."""
-        return math.sqrt(3.0) * self.stage_radii[0][1]
-
-    @property
-    @abstractmethod
-    def dimensions(self) -> tuple[float, ...]:
-        """Radii of the drawn pivots of each stage, and the size of the triangle of balls [m]."""
+        """Nominal radii of the pivots of each stage, and the size of the triangle of balls [m]."""
 
     @property
     @abstractmethod
@@ -105,8 +99,8 @@ class Machine(ABC):
         """Return limits; raise `GeometryError` if this machine has no readings within them or their unit is wrong."""
         legs = self.legs
         if not isinstance(limits, LegLimits) or limits.legs != legs.names:
-            own = "LegLimits" if len(legs.kinds) == 2 else "StageLimits"
-            raise GeometryError("limits", f"{own}(minimum, maximum)", type(limits).__name__)
+            expected = f"{self.limits_class.__name__}(minimum, maximum)"
+            raise GeometryError("limits", expected, type(limits).__name__)
         without_offsets = limits.ends - legs.offsets
         ends = np.where(np.isfinite(without_offsets), np.abs(without_offsets), 0.0)
         # A calibrated crank with the limits of the nominal one may swing beyond the turn by its offset.
@@ -231,7 +225,7 @@ class Machine(ABC):
             return cls.from_data(read_yaml(path), "")
 
 
-def check_machine(value: Any, argument: str = "machine") -> Machine:
+def check_machine(value: M, argument: str = "machine") -> M:
     """Return `value` if it is a `Manipulator` or a `Stage`."""
     if not isinstance(value, Machine):
         raise ArgumentError(argument, "a Manipulator or a Stage", type(value).__name__)

@@ -180,6 +180,11 @@ class Manipulator(Machine):
         return self.base_radius, self.platform_radius, self.middle_side
 
     @property
+    def ball_side(self) -> float:
+        """D [m]."""
+        return self.middle_side
+
+    @property
     def size(self) -> float:
         """E + C + 2 d [m], the approximate height of a machine."""
         return self.base_radius + self.platform_radius + 2.0 * self.middle_side
@@ -215,27 +220,30 @@ class Manipulator(Machine):
         return AXES.copy()
 
 
-def check_same_machine(machine: Manipulator, expected: Manipulator, argument: str, owner: str) -> None:
-    """Raise `GeometryError` unless both have the same dimensions and legs; limits only define the tree's zero."""
-    if machine.dimensions == expected.dimensions and machine.legs == expected.legs:
+def check_same_machine(machine: Machine, expected: Machine, argument: str, owner: str) -> None:
+    """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
+    if machine.stage_radii == expected.stage_radii and machine.legs == expected.legs:
         return
-    cause = "Was it computed for another machine?"
+    cause = "Computed for another machine?"
+    if type(machine) is not type(expected):
+        raise GeometryError(argument, f"a state of {owner}, a {type(expected).__name__}", repr(machine), cause)
     for kind, wanted in zip(machine.legs.kinds, expected.legs.kinds, strict=True):
         if type(kind) is not type(wanted) or getattr(kind, "sign", 0) != getattr(wanted, "sign", 0):
             raise GeometryError(argument, f"the kinds of {owner}, {wanted!r}", repr(kind), cause)
-    names = *_DIMENSIONS.values(), *expected.parameter_names
-    units = "m", "m", "m", *expected.parameter_units
-    own, others = (np.concatenate([each.dimensions, each.parameters]) for each in (machine, expected))
-    for name, unit, received, number in zip(names, units, own.tolist(), others.tolist(), strict=True):
-        if abs(received - number) > _SAME * (1.0 if unit == "rad" else expected.middle_side):
+    sizes = [name for name in _DIMENSIONS.values() if hasattr(expected, name)]
+    names, units = (*sizes, *expected.parameter_names), ("m",) * len(sizes) + expected.parameter_units
+    own, others = ([*(getattr(x, size) for size in sizes), *x.parameters.tolist()] for x in (machine, expected))
+    for name, unit, received, number in zip(names, units, own, others, strict=True):
+        if abs(received - number) > _SAME * (1.0 if unit == "rad" else expected.ball_side):
             raise GeometryError(
                 argument, f"the {name} of {owner}, {number:.9g} {unit}", f"{received:.9g} {unit}", cause
             )
 
 
-def check_rps(machine: Manipulator, what: str) -> None:
-    """Raise a `GeometryError` unless all legs are RPS, the only ones for which `what` is implemented."""
+def check_rps(machine: Machine, what: str) -> None:
+    """Raise a `GeometryError` unless all legs are RPS, which `what` is known for alone."""
     if not machine.legs.are_rps:
-        lower, upper = (kind.name for kind in machine.legs.kinds)
-        cause = "docs/howto/other_legs.md lists what takes PRS and RRS legs"
-        raise GeometryError("machine", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)
+        names = [kind.name for kind in machine.legs.kinds]
+        received = "{} below and {} above".format(*names) if len(names) == 2 else names[0]
+        cause = "What takes PRS and RRS legs is listed in docs/howto/other_legs.md"
+        raise GeometryError("machine", f"a machine of RPS legs for {what}", received, cause)

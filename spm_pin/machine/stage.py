@@ -16,7 +16,7 @@ import numpy as np
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.machine.legs import AZIMUTHS, Legs, StageLimits
+from spm_pin.machine.legs import AZIMUTHS, LegLimits, Legs, StageLimits
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.machine_files import (
     legs_as_data,
@@ -71,6 +71,7 @@ class Stage(Machine):
     legs: Legs
     limits: StageLimits | None
 
+    limits_class = StageLimits
     _least_share = 0.0
     _heading = "# A stage of three planar legs, lengths in metres and angles in radians: see Stage of spm_pin.\n"
 
@@ -99,7 +100,7 @@ class Stage(Machine):
             if (np.abs(turns) > _SAME_ANGLE).any():
                 self._set_legs(self.legs.turned_about_z(turns))
         self._check_reach()
-        object.__setattr__(self, "limits", None if limits is None else self._read_limits(limits))
+        object.__setattr__(self, "limits", None if limits is None else self.check_limits(limits))
         if isinstance(legs, LegKind):
             self._warn_of_dimensions({"base_radius": self.base_radius, "platform_radius": self.platform_radius})
 
@@ -125,17 +126,17 @@ class Stage(Machine):
             )
             raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", "In another unit?")
 
-    def _read_limits(self, value: StageLimits | Sequence[Any]) -> StageLimits:
-        if not isinstance(value, StageLimits):
-            if not (isinstance(value, list | tuple | np.ndarray) and len(value) == 2):
+    def check_limits(self, limits: LegLimits | Sequence[Any]) -> LegLimits:
+        """Return limits, or those of a pair (minimum, maximum); errors as of any machine."""
+        if not isinstance(limits, LegLimits):
+            if not (isinstance(limits, list | tuple | np.ndarray) and len(limits) == 2):
                 expected = f"a pair (minimum, maximum) in {self.unit}, each one number or three"
-                raise GeometryError("limits", expected, type_and_value(value))
+                raise GeometryError("limits", expected, type_and_value(limits))
             try:
-                value = StageLimits(value[0], value[1])
+                limits = StageLimits(limits[0], limits[1])
             except GeometryError as error:
                 raise GeometryError("limits", error.expected, error.received, error.cause) from error
-        self.check_limits(value)
-        return value
+        return super().check_limits(limits)
 
     def __repr__(self) -> str:
         radii = f"base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}"

@@ -19,14 +19,13 @@ from scipy.integrate import DOP853
 from scipy.optimize import brentq
 
 from spm_pin.errors import ClosureError
-from spm_pin.machine.legs import LEGS
 from spm_pin.multibody.closure_solvers import close_loops
 from spm_pin.multibody.constrained_model import AccelerationSolver, ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.trajectory import increasing_times
 from spm_pin.support.arguments import FloatArray, real_number
 
 ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
-"""A function of the time, q (18,) and v (18,): leg forces (6,), or a wrench (6,)."""
+"""A function of the time, q (nq,) and v (nv,): leg forces (n,), or a wrench (6,)."""
 _Forces = Callable[[float, FloatArray, FloatArray], FloatArray]
 
 LEAST_CONSTRAINED = 1e-5
@@ -56,15 +55,15 @@ class Simulation:
     times: FloatArray
     """The requested times [s], shape (n,), as far as the motion went; the last is that of an event that ended it."""
     q: FloatArray
-    """Joint values, shape (n, 18)."""
+    """Joint values, shape (n, nq)."""
     v: FloatArray
-    """Joint velocities, shape (n, 18)."""
+    """Joint velocities, shape (n, nv)."""
     a: FloatArray
-    """Joint accelerations, shape (n, 18)."""
+    """Joint accelerations, shape (n, nv)."""
     readings: FloatArray
-    """Readings of the legs' encoders [m], for RRS legs [rad], shape (n, 6)."""
+    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, legs)."""
     leg_forces: FloatArray
-    """Efforts of the actuators [N], for RRS legs torques [N m], shape (n, 6); positive increases the reading."""
+    """Forces of the actuators [N], of RRS legs torques [N m], shape (n, legs); positive increases the reading."""
     kinetic: FloatArray
     """Kinetic energy of all bodies [J], shape (n,)."""
     potential: FloatArray
@@ -72,13 +71,13 @@ class Simulation:
     work: FloatArray
     """Work of the leg forces and the wrench since the start [J], shape (n,)."""
     closure_gap: FloatArray
-    """The widest of the four gaps [m], shape (n,)."""
+    """The widest of the gaps [m], shape (n,)."""
     end: SimulationEnd
     """Why it ended there."""
     detail: str
     """The leg, or the reason why no step was possible; may be empty."""
     limit_excess: FloatArray
-    """Excess of readings above their limits, negative below them, shape (n, 6); 0 within."""
+    """By how much readings are above their limits, or below them (negative), shape (n, legs); 0 within."""
 
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
@@ -121,13 +120,14 @@ def run_simulation(
     if period is not None:
         expected = "a time in seconds, greater than zero and not less than 1e-7 of the run"
         real_number(period, "period", expected, above=0.0, least=SHORTEST_PERIOD * (until - begin))
-    act = _as_function(np.zeros(6) if forces is None else forces, "forces")
-    integrator = _Integrator(kinematics, None if wrench is None else _as_function(wrench, "wrench"), tolerance)
+    legs = len(constrained.legs)
+    act = _as_function(np.zeros(legs) if forces is None else forces, "forces", legs)
+    integrator = _Integrator(kinematics, None if wrench is None else _as_function(wrench, "wrench", 6), tolerance)
 
     state = integrator.closed(np.concatenate([q, v, [0.0]]))
     stop = integrator.stop_event(state, begin)
     for k, span in enumerate(itertools.pairwise(_force_times(begin, until, period))):
-        applied = act if period is None else _as_function(act(span[0], *_parts(state)), "forces")
+        applied = act if period is None else _as_function(act(span[0], *_parts(state)), "forces", legs)
         if k == 0:
             integrator.record(begin, state, applied)
         if stop is not None or until == begin:
@@ -143,12 +143,12 @@ def run_simulation(
     return Simulation(*values)
 
 
-def _as_function(force: Any, argument: str) -> _Forces:
+def _as_function(force: Any, argument: str, size: int) -> _Forces:
     """Return a function from a constant or a function; what a function returns is checked."""
     if callable(force):
         # Copies: the function may change them.
-        return lambda t, q, v: read_vectors(force(t, q.copy(), v.copy()), argument, 6, single=True)
-    value = read_vectors(force, argument, 6, single=True)
+        return lambda t, q, v: read_vectors(force(t, q.copy(), v.copy()), argument, size, single=True)
+    value = read_vectors(force, argument, size, single=True)
     return lambda t, q, v: value
 
 
@@ -163,7 +163,8 @@ def _force_times(begin: float, until: float, period: float | None) -> list[float
 
 def _parts(state: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return q and v of a state vector."""
-    return state[:18], state[18:36]
+    joints = len(state) // 2
+    return state[:joints], state[joints:-1]
 
 
 class StopEvent(NamedTuple):
@@ -179,7 +180,7 @@ class _UnboundedRateError(Exception):
 
 
 class _Integrator:
-    """Integrates the motion of a chain and records it; a state vector is q, v and the work done, shape (37,)."""
+    """Integrates the motion of a chain and records it; a state vector is q, v and the work done."""
 
     def __init__(self, kinematics: TreeKinematics, wrench: _Forces | None, tolerance: float) -> None:
         self._kinematics, self._constrained = kinematics, kinematics.constrained
@@ -195,7 +196,7 @@ class _Integrator:
         jacobian = self._kinematics.constraint_jacobian
         across = np.linalg.solve(self._kinematics.mass_matrix(), jacobian.T)
         v = v - across @ np.linalg.solve(jacobian @ across, jacobian @ v)
-        return np.concatenate([q, v, state[36:]])
+        return np.concatenate([q, v, state[-1:]])
 
     def _motion(
         self, time: float, q: FloatArray, v: FloatArray, forces: _Forces
@@ -221,7 +222,7 @@ class _Integrator:
         )
 
     def _margins(self, state: FloatArray) -> FloatArray:
-        """Return how far a state is from ending a run, shape (7,): lengths of RPS legs [m], and σ of the closures."""
+        """Return how far a state is from ending a run: by the lengths of RPS legs [m], and by σ of the closures."""
         kinematics, (q, _) = self._kinematics, _parts(state)
         kinematics.evaluate(q)
         kinematics.check_ball_angles()
@@ -241,8 +242,9 @@ class _Integrator:
                 return float(self._margins(dense(t))[which]) if t > time else float(np.finfo(np.float64).tiny)
 
             when = time if until is None else float(brentq(margin, time, until, xtol=1e-15, rtol=1e-14))
-            if which < len(LEGS):
-                events.append(StopEvent(SimulationEnd.COLLAPSE, LEGS[which], when))
+            names = self._constrained.machine.legs.names
+            if which < len(names):
+                events.append(StopEvent(SimulationEnd.COLLAPSE, names[which], when))
             else:
                 events.append(StopEvent(SimulationEnd.CONSTRAINT_SINGULARITY, "", when))
         return min(events, key=lambda event: event.time, default=None)

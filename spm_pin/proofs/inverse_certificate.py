@@ -124,8 +124,7 @@ def certify_inverse(
         raise ArgumentError("forward", "a certificate of `machine` and `limits`", "one of others")
     limits = forward.limits
     stages = [
-        _StageCells(region, proof)
-        for region, proof in zip(stage_regions(machine, limits), (forward.lower, forward.upper), strict=True)
+        _StageCells(region, proof) for region, proof in zip(stage_regions(machine, limits), forward.stages, strict=True)
     ]
     low, high = limits.ends
     legs = np.random.default_rng(0).uniform(low, high, (_SAMPLES, 6))

@@ -42,9 +42,11 @@ from spm_pin.formulas.planar_legs import Circle
 from spm_pin.formulas.stages import pair_determinant
 from spm_pin.formulas.vectors import combined, matrix_product, minus, times
 from spm_pin.kinematics.intervals import INTERVALS, SQRT_3, Interval, as_interval
-from spm_pin.machine import Configuration, Manipulator
+from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
+from spm_pin.machine.batched import Batched
 from spm_pin.machine.branch_of_state import stage_coordinates
 from spm_pin.machine.leg_kinds import KINDS, RPS, LegKind
+from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 Int64Array = npt.NDArray[np.int64]
@@ -134,6 +136,8 @@ class StageRegion:
     """Largest error of each coordinate of a pivot and of a ball, of a rod and a crank, and of a reading [m]."""
     angle_error: float = 0.0
     """Largest turn of a revolute axis about either direction perpendicular to it, of a slide, of a reading [rad]."""
+    up: float = 1.0
+    """Sign of D at home: -1 if the platform hangs below the centres of the circles."""
 
     @cached_property
     def numbers(self) -> tuple[tuple[Interval, ...], ...]:
@@ -234,6 +238,7 @@ class StageRegion:
 
         pairs: Any = m(0, 1), m(1, 2), m(2, 0), m(1, 0), m(2, 1), m(0, 2)
         determinant: Any = pair_determinant(pairs)  # an Interval, as its arguments
+        determinant = determinant if self.up > 0.0 else -determinant
         missed = [
             leg.is_beyond | square.misses(radius.square())
             for leg, square, radius in zip(legs, squares, self.radii, strict=True)
@@ -280,17 +285,21 @@ def _largest(value: Interval | float) -> FloatArray:
     return np.maximum(np.abs(value.low), np.abs(value.high))
 
 
-def region_coordinates(configuration: Configuration) -> FloatArray:
-    """Return the states (x, y, Z [m]) of both stages, shape (..., 2, 3); NaN if missing in mode T."""
-    return _MIRROR * stage_coordinates(configuration)
+def region_coordinates(configuration: Batched) -> FloatArray:
+    """Return the states (x, y, Z [m]) of the stages, shape (..., stages, 3); NaN where there is none in mode T."""
+    coordinates = stage_coordinates(configuration)
+    return _MIRROR[: coordinates.shape[-2]] * coordinates
 
 
-def configuration_at(machine: Manipulator, states: FloatArray) -> Configuration:
-    """Return the configuration of the states (2, 3) of both stages of a nominal machine."""
-    r, poses = machine.middle_radius, []
-    for x, y, z in _MIRROR * states:
+def configuration_at(machine: Machine, states: FloatArray) -> Configuration | StageConfiguration:
+    """Return the configuration of the states (stages, 3) of a nominal machine."""
+    (_, r), poses = machine.stage_radii[0], []
+    for x, y, z in _MIRROR[: len(states)] * states:
         rotation = Rotation.from_quat([x, y, 0.0, np.sqrt(max(1.0 - x * x - y * y, 0.0))])
         poses.append(RigidTransform.from_components([-2.0 * r * x * y, r * (y * y - x * x), z], rotation))
+    if isinstance(machine, Stage):
+        return StageConfiguration(machine, poses[0])
+    assert isinstance(machine, Manipulator)
     joints = poses[0].apply(r * machine.radial_directions)
     return Configuration(machine, poses[0] * poses[1].inv(), joints)
 

@@ -29,8 +29,9 @@ from spm_pin.machine import (
     joint_angles,
 )
 from spm_pin.machine.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
-from spm_pin.machine.configuration import check_configuration
+from spm_pin.machine.configuration import check_state
 from spm_pin.machine.manipulator import check_same_machine
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -94,12 +95,12 @@ class JointLimits:
             clearance = real_number(self.clearance, "clearance", "a distance in metres, not negative", least=0.0)
             object.__setattr__(self, "clearance", clearance)
 
-    def angle_margin(self, configuration: Configuration) -> FloatArray:
+    def angle_margin(self, configuration: Configuration | StageConfiguration) -> FloatArray:
         """Return how far the worst angle is inside its limits, shape (...) [rad].
 
         Negative outside, infinite without limits, NaN where a state does not exist.
         """
-        margin = np.full(check_configuration(configuration).shape, np.inf)
+        margin = np.full(check_state(configuration).shape, np.inf)
         limited = [name for name in _ANGLES if getattr(self, name) is not None]
         angles = joint_angles(configuration) if limited else None
         for name in limited:
@@ -107,25 +108,25 @@ class JointLimits:
             margin = np.minimum(margin, np.minimum(values - low, high - values).min(axis=-1))
         return np.where(configuration.exists, margin, np.nan)
 
-    def clearance_margin(self, configuration: Configuration) -> FloatArray:
+    def clearance_margin(self, configuration: Configuration | StageConfiguration) -> FloatArray:
         """Return by how much the nearest legs keep more than the clearance, shape (...) [m]; as `angle_margin`."""
         if self.clearance is None:
-            return np.where(check_configuration(configuration).exists, np.inf, np.nan)
+            return np.where(check_state(configuration).exists, np.inf, np.nan)
         return leg_clearance(configuration) - self.clearance
 
 
-def leg_clearance(configuration: Configuration) -> FloatArray:
-    """Return the smallest distance of the axes of two legs without a common joint, shape (...) [m].
+def leg_clearance(configuration: Configuration | StageConfiguration) -> FloatArray:
+    """Return the least distance of the axes of two legs that have no joint in common, shape (...) [m].
 
     An axis goes from the pivot to the ball joint's centre, in PRS and RRS legs by way of the carriage or the knee. From
     the fifteen pairs of legs, the three that meet at a corner of the middle platform are left out. NaN where a state
     does not exist.
     """
-    check_configuration(configuration)
-    # For RPS legs the first segment has length zero.
+    check_state(configuration)
+    # Of RPS legs the first segment has no length.
     points = [configuration.leg_bases, configuration.circle_centres, configuration.balls]
     segments = [*pairwise(points[configuration.machine.legs.are_rps :])]
-    i, j = _PAIRS.T
+    i, j = _PAIRS[(len(configuration.machine.legs.names) > _PAIRS).all(axis=-1)].T
     squares = [
         _segment_distance2(p[..., i, :], (q - p)[..., i, :], r[..., j, :], (s - r)[..., j, :]).min(axis=-1)
         for (p, q), (r, s) in product(segments, repeat=2)
