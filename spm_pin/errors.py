@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Self
 
 __all__ = ["ArgumentError", "ClosureError", "DescriptionError", "GeometryError", "MissingExtraError"]
 __all__ += ["NotOneSolutionError", "PoseError", "SelectionError", "SingularConfigurationError", "SpmError"]
@@ -36,10 +36,15 @@ class SpmError(Exception):
     def __reduce__(self) -> tuple[Any, ...]:
         # Errors of worker processes travel pickled, made anew from the attributes that the parameters are named after;
         # the default would pass the message instead.
+        return type(self), tuple(self._fields().values()) or self.args
+
+    def _fields(self) -> dict[str, Any]:
         code = getattr(type(self).__init__, "__code__", None)
-        if code is None:
-            return type(self), self.args
-        return type(self), tuple(getattr(self, name) for name in code.co_varnames[1 : code.co_argcount])
+        return {} if code is None else {name: getattr(self, name) for name in code.co_varnames[1 : code.co_argcount]}
+
+    def replaced(self, **fields: Any) -> Self:
+        """Return this error with other values of some of its fields."""
+        return type(self)(**self._fields() | fields)
 
 
 class ArgumentError(SpmError, ValueError):
@@ -53,25 +58,52 @@ class ArgumentError(SpmError, ValueError):
         What would have been accepted.
     received : Any
         The value, or the part of it that is wrong; the message shows at most 500 characters of it.
+    cause : str
+        The likely cause, or what to do; empty where none is known.
+    file : str
+        The file read, of which `argument` is then a key or a column; `argument` is empty where the whole file is meant.
+    line : int
+        Line of the file; 0 where it is not known.
+    index : str
+        Key or index of the wrong entry of `argument`, as Python prints it; empty for the whole of it.
+
+    Made with an argument such as ``via[0]``, it has the argument ``via`` and the index ``0``.
     """
 
-    def __init__(self, argument: str, expected: str, received: Any, cause: str = "") -> None:
-        self.argument = argument
-        self.expected = expected
-        self.received = received
-        self.cause = cause
-        message = f"{argument}: expected {expected}, got {_brief(received)}"
+    def __init__(
+        self,
+        argument: str,
+        expected: str,
+        received: Any,
+        cause: str = "",
+        file: str = "",
+        line: int = 0,
+        index: str = "",
+    ) -> None:
+        if argument.endswith("]"):
+            argument, _, index = argument[:-1].partition("[")
+        self.argument, self.expected, self.received, self.cause = argument, expected, received, cause
+        self.file, self.line, self.index = file, line, index
+        subject = f"{argument}[{index}]" if index else argument
+        if file:
+            place = f"{file}:{line}" if line else file
+            subject = f"{subject} in {place}" if subject else place
+        message = f"{subject}: expected {expected}, got {_brief(received)}"
         super().__init__(f"{message}. {cause}" if cause else message)
 
 
 @contextlib.contextmanager
-def raised_as(kind: type[ArgumentError], place: str = "") -> Iterator[None]:
-    """Raise an `ArgumentError` of a block, or of the function decorated, as one of another kind, in a place."""
+def raised_as(kind: type[ArgumentError], owner: str = "", file: str = "") -> Iterator[None]:
+    """Raise an `ArgumentError` of a block, or of the function decorated, as one of another kind.
+
+    `owner` is what its argument is a part of, and `file` where that was read.
+    """
     try:
         yield
     except ArgumentError as error:
-        argument = f"{error.argument} in {place}" if place else error.argument
-        raise kind(argument, error.expected, error.received, error.cause) from error.__cause__
+        argument = f"{error.argument} of {owner}" if owner else error.argument
+        fields = error.expected, error.received, error.cause, error.file or file, error.line, error.index
+        raise kind(argument, *fields) from error.__cause__
 
 
 def _brief(received: Any) -> str:

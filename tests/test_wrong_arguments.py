@@ -280,7 +280,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 }
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
-INPUTS = "Configuration DesignProblem Geometry JointLimits LegLimits LegPath Legs Masses Payload PlatformPath RigidBody"
+INPUTS = (
+    "Configuration DesignProblem JointLimits LegLimits LegPath Legs Manipulator Masses Payload PlatformPath RigidBody"
+)
 INPUTS += " Ball Stage StageConfiguration StageLimits"
 """Classes that users make themselves; the others are results, made by the package."""
 
@@ -305,7 +307,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "ChainState": lambda: chain().state(q()),
     "ClosedChain": chain,
     "loops.ClosedChain": linkage,
-    "Geometry": lambda: PAPER,
+    "Manipulator": lambda: PAPER,
     "JointLimits": lambda: spm.workspace.JointLimits(hip=(-1.0, 1.0)),
     "LegLimits": lambda: spm.LegLimits(1.1, 1.5),
     "Masses": lambda: spm.description.Masses({"leg_*_rod": {"mass": 2.0}}),

@@ -150,7 +150,7 @@ class Calibration:
         if self.status != "fits":
             cause = "`.fitted` is the best fit all the same"
             expected = "measurements that fit one machine, near the nominal one"
-            raise MeasurementError("poses", expected, self.reason, cause, self.reason_rows)
+            raise MeasurementError("poses", expected, self.reason, cause, rows=self.reason_rows)
 
 
 def identify(

@@ -49,9 +49,17 @@ class MeasurementError(ArgumentError):
     """
 
     def __init__(
-        self, argument: str, expected: str, received: Any, cause: str = "", rows: tuple[int, ...] = ()
+        self,
+        argument: str,
+        expected: str,
+        received: Any,
+        cause: str = "",
+        file: str = "",
+        line: int = 0,
+        index: str = "",
+        rows: tuple[int, ...] = (),
     ) -> None:
-        super().__init__(argument, expected, received, cause)
+        super().__init__(argument, expected, received, cause, file, line, index)
         self.rows = rows
 
 
@@ -196,7 +204,7 @@ class Measurements:
             row = int(exists.argmin())
             received = f"row {row} with {', '.join(f'{x:g}' for x in self.readings[row])}"
             cause = "A mistyped reading, offsets not subtracted, or another machine? Correct the row or leave it out"
-            raise MeasurementError("readings", "readings that this machine can have", received, cause, (row,))
+            raise MeasurementError("readings", "readings that this machine can have", received, cause, rows=(row,))
 
 
 def _median_size(vectors: FloatArray) -> float:

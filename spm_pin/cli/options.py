@@ -285,7 +285,7 @@ def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: b
         shaped = value.reshape(3, 3) if name == "matrix" else value
         return pose(np.array(translation) / unit.per_metre, **{name: shaped})
     except PoseError as error:
-        raise PoseError(f"--{prefix}{error.argument}", error.expected, error.received, error.cause) from error
+        raise error.replaced(argument=f"--{prefix}{error.argument}") from error
 
 
 def six_numbers(text: str, option: str, *, single: bool = False) -> FloatArray:
@@ -436,7 +436,9 @@ def requested_solutions(
     solutions, remarks = solve_request(machine, pose, legs, unit)
     if not solutions.count:
         if legs is not None:
-            raise ArgumentError("--legs", "readings with which the machine can be assembled", "none such", *remarks)
+            raise ArgumentError(
+                "--legs", "readings with which the machine can be assembled", "none such", " ".join(remarks)
+            )
         if solutions.status is Status.UNREACHABLE:
             remarks.append("spm-pin nearest finds the nearest pose that is reached.")
         received = f"status {solutions.status}"

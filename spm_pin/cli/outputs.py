@@ -210,6 +210,10 @@ def write_figure(path: Path | None, draw: Callable[P, Figure], *args: P.args, **
         note(f"wrote {path}")
 
 
+_FILES = {"machine": "machine_file"}
+"""Arguments of functions that commands read from a file, and the commands' parameters with its name."""
+
+
 def name_options(**options: str | tuple[str, ...]) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Decorate a command so that its errors name the options typed, not the arguments of the functions it calls.
 
@@ -225,29 +229,34 @@ def name_options(**options: str | tuple[str, ...]) -> Callable[[Callable[P, R]],
             try:
                 return command(*args, **kwargs)
             except ArgumentError as error:
-                argument, bracket, index = error.argument.partition("[")
+                argument = _FILES.get(error.argument, error.argument)
                 option = options.get(argument)
                 if isinstance(option, tuple):
                     given = {typed[name] for name in typed.keys() & kwargs.keys() if kwargs[name] is not None}
                     option = next((name for name in option if name in given), option[-1])
-                files = {name: value for name, value in kwargs.items() if isinstance(value, Path)}
                 if option is None and kwargs.get(argument) is not None:
                     option = typed[argument]
-                    if argument in files and str(files[argument]) not in str(error.received):
-                        option += f" {files[argument]}"
-                place = error.argument.rpartition(" in ")[2].partition(":")[0]
-                for name, path in files.items():
-                    if argument == "path" and str(error.received) in (str(path), repr(path.name)):
+                    if isinstance(kwargs[argument], Path) and error.received != kwargs[argument]:
+                        option += f" {kwargs[argument]}"
+                for name, path in kwargs.items():
+                    if isinstance(path, Path) and argument == "path" and error.received == path:
                         option = typed[name]
-                    elif place == str(path) and not argument.startswith("--"):
-                        option, bracket, index = f"{typed[name]}: {error.argument}", "", ""
+                    elif isinstance(path, Path) and error.file == str(path) and not argument.startswith("--"):
+                        raise in_file_of(typed[name], error) from error
                 if option is None:
                     raise
-                raise type(error)(option + bracket + index, error.expected, error.received, error.cause) from error
+                raise error.replaced(argument=option) from error
 
         return run
 
     return decorate
+
+
+def in_file_of(option: str, error: ArgumentError) -> ArgumentError:
+    """Return an error in a file as one that names the option with which the file was given."""
+    if error.argument:
+        return error.replaced(argument=f"{option}: {error.argument}")
+    return error.replaced(argument=f"{option}: {error.file}" + f":{error.line}" * bool(error.line), file="")
 
 
 def _option_name(parameter: str, hint: Any) -> str:
@@ -255,6 +264,8 @@ def _option_name(parameter: str, hint: Any) -> str:
     for info in getattr(hint, "__metadata__", ()):
         if isinstance(info, ArgumentInfo):
             return str(info.metavar or parameter.upper())
-        for declared in getattr(info, "param_decls", None) or ():
-            return str(declared).partition("/")[0]
+        # Typer takes the first name for a default where there are several.
+        for declared in (getattr(info, "default", None), *(getattr(info, "param_decls", None) or ())):
+            if isinstance(declared, str) and declared.startswith("--"):
+                return declared.partition("/")[0]
     return f"--{parameter.replace('_', '-')}"

@@ -10,7 +10,7 @@ from typing import Any
 
 from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, OptionTable, Readings, Triple
-from spm_pin.errors import ArgumentError, GeometryError, raised_as
+from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.machine import PRS, RPS, RRS, LegKind, Stage
 from spm_pin.stages import home_height
 
@@ -86,8 +86,11 @@ def _read_stage(typed: Typed, arguments: Typed, *, required: bool) -> Stage | No
         if len(given) > 1:
             beside = ", ".join(f"--{name}" for name in given if name != "stage")
             raise ArgumentError("--stage", "a file alone: its numbers are in metres and radians", f"also {beside}")
-        with raised_as(GeometryError, "--stage"), options.warnings_as_notes("--stage: "):
-            return Stage.from_yaml(typed["stage"])
+        try:
+            with options.warnings_as_notes("--stage: "):
+                return Stage.from_yaml(typed["stage"])
+        except GeometryError as error:
+            raise outputs.in_file_of("--stage", error) from error
     for name in ("base", "platform"):
         if typed[name] is None:
             raise ArgumentError(f"--{name}", "a radius, or --stage with a file", "neither")
@@ -102,9 +105,7 @@ def _read_stage(typed: Typed, arguments: Typed, *, required: bool) -> Stage | No
         limits = None if typed["limits"] is None else readings.read_limits("--limits", *typed["limits"])
         return Stage(stage.base_radius, stage.platform_radius, stage.legs, limits)
     except GeometryError as error:
-        name = error.argument.partition(" of ")[0]
-        option = named.get(name, f"--{name}")
-        raise GeometryError(option, error.expected, error.received, error.cause) from error
+        raise error.replaced(argument=named.get(error.argument, f"--{error.argument}")) from error
 
 
 def _read_kind(typed: Typed, lengths: Typed) -> LegKind:

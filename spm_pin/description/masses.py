@@ -116,9 +116,9 @@ class Masses:
         with raised_as(DescriptionError):
             content = read_yaml(path)
         if not isinstance(content, dict) or set(content) - {"bodies", "payload"}:
-            raise DescriptionError(str(path), "a mapping with the keys bodies and payload", _keys(content))
+            raise DescriptionError("", "a mapping with the keys bodies and payload", _keys(content), file=str(path))
         payload = content.get("payload")
-        with raised_as(DescriptionError, str(path)):
+        with raised_as(DescriptionError, file=str(path)):
             return cls(content.get("bodies") or {}, None if payload is None else _read_body(payload, "payload"))
 
 
@@ -129,7 +129,7 @@ def _read_body(body: Any, name: str) -> RigidBody:
     try:
         return RigidBody(**body)
     except ArgumentError as error:
-        raise ArgumentError(f"{name}.{error.argument}", error.expected, error.received, error.cause) from error
+        raise error.replaced(argument=f"{name}.{error.argument}") from error
 
 
 def _keys(content: Any) -> str:

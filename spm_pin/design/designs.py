@@ -134,14 +134,15 @@ def evaluate_designs(
     Designs
         A row for each machine, in their order; it does not depend on the number of workers.
     """
-    machines = tuple(machines) if isinstance(machines, Iterable) else ()
+    if not isinstance(machines, Iterable):
+        raise ArgumentError("machines", "an iterable of at least one Manipulator", type_and_value(machines))
+    machines = tuple(machines)
     for index, machine in enumerate(machines):
         if not (isinstance(machine, Manipulator) and machine.limits and machine.limits.are_finite):
             received = repr(machine) if isinstance(machine, Manipulator) else type(machine).__name__
             raise ArgumentError("machines", "Manipulators with finite leg limits", f"{received} at index {index}")
     if not machines:
-        received = "none" if isinstance(machines, Iterable) else type_and_value(machines)
-        raise ArgumentError("machines", "an iterable of at least one Manipulator", received)
+        raise ArgumentError("machines", "an iterable of at least one Manipulator", "none")
     chosen, sample = resolve_metrics(metrics), Sample(whole_number(states, "states", least=2, most=10**7), seed)
     whole_number(boxes, "boxes")
     check_workers(scheduler, workers)

@@ -96,9 +96,9 @@ def stage_machine_sources(stage: Stage) -> dict[str, str]:
         **marks(stage, "stage_"),
         "HEADER": "stage.h",
         "FIELDS": ", ".join(f'{{"{name}", {len(x)}}}' for name, x in fields.items()),
-        "NUMBERS": "&machine->up",
-        "IS_MACHINE": "stage_tilt(machine, 0, 0, machine->home_height, &state) == STAGE_OK\n"
-        "            && stage_forward(machine, state.readings, &state, &state) == STAGE_OK",
+        "NUMBERS": "&geometry->up",
+        "IS_MACHINE": "stage_tilt(geometry, 0, 0, geometry->home_height, &state) == STAGE_OK\n"
+        "            && stage_forward(geometry, state.readings, &state, &state) == STAGE_OK",
     }
     reader = filled(template("read_machine.h"), values)
     return {"stage_machine.txt": machine_text(values["MACHINE_FILE"], fields), "stage_read_machine.h": reader}

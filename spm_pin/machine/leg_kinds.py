@@ -72,7 +72,7 @@ class LegKind:
     @raised_as(GeometryError)
     def __post_init__(self) -> None:
         for field in fields(self):
-            legs = _three(getattr(self, field.name), f"{field.name} of {self.name}", _READERS[field.name])
+            legs = _three(getattr(self, field.name), field.name, _READERS[field.name])
             # One number where the legs are equal, as it was drawn.
             object.__setattr__(self, field.name, legs[0] if len(set(legs)) == 1 else legs)
 

@@ -66,8 +66,8 @@ class Machine(ABC):
 
     @classmethod
     @abstractmethod
-    def from_data(cls, data: Any, place: str = "data") -> Self:
-        """Return the machine of `as_data`; errors name what is wrong in `place`."""
+    def from_data(cls, data: Any, argument: str = "data") -> Self:
+        """Return the machine of `as_data`; errors name the key that is wrong, or `argument` for the whole."""
 
     def _set_legs(self, legs: Legs | tuple[LegKind, ...]) -> None:
         """Read legs: those as built are kept, kinds are drawn, and those that were drawn with other dimensions."""
@@ -207,13 +207,13 @@ class Machine(ABC):
             write_files({path: self._heading + text})
 
     @classmethod
-    @raised_as(GeometryError)
     def from_yaml(cls, path: str | Path) -> Self:
         """Read a machine from a YAML file, in metres and radians; `docs/howto/machine_files.md` describes it.
 
         A `GeometryError` names the key of what describes no machine.
         """
-        return cls.from_data(read_yaml(path), str(path))
+        with raised_as(GeometryError, file=str(path)):
+            return cls.from_data(read_yaml(path), "")
 
 
 def check_machine(value: Any, argument: str = "machine") -> Machine:

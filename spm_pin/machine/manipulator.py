@@ -167,24 +167,23 @@ class Manipulator(Machine):
         return cls.from_yaml(config_directory() / "geometry.yaml")
 
     @classmethod
-    def from_data(cls, data: Any, place: str = "data") -> Manipulator:
-        """Return the machine of `as_data`; a `GeometryError` names the key in `place` of what describes none."""
+    def from_data(cls, data: Any, argument: str = "data") -> Manipulator:
+        """Return the machine of `as_data`; a `GeometryError` names the key of what describes none."""
         sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
         own = {"leg_limits", "legs", *_KIND_KEYS}
-        read = read_mapping(data, place, {"middle_side"}, sizes | own, _SYMBOLS)
-        lengths = {key: dimension(read[key], f"{key} in {place}") for key in read.keys() - own}
+        read = read_mapping(data, argument, {"middle_side"}, sizes | own, _SYMBOLS)
+        lengths = {key: dimension(read[key], key) for key in read.keys() - own}
         radii = []
         for triangle in ("base", "platform"):
             keys = [key for key in (f"{triangle}_side", f"{triangle}_radius") if key in lengths]
             if len(keys) != 1:
                 expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
-                raise GeometryError(place, expected, " and ".join(keys) or "neither")
+                raise GeometryError(argument, expected, " and ".join(keys) or "neither")
             radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
-        limits = read_limits(read["leg_limits"], f"leg_limits in {place}", LegLimits) if "leg_limits" in read else None
-        lower, upper = (read_kind(read[key], f"{key} in {place}") if key in read else RPS() for key in _KIND_KEYS)
-        legs = read_legs(read["legs"], f"legs in {place}", (lower, upper)) if "legs" in read else (lower, upper)
-        with raised_as(GeometryError, place):
-            return cls(radii[0], radii[1], lengths["middle_side"], limits, legs)
+        limits = read_limits(read["leg_limits"], "leg_limits", LegLimits) if "leg_limits" in read else None
+        lower, upper = (read_kind(read[key], key) if key in read else RPS() for key in _KIND_KEYS)
+        legs = read_legs(read["legs"], "legs", (lower, upper)) if "legs" in read else (lower, upper)
+        return cls(radii[0], radii[1], lengths["middle_side"], limits, legs)
 
     def as_data(self) -> dict[str, Any]:
         """Return what `to_yaml` writes."""

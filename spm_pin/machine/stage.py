@@ -163,16 +163,15 @@ class Stage(Machine):
         return ((self.base_radius, self.platform_radius),)
 
     @classmethod
-    def from_data(cls, data: Any, place: str = "data") -> Stage:
-        """Return the stage of `as_data`; a `GeometryError` names the key in `place` of what describes none."""
+    def from_data(cls, data: Any, argument: str = "data") -> Stage:
+        """Return the stage of `as_data`; a `GeometryError` names the key of what describes none."""
         keys = {"base_radius", "platform_radius", "legs"}
         other = {"middle_side": "a key of a robot's file, which spm_pin.Manipulator.from_yaml reads"}
-        read = read_mapping(data, place, keys, {"limits", "as_built"}, other)
-        kind = read_kind(read["legs"], f"legs in {place}")
-        legs = read_legs(read["as_built"], f"as_built in {place}", (kind,)) if "as_built" in read else kind
-        limits = read_limits(read["limits"], f"limits in {place}", StageLimits) if "limits" in read else None
-        with raised_as(GeometryError, place):
-            return cls(read["base_radius"], read["platform_radius"], legs, limits)
+        read = read_mapping(data, argument, keys, {"limits", "as_built"}, other)
+        kind = read_kind(read["legs"], "legs")
+        legs = read_legs(read["as_built"], "as_built", (kind,)) if "as_built" in read else kind
+        limits = read_limits(read["limits"], "limits", StageLimits) if "limits" in read else None
+        return cls(read["base_radius"], read["platform_radius"], legs, limits)
 
     def as_data(self) -> dict[str, Any]:
         """Return what `to_yaml` writes."""

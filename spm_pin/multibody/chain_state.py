@@ -506,4 +506,4 @@ def at_index(error: SpmError, index: tuple[int, ...]) -> SpmError:
     if isinstance(error, ClosureError):
         return ClosureError(error.residual, error.iterations, f"At batch index {index}. {error.cause}")
     assert isinstance(error, ArgumentError)
-    return type(error)(error.argument, error.expected, f"{error.received} at batch index {index}", error.cause)
+    return error.replaced(received=f"{error.received} at batch index {index}")

@@ -31,7 +31,7 @@ def file_path(
         raise ArgumentError(argument, expected, repr(value), "Empty, or a byte of zero in it?")
     path = Path(text)
     if suffixes and path.suffix.lower() not in suffixes:
-        raise ArgumentError(argument, f"a file name ending in {', '.join(suffixes)}", repr(path.name))
+        raise ArgumentError(argument, f"a file name ending in {', '.join(suffixes)}", path)
     return path
 
 
@@ -119,13 +119,15 @@ def read_yaml(path: str | Path) -> Any:
         with file.open("rb") as opened:
             text = opened.read(_LARGEST_FILE + 1)
         if len(text) > _LARGEST_FILE:
-            raise ArgumentError(str(file), f"a YAML file of at most {_LARGEST_FILE} characters", "a longer one")
+            raise ArgumentError(
+                "", f"a YAML file of at most {_LARGEST_FILE} characters", "a longer one", file=str(file)
+            )
         return yaml.load(text.decode("utf-8"), _Loader)  # which constructs no objects
     except OSError as failed:
-        raise ArgumentError(str(file), "a readable YAML file", str(failed.strerror)) from failed
+        raise ArgumentError("", "a readable YAML file", str(failed.strerror), file=str(file)) from failed
     except UnicodeDecodeError as failed:
-        raise ArgumentError(str(file), "a YAML file, text in UTF-8", str(failed)) from failed
+        raise ArgumentError("", "a YAML file, text in UTF-8", str(failed), file=str(file)) from failed
     except ArgumentError:
         raise
     except Exception as failed:  # YAMLError; of malformed escapes, tags and nesting also other kinds
-        raise ArgumentError(str(file), "a YAML file", str(failed) or type(failed).__name__) from failed
+        raise ArgumentError("", "a YAML file", str(failed) or type(failed).__name__, file=str(file)) from failed

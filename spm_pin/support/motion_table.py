@@ -37,32 +37,33 @@ class MotionTable:
                 lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
         except (OSError, UnicodeDecodeError, csv.Error) as failed:
             reason = getattr(failed, "strerror", None) or str(failed)
-            raise ArgumentError(str(self.path), "a readable CSV file in UTF-8", reason) from failed
+            raise ArgumentError("", "a readable CSV file in UTF-8", reason, file=str(self.path)) from failed
         comments = [row for _, row in lines if row and row[0].startswith("#")]
         lines = [(number, row) for number, row in lines if any(row) and not row[0].startswith("#")]
         if len(lines) < 2:
             expected = "a heading that names the columns, then rows of numbers"
-            raise ArgumentError(str(self.path), expected, f"{len(lines)} lines")
+            raise ArgumentError("", expected, f"{len(lines)} lines", file=str(self.path))
         (number, self.names), *self._rows = lines
-        place = f"{self.path}:{number}"
+        heading = str(self.path), number
         self._taken: set[str] = set()
         if not np.isnan([_number(name) for name in self.names]).any():
             cause = "The first line looks like numbers: no heading?"
             if any(set(NAMES) & {cell.strip("# ") for cell in row} for row in comments):
                 cause = "The heading is a comment: take away its #, as numpy.savetxt does with comments=''"
-            raise ArgumentError(place, "a heading that names the columns", ", ".join(self.names[:3]) + ", …", cause)
+            received = ", ".join(self.names[:3]) + ", …"
+            raise ArgumentError("", "a heading that names the columns", received, cause, *heading)
         if len(self.names) == 1 and (separator := next((x for x in ";\t" if x in self.names[0]), "")):
             name = {";": "Semicolons", "\t": "Tabs"}[separator]
             cause = f"{name} instead of commas? Write numbers with points and separate them by commas"
-            raise ArgumentError(place, "a heading of names separated by commas", self.names[0][:60], cause)
+            raise ArgumentError("", "a heading of names separated by commas", self.names[0][:60], cause, *heading)
         twice = [name for name, count in Counter(self.names).items() if count > 1]
         if twice:
-            raise ArgumentError(place, "a heading with each column once", f"twice {', '.join(twice[:3])}")
+            raise ArgumentError("", "a heading with each column once", f"twice {', '.join(twice[:3])}", "", *heading)
         for number, cells in self._rows:
             if len(cells) != len(self.names):
                 expected = f"{len(self.names)} values, one per column of the heading"
                 cause = "Decimal commas?" if len(cells) == 2 * len(self.names) else ""
-                raise ArgumentError(f"{self.path}:{number}", expected, len(cells), cause)
+                raise ArgumentError("", expected, len(cells), cause, str(self.path), number)
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -86,7 +87,7 @@ class MotionTable:
         missing = [name for name in names if name not in self.names]
         if missing:
             expected = f"a heading with the columns {', '.join(names)}"
-            raise ArgumentError(f"{self.path}:1", expected, f"one without {', '.join(missing)}")
+            raise ArgumentError("", expected, f"one without {', '.join(missing)}", file=str(self.path), line=1)
         self._taken.update(names)
         places = [self.names.index(name) for name in names]
         numbers = np.array([[_number(cells[place]) for place in places] for _, cells in self._rows])
@@ -96,8 +97,8 @@ class MotionTable:
             line, cells = self._rows[row]
             cell = cells[places[column]]
             cause = "A decimal comma?" if "," in cell else ""
-            where = f"column {names[column]} in {self.path}:{line}"
-            raise ArgumentError(where, "a finite number", repr(cell) if cell else "nothing", cause)
+            received = repr(cell) if cell else "nothing"
+            raise ArgumentError(f"column {names[column]}", "a finite number", received, cause, str(self.path), line)
         return numbers
 
     def poses(self) -> RigidTransform | FloatArray | None:
@@ -111,7 +112,7 @@ class MotionTable:
         wrong = first_wrong_quaternion(quaternion)
         if wrong is not None:
             (row,), received, cause = wrong
-            raise ArgumentError(f"columns qx to qw in {self.path}:{self.lines[row]}", UNIT, received, cause)
+            raise ArgumentError("columns qx to qw", UNIT, received, cause, str(self.path), self.lines[row])
         return pose(position, quat=quaternion)
 
     def times(self) -> FloatArray | None:
@@ -122,8 +123,8 @@ class MotionTable:
         backward = np.diff(times) <= 0.0
         if backward.any():
             row = 1 + int(backward.argmax())
-            place = f"column {TIME} in {self.path}:{self.lines[row]}"
-            raise ArgumentError(place, "increasing times in seconds", f"{times[row]:g} after {times[row - 1]:g}")
+            received, line = f"{times[row]:g} after {times[row - 1]:g}", self.lines[row]
+            raise ArgumentError(f"column {TIME}", "increasing times in seconds", received, "", str(self.path), line)
         return np.asarray(times)
 
 

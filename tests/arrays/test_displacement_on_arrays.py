@@ -147,8 +147,8 @@ def test_a_state_beside_another_is_on_its_branch(name: str) -> None:
 
 def test_dimensions_and_parameters_are_machines_of_their_own() -> None:
     readings = random_readings(200)
-    for machine, machine in ((np.array(PAPER.dimensions), PAPER), (BUILT.parameters, BUILT)):
-        found, expected = arrays.forward_physical(machine, readings), arrays.forward_physical(machine, readings)
+    for numbers, machine in ((np.array(PAPER.dimensions), PAPER), (BUILT.parameters, BUILT)):
+        found, expected = arrays.forward_physical(numbers, readings), arrays.forward_physical(machine, readings)
         assert (found.exists == expected.exists).all()
         np.testing.assert_allclose(found.rotation[found.exists], expected.rotation[found.exists], rtol=0, atol=1e-10)
     machines = [PAPER.perturbed(k) for k in range(3)]

@@ -237,7 +237,9 @@ def test_the_robot_of_two_stages_is_one_on_the_other_turned_over(machine: str) -
 
 
 def test_what_takes_robots_alone_says_where_a_stage_s_own_is() -> None:
-    with pytest.raises(spm.ArgumentError, match=r"machine: expected a Manipulator, got Stage\. .*Geometry\.of_stages"):
+    with pytest.raises(
+        spm.ArgumentError, match=r"machine: expected a Manipulator, got Stage\. .*Manipulator\.of_stages"
+    ):
         spm.certify(BALANCER)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match=r"got StageConfiguration. .* spm_pin\.stages"):
         spm.singularities(spm.stages.inverse_physical(BALANCER, 0.12))  # type: ignore[arg-type]
@@ -400,7 +402,7 @@ def test_files_of_robots_and_of_stages_are_told_apart(tmp_path: Path) -> None:
     spm.Stage(0.08, 0.09, BALANCER.kind, limits=(-0.5, 1.0)).to_yaml(stage)
     with pytest.raises(spm.GeometryError, match=r"limits is a key of a stage's file, which spm_pin\.Stage"):
         spm.Manipulator.from_yaml(stage)
-    with pytest.raises(spm.GeometryError, match=r"middle_side is a key of a robot's file, which spm_pin\.Geometry"):
+    with pytest.raises(spm.GeometryError, match=r"middle_side is a key of a robot's file, which spm_pin\.Manipulator"):
         spm.Stage.from_yaml(robot)
 
 

@@ -165,7 +165,7 @@ def test_a_file_there_and_back_keeps_every_bit(tmp_path: Path, limits: spm.LegLi
             "axis: [0.5, 0.866]",
             "axis of r_b1 of legs in .* 3 numbers.* 2 members",
         ),
-        ("axis: [0.5, 0.8660254037844386, 0.0]", "axis: [0.5, 0.5, 0.0]", "axes in .*yaml"),
+        ("axis: [0.5, 0.8660254037844386, 0.0]", "axis: [0.5, 0.5, 0.0]", "axes of legs in .*yaml"),
         ("r_b1:", "r_b9:", "r_b9"),
     ],
 )

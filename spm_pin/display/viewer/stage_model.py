@@ -107,7 +107,7 @@ class StageModel:
         rotation, _ = Rotation.align_vectors(normal, shown.normal)
         pose = RigidTransform.from_components([*shown.shift, height], rotation * shown.pose.rotation)
         distance = float(np.linalg.norm(StageConfiguration(stage, pose).balls - shown.balls)) / math.sqrt(3.0)
-        why = wanted.missing_reason.rpartition(". ")[2] or "beyond the leg limits"
+        why = wanted.missing_reason or "beyond the leg limits"
         away = f"{fixed(1e3 * distance, 1)} mm away" if distance > 1e-4 else "less than 0.1 mm away"
         return self._show(shown, pose, distance, [f"Out of reach: {why}. Shown: the nearest reachable tilt, {away}."])
 
