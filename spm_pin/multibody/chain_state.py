@@ -20,6 +20,7 @@ import pinocchio as pin
 from scipy.linalg import LinAlgError, eigh
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
+from spm_pin.loops.loop_state import Energy
 from spm_pin.loops.point_dynamics import PointDynamics
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.manipulator import Manipulator
@@ -32,20 +33,6 @@ from spm_pin.multibody.constrained_model import (
     read_vectors,
 )
 from spm_pin.support.arguments import FloatArray, broadcastable, symmetric_matrices
-
-
-class Energy(NamedTuple):
-    """Energy of all moving bodies [J], floats or arrays (...)."""
-
-    kinetic: Any
-    """Kinetic energy [J]."""
-    potential: Any
-    """Potential energy of gravity [J], zero at the height of the universe's origin."""
-
-    @property
-    def total(self) -> Any:
-        """Kinetic and potential energy together."""
-        return self.kinetic + self.potential
 
 
 class PlatformDynamics(NamedTuple):

@@ -127,10 +127,8 @@ def run_simulation(
             tolerance=tolerance,
         )
     except ArgumentError as error:
-        named = {"tau": "forces", f"wrenches[{constrained.platform!r}]": "wrench"}
-        if error.argument not in named:
-            raise
-        raise type(error)(named[error.argument], error.expected, error.received, error.cause) from error
+        named = {"tau": "forces", "wrenches": "wrench"}.get(error.argument, error.argument)
+        raise error.replaced(argument=named, index="") from error
     own = constrained.readings(motion.q)
     readings, limits = own + constrained.machine.legs.offsets, constrained.machine.limits
     excess = np.zeros(readings.shape) if limits is None else limits.excess(readings)

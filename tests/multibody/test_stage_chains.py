@@ -282,6 +282,23 @@ def test_a_stage_mounted_on_another_robot_moves_as_plain_equations_say() -> None
     np.testing.assert_allclose(both.state(q, v).inverse_dynamics(found), forces, atol=1e-7)
 
 
+def test_the_same_chain_in_loops() -> None:
+    """It finds the freedoms by itself, and the same motions by other equations."""
+    chain, states, q = start("PRS inclined as built")
+    loops, rates = chain.loops, np.array([0.1, -0.2, 0.3])
+    mobility = loops.mobility(q[0])
+    assert (mobility.dof, mobility.rank, mobility.actuated_rank, mobility.rows) == (3, 6, 3, 6)
+    v, pull = chain.state(q[0]).joint_rates(rates), np.array([5.0, -3.0, 2.0])
+    ours, other = chain.state(q[0], v), loops.state(q[0], v)
+    np.testing.assert_allclose(other.actuator_jacobian("platform"), ours.platform_jacobian(), atol=1e-12)
+    a = ours.forward_dynamics(pull, WRENCH)
+    np.testing.assert_allclose(other.forward_dynamics(pull, {"platform": WRENCH}), a, atol=1e-9 * np.abs(a).max())
+    readings = states.readings[0] + 0.01 * np.sin(np.arange(3.0))
+    values = q[0][chain.leg_indices] + readings - states.readings[0]
+    followed = chain.forward_kinematics(readings, near=q[0])
+    np.testing.assert_allclose(loops.forward(values, near=q[0]), followed, atol=1e-12)
+
+
 def test_states_of_other_machines_are_refused() -> None:
     chain, states, q = start("RRS")
     wider = spm.Stage(0.081, 0.09, spm.RRS(crank=0.05, rod=0.11))
