@@ -57,6 +57,11 @@ class Machine(ABC):
 
     @property
     @abstractmethod
+    def dimensions(self) -> tuple[float, ...]:
+        """Radii of the drawn pivots of each stage, and the size of the triangle of balls [m]."""
+
+    @property
+    @abstractmethod
     def stage_radii(self) -> tuple[tuple[float, float], ...]:
         """Radii of the drawn triangles of each stage, of its pivots and of its balls [m]."""
 

@@ -158,6 +158,11 @@ class Stage(Machine):
         return self.base_radius + self.platform_radius + sum(own)
 
     @property
+    def dimensions(self) -> tuple[float, float]:
+        """Radii of base and platform [m]."""
+        return self.base_radius, self.platform_radius
+
+    @property
     def stage_radii(self) -> tuple[tuple[float, float], ...]:
         """Radii of the drawn triangles, of the pivots and of the balls [m]."""
         return ((self.base_radius, self.platform_radius),)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pinocchio as pin
 from scipy.spatial.transform import RigidTransform
 
+from spm_pin import stages
 from spm_pin.description.masses import Masses, check_inertials, with_masses
 from spm_pin.description.source_files import (
     URDF,
@@ -42,7 +43,6 @@ from spm_pin.multibody.constrained_model import AGREEMENT, ConstrainedModel, Tre
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, increasing_times, read_motion
-from spm_pin.stages import displacement as stages
 from spm_pin.support.arguments import FloatArray, IntArray, broadcastable, check_instance, first_offender
 from spm_pin.support.files import file_path
 from spm_pin.support.pose import PoseLike, as_rigid_transform
