@@ -154,6 +154,10 @@ def simulate(
     if state.q.ndim != 1 or state.v.ndim != 1:
         raise ArgumentError("q", "one configuration and one velocity", f"shapes {state.q.shape}, {state.v.shape}")
     act = _as_function(tau, "tau", len(chain.actuated))
+    for name, given in {"wrenches": wrenches, "events": events}.items():
+        if not (given is None or isinstance(given, Mapping)):
+            expected = "a mapping, of names of frames to wrenches or of events to functions of q"
+            raise ArgumentError(name, expected, type(given).__name__)
     loads = {} if wrenches is None else {k: _as_function(w, f"wrenches[{k!r}]", 6) for k, w in wrenches.items()}
     report = shown_progress(progress)
     placed = {frame_index(chain.model, name): load for name, load in loads.items()}

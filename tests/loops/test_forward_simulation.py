@@ -151,6 +151,7 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(ArgumentError) as raised:
         simulate(chain, q, v, lambda t, q, v: [np.nan, 0.0], [0.0, 1.0])
     assert raised.value.argument == "tau"
-    with pytest.raises(ArgumentError) as raised:
-        simulate(chain, q, v, None, [0.0, 1.0], period=-1.0)
-    assert raised.value.argument == "period"
+    for name, value in {"period": -1.0, "events": [lambda q: 1.0], "wrenches": [np.zeros(6)]}.items():
+        with pytest.raises(ArgumentError) as raised:
+            simulate(chain, q, v, None, [0.0, 1.0], **{name: value})
+        assert raised.value.argument == name
