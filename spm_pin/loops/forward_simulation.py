@@ -25,7 +25,7 @@ from scipy.optimize import brentq
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.point_dynamics import PointDynamics
-from spm_pin.loops.state_kinematics import frame_index, largest
+from spm_pin.loops.state_kinematics import frame_index, largest, read_vectors
 from spm_pin.support.arguments import FloatArray, Progress, real_array, real_number
 from spm_pin.support.progress import shown_progress
 
@@ -176,6 +176,7 @@ def simulate(
             run.record(begin, y, held)
             if run.detail:
                 end = SimulationEnd.EVENT
+            if run.detail or until == begin:
                 break
         y, end = run.advance(y, span, recorded[(recorded > span[0]) & (recorded <= span[1])], held, tell)
         if end is not SimulationEnd.COMPLETE:
@@ -189,7 +190,7 @@ def _as_function(force: Force, argument: str, size: int) -> Callable[[float, Flo
     """Return a function from a constant or a function; what a function returns is checked."""
 
     def read(value: npt.ArrayLike) -> FloatArray:
-        array = real_array(value, argument, (size,), "in N and N m")
+        array = read_vectors(value, argument, size, "in N and N m")
         if array.ndim != 1:
             raise ArgumentError(argument, f"shape ({size},) at each time", f"shape {array.shape}")
         return array
