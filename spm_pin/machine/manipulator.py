@@ -222,7 +222,7 @@ class Manipulator(Machine):
 
 def check_same_machine(machine: Machine, expected: Machine, argument: str, owner: str) -> None:
     """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
-    if machine.stage_radii == expected.stage_radii and machine.legs == expected.legs:
+    if machine.dimensions == expected.dimensions and machine.legs == expected.legs:
         return
     cause = "Computed for another machine?"
     if type(machine) is not type(expected):
@@ -232,7 +232,7 @@ def check_same_machine(machine: Machine, expected: Machine, argument: str, owner
             raise GeometryError(argument, f"the kinds of {owner}, {wanted!r}", repr(kind), cause)
     sizes = [name for name in _DIMENSIONS.values() if hasattr(expected, name)]
     names, units = (*sizes, *expected.parameter_names), ("m",) * len(sizes) + expected.parameter_units
-    own, others = ([*(getattr(x, size) for size in sizes), *x.parameters.tolist()] for x in (machine, expected))
+    own, others = ([*each.dimensions, *each.parameters.tolist()] for each in (machine, expected))
     for name, unit, received, number in zip(names, units, own, others, strict=True):
         if abs(received - number) > _SAME * (1.0 if unit == "rad" else expected.ball_side):
             raise GeometryError(
