@@ -168,6 +168,9 @@ def broadcast(array: FloatArray, shape: tuple[int, ...]) -> FloatArray:
 
 def with_batch_shape(arrays: Iterable[npt.NDArray[Any]], shape: tuple[int, ...]) -> tuple[Any, ...]:
     """Return arrays of N members with the axes of a batch of this shape in place of the first."""
+    if not shape:
+        # Takes half as long, in single calls, which are repeated thousands of times a second.
+        return tuple([array[0, ...] for array in arrays])
     return tuple([array.reshape((*shape, *array.shape[1:])) for array in arrays])
 
 

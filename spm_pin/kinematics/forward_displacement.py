@@ -8,8 +8,6 @@ Newton's method provably does not leave it. See `docs/theory/forward_displacemen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 
@@ -162,12 +160,10 @@ def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Config
         _check_near(machine, checked, near)
         shape = np.broadcast_shapes(checked.shape[:-1], near.shape)
         upper = (near.balls[..., 3:, :] - near.translation[..., None, :]) @ near.rotation
-        arrays = (near.middle_joints, 2), (upper, 2), (near.readings, 1), (checked, 1)
-        *balls, start, end = [flat_batch(x, shape, inner) for x, inner in arrays]
-        stages = zip(legs.stages, balls, _of_stages(start), _of_stages(end), strict=True)
-        return _joined(machine, shape, [followed_balls(*stage) for stage in stages])
-    own = zip(legs.stages, _of_stages(checked.reshape(-1, 6)), strict=True)
-    state = _joined(machine, checked.shape[:-1], [physical_balls(*stage) for stage in own])
+        balls = np.stack([near.middle_joints, upper], axis=-3)
+        flat = [flat_batch(x, shape, inner) for x, inner in ((balls, 3), (near.readings, 1), (checked, 1))]
+        return _joined(machine, shape, followed_balls(legs, *flat))
+    state = _joined(machine, checked.shape[:-1], physical_balls(legs, checked.reshape(-1, 6)))
     if not state.shape and not state.exists:
         reason = "with these readings no configuration is reached from the home without a forward singularity"
         state.missing_reason = f"{reason}. {unit_hint(machine, checked)}".rstrip(". ")
@@ -223,9 +219,9 @@ def _of_stages(readings: FloatArray) -> tuple[FloatArray, FloatArray]:
     return readings[:, :3], readings[:, 3:]
 
 
-def _joined(machine: Manipulator, shape: tuple[int, ...], balls: Sequence[FloatArray]) -> Configuration:
-    """Return the configurations (...) of the balls of both stages (N, 3, 3), in {B} and in {m}."""
+def _joined(machine: Manipulator, shape: tuple[int, ...], balls: FloatArray) -> Configuration:
+    """Return the configurations (...) of the balls of both stages (N, 2, 3, 3), in {B} and in {m}."""
     from spm_pin.kinematics.kernels.ball_circles import join_stages
 
-    states = run_kernel(join_stages, balls, (machine.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    states = run_kernel(join_stages, (balls,), (machine.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
     return Configuration.from_arrays(machine, *with_batch_shape(states, shape))

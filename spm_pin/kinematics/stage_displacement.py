@@ -221,14 +221,14 @@ def forward_physical(
     >>> spm.stages.forward_physical(balancer, [0.2, 0.4, 0.6])
     <StageConfiguration: tilt 7.75° towards -1.8°, height 0.1232 m, readings 0.2000, 0.4000, 0.6000 rad>
     """
-    read, half = read_stage_readings(stage, readings), _half(stage)
+    read = read_stage_readings(stage, readings)
     if near is None:
-        shape, balls = read.shape[:-1], physical_balls(half, read.reshape(-1, 3))
+        shape, balls = read.shape[:-1], physical_balls(stage.legs, read.reshape(-1, 3))
     else:
         _check_near(stage, near)
         shape = broadcastable("near", near.shape, "readings", read.shape[:-1])
-        start = [flat_batch(x, shape, inner) for x, inner in ((near.balls, 2), (near.readings, 1), (read, 1))]
-        balls = followed_balls(half, *start)
+        balls, *ends = [flat_batch(x, shape, inner) for x, inner in ((near.balls, 2), (near.readings, 1), (read, 1))]
+        balls = followed_balls(stage.legs, balls[:, None], *ends)
     state = _of_balls(stage, shape, balls, read)
     if not shape and not state.exists:
         origin = "the level platform" if near is None else "`near` in a straight line"

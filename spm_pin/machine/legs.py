@@ -330,6 +330,11 @@ class Legs:
         return tuple(stages)
 
     @functools.cached_property
+    def stage_ups(self) -> FloatArray:
+        """`PlacedLegs.up` of each stage, (2,) or (1,)."""
+        return frozen(np.array([stage.up for stage in self.stages]))
+
+    @functools.cached_property
     def ups(self) -> FloatArray:
         """`LegKind.up` for each leg, (6,) or (3,)."""
         return frozen(np.repeat([kind.up for kind in self.kinds], 3))

@@ -272,8 +272,8 @@ def symmetric_matrices(
 def shaped_array(value: npt.ArrayLike, argument: str, trailing: tuple[int, ...], meaning: str) -> FloatArray:
     """Read real numbers, not necessarily finite, as float64 of shape `(..., *trailing)`."""
     if isinstance(value, np.ma.MaskedArray):
-        raise ArgumentError(argument, _expected(trailing, meaning), "a masked array", "Fill or drop masked values")
-    array = as_array(_in_order(value, argument, trailing))
+        raise ArgumentError(argument, _expected(trailing, meaning), "a masked array", "Fill or drop what is masked")
+    array = value if type(value) is np.ndarray else as_array(_in_order(value, argument, trailing))
     if array is None:
         raise ArgumentError(argument, _expected(trailing, meaning), type_and_value(value), "Do rows differ in length?")
     if array.dtype.kind not in "fiu" and not (array.size == 0 and array.dtype.kind != "O"):
@@ -307,7 +307,8 @@ def finite_array(
 ) -> FloatArray:
     """Return `array`, whose shape has been checked; raise an error if a number is not finite."""
     wrong = np.isinf(array) if allow_nan else ~np.isfinite(array)
-    if wrong.any():
+    # Takes a quarter of the time of `any()`, in single calls.
+    if np.count_nonzero(wrong):
         index = first_offender(wrong)
         where = f" at index {index}" if index else ""
         cause = "A missing sample, the result of a missing solution, or a division by zero before this call?"
