@@ -69,7 +69,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     reaches = (reach >= 0.0 for reach in machine.of_places(library, "reach", places))
     real = run(stage_poses.discriminant, equation) >= 0.0
     exists = functools.reduce(operator.and_, reaches, real & is_normal & is_height)
-    own = zip(machine.of_places(library, "reading", places), machine.offsets, strict=True)
+    own = zip(machine.readings(library, places), machine.offsets, strict=True)
     readings = [x + offset for x, offset in own]
     zero = library.zeros(readings[0])
     return StageState._make([*(library.stacked(x, zero) for x in (rotation, position, readings)), exists])

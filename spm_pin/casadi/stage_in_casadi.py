@@ -38,7 +38,7 @@ def stage_inverse(stage: Stage) -> ca.Function:
     balls = in_casadi(stage_poses.platform_balls)(rotation, position, constants.balls)
     exists = [is_normal, in_casadi(stage_poses.discriminant)(equation) >= 0.0]
     exists += [machine.of_ball("reach", leg, ball) >= 0.0 for leg, ball in enumerate(columns(balls))]
-    readings = ca.vertcat(*(machine.of_ball("reading", leg, ball) for leg, ball in enumerate(columns(balls))))
+    readings = ca.vertcat(*(machine.reading(leg, ball) for leg, ball in enumerate(columns(balls))))
     matrix = ca.vertcat(*(ca.horzcat(*row) for row in rotation))
     outputs = {"readings": readings + machine.offsets[:3], "rotation": matrix, "position": ca.vertcat(*position)}
     outputs["exists"] = all_of(exists)

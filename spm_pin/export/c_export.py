@@ -171,8 +171,8 @@ def c_sources(machine: Manipulator, *, prefix: str = "spm_", masses: Masses | No
     values = {
         **marks(machine, prefix),
         "HEADER": "@PREFIX@kinematics.h",
-        "NUMBERS": "(double *)machine",
-        "IS_MACHINE": "@PREFIX@forward(machine, machine->offsets, NULL, &state) != @PREFIX_UPPER@BAD_GEOMETRY",
+        "NUMBERS": "(double *)geometry",
+        "IS_MACHINE": "@PREFIX@forward(geometry, geometry->offsets, NULL, &state) != @PREFIX_UPPER@BAD_GEOMETRY",
         "SINGULAR": repr(SINGULAR),
         "LEAST": _row(machine.legs.least_readings),
         "TURNS": _row([float(unit == "rad") for unit in machine.legs.units]),
@@ -407,12 +407,12 @@ def _c_text(function: ca.Function) -> str:
 def _snippets(function: StateFunction) -> dict[str, str]:
     """Return what a function of the table puts in place of the marks in texts about it."""
     constants = [f"const double {name}[{len(x)}]" for name, x in function.arguments.items()]
-    head = ["const @PREFIX@machine *machine", "const @PREFIX@state *state", *constants]
+    head = ["const @PREFIX@geometry *geometry", "const @PREFIX@state *state", *constants]
     checks = "".join(
         f"    status = status != @PREFIX_UPPER@OK ? status : check_numbers({name}, {len(x)}, DBL_MAX);\n"
         for name, x in function.arguments.items()
     )
-    singular = f"is_singular(machine, state, {int(function.singular == 'forward')})" if function.singular else "0"
+    singular = f"is_singular(geometry, state, {int(function.singular == 'forward')})" if function.singular else "0"
     return {
         "NAME": function.name,
         "COMMENT": function.meaning[0].upper() + function.meaning[1:],

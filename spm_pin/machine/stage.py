@@ -134,7 +134,7 @@ class Stage(Machine):
                 value = StageLimits(value[0], value[1])
             except GeometryError as error:
                 raise GeometryError("limits", error.expected, error.received, error.cause) from error
-        self.check_limits(value)
+        self._checked_limits(value, are_own=True)
         return value
 
     def __repr__(self) -> str:
