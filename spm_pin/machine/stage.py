@@ -118,12 +118,14 @@ class Stage(Machine):
         else:
             return
         if (short := reach <= needed).any():
-            leg = int(short.argmax())
+            leg, cause = int(short.argmax()), "In another unit?"
+            if reach[leg] > 0.5 * needed[leg]:
+                cause = "In another unit, or diameters for radii?"
             what = "crank and rod" if isinstance(kind, RRS) else "a rod"
             expected = (
                 f"{what} longer than {needed[leg]:.4g} m, the radial distance from pivot to ball of the level platform"
             )
-            raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", "In another unit?")
+            raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", cause)
 
     def _read_limits(self, value: StageLimits | Sequence[Any]) -> StageLimits:
         if not isinstance(value, StageLimits):

@@ -329,6 +329,7 @@ def test_why_there_is_no_solution_is_said() -> None:
             lambda: Stage(0.08, 0.3, spm.RRS(crank=0.05, rod=0.11)),
             "longer than 0.22 m",
         ),
+        "a diameter": (lambda: Stage(0.08, 0.36, spm.RRS(crank=0.05, rod=0.11)), "diameters for radii"),
         "a rod beside its slide": (lambda: Stage(0.35, 0.2, spm.PRS(rod=0.14)), "a rod longer than 0.15 m"),
         "degrees": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), (-30, 90)), "In degrees"),
         "a few degrees": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), (-10, 10)), "In degrees"),
