@@ -368,7 +368,7 @@ def rods_of(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> Ro
     """Return what the legs are at balls b_i in {B} and a pose."""
     run, c = library.run, machine.upper_balls(library, b)
     places = machine.places(library, [*b, *run(ball_motions.points_from_platform, c, *pose)])
-    readings, reach = (machine.of_places(library, name, places) for name in ("reading", "reach"))
+    readings, reach = machine.readings(library, places), machine.of_places(library, "reach", places)
     slopes, centres = machine.of_places(library, "slope", places, readings), machine.circles(library, readings)
     lower, upper = (tuple(centre for centre, _ in half) for half in (centres[:3], centres[3:]))
     upper = run(vectors.shifted, run(vectors.turned, pose[0], upper), pose[1])

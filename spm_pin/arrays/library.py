@@ -168,6 +168,7 @@ class MachineOnArrays(NamedTuple):
     numbers: tuple[tuple[Any, ...], ...]  # that are fixed in each leg
     joint_names: tuple[str, ...]  # of the URDF
     limits: tuple[tuple[float, ...], tuple[float, ...]]
+    middles: tuple[Any, ...]  # see `planar_legs.crank_middle`
     is_drawn: bool
     valid: Any  # where its numbers are those of a machine, see `Manipulator`
 
@@ -188,6 +189,10 @@ class MachineOnArrays(NamedTuple):
         """Return the values of a formula of the legs' kinds, such as "reading", at `places`, leg by leg."""
         legs = zip(self.kinds, places, self.numbers, *further, strict=True)
         return [library.run(getattr(kind.formulas, name), *xz, *more, numbers) for kind, xz, numbers, *more in legs]
+
+    def readings(self, library: Library, places: Sequence[Any]) -> list[Any]:
+        """Return the readings of balls at `places`, without offsets, leg by leg."""
+        return self.of_places(library, "reading", places, self.middles)
 
     def circles(self, library: Library, readings: Sequence[Any]) -> list[tuple[Any, Any]]:
         """Return centres, in {B} or {m}, and radii of the balls' circles at readings without offsets."""
@@ -295,7 +300,9 @@ def _completed(
     lower, upper = (library.run(circles.squared_sides, b) for b in halves)
     weights = library.run(leg_planes.upper_ball_weights, *halves)
     ends = limits.minimum, limits.maximum
-    return MachineOnArrays(radii, r, stages, halves, (lower, upper), weights, offsets, *of_legs, ends, *further)
+    middles = tuple(library.run(planar_legs.crank_middle, *leg) for leg in zip(*ends, offsets, strict=True))
+    placed = radii, r, stages, halves, (lower, upper), weights, offsets
+    return MachineOnArrays(*placed, *of_legs, ends, middles, *further)
 
 
 @functools.lru_cache(maxsize=32)
@@ -310,7 +317,7 @@ def stage_machine(stage: Stage) -> MachineOnArrays:
     """Return a stage as the lower half of a robot of two, with three legs."""
     both = _machine_of(Manipulator.of_stages(stage, stage))
     halves = {name: getattr(both, name)[:1] for name in ("radii", "legs", "balls", "squares")}
-    legs = {name: getattr(both, name)[:3] for name in ("offsets", "planes", "kinds", "numbers")}
+    legs = {name: getattr(both, name)[:3] for name in ("offsets", "planes", "kinds", "numbers", "middles")}
     return both._replace(**halves, **legs)
 
 

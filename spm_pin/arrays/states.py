@@ -118,9 +118,10 @@ def joint_values(machine: Manipulator | Array, state: State | Configuration) -> 
     for k, radius, stage, balls, axes, up in stages:
         kind, names = arrays.kinds[k], ("b1", "b2", "b3", "c1", "c2", "c3")[k : k + 3]
         formulas, numbers = kind.bound(lambda x: functools.partial(run, x)), arrays.numbers[k : k + 3]
-        ends = max(arrays.limits[0][k : k + 3]), min(arrays.limits[1][k : k + 3])
+        ends, middles = (max(arrays.limits[0][k : k + 3]), min(arrays.limits[1][k : k + 3])), arrays.middles[k : k + 3]
         pair, triangles = (drawn_numbers(numbers, len(kind.identified)), numbers), (radius, arrays.r)
-        frames = library.together(run(values.stage_frames, stage, own, triangles, ends, pair, up, formulas), legs.zero)
+        constants = stage, own, triangles, ends, middles, pair, up, formulas
+        frames = library.together(run(values.stage_frames, *constants), legs.zero)
         of_legs = run(values.leg_values, library.together(balls, legs.zero), frames, formulas)
         first = mapped(lambda x: x[0, ...], (of_legs, frames))
         for x, (sine, cosine) in zip("xyz", run(values.ball_angles, *first, axes, up), strict=True):

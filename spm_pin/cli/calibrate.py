@@ -112,7 +112,7 @@ def calibrate(
         content |= {name: getattr(calibration, name).as_matrix() for name in ("base", "target")}
         outputs.write_json(content | {"parameters": values, "standard_deviations": deviations})
     else:
-        _report(calibration, measurements)
+        _report(calibration, measurements, has_tolerances=bool(tolerance))
     if not fits:
         which = "the nominal" if calibration.status == "another nominal" else "one"
         message = f"the measurements do not fit {which} machine: {calibration.reason}"
@@ -154,7 +154,7 @@ def _with_lines(message: str, rows: Sequence[int], path: Path) -> str:
     return f"{message} (row{many} {', '.join(map(str, rows))}: line{many} {numbers} of {path.name})"
 
 
-def _report(calibration: Calibration[Any], measurements: Path) -> None:
+def _report(calibration: Calibration[Any], measurements: Path, *, has_tolerances: bool) -> None:
     known, total = len(calibration.deviations), len(calibration.deviations) + len(calibration.unidentifiable)
     lines = [f"{known} of {total} combinations of parameters identified from {len(calibration.misfit)} measurements"]
     for name, unit, before, after in _sizes(calibration):
@@ -182,9 +182,10 @@ def _report(calibration: Calibration[Any], measurements: Path) -> None:
     outputs.print_lines(lines)
     fitted = calibration.fitted
     changes = fitted.parameters - fitted.nominal.parameters
-    # Numbers below twice their standard deviation are in brackets.
+    # Numbers below twice their standard deviation are in brackets; it is larger if the given noise is too small.
+    spread = 2.0 * np.sqrt(np.fmax(calibration.chi_square, 1.0))
     texts = {
-        name: f"({text})" if abs(change) < 2.0 * deviation else text
+        name: f"({text})" if abs(change) < spread * deviation else text
         for name, change, deviation in zip(
             fitted.parameter_names, changes, calibration.standard_deviations, strict=False
         )
@@ -194,9 +195,10 @@ def _report(calibration: Calibration[Any], measurements: Path) -> None:
     columns: dict[str, Any] = {"leg": str}
     columns |= {part: lambda leg, part=part: texts.get(f"{leg}.{part}", "") for part in components}
     outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, fitted.legs.names)
-    outputs.print_lines(
-        ["(…) is below twice its standard deviation: not known by itself, but in combinations with others."]
-    )
+    lines = ["(…) is below twice its standard deviation: not known by itself, but in combinations with others."]
+    if not has_tolerances:
+        lines.append("--tolerance SIGMA, how well the parts are made, keeps these near the nominal machine.")
+    outputs.print_lines(lines)
 
 
 def _deviation(help_text: str) -> Any:

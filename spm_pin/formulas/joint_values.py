@@ -40,6 +40,7 @@ class LegFrame(NamedTuple):
     rod: InPlane  # direction from the circle's centre to the ball at home
     passive: InPlane  # the same in the frame of the body with the passive joint
     home_reading: float
+    middle: float  # see `planar_legs.crank_middle`
     numbers: Numbers  # constants of the leg, see `planar_legs`
 
 
@@ -83,6 +84,7 @@ def leg_frame(
     own_axes: Rows,
     signs: tuple[float, float],
     at_home: LegHome,
+    middle: float,
     numbers: tuple[Numbers, Numbers],
     kind: Any,
 ) -> LegFrame:
@@ -97,7 +99,8 @@ def leg_frame(
     circle = kind.circle(at_home.reading, drawn_numbers)
     rod = (at_home.x - circle.x) / circle.radius, (at_home.z - circle.z) / circle.radius
     passive = kind.passive(*rod, at_home.reading)
-    return LegFrame(rows, times(rows, pivot), corner, -tangent_sign, up, rod, passive, at_home.reading, own_numbers)
+    pivot, reading = times(rows, pivot), at_home.reading
+    return LegFrame(rows, pivot, corner, -tangent_sign, up, rod, passive, reading, middle, own_numbers)
 
 
 def stage_frames(
@@ -105,38 +108,43 @@ def stage_frames(
     own_axes: Rows,
     triangles: tuple[float, float],
     limits: tuple[float, float],
+    middles: Vector,
     numbers: tuple[tuple[Numbers, Numbers, Numbers], tuple[Numbers, Numbers, Numbers]],
     up: float,
     kind: Any,
 ) -> tuple[LegFrame, LegFrame, LegFrame]:
     """Return the constants of a stage's legs.
 
-    `triangles` are the radii of the platform of the legs and of the balls, and `limits` those common to the legs;
-    `numbers` are those of the nominal machine, in the legs' own working modes, and the legs' own.
+    `triangles` are the radii of the platform of the legs and of the balls, and `limits` those that the legs share;
+    `middles` are those of `planar_legs.crank_middle`, and `numbers` those of the drawing, in the legs' own working
+    modes, and the legs' own.
     """
     radius, r = triangles
     home = leg_home(r - radius, r + radius, limits, kind.largest_slope(numbers[0][0]), numbers[0][0], kind)
     return (
-        _frame_at(home, 0, legs, own_axes, numbers, up, kind),
-        _frame_at(home, 1, legs, own_axes, numbers, up, kind),
-        _frame_at(home, 2, legs, own_axes, numbers, up, kind),
+        _frame_at(home, 0, legs, own_axes, middles, numbers, up, kind),
+        _frame_at(home, 1, legs, own_axes, middles, numbers, up, kind),
+        _frame_at(home, 2, legs, own_axes, middles, numbers, up, kind),
     )
 
 
-def _frame_at(home: LegHome, leg: int, legs: StageLegs, own_axes: Rows, numbers: Any, up: float, kind: Any) -> LegFrame:
-    """Return the constants of a leg; in the other working mode the ball is at the same point with another reading."""
+def _frame_at(
+    home: LegHome, leg: int, legs: StageLegs, own_axes: Rows, middles: Vector, numbers: Any, up: float, kind: Any
+) -> LegFrame:
+    """Return the constants of a leg; in the other working mode the ball is in the same place at another reading."""
     drawn, own = numbers[0][leg], numbers[1][leg]
     has_mode = kind.largest_slope(drawn) * kind.largest_slope(numbers[0][0]) > 0.0
-    at_home = LegHome(where(has_mode, home.reading, kind.reading(home.x, home.z, drawn)), home.x, home.z)
+    middle, placement = middles[leg], (legs.axes[leg], legs.pivots[leg])
+    at_home = LegHome(where(has_mode, home.reading, kind.reading(home.x, home.z, middle, drawn)), home.x, home.z)
     signs = TANGENT_SIGNS[leg], up
-    return leg_frame((legs.axes[leg], legs.pivots[leg]), AXES[leg], own_axes, signs, at_home, (drawn, own), kind)
+    return leg_frame(placement, AXES[leg], own_axes, signs, at_home, middle, (drawn, own), kind)
 
 
 def leg_values(ball: Vector, leg: LegFrame, kind: Any) -> LegValues:
     """Return the values of a leg's passive and actuated joint from its ball, in {B} or {m}."""
     along, across, level = minus(times(leg.axes, ball), leg.pivot)
     x, z = leg.outward * across, leg.up * level
-    reading = kind.reading(x, z, leg.numbers)
+    reading = kind.reading(x, z, leg.middle, leg.numbers)
     circle = kind.circle(reading, leg.numbers)
     rod = x - circle.x, z - circle.z
     sense = leg.outward * leg.up

@@ -9,8 +9,9 @@ singular: `docs/theory/planar_legs.md`.
 
 Each kind has the same formulas. `numbers` are the constants of a leg: RPS has none; PRS the rod's length, the direction
 of the slide, an angle from x towards z, and the working mode; RRS the lengths of crank and rod, and the working mode.
-The working mode is the sign, +1 or -1, of the square root in the reading. `reach` is the number under that root:
-negative for a ball out of the leg's reach, as is the `room`, which is a distance.
+Of the angles of a crank that differ by turns the reading is the one nearest to `middle`, see `crank_middle`, which the
+other kinds ignore. The working mode is the sign, +1 or -1, of the square root in the reading. `reach` is the number
+under that root: negative for a ball out of the leg's reach, as is the `room`, which is a distance.
 
 Two formulas serve the values of the joints, `spm_pin.formulas.joint_values`. `home` is the reading at home of a leg
 without limits, from the ball's x, the stage's height and the least reading; `passive` turns a direction (x, z) into the
@@ -22,7 +23,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from spm_pin.formulas.leg_constants import UP
-from spm_pin.formulas.operations import RIGHT_ANGLE, arctan2, cos, sin, sqrt, where
+from spm_pin.formulas.operations import INFINITY, RIGHT_ANGLE, arctan2, both, cos, sin, sqrt, where
 from spm_pin.formulas.vectors import Vector, combined, cross, direction, dot, larger, magnitude, minus, scaled
 
 Numbers = tuple[float, ...]
@@ -112,7 +113,7 @@ def rps_reach(x: float, z: float, numbers: Numbers) -> float:
     return 1.0
 
 
-def rps_reading(x: float, z: float, numbers: Numbers) -> float:
+def rps_reading(x: float, z: float, middle: float, numbers: Numbers) -> float:
     """Return the length of an RPS leg."""
     return sqrt(x * x + z * z)
 
@@ -161,8 +162,8 @@ def prs_reach(x: float, z: float, numbers: Numbers) -> float:
     return (rod - across) * (rod + across)
 
 
-def prs_reading(x: float, z: float, numbers: Numbers) -> float:
-    """Return the position of a PRS leg's carriage along its slide, NaN if the rod is too short."""
+def prs_reading(x: float, z: float, middle: float, numbers: Numbers) -> float:
+    """Return the place of a PRS leg's carriage along its slide, NaN where the rod is too short."""
     _, direction, sign = numbers
     return cos(direction) * x + sin(direction) * z + sign * sqrt(prs_reach(x, z, numbers))
 
@@ -217,7 +218,7 @@ def prs_state(x: float, z: float, numbers: Numbers) -> LegState:
     """Return the state of a PRS leg."""
     room = prs_room(x, z, numbers)
     x, z = _within(x, z, room, numbers[0])
-    reading, slide = prs_reading(x, z, numbers), (cos(numbers[1]), sin(numbers[1]))
+    reading, slide = prs_reading(x, z, 0.0, numbers), (cos(numbers[1]), sin(numbers[1]))
     gain = _gain(prs_slope(x, z, reading, numbers), 1.0)
     return _on_circle(room, reading, x, z, prs_circle(reading, numbers), gain, slide)
 
@@ -238,13 +239,27 @@ def rrs_crank(x: float, z: float, numbers: Numbers) -> tuple[float, float]:
     return x * along - z * beside, z * along + x * beside
 
 
-def rrs_reading(x: float, z: float, numbers: Numbers) -> float:
-    """Return the angle of an RRS leg's crank from x towards z, from -π/2 to 3π/2; NaN out of its reach."""
-    return _crank_angle(*rrs_crank(x, z, numbers))
+def rrs_reading(x: float, z: float, middle: float, numbers: Numbers) -> float:
+    """Return the angle of an RRS leg's crank from x towards z, nearest to `middle`; NaN out of its reach."""
+    return _crank_angle(*rrs_crank(x, z, numbers), middle)
 
 
-def _crank_angle(cosine: float, sine: float) -> float:
-    return RIGHT_ANGLE + arctan2(-cosine, sine)
+def crank_middle(low: float, high: float, offset: float) -> float:
+    """Return the angle to which a crank's readings without offset are nearest: the middle of its limits, or π/2."""
+    is_limited = both(low > -INFINITY, high < INFINITY)
+    middle = 0.5 * (where(is_limited, low, 0.0) + where(is_limited, high, 0.0)) - offset
+    return where(is_limited, middle, RIGHT_ANGLE)
+
+
+def from_middle(cosine: float, sine: float, middle: float) -> tuple[float, float]:
+    """Return multiples of cosine and sine of an angle less `middle`, from those of the angle."""
+    c, s = cos(middle), sin(middle)
+    return c * cosine + s * sine, c * sine - s * cosine
+
+
+def _crank_angle(cosine: float, sine: float, middle: float) -> float:
+    along, across = from_middle(cosine, sine, middle)
+    return middle + arctan2(across, along)
 
 
 def rrs_circle(reading: float, numbers: Numbers) -> Circle:
@@ -275,7 +290,7 @@ def rrs_home(x: float, height: float, least: float, numbers: Numbers) -> float:
     """Return the angle of an RRS leg's crank with the ball in the middle of the leg's reach."""
     crank, rod, _ = numbers
     reach = 0.5 * (larger(magnitude(x), magnitude(crank - rod)) + crank + rod)
-    return rrs_reading(x, sqrt((reach - x) * (reach + x)), numbers)
+    return rrs_reading(x, sqrt((reach - x) * (reach + x)), RIGHT_ANGLE, numbers)
 
 
 def rrs_passive(x: float, z: float, reading: float) -> tuple[float, float]:
@@ -290,7 +305,7 @@ def rrs_largest_slope(numbers: Numbers) -> float:
     return -sign * crank
 
 
-def rrs_state(x: float, z: float, numbers: Numbers) -> LegState:
+def rrs_state(x: float, z: float, middle: float, numbers: Numbers) -> LegState:
     """Return the state of an RRS leg."""
     room = rrs_room(x, z, numbers)
     x, z = _within(x, z, room, numbers[0] + numbers[1])
@@ -298,7 +313,7 @@ def rrs_state(x: float, z: float, numbers: Numbers) -> LegState:
     scale = numbers[0] / (x * x + z * z)
     circle = Circle(scale * cosine, scale * sine, numbers[1])
     gain = _gain(_lever_arm(x, z, circle), numbers[0])
-    return _on_circle(room, _crank_angle(cosine, sine), x, z, circle, gain, (-circle.z, circle.x))
+    return _on_circle(room, _crank_angle(cosine, sine, middle), x, z, circle, gain, (-circle.z, circle.x))
 
 
 def leg_rates(leg: LegState, x: float, z: float) -> LegRates:

@@ -174,8 +174,9 @@ def starting_configuration(machine: Manipulator) -> Configuration:
     """Return a regular configuration of the manipulator: the paper's solution 3, in proportion to the home lengths."""
     _, places = homes(machine)
     for share in (1.0, 0.5, 0.2, 0.05):
-        # The balls are moved along the lines from their pivots, as far as the legs reach.
-        readings = machine.legs.readings(places * (1.0 + share * (_START - 1.0))[:, None])
+        # With the balls moved along the lines from their pivots, as far as the legs reach.
+        moved = places * (1.0 + share * (_START - 1.0))[:, None]
+        readings = machine.legs.readings(moved, machine.crank_middles)
         if np.isfinite(readings).all() and (state := forward_physical(machine, readings)).exists:
             return state
     raise ArgumentError("machine", "a manipulator that stands near its home", machine, "Give a pose instead")

@@ -46,6 +46,6 @@ def _around_home(machine: Machine, factor: float) -> tuple[FloatArray, FloatArra
     For a ball out of a leg's reach it is the reading in the home.
     """
     home, places = homes(machine)
-    ends = [machine.legs.readings(places * share) for share in (1.0 / factor, factor)]
+    ends = [machine.legs.readings(places * share, machine.crank_middles) for share in (1.0 / factor, factor)]
     near, far = (np.where(np.isnan(end), home + machine.legs.offsets, end) for end in ends)
     return np.minimum(near, far), np.maximum(near, far)

@@ -241,7 +241,14 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     from spm_pin.kinematics.kernels.one_stage import poses_of_stages
 
     legs, kind = stage.legs, stage.kind
-    constants = np.stack(legs.arrays[:3]), np.stack(legs.planes), kind.number, kind.numbers, kind.up
+    constants = (
+        np.stack(legs.arrays[:3]),
+        np.stack(legs.planes),
+        kind.number,
+        kind.numbers,
+        stage.crank_middles,
+        kind.up,
+    )
     triple = ((modes, 3), np.float64)
     cosines: Any = triple if kind.number == RRS_LEGS else np.empty((0, modes, 3))
     results = ((modes, 3, 3), np.float64), triple, triple, cosines, ((modes,), np.uint8)
@@ -249,8 +256,8 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     rotation, translation, readings, cosines, physical = solved
     if kind.number == RRS_LEGS:
         # As `rrs_reading` does, on arrays: NumPy takes several arc tangents at a time.
-        np.arctan2(np.negative(cosines, out=cosines), readings, out=readings)
-        readings += 0.5 * math.pi
+        np.arctan2(readings, cosines, out=readings)
+        readings += stage.crank_middles
     if legs.offsets.any():
         readings += legs.offsets
     if (is_over := normals[:, 2] <= LEAST_RISE - 1.0).any():

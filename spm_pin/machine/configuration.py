@@ -220,7 +220,9 @@ class Configuration(Batched):
         For RPS legs they are `leg_lengths` plus the offsets of the machine.
         """
         legs = self.machine.legs
-        return frozen(self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places))
+        return frozen(
+            self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places, self.machine.crank_middles)
+        )
 
     @cached_property
     def middle_pose(self) -> RigidTransform:

@@ -115,8 +115,8 @@ def homes(machine: Machine) -> tuple[FloatArray, FloatArray]:
                 z = _HEIGHT(x, middle, signs[0], numbers, kind.on_arrays)
                 at_home = at_home if np.isnan(z) else formulas.LegHome(middle, x, z)
         places[legs] = x, at_home.z
-        # Legs in the other working mode have another reading at the same position.
-        own = kind.readings(places[legs])
+        # Legs of the other working mode have another reading in the same place.
+        own = kind.readings(places[legs], machine.crank_middles[legs])
         readings[legs] = np.where(signs == signs[0], at_home.reading, own)
         stands = at_home.z > 0.0 or is_alone or kind.up < 0.0
         if not (stands and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
@@ -162,6 +162,7 @@ def _constants(machine: Machine) -> _Constants:
     axes, pivots, balls = map(_tuples, machine.legs.arrays[:3])
     own_axes, legs, kinds = _ON_NUMBERS.triangle_axes(balls[:3]), [], []
     readings, places = homes(machine)
+    middles = machine.crank_middles.tolist()
     for leg in range(len(readings)):
         kind, signs = machine.legs.kinds[leg // 3], (TANGENT_SIGNS[leg % 3], (1.0, -1.0)[leg // 3])
         kinds.append(type(kind))
@@ -169,7 +170,7 @@ def _constants(machine: Machine) -> _Constants:
         at_home = formulas.LegHome(readings[leg].item(), *places[leg].tolist())
         placement, run = (axes[leg], pivots[leg]), _ON_NUMBERS
         drawn_axis, of_kind = AXES[leg % 3], run.kinds[type(kind)]
-        legs.append(run.leg_frame(placement, drawn_axis, own_axes, signs, at_home, numbers, of_kind))
+        legs.append(run.leg_frame(placement, drawn_axis, own_axes, signs, at_home, middles[leg], numbers, of_kind))
     weights = _tuples(machine.legs.upper_ball_weights) if len(machine.stage_radii) == 2 else None
     return _Constants(tuple(legs), tuple(machine.legs.sides.tolist()), weights, tuple(kinds))
 

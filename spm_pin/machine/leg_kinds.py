@@ -139,10 +139,13 @@ class LegKind:
         """The legs in the order 3, 2, 1."""
         return replace(self, **{name: x[::-1] for name, x in vars(self).items() if isinstance(x, tuple)})
 
-    def readings(self, places: FloatArray) -> FloatArray:
-        """Return the readings (..., 3), without offsets, of balls at x and z (..., 3, 2); NaN out of a leg's reach."""
+    def readings(self, places: FloatArray, middles: FloatArray) -> FloatArray:
+        """Return the readings (..., 3) of balls at x and z (..., 3, 2), offsets aside; NaN out of a leg's reach.
+
+        Angles are those nearest to `middles` (3,), see `planar_legs.crank_middle`.
+        """
         with np.errstate(invalid="ignore"):
-            return np.asarray(self.on_arrays.reading(places[..., 0], places[..., 1], tuple(self.numbers.T)))
+            return np.asarray(self.on_arrays.reading(places[..., 0], places[..., 1], middles, tuple(self.numbers.T)))
 
     def circles(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the centres (..., 3, 2), x and z, and the radii (..., 3) of the balls' circles."""
@@ -237,8 +240,9 @@ class PRS(LegKind):
 class RRS(LegKind):
     """A servo's crank and a rod: an actuated revolute joint, a second one and a ball.
 
-    A reading is the angle of the crank in the leg's plane [rad], -π/2 to 3π/2: 0 radially outwards, π/2 towards the
-    middle platform. Limits are within this turn, since readings jump by a turn at its ends.
+    A reading is the angle of the crank in the leg's plane [rad]: 0 radially outwards, π/2 towards the middle platform.
+    Of the angles that differ by turns it is the one nearest to the middle of the machine's limits of this leg, which
+    may be anywhere and up to a turn apart; without two limits the one from -π/2 to 3π/2, offset aside.
 
     Parameters
     ----------

@@ -451,9 +451,12 @@ class Legs:
         _, pivots, balls, offsets = map(np.abs, map(np.subtract, self.arrays, drawn.arrays))
         return angles, pivots.max(axis=-1), balls.max(axis=-1), offsets
 
-    def readings(self, places: FloatArray) -> FloatArray:
-        """Return the encoders' readings (..., 6) for balls at x and z (..., 6, 2) [m]; NaN out of a leg's reach."""
-        return self._of_stages("readings", places) + self.offsets
+    def readings(self, places: FloatArray, middles: FloatArray) -> FloatArray:
+        """Return what the encoders show (..., 6) of balls at x and z (..., 6, 2) [m]; NaN out of a leg's reach.
+
+        `middles` (6,) are the `Machine.crank_middles`.
+        """
+        return self._of_stages("readings", places, middles) + self.offsets
 
     def slopes(self, places: FloatArray, readings: FloatArray) -> FloatArray:
         """Return κ (..., 6), the speed of each ball away from its circle's centre per unit rate of the reading."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,11 +16,11 @@ import numpy.typing as npt
 import yaml
 
 from spm_pin.errors import ArgumentError, GeometryError, raised_as
-from spm_pin.formulas.operations import RIGHT_ANGLE
-from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.formulas.operations import on_arrays
+from spm_pin.formulas.planar_legs import MOST_TURNED, crank_middle
 from spm_pin.machine.leg_kinds import RPS, LegKind
 from spm_pin.machine.legs import LegLimits, Legs, drawn_legs
-from spm_pin.support.arguments import FloatArray, type_and_value
+from spm_pin.support.arguments import FloatArray, frozen, type_and_value
 from spm_pin.support.files import file_path, read_yaml, write_files
 
 M = TypeVar("M")
@@ -29,11 +30,10 @@ PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 _PROPORTION = 10.0
 """Lengths this many times the machine's size are assumed to be in a wrong unit."""
 _LARGE, _UNLIKE, _LONG_CRANK = 5.0, 100.0, 1.5
-"""Dimensions larger than this [m], this many times another one, or cranks this many times their rods give a warning."""
-_TRIM = 0.2
-"""Offset of a crank [rad] up to which limits of a quarter turn from its middle are accepted."""
+"""Dimensions larger than this [m], this many times another one, or cranks this many times their rods, are unusual."""
 _USUAL = 0.4
-"""Usual heights, readings and positions, relative to the machine's size."""
+"""Share of the machine's size that heights, readings and positions usually have."""
+_crank_middle = on_arrays(crank_middle)
 
 
 class Machine(ABC):
@@ -95,17 +95,25 @@ class Machine(ABC):
         is_built = isinstance(legs, Legs) and not legs.is_drawn and legs != drawn
         object.__setattr__(self, "legs", legs if is_built else drawn)
 
-    def check_limits(self, limits: LegLimits) -> LegLimits:
-        """Return limits; raise `GeometryError` if this machine has no readings within them or their unit is wrong."""
+    def check_limits(self, limits: LegLimits | Sequence[Any]) -> LegLimits:
+        """Return limits, or raise `GeometryError` if no readings of this machine have them or their unit is another.
+
+        Readings of cranks are nearest to the middle of the machine's own limits, so that limits of another turn have
+        to be those of the machine itself.
+        """
+        return self._checked_limits(limits, are_own=False)
+
+    def _checked_limits(self, limits: Any, *, are_own: bool) -> LegLimits:
+        """Return limits, the machine's own or others, or raise `GeometryError`."""
         legs = self.legs
         if not isinstance(limits, LegLimits) or limits.legs != legs.names:
             expected = f"{self.limits_class.__name__}(minimum, maximum)"
             raise GeometryError("limits", expected, type(limits).__name__)
         without_offsets = limits.ends - legs.offsets
         ends = np.where(np.isfinite(without_offsets), np.abs(without_offsets), 0.0)
-        # A calibrated crank with the limits of the nominal one may swing beyond the turn by its offset.
-        beyond = np.abs(without_offsets - RIGHT_ANGLE) - math.pi - limits.rounding
-        is_beyond_turn = np.isfinite(beyond) & (beyond > np.minimum(np.abs(legs.offsets), _TRIM))
+        middles = _crank_middle(*limits.ends, legs.offsets) if are_own else self.crank_middles
+        beyond = np.abs(without_offsets - middles) - math.pi - limits.rounding
+        is_beyond_turn = np.isfinite(beyond) & (beyond > 0.0)
         for leg, name in enumerate(legs.names):
             kind, low, high = legs.kinds[leg // 3], limits.minimum[leg], limits.maximum[leg]
             received = f"[{low:g}, {high:g}] for {name}"
@@ -114,8 +122,11 @@ class Machine(ABC):
             if kind.unit == "rad" and ends[:, leg].max() > MOST_TURNED:
                 raise GeometryError("limits", f"angles in radians, within ±{MOST_TURNED:g}", received, "In degrees?")
             if kind.unit == "rad" and is_beyond_turn[:, leg].any():
-                expected = "angles of a crank from -pi/2 to 3 pi/2, without its offset, or infinity for no limit"
-                cause = "The crank would pass through -pi/2, where readings jump by a turn. End the limits there"
+                first, last = middles[leg] + legs.offsets[leg] + np.array([-math.pi, math.pi])
+                expected = f"angles of a crank within one turn, here from {first:.4g} to {last:.4g} rad"
+                cause = (
+                    "Readings are the angles nearest to the middle of the machine's own limits, or to pi/2 without two"
+                )
                 raise GeometryError("limits", expected, received, cause)
         lengths = ends[:, np.array(legs.units) == "m"]
         longest = float(lengths.max(initial=0.0))
@@ -185,6 +196,11 @@ class Machine(ABC):
     def parameter_units(self) -> tuple[str, ...]:
         """Units of the `parameters`, "m" or "rad"."""
         return self.legs.parameter_units
+
+    @cached_property
+    def crank_middles(self) -> FloatArray:
+        """Angles to which readings of cranks, offsets aside, are nearest, (legs,): of their limits, or π/2 [rad]."""
+        return frozen(np.asarray(_crank_middle(*self.reading_limits, self.legs.offsets)))
 
     @property
     def reading_limits(self) -> FloatArray:

@@ -100,7 +100,7 @@ class Manipulator(Machine):
         for name, value in zip(_DIMENSIONS.values(), (base_radius, platform_radius, middle_side), strict=True):
             object.__setattr__(self, name, dimension(value, name))
         self._set_legs((RPS(), RPS()) if legs is None else legs)
-        object.__setattr__(self, "limits", None if limits is None else self.check_limits(limits))
+        object.__setattr__(self, "limits", None if limits is None else self._checked_limits(limits, are_own=True))
         if not isinstance(legs, Legs):
             self._warn_of_dimensions({name: getattr(self, name) for name in _DIMENSIONS.values()})
 

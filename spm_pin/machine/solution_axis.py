@@ -167,6 +167,7 @@ class Solutions(ABC, Generic[S]):
         count = self.readings.shape[-1]
         if len(limits.legs) != count:
             raise ArgumentError("limits", f"limits of {count} legs", f"{type(limits).__name__} of {len(limits.legs)}")
+        self.configurations.machine.check_limits(limits)
         return self.where(limits.contains(self.readings))
 
     def nearest(self, near: S | npt.ArrayLike) -> S:

@@ -100,7 +100,7 @@ class Stage(Machine):
             if (np.abs(turns) > _SAME_ANGLE).any():
                 self._set_legs(self.legs.turned_about_z(turns))
         self._check_reach()
-        object.__setattr__(self, "limits", None if limits is None else self.check_limits(limits))
+        object.__setattr__(self, "limits", None if limits is None else self._checked_limits(limits, are_own=True))
         if isinstance(legs, LegKind):
             self._warn_of_dimensions({"base_radius": self.base_radius, "platform_radius": self.platform_radius})
 
@@ -119,15 +119,17 @@ class Stage(Machine):
         else:
             return
         if (short := reach <= needed).any():
-            leg = int(short.argmax())
+            leg, cause = int(short.argmax()), "In another unit?"
+            if reach[leg] > 0.5 * needed[leg]:
+                cause = "In another unit, or diameters for radii?"
             what = "crank and rod" if isinstance(kind, RRS) else "a rod"
             expected = (
                 f"{what} longer than {needed[leg]:.4g} m, the radial distance from pivot to ball of the level platform"
             )
-            raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", "In another unit?")
+            raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", cause)
 
-    def check_limits(self, limits: LegLimits | Sequence[Any]) -> LegLimits:
-        """Return limits, or those of a pair (minimum, maximum); errors as of any machine."""
+    def _checked_limits(self, limits: LegLimits | Sequence[Any], *, are_own: bool) -> LegLimits:
+        """Return limits, also of a pair (minimum, maximum)."""
         if not isinstance(limits, LegLimits):
             if not (isinstance(limits, list | tuple | np.ndarray) and len(limits) == 2):
                 expected = f"a pair (minimum, maximum) in {self.unit}, each one number or three"
@@ -136,7 +138,7 @@ class Stage(Machine):
                 limits = StageLimits(limits[0], limits[1])
             except GeometryError as error:
                 raise GeometryError("limits", error.expected, error.received, error.cause) from error
-        return super().check_limits(limits)
+        return super()._checked_limits(limits, are_own=are_own)
 
     def __repr__(self) -> str:
         radii = f"base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}"

@@ -169,8 +169,8 @@ class StageConfiguration(Batched):
 
     @cached_property
     def readings(self) -> FloatArray:
-        """Readings of the legs' encoders, shape (..., 3): [m], for RRS legs [rad]; NaN for a ball out of reach."""
-        return frozen(self.stage.legs.readings(self.places))
+        """Readings of the legs' encoders, shape (..., 3): [m], of RRS legs [rad]; NaN for a ball out of reach."""
+        return frozen(self.stage.legs.readings(self.places, self.stage.crank_middles))
 
     @cached_property
     def circle_centres(self) -> FloatArray:

@@ -254,7 +254,8 @@ class StageRegion:
         # By the turn of the leg's plane, see `docs/theory/proofs.md`.
         turned = Interval.within(_PLANE_TURN * self.angle_error * self.longest * _UP)
         x, z = x + turned, z + turned
-        reading = formulas.reading(x, z, numbers)
+        middle = Interval.from_numbers(0.5 * (self.minimum[leg] + self.maximum[leg]))
+        reading = formulas.reading(x, z, middle, numbers)
         beyond = np.isnan(reading.low) | reading.misses(limits)
         within = Interval(
             np.where(beyond, reading.low, np.maximum(reading.low, limits.low)),

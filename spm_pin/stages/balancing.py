@@ -40,8 +40,9 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
 
     An action is where the three actuators are to go, -1 for the least reading and 1 for the largest, see `action`; they
     go there no faster than the description's limits of velocity. 50 actions are a second. An observation has the
-    components of `OBSERVATION`. The reward is 1 - (distance from the middle of the plate / its radius)², and the
-    episode is terminated where the ball leaves the plate. Made by `gymnasium.make` it is truncated after ten seconds.
+    components of `OBSERVATION`, of which places and angles have bounds, and rates none. The reward is 1 - (distance
+    from the middle of the plate / its radius)², and the episode is terminated where the ball leaves the plate. Made by
+    `gymnasium.make` it is truncated after ten seconds.
 
     `reset` draws a tilt, a height, and a place of the ball within half the plate's radius, where it is at rest. All
     joints follow in closed form, so that the loops are closed to rounding. Its `options` may have the `readings` (3,)
@@ -91,7 +92,17 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         velocities = self.model.numeric("velocity_limit").data
         self._steps = self.model.opt.timestep * velocities[[joint.id for joint in joints]]
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,))
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (len(OBSERVATION),), np.float64)
+        most = self._largest_observation()
+        self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float64)
+
+    def _largest_observation(self) -> FloatArray:
+        """Return the largest magnitudes of an observation's components (10,): rates have none in a simulation."""
+        height, longest = self.stage.size, np.abs(self.stage.reading_limits - self.stage.legs.offsets).max()
+        bounds = dict.fromkeys(OBSERVATION, math.inf) | {"roll": math.pi, "pitch": 0.5 * math.pi}
+        bounds["height"] = height + (longest if self.stage.unit == "m" else 0.0)
+        # The episode ends where the ball has left the plate.
+        bounds["ball_x"] = bounds["ball_y"] = 2.0 * self.ball.plate(self.stage)[0]
+        return np.array(list(bounds.values()))
 
     def action(self, readings: npt.ArrayLike) -> npt.NDArray[np.float32]:
         """Return the action (3,) that leads the actuators to readings (3,) [m], for RRS legs [rad]."""

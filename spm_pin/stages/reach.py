@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, UnreachableError
+from spm_pin.kinematics.singularity_analysis import singularities
 from spm_pin.kinematics.stage_displacement import (
     forward_physical,
     inverse,
@@ -37,6 +38,8 @@ _HEIGHTS, _HIGHEST = 2000, 9.99
 _PARTS, _ROUNDS, _FEW = np.linspace(0.0, 1.0, 17), 11, 5
 """An interval is divided into so many parts, so many times: to 6e-14 of it, or with few rounds to 1e-6."""
 _MOST_DIRECTIONS = 10_000
+_REGULAR = 1e-6
+"""Distance to singularities, see `StageSingularities`, up to which a home is none: its digits are lost there."""
 _BESIDE = 1e-6
 """Distance beyond the end of the reach at which its cause is determined [rad]."""
 
@@ -137,11 +140,14 @@ def home_height(stage: Stage) -> float:
     """Return a height [m] at which a stage holds its platform level within its limits.
 
     There readings are in the middle of their limits, and where these have none cranks are level, carriages at their
-    pivots. If that is no state it is the middle of `height_range`; where that is empty an `UnreachableError` is raised.
+    pivots. If that is no state, or a singular one, it is the middle of `height_range`; where that is empty an
+    `UnreachableError` is raised.
     """
     state = _middle_state(check_instance(stage, Stage, "stage"))
     if state.exists and _counts(inverse_physical(stage, state.height)):
-        return float(state.height)
+        distances = singularities(state)
+        if min(float(distances.forward), float(distances.leg.min())) > _REGULAR:
+            return float(state.height)
     height = sum(height_range(stage)) / 2.0
     if math.isnan(height):
         expected = "one that holds its platform level at some height within its limits"

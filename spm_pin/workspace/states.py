@@ -118,16 +118,16 @@ class StateSet:
 
     @cached_property
     def legs(self) -> FloatArray:
-        """Constants of both stages' legs for `kernels.stage_states`, (2, 3, 20); axes are tangents of the platforms."""
+        """Constants of both stages' legs for `kernels.stage_states`, (2, 3, 21); axes are tangents of the platforms."""
         legs = self.machine.legs
         axes = np.tile(TANGENT_SIGNS, 2)[:, None] * legs.axes
         balls = legs.balls * np.repeat(self._turns, 3, axis=0)
-        numbers = np.zeros((6, 5))
+        numbers = np.zeros((6, 6))
         for stage, kind in enumerate(legs.kinds):
             rows, own = slice(3 * stage, 3 * stage + 3), kind.numbers
             numbers[rows, : own.shape[1]], numbers[rows, 4] = own, kind.number
-        numbers[:, 3] = legs.offsets
-        return np.concatenate([axes, legs.pivots, balls, *legs.planes, numbers], axis=-1).reshape(2, 3, 20)
+        numbers[:, 3], numbers[:, 5] = legs.offsets, self.machine.crank_middles
+        return np.concatenate([axes, legs.pivots, balls, *legs.planes, numbers], axis=-1).reshape(2, 3, 21)
 
     @cached_property
     def _signed_aspects(self) -> FloatArray:

@@ -63,7 +63,11 @@ def readings_of_legs(machine: Manipulator, b: ca.SX, rotation: ca.SX, translatio
     for leg, (_, vector) in enumerate(legs(machine, b, rotation, translation)):
         kind, turn = machine.legs.kinds[leg // 3], (ca.SX.eye(3), rotation)[leg // 3]
         x, z = (ca.dot(turn @ ca.SX(direction[leg]), vector) for direction in planes)
-        shown.append(_READINGS[type(kind)](x, z, *kind.numbers[leg % 3].tolist()) + machine.legs.offsets[leg])
+        reading = _READINGS[type(kind)](x, z, *kind.numbers[leg % 3].tolist())
+        if kind.unit == "rad":
+            # Of the angles that differ by turns the one nearest to the middle of the limits, or to π/2.
+            reading -= 2.0 * np.pi * ca.floor((reading - machine.crank_middles[leg]) / (2.0 * np.pi) + 0.5)
+        shown.append(reading + machine.legs.offsets[leg])
     readings: ca.SX = ca.vertcat(*shown)
     return readings
 
@@ -76,12 +80,11 @@ def _carriage(x: ca.SX, z: ca.SX, rod: float, direction: float, sign: float) -> 
 
 
 def _crank(x: ca.SX, z: ca.SX, crank: float, rod: float, sign: float) -> ca.SX:
-    """Return the angle of an RRS leg's crank, by the law of cosines."""
+    """Return the angle of an RRS leg's crank, but for whole turns, by the law of cosines."""
     distance = ca.sqrt(x**2 + z**2)
-    angle = ca.atan2(z, x) + sign * ca.acos((distance**2 + crank**2 - rod**2) / (2.0 * crank * distance))
-    turns: ca.SX = ca.floor((angle + 0.5 * np.pi) / (2.0 * np.pi))
-    reading: ca.SX = angle - 2.0 * np.pi * turns
-    return reading
+    opening = ca.acos((distance**2 + crank**2 - rod**2) / (2.0 * crank * distance))
+    angle: ca.SX = ca.atan2(z, x) + sign * opening
+    return angle
 
 
 _READINGS: dict[type[LegKind], Callable[..., ca.SX]] = {

@@ -48,8 +48,8 @@ from spm_pin.formulas.wrenches import pairs
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, vector_at
 from spm_pin.support.arguments import FloatArray
 
-AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND = 0, 3, 6, 9, 12, 15, 18, 19
-"""Offsets of a leg's numbers in a row (20,) of `legs`: see `machine.Legs`, and `LegKind.number`."""
+AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND, MIDDLE = 0, 3, 6, 9, 12, 15, 18, 19, 20
+"""Where a leg's numbers begin in a row (21,) of `legs`: see `Legs`, `LegKind.number` and `planar_legs.crank_middle`."""
 ROTATION, CENTRE, READINGS, DETERMINANT, ROOMS, STAGE_NUMBERS = 0, 9, 12, 15, 16, 19
 """Offsets of a stage's rotation, centre [m], readings, determinant and rooms of the legs [m], see `planar_legs.Room`,
 in `values` (19,); and the length of that array."""
@@ -89,7 +89,7 @@ def _leg_state(leg: FloatArray, x: float, z: float) -> LegState:
     if leg[KIND] == PRS_LEGS:
         return prs_state(x, z, vector_at(leg, NUMBERS))
     if leg[KIND] == RRS_LEGS:
-        return rrs_state(x, z, vector_at(leg, NUMBERS))
+        return rrs_state(x, z, leg[MIDDLE], vector_at(leg, NUMBERS))
     return rps_state(x, z, vector_at(leg, NUMBERS))
 
 
@@ -105,7 +105,7 @@ def evaluate_stage(
 ) -> int:
     """Write the `values` (19,) of a stage and their derivatives `slopes` (13, 3) by its three coordinates.
 
-    Returned is where the stage is, `NO_STATE` to `INSIDE`. `legs` (3, 20) are in {B} of a lower stage, in {m} of an
+    Returned is where the stage is, `NO_STATE` to `INSIDE`. `legs` (3, 21) are in {B} of a lower stage, in {m} of an
     upper one; `radius` is r [m], `upward` the sign of Z at home, and `aspect` the wanted one, see `stages.HOME_ASPECT`,
     whose negative is the home assembly region of a stage that hangs.
     """
