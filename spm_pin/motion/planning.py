@@ -150,7 +150,7 @@ def plan(
     <MotionPlan: straight in leg lengths, least determinant 1.15 d³>
     """
     check_machine(machine)
-    allowed = machine.limits if limits is None else machine.check_limits(limits)  # type: ignore[arg-type]
+    allowed = machine.limits if limits is None else machine.check_limits(limits)
     joints = JointLimits() if joint_limits is None else check_instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
     rules = _PathRules(machine, allowed, joints, least)

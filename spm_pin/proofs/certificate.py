@@ -236,7 +236,7 @@ def certify(
     """
     check_machine(machine)
     nominal = machine.nominal
-    allowed = nominal.limits if limits is None else machine.check_limits(limits)  # type: ignore[arg-type]
+    allowed = nominal.limits if limits is None else machine.check_limits(limits)
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
     expected = f"metres from 0 to {most:g}, a quarter of the smallest dimension"
