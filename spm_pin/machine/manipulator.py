@@ -40,6 +40,7 @@ from spm_pin.machine.machine_files import (
 from spm_pin.machine.stage import Stage
 from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, check_instance, dimension
+from spm_pin.support.files import read_yaml
 
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in COMPONENTS)
 """Names of the 54 parameters of RPS legs, nine for each, in the order of `Manipulator.parameters`."""
@@ -248,6 +249,18 @@ class Manipulator(Machine):
         curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
         along = (across * turn).sum(axis=-1, keepdims=True)
         return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
+
+
+def machine_from_data(data: Any, place: str = "data") -> Manipulator | Stage:
+    """Return the machine of `as_data`, a stage where there are legs without a side of the middle platform."""
+    is_stage = isinstance(data, dict) and "legs" in data and "middle_side" not in data
+    return (Stage if is_stage else Manipulator).from_data(data, place)
+
+
+@raised_as(GeometryError)
+def machine_from_yaml(path: str | Path) -> Manipulator | Stage:
+    """Read a machine of either kind from a YAML file."""
+    return machine_from_data(read_yaml(path), str(path))
 
 
 def check_same_machine(machine: Manipulator, expected: Manipulator, argument: str, owner: str) -> None:
