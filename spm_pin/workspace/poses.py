@@ -24,12 +24,13 @@ from spm_pin.machine import (
     Manipulator,
     PoseLike,
     SolutionSet,
+    StageConfiguration,
     Status,
     as_rigid_transform,
     joint_angles,
 )
 from spm_pin.machine.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
-from spm_pin.machine.configuration import check_configuration
+from spm_pin.machine.configuration import check_state
 from spm_pin.machine.manipulator import check_same_machine
 from spm_pin.support.arguments import (
     BoolArray,
@@ -44,8 +45,8 @@ from spm_pin.workspace.nearest_state import nearest_state
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
 
-_PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
-"""Pairs of legs that have no joint in common, by their indices in `LEGS`."""
+_PAIRS = {n: np.array([(i, j) for i in range(n) for j in range(i + 1, n) if j != i + 3]) for n in (3, 6)}
+"""Pairs of the legs of a stage, or of a manipulator, that have no joint in common, by their indices."""
 _ANGLES = {"hip": "passive"} | {name: name for name in ("ball_x", "ball_y", "ball_z")}
 """Names of the limits of angles, and of the angles."""
 _CANDIDATES, _STARTS = 100, 12
@@ -94,12 +95,12 @@ class JointLimits:
             clearance = real_number(self.clearance, "clearance", "a distance in metres, not negative", least=0.0)
             object.__setattr__(self, "clearance", clearance)
 
-    def angle_margin(self, configuration: Configuration) -> FloatArray:
+    def angle_margin(self, configuration: Configuration | StageConfiguration) -> FloatArray:
         """Return how far the worst angle is inside its limits, shape (...) [rad].
 
         Negative outside, infinite without limits, NaN where a state does not exist.
         """
-        margin = np.full(check_configuration(configuration).shape, np.inf)
+        margin = np.full(check_state(configuration).shape, np.inf)
         limited = [name for name in _ANGLES if getattr(self, name) is not None]
         angles = joint_angles(configuration) if limited else None
         for name in limited:
@@ -107,25 +108,26 @@ class JointLimits:
             margin = np.minimum(margin, np.minimum(values - low, high - values).min(axis=-1))
         return np.where(configuration.exists, margin, np.nan)
 
-    def clearance_margin(self, configuration: Configuration) -> FloatArray:
+    def clearance_margin(self, configuration: Configuration | StageConfiguration) -> FloatArray:
         """Return by how much the nearest legs keep more than the clearance, shape (...) [m]; as `angle_margin`."""
         if self.clearance is None:
-            return np.where(check_configuration(configuration).exists, np.inf, np.nan)
+            return np.where(check_state(configuration).exists, np.inf, np.nan)
         return leg_clearance(configuration) - self.clearance
 
 
-def leg_clearance(configuration: Configuration) -> FloatArray:
+def leg_clearance(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return the least distance of the axes of two legs that have no joint in common, shape (...) [m].
 
     An axis goes from the pivot to the ball joint's centre, of PRS and RRS legs by way of the carriage or the knee. Of
     the fifteen pairs of legs, the three that meet at a corner of the middle platform are left out. NaN where a state
     does not exist.
     """
-    check_configuration(configuration)
+    check_state(configuration)
     # Of RPS legs the first segment has no length.
     points = [configuration.leg_bases, configuration.circle_centres, configuration.balls]
+    points = [np.broadcast_to(each, configuration.balls.shape) for each in points]
     segments = [*pairwise(points[configuration.machine.legs.are_rps :])]
-    i, j = _PAIRS.T
+    i, j = _PAIRS[configuration.balls.shape[-2]].T
     squares = [
         _segment_distance2(p[..., i, :], (q - p)[..., i, :], r[..., j, :], (s - r)[..., j, :]).min(axis=-1)
         for (p, q), (r, s) in product(segments, repeat=2)
