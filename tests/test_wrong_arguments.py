@@ -343,6 +343,7 @@ EITHER = (
     *(spm.kinematics.compliance, spm.kinematics.platform_jacobian, spm.kinematics.principal_stiffness),
     *(spm.capability.acceleration_polytope, spm.capability.joint_reactions),
     *(spm.capability.velocity_polytope, spm.capability.wrench_polytope),
+    spm.workspace.leg_clearance,
 )
 """Functions that take a stage as well as a manipulator, and are called with both."""
 

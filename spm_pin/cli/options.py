@@ -28,12 +28,14 @@ from spm_pin.machine import (
     Configuration,
     Manipulator,
     SolutionSet,
+    Stage,
     StageConfiguration,
     Status,
     pose,
 )
 from spm_pin.machine.branch_of_state import branch_sign, family
 from spm_pin.machine.machine import PER_METRE, Machine, likely_unit
+from spm_pin.machine.manipulator import machine_from_yaml
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 
@@ -180,6 +182,14 @@ def read_machine(path: Path | Manipulator | None) -> Manipulator:
         return path or Manipulator.paper()
     with warnings_as_notes("--machine: "):
         return Manipulator.from_yaml(path)
+
+
+def read_machine_or_stage(path: Path | None) -> Manipulator | Stage:
+    """Return the machine of `--machine` as `read_machine`, which may be a stage."""
+    if path is None:
+        return Manipulator.paper()
+    with warnings_as_notes("--machine: "):
+        return machine_from_yaml(path)
 
 
 @contextlib.contextmanager

@@ -24,23 +24,23 @@ from spm_pin.display.figures import front_figure
 from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, sections_figure, shell_figure
 from spm_pin.display.writing import FORMATS, save_figure
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.machine import LEGS, LegLimits, Manipulator
+from spm_pin.machine import LEGS, STAGE_LEGS, LegLimits, Manipulator, Stage
 from spm_pin.machine.machine import unit_hint
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.motion_table import MotionTable
-from spm_pin.sweeps.domains import Domain
+from spm_pin.sweeps.domains import Domain, coordinate_unit
 from spm_pin.sweeps.runner import CHUNK
 from spm_pin.workspace.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.positions import Estimate
 
 _NAMES = {"store": "--out", "count": "--samples", "metrics": "--metric", "push": "--leg-force"}
-_NAMES |= {"leg_stiffness": "--leg-stiffness", **dict.fromkeys(LEGS, "--legs")}
+_NAMES |= {"leg_stiffness": "--leg-stiffness", **dict.fromkeys((*LEGS, *STAGE_LEGS, "readings"), "--legs")}
 _NAMES |= dict.fromkeys(("alpha", "beta", "lambda_"), "--xyx")
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 _LEGS = (
     "Readings of the legs, for RRS legs in degrees, instead of poses: once for all six, twice for lower and "
-    "upper, or six times."
+    "upper, or six times; for a stage once for all three, or three times."
 )
 _SAMPLES = "Number of random points instead of a lattice; ranges are then START:STOP."
 _METRICS = f"May be repeated; default: {', '.join(_DEFAULT)}. One of {', '.join(sweeps.METRICS)}."
@@ -116,8 +116,9 @@ def workspace(
         outputs.print_lines(_remarks(shell, unit))
 
 
-def _limited(machine: Manipulator, limits: tuple[float, float], unit: LengthUnit) -> Manipulator:
-    return dataclasses.replace(machine, limits=LegLimits(*Readings(machine, unit).read_limits("--limits", *limits)))
+def _limited(machine: Manipulator | Stage, limits: tuple[float, float], unit: LengthUnit) -> Any:
+    kind: Any = type(machine.legs.free_limits)
+    return dataclasses.replace(machine, limits=kind(*Readings(machine, unit).read_limits("--limits", *limits)))
 
 
 def _reached(machine: Manipulator, spacing: float | None) -> tuple[Boundary, Estimate]:
@@ -234,6 +235,11 @@ def sweep(
         tuple[str, str, str] | None,
         Option(metavar="ALPHA BETA LAMBDA", help="X-Y-X angles in degrees, each a range or one number."),
     ] = None,
+    height: Annotated[
+        str | None, Option(metavar=_RANGE, help="Of a stage, --machine: height of its platform, in --unit.")
+    ] = None,
+    tilt: Annotated[str | None, Option(metavar=_RANGE, help="Of a stage: its tilt in degrees.")] = None,
+    azimuth: Annotated[str | None, Option(metavar=_RANGE, help="Of a stage: where it is lowest, in degrees.")] = None,
     legs: Annotated[list[str] | None, Option(metavar=_RANGE, help=_LEGS)] = None,
     samples: Annotated[int | None, Option(min=1, help=_SAMPLES)] = None,
     seed: Annotated[int, Option(min=0, help="Seed of the random points.")] = 0,
@@ -250,23 +256,29 @@ def sweep(
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Map metrics over poses or leg lengths, in parallel, into a Zarr store.
+    """Map metrics over poses, tilts of a stage, or leg lengths, in parallel, into a Zarr store.
 
     Example: spm-pin sweep --legs 1.1:1.5 --samples 100000 --out map.zarr
+    Example: spm-pin sweep --machine stage.yaml --height 0.1:0.14:9 --tilt 0:30:7 --azimuth 0:360:13 --out tilts.zarr
 
     If it is interrupted nothing is lost: the same command continues, and so does spm-pin sweep --out FOLDER alone.
     """
-    poses = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
+    tilts = {"--height": height, "--tilt": tilt, "--azimuth": azimuth}
+    poses: dict[str, Any] = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
     drawn: dict[str, Any] = {} if samples is None else {"count": samples, "seed": seed}
     run: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
-    machine = options.read_machine(machine_file)
-    domain = None if status else _domain(poses, legs, drawn, 1.0 / Readings(machine, unit).scale, 1.0 / unit.per_metre)
+    machine = options.read_machine_or_stage(machine_file)
+    others, own = (poses, tilts) if isinstance(machine, Stage) else (tilts, poses)
+    if strange := [option for option, value in others.items() if value is not None]:
+        of = "poses of a manipulator" if isinstance(machine, Stage) else "tilts of a stage, given by --machine"
+        raise ArgumentError(", ".join(strange), f"not to be given: they are {of}", "them")
+    domain = None if status else _domain(own, legs, drawn, 1.0 / Readings(machine, unit).scale, 1.0 / unit.per_metre)
     if domain is not None:
         require_extra("cluster")
-        lengths = machine.legs.units if legs else ("m", "m", "m", *("rad",) * 3)
-        ends = [axis.start if axis.is_fixed else axis.stop for axis in domain.axes]
-        longest = max((abs(end) for end, name in zip(ends, lengths, strict=True) if name == "m"), default=0.0)
-        name = "--legs" if legs else "--x, --y, --z"
+        axes = list(zip(domain.axes, map(partial(coordinate_unit, machine), domain.axes), strict=True))
+        ends = [axis.start if axis.is_fixed else axis.stop for axis, name in axes if name == "m"]
+        longest = max(map(abs, ends), default=0.0)
+        name = "--legs" if legs else "--height" if isinstance(machine, Stage) else "--x, --y, --z"
         if hint := options.unit_hint(name, longest * unit.per_metre, unit, machine):
             outputs.note(hint, "yellow")
         if limits is not None:
@@ -282,7 +294,7 @@ def sweep(
         named = ", ".join(option for option, value in beside.items() if value)
         if named:
             cause = "To continue a sweep, give --out alone"
-            raise ArgumentError(", ".join((*poses, "--legs")), f"ranges beside {named}", "none", cause)
+            raise ArgumentError(", ".join((*own, "--legs")), f"ranges beside {named}", "none", cause)
         require_extra("cluster")
         with _progress(out) as progress:
             sweeps.resume_sweep(out, progress=progress, **run)
@@ -301,23 +313,31 @@ def sweep(
 def _domain(
     poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], metres: FloatArray, scale: float
 ) -> Domain | None:
-    """Return the domain that the options describe; None if they are not given.
+    """Return the domain that the options describe, `poses` or `legs`; None if they are not given.
 
-    Typed readings are multiplied by `metres` (6,), positions by `scale`.
+    Typed readings are multiplied by `metres` (legs,), positions by `scale`.
     """
     missing = [option for option, value in poses.items() if value is None]
     if legs and len(missing) < len(poses):
         raise ArgumentError("--legs", "poses or leg lengths, not both", "both")
     if legs:
-        if len(legs) not in (1, 2, 6):
-            raise ArgumentError("--legs", "one range, two, or six", f"{len(legs)}")
-        texts = [text for text in legs for _ in range(6 // len(legs))]
-        six = [_range("--legs", text, factor) for text, factor in zip(texts, metres.tolist(), strict=True)]
-        return (sweeps.leg_sample if drawn else sweeps.leg_grid)(lower=six[:3], upper=six[3:], **drawn)
+        count = len(metres)
+        if len(legs) not in {1, count // 3, count}:
+            expected = "one range, two, or six" if count == 6 else "one range, or three"
+            raise ArgumentError("--legs", expected, f"{len(legs)}")
+        texts = [text for text in legs for _ in range(count // len(legs))]
+        ranges = [_range("--legs", text, factor) for text, factor in zip(texts, metres.tolist(), strict=True)]
+        stages: dict[str, Any] = {"lower": ranges[:3], "upper": ranges[3:] or None}
+        return (sweeps.leg_sample if drawn else sweeps.leg_grid)(**stages, **drawn)
     if len(missing) == len(poses):
         return None
     if missing:
-        raise ArgumentError(", ".join(missing), "a range or a number for every coordinate of a pose", "none")
+        raise ArgumentError(", ".join(missing), "a range or a number for every coordinate", "none")
+    if "--tilt" in poses:
+        degrees = np.pi / 180.0
+        factors = zip(("height", "tilt", "azimuth"), (scale, degrees, degrees), strict=True)
+        tilts: dict[str, Any] = {name: _range(f"--{name}", poses[f"--{name}"], factor) for name, factor in factors}
+        return (sweeps.tilt_sample if drawn else sweeps.tilt_grid)(**drawn, **tilts)
     pose: dict[str, Any] = {axis: _range(f"--{axis}", poses[f"--{axis}"], scale) for axis in "xyz"}
     pose["xyx"] = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
     return (sweeps.pose_sample if drawn else sweeps.pose_grid)(**drawn, **pose)
@@ -423,7 +443,7 @@ def design(
     aims = [(name, "max") for name in maximise or []] + [(name, "min") for name in minimise or []]
     if wrench is not None and task is None:
         raise ArgumentError("--wrench", "poses at which it acts", "no --task CSV")
-    machine = options.read_machine(machine_file)
+    machine = options.read_machine_or_stage(machine_file)
     functions = {} if task is None else _task_functions(task, wrench, machine)
     problem = DesignProblem(
         machine,
@@ -454,8 +474,11 @@ def design(
         raise typer.Exit(3)
 
 
-def _task_functions(path: Path, wrench: str | None, machine: Manipulator) -> dict[str, Any]:
+def _task_functions(path: Path, wrench: str | None, machine: Manipulator | Stage) -> dict[str, Any]:
     """Return the columns of a task, by name, as functions of a machine."""
+    if isinstance(machine, Stage):
+        cause = "Tasks of tilts are given in Python: spm_pin.design.Task.of_tilts"
+        raise ArgumentError("--task", "poses of a manipulator", "a stage by --machine", cause)
     poses = MotionTable(path).poses()
     if not isinstance(poses, RigidTransform):
         raise ArgumentError(
@@ -506,7 +529,8 @@ def _print_front(front: Front) -> None:
     columns |= {f"{name} [{problem.unit(name)}]": partial(size, k) for k, name in enumerate(problem.free)}
     metrics = {f"{name}_{which}": metric.unit for name, metric in sweeps.METRICS.items() for which in ("mean", "low")}
     kinds = problem.machine.legs.kinds
-    units = metrics | {"volume": "m³ rad³", "footprint": "m²", "task_margin": "m"}
+    volume = "m sr" if isinstance(problem.machine, Stage) else "m³ rad³"
+    units = metrics | {"volume": volume, "footprint": "m²", "task_margin": "m"}
     units["task_effort"] = " or ".join(dict.fromkeys("N m" if kind.unit == "rad" else "N" for kind in kinds))
     for name in problem.columns:
         unit = units.get(name, "1")

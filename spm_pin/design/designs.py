@@ -17,7 +17,8 @@ import numpy as np
 
 from spm_pin.design.task import Task
 from spm_pin.errors import ArgumentError, GeometryError, require_extra
-from spm_pin.machine import Manipulator, Stage
+from spm_pin.kinematics.stage_rates import tilt_densities
+from spm_pin.machine import Manipulator, Stage, StageConfiguration
 from spm_pin.machine.leg_kinds import KINDS
 from spm_pin.machine.machine import Machine, check_machine, likely_unit
 from spm_pin.proofs.certificate import free_of_singularities
@@ -242,11 +243,8 @@ def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Manipula
 def _densities(points: Points) -> FloatArray:
     """Return the volume of poses per volume of readings (M,); of a stage that of heights and normals [m sr]."""
     machine = points.machine
-    if isinstance(machine, Stage):
-        # Turns about the platform's own x and y move its normal, and one about the normal does not.
-        turns = points.reached.rotation[:, :, :2].mT @ points.platform_jacobians[:, 3:]
-        rates = np.concatenate([points.platform_jacobians[:, 2:3], turns], axis=-2)
-        return np.asarray(np.abs(np.linalg.det(np.nan_to_num(rates))))
+    if isinstance(points.reached, StageConfiguration):
+        return tilt_densities(points.reached, np.nan_to_num(points.platform_jacobians))
     # The determinant of G from what the conditioning needs as well: singular values of the twist (v, L ω) by rates of
     # knees.
     sizes = np.nan_to_num(points.singular_values().prod(axis=-1)) / machine.platform_radius**3

@@ -96,6 +96,14 @@ def motion_rows(jacobian: FloatArray) -> FloatArray:
     return jacobian if jacobian.shape[-1] == 6 else jacobian[..., MOTION, :]
 
 
+def tilt_densities(state: StageConfiguration, jacobian: FloatArray) -> FloatArray:
+    """Return |det ∂(height, normal)/∂readings| of states (...) from their `platform_jacobian`, [m sr] per readings."""
+    # Turns about the platform's own x and y move its normal, and one about the normal does not.
+    turns = state.rotation[..., :2].mT @ jacobian[..., 3:, :]
+    rates = np.concatenate([jacobian[..., 2:3, :], turns], axis=-2)
+    return np.asarray(np.abs(np.linalg.det(rates)))
+
+
 def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
     """Return the twist of the platform for its motion (v_z, ω_x, ω_y), with the parasitic v_x, v_y and ω_z.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -22,6 +23,7 @@ from spm_pin.support.arguments import (
     first_offender,
     frozen,
     real_array,
+    type_and_value,
 )
 from spm_pin.support.pose import PoseLike, as_rigid_transform, unchecked_transform
 
@@ -279,3 +281,20 @@ def check_members(configuration: Batched, argument: str, *, single: bool, existi
         where = f" at batch index {index}" if index else ""
         cause = configuration.missing_reason or "Is it no real solution? See .status and .exists of the SolutionSet"
         raise ArgumentError(argument, "a configuration that exists", f"NaN{where}", cause)
+
+
+Condition = Callable[[Any], npt.ArrayLike]
+"""Takes states (n,) and returns for each whether it counts, (n,); see `spm_pin.sweeps.condition` for one of metrics."""
+
+
+def check_condition(where: Condition, states: Batched) -> BoolArray:
+    """Return which states (n,) satisfy a condition, after a check of what it returns."""
+    if not callable(where):
+        raise ArgumentError("where", "a function of states that says which count", type_and_value(where))
+    if states.shape == (0,):
+        return np.zeros(0, dtype=np.bool_)
+    answer = np.asarray(where(states))
+    if answer.shape != states.shape or answer.dtype.kind != "b":
+        received = f"{answer.dtype} of shape {answer.shape}"
+        raise ArgumentError("where", f"a function that returns booleans of shape {states.shape}", received)
+    return answer

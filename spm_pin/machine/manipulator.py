@@ -38,6 +38,7 @@ from spm_pin.machine.machine_files import (
 )
 from spm_pin.machine.stage import Stage
 from spm_pin.support.arguments import FloatArray, check_instance, dimension
+from spm_pin.support.files import read_yaml
 
 PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in COMPONENTS)
 """Names of the 54 parameters of RPS legs, nine for each, in the order of `Manipulator.parameters`."""
@@ -218,6 +219,18 @@ class Manipulator(Machine):
     def revolute_axes(self) -> FloatArray:
         """Unit revolute axes of the nominal legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
         return AXES.copy()
+
+
+def machine_from_data(data: Any, argument: str = "data") -> Manipulator | Stage:
+    """Return the machine of `as_data`: a stage if there are legs but no side of the middle platform."""
+    is_stage = isinstance(data, dict) and "legs" in data and "middle_side" not in data
+    return (Stage if is_stage else Manipulator).from_data(data, argument)
+
+
+def machine_from_yaml(path: str | Path) -> Manipulator | Stage:
+    """Read a machine of either kind from a YAML file."""
+    with raised_as(GeometryError, file=str(path)):
+        return machine_from_data(read_yaml(path), "")
 
 
 def check_same_machine(machine: Machine, expected: Machine, argument: str, owner: str) -> None:

@@ -26,6 +26,7 @@ from spm_pin.kinematics.stage_displacement import (
     poses,
     read_heights,
 )
+from spm_pin.machine.configuration import Condition, check_condition
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
@@ -50,7 +51,7 @@ class ReachEnd(enum.IntEnum):
     NOT_LEVEL = 0
     """It is not reached level at this height."""
     LIMIT = 1
-    """A reading is at its limit."""
+    """A reading is at its limit, or a condition that was given ends."""
     LEG = 2
     """A ball is out of a leg's reach, where crank and rod are in line or the rod is across its slide."""
     FORWARD = 3
@@ -165,7 +166,9 @@ def _middle_state(stage: Stage) -> StageConfiguration:
     return forward_physical(stage, np.where(is_limited, middle, usual + stage.legs.offsets))
 
 
-def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int = 72) -> StageReach:
+def reach(
+    stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int = 72, where: Condition | None = None
+) -> StageReach:
     """Find how far a stage tilts in every direction, at one height or several.
 
     Parameters
@@ -176,6 +179,9 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
         Of the platform's origin above the pivots [m]; by default nine within `height_range`.
     directions : int
         How many azimuths, 1 to 10,000.
+    where : callable, optional
+        Takes states (n,) and returns which of them count besides, (n,): a bound of a metric, as
+        `spm_pin.sweeps.condition` makes it, or limits of balls and hinges, `spm_pin.workspace.JointLimits`.
 
     Returns
     -------
@@ -203,7 +209,7 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
     if levels.ndim > 1:
         raise ArgumentError("heights", "a height, or several of shape (n,)", f"shape {levels.shape}")
     azimuths = -math.pi + 2.0 * math.pi * np.arange(count) / count
-    tilts = _largest_tilts(stage, levels[:, None], azimuths)
+    tilts = _largest_tilts(stage, levels[:, None], azimuths, where=where)
     return StageReach(stage, levels, azimuths, tilts, _ends(stage, levels[:, None], azimuths, tilts))
 
 
@@ -318,9 +324,12 @@ def _nearest_of_all(stage: Stage, height: float, target: FloatArray) -> StageCon
     return nothing
 
 
-def _counts(state: StageConfiguration) -> BoolArray:
-    """Return which states are physical and within the limits."""
-    return np.asarray(state.exists & (state.limit_excess == 0.0).all(axis=-1))
+def _counts(state: StageConfiguration, where: Condition | None = None) -> BoolArray:
+    """Return which states are physical, within the limits, and satisfy a condition."""
+    good = np.asarray(state.exists & (state.limit_excess == 0.0).all(axis=-1))
+    if where is not None:
+        good[good] = check_condition(where, state[good])
+    return good
 
 
 def _last_good(
@@ -336,13 +345,19 @@ def _last_good(
     return good
 
 
-def _largest_tilts(stage: Stage, heights: FloatArray, azimuths: FloatArray, rounds: int = _ROUNDS) -> FloatArray:
+def _largest_tilts(
+    stage: Stage,
+    heights: FloatArray,
+    azimuths: FloatArray,
+    rounds: int = _ROUNDS,
+    where: Condition | None = None,
+) -> FloatArray:
     """Return the largest tilts at heights and azimuths that broadcast, NaN where not even level."""
     shape = np.broadcast_shapes(heights.shape, azimuths.shape)
     heights, azimuths = np.broadcast_to(heights, shape), np.broadcast_to(azimuths, shape)
 
     def counts(tilts: FloatArray) -> BoolArray:
-        return _counts(inverse_physical(stage, heights[..., None], tilt=tilts, azimuth=azimuths[..., None]))
+        return _counts(inverse_physical(stage, heights[..., None], tilt=tilts, azimuth=azimuths[..., None]), where)
 
     grid = np.linspace(0.0, _LARGEST_TILT, round(_LARGEST_TILT / _STEP) + 1)
     good = counts(grid)

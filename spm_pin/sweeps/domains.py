@@ -21,6 +21,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.machine import LEGS, Manipulator, Stage
 from spm_pin.machine.legs import STAGE_LEGS
 from spm_pin.machine.machine import Machine, check_machine
+from spm_pin.machine.manipulator import machine_from_data
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, whole_number
 from spm_pin.sweeps.metrics import STATUS, Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points, Space
@@ -339,6 +340,12 @@ def _three(ranges: Any, argument: str) -> list[AxisRange]:
     return list(ranges)
 
 
+def coordinate_unit(machine: Machine, axis: Axis) -> str:
+    """Return the unit of a coordinate of a machine, "m" or "rad"."""
+    legs = dict(zip(machine.legs.names, machine.legs.units, strict=True))
+    return legs.get(axis.name, "rad" if axis.name in _ANGLES else "m")
+
+
 @dataclass(frozen=True)
 class SweepPlan:
     """Everything that determines the bytes of a store."""
@@ -377,8 +384,7 @@ class SweepPlan:
     @classmethod
     def from_definition(cls, content: dict[str, Any]) -> SweepPlan:
         """Make a plan from its `text` as JSON; metrics that are none of this package's are named, but not computed."""
-        data, domain = content["geometry"], content["domain"]
-        machine = (Manipulator if "middle_side" in data else Stage).from_data(data, "geometry")
+        machine, domain = machine_from_data(content["geometry"], "geometry"), content["domain"]
         axes, sample = tuple(Axis(**axis) for axis in domain["axes"]), domain["sample"]
         domain = Domain(domain["space"], axes, sample and Sample(**sample))
         metrics = tuple(map(Metric.from_definition, content["metrics"]))
@@ -410,8 +416,7 @@ class SweepPlan:
 
     def unit(self, axis: Axis) -> str:
         """Return the unit of a coordinate, "m" or "rad"."""
-        legs = dict(zip(self.machine.legs.names, self.machine.legs.units, strict=True))
-        return legs.get(axis.name, "rad" if axis.name in _ANGLES else "m")
+        return coordinate_unit(self.machine, axis)
 
     @property
     def chunks(self) -> tuple[int, ...]:

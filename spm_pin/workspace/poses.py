@@ -24,6 +24,7 @@ from spm_pin.machine import (
     Manipulator,
     PoseLike,
     SolutionSet,
+    StageConfiguration,
     Status,
     as_rigid_transform,
     joint_angles,
@@ -31,7 +32,6 @@ from spm_pin.machine import (
 from spm_pin.machine.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
 from spm_pin.machine.configuration import check_state
 from spm_pin.machine.manipulator import check_same_machine
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -45,8 +45,8 @@ from spm_pin.workspace.nearest_state import nearest_state
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
 
-_PAIRS = np.array([(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
-"""Pairs of legs that have no joint in common, by their indices in `LEGS`."""
+_PAIRS = {n: np.array([(i, j) for i in range(n) for j in range(i + 1, n) if j != i + 3]) for n in (3, 6)}
+"""Pairs of the legs of a stage, or of a manipulator, that have no joint in common, by their indices."""
 _ANGLES = {"hip": "passive"} | {name: name for name in ("ball_x", "ball_y", "ball_z")}
 """Names of the limits of angles, and of the angles."""
 _CANDIDATES, _STARTS = 100, 12
@@ -125,8 +125,9 @@ def leg_clearance(configuration: Configuration | StageConfiguration) -> FloatArr
     check_state(configuration)
     # Of RPS legs the first segment has no length.
     points = [configuration.leg_bases, configuration.circle_centres, configuration.balls]
+    points = [np.broadcast_to(each, configuration.balls.shape) for each in points]
     segments = [*pairwise(points[configuration.machine.legs.are_rps :])]
-    i, j = _PAIRS[(len(configuration.machine.legs.names) > _PAIRS).all(axis=-1)].T
+    i, j = _PAIRS[configuration.balls.shape[-2]].T
     squares = [
         _segment_distance2(p[..., i, :], (q - p)[..., i, :], r[..., j, :], (s - r)[..., j, :]).min(axis=-1)
         for (p, q), (r, s) in product(segments, repeat=2)

@@ -8,7 +8,6 @@ control of PKMs", 2002.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,8 +16,13 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from spm_pin.errors import ArgumentError
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.machine import Configuration, LegLimits, Manipulator
+from spm_pin.kinematics.rates_and_forces import platform_jacobian
+from spm_pin.kinematics.stage_rates import tilt_densities
+from spm_pin.machine import Configuration, LegLimits, Manipulator, Stage
+from spm_pin.machine.configuration import Condition, check_condition
+from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -32,7 +36,7 @@ from spm_pin.support.arguments import (
 from spm_pin.support.progress import shown_progress
 from spm_pin.workspace.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.search import Membership, nearest_points, search_states, start_table
-from spm_pin.workspace.states import StateSet, pose_densities, states_within
+from spm_pin.workspace.states import StateSet, check_finite, pose_densities, states_within
 
 _OPTIMALITY_TOLERANCE = 1e-6
 """Violation of Eq. (1) of `docs/theory/reachable_set.md`, above which the search has not converged."""
@@ -44,9 +48,6 @@ ROTATIONS = 8.0 * np.pi**2
 """Measure of all rotations [rad³]."""
 _LARGE = 0.99
 """Share of the states with a smaller weight than one that is assumed where no state counts."""
-
-Condition = Callable[[Configuration], npt.ArrayLike]
-"""Takes states (n,) and returns for each whether it counts, (n,); see `spm_pin.sweeps.condition` for one of metrics."""
 
 
 @dataclass(frozen=True)
@@ -237,7 +238,7 @@ def reachable_volume(
 
 
 def pose_volume(
-    machine: Manipulator,
+    machine: Manipulator | Stage,
     limits: LegLimits | None = None,
     *,
     where: Condition | None = None,
@@ -246,10 +247,12 @@ def pose_volume(
 ) -> Estimate:
     """Estimate the volume of the poses that are reachable in the physical mode, in m³ rad³; all rotations have 8π².
 
+    Of a stage it is the volume of the heights and normals that are reached, in m sr; all normals have 4π.
+
     Parameters
     ----------
     machine, limits, rng
-        As for `reachable_volume`.
+        As for `reachable_volume`; the machine may be a stage, with `StageLimits`.
     where : callable, optional
         Takes states (n,) and returns which of them count, (n,); all if not given. A state counts with one over the
         number of states of its pose, whether those count or not.
@@ -261,8 +264,14 @@ def pose_volume(
     States are drawn uniformly in coordinates of the stages, and weighted with |det ∂(o, R)/∂c| over the number of
     states with the same pose. A ratio of two such volumes, of the same seed, is a share of the poses. The interval is
     Student's; with `where` the wider of that and one of the effective number of states that count, in `method`.
+
+    Of a stage readings are drawn and weighted with |det ∂(height, normal)/∂readings|, which has no bound at a forward
+    singularity: where the limits hold one the estimate may come out small.
     """
     count = whole_number(samples, "samples", least=2)
+    check_machine(machine)
+    if isinstance(machine, Stage):
+        return _tilt_volume(machine, limits, where, count, generator(rng))
     states, rng = states_within(machine, limits), generator(rng)
     (lower, first), (upper, second) = (states.draw_stages(stage, count, rng) for stage in range(2))
     number = min(len(lower), len(upper))
@@ -271,24 +280,33 @@ def pose_volume(
     unseen = None
     if where is not None:
         satisfied = check_condition(where, states.states(coordinates))
-        hits = int(satisfied.sum())
-        # The weight of a state that was not drawn: the fewer count, the less is known of it.
-        unseen = float(np.quantile(values, _LARGE)) / max(hits, 1)
-        values, method = np.where(satisfied, values, 0.0), f"{method}; {hits} of {number} states count"
+        values, method, unseen = _counting(values, satisfied, method)
     return Estimate.from_mean(values, first * second, CONFIDENCE, method, "m³ rad³", 2.0 / number, unseen)
 
 
-def check_condition(where: Condition, states: Configuration) -> BoolArray:
-    """Return which states (n,) satisfy a condition, after a check of what it returns."""
-    if not callable(where):
-        raise ArgumentError("where", "a function of states that says which count", type_and_value(where))
-    if states.shape == (0,):
-        return np.zeros(0, dtype=np.bool_)
-    answer = np.asarray(where(states))
-    if answer.shape != states.shape or answer.dtype.kind != "b":
-        received = f"{answer.dtype} of shape {answer.shape}"
-        raise ArgumentError("where", f"a function that returns booleans of shape {states.shape}", received)
-    return answer
+def _counting(values: FloatArray, satisfied: BoolArray, method: str) -> tuple[FloatArray, str, float]:
+    """Return weights of the states (N,) that satisfy a condition, the method, and the weight of one not drawn."""
+    hits = int(satisfied.sum())
+    # The fewer count, the less is known of a state that was not drawn.
+    unseen = float(np.quantile(values, _LARGE)) / max(hits, 1)
+    return np.where(satisfied, values, 0.0), f"{method}; {hits} of {len(values)} states count", unseen
+
+
+def _tilt_volume(
+    stage: Stage, limits: LegLimits | None, where: Condition | None, count: int, rng: np.random.Generator
+) -> Estimate:
+    """Estimate the volume of the heights and normals that a stage reaches [m sr]."""
+    low, high = check_finite(stage, stage.limits if limits is None else stage.check_limits(limits)).ends
+    states = forward_physical(stage, rng.uniform(low, high, (count, 3)))
+    exists = states.exists
+    states = states[exists]
+    values, satisfied, unseen = np.zeros(count), np.zeros(count, dtype=np.bool_), None
+    values[exists] = tilt_densities(states, np.nan_to_num(platform_jacobian(states)))
+    method = "change of variables from readings"
+    if where is not None:
+        satisfied[exists] = check_condition(where, states)
+        values, method, unseen = _counting(values, satisfied, method)
+    return Estimate.from_mean(values, float((high - low).prod()), CONFIDENCE, method, "m sr", unseen=unseen)
 
 
 def _with_condition(

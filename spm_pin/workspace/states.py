@@ -19,7 +19,7 @@ from spm_pin.formulas.stages import ANY_ASPECT, HOME_ASPECT
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator
+from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator
 from spm_pin.machine.branch_of_state import FAMILIES, family, physical, stage_coordinates
 from spm_pin.support.arguments import (
     BoolArray,
@@ -374,17 +374,21 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
 
 
 def given_limits(machine: Manipulator, limits: LegLimits | None) -> LegLimits | None:
-    """Return leg limits, or those of the machine, which may have none."""
+    """Return leg limits, or those of the manipulator, which may have none."""
     check_instance(machine, Manipulator, "machine")
     return machine.limits if limits is None else machine.check_limits(limits)
 
 
 def finite_limits(machine: Manipulator, limits: LegLimits | None) -> LegLimits:
-    """Return leg limits, or those of the machine, which have to be finite."""
-    limits = given_limits(machine, limits)
+    """Return leg limits, or those of the manipulator, which have to be finite."""
+    return check_finite(machine, given_limits(machine, limits))
+
+
+def check_finite(machine: Machine, limits: LegLimits | None) -> LegLimits:
+    """Return limits of a machine, or raise `ArgumentError` if one is missing."""
     if limits is None:
         raise ArgumentError("limits", "LegLimits(minimum, maximum) in metres", None, "The machine has none of its own")
-    for leg, ends in zip(LEGS, zip(limits.minimum, limits.maximum, strict=True), strict=True):
+    for leg, ends in zip(machine.legs.names, zip(limits.minimum, limits.maximum, strict=True), strict=True):
         if not np.isfinite(ends).all():
             expected = "a finite minimum and maximum for every leg"
             raise ArgumentError("limits", expected, f"infinity for {leg}", "The set has no end then")

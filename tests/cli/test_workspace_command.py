@@ -238,3 +238,43 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path) -> None:
     assert "interrupted." in errors
     assert f"go on with: spm-pin sweep --out {store}" in errors
     assert json.loads(output("--out", store, "--status", "--json"))["done"] >= 2
+
+
+def test_a_sweep_of_a_stage(tmp_path: Path) -> None:
+    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2)).perturbed(1)
+    stage.to_yaml(tmp_path / "stage.yaml")
+    given = ["--machine", tmp_path / "stage.yaml", "--workers", 1, "--unit", "mm"]
+    tilts = ["--height", "100:140:3", "--tilt", "0:30:4", "--azimuth", 20]
+    out = output(*given, *tilts, "--metric", "reachable", "--out", tmp_path / "tilts")
+    assert "12 points: height 3, tilt 4" in out
+    found = xarray.open_zarr(tmp_path / "tilts").load()
+    heights = np.linspace(0.1, 0.14, 3)[:, None]
+    states = spm.stages.inverse_physical(stage, heights, tilt=np.radians([0, 10, 20, 30]), azimuth=np.radians(20))
+    np.testing.assert_array_equal(found.reachable, states.exists & (states.limit_excess == 0.0).all(axis=-1))
+    options = ["--legs", "-10:40", "--samples", 20, "--limits", -5, 50, "--metric", "reachable"]
+    output(*given, *options, "--out", tmp_path / "legs")
+    drawn = xarray.open_zarr(tmp_path / "legs").load()
+    readings = np.stack([drawn[leg] for leg in spm.machine.STAGE_LEGS], axis=-1)
+    np.testing.assert_array_equal(drawn.reachable, (readings >= np.radians(-5)).all(axis=-1))
+    for wrong, named in (
+        (["--x", "0:1:2"], "--x"),
+        (["--tilt", "0:10:2"], "--height"),
+        (["--legs", "0:1:2", "--legs", "0"], "--legs"),
+        (["--height", "100:140:2", "--tilt", "-10:10:2", "--azimuth", 0], "--tilt"),
+    ):
+        result = run("sweep", *given, *wrong, "--out", tmp_path / "none")
+        assert result.returncode == 2
+        assert named in result.stderr
+    assert "--height" in run("sweep", "--height", "1:2:3", "--out", tmp_path / "none").stderr
+
+
+def test_a_search_for_a_stage(tmp_path: Path) -> None:
+    pytest.importorskip("pymoo")
+    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.3, 0.6))
+    stage.to_yaml(tmp_path / "stage.yaml")
+    options = ["--free", "crank:0.03:0.07", "--maximise", "volume", "--at-least", "assembled:1"]
+    small = ["--population", 4, "--generations", 2, "--states", 32, "--choose", 0, "--out", tmp_path / "best.yaml"]
+    done = run("design", tmp_path / "front.json", "--machine", tmp_path / "stage.yaml", *options, *small)
+    assert done.returncode == 0, done.output
+    assert "volume [m sr]" in done.stdout
+    assert 0.03 <= spm.Stage.from_yaml(tmp_path / "best.yaml").kind.crank <= 0.07  # type: ignore[attr-defined]

@@ -1,0 +1,98 @@
+"""Volumes, limits of passive joints and conditions of what a stage reaches."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from balancers import MACHINES, existing_states, stage_and_height
+
+import spm_pin as spm
+from spm_pin.workspace import JointLimits, leg_clearance, pose_volume
+
+BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
+
+
+@pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS", "RRS as built"])
+def test_the_volume_is_that_of_the_heights_and_normals_reached(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    level = spm.stages.inverse_physical(stage, height).readings
+    room = 0.3 if stage.unit == "rad" else 0.06 * stage.size
+    stage = dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room))
+    whole = pose_volume(stage, samples=4096, rng=0)
+    upper = pose_volume(stage, where=lambda states: states.height > height, samples=4096, rng=0)
+    corners = np.stack(np.meshgrid(*stage.reading_limits.T), axis=-1).reshape(-1, 3)
+    states = spm.stages.forward_physical(stage, corners)
+    low, high, tilt = 0.9 * states.height.min(), 1.1 * states.height.max(), 1.3 * states.tilt.max()
+    rng, count = np.random.default_rng(0), 200_000
+    heights, cosines = rng.uniform(low, high, count), rng.uniform(np.cos(tilt), 1.0, count)
+    azimuths = rng.uniform(-np.pi, np.pi, count)
+    reached = spm.stages.inverse_physical(stage, heights, tilt=np.arccos(cosines), azimuth=azimuths)
+    counts = reached.exists & (reached.limit_excess == 0.0).all(axis=-1)
+    box = (high - low) * 2.0 * np.pi * (1.0 - np.cos(tilt))
+    for found, share in ((whole, np.mean(counts)), (upper, np.mean(counts & (heights > height)))):
+        error = 4.0 * box * np.sqrt(share / count)
+        assert found.low - error < box * share < found.high + error
+        assert found.unit == "m sr"
+        assert found.high < 1.2 * found.value
+    with pytest.raises(spm.ArgumentError) as caught:
+        pose_volume(dataclasses.replace(stage, limits=None))
+    assert caught.value.argument == "limits"
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_margins_of_passive_joints_are_those_of_angles_and_of_distances_between_legs(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    states = existing_states(stage, height, 10)
+    angles = spm.machine.joint_angles(states)
+    limits = JointLimits(hip=(-0.4, 0.5), ball_y=(-0.3, 0.2), clearance=0.01)
+    worst = [
+        np.minimum(angles.passive + 0.4, 0.5 - angles.passive),
+        np.minimum(angles.ball_y + 0.3, 0.2 - angles.ball_y),
+    ]
+    expected = np.concatenate(worst, axis=-1).min(axis=-1)
+    np.testing.assert_allclose(limits.angle_margin(states), expected, atol=1e-12)
+    # Points along the legs, closely: the distance of two of them is hardly larger than that of the legs.
+    parts = np.linspace(0.0, 1.0, 101)[:, None]
+    pivots, knees, balls = np.broadcast_arrays(states.leg_bases, states.circle_centres, states.balls)
+    least = np.full(len(states), np.inf)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        one, two = (
+            np.concatenate(
+                [p[:, None, k] + parts * (q - p)[:, None, k] for p, q in ((pivots, knees), (knees, balls))], axis=1
+            )
+            for k in (a, b)
+        )
+        least = np.minimum(least, np.linalg.norm(one[:, :, None] - two[:, None], axis=-1).min(axis=(1, 2)))
+    clearance = leg_clearance(states)
+    assert (clearance <= least + 1e-12).all()
+    np.testing.assert_allclose(clearance, least, rtol=2e-3)
+    np.testing.assert_allclose(limits.clearance_margin(states), clearance - 0.01)
+
+
+def test_the_reach_ends_where_a_condition_does() -> None:
+    joints = JointLimits(ball_y=(-0.25, 0.25))
+
+    def where(states: spm.stages.StageConfiguration) -> np.ndarray:
+        return np.asarray(joints.angle_margin(states) >= 0.0)
+
+    free = spm.stages.reach(BALANCER, 0.12, directions=12)
+    found = spm.stages.reach(BALANCER, 0.12, directions=12, where=where)
+    assert (found.tilts <= free.tilts).all()
+    assert (found.tilts < free.tilts - 1e-3).any()
+    shorter = found.tilts[0] < free.tilts[0] - 1e-9
+    for beyond, counts in ((-1e-9, True), (1e-9, False)):
+        states = spm.stages.inverse_physical(BALANCER, 0.12, tilt=found.tilts[0] + beyond, azimuth=found.azimuths)
+        np.testing.assert_array_equal(where(states)[shorter], counts)
+    with pytest.raises(spm.ArgumentError) as caught:
+        spm.stages.reach(BALANCER, 0.12, where=lambda states: states.tilt)
+    assert caught.value.argument == "where"
+    payload = spm.sweeps.METRICS["payload_down"](push=0.25)
+    level = spm.stages.inverse_physical(BALANCER, 0.12).readings[None]
+    least = 0.97 * float(payload.evaluate(spm.sweeps.Points(BALANCER, "legs", level))[0])
+    held = spm.stages.reach(BALANCER, 0.12, directions=12, where=spm.sweeps.condition(payload, least=least))
+    ends = spm.stages.inverse_physical(BALANCER, 0.12, tilt=held.tilts[0], azimuth=held.azimuths)
+    efforts = np.abs(spm.leg_forces(ends, [0, 0, -least, 0, 0, 0])).max(axis=-1)
+    assert efforts.max() == pytest.approx(0.25, rel=1e-6)
+    assert (held.tilts < free.tilts - 0.01).any()
