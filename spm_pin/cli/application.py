@@ -118,7 +118,7 @@ _COMMANDS = {
 }
 """The commands, which are functions of these names, and their files, in the order of the help."""
 
-_STAGE_COMMANDS = dict.fromkeys(("inverse", "forward", "reach", "certify", "draw", "view", "write"), "stage")
+_STAGE_COMMANDS = dict.fromkeys(("inverse", "forward", "reach", "certify", "move", "draw", "view", "write"), "stage")
 """Those of `spm-pin stage`."""
 
 
