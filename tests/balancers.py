@@ -18,6 +18,8 @@ STAGES = {
 }
 HEIGHTS = {"RPS": 1.1, "PRS radial": 0.3, "RRS": 0.12, "RRS inwards": 0.12}
 """At which they stand well; of the others 0.5 m."""
+STEP = 1e-6
+"""Of differences [m, rad]."""
 MACHINES = {f"{name}{built}": (name, bool(built)) for name in STAGES for built in ("", " as built")}
 
 
@@ -41,3 +43,18 @@ def existing_states(stage: spm.Stage, height: float, count: int, seed: int = 0) 
     normals, heights = requests(height, count, seed)
     states = spm.stages.inverse_physical(stage, heights, normal=normals)
     return states[states.exists]
+
+
+def equilibrium(state: spm.stages.StageConfiguration) -> npt.NDArray[np.float64]:
+    """Return the wrenches (6, 6) at o of the forces along the legs, per unit effort, and across their planes."""
+    legs, arms = state.stage.legs, state.balls - state.translation
+    # The reading's change per move of the ball within its plane, by differences of the legs' own formula.
+    outward, upward = legs.planes
+    changes = []
+    for axis in range(2):
+        ends = (legs.readings(state.places + sign * STEP * np.eye(2)[axis]) for sign in (1.0, -1.0))
+        changes.append(np.subtract(*ends) / (2.0 * STEP))
+    # By virtual work an effort t pushes the ball by t times the gradient of the reading.
+    along = changes[0][:, None] * outward + changes[1][:, None] * upward
+    forces = np.concatenate([along, legs.axes])
+    return np.concatenate([forces, np.cross(np.tile(arms, (2, 1)), forces)], axis=-1).T

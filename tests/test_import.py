@@ -173,3 +173,8 @@ def test_no_modules_import_each_other() -> None:
         graph[name] = found & set(names.values()) - {name}
     assert len(graph) > 100
     graphlib.TopologicalSorter(graph).prepare()
+
+
+def test_the_former_name_of_a_manipulator_works_with_a_warning() -> None:
+    with pytest.warns(DeprecationWarning, match="Manipulator"):
+        assert spm.Geometry is spm.Manipulator

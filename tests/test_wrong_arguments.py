@@ -168,8 +168,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "stages.forward_physical.near": lambda: STAGE_STATE,
     "stages.follow.readings": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
     **dict.fromkeys(("joint_loads.configuration", "parasitic_jacobian.configuration"), lambda: STAGE_STATE),
-    "with a stage.configuration": lambda: STAGE_STATE,
-    "with a stage.leg_rates.twist": lambda: np.zeros(3),
+    "one_stage.configuration": lambda: STAGE_STATE,
+    "one_stage.leg_rates.twist": lambda: np.zeros(3),
+    "one_stage.acceleration_polytope.mass": lambda: np.diag([10.0, 1.0, 1.0]),
     "StageConfiguration.pose": lambda: STAGE_STATE.pose,
     "StageSolutions.where.mask": lambda: np.ones(2, dtype=bool),
     "Stage.from_parameters.parameters": lambda: STAGE.parameters,
@@ -241,6 +242,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Manipulator.from_parameters.parameters": lambda: BUILT.parameters,
     "Manipulator.to_yaml.path": lambda: "machine.yaml",
     "calibration.choose_poses.candidates": lambda: 40,
+    **dict.fromkeys(("Inclinations.roll", "Inclinations.pitch", "Inclinations.height"), lambda: [0.1, 0.2]),
     "calibration.identify.readings": lambda: MEASURED.readings,
     "calibration.identify.poses": lambda: MEASURED.pose,
     "calibration.read_measurements.path": measurements_file,
@@ -270,6 +272,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Manipulator.from_yaml.path": lambda: Path(__file__).parents[1] / "urdf" / "config" / "geometry.yaml",
     "SolutionSet.from_unordered.middle_joints": lambda: STATE.middle_joints[None],
     "sweeps.pose_sample.x": lambda: (0.0, 0.1),
+    "tilt_grid.height": lambda: (0.1, 0.12, 2),
+    "tilt_sample.height": lambda: (0.1, 0.12),
+    **{f"{name}.{angle}": lambda: 0.1 for name in ("tilt_grid", "tilt_sample") for angle in ("tilt", "azimuth")},
     "display.path_figure.path": lambda: spm.follow(PAPER, PATH, STATE, samples=2),
     "time_optimal.path": lambda: spm.motion.LegPath(LINE),
     "time_optimal.leg_accelerations": lambda: 5.0,
@@ -277,8 +282,10 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 }
 """A good value for each parameter that has no default, or whose default takes long; by name or by place and name."""
 
-INPUTS = "Configuration DesignProblem Geometry JointLimits LegLimits LegPath Legs Masses Payload PlatformPath RigidBody"
-INPUTS += " Ball Stage StageConfiguration StageLimits"
+INPUTS = (
+    "Configuration DesignProblem JointLimits LegLimits LegPath Legs Manipulator Masses Payload PlatformPath RigidBody"
+)
+INPUTS += " Ball Inclinations Stage StageConfiguration StageLimits"
 """Classes that users make themselves; the others are results, made by the package."""
 
 OTHER_WORDS = {
@@ -302,7 +309,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "ChainState": lambda: chain().state(q()),
     "ClosedChain": chain,
     "loops.ClosedChain": linkage,
-    "Geometry": lambda: PAPER,
+    "Manipulator": lambda: PAPER,
     "JointLimits": lambda: spm.workspace.JointLimits(hip=(-1.0, 1.0)),
     "LegLimits": lambda: spm.LegLimits(1.1, 1.5),
     "Masses": lambda: spm.description.Masses({"leg_*_rod": {"mass": 2.0}}),
@@ -334,6 +341,8 @@ SKIPPED_PARAMETERS = ("progress", "argument", "state", "scheduler")
 EITHER = (
     *(spm.inverse_jacobian, spm.leg_forces, spm.leg_rates, spm.singularities, spm.stiffness),
     *(spm.kinematics.compliance, spm.kinematics.platform_jacobian, spm.kinematics.principal_stiffness),
+    *(spm.capability.acceleration_polytope, spm.capability.joint_reactions),
+    *(spm.capability.velocity_polytope, spm.capability.wrench_polytope),
 )
 """Functions that take a stage as well as a manipulator, and are called with both."""
 
@@ -357,7 +366,7 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
                         if not method.startswith("_") and callable(getattr(member, method)):
                             yield f"{owner}.{method}", getattr(member, method)
             seen.add(id(member))
-    yield from ((f"with a stage.{function.__name__}", function) for function in EITHER)
+    yield from ((f"one_stage.{function.__name__}", function) for function in EITHER)
 
 
 def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:

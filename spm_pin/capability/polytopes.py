@@ -1,12 +1,16 @@
 """Sets of wrenches, twists and accelerations that the legs allow, as polytopes of states.
 
-Six legs and six freedoms: with x what the platform does and y what the legs do, y = N x for a regular matrix N, so that
-limits of the legs, a box of y, are a parallelotope of x. Its twelve facets are the rows of N and its 64 vertices the
-corners of the box through N⁻¹, and of both matrices there is a closed form:
+As many legs as freedoms: with x what the platform does and y what the legs do, y = N x for a regular matrix N, so that
+limits of the legs, a box of y, are a parallelotope of x. Its facets, two of each leg, are the rows of N and its
+vertices the corners of the box through N⁻¹, and of both matrices there is a closed form:
 
     wrench onto m    f = -Gᵀ w         w = -J_fᵀ f
     twist of m       ṙ = J_f t         t = G ṙ
     acceleration     f = Gᵀ (Λ ṫ + h)  ṫ = Λ⁻¹ (J_fᵀ f - h)
+
+A stage has three freedoms: its x are the motion (v_z, ω_x, ω_y) and its time derivative, with J_f and the rows of G
+that belong to it. The wrench onto its platform keeps all six components. Its structure holds a part of them without any
+leg, so that limits of the legs alone leave a set without end, and those of joints, `joint_reactions`, close it.
 
 Facets therefore also hold where the other matrix does not exist: at an inverse singularity the structure holds some
 wrenches without any leg, at a forward singularity some twists need no leg rates, and the set has no end there.
@@ -29,9 +33,9 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_jacobian, platform_jacobian
-from spm_pin.kinematics.rates_and_forces import stage_inverses
-from spm_pin.machine import Configuration
-from spm_pin.machine.configuration import check_configuration
+from spm_pin.kinematics.rates_and_forces import State, stage_inverses
+from spm_pin.kinematics.stage_rates import motion_rows
+from spm_pin.machine.configuration import check_state
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -43,8 +47,11 @@ from spm_pin.support.arguments import (
     symmetric_matrices,
 )
 
-_PARTS = {"linear": slice(3), "angular": slice(3, 6)}
-_CORNERS = (np.arange(64)[:, None] >> np.arange(6)) & 1 == 1
+_PARTS = {
+    6: {"linear": slice(3), "angular": slice(3, 6)},
+    3: {"linear": slice(1), "angular": slice(1, 3)},
+}
+"""Parts of x, by its length."""
 _MOST = 1e100
 _ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 _FLATTEST = 1e-7
@@ -57,20 +64,20 @@ class HalfSpaces(NamedTuple):
     """Half-spaces A x <= b of polytopes of shape (...) with n rows each."""
 
     A: FloatArray
-    """Outward normals, not of unit length, shape (..., 2 n, 6): upper limits, then lower ones."""
+    """Outward normals, not of unit length, shape (..., 2 n, 6): upper limits, then lower ones; of motions (..., 3)."""
     b: FloatArray
     """Shape (..., 2 n), in the unit of the limits."""
 
 
 class Ellipsoid(NamedTuple):
-    """Ellipsoids of shape (...) in the space of forces, moments, or of what they stand for."""
+    """Ellipsoids of shape (...) in the space of k forces, moments, or of what they stand for, k = 3 but for motions."""
 
     centre: FloatArray
-    """Shape (..., 3)."""
+    """Shape (..., k)."""
     semi_axes: FloatArray
-    """From large to small, shape (..., 3)."""
+    """From large to small, shape (..., k)."""
     directions: FloatArray
-    """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
+    """Their unit vectors in {B}, as rows, shape (..., k, k)."""
 
 
 class Section(NamedTuple):
@@ -86,16 +93,16 @@ class JointReactions(NamedTuple):
     """Rows that multiply a wrench (f, m) at o in {B} [N, N m]; for `Polytope.within`, or ``rows @ wrench``."""
 
     axial: FloatArray
-    """Force of the leg onto what it carries along its revolute axis `leg_axes`, of the six legs, shape (..., 6, 6)."""
+    """Force of each leg onto what it carries along its revolute axis `leg_axes`, shape (..., legs, 6)."""
     bending: FloatArray
-    """Moment of the six legs at the joint where the rod begins, at `Configuration.circle_centres`: the pivot of an RPS
-    leg, the carriage or the knee of others. About the direction of the rod x its axis [N m], shape (..., 6, 6)."""
+    """Moment of each leg at the joint where the rod begins, at `Configuration.circle_centres`: the pivot of an RPS
+    leg, the carriage or the knee of others. About the direction of the rod x its axis [N m], shape (..., legs, 6)."""
     pivot: FloatArray
-    """Moment at the pivot itself, about the direction from there to the ball x the leg's axis [N m], shape (..., 6, 6):
-    of an RRS leg at the bearings of its motor's shaft."""
+    """Moment at the pivot itself, about the direction from there to the ball x the leg's axis [N m], shape
+    (..., legs, 6): of an RRS leg at the bearings of its motor's shaft."""
     ball: FloatArray
-    """Components of each ball's force in eight directions, over cos(π/16), shape (..., 48, 6), leg by leg: all of them
-    within ±F guarantee a resultant of at most F, and a resultant of at most 0.98 F keeps them within it."""
+    """Components of each ball's force in eight directions, over cos(π/16), shape (..., 8 legs, 6), leg by leg: all of
+    them within ±F guarantee a resultant of at most F, and a resultant of at most 0.98 F keeps them within it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,18 +110,19 @@ class Polytope:
     """Points x with lower <= rows · x <= upper, for states of shape (...); NaN for a state that does not exist.
 
     x is a wrench (f, m) [N, N m], a twist (v, ω) [m/s, rad/s] or its time derivative, at o in {B}; its "linear" part
-    is (x_1, x_2, x_3), the "angular" one the rest. Made by `wrench_polytope`, `velocity_polytope` and
-    `acceleration_polytope`.
+    is (x_1, x_2, x_3), the "angular" one the rest. Of a stage it is such a wrench, or its motion (v_z, ω_x, ω_y) or the
+    time derivative of that: then v_z is the "linear" part, the velocity of its tilt the "angular" one. Made by
+    `wrench_polytope`, `velocity_polytope` and `acceleration_polytope`.
     """
 
     rows: FloatArray
-    """Derivatives of the limited quantities by x, legs r_b1 to r_c3 first, shape (..., n, 6)."""
+    """Derivatives of the limited quantities by x, legs first, shape (..., n, 6), of motions (..., n, 3)."""
     lower: FloatArray
     """Least values, shape (..., n)."""
     upper: FloatArray
     """Largest values, shape (..., n)."""
     columns: Callable[[], FloatArray] | None = None
-    """Returns the inverse (..., 6, 6) of the rows of a parallelotope; None for other polytopes."""
+    """Returns the inverse of the rows of a parallelotope; None for other polytopes."""
 
     def __repr__(self) -> str:
         return f"<Polytope: shape {self.lower.shape[:-1]}, {2 * self.lower.shape[-1]} half-spaces>"
@@ -129,13 +137,16 @@ class Polytope:
     def vertices(self) -> FloatArray:
         """The 64 vertices, shape (..., 64, 6): in number k leg i is at its upper limit if bit i of k is set.
 
-        Raises `SingularConfigurationError` where the set has no end: wrenches at an inverse singularity, twists and
-        accelerations at a forward one. With rows added by `within` only a `section` has vertices.
+        Of motions of a stage 8, shape (..., 8, 3). Raises `SingularConfigurationError` where the set has no end:
+        wrenches at an inverse singularity, twists and accelerations at a forward one; `ArgumentError` for wrenches onto
+        a stage. With rows added by `within` only a `section` has vertices.
         """
         if self.columns is None:
             cause = "Its vertices have no closed form: take a section, or scipy.spatial.HalfspaceIntersection"
-            raise ArgumentError("vertices", "a parallelotope, of limits of six legs alone", repr(self), cause)
-        corners = np.where(_CORNERS, self.upper[..., None, :], self.lower[..., None, :])
+            raise ArgumentError("vertices", "a parallelotope, of as many limits as freedoms", repr(self), cause)
+        bits = np.arange(self._width)
+        is_upper = (np.arange(2**self._width)[:, None] >> bits) & 1 == 1
+        corners = np.where(is_upper, self.upper[..., None, :], self.lower[..., None, :])
         return np.asarray(corners @ self.columns().mT)
 
     def within(self, rows: npt.ArrayLike, limits: npt.ArrayLike, *, load: npt.ArrayLike | None = None) -> Polytope:
@@ -143,14 +154,14 @@ class Polytope:
 
         Parameters
         ----------
-        rows : array_like, shape (6,) or (..., k, 6)
+        rows : array_like, shape (6,) or (..., k, 6), of motions (3,) or (..., k, 3)
             The functions, such as the rows of `joint_reactions`.
         limits : array_like, shape (), (k,) or (2, k)
             Largest values, of either sign; or the least and the largest.
-        load : array_like, shape (..., 6), optional
+        load : array_like of the length of x, optional
             What is there besides x and adds to the functions: for reactions, the payload's part of the polytope's load.
         """
-        added = np.atleast_2d(real_array(rows, "rows", (6,), "functions of x at o in {B}", allow_nan=True))
+        added = np.atleast_2d(real_array(rows, "rows", (self._width,), "functions of x at o in {B}", allow_nan=True))
         lower, upper = leg_bounds(limits, "limits", "values of the rows", count=added.shape[-2], most=_MOST)
         shape = broadcastable("rows", added.shape[:-2], "the polytope", self.lower.shape[:-1])
         offset = _taken(added, load, "the polytope", shape)
@@ -163,12 +174,12 @@ class Polytope:
         return Polytope(joined(self.rows, added, -2), *ends)
 
     def contains(self, points: npt.ArrayLike) -> BoolArray:
-        """Return which points x (..., 6) are inside; their leading axes broadcast with those of the polytope."""
+        """Return which points x (..., 6), of motions (..., 3), are inside; their leading axes broadcast."""
         values = self._values(points, "points")
         return np.asarray(((values >= self.lower) & (values <= self.upper)).all(axis=-1))
 
     def extent(self, direction: npt.ArrayLike) -> FloatArray:
-        """Return the largest multiple (...) of x = `direction` (..., 6) that is inside, with all smaller ones.
+        """Return the largest multiple (...) of x = `direction`, a point, that is inside, with all smaller ones.
 
         Infinite where nothing limits it, 0 where zero is outside: where not even the weights are held, for instance.
         """
@@ -188,9 +199,9 @@ class Polytope:
             "linear": the force held, or the speed of o reached, in every direction; "angular": the moment, or the
             angular velocity. 0 where zero is outside, infinite where nothing is limited.
         """
-        x = self.rows[..., _PARTS[choice(part, "part", tuple(_PARTS))]]
+        x = self.rows[..., self._part(part)]
         # Term by term: NumPy takes several times as long to reduce a short last axis.
-        squares = x[..., 0] * x[..., 0] + x[..., 1] * x[..., 1] + x[..., 2] * x[..., 2]
+        squares = sum(x[..., k] * x[..., k] for k in range(x.shape[-1]))
         with np.errstate(divide="ignore", invalid="ignore"):
             radii = np.where(squares == 0.0, np.inf, np.minimum(self.upper, -self.lower) / np.sqrt(squares))
         return self._around_zero(np.asarray(reduce(np.minimum, np.moveaxis(radii, -1, 0))))
@@ -198,16 +209,17 @@ class Polytope:
     def ellipsoid(self, part: str = "linear") -> Ellipsoid:
         """Return the section, where the other part is zero, of the ellipsoid Σ ((y_i - middle_i) / half range_i)² <= 1.
 
-        `part` as for `ball`. NaN where the ellipsoid has no such section. Of a parallelotope, the ellipsoid in six
-        dimensions is the one of largest volume inside it, which touches all twelve facets. With other rows it is
-        inside, not the largest.
+        `part` as for `ball`. NaN where the ellipsoid has no such section, or one without end. Of a parallelotope, the
+        ellipsoid in all dimensions is the one of largest volume inside it, which touches all facets. With other rows it
+        is inside, not the largest.
         """
         half = 0.5 * (self.upper - self.lower)
-        scaled = self.rows[..., _PARTS[choice(part, "part", tuple(_PARTS))]] / half[..., None]
+        scaled = self.rows[..., self._part(part)] / half[..., None]
         middle = 0.5 * (self.upper + self.lower) / half
         matrix = scaled.mT @ scaled
         absent = np.asarray(~np.isfinite(matrix).all(axis=(-1, -2)))
-        values, vectors = np.linalg.eigh(np.where(absent[..., None, None], np.eye(3), matrix))
+        values, vectors = np.linalg.eigh(np.where(absent[..., None, None], np.eye(matrix.shape[-1]), matrix))
+        values = np.where(values <= _ROUNDING * values[..., -1:], np.nan, values)
         towards = (scaled @ vectors).mT @ middle[..., None]
         with np.errstate(divide="ignore", invalid="ignore"):
             centre = (vectors @ (towards / values[..., None]))[..., 0]
@@ -218,11 +230,14 @@ class Polytope:
         return Ellipsoid(np.where(present, centre, np.nan), np.where(present, axes, np.nan), directions)
 
     def section(self, part: str = "linear") -> Section:
-        """Return the polyhedron of one part with the other part zero, of a single state; it has to have some volume."""
+        """Return the polyhedron of one part with the other part zero, of a single state; it has to have some volume.
+
+        `part` as for `ball`; of motions of a stage it is "motion", all three components.
+        """
         from scipy.optimize import linprog
         from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-        columns = _PARTS[choice(part, "part", tuple(_PARTS))]
+        columns = self._part(part) if self._width == 6 else {"motion": slice(3)}[choice(part, "part", ("motion",))]
         if self.lower.ndim > 1 or not np.isfinite(self.rows).all():
             received = "one that does not exist" if self.lower.ndim == 1 else f"shape {self.lower.shape[:-1]}"
             raise ArgumentError("polytope", "that of a single state", received, "Make it of one of the states")
@@ -252,8 +267,17 @@ class Polytope:
         faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)
         return Section((points / scales) @ directions, faces.astype(np.intp))
 
+    @property
+    def _width(self) -> int:
+        """Length of x."""
+        return int(self.rows.shape[-1])
+
+    def _part(self, part: str) -> slice:
+        parts = _PARTS[self._width]
+        return parts[choice(part, "part", tuple(parts))]
+
     def _values(self, points: npt.ArrayLike, argument: str) -> FloatArray:
-        array = real_array(points, argument, (6,), "linear part, then angular part, at o in {B}")
+        array = real_array(points, argument, (self._width,), "linear part, then angular part, at o in {B}")
         broadcastable(argument, array.shape[:-1], "the polytope", self.lower.shape[:-1])
         values = (self.rows @ array[..., None])[..., 0]
         # What is zero to rounding would be inside or outside a limit of zero by its sign.
@@ -267,15 +291,15 @@ class Polytope:
 
 
 def wrench_polytope(
-    configuration: Configuration, force_limits: npt.ArrayLike, *, load: npt.ArrayLike | None = None
+    configuration: State, force_limits: npt.ArrayLike, *, load: npt.ArrayLike | None = None
 ) -> Polytope:
     """Return the wrenches onto the terminal platform that the legs hold within limits of their forces.
 
     Parameters
     ----------
-    configuration : Configuration
+    configuration : Configuration or StageConfiguration
         States of shape (...).
-    force_limits : array_like, shape (), (6,) or (2, 6)
+    force_limits : array_like, shape (), (6,) or (2, 6), of a stage (), (3,) or (2, 3)
         Largest effort of each actuator in either sense [N], of RRS legs [N m]; or the least, which is negative, and the
         largest. A positive one increases the reading: an RPS leg pushes.
     load : array_like, shape (..., 6), optional
@@ -286,7 +310,8 @@ def wrench_polytope(
     -------
     Polytope
         Of wrenches (f, m) [N, N m] at o in {B}, applied from outside as those of `leg_forces`; what the platform exerts
-        has the opposite sign. At singularities as `platform_jacobian`.
+        has the opposite sign. At singularities as `platform_jacobian`. Of a stage it has no end where the structure
+        holds, until `within` limits the reactions.
 
     Examples
     --------
@@ -299,32 +324,35 @@ def wrench_polytope(
     bounds = _limits_of(configuration, force_limits, "force_limits", "efforts of the actuators", "N", "N m")
     rows = -platform_jacobian(configuration).mT
     offset = _taken(rows, load, "the configuration", configuration.shape)
-    return _polytope(rows, bounds, offset, partial(_wrenches_of_forces, configuration))
+    is_square = rows.shape[-2] == rows.shape[-1]
+    return _polytope(rows, bounds, offset, partial(_wrenches_of_forces, configuration) if is_square else None)
 
 
-def velocity_polytope(configuration: Configuration, rate_limits: npt.ArrayLike) -> Polytope:
+def velocity_polytope(configuration: State, rate_limits: npt.ArrayLike) -> Polytope:
     """Return the twists of the platform that limits of the leg rates allow.
 
     Parameters
     ----------
-    configuration : Configuration
+    configuration : Configuration or StageConfiguration
         States of shape (...).
-    rate_limits : array_like, shape (), (6,) or (2, 6)
+    rate_limits : array_like, shape (), (6,) or (2, 6), of a stage (), (3,) or (2, 3)
         Largest rate of each reading [m/s], of RRS legs [rad/s], in either sense; or the least, which is negative, and
         the largest.
 
     Returns
     -------
     Polytope
-        Of twists (v, ω) [m/s, rad/s] at o in {B}; at singularities as `inverse_jacobian`.
+        Of twists (v, ω) [m/s, rad/s] at o in {B}, of a stage of motions (v_z, ω_x, ω_y); at singularities as
+        `inverse_jacobian`.
     """
     bounds = _limits_of(configuration, rate_limits, "rate_limits", "rates of the readings", "m/s", "rad/s")
     rows = inverse_jacobian(configuration)
-    return _polytope(rows, bounds, np.zeros(rows.shape[:-1]), partial(platform_jacobian, configuration))
+    columns = partial(_twists_of_rates, configuration)
+    return _polytope(rows, bounds, np.zeros(rows.shape[:-1]), columns)
 
 
 def acceleration_polytope(
-    configuration: Configuration,
+    configuration: State,
     force_limits: npt.ArrayLike,
     mass: npt.ArrayLike,
     load: npt.ArrayLike | None = None,
@@ -333,75 +361,86 @@ def acceleration_polytope(
 
     Parameters
     ----------
-    configuration : Configuration
+    configuration : Configuration or StageConfiguration
         States of shape (...).
-    force_limits : array_like, shape (), (6,) or (2, 6)
+    force_limits : array_like
         As for `wrench_polytope`.
-    mass : array_like, shape (..., 6, 6)
-        Λ of ``chain.state(q, v).platform_dynamics()``, the mass of all bodies reflected at o, or of the platform alone.
-    load : array_like, shape (..., 6), optional
+    mass : array_like, shape (..., 6, 6), of a stage (..., 3, 3)
+        Λ of ``chain.state(q, v).platform_dynamics()``, the mass of all bodies reflected at o, or of the platform alone:
+        of a stage whose platform has the 6 x 6 M at o it is Pᵀ M P, P from `spm_pin.stages.parasitic_jacobian`.
+    load : array_like, shape (..., 6), of a stage (..., 3), optional
         The wrench onto the platform besides [N, N m]; with `dynamics` from that call, ``-dynamics.bias -
-        dynamics.gravity`` for the robot's own velocity and weight.
+        dynamics.gravity`` for the robot's own velocity and weight. Of a stage Pᵀ w of a wrench w.
 
     Returns
     -------
     Polytope
-        Of time derivatives of the twist [m/s², rad/s²] at o in {B}; singularities as in `wrench_polytope`.
+        Of time derivatives of the twist, of a stage of its motion, [m/s², rad/s²] at o in {B}; singularities as in
+        `wrench_polytope`.
     """
     bounds = _limits_of(configuration, force_limits, "force_limits", "efforts of the actuators", "N", "N m")
-    matrix = symmetric_matrices(mass, "mass", 6, "in kg, kg m, kg m²", allow_nan=True, positive=True)
+    check_state(configuration)
+    forces = -motion_rows(platform_jacobian(configuration)).mT
+    matrix = symmetric_matrices(mass, "mass", forces.shape[-1], "in kg, kg m, kg m²", allow_nan=True, positive=True)
     broadcastable("mass", matrix.shape[:-2], "the configuration", configuration.shape)
-    forces = -platform_jacobian(configuration).mT
     offset = _taken(forces, load, "the configuration", configuration.shape) + np.zeros(matrix.shape[:-1])
     return _polytope(-forces @ matrix, bounds, offset, partial(_accelerations_of_forces, configuration, matrix))
 
 
-def joint_reactions(configuration: Configuration) -> JointReactions:
+def joint_reactions(configuration: State) -> JointReactions:
     """Return the reactions in states (...) at the ball and revolute joints to a wrench onto the terminal platform.
 
     Weights and friction are left out, the structure is rigid. NaN for a member that does not exist; raises
     `SingularConfigurationError` at a forward or a constraint singularity, where the legs do not hold the platform.
     """
-    check_configuration(configuration)
+    check_state(configuration)
     rows = -stage_inverses(configuration).mT
     shape = rows.shape[:-3]
-    along, axial = (rows[..., k, :].reshape(*shape, 6, 6) for k in (slice(3), slice(3, 6)))
+    along, axial = (rows[..., k, :].reshape(*shape, -1, 6) for k in (slice(3), slice(3, 6)))
     angles = np.pi * np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS
     ball = np.cos(angles) * along[..., None, :] + np.sin(angles) * axial[..., None, :]
     rods = np.linalg.norm(configuration.leg_vectors, axis=-1)
-    bending, pivot = (lever[..., None] * axial for lever in (rods, configuration.leg_lengths))
+    arms = np.linalg.norm(configuration.balls - configuration.leg_bases, axis=-1)
+    bending, pivot = (lever[..., None] * axial for lever in (rods, arms))
     return JointReactions(axial, bending, pivot, ball.reshape(*shape, -1, 6) / np.cos(0.5 * np.pi / _DIRECTIONS))
 
 
 def _limits_of(
-    configuration: Configuration, value: npt.ArrayLike, argument: str, meaning: str, *units: str
+    configuration: State, value: npt.ArrayLike, argument: str, meaning: str, *units: str
 ) -> tuple[FloatArray, FloatArray]:
     """Return `leg_bounds` in the units of lengths and of angles that the legs of a configuration have."""
-    legs = check_configuration(configuration).machine.legs
-    return leg_bounds(value, argument, f"{meaning} in {legs.unit_text(*units)}", most=_MOST)
+    legs = check_state(configuration).machine.legs
+    return leg_bounds(value, argument, f"{meaning} in {legs.unit_text(*units)}", most=_MOST, count=len(legs.names))
 
 
 def _taken(rows: FloatArray, load: npt.ArrayLike | None, other: str, shape: tuple[int, ...]) -> FloatArray:
-    """Return by how much a load shifts the limits of rows (..., n, 6); 0 without one."""
+    """Return by how much a load shifts the limits of rows (..., n, k); 0 without one."""
     if load is None:
         return np.zeros(rows.shape[:-1])
-    wrench = real_array(load, "load", (6,), "(f, m) at o in {B} in N and N m", allow_nan=True)
+    wrench = real_array(load, "load", rows.shape[-1:], "(f, m) at o in {B} in N and N m", allow_nan=True)
     broadcastable("load", wrench.shape[:-1], other, shape)
     return np.asarray((rows @ wrench[..., None])[..., 0])
 
 
 def _polytope(
-    rows: FloatArray, bounds: tuple[FloatArray, FloatArray], offset: FloatArray, columns: Callable[[], FloatArray]
+    rows: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+    offset: FloatArray,
+    columns: Callable[[], FloatArray] | None,
 ) -> Polytope:
     lower, upper = (bound - offset for bound in bounds)
-    return Polytope(np.broadcast_to(rows, (*lower.shape, 6)), lower, upper, columns)
+    return Polytope(np.broadcast_to(rows, (*lower.shape, rows.shape[-1])), lower, upper, columns)
 
 
-def _wrenches_of_forces(configuration: Configuration) -> FloatArray:
+def _wrenches_of_forces(configuration: State) -> FloatArray:
     return -inverse_jacobian(configuration).mT
 
 
-def _accelerations_of_forces(configuration: Configuration, mass: FloatArray) -> FloatArray:
+def _twists_of_rates(configuration: State) -> FloatArray:
+    return motion_rows(platform_jacobian(configuration))
+
+
+def _accelerations_of_forces(configuration: State, mass: FloatArray) -> FloatArray:
     absent = np.isnan(mass).any(axis=(-1, -2), keepdims=True)
     wrenches = np.where(absent, np.nan, inverse_jacobian(configuration).mT)
-    return np.linalg.solve(np.where(absent, np.eye(6), mass), wrenches)
+    return np.linalg.solve(np.where(absent, np.eye(mass.shape[-1]), mass), wrenches)

@@ -1,4 +1,4 @@
-"""`spm-pin certify`, leg limits proved free of singularities, and `move`, the fastest motion within limits."""
+"""`spm-pin certify` proves that limits have no singularities; `move` plans the fastest motion within limits."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ AngleError = Annotated[float, Option(help="Errors of the revolute axes to prove 
 
 
 def largest_of(help_text: str) -> Any:
-    """Return an option of a limit: one number, or one for each leg, separated by commas."""
+    """Return an option for a limit: one number, or one for each leg, separated by commas."""
     return Option(metavar="X", help=f"Largest {help_text}")
 
 
@@ -56,29 +56,29 @@ def _degrees(help_text: str) -> Any:
 )
 def certify(
     minimum: Annotated[
-        float | None, Option("--min", help="Least reading of all six legs, in --unit, of cranks in degrees.")
+        float | None, Option("--min", help="Minimum reading of all six legs, in --unit, for cranks in degrees.")
     ] = None,
     maximum: Annotated[float | None, Option("--max", help="Largest reading of all six legs, as --min.")] = None,
     boxes: Boxes = 300_000,
     length_error: LengthError = 0.0,
     angle_error: AngleError = 0.0,
     inverse: Annotated[
-        bool, Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
+        bool, Option("--inverse", help="Also inverse singularities: a bound of |det K|, or a singular state.")
     ] = False,
     out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
     unit: Annotated[
-        LengthUnit, Option(help="Unit of the lengths typed; the answer is in metres and radians.")
+        LengthUnit, Option(help="Unit of the typed lengths; results are in metres and radians.")
     ] = LengthUnit.M,
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Prove that leg limits hold no forward singularity, so that six readings mean one configuration.
+    """Prove that there is no forward singularity within leg limits, so that six readings determine the configuration.
 
     Example: spm-pin certify --min 1.1 --max 1.5
 
     Without --min and --max the limits are the machine's. The exit code is 0 if the proof succeeds, 1 if a singular
-    configuration was found or boxes were left undecided. --out needs the extra "plots". For the file of a machine as
-    built it is proved for all machines that are as near to the nominal one.
+    configuration was found or boxes were left undecided. --out needs the extra "plots". For the file of a calibrated
+    machine it is proved for all machines that are as close to the nominal one.
     """
     dimensions = options.read_machine(machine_file)
     if (minimum is None) != (maximum is None):
@@ -138,7 +138,7 @@ def _content(certificate: Certificate, other: InverseCertificate | None) -> dict
 @options.takes_pose("goal_pose", "to-", required=False)
 def move(
     start: Annotated[
-        SixLegs | None, leg_option("--from", "Readings at the start, in --unit, of cranks in degrees.")
+        SixLegs | None, leg_option("--from", "Readings at the start, in --unit, for cranks in degrees.")
     ] = None,
     goal: Annotated[SixLegs | None, leg_option("--to", "Readings at the end, as --from.")] = None,
     start_pose: RigidTransform | None = None,
@@ -150,7 +150,7 @@ def move(
     limits: Annotated[
         tuple[str, str] | None,
         Option(
-            metavar="MIN MAX", help="Of the readings, each one number or six, as --from; the machine's if not given."
+            metavar="MIN MAX", help="Limits of the readings, each one number or six, as --from; default: the machine's."
         ),
     ] = None,
     leg_rate: Annotated[str | None, largest_of("speed of a leg \\[m/s].")] = None,
@@ -160,12 +160,12 @@ def move(
     twist: Annotated[_Ends, Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s].")] = None,
     payload: Annotated[float, Option(help="Mass on the terminal platform, at o \\[kg].")] = 0.0,
     hip: Annotated[_Ends, _degrees("Angles of the revolute joints, from home, in degrees.")] = None,
-    ball_x: Annotated[_Ends, _degrees("The same of the ball joints, about the legs' revolute axes.")] = None,
-    ball_y: Annotated[_Ends, _degrees("About their middle axes.")] = None,
-    ball_z: Annotated[_Ends, _degrees("About the middle platform's normal.")] = None,
+    ball_x: Annotated[_Ends, _degrees("Angles of the ball joints about the legs' revolute axes, in degrees.")] = None,
+    ball_y: Annotated[_Ends, _degrees("Angles of the ball joints about their middle axes.")] = None,
+    ball_z: Annotated[_Ends, _degrees("Angles of the ball joints about the middle platform's normal.")] = None,
     clearance: Annotated[float | None, Option(help="Least distance of legs without a common joint, in --unit.")] = None,
-    margin: Annotated[float, Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
-    straight: Annotated[bool, Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
+    margin: Annotated[float, Option(help="Smallest |det J| of a stage over d³ on the way.")] = 0.05,
+    straight: Annotated[bool, Option("--straight", help="Move o along a straight line only.")] = False,
     period: Annotated[float, Option(help="Time between the rows \\[s].")] = 2e-3,
     out: Annotated[Path | None, outputs.file_option("CSV of the motion to write.", (".csv",))] = None,
     plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
@@ -179,9 +179,9 @@ def move(
     Example: spm-pin move --from 120 120 140 125 120 150 --to 140 120 120 120 150 125 --unit cm --leg-force 1500
     --leg-rate 0.5 --out motion.csv --plot motion.png
 
-    A limit of force or of acceleration is needed; X is one number for all legs, or six separated by commas. The CSV has
-    the time, readings, pose and all joints in SI units; spm-pin view --path plays it. Exit code 3 if there is no
-    path, or an end that the machine does not reach. --plot needs the extra "plots".
+    A limit of force or of acceleration is required; X is one number for all legs, or six separated by commas. The CSV
+    has the time, readings, pose and all joints in SI units; spm-pin view --path plays it. The exit code is 3 if no path
+    was found, or if an end is out of reach. --plot needs the extra "plots".
     """
     dimensions = options.read_machine(machine_file)
     readings = options.Readings(dimensions, unit)
@@ -255,7 +255,7 @@ def move_machine(
 def _end_state(
     typed: SixLegs | None, pose: RigidTransform | None, option: str, readings: options.Readings
 ) -> FloatArray | RigidTransform:
-    """Return the state at one end of the motion as `plan` takes it: readings (6,) in SI, or a pose."""
+    """Return the state at one end of the motion as an argument of `plan`: readings (6,) in SI, or a pose."""
     if (typed is None) == (pose is None):
         received = "neither" if pose is None else "both"
         raise ArgumentError(option, f"either readings, or a pose by {option}-translation and an orientation", received)

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.design.task import Task
-from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.machine import LegLimits, Manipulator
+from spm_pin.errors import ArgumentError, GeometryError, require_extra
+from spm_pin.machine import Manipulator, Stage
 from spm_pin.machine.leg_kinds import KINDS
-from spm_pin.machine.machine import likely_unit
+from spm_pin.machine.machine import Machine, check_machine, likely_unit
 from spm_pin.proofs.certificate import free_of_singularities
 from spm_pin.support.arguments import (
     LARGEST,
@@ -44,21 +44,22 @@ from spm_pin.sweeps.runner import check_workers, processes, run_tasks
 if TYPE_CHECKING:
     from distributed import Client
 
-Batch = tuple[int, tuple[Manipulator, ...]]
+Batch = tuple[int, tuple[Manipulator | Stage, ...]]
 Rows = tuple[int, FloatArray]
 
 _TOGETHER = 16
 """Machines in a batch, at most: some tenths of a second for 10⁴ states each."""
 SIZES = ("assembled", "volume", "footprint")
 """Columns that are no statistics of metrics, besides "certified" and those of functions."""
-Function = Callable[[Manipulator], float]
+Function = Callable[[Any], float]
 """A number of a machine."""
 _STAGES = ("", "lower_", "upper_")
 _DIMENSIONS = ("base_radius", "platform_radius", "middle_side")
 _OF_LEGS = ("minimum", "stroke", *dict.fromkeys(name for kind in KINDS.values() for name in kind.identified))
 VARIABLES = (*_DIMENSIONS, *(f"{stage}{name}" for stage in _STAGES for name in _OF_LEGS))
 """Names of variables that may be free: E, C, d [m]; and of all legs, or of a stage's, the least reading, the stroke and
-the numbers that are fixed in PRS and RRS legs, such as "lower_crank" [m, rad]."""
+the numbers that are fixed in PRS and RRS legs, such as "lower_crank" [m, rad]. A machine of one stage has neither d nor
+the names with "lower_" and "upper_"."""
 _LOW = 0.05
 """Share of the configurations at which a metric may be below its "_low"."""
 _NARROWEST = 1e-6
@@ -71,7 +72,7 @@ _FORMAT, _IMPOSSIBLE = 3, 1e30
 class Designs:
     """Numbers of N machines, evaluated over the same states in shares of their strokes."""
 
-    machines: tuple[Manipulator, ...]
+    machines: tuple[Manipulator | Stage, ...]
     """The machines."""
     columns: Mapping[str, FloatArray]
     """Numbers (N,) by their names, NaN where a machine has none:
@@ -79,7 +80,8 @@ class Designs:
     - "assembled": share of the leg lengths with a physical configuration; below 1 a forward singularity is within the
       limits.
     - "volume": of the poses of these configurations, ∫ |det ∂(o, R)/∂l| dl [m³ rad³]; a pose that several of them have
-      counts as often. Holds where "certified" is 1: it has no bound at a forward singularity, and comes out small.
+      counts as often. Of a stage it is that of heights and normals [m sr]. Holds where "certified" is 1: it has no
+      bound at a forward singularity, and comes out small.
     - "footprint": area of the base circle π E² [m²].
     - "certified": 1 where the limits are proved free of forward singularities, 0 where they are not, or the proof takes
       more than the boxes allowed; if asked for.
@@ -93,7 +95,7 @@ class Designs:
 
 
 def evaluate_designs(
-    machines: Iterable[Manipulator],
+    machines: Iterable[Manipulator | Stage],
     metrics: str | Metric | Iterable[str | Metric] = ("conditioning", "payload"),
     *,
     functions: dict[str, Function] | None = None,
@@ -108,12 +110,12 @@ def evaluate_designs(
 
     Parameters
     ----------
-    machines : iterable of Manipulator
+    machines : iterable of Manipulator, or of Stage
         Machines with finite leg limits. One whose limits hold no configuration has NaN in its row, and stops nothing.
     metrics : metrics or their names
         Of `spm_pin.sweeps`, or your own; those of a state.
     functions : dict of str to callable, optional
-        Columns by their names, each a function of a `Manipulator` that returns a number: your own, or those of a
+        Columns by their names, each a function of a machine that returns a number: your own, or those of a
         `Task`, `task.margin` and `task.effort`. They are sent to other processes where there are some.
     states : int
         Sets of readings for each machine: a Sobol sequence, the same shares of the strokes for all.
@@ -134,14 +136,17 @@ def evaluate_designs(
     Designs
         A row for each machine, in their order; it does not depend on the number of workers.
     """
-    machines = tuple(machines) if isinstance(machines, Iterable) else ()
+    if not isinstance(machines, Iterable):
+        raise ArgumentError("machines", "an iterable of at least one machine", type_and_value(machines))
+    machines = tuple(machines)
     for index, machine in enumerate(machines):
-        if not (isinstance(machine, Manipulator) and machine.limits and machine.limits.are_finite):
-            received = repr(machine) if isinstance(machine, Manipulator) else type(machine).__name__
-            raise ArgumentError("machines", "Manipulators with finite leg limits", f"{received} at index {index}")
+        if not (isinstance(machine, Machine) and machine.limits and machine.limits.are_finite):
+            received = repr(machine) if isinstance(machine, Machine) else type(machine).__name__
+            raise ArgumentError("machines", "machines with finite leg limits", f"{received} at index {index}")
+        if type(machine) is not type(machines[0]):
+            raise ArgumentError("machines", "Manipulators alone, or Stages alone", f"both, at index {index}")
     if not machines:
-        received = "none" if isinstance(machines, Iterable) else type_and_value(machines)
-        raise ArgumentError("machines", "an iterable of at least one Manipulator", received)
+        raise ArgumentError("machines", "an iterable of at least one machine", "none")
     chosen, sample = resolve_metrics(metrics), Sample(whole_number(states, "states", least=2, most=10**7), seed)
     whole_number(boxes, "boxes")
     check_workers(scheduler, workers)
@@ -150,7 +155,8 @@ def evaluate_designs(
         require_extra("cluster")
     own = _checked_functions({} if functions is None else functions)
     names = column_names(chosen, boxes, own)
-    work = partial(_evaluate_some, sample.draw(6, (0,), sample.count), chosen, boxes, tuple(own.values()))
+    shares = sample.draw(len(machines[0].legs.names), (0,), sample.count)
+    work = partial(_evaluate_some, shares, chosen, boxes, tuple(own.values()))
     values = np.full((len(machines), len(names)), np.nan)
     together = min(_TOGETHER, -(-len(machines) // 4))
     tasks, done = ((k, machines[k : k + together]) for k in range(0, len(machines), together)), 0
@@ -168,12 +174,12 @@ def _checked_functions(functions: dict[str, Function]) -> dict[str, Function]:
         if name in column_names(tuple(METRICS.values()), 1):
             raise ArgumentError("functions", "names that are no columns of the package", repr(name))
         if not callable(function):
-            raise ArgumentError(f"functions[{name!r}]", "a function of a Manipulator", type_and_value(function))
+            raise ArgumentError(f"functions[{name!r}]", "a function of a machine", type_and_value(function))
     return dict(functions)
 
 
-def leg_ranges(machine: Manipulator) -> tuple[FloatArray, FloatArray]:
-    """Return the least readings and the strokes of the legs, shapes (6,) [m], of RRS legs [rad]."""
+def leg_ranges(machine: Machine) -> tuple[FloatArray, FloatArray]:
+    """Return the least readings and the strokes of the legs, shapes (legs,) [m], of RRS legs [rad]."""
     assert machine.limits is not None
     low, high = machine.limits.ends
     return low.copy(), high - low
@@ -202,29 +208,30 @@ def _evaluate_some(
     if boxes:
         whole = np.flatnonzero(rows[:, 0] == 1.0)
         certified = np.zeros(len(machines))
-        certified[whole] = free_of_singularities([machines[k] for k in whole], boxes)
+        certified[whole] = free_of_singularities([_as_manipulator(machines[k]) for k in whole], boxes)
         rows = np.column_stack([rows, certified])
     return first, rows
 
 
-def _number(function: Function, machine: Manipulator) -> float:
+def _as_manipulator(machine: Manipulator | Stage) -> Manipulator:
+    """Return a machine with the same stages: a stage twice."""
+    return machine if isinstance(machine, Manipulator) else Manipulator.of_stages(machine, machine)
+
+
+def _number(function: Function, machine: Manipulator | Stage) -> float:
     try:
         return float(function(machine))
     except (TypeError, ValueError) as error:
         raise ArgumentError("functions", "functions that return a number", repr(error)) from error
 
 
-def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Manipulator) -> list[float]:
+def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Manipulator | Stage) -> list[float]:
     low, stroke = leg_ranges(machine)
     points = Points(machine, "legs", low + shares * stroke)
     assembled, area = float(points.reachable.mean()), np.pi * machine.base_radius**2
     if not assembled:
         return [0.0, 0.0, area] + [np.nan] * (2 * len(metrics))
-    # The determinant of G from what the conditioning needs as well: singular values of the twist (v, L ω) by rates of
-    # knees.
-    determinants = np.nan_to_num(points.singular_values().prod(axis=-1)) / machine.platform_radius**3
-    determinants *= machine.legs.largest_slopes.prod()
-    row = [assembled, float(determinants.sum()) / len(shares) * float(stroke.prod()), area]
+    row = [assembled, float(_densities(points).sum()) / len(shares) * float(stroke.prod()), area]
     for metric in metrics:
         values = metric.evaluate(points).astype(np.float64)
         values = values[np.isfinite(values)]
@@ -232,12 +239,31 @@ def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Manipula
     return row
 
 
-def _stages_and_name(variable: str) -> tuple[range, str]:
-    """Return the stages that a variable concerns, and the name of what it is there."""
+def _densities(points: Points) -> FloatArray:
+    """Return the volume of poses per volume of readings (M,); of a stage that of heights and normals [m sr]."""
+    machine = points.machine
+    if isinstance(machine, Stage):
+        # Turns about the platform's own x and y move its normal, and one about the normal does not.
+        turns = points.reached.rotation[:, :, :2].mT @ points.platform_jacobians[:, 3:]
+        rates = np.concatenate([points.platform_jacobians[:, 2:3], turns], axis=-2)
+        return np.asarray(np.abs(np.linalg.det(np.nan_to_num(rates))))
+    # The determinant of G from what the conditioning needs as well: singular values of the twist (v, L ω) by rates of
+    # knees.
+    sizes = np.nan_to_num(points.singular_values().prod(axis=-1)) / machine.platform_radius**3
+    return np.asarray(sizes * machine.legs.largest_slopes.prod())
+
+
+def variables_of(machine: Machine) -> tuple[str, ...]:
+    """Return those of `VARIABLES` that a machine has."""
+    return VARIABLES if isinstance(machine, Manipulator) else (*_DIMENSIONS[:2], *_OF_LEGS)
+
+
+def _stages_and_name(machine: Machine, variable: str) -> tuple[range, str]:
+    """Return the stages of a machine that a variable concerns, and the name of what it is there."""
     for stage, prefix in enumerate(_STAGES[1:]):
         if variable.startswith(prefix):
             return range(stage, stage + 1), variable.removeprefix(prefix)
-    return range(2), variable
+    return range(len(machine.legs.kinds)), variable
 
 
 @dataclass(frozen=True)
@@ -246,7 +272,7 @@ class DesignProblem:
 
     Parameters
     ----------
-    machine : Manipulator
+    machine : Manipulator or Stage
         A drawn machine with finite leg limits: what is not free is as in this one, and it is compared with the others.
     free : dict of str to (low, high)
         Ranges of some of `VARIABLES` [m, rad].
@@ -263,7 +289,7 @@ class DesignProblem:
         Metrics of your own, or the package's with other parameters, for their "_mean" and "_low".
     """
 
-    machine: Manipulator
+    machine: Manipulator | Stage
     free: dict[str, tuple[float, float]]
     aims: dict[str, str]
     at_least: dict[str, float] = dataclasses.field(default_factory=dict)
@@ -272,16 +298,16 @@ class DesignProblem:
     metrics: Iterable[Metric] = ()
 
     def __post_init__(self) -> None:
-        machine = check_instance(self.machine, Manipulator, "machine")
+        machine = check_machine(self.machine)
         if not (machine.is_nominal and machine.limits and machine.limits.are_finite):
-            raise ArgumentError("machine", "a drawn machine with finite leg limits", repr(machine))
+            raise ArgumentError("machine", "a nominal machine with finite leg limits", repr(machine))
         for name in _CHOICES:
             object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))
         object.__setattr__(self, "functions", _checked_functions(self.functions))
         is_empty = isinstance(self.metrics, tuple | list) and not self.metrics
         object.__setattr__(self, "metrics", () if is_empty else resolve_metrics(self.metrics))
         for name, ends in self.free.items():
-            self._check_range(choice(name, "free", VARIABLES), ends)
+            self._check_range(choice(name, "free", variables_of(machine)), ends)
         for each in _OF_LEGS:
             if each in self.free and {f"lower_{each}", f"upper_{each}"} & self.free.keys():
                 raise ArgumentError("free", f"{each} of all legs, or lower_{each} and upper_{each}", "both")
@@ -317,7 +343,7 @@ class DesignProblem:
     def _check_range(self, name: str, ends: tuple[float, float]) -> None:
         """Raise `ArgumentError` unless this is a range of a variable that the machine has."""
         low, high = number_pair(ends, f"free[{name!r}]", "metres, or radians of angles")
-        stages, of_legs = _stages_and_name(name)
+        stages, of_legs = _stages_and_name(self.machine, name)
         own = of_legs not in (*_DIMENSIONS, "minimum", "stroke")
         kinds = [self.machine.legs.kinds[stage] for stage in stages]
         lacking = [kind.name for kind in kinds if own and of_legs not in kind.identified]
@@ -334,12 +360,13 @@ class DesignProblem:
             expected = f"lengths in metres, in proportion to a machine about {self.machine.size:.3g} m high"
             raise ArgumentError(f"free[{name!r}]", expected, f"{low:g} and {high:g}", "In mm or cm?")
 
-    def machine_of(self, values: FloatArray) -> Manipulator:
-        """Return the machine of values (k,) of the free variables, in their order."""
+    def machine_of(self, values: FloatArray) -> Manipulator | Stage:
+        """Return the machine of values (k,) of the free variables, in their order; `GeometryError` if they are none."""
         machine, (low, stroke) = self.machine, leg_ranges(self.machine)
-        dimensions, kinds = dict(zip(_DIMENSIONS, machine.dimensions, strict=True)), list(machine.legs.kinds)
+        dimensions = {name: getattr(machine, name) for name in _DIMENSIONS if hasattr(machine, name)}
+        kinds = list(machine.legs.kinds)
         for name, value in zip(self.free, map(float, values), strict=True):
-            stages, of_legs = _stages_and_name(name)
+            stages, of_legs = _stages_and_name(machine, name)
             rows = slice(3 * stages.start, 3 * stages.stop)
             if of_legs in dimensions:
                 dimensions[of_legs] = value
@@ -348,15 +375,16 @@ class DesignProblem:
             else:
                 for stage in stages:
                     kinds[stage] = dataclasses.replace(kinds[stage], **{of_legs: value})
-        limits = LegLimits(low.tolist(), (low + stroke).tolist())
-        return Manipulator(**dimensions, limits=limits, legs=(kinds[0], kinds[1]))
+        limits: Any = type(machine.limits)(low.tolist(), (low + stroke).tolist())  # type: ignore[misc]
+        legs: Any = tuple(kinds) if isinstance(machine, Manipulator) else kinds[0]
+        return type(machine)(**dimensions, limits=limits, legs=legs)
 
-    def values(self, machine: Manipulator) -> FloatArray:
+    def values(self, machine: Machine) -> FloatArray:
         """Return the free variables (k,) of a machine as `machine` makes them, in their order."""
         low, stroke = leg_ranges(machine)
         values = []
         for name in self.free:
-            stages, of_legs = _stages_and_name(name)
+            stages, of_legs = _stages_and_name(machine, name)
             if of_legs in ("minimum", "stroke"):
                 values.append((low if of_legs == "minimum" else stroke)[3 * stages.start])
             else:
@@ -365,7 +393,7 @@ class DesignProblem:
 
     def unit(self, name: str) -> str:
         """Return the unit of a free variable, "m" or "rad"."""
-        stages, of_legs = _stages_and_name(name)
+        stages, of_legs = _stages_and_name(self.machine, name)
         of_readings = of_legs in ("minimum", "stroke")
         return self.machine.legs.kinds[stages.start].unit if of_readings else "rad" if of_legs == "direction" else "m"
 
@@ -395,7 +423,7 @@ class Front:
 
     @cached_property
     def better(self) -> BoolArray:
-        """Which machines of the front are at least as good as the reference in all aims and keep all bounds, (n,)."""
+        """True for machines of the front at least as good as the reference in all aims that keep all bounds, (n,)."""
         values = self.problem.objectives(self.designs)[0]
         return np.asarray((values <= self.problem.objectives(self.reference)[0]).all(axis=-1))
 
@@ -473,19 +501,24 @@ def pareto_front(
     chosen, own = resolve_metrics(problem.needed_metrics), problem.functions
     stored = _read(path, definition, column_names(chosen, needed, own))
 
-    def evaluate(client: Client | None, values: FloatArray, generation: int) -> Designs:
-        some = tuple(map(problem.machine_of, values))
+    def evaluate(client: Client | None, values: FloatArray, generation: int) -> tuple[Designs, BoolArray]:
+        """Return the numbers of machines, and which can be built: of others they are NaN, the machine is the first."""
+        built = [_built(problem, each) for each in values]
+        exist = np.array([each is not None for each in built])
+        some = tuple(each or problem.machine for each in built)
         if generation < len(stored):
             if stored[generation]["values"] != values.tolist():
                 cause = "Written on another kind of computer?"
                 raise ArgumentError("store", "the choices of this search", f"others in generation {generation}", cause)
             columns = {name: np.array(column, dtype=float) for name, column in stored[generation]["columns"].items()}
-            return Designs(some, columns)
+            return Designs(some, columns), exist
         designs = evaluate_designs(some, chosen, functions=own, scheduler=client, progress=lambda *_: None, **options)
+        columns = {name: np.where(exist, column, np.nan) for name, column in designs.columns.items()}
+        designs = Designs(some, columns)
         numbers = {name: [None if np.isnan(x) else x for x in column] for name, column in designs.columns.items()}
         stored.append({"values": values.tolist(), "columns": numbers})
         write_files({path: json.dumps({**definition, "generations": stored}, allow_nan=False)}, "store")
-        return designs
+        return designs, exist
 
     ends = np.array(list(problem.free.values()))
     count = len(problem.at_least) + len(problem.at_most) + 1
@@ -496,8 +529,10 @@ def pareto_front(
     with started as client:
         for generation in range(generations):
             asked = algorithm.ask()
-            parts.append(evaluate(client, asked.get("X"), generation))
-            values, bounds = problem.objectives(parts[-1])
+            designs, exist = evaluate(client, asked.get("X"), generation)
+            values, bounds = problem.objectives(designs)
+            columns = {name: column[exist] for name, column in designs.columns.items()}
+            parts.append(Designs(tuple(x for x, kept in zip(designs.machines, exist, strict=True) if kept), columns))
             Evaluator().eval(StaticProblem(space, F=values, G=bounds), asked)
             algorithm.tell(infills=asked)
             report("generations", generation + 1, generations)
@@ -511,6 +546,14 @@ def pareto_front(
     kept = kept[np.sort(NonDominatedSorting().do(values[kept], only_non_dominated_front=True))]
     best = {name: column[kept] for name, column in columns.items()}
     return Front(problem, Designs(tuple(every.machines[k] for k in kept), best), every, reference)
+
+
+def _built(problem: DesignProblem, values: FloatArray) -> Manipulator | Stage | None:
+    """Return the machine of free variables, None where they make none, such as rods that reach no ball."""
+    try:
+        return problem.machine_of(values)
+    except GeometryError:
+        return None
 
 
 def _identity(function: Function) -> str | None:

@@ -1,27 +1,30 @@
-"""The task that dimensions are searched for: poses that a machine has to reach, and the load on it there."""
+"""The task that dimensions are searched for: poses or tilts that a machine has to reach, and the load on it there."""
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_displacement, leg_forces
-from spm_pin.machine import Configuration, Manipulator, as_rigid_transform
+from spm_pin.kinematics.stage_displacement import normals_of_request
+from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration, as_rigid_transform
 from spm_pin.machine.branch_of_state import physical
-from spm_pin.support.arguments import FloatArray, check_instance, real_array, whole_number
+from spm_pin.machine.machine import check_machine
+from spm_pin.support.arguments import FloatArray, broadcastable, real_array, whole_number
+from spm_pin.sweeps.points import Poses, Tilts
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
     """Poses that a machine has to reach in one branch, all along a path or in any order, under a load.
 
-    Its methods are functions of a `Manipulator`, as searches for dimensions take them.
+    Its methods are functions of a `Manipulator`, as searches for dimensions take them; those of a task made by
+    `of_tilts` are functions of a `Stage`.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ class Task:
     poses: Any
     wrench: npt.ArrayLike = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0)
     samples: int = 200
-    _poses: RigidTransform = field(init=False, repr=False)
+    _requests: Poses | Tilts = field(init=False, repr=False)
     _load: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -49,41 +52,83 @@ class Task:
             transform = as_rigid_transform(self.poses, "poses")
         if len(transform.shape) != 1 or not transform.shape[0]:
             raise ArgumentError("poses", "one or more poses, shape (n,)", f"shape {transform.shape}")
+        matrices = transform.as_matrix()
+        self._set(Poses(matrices[:, :3, :3], matrices[:, :3, 3]))
+
+    def _set(self, requests: Poses | Tilts) -> None:
+        count = len(requests[0])
         load = real_array(self.wrench, "wrench", (6,), "(f, m) at o in {B} in N and N m")
-        if load.shape[:-1] not in ((), transform.shape):
-            raise ArgumentError("wrench", f"shape (6,), or ({transform.shape[0]}, 6)", f"shape {load.shape}")
-        object.__setattr__(self, "_poses", transform)
+        if load.shape[:-1] not in ((), (count,)):
+            raise ArgumentError("wrench", f"shape (6,), or ({count}, 6)", f"shape {load.shape}")
+        object.__setattr__(self, "_requests", requests)
         object.__setattr__(self, "_load", load)
+
+    @classmethod
+    def of_tilts(
+        cls,
+        height: npt.ArrayLike,
+        *,
+        tilt: npt.ArrayLike | None = None,
+        azimuth: npt.ArrayLike | None = None,
+        roll: npt.ArrayLike | None = None,
+        pitch: npt.ArrayLike | None = None,
+        normal: npt.ArrayLike | None = None,
+        wrench: npt.ArrayLike = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0),
+    ) -> Self:
+        """Return the task of heights and tilts of a stage, of shape (n,).
+
+        Parameters
+        ----------
+        height, tilt, azimuth, roll, pitch, normal
+            As for `spm_pin.stages.inverse`.
+        wrench
+            As of the class.
+        """
+        heights = np.atleast_1d(real_array(height, "height", (), "of the platform's origin in metres"))
+        normals = np.atleast_2d(normals_of_request(tilt, azimuth, roll, pitch, normal))
+        shape = broadcastable("height", heights.shape, "the normals", normals.shape[:-1])
+        if len(shape) != 1 or not shape[0]:
+            raise ArgumentError("height", "one or more tilts, shape (n,)", f"shape {shape}")
+        self = cls.__new__(cls)
+        requests = Tilts(np.broadcast_to(normals, (*shape, 3)), np.broadcast_to(heights, shape))
+        for name, value in {"poses": requests, "wrench": wrench, "samples": shape[0]}.items():
+            object.__setattr__(self, name, value)
+        self._set(requests)
+        return self
 
     @property
     def identity(self) -> str:
         """A text that differs between tasks."""
-        arrays = self._poses.as_matrix(), self._load
+        arrays = *self._requests, self._load
         return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
-    def margin(self, machine: Manipulator) -> float:
+    def margin(self, machine: Manipulator | Stage) -> float:
         """Return how far the worst leg at the worst pose is inside its limits [m], of RRS legs at the knee.
 
         Negative outside; NaN where no physical branch leads through all poses. Of two that do the better one counts.
         """
         return self._along(machine)[0]
 
-    def effort(self, machine: Manipulator) -> float:
+    def effort(self, machine: Manipulator | Stage) -> float:
         """Return the largest effort of an actuator at any pose [N], of RRS legs [N m], in the branch of `margin`.
 
-        NaN where there is none, or a pose is singular.
+        NaN if no branch exists, or a pose is singular.
         """
         states = self._along(machine)[1]
         return float("nan") if states is None else float(np.abs(leg_forces(states, self._load)).max())
 
-    def _along(self, machine: Manipulator) -> tuple[float, Configuration | None]:
+    def _along(self, machine: Manipulator | Stage) -> tuple[float, Configuration | StageConfiguration | None]:
         """Return the margin, and the states (n,) in the branch that has it."""
-        limits = check_instance(machine, Manipulator, "machine").limits
+        limits = check_machine(machine).limits
+        if isinstance(self._requests, Tilts) is not isinstance(machine, Stage):
+            expected = "a Stage for a task of tilts, a Manipulator for one of poses"
+            raise ArgumentError("machine", expected, type(machine).__name__, "A task of tilts is made by Task.of_tilts")
         if limits is None:
             raise ArgumentError("machine", "a machine with leg limits", repr(machine))
-        states = inverse_displacement(machine, self._poses).configurations
+        states = self._requests.solved_by(inverse_displacement, machine).configurations
         margins = limits.margin(states.readings, machine.legs.largest_slopes)
         # A machine does not change its branch between poses: branches meet at inverse singularities.
-        worst = np.where(physical(states), margins, -np.inf).min(axis=0)
+        at_home = states.is_at_home if isinstance(states, StageConfiguration) else physical(states)
+        worst = np.where(at_home, margins, -np.inf).min(axis=0)
         branch = int(worst.argmax())
         return (float(worst[branch]), states[:, branch]) if np.isfinite(worst[branch]) else (float("nan"), None)

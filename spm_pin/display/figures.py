@@ -57,23 +57,22 @@ def agreement_figure(report: Report) -> Figure:
     return figure
 
 
-def calibration_figure(calibration: Calibration) -> Figure:
+def calibration_figure(calibration: Calibration[Any]) -> Figure:
     """Draw the position errors of all measurements before and after, and the uncertainties of the combinations."""
     from spm_pin.calibration import Calibration
 
     check_instance(calibration, Calibration, "calibration")
     figure = new_figure(9.0, 3.8, layout="constrained")
     errors, combinations = figure.subplots(1, 2, width_ratios=(3, 2))
-    residuals = {"before": (calibration.before, _VERMILION), "after": (calibration.residuals, _BLUE)}
-    for name, (values, colour) in residuals.items():
-        sizes = 1e6 * np.linalg.norm(values[:, :3], axis=-1)
-        label = f"{name}, {float(f'{np.sqrt((sizes**2).mean()):.3g}'):g} µm RMS"  # 9200, not 9.2e+03
+    what, unit, *both = calibration.error_sizes[0]
+    for name, size, colour in zip(("before", "after"), both, (_VERMILION, _BLUE), strict=True):
+        sizes = 1e6 * size
+        label = f"{name}, {float(f'{np.sqrt(np.nanmean(sizes**2)):.3g}'):g} µ{unit} RMS"  # 9200, not 9.2e+03
         errors.semilogy(np.maximum(sizes, 1e-9), "o", ms=3.5, color=colour, label=label)
     outliers = np.flatnonzero(calibration.outliers)
     if len(outliers):
-        sizes = 1e6 * np.linalg.norm(calibration.residuals[outliers, :3], axis=-1)
-        errors.plot(outliers, sizes, "o", ms=9, mfc="none", color="black", label="outlier")
-    errors.set(xlabel="measurement", ylabel="predicted − measured position [µm]")
+        errors.plot(outliers, 1e6 * both[1][outliers], "o", ms=9, mfc="none", color="black", label="outlier")
+    errors.set(xlabel="measurement", ylabel=f"predicted − measured {what} [µ{unit}]")
     legend_below(figure, fontsize=8)
     count = len(calibration.deviations)
     combinations.semilogy(1 + np.arange(count), calibration.deviations, ".", color=_BLUE)

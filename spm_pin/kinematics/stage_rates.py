@@ -29,10 +29,10 @@ _stage_twists, _parasitic_rates = on_arrays(wrenches.stage_twists), on_arrays(st
 
 
 class JointLoads(NamedTuple):
-    """What the joints of a stage carry, for states and wrenches of shape (...); weights and friction are left out."""
+    """Loads of the joints of a stage, for states and wrenches of shape (...); weights and friction are neglected."""
 
     efforts: FloatArray
-    """Of the actuators, positive where they increase the reading, shape (..., 3): [N], of RRS legs [N m]."""
+    """Efforts of the actuators, positive if they increase the reading, shape (..., 3): [N], for RRS legs [N m]."""
     rods: FloatArray
     """Force of each leg along `leg_vectors`, positive where it pushes the platform [N], shape (..., 3)."""
     across: FloatArray
@@ -66,6 +66,11 @@ class StageSingularities:
     (v, r ω) has length 1 m/s, r the platform's radius.
     """
 
+    @property
+    def sigma(self) -> FloatArray:
+        """`forward` and `inverse`, shape (..., 2)."""
+        return np.stack([self.forward, self.inverse], axis=-1)
+
     def __repr__(self) -> str:
         exists = np.isfinite(self.forward)
         least = {"forward": self.forward, "inverse": self.inverse, "leg": self.leg}
@@ -84,6 +89,11 @@ def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
         raises `SingularConfigurationError`, and a member of a batch is NaN.
     """
     return _columns(configuration, along_legs=True) * configuration.slopes[..., None, :]
+
+
+def motion_rows(jacobian: FloatArray) -> FloatArray:
+    """Return the rows of G (..., 6, legs) of a machine's freedoms: all of a manipulator, of a stage those `MOTION`."""
+    return jacobian if jacobian.shape[-1] == 6 else jacobian[..., MOTION, :]
 
 
 def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
@@ -110,7 +120,7 @@ def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., 3, 3)
-        Rows the legs, [m/s], of RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
+        Rows are legs, [m/s], for RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
         singularity as `parasitic_jacobian`; so, as "leg", where an actuator does not move its ball.
     """
     twists = parasitic_jacobian(configuration)
@@ -141,7 +151,7 @@ def singularities(state: StageConfiguration, least: float) -> StageSingularities
     `least` is the ratio of the smallest singular value to the largest, and of κ to its largest, of a singular state.
     """
     exists, scale = state.exists[..., None, None], state.stage.platform_radius
-    # A leg of no length has no direction and resists nothing: its row is zero, and the state forward singular.
+    # A leg whose length is zero has no direction and resists nothing: its row is zero, the state forward singular.
     six = np.nan_to_num(np.where(exists, _six_forces(state), np.eye(6)))
     three = np.where(exists, _inverse_matrices(state), np.eye(3))
     _, sizes, right = np.linalg.svd(six)
@@ -167,9 +177,9 @@ def determinants(state: StageConfiguration) -> FloatArray:
 
 
 def stage_inverses(configuration: StageConfiguration) -> FloatArray:
-    """Return J⁻¹ (..., 1, 6, 6) of the six forces: twists (v, ω) of unit rates of the balls along legs, then axes."""
-    columns = [_columns(configuration, along_legs=along) for along in (True, False)]
-    return np.concatenate(columns, axis=-1)[..., None, :, :]
+    """Return the twists (..., 1, 6, 6) of unit rates of the balls along legs and along axes; NaN where singular."""
+    parts = [_columns(configuration, along_legs=along) for along in (True, False)]
+    return np.concatenate(parts, axis=-1)[..., None, :, :]
 
 
 def _read(configuration: Any) -> StageConfiguration:

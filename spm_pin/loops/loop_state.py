@@ -128,7 +128,7 @@ class LoopState:
                 continue
             except ArgumentError as error:
                 received = f"{error.received} at batch index {index}"
-                raise type(error)(error.argument, error.expected, received, error.cause) from error
+                raise error.replaced(received=received) from error
             for array, value in zip(results, result if isinstance(shape, list) else [result], strict=True):
                 array[index] = value
         outcome: Result = results if isinstance(shape, list) else results[0]

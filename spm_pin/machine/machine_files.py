@@ -1,4 +1,4 @@
-"""Parts of the files of machines and of stages: mappings, limits, and legs with their kinds."""
+"""Parts of the files of manipulators and stages: mappings, limits, and legs with their kinds."""
 
 from __future__ import annotations
 
@@ -26,46 +26,46 @@ _LEG_KEYS = {
 
 def read_mapping(
     data: Any,
-    place: str,
+    argument: str,
     keys: Collection[str],
     optional: Collection[str] = (),
     symbols: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Return a mapping of a file, which must have all of `keys` and may have `optional` ones.
+    """Return a mapping of a file, which must have all of `keys` and may have the `optional` ones.
 
-    `symbols` are names that somebody may have written instead of keys.
+    `symbols` are names that may have been written in place of keys, with their meaning.
     """
     expected = f"a mapping with the keys {', '.join(sorted(keys))}"
     if optional:
-        expected += f", and perhaps {', '.join(sorted(optional))}"
+        expected += f", and optionally {', '.join(sorted(optional))}"
     if not isinstance(data, dict):
         received, cause = "an empty file" if data is None else type_and_value(data), ""
         if isinstance(data, str):
-            cause = "A URDF or another XML file?" if data.lstrip().startswith("<") else "A table, as CSV files are?"
-        raise GeometryError(place, expected, received, cause)
+            cause = "A URDF or another XML file?" if data.lstrip().startswith("<") else "A table, such as a CSV file?"
+        raise GeometryError(argument, expected, received, cause)
     for key in data:
         if key not in keys and key not in optional:
             meant = symbols.get(key)
-            raise GeometryError(place, expected, f"the key {key!r}", f"{key} is {meant}" if meant else "")
+            raise GeometryError(argument, expected, f"the key {key!r}", f"{key} is {meant}" if meant else "")
     if missing := set(keys) - data.keys():
-        raise GeometryError(place, expected, f"no key {', '.join(sorted(missing))}")
+        raise GeometryError(argument, expected, f"no key {', '.join(sorted(missing))}")
     return data
 
 
-def _read_numbers(data: Any, place: str, count: int, meaning: str) -> list[float]:
+def _read_numbers(data: Any, argument: str, count: int, meaning: str) -> list[float]:
     """Return a list of numbers of a file."""
     if not isinstance(data, list) or len(data) != count or not all(isinstance(x, float) for x in data):
         received = f"{len(data)} members" if isinstance(data, list) else type_and_value(data)
-        raise GeometryError(place, f"a list of {count} numbers, {meaning}", received)
+        raise GeometryError(argument, f"a list of {count} numbers, {meaning}", received)
     return data
 
 
-def read_limits(data: Any, place: str, kind: type[Limits]) -> Limits:
+def read_limits(data: Any, argument: str, kind: type[Limits]) -> Limits:
     """Return limits of a file: a pair for all legs, or one for each."""
-    pairs = read_mapping(data, place, kind.legs) if isinstance(data, dict) else dict.fromkeys(kind.legs, data)
+    pairs = read_mapping(data, argument, kind.legs) if isinstance(data, dict) else dict.fromkeys(kind.legs, data)
     bounds = []
     for leg in kind.legs:
-        where = f"{leg} of {place}" if isinstance(data, dict) else place
+        where = f"{leg} of {argument}" if isinstance(data, dict) else argument
         bounds.append(_read_numbers(pairs[leg], where, 2, "a minimum and a maximum in the unit of the readings"))
         try:
             kind(*bounds[-1])
@@ -75,42 +75,42 @@ def read_limits(data: Any, place: str, kind: type[Limits]) -> Limits:
 
 
 def limits_as_data(limits: LegLimits) -> Any:
-    """Return what a file says of limits."""
+    """Return the data of limits for a file."""
     pairs = [list(pair) for pair in zip(limits.minimum, limits.maximum, strict=True)]
     return pairs[0] if pairs.count(pairs[0]) == len(pairs) else dict(zip(limits.legs, pairs, strict=True))
 
 
-def read_kind(data: Any, place: str) -> LegKind:
+def read_kind(data: Any, argument: str) -> LegKind:
     """Return the kind of a stage's legs, with their fixed numbers."""
     names = ", ".join(KINDS)
     if not isinstance(data, dict) or data.get("kind") not in list(KINDS):
         received = repr(data.get("kind")) if isinstance(data, dict) else type_and_value(data)
-        raise GeometryError(place, f"a mapping with the key kind, one of {names}, and the kind's numbers", received)
+        raise GeometryError(argument, f"a mapping with the key kind, one of {names}, and the kind's numbers", received)
     kind = KINDS[data["kind"]]
     keys = {field.name for field in fields(kind)}
-    numbers = read_mapping(data, place, {"kind"} | {x.name for x in fields(kind) if x.default is MISSING}, keys)
-    with raised_as(GeometryError, place):
+    numbers = read_mapping(data, argument, {"kind"} | {x.name for x in fields(kind) if x.default is MISSING}, keys)
+    with raised_as(GeometryError, argument):
         return kind(**{key: value for key, value in numbers.items() if key != "kind"})
 
 
-def read_legs(data: Any, place: str, kinds: tuple[LegKind, ...]) -> Legs:
-    """Return legs of a file, of these kinds."""
+def read_legs(data: Any, argument: str, kinds: tuple[LegKind, ...]) -> Legs:
+    """Return the legs of a file, of these kinds."""
     names = LEGS if len(kinds) == 2 else STAGE_LEGS
-    legs = read_mapping(data, place, names)
+    legs = read_mapping(data, argument, names)
     arrays = []
     for key, meaning in _LEG_KEYS.items():
         rows = []
         for leg in names:
-            where = f"{key} of {leg} of {place}"
-            row = read_mapping(legs[leg], f"{leg} of {place}", _LEG_KEYS)[key]
+            where = f"{key} of {leg} of {argument}"
+            row = read_mapping(legs[leg], f"{leg} of {argument}", _LEG_KEYS)[key]
             rows.append(real_number(row, where, meaning) if key == "offset" else _read_numbers(row, where, 3, meaning))
         arrays.append(np.array(rows))
-    with raised_as(GeometryError, place):
+    with raised_as(GeometryError, argument):
         axes, pivots, balls, offsets = arrays
         return Legs(axes, pivots, balls, offsets, kinds)
 
 
 def legs_as_data(legs: Legs) -> dict[str, Any]:
-    """Return what a file says of legs as built."""
+    """Return the data of calibrated legs for a file."""
     rows = zip(*(array.tolist() for array in legs.arrays), strict=True)
     return {leg: dict(zip(_LEG_KEYS, row, strict=True)) for leg, row in zip(legs.names, rows, strict=True)}

@@ -43,7 +43,7 @@ _ACCEPTED = 0.9995
 _LEAST = 1e-6
 """Smallest coefficient of y, as a share of the fastest constant y."""
 _LEFT = 1e-12
-"""How far left of a point of the grid the values from the left are taken."""
+"""Distance to the left of a grid point at which the values from the left are evaluated."""
 
 
 @dataclass(frozen=True)

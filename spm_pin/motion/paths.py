@@ -32,7 +32,7 @@ State = Configuration | StageConfiguration
 ROUNDING = 1e-9
 """Amount by which a rule of a path may be broken, in its unit: a state at its limit keeps it."""
 STEP = 0.005
-"""Largest distance of two samples of a path in the leg lengths, of RRS legs at the knees, in units of d."""
+"""Largest distance of two samples of a path in the leg lengths, for RRS legs at the knees, in units of d."""
 _LARGEST = 1e12
 """Largest limit of a leg that is accepted, far from overflow."""
 

@@ -37,7 +37,6 @@ from spm_pin.motion.paths import (
 )
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
-from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -62,7 +61,7 @@ _SHORTCUTS = 100
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """A path between two states, or the reason why there is none; made by `plan`."""
+    """A path between two states, or the reason why no path was found; made by `plan`."""
 
     machine: AnyMachine
     """The machine."""
@@ -82,12 +81,6 @@ class MotionPlan:
             return f"<MotionPlan: none, {self.reason}>"
         proved = ", certified" if self.certified else ""
         return f"<MotionPlan: {self.method}{proved}, least determinant {self.margin:.3g} d³>"
-
-    def _repr_html_(self) -> str:
-        if self.path is None:
-            return notebook.table(repr(self), (), ())
-        picture = notebook.curves(np.linspace(0.0, 1.0, 200), self.configurations().readings, "readings over the path")
-        return notebook.table(repr(self), (), (), picture)
 
     @property
     def exists(self) -> bool:
@@ -148,7 +141,7 @@ def plan(
     Returns
     -------
     MotionPlan
-        With a path, or with the reason why there is none.
+        With a path, or with the reason why no path was found.
 
     Examples
     --------
@@ -157,7 +150,7 @@ def plan(
     <MotionPlan: straight in leg lengths, least determinant 1.15 d³>
     """
     check_machine(machine)
-    allowed = machine.limits if limits is None else machine.check_limits(limits)  # type: ignore[arg-type]
+    allowed = machine.limits if limits is None else machine.check_limits(limits)
     joints = JointLimits() if joint_limits is None else check_instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
     rules = _PathRules(machine, allowed, joints, least)

@@ -26,6 +26,9 @@ from spm_pin.description.tree import srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
+from spm_pin.loops.closed_chain import ClosedChain as LoopChain
+from spm_pin.loops.closures import Anchor
+from spm_pin.loops.closures import Closure as LoopClosure
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.joint_angles import check_state, joint_angles, value_names
 from spm_pin.machine.legs import check_path_readings
@@ -55,8 +58,8 @@ class ClosedChain:
     n = 6 or 3 legs.
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
-    of the batch says why. Joint values of a machine as built are zero at the home of its drawing, where its loops are
-    open by about its errors. The value of an actuated joint is its reading less the offset and the reading at home.
+    of the batch says why. Joint values of a calibrated machine are zero at the nominal home, where its loops are open
+    by about its errors. The value of an actuated joint is its reading minus the offset and the reading in the home.
 
     Attributes
     ----------
@@ -141,6 +144,12 @@ class ClosedChain:
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
         return self._constrained.joint_indices(*names)
+
+    @cached_property
+    def loops(self) -> LoopChain:
+        """The same chain in `spm_pin.loops`, for what concerns any robot: mobility, forces of the closures."""
+        closures = [LoopClosure("point", Anchor(c.frame_a), Anchor(c.frame_b), c.name) for c in self.closures]
+        return LoopChain(self.model, closures, [self.joint_names[k] for k in self.leg_indices])
 
     @cached_property
     def visual_model(self) -> Any:
@@ -287,7 +296,7 @@ class ClosedChain:
         expected: str,
         received: Callable[[], str],
     ) -> FloatArray:
-        """Return the joint values of a physical solution, or raise if there is none of a single problem."""
+        """Return the joint values of a physical solution; for a single problem without one, raise an error."""
         if not configuration.shape and not configuration.exists:
             reason = configuration.missing_reason or "Out of reach, or a misread number?"
             sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
@@ -384,7 +393,7 @@ class ClosedChain:
             Of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the energy
             to about 1e-12 of itself in a second of falling.
         """
-        return run_simulation(self._constrained, q0, v0, times, forces, wrench, period, tolerance)
+        return run_simulation(self.loops, self._constrained, q0, v0, times, forces, wrench, period, tolerance)
 
 
 def _listed(numbers: npt.ArrayLike) -> str:

@@ -20,32 +20,19 @@ import pinocchio as pin
 from scipy.linalg import LinAlgError, eigh
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
+from spm_pin.loops.loop_state import Energy
+from spm_pin.loops.point_dynamics import PointDynamics
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.manipulator import Manipulator
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.multibody.constrained_model import (
-    AccelerationSolver,
     ConstrainedModel,
     SingularValues,
     TreeKinematics,
     read_vectors,
 )
 from spm_pin.support.arguments import FloatArray, broadcastable, symmetric_matrices
-
-
-class Energy(NamedTuple):
-    """Energy of all moving bodies [J], floats or arrays (...)."""
-
-    kinetic: Any
-    """Kinetic energy [J]."""
-    potential: Any
-    """Potential energy of gravity [J], zero at the height of the universe's origin."""
-
-    @property
-    def total(self) -> Any:
-        """Kinetic and potential energy together."""
-        return self.kinetic + self.potential
 
 
 class PlatformDynamics(NamedTuple):
@@ -100,7 +87,7 @@ class ConstrainedState:
         self._constrained = constrained
         self.kinematics = TreeKinematics(constrained)
         self.failures: dict[tuple[int, ...], SpmError] = {}
-        self._solver: AccelerationSolver | None = None
+        self._solver: PointDynamics | None = None
         self._batch: tuple[int, ...] = ()
         self._q, self._v = self.kinematics.q, self.kinematics.zero_velocity
 
@@ -206,7 +193,7 @@ class ConstrainedState:
         constrained, kinematics = self._constrained, self.kinematics
         arrays = {"forces": read_vectors(forces, "forces", constrained.actuated.size), **_wrench(wrench)}
         if self._solver is None:
-            self._solver = AccelerationSolver(constrained)
+            self._solver = constrained.point_dynamics()
         solver = self._solver
 
         def member(force: FloatArray, load: FloatArray | None = None) -> FloatArray:
@@ -359,7 +346,7 @@ class ChainState(ConstrainedState):
         errors are those of `leg_forces`.
         """
         cuts = self._holding(wrench)[1]
-        return cuts.reshape(*cuts.shape[:-1], -1, 3)
+        return cuts.reshape(*cuts.shape[:-1], len(self._constrained.closures), 3)
 
     def _holding(self, wrench: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the forces of the legs (..., n) and in the cut balls (..., 3 closures) that hold a wrench (..., 6)."""
@@ -506,4 +493,4 @@ def at_index(error: SpmError, index: tuple[int, ...]) -> SpmError:
     if isinstance(error, ClosureError):
         return ClosureError(error.residual, error.iterations, f"At batch index {index}. {error.cause}")
     assert isinstance(error, ArgumentError)
-    return type(error)(error.argument, error.expected, f"{error.received} at batch index {index}", error.cause)
+    return error.replaced(received=f"{error.received} at batch index {index}")

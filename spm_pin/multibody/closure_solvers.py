@@ -31,7 +31,7 @@ DETERMINANT_CHANGE = 1.5
 SHORTEST_SHARE = 2.0**-22
 """Share of the path below which the continuation ends."""
 SHORTEST_STEP = 1e-6
-"""In the units of `LONGEST_STEP`: nearer to a singularity, rounding moves a solution by no small part of a step."""
+"""Smallest step, in units of `LONGEST_STEP`: closer to a singularity, rounding errors are comparable to the step."""
 MOST_CORRECTIONS = 8
 
 Equations = Callable[[float, FloatArray], tuple[FloatArray, Callable[[], FloatArray]]]

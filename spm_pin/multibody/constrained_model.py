@@ -30,6 +30,7 @@ from scipy.linalg import lapack
 
 from spm_pin.description.source_files import Closure
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.loops.point_dynamics import PointDynamics
 from spm_pin.machine.joint_angles import actuated_joints, home_readings, joint_names
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.stage import Stage
@@ -207,6 +208,11 @@ class ConstrainedModel:
         cause = "The value of a slide is the leg's length minus its length at home"
         self.check_readings(self.readings(array), argument, cause)
         return array
+
+    def point_dynamics(self) -> PointDynamics:
+        """Return what computes accelerations under forces."""
+        frames = [[self.model.frames[frame] for frame in pair] for pair in self.pairs]
+        return PointDynamics(self.model, ((a.parentJoint, a.placement, b.parentJoint, b.placement) for a, b in frames))
 
     def linear_differences(self, spatial: Sequence[FloatArray]) -> FloatArray:
         """Return, per closure, the linear part at `frame_b` less that at `frame_a`, of vectors at `frames`.
@@ -454,26 +460,3 @@ class TreeKinematics:
 
 
 _CACHED = {name for name, member in vars(TreeKinematics).items() if isinstance(member, cached_property)}
-
-
-class AccelerationSolver:
-    """Accelerations under forces, by `pinocchio.constraintDynamics`, and the memory it works in."""
-
-    def __init__(self, constrained: ConstrainedModel) -> None:
-        model = constrained.model
-        self._model, self._data = model, model.createData()
-        self._constraints, self._states = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-        for pair in constrained.pairs:
-            a, b = (model.frames[frame] for frame in pair)
-            places = a.parentJoint, a.placement, b.parentJoint, b.placement
-            self._constraints.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *places, pin.LOCAL))
-        for constraint in self._constraints:
-            self._states.append(constraint.createData())
-        pin.initConstraintDynamics(model, self._data, self._constraints, self._states)
-        # A direct solution is NaN where rows of the closures depend on each other; this one is as accurate elsewhere.
-        self._settings = pin.ProximalSettings(0.0, 1e-12, 20)
-
-    def accelerations(self, q: FloatArray, v: FloatArray, torques: FloatArray) -> FloatArray:
-        """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included."""
-        constraints = self._constraints, self._states, self._settings
-        return np.asarray(pin.constraintDynamics(self._model, self._data, q, v, torques, *constraints).copy())

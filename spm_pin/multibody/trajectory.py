@@ -14,7 +14,6 @@ from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.machine.legs import LEGS
-from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, as_bool, frozen, real_array
 from spm_pin.support.files import file_path, write_files
 from spm_pin.support.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
@@ -142,12 +141,6 @@ class JointTrajectory:
     @property
     def _joints(self) -> tuple[FloatArray, ...]:
         return self.positions, self.velocities, self.accelerations, self.efforts
-
-    def _repr_html_(self) -> str:
-        columns, (_, rate, _, effort) = list(self.actuated), self.leg_units
-        pictures = notebook.curves(self.times, self.velocities[:, columns], f"rates of the legs [{rate}] over time [s]")
-        pictures += notebook.curves(self.times, self.efforts[:, columns], f"forces of legs [{effort}] over time [s]")
-        return notebook.table(repr(self), (), (), pictures)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of a ROS message `trajectory_msgs/JointTrajectory`, as plain Python.

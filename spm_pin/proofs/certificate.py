@@ -43,7 +43,6 @@ from spm_pin.proofs.stage_proof import (
     region_coordinates,
     rounded_down,
 )
-from spm_pin.support import notebook
 from spm_pin.support.arguments import BoolArray, FloatArray, real_array, real_number, whole_number
 
 _ROUNDING = 1e-15
@@ -194,14 +193,6 @@ class Certificate:
         smaller = ", and so do smaller errors" if any(self.errors) else ""
         return [whose, f"Narrower limits help: largest_certified_limits finds the widest{smaller}."]
 
-    def _repr_html_(self) -> str:
-        rows = [
-            (name, f"{proof.boxes:,}", f"{len(proof.undecided):,}", f"{rounded_down(bound)} d³")
-            for name, proof, bound in zip(self.names, self.stages, self.bounds, strict=True)
-        ]
-        header = ("matrix", "boxes", "undecided", "least |det|, proved")
-        return notebook.table(self.explain(), header, rows)
-
     def __repr__(self) -> str:
         return f"<Certificate: {self.verdict}>"
 
@@ -245,7 +236,7 @@ def certify(
     """
     check_machine(machine)
     nominal = machine.nominal
-    allowed = nominal.limits if limits is None else machine.check_limits(limits)  # type: ignore[arg-type]
+    allowed = nominal.limits if limits is None else machine.check_limits(limits)
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
     expected = f"metres from 0 to {most:g}, a quarter of the smallest dimension"

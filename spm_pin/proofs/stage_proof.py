@@ -96,7 +96,7 @@ class ErrorBounds:
 
 
 class LegEnclosure(NamedTuple):
-    """What is known of a leg in states, of all machines; its numbers and those of `StageValues` are arrays."""
+    """Bounds for a leg in states, for all machines; its numbers and those of `StageValues` are arrays."""
 
     reading: Interval
     x: Interval  # of the circle's centre from the nominal pivot, radially
@@ -106,7 +106,7 @@ class LegEnclosure(NamedTuple):
 
 
 class StageValues(NamedTuple):
-    """What is known of states of a stage, of all machines."""
+    """Bounds for states of a stage, for all machines."""
 
     readings: list[Interval]  # without offsets
     squares: list[Interval]  # of the distances from the circles' centres to the balls [m²]
@@ -131,7 +131,7 @@ class StageRegion:
     maximum: FloatArray
     """Largest readings, shape (3,)."""
     legs: LegKind = RPS()  # noqa: RUF009  # frozen
-    """What the legs are, equal in the stage."""
+    """Kind of the legs, equal in the stage."""
     length_error: float = 0.0
     """Largest error of each coordinate of a pivot and of a ball, of a rod and a crank, and of a reading [m]."""
     angle_error: float = 0.0
@@ -151,7 +151,7 @@ class StageRegion:
 
     @cached_property
     def readings(self) -> list[Interval]:
-        """What readings within the limits are without their offsets."""
+        """Readings within the limits, without their offsets."""
         error = self.angle_error if self.legs.unit == "rad" else self.length_error
         within = Interval(self.minimum, self.maximum)
         within = within + Interval.within(error) if error else within
@@ -254,7 +254,8 @@ class StageRegion:
         # By the turn of the leg's plane, see `docs/theory/proofs.md`.
         turned = Interval.within(_PLANE_TURN * self.angle_error * self.longest * _UP)
         x, z = x + turned, z + turned
-        reading = formulas.reading(x, z, numbers)
+        middle = Interval.from_numbers(0.5 * (self.minimum[leg] + self.maximum[leg]))
+        reading = formulas.reading(x, z, middle, numbers)
         beyond = np.isnan(reading.low) | reading.misses(limits)
         within = Interval(
             np.where(beyond, reading.low, np.maximum(reading.low, limits.low)),

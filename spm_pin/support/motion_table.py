@@ -27,7 +27,7 @@ NAMES = TIME, *POSITION, *QUATERNION, *COLUMNS[6]
 
 
 class MotionTable:
-    """A table read from a file; columns become numbers when they are taken."""
+    """A table read from a file; columns are converted to numbers when they are read."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = file_path(path, suffixes=(".csv",))
@@ -37,67 +37,70 @@ class MotionTable:
                 lines = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
         except (OSError, UnicodeDecodeError, csv.Error) as failed:
             reason = getattr(failed, "strerror", None) or str(failed)
-            raise ArgumentError(str(self.path), "a readable CSV file in UTF-8", reason) from failed
+            raise ArgumentError("", "a readable CSV file in UTF-8", reason, file=str(self.path)) from failed
         comments = [row for _, row in lines if row and row[0].startswith("#")]
         lines = [(number, row) for number, row in lines if any(row) and not row[0].startswith("#")]
         if len(lines) < 2:
             expected = "a heading that names the columns, then rows of numbers"
-            raise ArgumentError(str(self.path), expected, f"{len(lines)} lines")
+            raise ArgumentError("", expected, f"{len(lines)} lines", file=str(self.path))
         (number, self.names), *self._rows = lines
-        place = f"{self.path}:{number}"
+        heading = str(self.path), number
         self._taken: set[str] = set()
         if not np.isnan([_number(name) for name in self.names]).any():
-            cause = "The first line looks like numbers: no heading?"
+            cause = "The first line looks like numbers: is the heading missing?"
             if any(set(NAMES) & {cell.strip("# ") for cell in row} for row in comments):
-                cause = "The heading is a comment: take away its #, as numpy.savetxt does with comments=''"
-            raise ArgumentError(place, "a heading that names the columns", ", ".join(self.names[:3]) + ", …", cause)
+                cause = "The heading is a comment: remove its #, as numpy.savetxt does with comments=''"
+            received = ", ".join(self.names[:3]) + ", …"
+            raise ArgumentError("", "a heading that names the columns", received, cause, *heading)
         if len(self.names) == 1 and (separator := next((x for x in ";\t" if x in self.names[0]), "")):
             name = {";": "Semicolons", "\t": "Tabs"}[separator]
             cause = f"{name} instead of commas? Write numbers with points and separate them by commas"
-            raise ArgumentError(place, "a heading of names separated by commas", self.names[0][:60], cause)
+            raise ArgumentError("", "a heading of names separated by commas", self.names[0][:60], cause, *heading)
         twice = [name for name, count in Counter(self.names).items() if count > 1]
         if twice:
-            raise ArgumentError(place, "a heading with each column once", f"twice {', '.join(twice[:3])}")
+            raise ArgumentError("", "a heading with each column once", f"twice {', '.join(twice[:3])}", "", *heading)
         for number, cells in self._rows:
             if len(cells) != len(self.names):
                 expected = f"{len(self.names)} values, one per column of the heading"
-                cause = "Decimal commas?" if len(cells) == 2 * len(self.names) else ""
-                raise ArgumentError(f"{self.path}:{number}", expected, len(cells), cause)
+                cause = "Are there decimal commas?" if len(cells) == 2 * len(self.names) else ""
+                raise ArgumentError("", expected, len(cells), cause, str(self.path), number)
 
     def __len__(self) -> int:
         return len(self._rows)
 
     @property
     def lines(self) -> list[int]:
-        """The lines of the file on which the rows end."""
+        """Line number in the file at which each row ends."""
         return [line for line, _ in self._rows]
 
     @property
     def unused(self) -> tuple[str, ...]:
-        """Columns that nobody has taken so far."""
+        """Columns that have not been read so far."""
         return tuple(name for name in self.names if name not in self._taken)
 
     def has(self, names: Sequence[str]) -> bool:
-        """Return whether the table has one of these columns at least."""
+        """Return whether the table has at least one of these columns."""
         return not set(names).isdisjoint(self.names)
 
-    def columns(self, names: Sequence[str]) -> FloatArray:
-        """Return columns as an array (n, number of names)."""
-        missing = [name for name in names if name not in self.names]
-        if missing:
+    def columns(self, names: Sequence[str], *, missing: bool = False) -> FloatArray:
+        """Return columns as an array (n, number of names); with `missing` an empty cell is NaN."""
+        absent = [name for name in names if name not in self.names]
+        if absent:
             expected = f"a heading with the columns {', '.join(names)}"
-            raise ArgumentError(f"{self.path}:1", expected, f"one without {', '.join(missing)}")
+            raise ArgumentError("", expected, f"one without {', '.join(absent)}", file=str(self.path), line=1)
         self._taken.update(names)
         places = [self.names.index(name) for name in names]
         numbers = np.array([[_number(cells[place]) for place in places] for _, cells in self._rows])
         wrong = ~np.isfinite(numbers)
+        if missing:
+            wrong &= np.array([[cells[place] != "" for place in places] for _, cells in self._rows])
         if wrong.any():
             row, column = first_offender(wrong)
             line, cells = self._rows[row]
             cell = cells[places[column]]
-            cause = "A decimal comma?" if "," in cell else ""
-            where = f"column {names[column]} in {self.path}:{line}"
-            raise ArgumentError(where, "a finite number", repr(cell) if cell else "nothing", cause)
+            cause = "Is it a decimal comma?" if "," in cell else ""
+            received = repr(cell) if cell else "nothing"
+            raise ArgumentError(f"column {names[column]}", "a finite number", received, cause, str(self.path), line)
         return numbers
 
     def poses(self) -> RigidTransform | FloatArray | None:
@@ -111,26 +114,26 @@ class MotionTable:
         wrong = first_wrong_quaternion(quaternion)
         if wrong is not None:
             (row,), received, cause = wrong
-            raise ArgumentError(f"columns qx to qw in {self.path}:{self.lines[row]}", UNIT, received, cause)
+            raise ArgumentError("columns qx to qw", UNIT, received, cause, str(self.path), self.lines[row])
         return pose(position, quat=quaternion)
 
     def times(self) -> FloatArray | None:
-        """Return increasing times (n,) [s]; None if there are none."""
+        """Return increasing times (n,) [s], or None."""
         if not self.has([TIME]):
             return None
         times = self.columns([TIME])[:, 0]
         backward = np.diff(times) <= 0.0
         if backward.any():
             row = 1 + int(backward.argmax())
-            place = f"column {TIME} in {self.path}:{self.lines[row]}"
-            raise ArgumentError(place, "increasing times in seconds", f"{times[row]:g} after {times[row - 1]:g}")
+            received, line = f"{times[row]:g} after {times[row - 1]:g}", self.lines[row]
+            raise ArgumentError(f"column {TIME}", "increasing times in seconds", received, "", str(self.path), line)
         return np.asarray(times)
 
 
 def _number(cell: str) -> float:
     """Return a number, or NaN where a cell holds none."""
     try:
-        return math.nan if "_" in cell else float(cell)  # Python takes 1_2 for 12
+        return math.nan if "_" in cell else float(cell)  # Python reads 1_2 as 12
     except ValueError:
         return math.nan
 

@@ -1,4 +1,4 @@
-"""The plan of a sweep: its domain, a lattice or a sample of poses or leg lengths, its metrics, and its chunks.
+"""The plan of a sweep: its domain, a lattice or a sample of poses, tilts or readings, its metrics, and its chunks.
 
 A domain does not hold its points: those of a chunk are computed from the chunk's index when they are needed.
 """
@@ -18,7 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import LEGS, Manipulator
+from spm_pin.machine import LEGS, Manipulator, Stage
+from spm_pin.machine.legs import STAGE_LEGS
+from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, whole_number
 from spm_pin.sweeps.metrics import STATUS, Metric, prepare_metrics, resolve_metrics
 from spm_pin.sweeps.points import Points, Space
@@ -26,11 +28,18 @@ from spm_pin.sweeps.points import Points, Space
 AxisRange = float | Sequence[float]
 """One value, (start, stop, count) of a grid, or (start, stop) of a sample [m or rad]."""
 
-_LENGTHS = {k.lower(): f"{k} of o in {{B}}" for k in "XYZ"} | {leg: f"reading of leg {leg}" for leg in LEGS}
-_ANGLES = {name: f"X-Y-X Euler angle {sign}" for name, sign in (("alpha", "α"), ("beta", "β"), ("lambda_", "λ"))}
-AXES: dict[Space, tuple[str, ...]] = {"pose": ("x", "y", "z", *_ANGLES), "legs": LEGS}
-"""Names of the six coordinates of each space."""
-_RESERVED = {*AXES["pose"], *AXES["legs"], "sample", "status", "sweep"}
+_ALL_LEGS = (*LEGS, *STAGE_LEGS)
+_LENGTHS = {k.lower(): f"{k} of o in {{B}}" for k in "XYZ"} | {leg: f"reading of leg {leg}" for leg in _ALL_LEGS}
+_LENGTHS["height"] = "height of the platform's origin above the plane of the pivots"
+_XYX = {name: f"X-Y-X Euler angle {sign}" for name, sign in (("alpha", "α"), ("beta", "β"), ("lambda_", "λ"))}
+_ANGLES = _XYX | {"tilt": "angle between Z of the base and the platform's normal", "azimuth": "where the normal leans"}
+AXES: dict[type[Machine], dict[Space, tuple[str, ...]]] = {
+    Manipulator: {"pose": ("x", "y", "z", *_XYX), "legs": LEGS},
+    Stage: {"tilt": ("height", "tilt", "azimuth"), "legs": STAGE_LEGS},
+}
+"""Names of the coordinates of each space of a machine."""
+_ARGUMENTS: dict[Space, str] = {"pose": "x, y, z, xyx", "tilt": "height, tilt, azimuth", "legs": "lower, upper"}
+_RESERVED = {*_LENGTHS, *_ANGLES, "sample", "status", "sweep"}
 """Names in a store that no metric may have."""
 _MOST_VALUES = 10**8
 """Values along one axis; they are held in memory."""
@@ -60,7 +69,7 @@ class Axis:
     def from_range(name: str, value: AxisRange, sampled: bool) -> Axis:
         """Read an `AxisRange`."""
         unit, ends = "radians" if name in _ANGLES else "metres", "start, stop" if sampled else "start, stop, count"
-        unit += ", of RRS legs in radians" if name in LEGS else ""
+        unit += ", of RRS legs in radians" if name in _ALL_LEGS else ""
         expected = f"one value or ({ends}), in {unit}"
         numbers = real_array(value, name, (), expected)
         if numbers.shape not in ((), (2 if sampled else 3,)):
@@ -68,6 +77,9 @@ class Axis:
         start, stop = map(float, numbers[:2] if numbers.ndim else (numbers, numbers))
         if name in _ANGLES and max(abs(start), abs(stop)) > 2.0 * math.pi:
             raise ArgumentError(name, "angles within ±2π radians", value, "Degrees instead of radians?")
+        if name == "tilt" and not 0.0 <= min(start, stop) <= max(start, stop) < math.pi:
+            cause = "To the other side leans what has another azimuth"
+            raise ArgumentError(name, "angles from 0 to less than π, in radians", value, cause)
         if numbers.ndim == 0:
             return Axis(name, start, stop, 1)
         if not start < stop:
@@ -124,13 +136,13 @@ class Sample:
 
 @dataclass(frozen=True)
 class Domain:
-    """The points of a sweep. Made by `pose_grid`, `leg_grid`, `pose_sample` and `leg_sample`."""
+    """The points of a sweep. Made by `pose_grid`, `tilt_grid`, `leg_grid`, and the samples of the same names."""
 
     space: Space
     axes: tuple[Axis, ...]
-    """The six coordinates, in the order of `AXES`."""
+    """The coordinates, in the order of `AXES`."""
     sample: Sample | None = None
-    """How points are drawn from the box of the axes; all combinations of their values if not given."""
+    """Random sample of the box of the axes; all combinations of their values if not given."""
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -166,7 +178,7 @@ class Domain:
         return tuple(slice(i * n, min((i + 1) * n, total)) for i, n, total in lengths)
 
     def points(self, index: tuple[int, ...], chunk: tuple[int, ...]) -> FloatArray:
-        """Return the coordinates of the chunk at `index` [m, rad], shape (N, 6), the last dimension fastest."""
+        """Return the coordinates of the chunk at `index` [m, rad], shape (N, axes), the last dimension fastest."""
         region = self.region(index, chunk)
         if self.sample:
             count = region[0].stop - region[0].start
@@ -177,7 +189,12 @@ class Domain:
             return points
         parts = iter(region)
         values = [axis.values if axis.is_fixed else axis.values[next(parts)] for axis in self.axes]
-        return np.stack(np.meshgrid(*values, indexing="ij", copy=False), axis=-1).reshape(-1, 6)
+        return np.stack(np.meshgrid(*values, indexing="ij", copy=False), axis=-1).reshape(-1, len(values))
+
+    @property
+    def ends(self) -> FloatArray:
+        """First and last values of the axes, shape (2, axes)."""
+        return np.array([[axis.start for axis in self.axes], [axis.stop for axis in self.axes]])
 
 
 def pose_grid(
@@ -198,11 +215,30 @@ def pose_grid(
     >>> grid.dims, grid.size
     (('x', 'y'), 10201)
     """
-    return _domain("pose", [x, y, z, *_angles(xyx, others)])
+    return _domain(Manipulator, "pose", [x, y, z, *_angles(xyx, others)])
+
+
+def tilt_grid(height: AxisRange, tilt: AxisRange, azimuth: AxisRange) -> Domain:
+    """Describe a lattice of heights and tilts of a stage.
+
+    Parameters
+    ----------
+    height : float or (start, stop, count)
+        Of the platform's origin above the pivots [m]: one value, or equally spaced ones with both ends among them.
+    tilt, azimuth : float or (start, stop, count)
+        Angle between the platform's normal and z, from 0 to less than π, and where the normal leans [rad], likewise.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> tilt_grid((0.08, 0.15, 36), (0.0, 0.5, 26), (-np.pi, np.pi, 73)).size
+    68328
+    """
+    return _domain(Stage, "tilt", [height, tilt, azimuth])
 
 
 def leg_grid(
-    lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange], *others: AxisRange
+    lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange] | None = None, *others: AxisRange
 ) -> Domain:
     """Describe a lattice of readings, which of RPS legs are lengths.
 
@@ -210,9 +246,10 @@ def leg_grid(
     ----------
     lower, upper : float, (start, stop, count), or three of these
         Readings of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m], of RRS legs [rad]: the
-        same for the three, or one after another in a list. A tuple of three numbers is a range.
+        same for the three, or one after another in a list. A tuple of three numbers is a range. Of a stage the first
+        alone, for r_1, r_2, r_3.
     """
-    return _domain("legs", _leg_ranges(lower, upper, others))
+    return _leg_domain(lower, upper, others)
 
 
 def pose_sample(
@@ -234,13 +271,27 @@ def pose_sample(
         As for `pose_grid`, with ranges (start, stop). The distribution is uniform in these coordinates; one that is
         uniform over rotations has the weight ``|sin β|``.
     """
-    return _domain("pose", [x, y, z, *_angles(xyx, others)], Sample(count, seed))
+    return _domain(Manipulator, "pose", [x, y, z, *_angles(xyx, others)], Sample(count, seed))
+
+
+def tilt_sample(count: int, height: AxisRange, tilt: AxisRange, azimuth: AxisRange, *, seed: int = 0) -> Domain:
+    """Describe heights and tilts of a stage drawn from a box, by scrambled Sobol sequences.
+
+    Parameters
+    ----------
+    count, seed : int
+        Number of tilts, and seed of the random generator.
+    height, tilt, azimuth
+        As for `tilt_grid`, with ranges (start, stop). The distribution is uniform in these coordinates; one that is
+        uniform over normals has the weight ``sin(tilt)``.
+    """
+    return _domain(Stage, "tilt", [height, tilt, azimuth], Sample(count, seed))
 
 
 def leg_sample(
     count: int,
     lower: AxisRange | Sequence[AxisRange],
-    upper: AxisRange | Sequence[AxisRange],
+    upper: AxisRange | Sequence[AxisRange] | None = None,
     *others: AxisRange,
     seed: int = 0,
 ) -> Domain:
@@ -249,18 +300,18 @@ def leg_sample(
     Parameters
     ----------
     count, seed : int
-        Number of sets of six readings, and seed of the random generator.
+        Number of sets of readings, and seed of the random generator.
     lower, upper
         As for `leg_grid`, with ranges (start, stop).
     """
-    return _domain("legs", _leg_ranges(lower, upper, others), Sample(count, seed))
+    return _leg_domain(lower, upper, others, Sample(count, seed))
 
 
-def _domain(space: Space, ranges: list[AxisRange], sample: Sample | None = None) -> Domain:
-    named = zip(AXES[space], ranges, strict=True)
+def _domain(machine: type[Machine], space: Space, ranges: list[AxisRange], sample: Sample | None = None) -> Domain:
+    named = zip(AXES[machine][space], ranges, strict=True)
     axes = tuple(Axis.from_range(name, values, sample is not None) for name, values in named)
     if all(axis.is_fixed for axis in axes):
-        raise ArgumentError("ranges", "at least one coordinate that varies", "six fixed ones")
+        raise ArgumentError(_ARGUMENTS[space], "at least one coordinate that varies", "fixed ones")
     return Domain(space, axes, sample)
 
 
@@ -275,10 +326,11 @@ def _refuse(others: tuple[AxisRange, ...], argument: str, expected: str) -> None
         raise ArgumentError(argument, expected, f"{len(others)} more ranges one after another")
 
 
-def _leg_ranges(lower: Any, upper: Any, others: tuple[AxisRange, ...]) -> list[AxisRange]:
+def _leg_domain(lower: Any, upper: Any, others: tuple[AxisRange, ...], sample: Sample | None = None) -> Domain:
     _refuse(others, "lower, upper", "ranges of the lower and of the upper legs, each one or a list of three")
-    stages = (("lower", lower), ("upper", upper))
-    return [each for name, stage in stages for each in _three(stage if isinstance(stage, list) else [stage] * 3, name)]
+    stages = [("lower", lower), ("upper", upper)][: 1 if upper is None else 2]
+    ranges = [x for name, stage in stages for x in _three(stage if isinstance(stage, list) else [stage] * 3, name)]
+    return _domain(Stage if upper is None else Manipulator, "legs", ranges, sample)
 
 
 def _three(ranges: Any, argument: str) -> list[AxisRange]:
@@ -291,7 +343,7 @@ def _three(ranges: Any, argument: str) -> list[AxisRange]:
 class SweepPlan:
     """Everything that determines the bytes of a store."""
 
-    machine: Manipulator
+    machine: Manipulator | Stage
     domain: Domain
     metrics: tuple[Metric, ...]
     """In the order of their names."""
@@ -301,12 +353,19 @@ class SweepPlan:
     """Version of this package."""
 
     @classmethod
-    def make(cls, machine: Manipulator, domain: Domain, metrics: Iterable[str | Metric], chunk: int) -> SweepPlan:
+    def make(
+        cls, machine: Manipulator | Stage, domain: Domain, metrics: Iterable[str | Metric], chunk: int
+    ) -> SweepPlan:
         """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
-        check_instance(machine, Manipulator, "machine")
+        check_machine(machine)
         check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
+        spaces, names = AXES[type(machine)], tuple(axis.name for axis in domain.axes)
+        if spaces.get(domain.space) != names:
+            expected = f"coordinates of a {type(machine).__name__}: {' or '.join(map(', '.join, spaces.values()))}"
+            cause = "Of a stage tilt_grid or leg_grid(readings) makes them, of a manipulator pose_grid or leg_grid"
+            raise ArgumentError("domain", expected, ", ".join(names), cause)
         for axis, least in zip(domain.axes, machine.legs.free_limits.minimum, strict=True):
-            if axis.name in LEGS and axis.start <= least:
+            if axis.name in _ALL_LEGS and axis.start <= least:
                 raise ArgumentError(axis.name, "positive lengths in metres", f"{axis.start:g}")
         # By name, so that their order makes no other sweep.
         ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))
@@ -318,7 +377,8 @@ class SweepPlan:
     @classmethod
     def from_definition(cls, content: dict[str, Any]) -> SweepPlan:
         """Make a plan from its `text` as JSON; metrics that are none of this package's are named, but not computed."""
-        machine, domain = Manipulator.from_data(content["geometry"], "geometry"), content["domain"]
+        data, domain = content["geometry"], content["domain"]
+        machine = (Manipulator if "middle_side" in data else Stage).from_data(data, "geometry")
         axes, sample = tuple(Axis(**axis) for axis in domain["axes"]), domain["sample"]
         domain = Domain(domain["space"], axes, sample and Sample(**sample))
         metrics = tuple(map(Metric.from_definition, content["metrics"]))
@@ -350,7 +410,7 @@ class SweepPlan:
 
     def unit(self, axis: Axis) -> str:
         """Return the unit of a coordinate, "m" or "rad"."""
-        legs = dict(zip(LEGS, self.machine.legs.units, strict=True))
+        legs = dict(zip(self.machine.legs.names, self.machine.legs.units, strict=True))
         return legs.get(axis.name, "rad" if axis.name in _ANGLES else "m")
 
     @property
@@ -372,12 +432,16 @@ class SweepPlan:
         return math.prod(part.stop - part.start for part in self.domain.region(index, self.chunk))
 
     def prepare(self) -> None:
-        """Evaluate the metrics at one point; raises `SpmError` where one cannot be computed for this machine."""
+        """Evaluate the metrics at two points; raises `SpmError` where one cannot be computed for this machine.
+
+        The points are the ends of the domain, so that heights and readings in another unit are refused before the work.
+        """
         from spm_pin.kinematics.kernels.compilation import expecting
 
-        first = self.domain.points((0,) * len(self.chunk), (1,) * len(self.chunk))
         with expecting(self.domain.size):
-            prepare_metrics(self.metrics, Points(self.machine, self.domain.space, first))
+            points = Points(self.machine, self.domain.space, self.domain.ends)
+            STATUS.evaluate(points)
+            prepare_metrics(self.metrics, points)
 
     def evaluate(self, index: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
         """Return the values of all variables on the chunk at `index`, each of the shape of its region."""

@@ -23,8 +23,8 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_displacement, singular_values
-from spm_pin.machine import BRANCHES, Configuration, Status
-from spm_pin.support.arguments import BoolArray, check_instance, choice, real_number
+from spm_pin.machine import BRANCHES, Configuration, Manipulator, StageConfiguration, Status
+from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, choice, real_number
 from spm_pin.sweeps.points import Points
 
 DTYPES = ("float64", "float32", "float16", "int64", "int32", "int16", "int8")
@@ -249,7 +249,7 @@ def prepare_metrics(metrics: Iterable[Metric], points: Points) -> None:
 
 def condition(
     metric: str | Metric, *, least: float | None = None, most: float | None = None
-) -> Callable[[Configuration], BoolArray]:
+) -> Callable[[Configuration | StageConfiguration], BoolArray]:
     """Return a condition on states, as volumes take it: that a metric is between `least` and `most`.
 
     Parameters
@@ -284,10 +284,11 @@ def condition(
     return partial(_is_within, chosen, low, high)
 
 
-def _is_within(metric: Metric, least: float, most: float, states: Configuration) -> BoolArray:
+def _is_within(metric: Metric, least: float, most: float, states: Configuration | StageConfiguration) -> BoolArray:
     # States may be outside limits of the machine, where others were given to the function that asks.
     machine = dataclasses.replace(states.machine, limits=None)
-    values = metric.evaluate(Points(machine, "legs", states.readings.reshape(-1, 6)))
+    readings = states.readings.reshape(-1, len(machine.legs.names))
+    values = metric.evaluate(Points(machine, "legs", readings))
     return np.asarray((values >= least) & (values <= most)).reshape(states.shape)
 
 
@@ -301,9 +302,16 @@ _MODES_AT_A_TIME = 64
 """Problems of forward displacement solved together: each takes 43 kB."""
 
 
+def _check_manipulator(points: Points, metric: str) -> None:
+    if not isinstance(points.machine, Manipulator):
+        raise ArgumentError("metrics", "metrics that a stage has", metric, "It is one of manipulators alone")
+
+
 def _branch(points: Points) -> npt.ArrayLike:
+    _check_manipulator(points, "branch")
     # Where the state was computed from leg lengths it is one of the branches up to rounding.
-    gaps = np.abs(points.solutions.middle_joints - points.physical.middle_joints[:, None]).max(axis=(-1, -2))
+    branches, physical = points.solutions.configurations, points.physical
+    gaps = np.abs(branches.compared_points - physical.compared_points[:, None]).max(axis=(-1, -2))
     gaps = np.where(np.isnan(gaps), np.inf, gaps)
     return np.where(np.isfinite(gaps.min(axis=-1)), gaps.argmin(axis=-1), -1)
 
@@ -337,7 +345,17 @@ def _isotropy(points: Points, *, length: float | None = None) -> npt.ArrayLike:
     """Return the measure of isotropy of J.-O. Kim, P. K. Khosla, "Dexterity measures...", IROS 1991."""
     values = points.singular_values(length)
     squares = (values / values[:, :1]) ** 2
-    return points.spread(np.nan_to_num(squares.prod(axis=-1) ** (1.0 / 6.0) / squares.mean(axis=-1)))
+    return points.spread(np.nan_to_num(squares.prod(axis=-1) ** (1.0 / values.shape[-1]) / squares.mean(axis=-1)))
+
+
+def _tilt(normals: FloatArray) -> npt.ArrayLike:
+    return np.arctan2(np.hypot(normals[..., 0], normals[..., 1]), normals[..., 2])
+
+
+def _determinant(points: Points, column: int) -> npt.ArrayLike:
+    if column > 0:
+        _check_manipulator(points, ("det_lower", "det_upper", "det_structure")[column])
+    return points.spread(points.determinants[:, column])
 
 
 def _payload(points: Points, *, push: float = 1.0, pull: float | None = None) -> npt.ArrayLike:
@@ -389,21 +407,23 @@ _ROWS = (
                lambda points, column=column: points.physical.translation[:, column])
         for column, axis in enumerate("XYZ")
     ),
+    Metric("platform_tilt", "rad", f"angle between Z of the base and the platform's normal; {_ABSENT}",
+           lambda points: _tilt(points.physical.rotation[..., 2])),
     Metric("leg_margin", "m", "how far the worst leg is inside its limits, of RRS legs at the knee, negative outside; "
            "NaN where no physical configuration exists, leg limits aside", _leg_margin),
     Metric("conditioning", "1", f"inverse condition number of the Jacobian {_HOMOGENEOUS}; {_ABSENT}", _conditioning),
     Metric("isotropy", "1", f"geometric over arithmetic mean of the eigenvalues of G G^T {_HOMOGENEOUS}; {_ABSENT}",
            _isotropy),
     Metric("forward_distance", "1", f"least singular value of J_b, J_c: distance to a forward singularity; {_ABSENT}",
-           lambda points: points.spread(points.sigma[:, :2].min(axis=-1))),
+           lambda points: points.spread(points.sigma[:, :-1].min(axis=-1))),
     Metric("inverse_distance", "1", f"least singular value of K: distance to an inverse singularity; {_ABSENT}",
-           lambda points: points.spread(points.sigma[:, 2])),
+           lambda points: points.spread(points.sigma[:, -1])),
     Metric("det_lower", "1", f"determinant of J_b, lower stage, forward, over d^3; {_ABSENT}",
-           lambda points: points.spread(points.determinants[:, 0])),
+           lambda points: _determinant(points, 0)),
     Metric("det_upper", "1", f"determinant of J_c, upper stage, forward, over d^3; {_ABSENT}",
-           lambda points: points.spread(points.determinants[:, 1])),
+           lambda points: _determinant(points, 1)),
     Metric("det_structure", "1", f"determinant of K, inverse, over d^3; {_ABSENT}",
-           lambda points: points.spread(points.determinants[:, 2])),
+           lambda points: _determinant(points, 2)),
     Metric("payload", "N", f"largest force at o held in every direction {_BY_LEGS}; {_ABSENT}", _payload),
     Metric("payload_down", "N", f"largest force at o held along -Z {_BY_LEGS}; {_ABSENT}", _payload_down),
     Metric("least_stiffness", "N m-1",

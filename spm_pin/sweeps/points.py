@@ -1,4 +1,4 @@
-"""The state of the mechanism at N points of a sweep, computed once for all metrics."""
+"""The state of the machine at N points of a sweep, computed once for all metrics."""
 
 from __future__ import annotations
 
@@ -18,18 +18,36 @@ from spm_pin.kinematics import (
     singular_values,
     singularities,
 )
-from spm_pin.machine import BRANCHES, Configuration, LegLimits, Manipulator, SolutionSet, Status
+from spm_pin.kinematics.stage_displacement import normals_of_tilt
+from spm_pin.kinematics.stage_rates import motion_rows
+from spm_pin.machine import Configuration, LegLimits, Manipulator, SolutionSet, Stage, Status
+from spm_pin.machine.stage_configuration import StageConfiguration, StageSolutions
 from spm_pin.support.arguments import BoolArray, FloatArray, frozen
 
-Space = Literal["pose", "legs"]
-"""The coordinates of points: poses of the platform, or six leg lengths."""
+Space = Literal["pose", "tilt", "legs"]
+"""The coordinates of points: poses of the platform, heights and tilts of that of a stage, or readings of the legs."""
 
 
-class _Poses(NamedTuple):
-    """Rotations (M, 3, 3) and positions (M, 3) [m]."""
+class Poses(NamedTuple):
+    """Rotations (M, 3, 3) and positions (M, 3) [m] of a manipulator's platform."""
 
     rotation: FloatArray
     translation: FloatArray
+
+    def solved_by(self, function: Any, machine: Any) -> Any:
+        """Return what a function of a machine and its pose, or its tilt and height, finds for these."""
+        return function(machine, self)
+
+
+class Tilts(NamedTuple):
+    """Unit normals (M, 3) and heights (M,) [m] of a stage's platform."""
+
+    normal: FloatArray
+    height: FloatArray
+
+    def solved_by(self, function: Any, machine: Any) -> Any:
+        """Return what a function of a machine and its pose, or its tilt and height, finds for these."""
+        return function(machine, self.height, normal=self.normal)
 
 
 class Points:
@@ -37,15 +55,16 @@ class Points:
 
     Parameters
     ----------
-    machine : Manipulator
-        The manipulator; its leg limits, if it has any, decide what is reachable.
-    space : {"pose", "legs"}
-        Kind of the coordinates.
-    coordinates : ndarray, shape (N, 6)
-        x, y, z [m] and the X-Y-X angles [rad], or the readings of the legs [m], of RRS legs [rad].
+    machine : Manipulator or Stage
+        The machine; its leg limits, if it has any, decide what is reachable.
+    space : {"pose", "tilt", "legs"}
+        Kind of the coordinates: of a manipulator "pose", of a stage "tilt", and of both "legs".
+    coordinates : ndarray, shape (N, 6), of a stage (N, 3)
+        x, y, z [m] and the X-Y-X angles [rad]; height [m], tilt and azimuth [rad]; or the readings of the legs [m], of
+        RRS legs [rad].
     """
 
-    def __init__(self, machine: Manipulator, space: Space, coordinates: FloatArray) -> None:
+    def __init__(self, machine: Manipulator | Stage, space: Space, coordinates: FloatArray) -> None:
         self.machine = machine
         self.space = space
         self.coordinates = frozen(coordinates)
@@ -62,35 +81,39 @@ class Points:
     @cached_property
     def status(self) -> npt.NDArray[np.int8]:
         """`Status` of the displacement problem of each point, shape (N,)."""
-        if self.space == "pose":
+        if self.space != "legs":
             return self._branches[1]
         return frozen(np.where(self.assembled.exists, Status.OK, Status.UNREACHABLE).astype(np.int8))
 
     @cached_property
     def branch_readings(self) -> FloatArray:
-        """Readings of the legs in all branches of the pose, shape (N, 8, 6), NaN where one is not real."""
+        """Readings of the legs in all branches of the pose, shape (N, 8, 6), NaN where one is not real.
+
+        Of a stage those of the modes T and F of the tilt, (N, 2, 3).
+        """
         return self._branches[0]
 
     @cached_property
     def branches_within(self) -> BoolArray:
-        """Which branches are real and within the leg limits, shape (N, 8)."""
+        """Which branches are real and within the leg limits, shape (N, 8), of a stage (N, 2)."""
         return frozen(self.limits.contains(self.branch_readings))
 
     @cached_property
-    def solutions(self) -> SolutionSet:
-        """All branches of the pose, leg limits aside, a `SolutionSet` of shape (N,).
+    def solutions(self) -> SolutionSet | StageSolutions:
+        """All branches of the pose, leg limits aside, a `SolutionSet` of shape (N,); of a stage the modes of the tilt.
 
-        Where points are leg lengths, of the pose of `assembled`; no branch exists where that does not.
+        Where points are readings, of the pose of `assembled`; no branch exists where that does not.
         """
-        if self.space == "pose":
-            return inverse_displacement(self.machine, self._poses)
-        exists, solutions = self.assembled.exists, inverse_displacement(self.machine, self._poses)
+        solutions = self._requests.solved_by(inverse_displacement, self.machine)
+        if self.space != "legs":
+            return solutions  # type: ignore[no-any-return]
+        exists = self.assembled.exists
         branches = solutions.configurations.transformed(lambda values, _: _spread(values, exists))
         status = _spread(np.asarray(solutions.status), exists, Status.UNREACHABLE).astype(np.int8)
-        return SolutionSet(branches, BRANCHES, status)
+        return type(solutions)(branches, solutions.labels, status)  # type: ignore[no-any-return]
 
     @cached_property
-    def physical(self) -> Configuration:
+    def physical(self) -> Configuration | StageConfiguration:
         """The physical configuration, shape (N,); NaN where there is none within the leg limits."""
         return self.reached.transformed(lambda values, _: _spread(values, self.reachable))
 
@@ -100,18 +123,19 @@ class Points:
         return self._reached[0]
 
     @property
-    def reached(self) -> Configuration:
+    def reached(self) -> Configuration | StageConfiguration:
         """The M members of `physical` that exist."""
         return self._reached[1]
 
     @cached_property
-    def _reached(self) -> tuple[BoolArray, Configuration]:
+    def _reached(self) -> tuple[BoolArray, Configuration | StageConfiguration]:
         if self.space == "legs":
             reachable = self.limits.contains(self.coordinates) & self.assembled.exists
             return frozen(reachable), self.assembled[reachable]
         # Most points of a box have no branch within the limits: the others alone are solved for the joints.
-        reachable = np.asarray(self.branches_within.any(axis=-1))
-        states = inverse_physical(self.machine, _Poses(*(values[reachable] for values in self._poses)))
+        reachable, requests = np.asarray(self.branches_within.any(axis=-1)), self._requests
+        some = type(requests)(*(values[reachable] for values in requests))
+        states = some.solved_by(inverse_physical, self.machine)
         is_within = self.limits.contains(states.readings)
         reachable[reachable] = is_within
         return frozen(reachable), states[is_within]
@@ -122,53 +146,58 @@ class Points:
 
     @cached_property
     def sigma(self) -> FloatArray:
-        """Smallest singular values of J_b, J_c and K of the M `reached` points, shape (M, 3)."""
+        """Smallest singular values of J_b, J_c and K of the M `reached` points, (M, 3), of a stage `sigma` (M, 2)."""
         return frozen(singularities(self.reached).sigma)
 
     @cached_property
     def determinants(self) -> FloatArray:
-        """Values of det J_b, det J_c and det K over d³ at the M `reached` points, shape (M, 3)."""
-        return frozen(determinants(self.reached) / self.machine.middle_side**3)
+        """Values of det J_b, det J_c and det K over d³ at the M `reached` points, (M, 3), of a stage det J_b (M, 1)."""
+        return frozen(determinants(self.reached) / self.machine.ball_side**3)
 
     @cached_property
     def platform_jacobians(self) -> FloatArray:
-        """G of the M `reached` points, shape (M, 6, 6), see `platform_jacobian`; NaN at a forward singularity."""
+        """G of the M `reached` points, (M, 6, legs), see `platform_jacobian`; NaN at a forward singularity."""
         return frozen(platform_jacobian(self.reached))
 
     def singular_values(self, length: float | None = None) -> FloatArray:
         """Return those of G for the twist (v, Lω), L = `length` [m] or C, shape (M, 6), falling; NaN as G is.
 
-        Rates of RRS legs are those of their knees [m/s].
+        Of a stage for its motion (v_z, Lω_x, Lω_y), (M, 3). Rates of RRS legs are those of their knees [m/s].
         """
         length = self.machine.platform_radius if length is None else length
         if length not in self._singular_values:
             scales = np.repeat([1.0, length], 3)[:, None] / self.machine.legs.largest_slopes
-            scaled = self.platform_jacobians * scales
+            scaled = motion_rows(self.platform_jacobians * scales)
             self._singular_values[length] = frozen(singular_values(scaled))
         return self._singular_values[length]
 
     @cached_property
-    def assembled(self) -> Configuration:
+    def assembled(self) -> Configuration | StageConfiguration:
         """The physical configuration with readings that are the coordinates, limits aside, shape (N,)."""
         return forward_physical(self.machine, self.coordinates)
 
     @cached_property
-    def _poses(self) -> _Poses:
-        """All poses; where points are leg lengths, those of the physical configurations that exist."""
+    def _requests(self) -> Poses | Tilts:
+        """All poses, or tilts; where points are readings, those of the physical configurations that exist."""
         if self.space == "pose":
-            return _Poses(_xyx_rotations(self.coordinates[:, 3:]), np.ascontiguousarray(self.coordinates[:, :3]))
+            return Poses(_xyx_rotations(self.coordinates[:, 3:]), np.ascontiguousarray(self.coordinates[:, :3]))
+        if self.space == "tilt":
+            heights, tilts, azimuths = self.coordinates.T
+            return Tilts(normals_of_tilt(tilts, azimuths), heights)
         assembled = self.assembled[self.assembled.exists]
-        return _Poses(assembled.rotation, assembled.translation)
+        if isinstance(assembled, StageConfiguration):
+            return Tilts(assembled.normal, assembled.height)
+        return Poses(assembled.rotation, assembled.translation)
 
     @cached_property
     def _branches(self) -> tuple[FloatArray, npt.NDArray[np.int8]]:
-        """Readings of all branches, shape (N, 8, 6), and the status of the M `_poses`."""
-        if self.machine.legs.are_rps:
-            lengths, status = branch_lengths(self.machine, self._poses)
+        """Readings of all branches, shape (N, 8, 6), and the status of the M `_requests`."""
+        if self.machine.legs.are_rps and isinstance(self.machine, Manipulator):
+            lengths, status = branch_lengths(self.machine, self._requests)
             readings = lengths + self.machine.legs.offsets
         else:
-            branches = inverse_displacement(self.machine, self._poses)
-            readings, status = np.array(branches.readings), np.array(branches.status)
+            branches = self._requests.solved_by(inverse_displacement, self.machine)
+            readings, status = np.array(branches.readings), np.array(branches.status, dtype=np.int8)
         if self.space == "legs":
             readings = _spread(readings, self.assembled.exists)
         return frozen(readings), frozen(status)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from spm_pin.errors import ArgumentError, SpmError, require_extra
-from spm_pin.machine import Manipulator
+from spm_pin.machine import Manipulator, Stage
 from spm_pin.support.arguments import check_instance, check_progress, whole_number
 from spm_pin.support.progress import shown_progress
 from spm_pin.sweeps.domains import Domain, SweepPlan, package_version
@@ -52,7 +52,8 @@ _KEEP_MEMORY = {
     f"distributed.nanny.pre-spawn-environ.MALLOC_{name}_THRESHOLD_": size
     for name, size in (("TRIM", 2**26), ("MMAP", 2**25))
 }
-"""Where freed memory goes back to the system at once, Dask's choice, NumPy's temporary arrays take twice the time."""
+"""Without this, Dask's default, freed memory returns to the system at once, and NumPy's temporary arrays take twice
+as long."""
 _IGNORE_INTERRUPTS = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 """Run by workers as they start: a terminal sends Ctrl-C to them too, and the process that drives them handles it."""
 _PATIENCE = 15
@@ -87,7 +88,7 @@ class SweepStatus:
 
 
 def run_sweep(
-    machine: Manipulator,
+    machine: Manipulator | Stage,
     domain: Domain,
     metrics: Iterable[str | Metric],
     store: str | os.PathLike[str],
@@ -101,10 +102,11 @@ def run_sweep(
 
     Parameters
     ----------
-    machine : Manipulator
-        The manipulator, with the leg limits that decide what is reachable.
+    machine : Manipulator or Stage
+        The machine, with the leg limits that decide what is reachable.
     domain : Domain
-        Poses or leg lengths: see `pose_grid`, `leg_grid`, `pose_sample`, `leg_sample`.
+        Poses, heights and tilts of a stage, or readings: see `pose_grid`, `tilt_grid`, `leg_grid`, `pose_sample`,
+        `tilt_sample`, `leg_sample`.
     metrics : iterable of str or Metric
         Names from `METRICS`, or metrics of your own. Those continue a store only with a `version`.
     store : path

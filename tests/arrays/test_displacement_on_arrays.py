@@ -147,8 +147,8 @@ def test_a_state_beside_another_is_on_its_branch(name: str) -> None:
 
 def test_dimensions_and_parameters_are_machines_of_their_own() -> None:
     readings = random_readings(200)
-    for machine, machine in ((np.array(PAPER.dimensions), PAPER), (BUILT.parameters, BUILT)):
-        found, expected = arrays.forward_physical(machine, readings), arrays.forward_physical(machine, readings)
+    for numbers, machine in ((np.array(PAPER.dimensions), PAPER), (BUILT.parameters, BUILT)):
+        found, expected = arrays.forward_physical(numbers, readings), arrays.forward_physical(machine, readings)
         assert (found.exists == expected.exists).all()
         np.testing.assert_allclose(found.rotation[found.exists], expected.rotation[found.exists], rtol=0, atol=1e-10)
     machines = [PAPER.perturbed(k) for k in range(3)]
@@ -241,11 +241,11 @@ TORN = STATE._replace(middle_joints=np.ones((2, 3)))
         (arrays.inverse_physical, (PAPER, np.eye(4), np.zeros(3)), "rotation"),
         (arrays.inverse_physical, (PAPER, STATE.rotation, strict.asarray(STATE.translation)), "arrays of one library"),
         (arrays.inverse_physical, (PAPER, STATE.rotation, np.ones((3, 3))), "those of rotation, (2,), got (3,)"),
-        (arrays.inverse_displacement, (BUILT, STATE.rotation, STATE.translation), "a machine as drawn"),
+        (arrays.inverse_displacement, (BUILT, STATE.rotation, STATE.translation), "a nominal machine"),
         (
             arrays.inverse_displacement,
             (BUILT.parameters, STATE.rotation, STATE.translation),
-            "as parameters always count",
+            "as parameters always are",
         ),
         (arrays.forward_physical, (PAPER, np.ones(6, dtype=int)), "floating-point"),
         (arrays.forward_physical, (PAPER, np.ones(6, dtype=np.float16)), "dtype float16"),

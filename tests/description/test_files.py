@@ -89,7 +89,7 @@ def test_the_xacro_command_gives_the_same_tree(tmp_path: Path) -> None:
     for prefix in ("", "left_"):
         by_hand, ours = expanded(tmp_path, f"prefix:={prefix}"), urdf_text(prefix=prefix, meshes=MESHES)
         assert same(by_hand) == same(ours)
-    assert same(expanded(tmp_path, f"machine:={file}")) == same(urdf_text(other, meshes=MESHES))
+    assert same(expanded(tmp_path, f"geometry:={file}")) == same(urdf_text(other, meshes=MESHES))
 
 
 def test_written_files_contain_no_local_path() -> None:

@@ -65,7 +65,7 @@ def test_machines_that_cannot_be_assembled_or_certified_stop_nothing() -> None:
     assert 0.0 < found["assembled"][1] < 1.0
     assert found["assembled"][2] == found["volume"][2] == 0.0
     assert np.isnan(found["payload_low"]).tolist() == [False, False, True]
-    with pytest.raises(spm.ArgumentError, match=r"an iterable of .* got Geometry"):
+    with pytest.raises(spm.ArgumentError, match=r"an iterable of .* got Manipulator"):
         evaluate_designs(MACHINES[0])  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match="index 1"):
         evaluate_designs([MACHINES[0], spm.Manipulator(0.7, 0.3, 0.8)])

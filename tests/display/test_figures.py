@@ -86,11 +86,12 @@ def test_figures_are_written_the_same_each_time(tmp_path, suffix: str) -> None:
     assert first[:5] in (b"\x89PNG\r", b"<?xml", b"%PDF-")
 
 
-@pytest.mark.parametrize(("name", "says"), [("fig.jpg", ".png, .svg, .pdf, got 'fig.jpg'"), ("fig", "ending in .png")])
-def test_figures_that_cannot_be_written(tmp_path, name: str, says: str) -> None:
-    with pytest.raises(ArgumentError, match=says) as caught:
+@pytest.mark.parametrize("name", ["fig.jpg", "fig"])
+def test_figures_that_cannot_be_written(tmp_path, name: str) -> None:
+    with pytest.raises(ArgumentError) as caught:
         save_figure(Figure(), tmp_path / name)
-    assert caught.value.argument == "path"
+    assert (caught.value.argument, caught.value.received) == ("path", tmp_path / name)
+    assert ".png, .svg, .pdf" in caught.value.expected
 
 
 def test_a_front_shows_its_machines_and_the_one_that_it_began_with() -> None:

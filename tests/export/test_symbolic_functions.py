@@ -339,27 +339,27 @@ def test_bad_arguments_are_clear_errors() -> None:
         spm.casadi.inverse_branch("TX")
     with pytest.raises(ArgumentError, match='machine: expected a Manipulator, "symbolic" or None'):
         spm.casadi.leg_forces(3)  # type: ignore[arg-type]
-    with pytest.raises(ArgumentError, match="machine: expected a machine as drawn, got one as built"):
+    with pytest.raises(ArgumentError, match="machine: expected a nominal machine, got a calibrated one"):
         spm.casadi.inverse_branch("TT+", PAPER.perturbed(1))
 
 
 @pytest.mark.parametrize("size", [1e-5, 1e-3])
 def test_functions_of_a_machine_as_built_are_those_of_the_package(size: float) -> None:
     """Its numbers built in, and as 54 parameters."""
-    machine = as_built(PAPER, size, 4)
-    state = spm.forward_physical(machine, np.random.default_rng(1).uniform(1.1, 1.5, (100, 6)))
-    expected, wrench = spm.inverse_physical(machine, state.pose), np.ones((100, 6))
+    built = as_built(PAPER, size, 4)
+    state = spm.forward_physical(built, np.random.default_rng(1).uniform(1.1, 1.5, (100, 6)))
+    expected, wrench = spm.inverse_physical(built, state.pose), np.ones((100, 6))
     values = np.array([list(joint_values(one).values()) for one in state])
     near = as_columns(state)
     for parameters in (False, True):
-        further = [np.tile(machine.parameters, (100, 1))] if parameters else []
-        machine = PAPER if parameters else machine
+        further = [np.tile(built.parameters, (100, 1))] if parameters else []
+        machine = PAPER if parameters else built
 
         def of(name: str, *arguments: np.ndarray, machine=machine, further=further, **options: bool) -> list:
             function = getattr(spm.casadi, name)(machine, parameters=bool(further), **options)
             return called(function, *arguments, *further)
 
-        moved = spm.forward_physical(machine, state.readings + 1e-3)
+        moved = spm.forward_physical(built, state.readings + 1e-3)
         for found, known in (
             (of("forward_physical", state.readings), state),
             (of("forward_physical", moved.readings, *near, near=True), moved),

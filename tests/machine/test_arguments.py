@@ -95,7 +95,7 @@ def test_the_bounds_of_a_number_are_as_named(
 
 def test_the_ending_of_a_file_name_is_checked_in_any_case() -> None:
     assert files.file_path(Path("a.CSV"), suffixes=(".csv", ".json")).name == "a.CSV"
-    with pytest.raises(spm.ArgumentError, match=r"^path: expected a file name ending in \.csv, \.json, got 'a\.txt'"):
+    with pytest.raises(spm.ArgumentError, match=r"^path: expected a file name ending in \.csv, \.json, got a\.txt"):
         files.file_path("a.txt", suffixes=(".csv", ".json"))
 
 
@@ -123,6 +123,8 @@ def test_a_message_is_short_whatever_came() -> None:
     "error",
     [
         spm.ArgumentError("path", "a file", "x" * 10**6, "a cause"),
+        spm.GeometryError("leg_limits", "a pair", 3, "a cause", "machine.yaml", 4, "'r_b1'"),
+        spm.calibration.MeasurementError("poses", "others", "these", file="measured.csv", rows=(3,)),
         spm.ClosureError(0.1, 3, "a cause"),
         spm.NotOneSolutionError(("TT+", "TT-"), (1,), "a cause"),
         spm.SingularConfigurationError("inverse", 1e-17, (2,)),
@@ -136,3 +138,13 @@ def test_a_message_is_short_whatever_came() -> None:
 def test_errors_travel_between_processes_with_all_they_know(error: spm.SpmError) -> None:
     again = pickle.loads(pickle.dumps(error))
     assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
+
+
+def test_the_place_of_an_error_is_in_its_fields() -> None:
+    error = spm.ArgumentError("via[3]", "a state", "none")
+    assert (error.argument, error.index, str(error)) == ("via", "3", "via[3]: expected a state, got none")
+    moved = error.replaced(argument="--via", file="motion.csv", line=7)
+    assert str(moved) == "--via[3] in motion.csv:7: expected a state, got none"
+    whole = spm.PoseError("", "a table", "none", "Empty?", file="motion.csv")
+    assert str(whole) == "motion.csv: expected a table, got none. Empty?"
+    assert type(whole.replaced(cause="")) is spm.PoseError

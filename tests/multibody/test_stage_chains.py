@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ from finite_differences import extrapolated
 from multibody.chains import Array, plain_accelerations
 
 import spm_pin as spm
-from spm_pin.description import mjcf_text, urdf_text
-from spm_pin.errors import ArgumentError, GeometryError, SingularConfigurationError, UnreachableError
+from spm_pin.description import Masses, RigidBody, mjcf_text, urdf_text
+from spm_pin.errors import ArgumentError, DescriptionError, GeometryError, SingularConfigurationError, UnreachableError
 from spm_pin.multibody import PlatformPath, SimulationEnd
 
 pytest.importorskip("pinocchio")
@@ -280,6 +281,56 @@ def test_a_stage_mounted_on_another_robot_moves_as_plain_equations_say() -> None
     found = both.state(q, v).forward_dynamics(forces)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
     np.testing.assert_allclose(both.state(q, v).inverse_dynamics(found), forces, atol=1e-7)
+
+
+def test_the_mode_turned_half_round_is_not_left() -> None:
+    chain = spm.ClosedChain.from_urdf(machine=spm.Stage(0.7, 0.46))
+    both = spm.stages.inverse(chain.machine, [1.1, 1.12], tilt=[0.2, 0.25], azimuth=[0.5, 0.7])
+    turned = both.configurations[:, spm.stages.OPERATION_MODES.index("F")]
+    assert turned.exists.all()
+    q = chain.joint_values(turned)
+    for found in (chain.inverse_kinematics(turned.pose[1], q[0]), chain.forward_kinematics(turned.readings[1], q[0])):
+        np.testing.assert_allclose(
+            chain.state(found).configuration().pose.as_matrix(), turned.pose[1].as_matrix(), atol=1e-12
+        )
+
+
+def test_files_prefixes_copies_and_shapes(tmp_path: Path) -> None:
+    stage, file = stage_and_height("RRS as built")[0], tmp_path / "stage.urdf"
+    file.write_text(urdf_text(stage, prefix="left_"), encoding="utf-8")
+    chain = spm.ClosedChain.from_urdf(file, stage, prefix="left_")
+    states = existing_states(stage, 0.12, 3)
+    q = chain.joint_values(states)
+    for other in (chain, pickle.loads(pickle.dumps(chain))):
+        assert all(name.startswith("left_") for name in other.joint_names)
+        np.testing.assert_allclose(other.state(q).configuration().pose.as_matrix(), states.pose.as_matrix(), atol=1e-14)
+    heavy = chain.with_masses(Masses(payload=RigidBody(2.0)))
+    held = [each.state(q[0]).inverse_dynamics(np.zeros(9)) for each in (heavy, chain)]
+    weight = chain.state(q[0]).leg_forces([0.0, 0.0, -2.0 * 9.81, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(held[0] - held[1], weight, rtol=1e-9)
+    for machine in (stage.nominal, spm.Manipulator.paper()):
+        with pytest.raises(DescriptionError):
+            spm.ClosedChain.from_urdf(file, machine, prefix="left_")
+    pytest.importorskip("coal")
+    assert len(chain.collision_model.collisionPairs) > 0
+    assert chain.robot_wrapper().visual_model.ngeoms > chain.collision_model.ngeoms
+
+
+def test_the_same_chain_in_loops() -> None:
+    """It finds the freedoms by itself, and the same motions by other equations."""
+    chain, states, q = start("PRS inclined as built")
+    loops, rates = chain.loops, np.array([0.1, -0.2, 0.3])
+    mobility = loops.mobility(q[0])
+    assert (mobility.dof, mobility.rank, mobility.actuated_rank, mobility.rows) == (3, 6, 3, 6)
+    v, pull = chain.state(q[0]).joint_rates(rates), np.array([5.0, -3.0, 2.0])
+    ours, other = chain.state(q[0], v), loops.state(q[0], v)
+    np.testing.assert_allclose(other.actuator_jacobian("platform"), ours.platform_jacobian(), atol=1e-12)
+    a = ours.forward_dynamics(pull, WRENCH)
+    np.testing.assert_allclose(other.forward_dynamics(pull, {"platform": WRENCH}), a, atol=1e-9 * np.abs(a).max())
+    readings = states.readings[0] + 0.01 * np.sin(np.arange(3.0))
+    values = q[0][chain.leg_indices] + readings - states.readings[0]
+    followed = chain.forward_kinematics(readings, near=q[0])
+    np.testing.assert_allclose(loops.forward(values, near=q[0]), followed, atol=1e-12)
 
 
 def test_states_of_other_machines_are_refused() -> None:

@@ -263,14 +263,14 @@ def test_a_sweep_of_a_machine_as_built_is_resumed_from_its_store(tmp_path: Path)
 # What is refused
 
 OTHERS: dict[str, tuple[dict[str, Any], str]] = {
-    "machine": ({"machine": dataclasses.replace(GEOMETRY, base_radius=0.7)}, r"machine.base_radius is 0.69.* 0.7 "),
+    "machine": ({"machine": dataclasses.replace(GEOMETRY, base_radius=0.7)}, r"geometry.base_radius is 0.69.* 0.7 "),
     "legs": (
         {"machine": GEOMETRY.perturbed(1)},
-        r"machine.legs is null in the store and {\"r_b1\": {\"axis\": \[0.49.* … in this sweep",
+        r"geometry.legs is null in the store and {\"r_b1\": {\"axis\": \[0.49.* … in this sweep",
     ),
     "limits": (
         {"machine": dataclasses.replace(GEOMETRY, limits=spm.LegLimits(1.1, 1.45))},
-        r"machine.leg_limits\[1\] is 1.5 in the store and 1.45 in this sweep",
+        r"geometry.leg_limits\[1\] is 1.5 in the store and 1.45 in this sweep",
     ),
     "grid": (
         {"domain": pose_grid((0.37, 0.44, 8), (-0.16, -0.12, 6), (2.45, 2.55, 5), xyx=[0.01, (0.3, 0.34, 3), 0.1])},
@@ -366,6 +366,8 @@ DEFINITIONS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "metric": lambda definition: definition.update(metrics=[{"unit": "m"}]),
     "axis": lambda definition: definition["domain"]["axes"][0].pop("count"),
     "count": lambda definition: definition["domain"]["axes"][0].update(count=10**12),
+    "points": lambda definition: definition["domain"]["axes"][0].update(count=3),
+    "sample": lambda definition: definition["domain"].update(sample={"count": 10**12, "seed": 0}),
     "format": lambda definition: definition.update(format=99),
     "legs without numbers": lambda definition: definition["geometry"].update(legs=dict.fromkeys(spm.machine.LEGS)),
     "another key": lambda definition: definition.update(points=630),

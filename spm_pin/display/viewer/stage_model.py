@@ -50,7 +50,7 @@ class StageState:
 
     @cached_property
     def measures(self) -> list[Measure]:
-        """How far the singularities of the platform, and that of the leg nearest to its own, are."""
+        """Distances of the platform's singularities, and of the nearest leg singularity."""
         found = stages.singularities(self.shown)
         sigmas = {"forward": found.forward, "inverse": found.inverse, "leg's own": found.leg.min()}
         rows = [(name, float(sigma)) for name, sigma in sigmas.items()]
@@ -107,7 +107,7 @@ class StageModel:
         rotation, _ = Rotation.align_vectors(normal, shown.normal)
         pose = RigidTransform.from_components([*shown.shift, height], rotation * shown.pose.rotation)
         distance = float(np.linalg.norm(StageConfiguration(stage, pose).balls - shown.balls)) / math.sqrt(3.0)
-        why = wanted.missing_reason.rpartition(". ")[2] or "beyond the leg limits"
+        why = wanted.missing_reason or "beyond the leg limits"
         away = f"{fixed(1e3 * distance, 1)} mm away" if distance > 1e-4 else "less than 0.1 mm away"
         return self._show(shown, pose, distance, [f"Out of reach: {why}. Shown: the nearest reachable tilt, {away}."])
 
@@ -181,7 +181,7 @@ class StageModel:
         return f"spm-pin stage inverse {typed} --height {1e-3 * height!r} --roll {roll!r} --pitch {pitch!r}"
 
     def values(self) -> FloatArray:
-        """Return the readings of what is shown [m], of RRS legs [rad]."""
+        """Return the readings of what is shown [m], for RRS legs [rad]."""
         return self.state.shown.readings
 
     def data(self) -> dict[str, Any]:
