@@ -119,7 +119,7 @@ _COMMANDS = {
 """The commands, named like their functions, and their files, in the order of the help."""
 
 _STAGE_COMMANDS = dict.fromkeys(
-    ("inverse", "forward", "reach", "certify", "draw", "view", "calibrate", "tolerance", "write"), "stage"
+    ("inverse", "forward", "reach", "certify", "move", "draw", "view", "calibrate", "tolerance", "write"), "stage"
 )
 """Those of `spm-pin stage`."""
 

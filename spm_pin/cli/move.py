@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +17,7 @@ from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
 from spm_pin.display.figures import certificate_figure, motion_figure
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.machine import LEGS, Configuration, LegLimits, StageConfiguration
+from spm_pin.machine import Configuration, LegLimits, StageConfiguration
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
 from spm_pin.support.arguments import FloatArray, IntArray
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from spm_pin.motion import MotionPlan
     from spm_pin.multibody.trajectory import JointTrajectory
 
-_NAMES: dict[str, str | tuple[str, ...]] = {
+NAMES: dict[str, str | tuple[str, ...]] = {
     "start": ("--from-translation", "--from"),
     "goal": ("--to-translation", "--to"),
     "leg_forces, leg_accelerations": "--leg-force, --leg-acceleration",
@@ -41,8 +42,8 @@ LengthError = Annotated[float, Option(help="Errors of pivots, balls, readings to
 AngleError = Annotated[float, Option(help="Errors of the revolute axes to prove it for, in radians.")]
 
 
-def _largest(help_text: str) -> Any:
-    """Return an option for a limit: one number, or six separated by commas."""
+def largest_of(help_text: str) -> Any:
+    """Return an option for a limit: one number, or one for each leg, separated by commas."""
     return Option(metavar="X", help=f"Largest {help_text}")
 
 
@@ -132,7 +133,7 @@ def _content(certificate: Certificate, other: InverseCertificate | None) -> dict
     return content
 
 
-@outputs.name_options(**_NAMES)
+@outputs.name_options(**NAMES)
 @options.takes_pose("start_pose", "from-", required=False)
 @options.takes_pose("goal_pose", "to-", required=False)
 def move(
@@ -152,10 +153,10 @@ def move(
             metavar="MIN MAX", help="Limits of the readings, each one number or six, as --from; default: the machine's."
         ),
     ] = None,
-    leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s].")] = None,
-    leg_acceleration: Annotated[str | None, _largest("acceleration of a leg \\[m/s²].")] = None,
-    leg_force: Annotated[str | None, _largest("force of a leg, pushing or pulling \\[N].")] = None,
-    leg_jerk: Annotated[str | None, _largest("jerk of a leg \\[m/s³]: forces without jumps, slower.")] = None,
+    leg_rate: Annotated[str | None, largest_of("speed of a leg \\[m/s].")] = None,
+    leg_acceleration: Annotated[str | None, largest_of("acceleration of a leg \\[m/s²].")] = None,
+    leg_force: Annotated[str | None, largest_of("force of a leg, pushing or pulling \\[N].")] = None,
+    leg_jerk: Annotated[str | None, largest_of("jerk of a leg \\[m/s³]: forces without jumps, slower.")] = None,
     twist: Annotated[_Ends, Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s].")] = None,
     payload: Annotated[float, Option(help="Mass on the terminal platform, at o \\[kg].")] = 0.0,
     hip: Annotated[_Ends, _degrees("Angles of the revolute joints, from home, in degrees.")] = None,
@@ -182,42 +183,68 @@ def move(
     has the time, readings, pose and all joints in SI units; spm-pin view --path plays it. The exit code is 3 if no path
     was found, or if an end is out of reach. --plot needs the extra "plots".
     """
-    from spm_pin.motion import Payload, plan, time_optimal
-    from spm_pin.motion.paths import MotionLimits
-    from spm_pin.multibody.chain import ClosedChain
-
     dimensions = options.read_machine(machine_file)
     readings = options.Readings(dimensions, unit)
     first, last = (_end_state(*end, readings) for end in ((start, start_pose, "--from"), (goal, goal_pose, "--to")))
     allowed = dimensions.limits
     if limits is not None:
-        shortest, longest = (options.six_numbers(text, "--limits", single=True) for text in limits)
+        shortest, longest = (options.leg_numbers(text, "--limits", 6, single=True) for text in limits)
         allowed = LegLimits(*readings.read_limits("--limits", shortest, longest))
-    passed = [readings.read("--via", options.six_numbers(text, "--via")) for text in via or ()]
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
     angles = {name: (math.radians(pair[0]), math.radians(pair[1])) for name, pair in pairs.items() if pair is not None}
     joint_limits = JointLimits(**angles, clearance=None if clearance is None else clearance / unit.per_metre)
     typed = {"rate": leg_rate, "acceleration": leg_acceleration, "force": leg_force, "jerk": leg_jerk}
+    files: dict[str, Any] = {"masses": masses, "out": out, "plot": plot}
+    ways: dict[str, Any] = {"joint_limits": joint_limits, "margin": margin, "line": "poses" if straight else "legs"}
+    timing: dict[str, Any] = {"twist": twist, "period": period, "payload": payload}
+    move_machine(readings, [first, last], allowed, via or (), typed, ways=ways, timing=timing, **files, json=json)
+
+
+def move_machine(
+    readings: options.Readings,
+    ends: list[Any],
+    limits: LegLimits | None,
+    via: Sequence[str],
+    typed: dict[str, str | None],
+    *,
+    ways: dict[str, Any],
+    timing: dict[str, Any],
+    masses: Path | None,
+    out: Path | None,
+    plot: Path | None,
+    json: bool,
+) -> None:
+    """Plan the fastest motion of a machine, write and print it.
+
+    `typed` are limits of the legs, `ways` arguments of `plan` and `timing` those of `time_optimal`.
+    """
+    from spm_pin.motion import Payload, plan, time_optimal
+    from spm_pin.motion.paths import MotionLimits
+    from spm_pin.multibody.chain import ClosedChain
+
+    machine: Any = readings.machine
+    count, payload = len(machine.legs.names), timing.pop("payload")
+    passed = [readings.read("--via", options.leg_numbers(text, "--via", count)) for text in via]
     largest: dict[str, Any] = {
-        f"leg_{name}s": options.six_numbers(text, f"--leg-{name}", single=True)
+        f"leg_{name}s": options.leg_numbers(text, f"--leg-{name}", count, single=True)
         for name, text in typed.items()
         if text is not None
     }
     # What it refuses is refused before the search for a path.
-    MotionLimits(dimensions.legs.names, **largest, twist=twist)
-    ways: dict[str, Any] = {"via": passed, "joint_limits": joint_limits, "line": "poses" if straight else "legs"}
-    certificate = prove(dimensions, allowed) if allowed is not None else None
-    planned = plan(dimensions, first, last, allowed, margin=margin, certificate=certificate, **ways)
+    MotionLimits(machine.legs.names, **largest, twist=timing["twist"])
+    certificate = prove(machine, limits) if limits is not None else None
+    start, goal = ends
+    planned = plan(machine, start, goal, limits, via=passed, certificate=certificate, **ways)
     if planned.path is None:
         outputs.note(f"no path: {planned.reason}")
         raise typer.Exit(3)
-    chain = ClosedChain.from_urdf(machine=dimensions, masses=options.read_masses(masses, "forces"))
+    chain = ClosedChain.from_urdf(machine=machine, masses=options.read_masses(masses, "forces"))
     load = Payload(payload) if payload else None
-    motion = time_optimal(chain, planned, **largest, twist=twist, payload=load, period=period)
+    motion = time_optimal(chain, planned, **largest, payload=load, **timing)
     if out is not None:
         motion.to_csv(out)
         outputs.note(f"wrote {out}")
-    outputs.write_figure(plot, motion_figure, motion, motion.readings, allowed, largest)
+    outputs.write_figure(plot, motion_figure, motion, motion.readings, limits, largest)
     if json:
         content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
         outputs.write_json({**content, **motion.columns()})
@@ -238,6 +265,7 @@ def _end_state(
 def _report(planned: MotionPlan, motion: JointTrajectory, legs: IntArray, readings: options.Readings) -> None:
     proved = ", proved to be free of forward singularities" if planned.certified else ""
     outputs.print_lines([f"{motion.times[-1]:.4g} s, {planned.method}{proved}"])
+    names = readings.machine.legs.names
     shown, length, effort = motion.readings * readings.scale, readings.stages("m", "rad"), readings.stages("N", "N m")
     ends = {
         f"{name} [{readings.heading}]": lambda leg, k=k: readings.text(shown[k, leg], leg)
@@ -252,4 +280,4 @@ def _report(planned: MotionPlan, motion: JointTrajectory, legs: IntArray, readin
         name: lambda leg, values=values, digits=digits: fixed(np.abs(values[:, legs[leg]]).max(), digits)
         for name, (values, digits) in kinds.items()
     }
-    outputs.print_table("Legs", {"leg": lambda leg: LEGS[leg], **ends, **largest}, range(6))
+    outputs.print_table("Legs", {"leg": lambda leg: names[leg], **ends, **largest}, range(len(names)))

@@ -85,8 +85,8 @@ class Readings:
 
     def stages(self, length: str, angle: str) -> str:
         """Return `length` or `angle` if all legs have the same, otherwise one for each stage."""
-        lower, upper = (angle if is_angle else length for is_angle in self.are_angles[::3])
-        return lower if lower == upper else f"{lower} (r_b1 to r_b3) and {upper} (r_c1 to r_c3)"
+        units = [angle if is_angle else length for is_angle in self.are_angles[::3]]
+        return units[0] if len(set(units)) == 1 else "{} (r_b1 to r_b3) and {} (r_c1 to r_c3)".format(*units)
 
     def read(self, option: str, typed: Any) -> FloatArray:
         """Return typed readings in [m, rad], one for all legs or one each; cranks turn by at most one turn."""
@@ -301,16 +301,17 @@ def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: b
         raise error.replaced(argument=f"--{prefix}{error.argument}") from error
 
 
-def six_numbers(text: str, option: str, *, single: bool = False) -> FloatArray:
-    """Read six numbers separated by commas, shape (6,), or if allowed a single one, shape ()."""
+def leg_numbers(text: str, option: str, count: int, *, single: bool = False) -> FloatArray:
+    """Read six or three numbers separated by commas, shape (count,), or if allowed a single one, shape ()."""
     try:
         numbers = np.array([] if "_" in text else [float(x) for x in text.split(",")])  # Python reads 1_2 as 12
     except ValueError:
         numbers = np.empty(0)
-    if numbers.size != 6 and not (single and numbers.size == 1):
-        expected = "a number, or six separated by commas" if single else "six numbers separated by commas"
+    if numbers.size != count and not (single and numbers.size == 1):
+        several = {6: "six", 3: "three"}[count]
+        expected = f"a number, or {several} separated by commas" if single else f"{several} numbers separated by commas"
         raise ArgumentError(option, expected, repr(text))
-    return numbers if numbers.size == 6 else numbers[0]
+    return numbers if numbers.size == count else numbers[0]
 
 
 def read_masses(path: Path | None, what: str) -> Masses | None:

@@ -15,7 +15,7 @@ from spm_pin.cli import options, outputs
 from spm_pin.cli.calibrate import calibrate as calibrate_machine
 from spm_pin.cli.calibrate import tolerance as tolerance_of_machine
 from spm_pin.cli.draw import Browser, Dark, Host, Port, serve
-from spm_pin.cli.move import AngleError, Boxes, LengthError, report_certificate
+from spm_pin.cli.move import NAMES, AngleError, Boxes, LengthError, largest_of, move_machine, report_certificate
 from spm_pin.cli.options import LengthUnit, Readings, Triple
 from spm_pin.cli.stage_options import as_command_of_stage, takes_place, takes_stage
 from spm_pin.display import reach_figure, save_figure, stage_figure
@@ -185,6 +185,46 @@ def certify(
     with outputs.stderr.status("dividing the states of the stage"):
         certificate = prove(stage, boxes=boxes, length_error=length_error / unit.per_metre, angle_error=angle_error)
     report_certificate(certificate, None, out, json=json)
+
+
+@takes_stage()
+@outputs.name_options(**NAMES)
+def move(
+    stage: Stage,
+    start: Annotated[Triple, Option("--from", metavar="R1 R2 R3", help="Readings at the start, as of `forward`.")],
+    goal: Annotated[Triple, Option("--to", metavar="R1 R2 R3", help="Readings at the end.")],
+    via: Annotated[
+        list[str] | None, Option(metavar="R1,R2,R3", help="Readings to pass on the way; may be repeated, in order.")
+    ] = None,
+    leg_rate: Annotated[str | None, largest_of("speed of a leg \\[m/s], of servos \\[rad/s].")] = None,
+    leg_acceleration: Annotated[str | None, largest_of("acceleration of a leg \\[m/s²], \\[rad/s²].")] = None,
+    leg_force: Annotated[str | None, largest_of("force \\[N] of a leg, or torque \\[N m] of a servo.")] = None,
+    leg_jerk: Annotated[str | None, largest_of("jerk of a leg \\[m/s³], \\[rad/s³]: slower.")] = None,
+    payload: Annotated[float, Option(help="Mass on the platform, at its centre \\[kg].")] = 0.0,
+    margin: Annotated[float, Option(help="Least |det J| over d³ on the way.")] = 0.05,
+    straight: Annotated[bool, Option("--straight", help="Lead the height and the normal directly.")] = False,
+    period: Annotated[float, Option(help="Time between the rows \\[s].")] = 2e-3,
+    out: Annotated[Path | None, outputs.file_option("CSV of the motion to write.", (".csv",))] = None,
+    plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
+    unit: options.Unit = LengthUnit.M,
+    masses: options.MassesFile = None,
+    json: options.AsJson = False,
+) -> None:
+    """Plan the fastest motion of a stage from one state to another, at rest at both ends.
+
+    Example: spm-pin stage move --base 80 --platform 90 --crank 50 --rod 110 --limits 0 50 --unit mm --from 20 20 20
+    --to 10 35 25 --leg-rate 8 --leg-acceleration 100 --out motion.csv
+
+    `stage inverse` has the readings of a tilt and a height. A limit of force or of acceleration is needed, one number
+    or three separated by commas. Exit code 3 if there is no path, or an end that the stage does not reach.
+    """
+    typed = Readings(stage, unit)
+    ends = [typed.read(option, end) for option, end in (("--from", start), ("--to", goal))]
+    largest = {"rate": leg_rate, "acceleration": leg_acceleration, "force": leg_force, "jerk": leg_jerk}
+    ways = {"margin": margin, "line": "poses" if straight else "legs"}
+    timing = {"twist": None, "period": period, "payload": payload}
+    files: Record = {"masses": masses, "out": out, "plot": plot}
+    move_machine(typed, ends, stage.limits, via or (), largest, ways=ways, timing=timing, **files, json=json)
 
 
 @takes_stage()

@@ -487,7 +487,7 @@ def _task_functions(path: Path, wrench: str | None, machine: Manipulator | Stage
     if hint := unit_hint(machine, poses.translation):
         received = f"values up to {np.abs(poses.translation).max():g}"
         raise ArgumentError("--task", "positions in metres, in proportion to the machine", received, hint)
-    task = Task(poses, options.six_numbers(wrench or "0,0,-1,0,0,0", "--wrench"))
+    task = Task(poses, options.leg_numbers(wrench or "0,0,-1,0,0,0", "--wrench", 6))
     return {"task_margin": task.margin, "task_effort": task.effort}
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.display.writing import legend_below, new_figure, write_name
-from spm_pin.machine import LEGS, LegLimits, StageConfiguration
+from spm_pin.machine import LegLimits, StageConfiguration
 from spm_pin.support.arguments import FloatArray, check_instance
 
 if TYPE_CHECKING:
@@ -201,13 +201,13 @@ def motion_figure(
     limits: LegLimits | None = None,
     largest: dict[str, Any] | None = None,
 ) -> Figure:
-    """Draw the six legs of a motion over time.
+    """Draw the legs of a motion over time.
 
     Parameters
     ----------
     motion : JointTrajectory
         Times, rates, accelerations and forces.
-    readings : ndarray, shape (n, 6), optional
+    readings : ndarray, shape (n, legs), optional
         At its times [m], of `ClosedChain.readings`; without them the actuated joints are drawn, which are zero at home.
     limits : LegLimits, optional
         Drawn as lines.
@@ -233,8 +233,8 @@ def motion_figure(
     )
     axes = figure.subplots(4, 1, sharex=True)
     for ax, (label, values, lines) in zip(axes, rows, strict=True):
-        for leg, column in enumerate(values.T):
-            ax.plot(motion.times, column, color=colours[leg], lw=1.4, ls="-" if leg < 3 else "--", label=LEGS[leg])
+        for leg, (name, column) in enumerate(zip(motion.legs, values.T, strict=True)):
+            ax.plot(motion.times, column, color=colours[leg], lw=1.4, ls="-" if leg < 3 else "--", label=name)
         for line in np.unique(lines):
             ax.axhline(line, color="0.55", lw=0.9, ls=":")
         ax.set_title(label, loc="left", fontsize=10)

@@ -186,8 +186,10 @@ def time_optimal(
 
     joints, readings, poses = rows(along, speeds, accelerations)
     above = slower * (1.0 + error) - 1.0
-    names, columns, units = chain.joint_names, tuple(chain.leg_indices.tolist()), chain.machine.legs.units
-    return TimedMotion(names, times, *joints, readings, poses, columns, units, error=above, evaluate=motion_at)
+    columns, own = tuple(chain.leg_indices.tolist()), chain.machine.legs
+    return TimedMotion(
+        chain.joint_names, times, *joints, readings, poses, columns, own.units, own.names, above, motion_at
+    )
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
