@@ -238,7 +238,7 @@ class RobotScene:
         self._trail.visible = self.layers["trail"] and len(points) > 1
 
     def _show_held_forces(self, state: Configuration) -> None:
-        """Show the forces at o allowed by equal limits of the leg forces, `_HELD` of the robot's size for each limit."""
+        """Show the forces at o allowed by equal limits of leg forces, `_HELD` of the robot's size for each limit."""
         shown = self.layers["forces"]
         if not shown and not self._has_forces:
             return
