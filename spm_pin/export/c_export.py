@@ -49,8 +49,8 @@ from spm_pin.machine.joint_angles import joint_angles, joint_names, value_names
 from spm_pin.support.arguments import FloatArray, check_instance
 
 STATUSES = {
-    "OK": (0, "the result is whole and finite"),
-    "UNREACHABLE": (1, "no real solution, none that is physical, or a ball is out of reach of its leg"),
+    "OK": (0, "the result is complete and finite"),
+    "UNREACHABLE": (1, "no real or no physical solution, or a ball is out of reach of its leg"),
     "DEGENERATE": (2, "the Z axes are parallel, or a family is continuous: the pose leaves the legs undetermined"),
     "SINGULAR": (3, "the state or the way to it is singular to rounding, or branches of a pose cannot be told apart"),
     "NOT_FINITE": (-1, "an argument is NaN or infinite"),
@@ -106,7 +106,7 @@ STATE_FUNCTIONS = (
     ),
     StateFunction(
         *("leg_forces", functions.forces_of, {"wrench": _WRENCH}, "forces", 6, "forward", leg_forces),
-        "the leg forces that hold a wrench (force, moment at o) in {B}, applied to the platform; positive pushes",
+        "the leg forces that balance a wrench (force, moment at o) in {B}, applied to the platform; positive pushes",
     ),
     StateFunction(
         *("leg_rates", functions.rates_of, {"twist": _TWIST}, "rates", 6, "inverse", leg_rates),
@@ -114,7 +114,7 @@ STATE_FUNCTIONS = (
     ),
     StateFunction(
         *("gravity", functions.gravity_of, _WEIGHTS, "forces", 6, "forward", _weight_forces),
-        "the leg forces that hold the weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
+        "the leg forces that balance the weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
         is_of_rps=True,
     ),
     StateFunction(
