@@ -74,12 +74,13 @@ class Designs:
     machines: tuple[Manipulator, ...]
     """The machines."""
     columns: Mapping[str, FloatArray]
-    """Numbers (N,) by their names, NaN where a machine has none:
+    """Numbers (N,) by name, NaN if not defined for a machine:
 
-    - "assembled": share of the leg lengths with a physical configuration; below 1 a forward singularity is within the
-      limits.
-    - "volume": of the poses of these configurations, ∫ |det ∂(o, R)/∂l| dl [m³ rad³]; a pose that several of them have
-      counts as often. Holds where "certified" is 1: it has no bound at a forward singularity, and comes out small.
+    - "assembled": fraction of the leg lengths with a physical configuration; below 1 there is a forward singularity
+        within the limits.
+    - "volume": volume of the poses of these configurations, ∫ |det ∂(o, R)/∂l| dl [m³ rad³]; a pose of several of them
+        counts several times. Right if "certified" is 1: the integrand is unbounded at a forward singularity, so that it
+          comes out too small.
     - "footprint": area of the base circle π E² [m²].
     - "certified": 1 where the limits are proved free of forward singularities, 0 where they are not, or the proof takes
       more than the boxes allowed; if asked for.

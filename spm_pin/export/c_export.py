@@ -114,7 +114,7 @@ STATE_FUNCTIONS = (
     ),
     StateFunction(
         *("gravity", functions.gravity_of, _WEIGHTS, "forces", 6, "forward", _weight_forces),
-        "the leg forces that balance the weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
+        "the leg forces that balance weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
         is_of_rps=True,
     ),
     StateFunction(

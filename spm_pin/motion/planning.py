@@ -113,22 +113,22 @@ def plan(
     machine : Manipulator
         The manipulator.
     start, goal : Configuration, pose, or array_like of shape (6,)
-        The states: a configuration in the physical mode, a pose of {m} in {B}, or readings: leg lengths [m], of RRS
-        legs angles [rad].
+        The states: a configuration in the physical mode, a pose of {m} in {B}, or readings [m], for RRS legs
+        [rad].
     limits : LegLimits, optional
-        Of the readings; by default those of `machine`.
+        Limits of the readings; by default those of `machine`.
     via : sequence of the same
         States to pass on the way, in order.
     joint_limits : JointLimits, optional
-        Of the passive joints, and the distance that legs keep.
+        Limits of the passive joints, and the smallest distance of legs.
     margin : float
         Distance to forward singularities: least |det J_b| and |det J_c| over d³.
     line : {"legs", "poses"}
-        What is tried: a straight line in the leg lengths, and if that breaks a rule a way around; or one in the poses
-        and no other, o on a line and the platform turning about one axis (with `via`, cubic splines through the poses).
+        "legs": a straight line in the leg lengths, and a way around if that leaves the limits; "poses": only a straight
+        line of o while the platform turns about one axis (with `via`, cubic splines through the poses).
         A line of poses does not pass inverse singularities, level poses for example; one of legs may.
     certificate : Certificate, optional
-        Of `spm_pin.certify`: a plan within it is marked as certified.
+        Result of `spm_pin.certify`: a plan within it is marked as certified.
     tries : int
         Steps of the search for a way around, between any two states.
     rng : int, Generator or None
@@ -137,7 +137,7 @@ def plan(
     Returns
     -------
     MotionPlan
-        With a path, or with the reason why no path was found.
+        A path, or the reason why no path was found.
 
     Examples
     --------

@@ -156,7 +156,7 @@ class ConstrainedModel:
         # d, and the part of platforms and links in the length of a loop [m].
         self.side = machine.middle_side
         self._fixed_sizes = sum(machine.dimensions) + sum(float(kind.links.sum()) for kind in machine.legs.kinds)
-        # Of a step of order one in each joint: 1 rad, or d.
+        # Units of a step of order one in each joint: 1 rad, or d.
         self._are_lengths = np.array(machine.legs.units) == "m"
         self.units = np.ones(len(names))
         self.units[self.legs[self._are_lengths]] = self.side

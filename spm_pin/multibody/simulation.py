@@ -40,13 +40,13 @@ SHORTEST_PERIOD = 1e-7
 
 
 class SimulationEnd(enum.StrEnum):
-    """Why a simulation ended."""
+    """Reason why a simulation ended."""
 
     COMPLETE = "complete"
     CONSTRAINT_SINGULARITY = "constraint singularity"
     COLLAPSE = "leg of no length"
     STALLED = "stalled"
-    """Too fast for any step, as where forces are discontinuous or have no bound."""
+    """Too fast for any step, for instance where forces are discontinuous or unbounded."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Simulation:
     """A motion of a `ClosedChain` in time, at n times."""
 
     times: FloatArray
-    """The requested times [s], shape (n,), as far as the motion went; the last is that of an event that ended it."""
+    """The requested times [s], shape (n,), up to the end of the motion; the last may be that of an event."""
     q: FloatArray
     """Joint values, shape (n, 18)."""
     v: FloatArray
@@ -268,7 +268,7 @@ class _Integrator:
                 # It returns a message where its status becomes "failed".
                 if solver.step() is not None:
                     return state, StopEvent(SimulationEnd.STALLED, "no step is short enough", before)
-                # Of the step as it was, before its end is moved onto the closures.
+                # Of the original step, before its end is projected onto the closures.
                 dense, time = solver.dense_output(), float(solver.t)
                 stop = self.stop_event(dense(time), before, time, dense)
                 time, end = (time, solver.y) if stop is None else (stop.time, dense(stop.time))

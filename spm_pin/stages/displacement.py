@@ -69,10 +69,10 @@ def inverse(
     StageSolutions
         The modes T, without torsion, and F, turned half round, along the last axis, each with the whole pose: so
         `.rotation` is (..., 2, 3, 3), and `.configurations.shift` and `.torsion` are the parasitic motion. `.readings`
-        (..., 2, 3). NaN where there is none. `.status` (...) is `Status.OK`, or `UNREACHABLE` where neither exists:
-        no platform has this normal, which includes those within 1.4 mrad of -z, where the legs hardly hold the torsion,
-        or a leg does not reach its ball. `.physical()` is the one that a machine is in,
-        and `nearest_reachable` the nearest tilt where there is none.
+        (..., 2, 3). NaN if missing. `.status` (...) is `Status.OK`, or `UNREACHABLE` if neither exists:
+        no platform has this normal, which includes those within 1.4 mrad of -z, where the legs hardly determine the
+        torsion, or a leg does not reach its ball. `.physical()` is the one that an assembled machine is in,
+        and `nearest_reachable` returns the nearest tilt if this one is out of reach.
 
     Examples
     --------
@@ -138,27 +138,27 @@ def inverse_physical(
 
 
 def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
-    """Find all states that three readings allow.
+    """Find all states for three readings: the assembly modes.
 
     Parameters
     ----------
     stage : Stage
         The stage. Its limits are not applied.
     readings : array_like, shape (..., 3)
-        What the encoders show: [m], for RRS legs [rad].
+        Readings of the encoders: [m], for RRS legs [rad].
 
     Returns
     -------
     StageSolutions
         The assembly modes of `STAGE_MODES` along the last axis, `.rotation` (..., 16, 3, 3), NaN where a mode is not
         real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` if none is real;
-        `DEGENERATE` where a stage of nominal RPS legs moves with its legs locked, that family left out; or
-        `UNSOLVED`, and nothing exists, where fewer than sixteen distinct modes were found, complex ones counted.
+        `DEGENERATE` if a stage with nominal RPS legs moves with its legs locked, that family omitted; or
+        `UNSOLVED`, all missing, if fewer than sixteen distinct modes were found, complex ones counted.
 
     Notes
     -----
-    T and F name modes as in `spm_pin.forward_displacement`, + is the side of the base on which the platform stands. Of
-    legs that are not RPS, and of a calibrated machine, numbers are names only.
+    T and F name modes as in `spm_pin.forward_displacement`, + is the side of the base on which the platform is. For
+    legs that are not RPS, and for a calibrated machine, numbers are arbitrary.
 
     Examples
     --------

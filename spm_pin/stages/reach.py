@@ -1,4 +1,4 @@
-"""What a stage reaches: heights of the level platform, tilts in every direction, and the nearest tilt to one.
+"""The reach of a stage: heights of the level platform, tilts in every direction, and the nearest tilt to one.
 
 A state counts if it is physical (mode T, in the home assembly region) and within the stage's limits. A tilt is the
 largest such that all smaller tilts in the same direction are reachable.
@@ -234,21 +234,21 @@ def nearest_reachable(
     pitch: float | None = None,
     normal: npt.ArrayLike | None = None,
 ) -> StageConfiguration:
-    """Find the physical state within the limits whose normal is nearest to the one asked for.
+    """Find the physical state within the limits whose normal is nearest to a requested one.
 
     Parameters
     ----------
     stage, height, tilt, azimuth, roll, pitch, normal
-        As for `inverse`, of a single state.
+        As for `inverse`, for a single state.
 
     Returns
     -------
     StageConfiguration
-        The physical state asked for, if it is within the limits; else, of the states in `reach` at this height, the one
-        whose normal is at the least angle to the one wanted, to 1e-6 rad. If the stage does not stand level at this
-        height, it is of all states at this height that are found half a degree apart; if there is none, of `reach` at
+        The requested physical state, if it is within the limits; otherwise, of the states in `reach` at this height,
+        the one whose normal has the smallest angle to the requested one, to 1e-6 rad. If the stage is not level at this
+        height, it is of all states at this height that are found half a degree apart; without any, of `reach` at
         the nearest height of `height_range`; if that is empty, of all states at the height where the readings are in
-        the middle of their limits. Else the state does not exist.
+        the middle of their limits. Otherwise it is missing.
     """
     wanted = inverse_physical(stage, height, tilt=tilt, azimuth=azimuth, roll=roll, pitch=pitch, normal=normal)
     if wanted.shape:

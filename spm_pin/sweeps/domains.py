@@ -317,7 +317,7 @@ class SweepPlan:
 
     @classmethod
     def from_definition(cls, content: dict[str, Any]) -> SweepPlan:
-        """Make a plan from its `text` as JSON; metrics that are none of this package's are named, but not computed."""
+        """Make a plan from its `text` as JSON; metrics of other packages are named, but not computed."""
         machine, domain = Manipulator.from_data(content["geometry"], "geometry"), content["domain"]
         axes, sample = tuple(Axis(**axis) for axis in domain["axes"]), domain["sample"]
         domain = Domain(domain["space"], axes, sample and Sample(**sample))
