@@ -77,10 +77,10 @@ class Designs:
     """Numbers (N,) by name, NaN if not defined for a machine:
 
     - "assembled": fraction of the leg lengths with a physical configuration; below 1 there is a forward singularity
-        within the limits.
+      within the limits.
     - "volume": volume of the poses of these configurations, ∫ |det ∂(o, R)/∂l| dl [m³ rad³]; a pose of several of them
-        counts several times. Right if "certified" is 1: the integrand is unbounded at a forward singularity, so that it
-          comes out too small.
+      counts several times. Right if "certified" is 1: the integrand is unbounded at a forward singularity, so that it
+      comes out too small.
     - "footprint": area of the base circle π E² [m²].
     - "certified": 1 where the limits are proved free of forward singularities, 0 where they are not, or the proof takes
       more than the boxes allowed; if asked for.
