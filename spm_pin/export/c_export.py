@@ -138,9 +138,9 @@ _SPREAD = 1e3
 _LEAST_SLOPE, _LARGEST_RATE = 0.1, 1e3
 """Least slopes of legs over the largest ones, and largest entries of J_f in units of d, of states with ten digits."""
 MOST_STEPS, SHORTEST = 2_000, 1e-7
-"""Steps along a way at most, those tried in vain counted; and the shortest, as a part of it: before a singularity."""
+"""Maximum number of steps along a path, rejected ones included, and minimum step relative to the path."""
 ROOT_STEPS = 400
-"""Steps at most along each of the eight ways on which all branches of a pose are found."""
+"""Maximum number of steps along each of the eight paths on which all branches of a pose are found."""
 
 
 def c_sources(machine: Manipulator, *, prefix: str = "spm_", masses: Masses | None = None) -> dict[str, str]:

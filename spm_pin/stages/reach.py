@@ -30,32 +30,32 @@ from spm_pin.stages.displacement import (
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
 
 _STEP = math.radians(0.5)
-"""Tilts that are tried are this far apart [rad]: what is lost and won again in between is not seen."""
+"""Step of the tilts that are tried [rad]: gaps narrower than this step are missed."""
 _LARGEST_TILT = math.pi / 2.0
 _HEIGHTS, _HIGHEST = 2000, 9.99
-"""Levels that are tried, and the highest in units of the stage's size: higher ones are read as in another unit."""
+"""Number of heights that are tried, and the highest in units of the stage's size: higher ones are in another unit."""
 _PARTS, _ROUNDS, _FEW = np.linspace(0.0, 1.0, 17), 11, 5
-"""An interval is divided into so many parts, so many times: to 6e-14 of it, or with few rounds to 1e-6."""
+"""Number of parts and rounds in which an interval is divided: to 6e-14 of it, or with few rounds to 1e-6."""
 _MOST_DIRECTIONS = 10_000
 _BESIDE = 1e-6
 """Distance beyond the end of the reach at which its cause is determined [rad]."""
 
 
 class ReachEnd(enum.IntEnum):
-    """Why a stage tilts no farther."""
+    """Reason why a stage tilts no farther."""
 
     NOT_LEVEL = 0
-    """It is not reached level at this height."""
+    """The level platform is out of reach at this height."""
     LIMIT = 1
     """A reading is at its limit."""
     LEG = 2
-    """A ball is out of a leg's reach, where crank and rod are in line or the rod is across its slide."""
+    """A ball is out of a leg's reach: crank and rod in line, or the rod perpendicular to its slide."""
     FORWARD = 3
-    """A forward singularity, where the platform moves with its actuators locked."""
+    """A forward singularity, where the platform can move with locked actuators."""
     PLANES = 4
-    """The planes of the legs allow no platform with this normal, where both modes meet."""
+    """The planes of the legs allow no platform with this normal; both modes meet there."""
     NONE = 5
-    """It tilts by a right angle at least."""
+    """No end: it tilts by a right angle at least."""
 
     def __str__(self) -> str:
         return {0: "not level", 1: "limit", 2: "leg's reach", 3: "forward singularity", 4: "planes", 5: "none"}[self]
@@ -69,9 +69,9 @@ class StageReach:
     heights: FloatArray
     """Heights of the platform's origin [m], shape (n,)."""
     azimuths: FloatArray
-    """Directions in which the normal leans, evenly from -π [rad], shape (m,)."""
+    """Azimuths of the normal, evenly spaced from -π [rad], shape (m,)."""
     tilts: FloatArray
-    """Largest tilts [rad], to π/2, shape (n, m); NaN where the level platform is not reached."""
+    """Largest tilts [rad], to π/2, shape (n, m); NaN if the level platform is out of reach."""
     ends: npt.NDArray[np.int8]
     """`ReachEnd` of each, shape (n, m)."""
 
@@ -90,7 +90,7 @@ class StageReach:
 
 
 def height_range(stage: Stage) -> tuple[float, float]:
-    """Return the heights [m] between which a stage stands level, in its physical state and within its limits.
+    """Return the heights [m] between which a stage can be level, in its physical state and within its limits.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def _height_range(stage: Stage) -> tuple[float, float]:
         return _counts(inverse_physical(stage, heights))
 
     good = counts(grid)
-    # The ranges' ends between the heights tried: a state that counts, and one that does not.
+    # The ranges' ends between the heights tried: one state that counts, one that does not.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     if not len(edges):
         return math.nan, math.nan
@@ -134,18 +134,18 @@ def _height_range(stage: Stage) -> tuple[float, float]:
 
 
 def home_height(stage: Stage) -> float:
-    """Return a height [m] at which a stage holds its platform level within its limits.
+    """Return a height [m] at which a stage is level within its limits.
 
-    There readings are in the middle of their limits, and where these have none cranks are level, carriages at their
-    pivots. If that is no state it is the middle of `height_range`; where that is empty an `UnreachableError` is raised.
+    Readings are in the middle of their limits; without limits cranks are level and carriages at their
+    pivots. Without such a state it is the middle of `height_range`; if that is empty an `UnreachableError` is raised.
     """
     state = _middle_state(check_instance(stage, Stage, "stage"))
     if state.exists and _counts(inverse_physical(stage, state.height)):
         return float(state.height)
     height = sum(height_range(stage)) / 2.0
     if math.isnan(height):
-        expected = "one that holds its platform level at some height within its limits"
-        raise UnreachableError("stage", expected, repr(stage), "Limits of other legs, or in degrees?")
+        expected = "one that is level at some height within its limits"
+        raise UnreachableError("stage", expected, repr(stage), "Are the limits for other legs, or in degrees?")
     return height
 
 
@@ -160,16 +160,16 @@ def _middle_state(stage: Stage) -> StageConfiguration:
 
 
 def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int = 72) -> StageReach:
-    """Find how far a stage tilts in every direction, at one height or several.
+    """Compute how far a stage tilts in every direction, at one height or several.
 
     Parameters
     ----------
     stage : Stage
-        The stage; its limits count.
+        The stage, with its limits.
     heights : array_like, shape () or (n,), optional
-        Of the platform's origin above the pivots [m]; by default nine within `height_range`.
+        Heights of the platform's origin above the pivots [m]; by default nine within `height_range`.
     directions : int
-        How many azimuths, 1 to 10,000.
+        Number of azimuths, 1 to 10,000.
 
     Returns
     -------
@@ -188,8 +188,8 @@ def reach(stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int
     if heights is None:
         low, high = height_range(stage)
         if math.isnan(low):
-            expected = "a stage that is reached level at some height"
-            cause = "Limits of other readings? Tilted states within these are found by nearest_reachable"
+            expected = "a stage that is level at some height"
+            cause = "Are the limits for other readings? nearest_reachable finds tilted states within them"
             raise ArgumentError("stage", expected, stage, cause)
         levels = np.linspace(low, high, 11)[1:-1]
     else:
@@ -212,7 +212,7 @@ def best_height(stage: Stage, *, directions: int = 72) -> tuple[float, float]:
     Returns
     -------
     height, tilt : float
-        The best of 17 heights within `height_range`, and of ever more about it, to 1e-4 of that range; NaN where the
+        The best of 17 heights within `height_range`, and of ever more about it, to 1e-4 of that range; NaN if the
         platform is nowhere level.
     """
     low, high = height_range(stage)
@@ -252,7 +252,7 @@ def nearest_reachable(
     """
     wanted = inverse_physical(stage, height, tilt=tilt, azimuth=azimuth, roll=roll, pitch=pitch, normal=normal)
     if wanted.shape:
-        expected = "a single state, of a height with tilt and azimuth, roll and pitch, or a normal"
+        expected = "a single state, given by a height with tilt and azimuth, roll and pitch, or a normal"
         raise ArgumentError("height", expected, f"a batch of shape {wanted.shape}")
     if _counts(wanted):
         return wanted
@@ -269,7 +269,7 @@ def nearest_reachable(
     azimuths, width = np.linspace(-math.pi, math.pi, 91), math.pi / 45.0
     for _ in range(5):
         ends = _largest_tilts(stage, np.array([level]), azimuths, _FEW)
-        # In each direction the tilt nearest to the one wanted is its projection, or the end.
+        # In each direction the tilt nearest to the wanted one is its projection, or the end.
         along = np.arctan2(np.cos(azimuths) * target[0] + np.sin(azimuths) * target[1], target[2])
         tilts = np.clip(along, 0.0, ends)
         normals = normals_of_tilt(tilts, azimuths)
@@ -280,7 +280,7 @@ def nearest_reachable(
 
 
 def _nearest_of_all(stage: Stage, height: float, target: FloatArray) -> StageConfiguration:
-    """Return the state at a height that counts whose normal is nearest to the target, whether level ones count or not.
+    """Return the state at a height that counts whose normal is nearest to the target, even if level ones do not count.
 
     Normals are tried along great circles from the target.
     """
@@ -331,7 +331,7 @@ def _last_good(
 
 
 def _largest_tilts(stage: Stage, heights: FloatArray, azimuths: FloatArray, rounds: int = _ROUNDS) -> FloatArray:
-    """Return the largest tilts at heights and azimuths that broadcast, NaN where not even level."""
+    """Return the largest tilts at heights and azimuths that broadcast, NaN if not even level."""
     shape = np.broadcast_shapes(heights.shape, azimuths.shape)
     heights, azimuths = np.broadcast_to(heights, shape), np.broadcast_to(azimuths, shape)
 
