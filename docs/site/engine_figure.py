@@ -20,7 +20,7 @@ from spm_pin.description import MJCF_PATH
 from spm_pin.display import draw
 
 AZIMUTH, ELEVATION = 40.0, 15.0
-"""Where both pictures are looked at from, in degrees."""
+"""View of both pictures, in degrees."""
 
 
 def main() -> None:

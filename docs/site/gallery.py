@@ -27,11 +27,11 @@ MOST_TILT, SHARE = np.radians(20.0), 0.9
 """Formulas are compared with the rigid plate up to this tilt, and this share of what is reached in every direction."""
 DIRECTIONS, TILTS = 72, 20
 ABOVE = 0.02
-"""By how much the balls of the haptic device stand above the origin of its program [m]."""
+"""Height of the balls of the haptic device above the origin of its program [m]."""
 
 Array = npt.NDArray[np.float64]
 Formula = Callable[[StageConfiguration], Array]
-"""Readings (n, 3) that a program commands for the states (n,) that it is asked for."""
+"""Readings (n, 3) that a program commands for the states (n,)."""
 
 
 # What the programs compute, each as a formula of its own in the stage's frame
@@ -144,10 +144,10 @@ def _readings(wanted: StageConfiguration, radii: Array, rises: Array) -> Array:
 
 @dataclass(frozen=True)
 class FormulaError:
-    """How far the plate is from where a program wants it, at worst."""
+    """Largest differences of the plate from the one that a program wants."""
 
     tilt: float
-    """Up to which it was compared [rad]."""
+    """Largest tilt of the comparison [rad]."""
     ball: float
     """Largest distance of a ball from where it should be [m]."""
     angle: float

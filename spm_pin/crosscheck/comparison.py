@@ -1,8 +1,8 @@
-"""Methods compared on random poses: their answers, the scores of each, and the report.
+"""Comparison of methods on random poses: results, scores and the report.
 
 A branch is real if its nine loop equations hold and it is isolated; this is measured, not voted on. A method whose
-branch does not close has invented it. One that lacks a branch which another method proved has missed it, and may do
-so as often as it states. Positions, Jacobians and forces are compared by pairs; where a pair differs by more than
+branch does not close has invented it. A method that lacks a branch which another method proved has missed it, and may
+do so as often as it states. Positions, Jacobians and forces are compared in pairs; if a pair differs by more than
 conditioning and rounding explain, the outlier is attributed by majority.
 """
 

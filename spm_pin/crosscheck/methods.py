@@ -1,7 +1,7 @@
-"""Independent methods that answer the same questions about the robot; they share types and no code.
+"""Independent methods for the same problems of a robot; they share types and no code.
 
-Each answers what it can and returns None otherwise, states how large a closure residual its arithmetic may leave, and
-how often its route may lose a branch. Large libraries are imported when a method that needs them is made.
+Each returns None for what it does not compute, and states the closure residual that its arithmetic may leave and how
+often its route may lose a branch. Large libraries are imported when a method that needs them is made.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Closure residual of a backward stable route, relative to the size of the robot: the closed form's worst
 over 10⁵ poses is 45 eps, see `docs/theory/inverse_displacement.md`."""
 _REFINE = 30
-"""Newton steps on Eq. (13): near a double root four leave residuals a thousand times what rounding does."""
+"""Newton steps on Eq. (13): near a double root four leave residuals a thousand times as large as rounding."""
 
 
 @dataclass
 class Method:
-    """A method to compare; a subclass overrides what it can answer."""
+    """A method to compare; subclasses override what they compute."""
 
     machine: Manipulator
     """The manipulator."""
     name: str = ""
     """Its name in the report."""
     miss_rate: float = 0.0
-    """Share of poses at which it may miss branches."""
+    """Fraction of poses at which it may miss branches."""
     share: float = 1.0
-    """Share of the poses that it solves, less than one where that takes long."""
+    """Fraction of the poses that it solves, less than one for slow methods."""
 
     def inverse(self, pose: RigidTransform) -> SolutionSet | None:
         """Return the branches of poses (N,)."""
@@ -52,7 +52,7 @@ class Method:
         return None
 
     def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray | None:
-        """Return the leg forces (N, 6) [N] of states (N,) that hold wrenches (N, 6); NaN where singular."""
+        """Return the leg forces (N, 6) [N] of states (N,) that balance wrenches (N, 6); NaN where singular."""
         return None
 
     def assembled(self, configuration: Configuration) -> Configuration | None:
@@ -210,13 +210,13 @@ METHODS: dict[str, Callable[[Manipulator], Method]] = {
     "nlp": Nlp,
     "ipopt": Ipopt,
 }
-"""Methods by the name they have on the command line."""
+"""Methods by their name on the command line."""
 
 
 def make_methods(names: Sequence[Method | str] | None, machine: Manipulator) -> list[Method]:
-    """Return methods: by their names in `METHODS`, as they are, or all of `METHODS` that serve here.
+    """Return methods: by their names in `METHODS`, as given, or all of `METHODS` that can be used.
 
-    Those serve whose packages can be imported and that take the machine, nominal or calibrated.
+    These are the methods whose packages can be imported and that take the machine, nominal or calibrated.
     """
     if names is None:
         serving = []

@@ -76,7 +76,7 @@ class Designs:
     machines: tuple[Manipulator | Stage, ...]
     """The machines."""
     columns: Mapping[str, FloatArray]
-    """Numbers (N,) by their names, NaN where a machine has none:
+    """Numbers (N,) by name, NaN if not defined for a machine:
 
     - "assembled": share of the leg lengths with a physical configuration; below 1 a forward singularity is within the
       limits.

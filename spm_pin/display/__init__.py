@@ -1,7 +1,7 @@
 """Pictures of the manipulator in PNG, SVG or PDF, figures of results, mesh files of the shell, and the viewer.
 
-Functions that draw raise `MissingExtraError` without the extra `plots`, the viewer without `viewer`. Figures that they
-make are unknown to pyplot.
+Functions that draw raise `MissingExtraError` without the extra `plots`, the viewer without `viewer`. Their figures are
+not registered with pyplot.
 """
 
 from importlib import import_module
@@ -28,7 +28,7 @@ __all__ += ["draw", "draw_capability", "save_gallery", "save_picture", "stage_fi
 __all__ += ["draw_shell", "save_mesh", "sections_figure", "shell_figure"]
 __all__ += ["Playback", "Recording", "Viewer", "read_recording", "save_figure"]
 
-# Imported on first use: each room that a figure shows takes a moment.
+# Imported on first use: the rooms behind a figure take a moment to import.
 _HOMES = {
     "figures": "agreement_figure calibration_figure certificate_figure front_figure motion_figure path_figure "
     "reach_figure",

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 # After Okabe and Ito's palette, distinct with any colour vision.
 _BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE = "#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7"
 _LIMIT = "#d62728"
-_SMALLEST = 1e-8  # shares of a tolerance below this are drawn as this
+_SMALLEST = 1e-8  # smaller fractions of a tolerance are drawn as this
 _OPACITY = 0.75  # of a box over white
 _TILTS = (30, 60, 90, 120)  # degrees, circles in the picture of a certificate
 
 
 def agreement_figure(report: Report) -> Figure:
-    """Draw the largest difference of every pair of methods as a share of its tolerance, on a logarithmic axis."""
+    """Draw the largest difference of every pair of methods relative to its tolerance, on a logarithmic axis."""
     from spm_pin.crosscheck import Quantity, Report
 
     pairs = check_instance(report, Report, "report", "compare_methods returns one").differences
@@ -116,12 +116,12 @@ def path_figure(path: FollowedPath[Any]) -> Figure:
 
 
 def reach_figure(reach: StageReach) -> Figure:
-    """Draw the largest tilt in every direction, a line for each height; legs are on the rim at their azimuths.
+    """Draw the largest tilt in every direction, a line for each height; legs are marked at their azimuths on the rim.
 
     Parameters
     ----------
     reach : StageReach
-        What `spm_pin.stages.reach` returned.
+        Result of `spm_pin.stages.reach`.
 
     Returns
     -------
@@ -189,7 +189,7 @@ def _draw_boxes(ax: Axes, boxes: FloatArray, colour: str, label: str) -> None:
     # Boxes above one another cover the same tilts: each rectangle is drawn once.
     (x0, x1), (y0, y1) = np.moveaxis(np.unique(boxes[:, :2], axis=0), 0, -1)
     corners = np.stack([np.stack(pair, axis=-1) for pair in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))], axis=1)
-    # Opaque: tilts that several boxes cover have the shade of the others.
+    # Opaque: tilts covered by several boxes have the shade of the others.
     pale = 1.0 - _OPACITY * (1.0 - np.array(to_rgb(colour)))
     ax.add_collection(PolyCollection(list(corners), facecolor=pale, edgecolor="white", lw=0.2, label=label))
     ax.autoscale_view()
@@ -210,7 +210,7 @@ def motion_figure(
     readings : ndarray, shape (n, legs), optional
         At its times [m], of `ClosedChain.readings`; without them the actuated joints are drawn, which are zero at home.
     limits : LegLimits, optional
-        Drawn as lines.
+        Limits drawn as lines.
     largest : dict, optional
         Limits of "leg_rates" [m/s], "leg_accelerations" [m/s²] and "leg_forces" [N], the same for both directions, one
         for all legs or six.
@@ -246,9 +246,9 @@ def motion_figure(
 
 
 def front_figure(front: Front) -> Figure:
-    """Draw a search for dimensions in its first two aims: all machines, the front, and the one that it began with.
+    """Draw a search for dimensions in its first two aims: all machines, the front, and the machine at the start.
 
-    A third aim is the colour of the front. Beside a single aim stands a bound, or the area of the base.
+    A third aim is the colour of the front. With a single aim the other axis is a bound, or the area of the base.
     """
     from spm_pin.design import Front
 
@@ -266,9 +266,9 @@ def front_figure(front: Front) -> Figure:
     points = ax.scatter(chosen[x], chosen[y], s=30, c=colour, label="front", zorder=3)
     if len(names) > 2:
         figure.colorbar(points, ax=ax, label=_aim(names[2], problem.aims[names[2]]))
-    label = "machine that the search began with"
+    label = "machine at the start"
     ax.scatter(start[x], start[y], s=110, marker="*", color=_VERMILION, edgecolor="white", label=label, zorder=4)
-    # Machines that hold no state are far from all others.
+    # Machines without states are far from all others.
     for set_limits, name in ((ax.set_xlim, x), (ax.set_ylim, y)):
         shown = np.concatenate([chosen[name], start[name]])
         room = 0.15 * max(float(np.ptp(shown)), 1e-9 + 0.1 * float(np.abs(shown).max()))

@@ -1,4 +1,4 @@
-"""Pictures of states of a robot or a stage in a 2-D matplotlib Axes, or in a file, alone or side by side."""
+"""Pictures of states of a manipulator or a stage in 2-D matplotlib Axes or in files, alone or side by side."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _SECTION: Colour = (0.0, 0.62, 0.451)
 INK: Colour = (0.13, 0.15, 0.18)
 _EDGE = 0.45  # width of edges in points
 _WIDTH = 4.0  # of a new figure, in inches
-_WIDEST = 6000  # pixels: a picture takes 2 GB and a minute then
+_WIDEST = 6000  # pixels: such a picture takes 2 GB and a minute
 _MARGINS = (0.049, 0.035)  # for labels
 NARROWEST = {False: 100, True: 200}
 """Least width of a picture in pixels, without and with labels, which are seven pixels high there."""
@@ -65,7 +65,7 @@ def draw_solids(
     dpi: float,
     edge: float,
 ) -> tuple[Axes, float, Rendering]:
-    """Draw solids into an Axes, by default a new one, with edges [points]; return it, metres per inch and the image."""
+    """Draw solids into Axes, by default new ones, with edges [points]; return them, metres per inch and the image."""
     low, high = bounds(solids, camera, margins)
     if ax is None:
         width, height = (high - low) / (high - low)[0] * _WIDTH
@@ -74,7 +74,7 @@ def draw_solids(
         show_in_notebooks(ax, figure)
         ax.axis("off")
     elif ax.name == "3d":
-        cause = "The view is projected here: leave out projection='3d'"
+        cause = "The view is projected by this function: use axes without projection='3d'"
         raise ArgumentError("ax", "two-dimensional axes", "3-D axes", cause)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     ax.apply_aspect()
@@ -92,20 +92,20 @@ def draw(
     labels: bool = True,
     dpi: float = 200.0,
 ) -> Axes:
-    """Draw a configuration into a 2-D matplotlib Axes.
+    """Draw a configuration into 2-D matplotlib Axes.
 
-    Data coordinates are metres to the right of O and above it as the viewer sees it.
+    Data coordinates are metres to the right of O and above it in the picture.
 
     Parameters
     ----------
     configuration : Configuration
         A single configuration that exists.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; a new figure if not given: ``ax.figure``.
+        Axes to draw into; by default those of a new figure, ``ax.figure``.
     view : tuple of two floats
         Azimuth and elevation of the viewer in {B} [rad].
     labels : bool
-        Name the joints, the legs and the axes of {B} and {m}; else leave the frames out too.
+        Whether joints, legs and the axes of {B} and {m} are labelled; otherwise the frames are left out too.
     dpi : float
         Pixels per inch of the solids, at the present size of `ax`.
 
@@ -134,7 +134,7 @@ def stage_figure(configuration: StageConfiguration, *, names: bool = True) -> Fi
     configuration : StageConfiguration
         A single state that exists.
     names : bool
-        Whether legs have their names.
+        Whether legs are labelled.
 
     Returns
     -------
@@ -171,17 +171,17 @@ def draw_capability(
     configuration, ax, view, dpi
         As for `draw`.
     section : Section
-        Forces, moments, velocities or accelerations, as of ``wrench_polytope(configuration, 1000.0).section()``.
+        Forces, moments, velocities or accelerations, as from ``wrench_polytope(configuration, 1000.0).section()``.
     scale : float, optional
-        Metres in the picture per unit of the section; if not given, its farthest vertex is a third of the robot's size
-        away.
+        Metres in the picture per unit of the section; by default its farthest vertex is at a third of the robot's
+        size.
     """
     check_instance(section, Section, "section", "wrench_polytope(configuration, limits).section() is one")
     solids, farthest = robot_solids(configuration), float(np.linalg.norm(section.vertices, axis=-1).max())
     size = float(np.ptp(np.concatenate([solid.vertices for solid in solids]), axis=0).max())
     factor = size / (3.0 * farthest) if scale is None else real_number(scale, "scale", "a positive number", above=0.0)
     place = configuration.translation + factor * section.vertices
-    # Each face by itself, so that all edges of the polyhedron are drawn.
+    # Each face separately, so that all edges of the polyhedron are drawn.
     shape = Solid("section", _SECTION, place, section.faces)
     camera = camera_axes(view)
     ax, inch, _ = draw_solids(solids, camera, _MARGINS, ax=ax, dpi=dpi, edge=_EDGE)
@@ -202,14 +202,14 @@ def save_picture(
     width: int = 1000,
     background: str = "white",
 ) -> Path:
-    """Save a picture of a configuration as .png, .svg or .pdf; a file that exists is replaced.
+    """Save a picture of a configuration as .png, .svg or .pdf; an existing file is replaced.
 
     Parameters
     ----------
     configuration, view, labels
         As for `draw`.
     path : str or Path
-        File to write. It is returned.
+        File to write, which is returned.
     width : int
         Width of the picture in pixels; the height follows from the view.
     background : str
@@ -248,13 +248,13 @@ def save_gallery(
     Parameters
     ----------
     configurations : mapping of str to Configuration
-        Single configurations that exist, by what is written above them.
+        Single configurations that exist, by their titles.
     path, view, labels, width, background
         As for `save_picture`; the width is that of the whole picture.
     """
     path = file_path(path, suffixes=FORMATS)
     if not configurations:
-        raise ArgumentError("configurations", "at least one", "none", "No real branch?")
+        raise ArgumentError("configurations", "at least one", "none", "Is no branch real?")
     count = len(configurations)
     columns = count if count <= 4 else math.ceil(count / 2)
     rows = math.ceil(count / columns)
@@ -273,7 +273,7 @@ def save_gallery(
 
 @dataclass
 class _LabelPlacer:
-    """Places labels where they are clear of edges, dark colours and one another, as far as there is room."""
+    """Places labels away from edges, dark colours and one another, as far as there is room."""
 
     ax: Axes
     darkness: Image  # how much is in the way at each pixel, from 0 to 1, shape (height, width)
@@ -297,7 +297,7 @@ class _LabelPlacer:
         down = (top - place[1] + np.array([-half[1], half[1]])) / (top - bottom) * rows
         (left, right), (top, bottom) = np.clip(across, 0, columns).astype(int), np.clip(down, 0, rows).astype(int)
         under = self.darkness[top:bottom, left:right]
-        # Where the label reaches beyond the image there is nothing, and nothing is dark.
+        # Beyond the image nothing is dark.
         area = float(np.ptp(across) * np.ptp(down))
         mean, square = float(under.sum()) / area, float((under**2).sum()) / area
         gaps = [(np.abs(place - centre) - half - size).max() / self.height for centre, size in self.labels]
@@ -329,7 +329,7 @@ def _label(configuration: Configuration, placer: _LabelPlacer, camera: FloatArra
             out = out / max(float(np.linalg.norm(out)), 1e-9)
             places = point + (rings[:, None, None] * h * around).reshape(-1, 2)
             dislike = np.add.outer(0.7 * rings, 0.25 * (1.0 - around @ out)).ravel()
-            # Nearer to another joint, it would seem to name that.
+            # A label closer to another joint would seem to name that one.
             distances = np.linalg.norm(places[:, None] - flattened.reshape(-1, 2), axis=-1)
             dislike += distances.min(axis=-1) < np.linalg.norm(places - point, axis=-1) - 1e-9
             placer.put(f"${letter}_{i + 1}$", INK, places, dislike)

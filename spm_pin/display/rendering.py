@@ -1,7 +1,7 @@
 """Solids of the manipulator, and an orthographic rendering of them with a depth buffer.
 
-matplotlib's own 3-D axes order whole surfaces by their mean depth and so draw hidden legs over what hides them.
-Here a depth buffer decides, finer than the pixels, also where solids pass through one another.
+The 3-D axes of matplotlib order whole surfaces by their mean depth, and so draw hidden legs over what hides them.
+Here a depth buffer finer than the pixels decides, also where solids intersect.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ VIEW = (math.radians(15.0), math.radians(25.0))
 """The azimuth and the elevation [rad] from which pictures are taken."""
 
 _SIDES = 24  # of an arrow
-_NEARER = 0.4  # over the size of the sections: a frame's arrows lie in its plate, and are drawn on its surface
+_NEARER = 0.4  # over the size of the sections: arrows of a frame lie in its plate, and are drawn on its surface
 _SAMPLES = 3  # per pixel and direction
-_TOGETHER = 4_000_000  # pixels of triangles that are drawn in one step
+_TOGETHER = 4_000_000  # pixels of triangles drawn in one step
 _CREASE = math.radians(50.0)  # a sharper turn between two faces is an edge
 
 
@@ -50,11 +50,11 @@ class Solid:
     colour: Colour
     vertices: FloatArray  # in {B} [m], shape (n, 3)
     faces: npt.NDArray[np.signedinteger]  # triangles, counter-clockwise seen from outside, shape (m, 3)
-    nearer: float = 0.0  # how far it is drawn before its place, towards the viewer [m]
+    nearer: float = 0.0  # distance towards the viewer by which it is drawn in front of its position [m]
 
 
 def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[Solid]:
-    """Return the solids of a configuration, those of the URDF, and with `frames` arrows for the axes of {B} and {m}."""
+    """Return the solids of a configuration in the URDF, and with `frames` arrows for the axes of {B} and {m}."""
     check_configuration(configuration, single=True, existing=True)
     lengths = np.linalg.norm(configuration.leg_vectors, axis=-1)
     if not (lengths > 0.0).all():
@@ -72,7 +72,7 @@ def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[S
 
 
 def placed_solids(configuration: Configuration | StageConfiguration) -> tuple[list[Solid], float]:
-    """Return the solids of a state of a robot or of a stage, and the size of their sections [m]."""
+    """Return the solids of a state of a manipulator or a stage, and the size of their sections [m]."""
     parts, poses = visual_parts(configuration.machine), part_placements(configuration)
     solids = [
         Solid(part.name, part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces)
@@ -107,14 +107,14 @@ def camera_axes(view: tuple[float, float]) -> FloatArray:
         raise ArgumentError("view", expected, view)
     azimuth, elevation = array
     if abs(azimuth) > 2.0 * math.pi or abs(elevation) > math.pi / 2.0:
-        raise ArgumentError("view", f"{expected}, at most 2π and π/2", view, "Degrees? Use numpy.deg2rad")
+        raise ArgumentError("view", f"{expected}, at most 2π and π/2", view, "Is it in degrees? Use numpy.deg2rad")
     return view_axes(azimuth, elevation)
 
 
 def bounds(
     solids: Sequence[Solid], camera: FloatArray, margins: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the lower left and upper right corner [m] of solids in view; margins are shares of their longer side."""
+    """Return the lower left and upper right corner [m] of solids in view; margins are relative to their longer side."""
     points = np.concatenate([solid.vertices for solid in solids]) @ camera[:2].T
     low, high = points.min(axis=0), points.max(axis=0)
     border = float((high - low).max()) * np.array(margins)
@@ -130,8 +130,8 @@ def render(
 ) -> Rendering:
     """Render solids at `resolution` pixels per metre, with dark edges that are `edge` pixels wide.
 
-    `window` is the lower left and the upper right corner [m] of a part of the picture plane that holds all of them; the
-    frames of a film have the same one.
+    `window` is the lower left and the upper right corner [m] of a part of the picture plane that contains all of them;
+    the frames of a film have the same one.
     """
     triangles, colours, regions, count = [], [], [], 0
     for solid in solids:
@@ -157,13 +157,13 @@ def render(
     shown = owner[face[_SAMPLES // 2 :: _SAMPLES, _SAMPLES // 2 :: _SAMPLES]]
     edges = _edges(region, depth, max(1, round(edge * _SAMPLES)))
     del region, depth
-    # One gather: the faces' colours, the same as edges, and last, where index -1 finds it, nothing.
+    # One gather: the faces' colours, the same for edges, and last, at index -1, transparent.
     lit = np.concatenate(colours)
     palette = np.zeros((2 * len(lit) + 1, 4), dtype=np.float32)
     palette[:-1, :3], palette[:-1, 3] = np.concatenate([lit, 0.4 * lit]), 1.0
     face[edges] += len(lit)
     image = np.empty((height, width, 4), dtype=np.float32)
-    for row in range(height):  # the samples' colours together would take most of the memory
+    for row in range(height):  # all samples' colours together would take most of the memory
         samples = palette[face[row * _SAMPLES : (row + 1) * _SAMPLES]]
         image[row] = samples.reshape(_SAMPLES, width, _SAMPLES, 4).mean(axis=(0, 2))
     image[..., :3] /= np.maximum(image[..., 3:], 1e-9)
@@ -188,14 +188,14 @@ def _shade(colour: Colour, normals: FloatArray) -> FloatArray:
     lamp = np.array([-0.35, 0.5, 0.8])
     direct = np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, None)
     light = 0.44 + 0.1 * normals[:, 1:2] + 0.5 * direct[:, None]
-    # Light adds up in linear intensities, which sRGB is not.
+    # Light is additive in linear intensities, not in sRGB.
     return np.asarray(np.asarray(colour) * light ** (1.0 / 2.2))
 
 
 def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[npt.NDArray[np.int32], Image]:
-    """Return which triangle each pixel shows, -1 for none, and how near it is.
+    """Return the triangle that each pixel shows, -1 for none, and its nearness.
 
-    `triangles` (n, 3, 3) holds column, row and nearness of each corner; pixel centres are whole numbers.
+    `triangles` (n, 3, 3) are column, row and nearness of each corner; pixel centres are integers.
     """
     index, depth = np.full(shape, -1, dtype=np.int32), np.full(shape, -np.inf, dtype=np.float32)
     height, width = shape
@@ -211,7 +211,7 @@ def _nearest_faces(triangles: FloatArray, shape: tuple[int, int]) -> tuple[npt.N
         nearness = (triangles[part, None, :, 2] @ shares)[:, 0]
         face, row = _ranges(low[part, 1], high[part, 1])
         slope, down, constant = np.moveaxis(shares[face], -1, 0)
-        # A pixel on the side that two faces share must not slip between them.
+        # A pixel on the common side of two faces must not be missed by both.
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = (down * row[:, None] + constant + 1e-9) / np.abs(slope)
         left = np.fmax.reduce(np.where(slope >= 0.0, -ends, 0.0), axis=1)

@@ -1,4 +1,4 @@
-"""The workspace in pictures and meshes: what a machine reaches, and the paper's 24 surfaces, Fig. 2 and sections."""
+"""Pictures and meshes of the workspace: the reachable set, and the paper's 24 surfaces, Fig. 2 and sections."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's, light ones for surfaces, https://jfly.uni-koeln.de/color/.
+# Light colours of Okabe and Ito for surfaces, https://jfly.uni-koeln.de/color/.
 FAMILY_COLOURS: dict[str, Colour] = {
     "St": (0.337, 0.706, 0.914),
     "Sc": (0.902, 0.624, 0.0),
@@ -39,9 +39,9 @@ VIEWS: dict[str, tuple[float, float]] = {
 }
 """Azimuth and elevation [rad] of the panels of `shell_figure`."""
 MESH_FORMATS = (".stl", ".ply", ".obj", ".glb")
-"""File types that meshes are written in."""
+"""File types of meshes."""
 _REACHED: Colour = (0.337, 0.706, 0.914)
-"""Colour of the boundary of what is reached."""
+"""Colour of the boundary of the reachable set."""
 _MAKE = "Make one with workspace.reachable_boundary(machine) or crosscheck.workspace_shell(machine)"
 _EDGE = 0.6  # width of edges in points
 _FONT = 9.0
@@ -82,14 +82,14 @@ def draw_shell(
     labels: bool = True,
     dpi: float = 200.0,
 ) -> Axes:
-    """Draw the boundary of what is reached, or a shell, into a 2-D matplotlib Axes.
+    """Draw the boundary of the reachable set, or a shell, into 2-D matplotlib Axes.
 
     Every patch of a shell has the colour of its family. Parameters are those of `spm_pin.display.draw`, with the
-    `Boundary` or `Shell` for the configuration; `labels` names the patches that are seen well enough.
+    `Boundary` or `Shell` for the configuration; `labels` names the patches that are sufficiently visible.
     """
     _check_mesh(shell)
     camera = camera_axes(view)
-    # The renderer shows what faces the viewer, and that is all one sees of a closed mesh.
+    # The renderer shows the faces towards the viewer, which are all visible faces of a closed mesh.
     solids = [Solid(part.name, part.colour, shell.vertices, part.faces) for part in _parts(shell)]
     ax, _, rendering = draw_solids(solids, camera, (0.03, 0.03), ax=ax, dpi=dpi, edge=_EDGE)
     if labels and isinstance(shell, Shell):
@@ -110,7 +110,7 @@ def _as_tex(name: str) -> str:
 
 
 def _places(shell: Shell, seen: Rendering, room: float) -> list[tuple[Patch, tuple[float, float]]]:
-    """Return the places of patches' names, amid what is seen of each, if farther than `room` pixels from the rest."""
+    """Return positions for patches' names, in the visible part of each, if farther than `room` pixels from the rest."""
     left, _, _, top = seen.extent
     pixel = (seen.extent[1] - left) / seen.solid.shape[1]
     places = []
@@ -123,7 +123,7 @@ def _places(shell: Shell, seen: Rendering, room: float) -> list[tuple[Patch, tup
 
 
 def shell_figure(shell: Shell | Boundary, *, dpi: float = 200.0) -> Figure:
-    """Draw the boundary of what is reached, or a shell, from all sides, after the paper's Fig. 2, and from below.
+    """Draw the boundary of the reachable set, or a shell, from all sides, after the paper's Fig. 2, and from below.
 
     Parameters are those of `draw_shell`.
     """
@@ -150,10 +150,10 @@ def shell_figure(shell: Shell | Boundary, *, dpi: float = 200.0) -> Figure:
 
 
 def save_mesh(shell: Shell | Boundary, path: str | Path) -> Path:
-    """Write the boundary of what is reached, or a shell, as .stl, .ply, .obj or .glb, lengths in metres.
+    """Write the boundary of the reachable set, or a shell, as .stl, .ply, .obj or .glb, lengths in metres.
 
-    STL and OBJ hold one closed mesh, PLY the same with its colours. GLB holds each patch of a shell as a mesh of its
-    own, named and coloured, and has its y axis upward, as that format requires.
+    STL and OBJ contain one closed mesh, PLY the same with its colours. GLB contains each patch of a shell as a separate
+    mesh, named and coloured, with the y axis upwards, as that format requires.
     """
     _check_mesh(shell)
     path = file_path(path, suffixes=MESH_FORMATS)
@@ -182,7 +182,7 @@ def save_mesh(shell: Shell | Boundary, path: str | Path) -> Path:
 
 
 class Plane(NamedTuple):
-    """A plane to cut with."""
+    """A cutting plane."""
 
     name: str  # title of its picture
     origin: FloatArray  # a point of the plane in {B} [m], the origin of the picture
@@ -214,7 +214,7 @@ class Plane(NamedTuple):
 def draw_section(
     ax: Axes, shell: Shell, plane: Plane, reached: FloatArray, aspect: npt.NDArray[np.int8], cell: float = 0.02
 ) -> None:
-    """Draw a section of a shell into axes, in the colours of its families, and of what is reached.
+    """Draw a section of a shell into axes, in the colours of its families, and of the reachable set.
 
     `reached` are positions of o (N, 3) [m], `aspect` the signs (N,) of det K there. Cells of the size `cell` [m] are
     filled that have a position nearer to the plane than half of it; those reached on both sides of an inverse
@@ -229,7 +229,7 @@ def draw_section(
     outline = plane.project(np.asarray(segments).reshape(-1, 2, 3))
     everything = np.concatenate([flat, outline.reshape(-1, 2)])
     if not len(everything):
-        raise ArgumentError("plane", "a plane through the shell", plane.name, "Metres are meant")
+        raise ArgumentError("plane", "a plane through the shell", plane.name, "Is it in metres?")
     if len(flat):
         _fill(ax, flat, signs, cell)
     families = np.repeat([patch.family for patch in shell.patches], [len(patch.faces) for patch in shell.patches])
@@ -243,7 +243,7 @@ def draw_section(
 
 
 def _fill(ax: Axes, points: FloatArray, signs: npt.NDArray[np.int8], cell: float) -> None:
-    """Fill the cells of the plane in which there are points (n, 2)."""
+    """Fill the cells of the plane that contain points (n, 2)."""
     from matplotlib.colors import ListedColormap
 
     low, high = np.floor(points.min(axis=0) / cell), np.floor(points.max(axis=0) / cell) + 1.0
@@ -253,7 +253,7 @@ def _fill(ax: Axes, points: FloatArray, signs: npt.NDArray[np.int8], cell: float
     )
     known = negative | positive
     kind = np.select([negative & positive, positive], [2, 1], 0)
-    # Gaps of a few cells in a random sample are filled like the cell nearest to them.
+    # Gaps of a few cells in a random sample are filled like the nearest cell.
     gaps, _ = ndimage.label(~known)
     small = (gaps > 0) & (np.bincount(gaps.ravel()) <= _GAP)[gaps]
     like = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
@@ -269,7 +269,7 @@ def _fill(ax: Axes, points: FloatArray, signs: npt.NDArray[np.int8], cell: float
 
 
 def sections_figure(shell: Shell, reached: FloatArray, aspect: npt.NDArray[np.int8]) -> Figure:
-    """Draw three level sections of a shell and two upright ones, and of what is reached, with a legend.
+    """Draw three level sections of a shell and two upright ones, and of the reachable set, with a legend.
 
     `reached` and `aspect` are those of `draw_section`.
     """
@@ -284,7 +284,7 @@ def sections_figure(shell: Shell, reached: FloatArray, aspect: npt.NDArray[np.in
     *panels, last = figure.subplots(2, 3).ravel()
     for ax, plane in zip(panels, planes, strict=True):
         draw_section(ax, shell, plane, reached, aspect)
-    # Rows as high as what is in them.
+    # Rows as high as their contents.
     shapes = [np.ptp(ax.get_ylim()) / np.ptp(ax.get_xlim()) for ax in panels]
     rows = 2.8 * np.array([max(shapes[:3]), max(shapes[3:])])
     last.get_gridspec().set_height_ratios(rows + 0.5)

@@ -1,4 +1,4 @@
-"""Results written out: figures and their files, JSON, and numbers as text."""
+"""Output of results: figures and their files, JSON, and numbers as text."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
-"""File types that figures are written in."""
+"""File types of figures."""
 _NOTEBOOK_DPI = 110.0
 
 
@@ -35,7 +35,7 @@ def new_figure(width: float, height: float, **options: Any) -> Figure:
 
 
 def show_in_notebooks(result: Figure | Axes, figure: Figure) -> None:
-    """Have IPython show a figure as PNG where `result` ends a cell; pyplot is not needed for that."""
+    """Let IPython show a figure as PNG if `result` ends a cell, without pyplot."""
     vars(result)["_repr_png_"] = functools.partial(_png, figure)
 
 
@@ -66,14 +66,14 @@ def write_name(ax: Axes, place: tuple[float, float], text: str, size: float, col
 
 
 def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, background: str = "white") -> Path:
-    """Save a figure as .png, .svg or .pdf, the same bytes for the same figure; a file that exists is replaced.
+    """Save a figure as .png, .svg or .pdf, the same bytes for the same figure; an existing file is replaced.
 
-    Vector formats hold lines as lines and labels as text, in TrueType; what is shaded is one image of `dpi` in them.
+    Vector formats contain lines as lines and labels as TrueType text; shaded areas are one image with `dpi`.
     """
     path = file_path(path, suffixes=FORMATS)
     from matplotlib import rc_context
 
-    # Without the date, and with names that do not change from run to run; texts as texts in TrueType, not as outlines.
+    # Without the date, and with names that do not change from run to run; text as TrueType, not as outlines.
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
     content, kind = io.BytesIO(), path.suffix.lower()[1:]
     with rc_context({"svg.hashsalt": "spm-pin", "pdf.fonttype": 42, "svg.fonttype": "none"}):

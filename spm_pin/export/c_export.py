@@ -49,8 +49,8 @@ from spm_pin.machine.joint_angles import joint_angles, joint_names, value_names
 from spm_pin.support.arguments import FloatArray, check_instance
 
 STATUSES = {
-    "OK": (0, "the result is whole and finite"),
-    "UNREACHABLE": (1, "no real solution, none that is physical, or a ball is out of reach of its leg"),
+    "OK": (0, "the result is complete and finite"),
+    "UNREACHABLE": (1, "no real or no physical solution, or a ball is out of reach of its leg"),
     "DEGENERATE": (2, "the Z axes are parallel, or a family is continuous: the pose leaves the legs undetermined"),
     "SINGULAR": (3, "the state or the way to it is singular to rounding, or branches of a pose cannot be told apart"),
     "NOT_FINITE": (-1, "an argument is NaN or infinite"),
@@ -106,7 +106,7 @@ STATE_FUNCTIONS = (
     ),
     StateFunction(
         *("leg_forces", functions.forces_of, {"wrench": _WRENCH}, "forces", 6, "forward", leg_forces),
-        "the leg forces that hold a wrench (force, moment at o) in {B}, applied to the platform; positive pushes",
+        "the leg forces that balance a wrench (force, moment at o) in {B}, applied to the platform; positive pushes",
     ),
     StateFunction(
         *("leg_rates", functions.rates_of, {"twist": _TWIST}, "rates", 6, "inverse", leg_rates),
@@ -114,7 +114,7 @@ STATE_FUNCTIONS = (
     ),
     StateFunction(
         *("gravity", functions.gravity_of, _WEIGHTS, "forces", 6, "forward", _weight_forces),
-        "the leg forces that hold the weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
+        "the leg forces that balance weights of `bodies` and a payload (kg, centre in {m}) at rest; positive pushes",
         is_of_rps=True,
     ),
     StateFunction(
@@ -138,9 +138,9 @@ _SPREAD = 1e3
 _LEAST_SLOPE, _LARGEST_RATE = 0.1, 1e3
 """Least slopes of legs over the largest ones, and largest entries of J_f in units of d, of states with ten digits."""
 MOST_STEPS, SHORTEST = 2_000, 1e-7
-"""Steps along a way at most, those tried in vain counted; and the shortest, as a part of it: before a singularity."""
+"""Maximum number of steps along a path, rejected ones included, and minimum step relative to the path."""
 ROOT_STEPS = 400
-"""Steps at most along each of the eight ways on which all branches of a pose are found."""
+"""Maximum number of steps along each of the eight paths on which all branches of a pose are found."""
 
 
 def c_sources(machine: Manipulator, *, prefix: str = "spm_", masses: Masses | None = None) -> dict[str, str]:

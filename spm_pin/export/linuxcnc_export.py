@@ -25,11 +25,11 @@ _SAMPLES = 4096
 _STEP = 1e-4
 """Step of finite differences of the axes [mm, degrees]."""
 _TURN = np.linspace(0.0, 2.0 * np.pi, 13)[:, None]
-"""Angles at which the program has points on the circle that the tilt goes round [rad]."""
+"""Angles of the program's points on the circle of the tilt's direction [rad]."""
 _SIZES = 0.5 ** np.arange(10)
-"""Sizes of that circle that are tried, from the largest on, until the joints can follow."""
+"""Sizes of that circle that are tried, from the largest, until the joints can follow."""
 _SHARES = np.linspace(0.0, 1.0, 9)[:, None]
-"""Shares of the way from one point of the program to the next at which the joints are looked at."""
+"""Fractions of the path between two points of the program at which the joints are checked."""
 
 
 def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
@@ -43,7 +43,7 @@ def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
     Returns
     -------
     dict of str
-        The texts of the files by their names: `spm.ini` and `spm.hal`, the sources of the module `spmkins`, the numbers
+        The texts of the files by name: `spm.ini` and `spm.hal`, the sources of the module `spmkins`, the numbers
         of the machine `spm_machine.txt`, which it reads when LinuxCNC starts, a program `demo.ngc` and a tool table.
         Those of a stage are `stage.ini`, `stagekins.c` and so on. Lengths are in millimetres, angles in degrees. The
         axes of a robot are X Y Z A B C, those of a stage Z A B: the height, roll and pitch of `stages.inverse`.
@@ -82,7 +82,7 @@ def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
 
 
 def write_linuxcnc(machine: Manipulator | Stage, directory: str | Path) -> list[Path]:
-    """Write what `linuxcnc_configuration` returns into a directory, made if need be; all of it or nothing.
+    """Write the files of `linuxcnc_configuration` into a directory, which is created if needed; all or none.
 
     Files of the same names are replaced. Returns the paths.
     """
@@ -90,41 +90,41 @@ def write_linuxcnc(machine: Manipulator | Stage, directory: str | Path) -> list[
 
 
 class _Machine(ABC):
-    """A machine as LinuxCNC's configuration describes it. Values of axes are in millimetres and degrees."""
+    """A machine in LinuxCNC's configuration. Values of axes are in millimetres and degrees."""
 
     machine: Any
     name: str
     """Prefix of the names of its files."""
     axes: str
     meaning: str
-    """Sentence on what the values of the axes describe, for the comments of the configuration."""
+    """Sentence on the meaning of the axes, for the comments of the configuration."""
     feed: str
     """Sentence on the unit of the feed rate F, for the comment of the demo program."""
     blending: str
-    """G-code by which the demo program passes its points without a stop."""
+    """G-code with which the demo program passes its points without a stop."""
     turns: str
     """The axes in the order in which AXIS applies them, [DISPLAY]GEOMETRY: C before A for Rz(C) Ry(B) Rx(A)."""
     includes: str
     sources: dict[str, str]
     home: FloatArray
-    """Readings that LinuxCNC homes at, shape (joints,)."""
+    """Readings of the home in LinuxCNC, shape (joints,)."""
     ends: tuple[FloatArray, FloatArray]
-    """Least and largest readings, assumed where there is no limit."""
+    """Smallest and largest readings, assumed if there is no limit."""
 
     @abstractmethod
     def axis_values(self, readings: FloatArray) -> FloatArray:
-        """Return the values of the axes (..., axes) of readings (..., joints), NaN where there is no state."""
+        """Return the values of the axes (..., axes) for readings (..., joints), NaN if missing."""
 
     @abstractmethod
     def readings(self, values: FloatArray) -> FloatArray:
-        """Return the readings of values of the axes near the home."""
+        """Return the readings for values of the axes near the home."""
 
     @abstractmethod
     def circle(self, size: float) -> FloatArray:
-        """Return values of the axes (n, axes) where the platform's tilt goes round a circle, of size 1 or smaller."""
+        """Return values of the axes (n, axes) for a tilt whose direction moves round a circle, of size 1 or smaller."""
 
     def axis_rates(self) -> FloatArray:
-        """Return rates and accelerations (axes, 2) at which no joint takes more than half of its own, at the home."""
+        """Return rates and accelerations (axes, 2) for which no joint needs more than half of its own, in the home."""
         home, steps = self.axis_values(self.home), _STEP * np.eye(len(self.axes))
         changes = np.abs(self.readings(home + steps) - self.readings(home - steps)) / (2.0 * _STEP)
         assumed = np.array([ASSUMED[unit] for unit in self.machine.legs.units])
@@ -237,7 +237,7 @@ class _StageAlone(_Machine):
 
 
 def _number(x: float) -> str:
-    """Return a number of millimetres or degrees in nine decimals at most."""
+    """Return a number of millimetres or degrees with at most nine decimals."""
     return np.format_float_positional(round(float(x), 9) + 0.0, trim="0")
 
 

@@ -40,16 +40,16 @@ def ros_package(
     machine : Manipulator
         The machine, nominal or calibrated.
     prefix : str
-        Put before the name of every link, joint and function in C.
+        Prefix of the name of every link, joint and function in C.
     masses : Masses, optional
-        Of the bodies; assumed ones by default, see `urdf_text`.
+        Masses of the bodies; by default assumed ones, see `urdf_text`.
     package : str, optional
         Name of the package; by default `spm_robot`, with the prefix in lower case before it.
 
     Returns
     -------
     dict of str
-        The texts of the files by their places in the package.
+        The texts of the files by their paths in the package.
     """
     name = re.sub(r"[^a-z0-9]+", "_", f"{prefix}spm_".lower()).lstrip("_")
     package = f"{name}robot" if package is None else _checked_name(package, "package")
@@ -100,7 +100,7 @@ def ros_package(
 def write_ros(
     machine: Manipulator, directory: str | Path, *, prefix: str = "", masses: Masses | None = None
 ) -> list[Path]:
-    """Write what `ros_package` returns into a directory, made if need be; all of it or nothing. Returns the paths.
+    """Write the files of `ros_package` into a directory, which is created if needed; all or none. Return the paths.
 
     The package has the name of the directory. Files of the same names are replaced.
     """
@@ -121,7 +121,7 @@ def _checked_name(name: str, argument: str) -> str:
 
 
 def travel(machine: Manipulator) -> tuple[FloatArray, FloatArray]:
-    """Return the least and largest readings, where there is no limit those of a `_stroke` from the home."""
+    """Return the smallest and largest readings, without limits those of a `_stroke` about the home."""
     home = home_readings(machine) + machine.legs.offsets
     limits = machine.limits or machine.legs.free_limits
     return ends_of_travel(limits.ends, home, _stroke(machine))
@@ -135,7 +135,7 @@ def ends_of_travel(limits: FloatArray, home: FloatArray, stroke: FloatArray) -> 
 
 
 def _stroke(machine: Manipulator) -> FloatArray:
-    """Return the change of each reading (6,) that moves a ball by its distance from the pivot at home, at most."""
+    """Return the change of each reading (6,) that moves a ball by at most its distance from the pivot in the home."""
     _, places = homes(machine)
     return np.asarray(np.hypot(*places.T) / np.abs(machine.legs.largest_slopes))
 

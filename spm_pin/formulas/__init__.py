@@ -6,7 +6,7 @@ each backend can replace them. One formula is evaluated on many scalar types:
 
 - in compiled loops over batches: `spm_pin.kinematics.kernels`, which Numba compiles from the unchanged functions;
 - on CasADi expressions, ball arithmetic, numbers of many digits, arrays: by `operations.bind`, which copies a formula
-    and all formulas that it calls, with other operations.
+  and all formulas that it calls, with other operations.
 
 Dimensions are arguments, never read from a `Manipulator`.
 """

@@ -4,12 +4,12 @@ Three 6 x 6 matrices determine the kind, see `spm_pin.kinematics.rates_and_force
 with lengths in units of d, so that they are dimensionless and of order one:
 
 - J_b and J_c, the six forces of the lower and of the upper stage. If one is singular, the platform of that stage can
-    move with locked legs: a **forward** singularity (type 2, parallel).
+  move with locked legs: a **forward** singularity (type 2, parallel).
 - K, the structure's forces of both stages. If it is singular, the middle platform can move while the terminal
-    platform is fixed, and the latter loses a direction of motion: an **inverse** singularity (type 1, serial).
+  platform is fixed, and the latter loses a direction of motion: an **inverse** singularity (type 1, serial).
 - If the structure's three forces of one stage are dependent, both happen: a **constraint** singularity.
 - If the slope κ of a PRS or RRS leg is zero, rod perpendicular to the slide or in line with the crank, the leg itself
-    is singular: its actuator does not move the ball to first order, and any force along the rod is held without effort.
+  is singular: its actuator does not move the ball to first order, and any force along the rod is held without effort.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Displacements of a stage: the pose and readings of a tilt and a height in closed form, and all modes of readings."""
+"""Displacements of a stage: pose and readings for a tilt and a height in closed form, and all modes for readings."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6
-"""Largest error of the length of a normal that is taken for rounding."""
+"""Largest difference of a normal's length from 1 that counts as rounding."""
 _STEEP = 0.9
-"""Cosine of a tilt, 26°, beyond which it is named where it is out of reach: it may have been given in another unit."""
+"""Cosine of a tilt, 26°, beyond which it may be in another unit, and is named if it is out of reach."""
 
 
 def inverse(
@@ -47,33 +47,33 @@ def inverse(
     pitch: npt.ArrayLike | None = None,
     normal: npt.ArrayLike | None = None,
 ) -> StageSolutions:
-    """Find both states of a stage whose platform has a tilt and a height, in closed form.
+    """Compute both states of a stage for a tilt and a height of its platform, in closed form.
 
     Parameters
     ----------
     stage : Stage
         The stage, nominal or calibrated. Its limits are not applied; see `StageSolutions.within`.
     height : array_like, shape (...)
-        Of the platform's origin, the centre of its balls, above the base's plane of pivots: z in {B} [m].
+        Height of the platform's origin, the centre of its balls, above the base's plane of pivots: z in {B} [m].
     tilt, azimuth : array_like, shape (...), optional
-        Angle between the platform's normal and z, from 0 to less than π, and the direction in which the normal leans,
-        hence in which the platform is lowest: from x towards y, within a turn, with the legs at -30°, 90° and 210°
+        Angle between the platform's normal and z, from 0 to less than π, and the direction to which the normal leans,
+        where the platform is lowest: from x towards y, within a turn, with the legs at -30°, 90° and 210°
         [rad].
     roll, pitch : array_like, shape (...), optional
-        Or: the normal is Rx(roll) Ry(pitch) z [rad], so that without torsion they are those of ROS; one alone leaves
-        the other zero.
+        Instead: the normal is Rx(roll) Ry(pitch) z [rad], so that without torsion they are those of ROS; if only one is
+        given the other is zero.
     normal : array_like, shape (..., 3), optional
-        Or: the platform's normal in {B}, of any length but zero. Without any of these the platform is level.
+        Instead: the platform's normal in {B}, of any length but zero. Without any of these the platform is level.
 
     Returns
     -------
     StageSolutions
-        The modes T, without torsion, and F, turned half round, along the last axis, each with the whole pose: so
+        The modes T, without torsion, and F, turned by half a turn, along the last axis, each with the whole pose: so
         `.rotation` is (..., 2, 3, 3), and `.configurations.shift` and `.torsion` are the parasitic motion. `.readings`
-        (..., 2, 3). NaN where there is none. `.status` (...) is `Status.OK`, or `UNREACHABLE` where neither exists:
-        no platform has this normal, which includes those within 1.4 mrad of -z, where the legs hardly hold the torsion,
-        or a leg does not reach its ball. `.physical()` is the one that a machine is in,
-        and `nearest_reachable` the nearest tilt where there is none.
+        (..., 2, 3). NaN if missing. `.status` (...) is `Status.OK`, or `UNREACHABLE` if neither exists:
+        no platform has this normal, which includes those within 1.4 mrad of -z, where the legs hardly determine the
+        torsion, or a leg does not reach its ball. `.physical()` is the one that an assembled machine is in,
+        and `nearest_reachable` returns the nearest tilt if this one is out of reach.
 
     Examples
     --------
@@ -106,7 +106,7 @@ def inverse_physical(
     pitch: npt.ArrayLike | None = None,
     normal: npt.ArrayLike | None = None,
 ) -> StageConfiguration:
-    """Find the physical state for a tilt and a height: what ``inverse(…).physical()`` returns, in half the time.
+    """Compute the physical state for a tilt and a height: the same as ``inverse(…).physical()``, in half the time.
 
     Parameters
     ----------
@@ -145,27 +145,27 @@ def physical_at_poses(stage: Stage, pose: PoseLike) -> StageConfiguration:
 
 
 def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
-    """Find all states that three readings allow.
+    """Find all states for three readings: the assembly modes.
 
     Parameters
     ----------
     stage : Stage
         The stage. Its limits are not applied.
     readings : array_like, shape (..., 3)
-        What the encoders show: [m], for RRS legs [rad].
+        Readings of the encoders: [m], for RRS legs [rad].
 
     Returns
     -------
     StageSolutions
         The assembly modes of `STAGE_MODES` along the last axis, `.rotation` (..., 16, 3, 3), NaN where a mode is not
         real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` if none is real;
-        `DEGENERATE` where a stage of nominal RPS legs moves with its legs locked, that family left out; or
-        `UNSOLVED`, and nothing exists, where fewer than sixteen distinct modes were found, complex ones counted.
+        `DEGENERATE` if a stage with nominal RPS legs moves with its legs locked, that family omitted; or
+        `UNSOLVED`, all missing, if fewer than sixteen distinct modes were found, complex ones counted.
 
     Notes
     -----
-    T and F name modes as in `spm_pin.forward_displacement`, + is the side of the base on which the platform stands. Of
-    legs that are not RPS, and of a calibrated machine, numbers are names only.
+    T and F name modes as in `spm_pin.forward_displacement`, + is the side of the base on which the platform is. For
+    legs that are not RPS, and for a calibrated machine, numbers are arbitrary.
 
     Examples
     --------
@@ -189,16 +189,16 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
 def forward_physical(
     stage: Stage, readings: npt.ArrayLike, near: StageConfiguration | None = None
 ) -> StageConfiguration:
-    """Find the physical state with these readings: the one that the machine is in.
+    """Compute the physical state with these readings, in which an assembled machine is.
 
     Parameters
     ----------
     stage : Stage
         The stage. Its limits are not applied.
     readings : array_like, shape (..., 3)
-        What the encoders show: [m], for RRS legs [rad].
+        Readings of the encoders: [m], for RRS legs [rad].
     near : StageConfiguration, optional
-        Where the machine was. Its leading axes broadcast with those of `readings`.
+        A state of the machine before. Its leading axes broadcast with those of `readings`.
 
     Returns
     -------
@@ -237,7 +237,7 @@ def forward_physical(
 
 
 def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) -> tuple[Any, ...]:
-    """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and which are physical, of mode T, and of F if two."""
+    """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and which are physical, for mode T, and for F if two."""
     from spm_pin.kinematics.kernels.one_stage import poses_of_stages
 
     legs, kind = stage.legs, stage.kind
@@ -310,7 +310,7 @@ def normals_of_request(
     ways["normal"] = normal is not None
     if sum(ways.values()) > 1:
         several = " and ".join(way for way, given in ways.items() if given)
-        raise ArgumentError(several, "one of tilt with azimuth, roll with pitch, and normal", "several of them")
+        raise ArgumentError(several, "one of tilt with azimuth, roll with pitch, and normal", "a mixture")
     if ways["tilt"]:
         if tilt is None or azimuth is None:
             missing = "tilt" if tilt is None else "azimuth"
@@ -333,7 +333,7 @@ def _read_tilt(tilt: npt.ArrayLike, azimuth: npt.ArrayLike) -> FloatArray:
     tilts, azimuths = angles
     if (wrong := (tilts < 0.0) | (tilts >= math.pi)).any():
         received = f"{tilts[first_offender(wrong)]:g}"
-        cause = "To the other side leans what has another azimuth"
+        cause = "For a tilt to the opposite side change the azimuth"
         raise ArgumentError("tilt", "angles from 0 to less than π, in radians", received, cause)
     return normals_of_tilt(tilts, azimuths)
 
@@ -349,7 +349,7 @@ def _angles(value: npt.ArrayLike, argument: str, most: float) -> FloatArray:
     angles = real_array(value, argument, (), "angles in radians")
     if (beyond := np.abs(angles) > most).any():
         expected, received = f"angles in radians within ±{most:.4g}", f"{angles[first_offender(beyond)]:g}"
-        raise ArgumentError(argument, expected, received, "Given in degrees, or wound on by whole turns?")
+        raise ArgumentError(argument, expected, received, "Are they in degrees, or do they count whole turns?")
     return angles
 
 
@@ -386,10 +386,10 @@ def _check_near(stage: Stage, near: Any) -> None:
     cause = "Choose one of its solutions: .physical()" * hasattr(type(near), "physical")
     check_instance(near, StageConfiguration, "near", cause)
     if near.stage.legs != stage.legs:
-        raise ArgumentError("near", f"a state of this stage, {stage!r}", repr(near.stage), "Computed for another one?")
+        raise ArgumentError("near", f"a state of this stage, {stage!r}", repr(near.stage), "Is it of another one?")
     exists: BoolArray = near.exists & np.isfinite(near.readings).all(axis=-1)
     if not exists.all():
-        cause = near.missing_reason or "Not a real solution? See .status and .exists"
+        cause = near.missing_reason or "Is it no real solution? See .status and .exists"
         raise ArgumentError("near", "a state that exists", f"NaN at index {first_offender(~exists)}", cause)
     residual = float(near.closure_residual.max(initial=0.0))
     if residual > _UNIT * stage.platform_radius:

@@ -1,4 +1,4 @@
-"""Following a state of a stage along a path of tilts and heights, or of readings, by the code that follows a robot."""
+"""Following a state of a stage along a path of tilts and heights, or of readings, as for a manipulator."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def follow(
     Parameters
     ----------
     stage : Stage
-        The stage. Where it has limits, crossing one is an event.
+        The stage. If it has limits, crossing one is an event.
     readings : array_like, shape (n, 3), optional
         Readings of the encoders at points of the path [m], for RRS legs [rad], on a line in between.
     start : StageConfiguration or str, optional
@@ -55,13 +55,13 @@ def follow(
         As for `inverse`, of shape (n,) together, instead of readings. Between two points the height and the components
         of the normal are interpolated on a line, and the normal is then made one of unit length.
     samples : int
-        The path is solved in at least so many steps.
+        Smallest number of steps of the path.
 
     Returns
     -------
     FollowedPath
-        With its events: singularities, limits, labels that change and the end of the state; see `spm_pin.follow`. Modes
-        of readings have labels in stages of nominal RPS legs, in others that of the first point is kept.
+        The events are singularities, limits, changes of labels and the end of the state; see `spm_pin.follow`. Modes
+        of readings have labels in stages with nominal RPS legs; otherwise that of the first point is kept.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def follow(
             return forward(stage, here)
         return inverse(stage, here[3], normal=here[:3] / np.linalg.norm(here[:3]))
 
-    # The modes of readings have labels of their own in nominal stages of RPS legs alone.
+    # Only nominal stages with RPS legs have labels for the modes of readings.
     has_labels = height is not None or (stage.is_nominal and stage.legs.are_rps)
     watch = Watch(math.sqrt(3.0) * stage.platform_radius, determinants, _KINDS, has_labels)
     return followed(watch, solve, knots, start, count, has_legs=height is None)

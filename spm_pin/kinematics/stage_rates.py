@@ -1,8 +1,8 @@
 """Rates, joint loads and singularities of one stage: `docs/theory/stages.md`.
 
-The platform has three freedoms, its *motion* (v_z, ω_x, ω_y): the velocity of its origin along z of {B} and the part of
-its angular velocity across z. What it does besides is parasitic. Each leg acts on it through its ball along
-`leg_vectors`, where its actuator holds, and along its revolute axis, where its structure holds: six forces.
+The platform has three degrees of freedom, its *motion* (v_z, ω_x, ω_y): the velocity of its origin along z of {B} and
+the horizontal part of its angular velocity. The rest is parasitic motion. Each leg acts on it through its ball along
+`leg_vectors` with its actuator's force, and along its revolute axis with its structure's force: six forces.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class JointLoads(NamedTuple):
     efforts: FloatArray
     """Efforts of the actuators, positive if they increase the reading, shape (..., 3): [N], for RRS legs [N m]."""
     rods: FloatArray
-    """Force of each leg along `leg_vectors`, positive where it pushes the platform [N], shape (..., 3)."""
+    """Force of each leg along `leg_vectors`, positive if it pushes the platform [N], shape (..., 3)."""
     across: FloatArray
     """Force of each leg along its revolute axis, which its structure carries [N], shape (..., 3)."""
     balls: FloatArray
@@ -45,25 +45,25 @@ class JointLoads(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class StageSingularities:
-    """Singularities of states of shape (...), and distances to them; NaN where a state does not exist."""
+    """Singularities of states of shape (...), and distances to them; NaN for missing states."""
 
     kind: npt.NDArray[np.int8]
     """A combination of `SingularityKind`, shape (...).
 
-    `FORWARD` where the platform moves with its actuators locked, `INVERSE` where tilt and height do not determine its
-    motion, and both operation modes meet, with `CONSTRAINT` where the structure's own three forces are dependent, and
-    `LEG` where an actuator does not move its ball.
+    `FORWARD` if the platform can move with locked actuators, `INVERSE` if tilt and height do not determine its
+    motion, so that both operation modes meet, with `CONSTRAINT` if the structure's own three forces are dependent, and
+    `LEG` if an actuator does not move its ball.
     """
     forward: FloatArray
     """Smallest singular value of the six forces, arms in units of the platform's radius, shape (...)."""
     inverse: FloatArray
-    """Smallest singular value of what determines v_x, v_y and ω_z, in the same unit, shape (...)."""
+    """Smallest singular value of the equations for v_x, v_y and ω_z, in the same unit, shape (...)."""
     leg: FloatArray
     """κ of each leg over its largest, in its working mode positive, shape (..., 3)."""
     gained_twist: FloatArray
     """The twist (v, ω) at the platform's origin in {B} that locked actuators resist least, shape (..., 6).
 
-    (v, r ω) has length 1 m/s, r the platform's radius.
+    (v, r ω) has length 1 m/s, with r the platform's radius.
     """
 
     @property
@@ -85,8 +85,8 @@ def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
     -------
     ndarray, shape (..., 6, 3)
         Rows (v, ω) of the platform at its origin, in {B} [m/s, rad/s]; columns the legs. Its rows `MOTION` are the
-        3 x 3 of tilt and height. At a forward singularity, where the legs do not hold the platform, a single state
-        raises `SingularConfigurationError`, and a member of a batch is NaN.
+        3 x 3 matrix of tilt and height. At a forward singularity, where the platform can move with locked legs, a
+        single state raises `SingularConfigurationError`, and a member of a batch is NaN.
     """
     return _columns(configuration, along_legs=True) * configuration.slopes[..., None, :]
 
@@ -129,7 +129,7 @@ def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
     -------
     ndarray, shape (..., 3, 3)
         Rows are legs, [m/s], for RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
-        singularity as `parasitic_jacobian`; so, as "leg", where an actuator does not move its ball.
+        singularity as `parasitic_jacobian`; the same, as "leg", if an actuator does not move its ball.
     """
     twists = parasitic_jacobian(configuration)
     slopes, largest = configuration.slopes, configuration.stage.legs.largest_slopes
@@ -180,7 +180,7 @@ def singularities(state: StageConfiguration, least: float) -> StageSingularities
 
 
 def determinants(state: StageConfiguration) -> FloatArray:
-    """Return what is zero at forward and at inverse singularities, dimensionless, (..., 2)."""
+    """Return numbers that are zero at forward and at inverse singularities, dimensionless, (..., 2)."""
     return np.stack([np.linalg.det(_six_forces(state)), np.linalg.det(_inverse_matrices(state))], axis=-1)
 
 
@@ -222,7 +222,7 @@ def _inverse_matrices(state: StageConfiguration) -> FloatArray:
 
 
 def _columns(configuration: Any, *, along_legs: bool) -> FloatArray:
-    """Return the twists (..., 6, 3) of unit rates of the balls along the legs, or else along the axes."""
+    """Return the twists (..., 6, 3) for unit rates of the balls along the legs, or along the axes."""
     state = _read(configuration)
     legs, axes = map(rows_of, _directions(state))
     first, second = (legs, axes) if along_legs else (axes, legs)
@@ -232,13 +232,13 @@ def _columns(configuration: Any, *, along_legs: bool) -> FloatArray:
 
 
 def _stacked(state: StageConfiguration, columns: Any) -> FloatArray:
-    """Return twists (v, ω) of formulas as the columns of matrices (..., 6, 3)."""
+    """Return twists (v, ω) from formulas as the columns of matrices (..., 6, 3)."""
     rows = [np.stack(np.broadcast_arrays(*v, *w, np.zeros(state.shape))[:6], axis=-1) for v, w in columns]
     return np.stack(rows, axis=-1)
 
 
 def _without_singular(state: StageConfiguration, values: FloatArray, kind: str, matrices: FloatArray) -> FloatArray:
-    """Return values (..., m, n), NaN where a matrix is singular to rounding; a single state raises."""
+    """Return values (..., m, n), NaN if a matrix is singular to rounding; a single singular state raises an error."""
     sizes = np.linalg.svd(np.nan_to_num(matrices), compute_uv=False)
     singular = state.exists & (sizes[..., -1] <= SINGULAR * sizes[..., 0])
     if singular.any() and not state.shape:

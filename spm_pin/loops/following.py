@@ -36,7 +36,7 @@ class Problem:
     driven_rates : ndarray, shape (nv,)
         Change of each driven joint along the whole path, dimensionless.
     pose : int
-        The closure that stands for a target's pose, -1 if there is none.
+        The closure for a target's pose, or -1.
     first_columns, loop_columns : ndarray of int
         Where the velocities of each closure begin, and the velocities, from frame 1 to frame 2.
     pose_turn : ndarray, shape (1,)

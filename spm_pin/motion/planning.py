@@ -123,7 +123,7 @@ def plan(
     via : sequence of the same
         States to pass on the way, in order.
     joint_limits : JointLimits, optional
-        Of the passive joints, and the distance that legs keep.
+        Limits of the passive joints, and the smallest distance of legs.
     margin : float
         Distance to forward singularities: least |det J| of a stage over d³.
     line : {"legs", "poses"}
@@ -132,7 +132,7 @@ def plan(
         A line of poses does not pass inverse singularities, level poses of a manipulator for example; one of legs may.
         Of a stage, whose shift and torsion follow, the height is on a line and the normal turns about one axis.
     certificate : Certificate, optional
-        Of `spm_pin.certify`: a plan within it is marked as certified.
+        Result of `spm_pin.certify`: a plan within it is marked as certified.
     tries : int
         Steps of the search for a way around, between any two states.
     rng : int, Generator or None
@@ -141,7 +141,7 @@ def plan(
     Returns
     -------
     MotionPlan
-        With a path, or with the reason why no path was found.
+        A path, or the reason why no path was found.
 
     Examples
     --------

@@ -367,12 +367,12 @@ class ClosedChain:
         period: float | None = None,
         tolerance: float = 1e-11,
     ) -> Simulation:
-        """Integrate the motion under leg forces, gravity and a wrench, up to the last time or what ends it before.
+        """Integrate the motion under leg forces, gravity and a wrench, up to the last time or an event that ends it.
 
-        By SciPy's DOP853 with projection onto the closures after each step. Leg limits, inverse and forward
-        singularities are passed through; `limit_excess` of the result tells where limits are. A leg of no length and a
-        constraint singularity end the run: forces in the balls have no bound there. They are looked for at the ends of
-        steps.
+        The method is SciPy's DOP853 with projection onto the closures after each step. Leg limits, inverse and forward
+        singularities do not stop it; `limit_excess` of the result shows limits. A leg whose length becomes zero and a
+        constraint singularity end the run, since forces in the balls are unbounded there. They are detected at the ends
+        of steps.
 
         Parameters
         ----------
@@ -383,7 +383,7 @@ class ClosedChain:
             freely. A function without `period` is smooth in its arguments alone: it is called several times a step, and
             not in order.
         times : array_like, shape (n,)
-            When to record [s], increasing; the motion begins at the first.
+            Times to record [s], increasing; the motion begins at the first.
         wrench : array_like (6,), or callable, optional
             Onto the terminal platform: constant, or a function (t, q, v) → (6,).
         period : float, optional
@@ -420,8 +420,8 @@ def _read_urdf(file: Path, described: str, side: float) -> str:
 def _check_tree(model: Any, expected: Any, path: str, side: float) -> None:
     """Raise `DescriptionError` unless both trees have the same joints, and links that move alike.
 
-    Of a link, its origin is compared and the points on its axes in the distance of the middle platform's side; all at
-    one q with every joint away from zero, where each placement and each axis shows.
+    Compared are each link's origin and the points on its axes at the distance of the middle platform's side, at
+    one q with all joints different from zero, where every placement and axis matters.
     """
     links = [frame.name for frame in expected.frames if frame.type == pin.FrameType.BODY]
     joints, wanted = set(model.names), set(expected.names)

@@ -67,20 +67,20 @@ Result = TypeVar("Result")
 
 
 class ConstrainedState:
-    """Joint values q and velocities v of a model with closures, and what is computed from them.
+    """Joint values q and velocities v of a model with closures, and quantities computed from them.
 
-    Made by the method `state` of `ClosedChain` and of `MountedChain`, and moved on by `update`, without new memory:
-    loops make one and update it. Of one q and v, kinematics, constraint Jacobian and factorisations are computed once
-    and kept for later calls; of a batch each call computes them anew, member by member. Arguments broadcast with the
-    batch. A state is for one thread at a time.
+    Made by the method `state` of `ClosedChain` and `MountedChain`, and moved by `update`, without new memory:
+    in a loop make one and update it. For one q and v, kinematics, constraint Jacobian and factorisations are computed
+    once and kept for later calls; for a batch each call computes them again, member by member. Arguments broadcast with
+    the batch. A state is not thread-safe.
 
     Attributes
     ----------
     kinematics : TreeKinematics
         Pinocchio's data, Jacobians and factorisations at a single q; do not change it.
     failures : dict of tuple of int to SpmError
-        Of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is NaN, or
-        the `ArgumentError` where a ball joint's middle angle is ±90°, by its index.
+        Errors of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is
+        NaN, or the `ArgumentError` where a ball joint's middle angle is ±90°, by its index.
     """
 
     def __init__(self, constrained: ConstrainedModel) -> None:

@@ -75,7 +75,7 @@ def follow_legs(kinematics: TreeKinematics, q: FloatArray, readings: FloatArray)
 
     def equations(share: float, q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
         kinematics.evaluate(q)
-        # At the end the target itself, not what adding up makes of it.
+        # Use the exact target at the end, which avoids accumulated rounding.
         target = readings if share == 1.0 else begin + share * (readings - begin)
         missing, gap = target - constrained.readings(q), kinematics.gap.ravel()
         return np.concatenate([missing, gap]), lambda: kinematics.velocities_of_legs(missing, gap)

@@ -102,7 +102,7 @@ def mount(chain: Any, other: Any, frame: str, placement: Any, *, carried: bool) 
     both = sorted((names[0] & names[1]) - {"universe"})
     if both:
         cause = "Give the chain a prefix: ClosedChain.from_urdf(prefix='spm_')"
-        raise ArgumentError("other", "names that the chain has not", ", ".join(both[:3]), cause)
+        raise ArgumentError("other", "joint and frame names that the chain does not have", ", ".join(both[:3]), cause)
     models, place = (parent.model, child.model), (parent.model.getFrameId(frame), placement or pin.SE3.Identity())
     shapes = []
     for kind in ("collision_model", "visual_model"):

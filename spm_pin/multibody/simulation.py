@@ -26,13 +26,13 @@ SHORTEST_LEG = 1e-6
 
 
 class SimulationEnd(enum.StrEnum):
-    """Why a simulation ended."""
+    """Reason why a simulation ended."""
 
     COMPLETE = "complete"
     CONSTRAINT_SINGULARITY = "constraint singularity"
     COLLAPSE = "leg of no length"
     STALLED = "stalled"
-    """Too fast for any step, as where forces are discontinuous or have no bound."""
+    """Too fast for any step, for instance where forces are discontinuous or unbounded."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Simulation:
     """A motion of a `ClosedChain` in time, at n times."""
 
     times: FloatArray
-    """The requested times [s], shape (n,), as far as the motion went; the last is that of an event that ended it."""
+    """The requested times [s], shape (n,), up to the end of the motion; the last may be that of an event."""
     q: FloatArray
     """Joint values, shape (n, nq)."""
     v: FloatArray

@@ -44,10 +44,10 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
     from the middle of the plate / its radius)², and the episode is terminated where the ball leaves the plate. Made by
     `gymnasium.make` it is truncated after ten seconds.
 
-    `reset` draws a tilt, a height, and a place of the ball within half the plate's radius, where it is at rest. All
-    joints follow in closed form, so that the loops are closed to rounding. Its `options` may have the `readings` (3,)
-    and the place of the `ball` (2,) [m] instead. The `info` of reset and step have the `distance` [m], the
-    `loop_error`, by how much loops are open [m], and `has_fallen`.
+    `reset` chooses a random tilt, height, and position of the ball within half the plate's radius, at rest. All joint
+    values are computed in closed form, so that the loops are closed to rounding. Its `options` may have `readings` (3,)
+    and the position of the `ball` (2,) [m] instead. The `info` of reset and step have the `distance` [m], the
+    `loop_error`, the largest gap of the loops [m], and `has_fallen`.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         self._renderer: Any = None
         self._heights = height_range(self.stage)
         if math.isnan(self._heights[0]):
-            raise ArgumentError("stage", "one whose platform stands level within its limits", repr(self.stage))
+            raise ArgumentError("stage", "one whose platform can be level within its limits", repr(self.stage))
         joints = [self.model.joint(name) for name in actuated_joints(self.stage)]
         velocities = self.model.numeric("velocity_limit").data
         self._steps = self.model.opt.timestep * velocities[[joint.id for joint in joints]]
@@ -105,15 +105,15 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         return np.array(list(bounds.values()))
 
     def action(self, readings: npt.ArrayLike) -> npt.NDArray[np.float32]:
-        """Return the action (3,) that leads the actuators to readings (3,) [m], for RRS legs [rad]."""
+        """Return the action (3,) for commanded readings (3,) [m], for RRS legs [rad]."""
         low, high = self.stage.reading_limits
-        own = real_array(readings, "readings", (3,), f"what the actuators are to read, in {self.stage.unit}")
+        own = real_array(readings, "readings", (3,), f"commanded readings of the actuators, in {self.stage.unit}")
         return np.asarray(np.clip((2.0 * own - low - high) / (high - low), -1.0, 1.0), dtype=np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[FloatArray, dict[str, Any]]:
-        """Assemble the stage in another state and lay the ball on it; see the class."""
+        """Assemble the stage in another state and put the ball on it; see the class."""
         super().reset(seed=seed)
         options = options or {}
         if not options.keys() <= {"readings", "ball"}:
@@ -137,7 +137,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         return self._observed()
 
     def step(self, action: npt.ArrayLike) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
-        """Lead the actuators towards their goals for 20 ms; see the class."""
+        """Move the actuators towards their commands for 20 ms; see the class."""
         shares = np.clip(real_array(action, "action", (3,), "from -1 to 1"), -1.0, 1.0)
         if shares.shape != (3,):
             raise ArgumentError("action", "shape (3,), a single action", f"shape {shares.shape}")
@@ -146,7 +146,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         for _ in range(STEPS):
             self.data.ctrl += np.clip(goal - self.data.ctrl, -self._steps, self._steps)
             mujoco.mj_step(self.model, self.data)
-        # What is derived from q belongs to the beginning of the last step.
+        # Values derived from q belong to the beginning of the last step.
         mujoco.mj_forward(self.model, self.data)
         observation, info = self._observed()
         has_fallen = info["has_fallen"]
@@ -160,7 +160,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         if self._renderer is None:
             try:
                 self._renderer = mujoco.Renderer(self.model, 480, 640)
-            except Exception as error:  # whatever GLFW, EGL or OSMesa make of a missing screen
+            except Exception as error:  # GLFW, EGL and OSMesa raise different types without a screen
                 expected = "a screen, or MUJOCO_GL=egl or osmesa in the environment before MuJoCo is imported"
                 raise ArgumentError("render_mode", expected, "'rgb_array' without them", str(error)) from error
         camera = mujoco.MjvCamera()
@@ -185,18 +185,18 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         states = inverse_physical(self.stage, heights, tilt=draw(0.0, self.max_tilt, _TRIES), azimuth=azimuths)
         good = states.exists & ~np.any(states.limit_excess, axis=-1)
         if not good.any():
-            cause = "A smaller max_tilt, or wider limits?"
+            cause = "Give a smaller max_tilt, or wider limits"
             raise ArgumentError("stage", f"one that tilts by {self.max_tilt:g} rad", "one with a smaller tilt", cause)
         return states[int(good.argmax())]
 
     def _state(self, readings: npt.ArrayLike) -> StageConfiguration:
         state = forward_physical(self.stage, readings)
         if state.shape or not state.exists:
-            raise ArgumentError("readings", "three with which the stage stands", "others", state.missing_reason)
+            raise ArgumentError("readings", "three readings with a state of the stage", "others", state.missing_reason)
         return state
 
     def _observed(self) -> tuple[FloatArray, dict[str, Any]]:
-        """Return the observation, and what `reset` and `step` say of it."""
+        """Return the observation, and the `info` of `reset` and `step`."""
         platform, velocity = self.data.body("platform"), np.zeros(6)
         state = StageConfiguration.from_arrays(self.stage, platform.xmat.reshape(3, 3).copy(), platform.xpos.copy())
         place = (self.data.body("ball").xpos - platform.xpos) @ state.rotation

@@ -21,7 +21,7 @@ class RealMachine:
     stages: tuple[Stage, ...]
     """The stage; or two, which `spm_pin.Manipulator.of_stages` takes.
 
-    Of a 3-SPR the plate of pivots moves, and the stage is the machine as seen from there.
+    The moving plate of a 3-SPR is the plate of pivots; the stage is the machine seen from there.
     """
     height: float
     """At which the source has it stand level: of the balls' centre above the plane of the pivots [m]."""

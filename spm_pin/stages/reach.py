@@ -1,4 +1,4 @@
-"""What a stage reaches: heights of the level platform, tilts in every direction, and the nearest tilt to one.
+"""The reach of a stage: heights of the level platform, tilts in every direction, and the nearest tilt to one.
 
 A state counts if it is physical (mode T, in the home assembly region) and within the stage's limits. A tilt is the
 largest such that all smaller tilts in the same direction are reachable.
@@ -32,12 +32,12 @@ from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
 
 _STEP = math.radians(0.5)
-"""Tilts that are tried are this far apart [rad]: what is lost and won again in between is not seen."""
+"""Step of the tilts that are tried [rad]: gaps narrower than this step are missed."""
 _LARGEST_TILT = math.pi / 2.0
 _HEIGHTS, _HIGHEST = 2000, 9.99
-"""Levels that are tried, and the highest in units of the stage's size: higher ones are read as in another unit."""
+"""Number of heights that are tried, and the highest in units of the stage's size: higher ones are in another unit."""
 _PARTS, _ROUNDS, _FEW = np.linspace(0.0, 1.0, 17), 11, 5
-"""An interval is divided into so many parts, so many times: to 6e-14 of it, or with few rounds to 1e-6."""
+"""Number of parts and rounds in which an interval is divided: to 6e-14 of it, or with few rounds to 1e-6."""
 _MOST_DIRECTIONS = 10_000
 _REGULAR = 1e-6
 """Distance to singularities, see `StageSingularities`, up to which a home is none: its digits are lost there."""
@@ -46,20 +46,20 @@ _BESIDE = 1e-6
 
 
 class ReachEnd(enum.IntEnum):
-    """Why a stage tilts no farther."""
+    """Reason why a stage tilts no farther."""
 
     NOT_LEVEL = 0
-    """It is not reached level at this height."""
+    """The level platform is out of reach at this height."""
     LIMIT = 1
     """A reading is at its limit, or a condition that was given ends."""
     LEG = 2
-    """A ball is out of a leg's reach, where crank and rod are in line or the rod is across its slide."""
+    """A ball is out of a leg's reach: crank and rod in line, or the rod perpendicular to its slide."""
     FORWARD = 3
-    """A forward singularity, where the platform moves with its actuators locked."""
+    """A forward singularity, where the platform can move with locked actuators."""
     PLANES = 4
-    """The planes of the legs allow no platform with this normal, where both modes meet."""
+    """The planes of the legs allow no platform with this normal; both modes meet there."""
     NONE = 5
-    """It tilts by a right angle at least."""
+    """No end: it tilts by a right angle at least."""
 
     def __str__(self) -> str:
         return {0: "not level", 1: "limit", 2: "leg's reach", 3: "forward singularity", 4: "planes", 5: "none"}[self]
@@ -73,9 +73,9 @@ class StageReach:
     heights: FloatArray
     """Heights of the platform's origin [m], shape (n,)."""
     azimuths: FloatArray
-    """Directions in which the normal leans, evenly from -π [rad], shape (m,)."""
+    """Azimuths of the normal, evenly spaced from -π [rad], shape (m,)."""
     tilts: FloatArray
-    """Largest tilts [rad], to π/2, shape (n, m); NaN where the level platform is not reached."""
+    """Largest tilts [rad], to π/2, shape (n, m); NaN if the level platform is out of reach."""
     ends: npt.NDArray[np.int8]
     """`ReachEnd` of each, shape (n, m)."""
 
@@ -94,7 +94,7 @@ class StageReach:
 
 
 def height_range(stage: Stage) -> tuple[float, float]:
-    """Return the heights [m] between which a stage stands level, in its physical state and within its limits.
+    """Return the heights [m] between which a stage can be level, in its physical state and within its limits.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def _height_range(stage: Stage) -> tuple[float, float]:
         return _counts(inverse_physical(stage, heights))
 
     good = counts(grid)
-    # The ranges' ends between the heights tried: a state that counts, and one that does not.
+    # The ranges' ends between the heights tried: one state that counts, one that does not.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
     if not len(edges):
         return math.nan, math.nan
@@ -138,7 +138,7 @@ def _height_range(stage: Stage) -> tuple[float, float]:
 
 
 def home_height(stage: Stage) -> float:
-    """Return a height [m] at which a stage holds its platform level within its limits.
+    """Return a height [m] at which a stage is level within its limits.
 
     There readings are in the middle of their limits, and where these have none cranks are level, carriages at their
     pivots. If that is no state, or a singular one, it is the middle of `height_range`; where that is empty an
@@ -151,8 +151,8 @@ def home_height(stage: Stage) -> float:
             return float(state.height)
     height = sum(height_range(stage)) / 2.0
     if math.isnan(height):
-        expected = "one that holds its platform level at some height within its limits"
-        raise UnreachableError("stage", expected, repr(stage), "Limits of other legs, or in degrees?")
+        expected = "one that is level at some height within its limits"
+        raise UnreachableError("stage", expected, repr(stage), "Are the limits for other legs, or in degrees?")
     return height
 
 
@@ -174,9 +174,9 @@ def reach(
     Parameters
     ----------
     stage : Stage
-        The stage; its limits count.
+        The stage, with its limits.
     heights : array_like, shape () or (n,), optional
-        Of the platform's origin above the pivots [m]; by default nine within `height_range`.
+        Heights of the platform's origin above the pivots [m]; by default nine within `height_range`.
     directions : int
         How many azimuths, 1 to 10,000.
     where : callable, optional
@@ -200,8 +200,8 @@ def reach(
     if heights is None:
         low, high = height_range(stage)
         if math.isnan(low):
-            expected = "a stage that is reached level at some height"
-            cause = "Limits of other readings? Tilted states within these are found by nearest_reachable"
+            expected = "a stage that is level at some height"
+            cause = "Are the limits for other readings? nearest_reachable finds tilted states within them"
             raise ArgumentError("stage", expected, stage, cause)
         levels = np.linspace(low, high, 11)[1:-1]
     else:
@@ -224,7 +224,7 @@ def best_height(stage: Stage, *, directions: int = 72) -> tuple[float, float]:
     Returns
     -------
     height, tilt : float
-        The best of 17 heights within `height_range`, and of ever more about it, to 1e-4 of that range; NaN where the
+        The best of 17 heights within `height_range`, and of ever more about it, to 1e-4 of that range; NaN if the
         platform is nowhere level.
     """
     low, high = height_range(stage)
@@ -246,25 +246,25 @@ def nearest_reachable(
     pitch: float | None = None,
     normal: npt.ArrayLike | None = None,
 ) -> StageConfiguration:
-    """Find the physical state within the limits whose normal is nearest to the one asked for.
+    """Find the physical state within the limits whose normal is nearest to a requested one.
 
     Parameters
     ----------
     stage, height, tilt, azimuth, roll, pitch, normal
-        As for `inverse`, of a single state.
+        As for `inverse`, for a single state.
 
     Returns
     -------
     StageConfiguration
-        The physical state asked for, if it is within the limits; else, of the states in `reach` at this height, the one
-        whose normal is at the least angle to the one wanted, to 1e-6 rad. If the stage does not stand level at this
-        height, it is of all states at this height that are found half a degree apart; if there is none, of `reach` at
+        The requested physical state, if it is within the limits; otherwise, of the states in `reach` at this height,
+        the one whose normal has the smallest angle to the requested one, to 1e-6 rad. If the stage is not level at this
+        height, it is of all states at this height that are found half a degree apart; without any, of `reach` at
         the nearest height of `height_range`; if that is empty, of all states at the height where the readings are in
-        the middle of their limits. Else the state does not exist.
+        the middle of their limits. Otherwise it is missing.
     """
     wanted = inverse_physical(stage, height, tilt=tilt, azimuth=azimuth, roll=roll, pitch=pitch, normal=normal)
     if wanted.shape:
-        expected = "a single state, of a height with tilt and azimuth, roll and pitch, or a normal"
+        expected = "a single state, given by a height with tilt and azimuth, roll and pitch, or a normal"
         raise ArgumentError("height", expected, f"a batch of shape {wanted.shape}")
     if _counts(wanted):
         return wanted
@@ -281,7 +281,7 @@ def nearest_reachable(
     azimuths, width = np.linspace(-math.pi, math.pi, 91), math.pi / 45.0
     for _ in range(5):
         ends = _largest_tilts(stage, np.array([level]), azimuths, _FEW)
-        # In each direction the tilt nearest to the one wanted is its projection, or the end.
+        # In each direction the tilt nearest to the wanted one is its projection, or the end.
         along = np.arctan2(np.cos(azimuths) * target[0] + np.sin(azimuths) * target[1], target[2])
         tilts = np.clip(along, 0.0, ends)
         normals = normals_of_tilt(tilts, azimuths)
@@ -292,7 +292,7 @@ def nearest_reachable(
 
 
 def _nearest_of_all(stage: Stage, height: float, target: FloatArray) -> StageConfiguration:
-    """Return the state at a height that counts whose normal is nearest to the target, whether level ones count or not.
+    """Return the state at a height that counts whose normal is nearest to the target, even if level ones do not count.
 
     Normals are tried along great circles from the target.
     """

@@ -1,7 +1,7 @@
 """Metrics: functions that compute one number per point of a sweep, each with its unit, meaning and parameters.
 
 Those of this package are the rows of a table at the end. Those of a state describe the physical configuration
-within the leg limits, and are NaN where there is none. Those of the Jacobian make it homogeneous: with a characteristic
+within the leg limits, and are NaN if it is missing. Those of the Jacobian make it homogeneous: with a characteristic
 length L the twist is (v, Lω). By default L is the platform's radius C: then Lω is the speed that a rotation about o
 gives to the joints c_i.
 """
@@ -41,7 +41,7 @@ class Metric:
     name : str
         Name of the variable in the results: letters, digits and underscores.
     unit : str
-        As udunits writes it, "1" if there is none.
+        As udunits writes it, or "1".
     description : str
         One line that says what it is and where it is NaN.
     function : callable

@@ -102,9 +102,9 @@ class Store:
 
     @classmethod
     def create(cls, path: Path, plan: SweepPlan) -> Store:
-        """Open the store; make it, atomically, and the folders above it, if there is none or an empty folder.
+        """Open the store; if it does not exist or is an empty folder, create it atomically with the folders above it.
 
-        A store that exists is refused to a metric without a version: its values may be those of another function.
+        An existing store is refused for a metric without a version: its values may be those of another function.
         """
         is_new = False
         with as_store_error(path):

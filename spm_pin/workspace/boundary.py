@@ -1,7 +1,7 @@
-"""Closed meshes, and the boundary of the reachable positions as one whose vertices lie on it.
+"""Closed triangle meshes, and the boundary of the reachable positions as such a mesh.
 
-Marching cubes need only the reachability of the nodes of a grid: it determines which edges the boundary crosses; where
-is found by halving the edges. What bounds the set is derived in `docs/theory/reachable_set.md`.
+Marching cubes need only the reachability of the nodes of a grid, which determines the edges that the boundary crosses;
+bisection of these edges finds the points. `docs/theory/reachable_set.md` derives what bounds the set.
 """
 
 from __future__ import annotations
@@ -46,25 +46,25 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 _OBLIQUE = Rotation.from_rotvec([0.37, -0.59, 0.83]).as_matrix()
-"""To a frame whose last axis is far from the symmetries of a mesh: of a face that a ray runs along, rounding could not
-tell whether it is ahead of the point."""
+"""Rotation to a frame whose last axis is far from the symmetries of a mesh: if a ray runs along a face, rounding could
+hide whether it is ahead of the point."""
 _TOGETHER = 256
-"""Points of which winding numbers are counted together."""
+"""Number of points whose winding numbers are computed together."""
 _STEPS = 20
-"""Steps of a grid along the longest side of what is reached, where no spacing is given."""
+"""Steps of a grid along the longest side of the reachable set, if no spacing is given."""
 _MOST_NODES = 5_000_000
-"""Nodes of the grid at most."""
+"""Largest number of nodes of the grid."""
 _HALVINGS = 25
-"""Halvings of an edge, down to 3e-8 of it."""
+"""Number of bisections of an edge, down to 3e-8 of it."""
 _CHECK_DISTANCE = 1e-4
-"""Distance beyond the place found, as a share of the edge, at which nothing must be reachable."""
+"""Distance beyond the boundary point, relative to the edge, at which nothing must be reachable."""
 _BESIDE = 0.05
-"""Share of the way from a point found nearest to the given one, where nothing may be nearer."""
+"""Fraction of the way from the nearest point found to the given one, where nothing may be nearer."""
 
 
 @dataclass(frozen=True)
 class ClosedMesh:
-    """A closed, oriented triangle mesh; it may pass through itself."""
+    """A closed, oriented triangle mesh; it may intersect itself."""
 
     vertices: FloatArray
     """Positions of o in {B} [m], shape (V, 3)."""
@@ -73,7 +73,7 @@ class ClosedMesh:
 
     @property
     def volume(self) -> float:
-        """Volume enclosed by the mesh [m³]; its error falls with the square of the spacing of its vertices."""
+        """Volume enclosed by the mesh [m³]; its error decreases with the square of the spacing of its vertices."""
         a, b, c = np.moveaxis(self.vertices[self.faces] - self.vertices.mean(axis=0), 1, 0)
         return float((a * np.cross(b, c)).sum()) / 6.0
 
@@ -89,7 +89,7 @@ class ClosedMesh:
 
     @property
     def euler_characteristic(self) -> int:
-        """V - E + F of the mesh, 2 for a sphere; where a set has thin parts, it depends on the spacing."""
+        """V - E + F of the mesh, 2 for a sphere; it depends on the spacing if the set has thin parts."""
         return len(self.vertices) - 3 * len(self.faces) // 2 + len(self.faces)
 
     @property
@@ -104,11 +104,11 @@ class ClosedMesh:
         return mesh
 
     def winding_number(self, points: npt.ArrayLike) -> npt.NDArray[np.int32]:
-        """Return how many times the mesh goes round each of `points` (..., 3) [m], shape (...).
+        """Return the winding number of the mesh around each of `points` (..., 3) [m], shape (...).
 
-        For a point on the mesh to within rounding it is the number on one of its sides. The signed crossings of a ray
-        from the point are counted. Whether it passes left or right of an edge is decided by the same arithmetic for
-        both faces at the edge, so no ray slips through between them.
+        For a point on the mesh, to rounding, it is the number on one of its sides. The signed crossings of a ray
+        from the point are counted. The same arithmetic decides for both faces at an edge on which side of it the ray
+        passes, so no ray passes between them.
         """
         array = real_array(points, "points", (3,), "positions in metres")
         flat, vertices = array.reshape(-1, 3) @ _OBLIQUE, self.vertices @ _OBLIQUE
@@ -127,7 +127,7 @@ class ClosedMesh:
             upward, downward = (a[..., 1] <= y) & (y < b[..., 1]), (b[..., 1] <= y) & (y < a[..., 1])
             side = (b[..., 0] - a[..., 0]) * (y - a[..., 1]) - (x - a[..., 0]) * (b[..., 1] - a[..., 1])
             turn = (upward & (side > 0.0)).astype(np.int32) - (downward & (side < 0.0))
-            # How often the outline of the face goes round the ray, and whether the ray meets its plane ahead.
+            # Winding number of the face's outline around the ray, and whether the ray meets its plane ahead.
             turn = np.where(corners < after, turn, -turn).sum(axis=1, dtype=np.int32)
             hit = np.flatnonzero(turn)
             p, q, r = np.moveaxis(vertices[corners[hit]], 1, 0)
@@ -137,11 +137,11 @@ class ClosedMesh:
         return number.reshape(array.shape[:-1])
 
     def contains(self, points: npt.ArrayLike) -> BoolArray:
-        """Return which of `points` (..., 3) [m] are inside: whose winding number is not zero, shape (...)."""
+        """Return which of `points` (..., 3) [m] are inside, with a winding number that is not zero, shape (...)."""
         return np.asarray(self.winding_number(points) != 0)
 
     def distance(self, points: npt.ArrayLike) -> FloatArray:
-        """Return how far `points` (..., 3) are from the mesh [m], shape (...): positive inside, negative outside."""
+        """Return distances of `points` (..., 3) from the mesh [m], shape (...); positive inside, negative outside."""
         array = real_array(points, "points", (3,), "positions in metres")
         closest_point = _trimesh().triangles.closest_point
         tree, reach = self._faces_by_place
@@ -163,7 +163,7 @@ class ClosedMesh:
 
 
 def _centroids(corners: FloatArray) -> tuple[KDTree, float]:
-    """Return a tree of the centroids of faces (F, 3, k), and a bound on how far a face reaches from its own."""
+    """Return a tree of the centroids of faces (F, 3, k), and a bound on the extent of a face from its own."""
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=-1).max()
     return KDTree(centroids), (1.0 + 1e-9) * float(reach)
@@ -176,16 +176,16 @@ def _trimesh() -> Any:
 
 @dataclass(frozen=True)
 class BoundaryPoints:
-    """Points of the boundary, each nearest to a point just outside; arrays over n."""
+    """Points of the boundary, each the nearest to a point just outside; arrays over n."""
 
     position: FloatArray
-    """In {B} [m], shape (n, 3)."""
+    """Positions in {B} [m], shape (n, 3)."""
     normal: FloatArray
     """Outward unit normals, shape (n, 3); at an edge, one of those between its two sides."""
     readings: FloatArray
     """Readings r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (n, 6); a leg at a limit has it to the last bit."""
     at_limit: npt.NDArray[np.int8]
-    """-1 for a leg at its minimum, 1 at its maximum, 0 for one that is free, shape (n, 6)."""
+    """-1 for a leg at its minimum, 1 at its maximum, 0 for a free one, shape (n, 6)."""
     violation: FloatArray
     """Residuals of the conditions of a nearest point, shape (n,); rounding."""
 
@@ -199,7 +199,7 @@ class Boundary(ClosedMesh):
     limits: LegLimits
     """The leg limits."""
     spacing: float
-    """Spacing of the grid that the mesh was made on [m]."""
+    """Spacing of the grid of the mesh [m]."""
     readings: FloatArray
     """Readings that put o at the vertices [m], shape (V, 6)."""
 
@@ -207,10 +207,10 @@ class Boundary(ClosedMesh):
         return f"<Boundary: {len(self.vertices)} vertices, {len(self.faces)} faces, {self.volume:.4f} m³>"
 
     def sample(self, count: int, rng: np.random.Generator | int | None = None) -> BoundaryPoints:
-        """Draw `count` points of the boundary, about uniformly over its area.
+        """Return `count` random points of the boundary, about uniformly over its area.
 
-        Drawn on the mesh, lifted off it until out of reach, and moved to the nearest reachable point. Where the search
-        for that has not converged, in the widest limits for less than one in a hundred, `violation` is large.
+        They are chosen on the mesh, moved outwards until out of reach, then to the nearest reachable point. Where that
+        search has not converged, for less than one in a hundred in the widest limits, `violation` is large.
         """
         rng, count = generator(rng, "rng"), whole_number(count, "count", least=1)
         doubled = self._doubled_normals
@@ -235,12 +235,12 @@ class Boundary(ClosedMesh):
 
 
 def _globally_nearest(states: StateSet, points: FloatArray) -> NearestPoints:
-    """Return the states nearest to `points` (N, 3) outside, searched again from just beside them."""
+    """Return the states nearest to `points` (N, 3) outside, searched again from close to them."""
     result = nearest_points(states, points)
     tolerance = RESOLUTION * states.size
     left = np.flatnonzero(result.distance > tolerance)
     while len(left):
-        # Nothing is reachable inside the sphere around `points`; if something is, it is a better beginning.
+        # Nothing is reachable inside the sphere around `points`; if something is, it is a better start.
         here, distance = states.positions(result.coordinates[left]), result.distance[left]
         beside = nearest_points(states, here + _BESIDE * (points[left] - here))
         nearer = np.flatnonzero(beside.distance < (1.0 - 1e-6) * _BESIDE * distance)
@@ -254,7 +254,7 @@ def _globally_nearest(states: StateSet, points: FloatArray) -> NearestPoints:
 
 
 class _Grid:
-    """A grid wide enough to begin and to end outside the reachable set, and which of its nodes are in it."""
+    """A grid whose ends are outside the reachable set, and which of its nodes are in it."""
 
     def __init__(self, states: StateSet, spacing: float, progress: Progress | None) -> None:
         self.set, self.spacing, self.progress = states, spacing, progress
@@ -271,8 +271,8 @@ class _Grid:
         nodes = self.origin + spacing * np.indices(shape).reshape(3, -1).T
         member = search_states(states, nodes, what="reachable nodes", progress=progress)
         inside, known = member.reached, member.coordinates
-        # What a search has overlooked beside a reachable node is found from there. No reachable node is at the end of
-        # a row: around the set there is room.
+        # Nodes missed by a search are found from reachable neighbours. No reachable node is at the end of
+        # a row, because there is a margin around the set.
         steps = [way * stride for stride in (1, shape[2], shape[1] * shape[2]) for way in (1, -1)]
         fresh, what = np.flatnonzero(inside), "nodes beside reachable ones"
         while len(fresh):
@@ -309,7 +309,7 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
     """Return the points (N, 3) [m] at which segments leave the reachable set, and readings (N, 6) [m] there.
 
     They go from reachable points `inner` to unreachable ones `outer`, (N, 3) [m]; `within` (N, 2, 3) put o at `inner`.
-    Each is halved, the search always continued from the last state within.
+    Each is bisected, and the search continued from the last state within.
     """
     along, within, outermost = outer - inner, within.copy(), within.copy()
     low, high, left = np.zeros(len(along)), np.ones(len(along)), np.arange(len(along))
@@ -321,7 +321,7 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
             good = member.reached
             within[left[good]], outermost[left[~good]] = member.coordinates[good], member.coordinates[~good]
             low[left], high[left] = np.where(good, middle, low[left]), np.where(good, high[left], middle)
-        # Going outwards from one state, another may be overlooked: just outside nothing must be reachable.
+        # Outwards from one state, another may be missed: just outside, nothing must be reachable.
         outside = np.minimum(high[left] + _CHECK_DISTANCE, 1.0)
         member = search_states(states, inner[left] + outside[:, None] * along[left])
         farther = np.flatnonzero(member.reached & (outside < 1.0))
@@ -353,16 +353,16 @@ def reachable_boundary(
     limits : LegLimits, optional
         Leg limits; the machine's own if not given.
     spacing : float
-        Of the grid [m]; about a twentieth of the longest side of what is reached if not given. What is smaller may be
-        missed; the vertices lie on the boundary whatever it is. Half the spacing takes eight times as long.
+        Spacing of the grid [m]; by default about a twentieth of the longest side of the reachable set. Smaller details
+        may be missed, but the vertices are on the boundary. Half the spacing takes eight times as long.
     progress : callable, optional
-        Called with what is being done, how many points are done, and of how many; what it raises ends the work. If not
-        given, a line on the terminal shows it after some seconds.
+        Called with a description of the work, the number of points done and their total; an exception ends the work. By
+        default, a line on the terminal shows it after some seconds.
 
     Returns
     -------
     Boundary
-        A closed mesh in {B} [m], outward.
+        A closed mesh in {B} [m], with outward normals.
 
     Examples
     --------

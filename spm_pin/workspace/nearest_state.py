@@ -1,7 +1,7 @@
 """The state within leg limits whose platform joints are nearest to given points, by SciPy's SLSQP.
 
 The unknowns are the coordinates of both stages, in which a state exists everywhere within the unit circles; limits of
-the readings and both determinants are inequalities, so that what is found is within the limits and physical.
+the readings and both determinants are inequalities, so that the result is within the limits and physical.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from spm_pin.workspace.search import SINGULARITY_MARGIN
 from spm_pin.workspace.states import StateSet
 
 _LEAST_ROOM = 1e-7
-"""Least room of a PRS or RRS leg over the machine's size: at the end of its reach a leg is singular."""
+"""Smallest room of a PRS or RRS leg relative to the machine's size: at the end of its reach a leg is singular."""
 _RIM = 1e-9
-"""Least of 1 - x² - y² of a stage."""
+"""Smallest 1 - x² - y² of a stage."""
 _FAR = 1e6
-"""The objective where there is no state."""
+"""The objective for missing states."""
 _COARSE, _FINE, _POLISHED = {"maxiter": 10, "ftol": 1e-6}, {"maxiter": 200, "ftol": 1e-16}, 2
-"""Steps of a search at most, and the change of half the squared distance over the machine's size squared at its end;
-and how many of the nearest ends of coarse searches are finished."""
+"""Largest number of steps of a search, and tolerance of half the squared distance over the machine's size squared;
+and the number of the nearest ends of coarse searches that are refined."""
 _ROUNDING = 1e-9
 """Largest excess of a result beyond its limits, relative to the machine's size, that is moved to them."""
 
@@ -31,11 +31,11 @@ _ROUNDING = 1e-9
 def nearest_state(states: StateSet, target: FloatArray, starts: FloatArray, body: FloatArray) -> FloatArray:
     """Return the coordinates (2, 3) of the state with points `body` (K, 3) nearest to `target` (3K,).
 
-    The searches begin at `starts` (M, 2, 3), states within the limits; the first of them where none ends there.
+    The searches begin at `starts` (M, 2, 3), states within the limits; the first of them is the result if all fail.
     """
     problem = _Problem(states, target, body)
     coarse = [problem.search(start.ravel(), _COARSE) for start in starts]
-    # Searches that end at one place are one.
+    # Searches that end at one point count once.
     ends = sorted({(round(float(end.fun), 9), *end.x.tolist()) for end in coarse})
     best, least = np.asarray(starts[0]), np.inf
     for _, *place in ends[:_POLISHED]:
@@ -53,7 +53,7 @@ class _Problem:
         rows = 3 * len(body)
         self._states, self._constants = states, states.constants(body)
         self._target, self._size = target / np.sqrt(len(body)), states.size
-        # Rows of what is limited, in units of the size: see `state_search.Problem`.
+        # Rows of limited quantities, in units of the size: see `state_search.Problem`.
         low, high, metres = np.asarray(self._constants[6])
         low[6:8], low[8:] = SINGULARITY_MARGIN, _LEAST_ROOM * states.size
         units = metres / states.size
@@ -68,7 +68,7 @@ class _Problem:
     def search(self, start: FloatArray, options: dict[str, float]) -> Any:
         """Return the end of SLSQP from a start (6,)."""
         room = {"type": "ineq", "fun": self.room, "jac": self.room_slopes}
-        # Not at the top: it takes longer to import than all else that a command needs.
+        # Not at the top: SciPy's optimisers take longer to import than the rest of a command.
         minimize: Any = import_module("scipy.optimize").minimize
         return minimize(self.objective, start, jac=True, method="SLSQP", constraints=room, options=options)
 
@@ -79,7 +79,7 @@ class _Problem:
         return bool(self.room(x).min() >= -_ROUNDING and (self._places == INSIDE).all())
 
     def _evaluate(self, x: FloatArray) -> bool:
-        """Compute what the state at x (6,) is; False if missing."""
+        """Compute the state at x (6,); return False if missing."""
         from spm_pin.kinematics.kernels.stage_states import BEYOND
         from spm_pin.kinematics.kernels.state_search import state_terms
 
@@ -97,7 +97,7 @@ class _Problem:
         return 0.5 * float(gap @ gap), gap @ self._moved / self._size
 
     def room(self, x: FloatArray) -> FloatArray:
-        """Return how far all is within its limits, and x² + y² of each stage within 1, (n,)."""
+        """Return the distances of all quantities from their limits, and of x² + y² of each stage from 1, (n,)."""
         exists = self._evaluate(x)
         rim = 1.0 - _RIM - (x.reshape(2, 3)[:, :2] ** 2).sum(axis=-1)
         room = np.concatenate([self._scale * self._values[self._rows] - self._bounds, rim])

@@ -1,7 +1,7 @@
-"""Which poses are reachable, within limits of passive joints too, and the reachable poses nearest to the others.
+"""Reachability of poses, within limits of passive joints too, and the nearest reachable poses.
 
 Angles are those of `spm_pin.machine.joint_angles`: of the description's joints, and of the ball joints of every leg.
-Distance is measured where the platform is held: the root of the mean squared displacement of c_1, c_2, c_3.
+Distance is measured at the platform's joints: the root mean square displacement of c_1, c_2, c_3.
 """
 
 from __future__ import annotations

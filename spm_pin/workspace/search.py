@@ -1,8 +1,8 @@
 """Searches for states: with o at given points, or with points of the platform as near as possible to given ones.
 
-The searches begin at states of a sample. The two stages are independent: the reachable positions are what the lower
-stage makes of one fixed set S, where o is seen from the middle platform in all states of the upper stage. S has three
-dimensions, and the distance from it is a table, in which every point is looked up from each lower stage of the sample.
+The searches begin at states of a sample. The two stages are independent: the reachable positions are images, by the
+lower stage, of one fixed set S: the positions of o relative to the middle platform in all states of the upper stage. S
+has three dimensions, and the distance from it is a table, in which every point is looked up for each lower stage.
 See `docs/theory/reachable_set.md`.
 """
 
@@ -22,23 +22,23 @@ from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress
 from spm_pin.workspace.states import CENTRE, StateSet
 
 SINGULARITY_MARGIN = 3e-7
-"""Least determinant of a stage, about 1 at home, in searches for the boundary: nearer to a forward singularity,
+"""Smallest determinant of a stage, about 1 at home, in searches for the boundary: closer to a forward singularity,
 rounding of the readings moves o farther than `RESOLUTION`."""
 _LEAST_DETERMINANT = 1e-8
 """The same in searches for a state with o at a point."""
 _LEVELS, _GROUP, _UPPER, _SEED = 5, 64, 200_000, 20_140_131
-"""The sample: 2^5 groups of 64 lower stages that are alike, the number of upper stages, and its seed."""
+"""The sample: 2^5 groups of 64 similar lower stages, the number of upper stages, and its seed."""
 _VOXELS, _PAD = 64, 0.15
-"""Cells of the distance table along the longest side of S with its margin, and the margin as a share of S."""
+"""Cells of the distance table along the longest side of S with its margin, and the margin relative to S."""
 _CELLS = 20
 """Cells along each axis of the grid that covers the reachable positions."""
 _REMOTE_STARTS, _MORE_STARTS = 6, 8
 """Number of states of the sample nearest to a point that are further starts of a search for the nearest reachable
 point, and of a second search for a state at a point after that from the groups has failed."""
 _MOST_STEPS, _PATIENT = 400, 3000
-"""Most Newton steps of a search for the nearest state: while a platform is dragged, and for the nearest point."""
+"""Largest number of Newton steps for the nearest state: while a platform is dragged, and for the nearest point."""
 _CHUNK, _MIN_BATCH = 4096, 256
-"""Points worked on together, and how many are worth a thread of their own."""
+"""Number of points processed together, and number worth a thread of their own."""
 
 
 class Membership(NamedTuple):
@@ -47,11 +47,11 @@ class Membership(NamedTuple):
     reached: BoolArray
     """Points with a state, which proves it, (N,)."""
     undecided: BoolArray
-    """Points (N,) without one whose search ended beyond a forward singularity or stalled just short of a state."""
+    """Points (N,) without a state whose search ended beyond a forward singularity or stalled close to a state."""
     coordinates: FloatArray
     """The states (N, 2, 3); for those not found, the ones with the smallest residual norm."""
     readings: FloatArray
-    """Their readings (N, 6), within the limits; NaN where there is no state."""
+    """Their readings (N, 6), within the limits; NaN if missing."""
 
 
 class NearestPoints(NamedTuple):
@@ -67,7 +67,7 @@ class NearestPoints(NamedTuple):
     """Residuals of Eq. (1) of the page, (N,); infinite where the state is the start."""
 
     def update(self, index: IntArray, other: NearestPoints, chosen: IntArray | slice = slice(None)) -> None:
-        """Put those states of `other` that are `chosen` in the places `index`."""
+        """Put the `chosen` states of `other` into the places `index`."""
         for array, values in zip(self, other, strict=True):
             array[index] = values[chosen]
 
@@ -75,7 +75,7 @@ class NearestPoints(NamedTuple):
 class StartTable:
     """Coarse distances from the reachable positions, and states near them, by samples of both stages.
 
-    Distances are off by about `spacing` [m], the table's; farther than `margin` [m] by them nothing is reachable. The
+    Distances have errors of about `spacing` [m], the table's; nothing is reachable farther than `margin` [m]. The
     reachable positions are in the box with the corners `extent`, two of (3,) [m].
     """
 
@@ -83,7 +83,7 @@ class StartTable:
         rng = np.random.default_rng(_SEED)
         lower, _ = states.draw_stages(0, _GROUP << _LEVELS, rng)
         for level in range(_LEVELS):
-            # Sorted along the coordinate that differs most, alike ones are in one half of a block.
+            # Sorted along the coordinate that differs most, so that similar stages are in one half of a block.
             blocks = np.split(lower, 1 << level)
             lower = np.concatenate([block[block[:, np.ptp(block, axis=0).argmax()].argsort()] for block in blocks])
         self._lower, self._upper = lower, states.draw_stages(1, _UPPER, rng)[0]
@@ -98,7 +98,7 @@ class StartTable:
         shape = tuple(np.ceil((high - low + 2.0 * pad) / self.spacing).astype(int) + 1)
         member = np.full(shape, -1)
         member[tuple(((seen - origin) / self.spacing).astype(int).T)] = np.arange(len(seen))
-        # The nearest upper stage of every cell, and the distance less how deep inside S it is.
+        # The nearest upper stage of every cell, and the distance minus the depth inside S.
         outside, nearest = distance_transform_edt(member < 0, return_indices=True)
         self._member = member[tuple(nearest)].ravel()
         self._table = (outside - distance_transform_edt(member >= 0)) * self.spacing
@@ -112,10 +112,10 @@ class StartTable:
         self.extent = np.array([x.min() for x in along]) - pad, np.array([x.max() for x in along]) + pad
 
     def nearby(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far points (N, 3) [m] are from the reachable set, (N, 32) [m], and states near them (N, 32, 2, 3).
+        """Return distances of points (N, 3) from the reachable set, (N, 32) [m], and states near them (N, 32, 2, 3).
 
-        One of each group of lower stages, the best first. Distances are negative well inside, and meaningless, but
-        large, far away.
+        One for each group of lower stages, the best first. Distances are negative well inside, large but meaningless
+        far away.
         """
         from spm_pin.kinematics.kernels.stage_states import nearby_stages
 
@@ -130,7 +130,7 @@ class StartTable:
 
     @cached_property
     def _cells(self) -> tuple[FloatArray, FloatArray]:
-        """Lower corners (n, 3) and sides (3,) of cells [m] that together hold the reachable positions.
+        """Lower corners (n, 3) and sides (3,) of cells [m] that together contain the reachable positions.
 
         Cells of a grid whose centre is not farther from the set than their own corners are.
         """
@@ -141,7 +141,7 @@ class StartTable:
         return corners[distance <= 0.5 * np.linalg.norm(size) + self.margin], size
 
     def draw_around(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
-        """Draw points (count, 3) [m] uniformly from a region that holds the reachable set; and its volume [m³]."""
+        """Return random points (count, 3) [m], uniform in a region around the reachable set, and its volume [m³]."""
         corners, size = self._cells
         points = corners[rng.integers(len(corners), size=count)] + size * rng.uniform(size=(count, 3))
         return points, float(len(corners) * size.prod())
@@ -149,7 +149,7 @@ class StartTable:
 
 @lru_cache(maxsize=8)
 def start_table(states: StateSet) -> StartTable:
-    """Return the table of a set of states, made when first asked for."""
+    """Return the table of a set of states, made on first use."""
     return StartTable(states)
 
 
@@ -165,7 +165,7 @@ def search_states(
     """Search for states within the limits that put o at `points` (N, 3), in {B} [m].
 
     With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `StartTable.nearby`.
-    Determinants are larger than `margin`. `what` says what is being done, for `progress`.
+    Determinants are larger than `margin`. `what` is the description of the work for `progress`.
     """
     machine = states.constants(margin=margin)
 
@@ -180,7 +180,7 @@ def search_states(
         if starts is None:
             table = start_table(states)
             distances, several = table.nearby(points)
-            # Near the rim states that seem farther may be the only ones that lead there: all are tried, or none.
+            # Near the rim, states that seem farther may be the only ones that lead there: try all, or none.
             near = distances[:, 0] <= table.margin
             result = run(points, several, np.where(near[:, None], distances, np.inf))
             left = np.flatnonzero(near & (result[2] != 1))
@@ -202,9 +202,9 @@ def nearest_states(
 ) -> NearestPoints:
     """Search for the states within the limits with the points of `body` (K, 3) nearest to `targets` (N, 3K) [m].
 
-    From all `starts` (N, M, 2, 3) by the Gauss-Newton method, limits penalised; from the best of the M by Newton's
-    method and updates of the multipliers, `most` steps at most. The first of the starts has to be within the limits,
-    and is the result where the search ends elsewhere.
+    The Gauss-Newton method with penalties for limits starts from all `starts` (N, M, 2, 3), then Newton's method with
+    multipliers from the best of the M, with at most `most` steps. The first of the starts must be within the limits,
+    and is the result if the search fails.
     """
     from spm_pin.kinematics.kernels.state_search import search_nearest
 

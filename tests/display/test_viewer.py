@@ -525,7 +525,7 @@ def test_a_page_of_a_stage_refuses_what_it_cannot_show():
     for start in (spm.stages.inverse_physical(BALANCER, [0.11, 0.12]), spm.stages.inverse(BALANCER, 0.3)["T"]):
         with pytest.raises(spm.ArgumentError, match="start: expected a single physical state of a stage"):
             Viewer(start, port=0)
-    with pytest.raises(spm.ArgumentError, match="recording: expected none of a stage alone"):
+    with pytest.raises(spm.ArgumentError, match="recording: expected no recording with a stage"):
         Viewer(level, port=0, recording=Recording(np.zeros((2, 3)), np.array([0.0, 1.0])))
     # Carriages at their pivots are on the other side of the balls.
     with pytest.raises(spm.GeometryError, match="level at the middle of its limits"):

@@ -198,7 +198,7 @@ def test_another_ball_and_arguments_that_are_wrong(balancer: BallBalancer) -> No
         (lambda: balancer.reset(options={"readings": [-0.6, 1.2, 9.0]}), "readings"),
         (lambda: balancer.reset(options={"ball": "middle"}), "ball"),
         (lambda: BallBalancer(spm.Stage(0.10, 0.09)), "stage: expected one whose readings"),
-        (lambda: BallBalancer(apart), "stage: expected one whose platform stands level"),
+        (lambda: BallBalancer(apart), "stage: expected one whose platform can be level"),
     ):
         with pytest.raises(ArgumentError, match=message):
             wrong()

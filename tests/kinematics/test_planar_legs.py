@@ -185,9 +185,9 @@ def test_files_copies_and_parameters_keep_the_legs(built: bool, tmp_path: Path) 
 
 
 WRONG: dict[str, tuple[Callable[[], Any], str]] = {
-    "no sign": (lambda: RRS(crank=0.5, rod=0.9, sign=0), "sign of RRS: expected .1 or -1"),
-    "a rod of no length": (lambda: PRS(rod=0.0), "rod of PRS"),
-    "degrees": (lambda: PRS(rod=1.0, direction=90.0), "Given in degrees"),
+    "no sign": (lambda: RRS(crank=0.5, rod=0.9, sign=0), "sign: expected .1 or -1"),
+    "a rod of no length": (lambda: PRS(rod=0.0), "rod: expected a positive length"),
+    "degrees": (lambda: PRS(rod=1.0, direction=90.0), "Is it in degrees"),
     "four legs": (lambda: RRS(crank=[1.0] * 4, rod=1.0), "one for each of the three legs"),
     "limits in degrees": (
         lambda: dataclasses.replace(

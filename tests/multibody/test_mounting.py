@@ -129,7 +129,7 @@ def test_batches_states_joining_and_wrapping() -> None:
 
 def test_invalid_mountings_are_refused() -> None:
     robot = arm("ur5")
-    with pytest.raises(ArgumentError, match=r"names that the chain has not, got base\. Give the chain a prefix"):
+    with pytest.raises(ArgumentError, match=r"names that the chain does not have, got base\. Give the chain a prefix"):
         ClosedChain.from_urdf(machine=SMALL).mounted_on(robot, "tool0")
     with pytest.raises(ArgumentError, match=r"^frame: expected a frame of ur5, got 'tool1'"):
         small().mounted_on(robot, "tool1")

@@ -1,6 +1,6 @@
 """The interactive viewer: a page to drag the platform and see all branches. Extra `viewer`.
 
-`model` is a session's state without a page, `playback` reads paths and plays them; `robot_scene` shows a state in the
+`model` is a session's state without a page, `playback` reads and plays paths; `robot_scene` shows a state in the
 scene, `panel` in widgets; `page` serves both, with a session for every client.
 """
 

@@ -1,4 +1,4 @@
-"""The state of a session, and how drags, readings, branches and loads change it; without any page."""
+"""The state of a session, and its changes by drags, readings, branches and loads, without a page."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance
 SINGULARITIES = ("forward, lower", "forward, upper", "inverse")
 """The singularities that J_b, J_c and K have, in this order."""
 ANGLES: dict[str, Literal["XYX", "xyz"]] = {"X-Y-X": "XYX", "roll, pitch, yaw": "xyz"}
-"""Conventions of a platform's three angles, and SciPy's names of them: the paper's, and the fixed axes of a URDF."""
+"""Conventions of a platform's three angles, and SciPy's names for them: the paper's, and the fixed axes of a URDF."""
 NEAR = 0.02
-"""A singularity is near where legs moved by this share of d could reach it."""
+"""A singularity is near if legs that move by this fraction of d could reach it."""
 
 _REACHED = 1e-6  # of d: distance at which a pose counts as reached
 _SAME_BRANCH = 1e-4  # of d: closer joints are one solution
@@ -57,13 +57,13 @@ def pose_coordinates(pose: RigidTransform, angles: str = "X-Y-X") -> FloatArray:
 
 @dataclass(frozen=True)
 class SessionState:
-    """The configuration shown, the pose requested and the load; what follows from them is computed when asked for."""
+    """The configuration shown, the requested pose and the load; derived values are computed on first use."""
 
-    target: RigidTransform  # the requested pose of {m} in {B}; that of `shown` where legs were moved
+    target: RigidTransform  # the requested pose of {m} in {B}; that of `shown` if legs were moved
     shown: Configuration
-    label: str  # branch of `shown`; empty where its pose has none, because its solutions form a continuous family
+    label: str  # branch of `shown`; empty if its pose has none, because its solutions form a continuous family
     solutions: SolutionSet  # all branches of the pose of `shown`
-    distance: float  # root mean square distance of the c_i from where they should be [m]; 0 where the pose is reached
+    distance: float  # root mean square distance of the c_i from their requested positions [m]; 0 if reached
     wrench: FloatArray  # the load (f, m) on the platform at o in {B}, shape (6,) [N, N m]
     remarks: tuple[str, ...] = ()  # warnings about the motion that led here
     origin: tuple[str, FloatArray] | None = None  # where it began: the branch, and the determinants of J_b, J_c, K
@@ -75,7 +75,7 @@ class SessionState:
 
     @cached_property
     def is_physical(self) -> bool:
-        """Whether the machine gets here from its home without a forward singularity."""
+        """Whether the state is reached from the home without a forward singularity."""
         return bool(physical(self.shown))
 
     @cached_property
@@ -85,9 +85,9 @@ class SessionState:
 
     @cached_property
     def travel(self) -> FloatArray:
-        """Travel of the legs to each of `SINGULARITIES` to first order (3,) [m], NaN where that says nothing.
+        """Travel of the legs to each of `SINGULARITIES` to first order (3,) [m], NaN if it is not defined.
 
-        The balls' along their rods, where the readings are others.
+        For legs other than RPS it is the travel of the balls along their rods.
         """
         try:
             gradients = np.linalg.norm(determinant_gradients(self.shown) / self.shown.slopes, axis=-1)
@@ -124,7 +124,7 @@ class SessionState:
 
     @cached_property
     def forces(self) -> FloatArray | None:
-        """Forces of the legs (6,) [N]; None where they cannot hold every load."""
+        """Forces of the legs (6,) [N]; None if they cannot hold every load."""
         try:
             return leg_forces(self.shown, self.wrench)
         except SingularConfigurationError:
@@ -152,16 +152,16 @@ class SessionState:
         """Further remarks for the user."""
         notes = []
         if not self.label:
-            notes.append("The branches of this pose form a continuous family; none is picked.")
+            notes.append("The branches of this pose form a continuous family; none is chosen.")
         if not self.is_physical:
-            notes.append("Not physical: the machine cannot get here from its home without a forward singularity.")
+            notes.append("Not physical: not reached from the home without a forward singularity.")
         return notes
 
 
 class ViewerModel:
-    """A session's state and its transitions, from a configuration that exists. Not for several threads at once.
+    """A session's state and its transitions, from a configuration that exists. Not thread-safe.
 
-    `chain` gives q, and `file` is where the machine came from: for what is shared of a state.
+    `chain` gives q, and `file` is the file of the machine: for the shared data of a state.
     """
 
     conventions: ClassVar[dict[str, tuple[str, ...]]] = {
@@ -175,7 +175,7 @@ class ViewerModel:
 
     def __init__(self, start: Configuration, chain: ClosedChain | None = None, file: Path | None = None) -> None:
         self.chain, self.file = chain, file
-        self.hold_limits = True  # whether a machine that is within its leg limits stays there
+        self.hold_limits = True  # whether a machine within its leg limits stays there
         solutions = inverse_displacement(start.machine, start.pose)
         self.state = SessionState(start.pose, start, _label(solutions, start, ""), solutions, 0.0, np.zeros(6))
 
@@ -193,17 +193,17 @@ class ViewerModel:
         else:
             nearest = nearest_reachable_pose(machine, target, machine.legs.free_limits, branch=label, near=before)
         shown, distance = nearest.configuration, nearest.distance
-        if not shown.exists:  # at the edge rounding may decide; what is shown is reachable in any case
+        if not shown.exists:  # rounding may decide at the edge; the state shown is reachable in any case
             shown, distance = before, pose_distance(machine, before.pose, target)
         if distance <= _REACHED * machine.middle_side:
             return self._show(target, shown)
         return self._show(target, shown, distance=distance, remarks=[_out_of_reach(solutions, label, distance)])
 
     def set_readings(self, readings: npt.ArrayLike) -> SessionState:
-        """Move to encoder readings (6,) in the assembly mode, as far as it lasts."""
+        """Move to encoder readings (6,) in the assembly mode, as far as it exists."""
         before = self.state.shown
         target = read_readings(before.machine.legs, before.machine.size, readings)
-        # The physical mode is solved for, without a path to follow.
+        # The physical mode is solved directly, without following a path.
         shown = forward_physical(before.machine, target, near=None if physical(before) else before)
         share = 1.0
         if not shown.exists:
@@ -211,7 +211,7 @@ class ViewerModel:
         return self._show(shown.pose, shown, remarks=readings_remarks(share))
 
     def select(self, label: str) -> SessionState:
-        """Take another branch of the shown pose; raises `ArgumentError` if it has no such branch."""
+        """Take another branch of the shown pose; raise `ArgumentError` if it does not exist."""
         before = self.state
         if label not in before.labels:
             raise ArgumentError("label", f"one of {', '.join(before.labels) or 'no branches'}", repr(label))
@@ -219,13 +219,13 @@ class ViewerModel:
         return self.drag(before.target)
 
     def load(self, wrench: npt.ArrayLike) -> SessionState:
-        """Put a wrench (f, m) on the platform at o in {B} [N, N m]."""
+        """Apply a wrench (f, m) to the platform at o in {B} [N, N m]."""
         load = real_array(wrench, "wrench", (6,), "(f, m) at o in {B} in N and N m")
         self.state = replace(self.state, wrench=load)
         return self.state
 
     def place(self, configuration: Configuration) -> SessionState:
-        """Show a configuration, as it is."""
+        """Show a configuration."""
         return self._show(configuration.pose, configuration, jump=True)
 
     def pose_of(self, coordinates: FloatArray, convention: str) -> RigidTransform:
@@ -234,7 +234,7 @@ class ViewerModel:
         return RigidTransform.from_components(coordinates[:3], turn)
 
     def pose_ranges(self, convention: str) -> FloatArray:
-        """Return the ends (6, 2) of the pose's sliders, those of the sampled states whose poses are nearest.
+        """Return the ends (6, 2) of the pose's sliders, from the sampled states whose poses are nearest.
 
         x, y, z [m] and the angles [degrees], those around the pose's own.
         """
@@ -254,7 +254,7 @@ class ViewerModel:
         return ranges_of_readings(shown, partial(forward_physical, shown.machine) if self.state.is_physical else None)
 
     def command(self, digits: int | None = 7) -> str:
-        """Return the `spm-pin inverse` of what is shown, to so many decimals, or to float64's digits."""
+        """Return the `spm-pin inverse` command for the state shown, to a number of decimals, or to float64's digits."""
         values = pose_coordinates(self.state.shown.pose)
         values = values if digits is None else values.round(digits)
         is_paper = self.state.shown.machine == Manipulator.paper()
@@ -262,12 +262,12 @@ class ViewerModel:
         return inverse_command(values[:3], values[3:], None if file is None else str(file))
 
     def values(self) -> FloatArray:
-        """Return q of what is shown, in Pinocchio's order [rad, m]."""
+        """Return q of the state shown, in Pinocchio's order [rad, m]."""
         assert self.chain is not None
         return self.chain.joint_values(self.state.shown)
 
     def data(self) -> dict[str, Any]:
-        """Return what is shown as data for JSON, in metres, radians and newtons."""
+        """Return the state shown as data for JSON, in metres, radians and newtons."""
         assert self.chain is not None
         state, shown, kind = self.state, self.state.shown, self.state.singularities
         numbers = {name: getattr(kind, name) for name in ("sigma", "condition", "scaled_determinants")}
@@ -334,7 +334,7 @@ class ReadingUnit(NamedTuple):
 
 
 def reading_units(machine: Manipulator | Stage) -> list[ReadingUnit]:
-    """Return in which units the readings of the legs are shown: metres, those of a stage millimetres, or degrees."""
+    """Return the units of the readings shown: metres, for a stage millimetres, or degrees."""
     length = ReadingUnit("mm", 1e3, 1) if isinstance(machine, Stage) else ReadingUnit("m", 1.0, 3)
     units = {"m": length, "rad": ReadingUnit("°", math.degrees(1.0), 1)}
     return [units[unit] for unit in machine.legs.units]
@@ -345,14 +345,14 @@ class Measure(NamedTuple):
 
     name: str
     is_near: bool
-    share: float  # of the bar that shows it, from 0 to 1
+    share: float  # length of its bar, from 0 to 1
     away: str  # travel of the legs, if it is known
     sigma: float  # smallest singular value
     condition: float | None
 
 
 def excess_warnings(shown: Configuration | StageConfiguration, forces: FloatArray | None) -> list[str]:
-    """Return what to beware of where legs are beyond their limits, or hold no load."""
+    """Return warnings if legs are beyond their limits, or cannot hold a load."""
     units = reading_units(shown.machine)
     excess = zip(shown.machine.legs.names, shown.limit_excess, units, strict=True)
     over = ", ".join(f"{leg} by {unit.difference(abs(x), 1)}" for leg, x, unit in excess if x)
@@ -361,7 +361,7 @@ def excess_warnings(shown: Configuration | StageConfiguration, forces: FloatArra
 
 
 def readings_remarks(share: float) -> list[str]:
-    """Return a warning where readings are reached only up to a share of the way."""
+    """Return a warning if readings are reached only up to a fraction of the path."""
     text = f"a forward singularity is in the way. Shown: the last on the way, at {100 * share:.0f} %."
     return [f"These readings are not reached: {text}"] if share < 1.0 else []
 
@@ -376,18 +376,18 @@ def _real_branches(solutions: SolutionSet) -> tuple[str, ...]:
 
 
 def _out_of_reach(solutions: SolutionSet, label: str, distance: float) -> str:
-    """Return why a pose with these solutions is not reached on a branch, and how far away the state shown is [m]."""
+    """Return why a pose with these solutions is not reached on a branch, and the distance of the state shown [m]."""
     real = _real_branches(solutions)
     why = "beyond the leg limits" if label in real else f"{label} does not reach it"
     if solutions.status is Status.DEGENERATE and label not in real:
-        why = "its branches form a continuous family, of which none is picked"
+        why = "its branches form a continuous family, of which none is chosen"
     away = f"{1e3 * distance:.1f} mm" if distance > 1e-4 else "less than 0.1 mm"
     text = f"Pose out of reach: {why}. Shown: the nearest reachable one found, {away} away."
     return text if label in real or not real else f"{text} Other branches there: {', '.join(real)}."
 
 
 def _label(solutions: SolutionSet, shown: Configuration, last: str) -> str:
-    """Return which branch a configuration is; of two that coincide, the one it was."""
+    """Return the branch of a configuration; if two coincide, the previous one."""
     gaps = np.linalg.norm(solutions.middle_joints - shown.middle_joints, axis=-1).max(axis=-1)
     gaps = np.where(solutions.exists, gaps, np.inf)
     if not np.isfinite(gaps).any():
@@ -418,7 +418,7 @@ def _sampled_poses(machine: Manipulator) -> tuple[RigidTransform, KDTree]:
 def ranges_of_readings(
     configuration: Configuration | StageConfiguration, solve: Callable[[FloatArray], Batched] | None
 ) -> FloatArray:
-    """Return the ranges of either machine; `solve` finds physical states, None where `configuration` is not."""
+    """Return the ranges of either machine; `solve` finds physical states, None if `configuration` is not physical."""
     machine, now = configuration.machine, np.array(configuration.readings)
     longest, legs, limits = 3.0 * machine.size, machine.legs, machine.limits
     are_lengths = np.array(legs.units) == "m"

@@ -35,14 +35,14 @@ from spm_pin.support.arguments import Progress
 _log = logging.getLogger(__name__)
 
 _TRIES = 100
-_MOTIONS = ("gizmo", "coordinate", "leg", "branch", "reset", "back", "time")  # events that stop a path that is played
-_PHONE_ASPECT = 0.9  # a picture narrower than this share of its height is a phone's
-_PHONE_PANEL = 0.55  # share of a phone's page that viser's panel covers at its lower edge; at most it is 0.6
+_MOTIONS = ("gizmo", "coordinate", "leg", "branch", "reset", "back", "time")  # events that stop a path being played
+_PHONE_ASPECT = 0.9  # a picture narrower than this fraction of its height is a phone's
+_PHONE_PANEL = 0.55  # fraction of a phone's page that viser's panel covers at its lower edge; at most it is 0.6
 _FARTHEST = 10.0  # distance from {B} over the machine's size, beyond which the gizmo is not followed
 
 
 class Viewer:
-    """An interactive page of a manipulator, or of a stage alone, served until `stop`.
+    """An interactive page of a manipulator, or a stage alone, served until `stop`.
 
     Every client has a session of its own, which ends with its connection.
 
@@ -58,13 +58,13 @@ class Viewer:
     recording : Recording, optional
         A path of a manipulator, which plays when a page is opened.
     dark : bool
-        Whether pages are dark at first.
+        Whether pages are dark initially.
     machine_file : Path, optional
-        Where the machine came from, for exported command lines.
+        File of the machine, for exported command lines.
     demo : bool, optional
-        Whether a manipulator moves until the user moves it; by default where no configuration and no path is given.
+        Whether a manipulator moves until the user moves it; by default if neither a configuration nor a path is given.
     progress : callable, optional
-        Called with what is made ready, how much is and of how much.
+        Called with a description of the preparation, the number done and the total.
     """
 
     def __init__(
@@ -87,9 +87,9 @@ class Viewer:
         self.demo, self.recording = None, recording
         if isinstance(start, Stage | StageConfiguration):
             if recording is not None:
-                raise ArgumentError("recording", "none of a stage alone", recording)
+                raise ArgumentError("recording", "no recording with a stage", recording)
             self.start = _stage_start(start)
-            visual_parts(self.start.stage)  # raises for a stage that the description does not have
+            visual_parts(self.start.stage)  # raises an error for a stage that the description cannot express
             self.new_model = partial(StageModel, self.start, machine_file)
         else:
             if start is None or isinstance(start, Manipulator):
@@ -97,7 +97,7 @@ class Viewer:
             else:
                 self.start = check_configuration(start, "start", single=True, existing=True)
             chain = ClosedChain.from_urdf(machine=self.start.machine)
-            chain.joint_values(self.start)  # raises where its loops do not close
+            chain.joint_values(self.start)  # raises an error if its loops do not close
             self.new_model = partial(ViewerModel, self.start, chain, machine_file)
             if (not isinstance(start, Configuration) if demo is None else demo) and recording is None:
                 self.demo = demo_motion(self.start)
@@ -110,7 +110,7 @@ class Viewer:
         require_extra("viewer", "viser")
         import viser
 
-        # A tab may be closed while its page is changed, which is no fault.
+        # A tab may be closed while its page is being changed; this is no error.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         with _silence():
             self.server = viser.ViserServer(host=host, port=free, verbose=False)
@@ -161,17 +161,17 @@ class Viewer:
             await session.close()
 
     async def _close_sessions(self) -> None:
-        # The event loop ends with the server, and would drop what its tasks still do.
+        # The event loop ends with the server, and would drop unfinished tasks.
         await asyncio.gather(*self._opening, *(session.close() for session in self.sessions))
 
     def wait(self) -> None:
         """Serve until `stop` is called, or the process interrupted."""
-        # With a timeout: a wait without one cannot be interrupted by Ctrl-C on every system.
+        # With a timeout: on some systems a wait without one cannot be interrupted by Ctrl-C.
         while not self._stopped.wait(timeout=0.5):
             pass
 
     def stop(self) -> None:
-        """Stop serving; what runs comes to its end."""
+        """Stop serving; running events are finished."""
         if not self._stopped.is_set():
             self._stopped.set()
             asyncio.run_coroutine_threadsafe(self._close_sessions(), self.server.get_event_loop()).result()
@@ -186,7 +186,7 @@ class Viewer:
 
 
 def _stage_start(start: Stage | StageConfiguration) -> StageConfiguration:
-    """Return the state that a page of a stage begins with."""
+    """Return the initial state of a page of a stage."""
     if isinstance(start, Stage):
         return inverse_physical(start, home_height(start))
     if start.shape or not start.is_at_home:
@@ -207,7 +207,7 @@ def free_port(host: str, port: int) -> int:
     except (OSError, ValueError) as error:
         raise ArgumentError("host", expected, repr(host), str(getattr(error, "strerror", error))) from error
     for candidate in range(port, min(port + _TRIES, 65536)):
-        # As the server itself does it: a port whose last connection is winding down is free.
+        # As the server does: a port whose last connection is being closed is free.
         with contextlib.suppress(OSError):
             socket.create_server((address[0], candidate, *address[2:]), family=family).close()
             return candidate
@@ -216,7 +216,7 @@ def free_port(host: str, port: int) -> int:
 
 @contextlib.contextmanager
 def _silence() -> Iterator[None]:
-    # viser announces itself, and its end, through rich's global console, whatever its `verbose` says.
+    # viser announces its start and end through rich's global console, whatever its `verbose` is.
     console = rich.get_console()
     console.quiet = True
     try:
@@ -226,10 +226,10 @@ def _silence() -> Iterator[None]:
 
 
 class EventQueue:
-    """Runs actions one after another in a worker thread, while the event loop goes on taking messages.
+    """Runs actions one after another in a worker thread, while the event loop receives messages.
 
-    A drag sends poses faster than they can be shown: an action that waits is replaced by a later one of the same key.
-    `post` and `close` belong to the event loop's thread; `on_error` takes an exception that an action raised.
+    A drag sends poses faster than they can be shown: a waiting action is replaced by a later one with the same key.
+    `post` and `close` must be called in the event loop's thread; `on_error` is called with an exception of an action.
     """
 
     def __init__(self, on_error: Callable[[Exception], None]) -> None:
@@ -239,7 +239,7 @@ class EventQueue:
         self.closed = False
 
     def post(self, key: str, action: Callable[[], Any]) -> bool:
-        """Run an action after those posted before, in place of one of the same key; return False where closed."""
+        """Run an action after those posted before, in place of one with the same key; return False if closed."""
         if self.closed:
             return False
         self._waiting[key] = action
@@ -248,7 +248,7 @@ class EventQueue:
         return True
 
     async def close(self) -> None:
-        """Drop waiting actions and wait for the one that runs."""
+        """Drop waiting actions and wait for the running one."""
         self.closed = True
         self._waiting.clear()
         if self._task is not None:
@@ -324,14 +324,14 @@ class Session:
         self.client.add_notification(title, str(error), color="orange", auto_close_seconds=8.0)
 
     def show(self, moved: tuple[str, int] = ("", 0)) -> None:
-        """Bring the page up to date; `moved` is the gizmo or the slider that the user holds, and is left alone."""
+        """Update the page; `moved` is the gizmo or the slider that the user holds, which is not changed."""
         state = self.model.state
         with self.client.atomic():
             self.scene.show(state)
             if moved[0] != "gizmo":
                 self.gizmo.position = state.target.translation
                 self.gizmo.wxyz = state.target.rotation.as_quat(scalar_first=True)
-        # The robot is sent before what takes longer is computed.
+        # The robot is sent before slower results are computed.
         with self.client.atomic():
             self.scene.show_forces(state)
             self.panel.show(state, moved)
@@ -347,7 +347,7 @@ class Session:
         position = np.clip(self.gizmo.position, -farthest, farthest)
         turn = Rotation.from_quat(self.gizmo.wxyz, scalar_first=True)
         self.model.drag(RigidTransform.from_components(position, turn))
-        # Let go, it goes back where a stage cannot follow: sideways, and about its normal.
+        # When released, it returns from where a stage cannot follow: sideways, and about its normal.
         self.show(("gizmo", 0) if phase != "end" else ("", 0))
 
     def _on_coordinate(self, value: tuple[int, float]) -> None:
@@ -430,12 +430,12 @@ class Session:
         self._show_frame(time)
 
     def _follow_path(self) -> None:
-        """Follow the branch that is shown, if it is real where the path begins, else the physical one."""
+        """Follow the branch shown, if it is real at the start of the path, otherwise the physical one."""
         recording, state = self.viewer.recording, self.model.state
         if recording is None or self.playback is not None:
             return
         self.panel.show_path("Following the branch along the path …")
-        # A path of leg lengths is followed in an assembly mode, which labels of branches do not name: take the nearest.
+        # A path of leg lengths is followed in an assembly mode, which branches do not name: take the nearest.
         start = state.shown if isinstance(recording.points, np.ndarray) else (state.label or None)
         try:
             try:

@@ -24,15 +24,15 @@ _LAYERS = {
     "The paper's shell": ("shell", False),
     "Points reached": ("points", False),
 }
-"""Layers of the scene by their labels: name of the layer, and whether it is shown at first."""
+"""Layers of the scene by label: name of the layer, and whether it is shown initially."""
 _OF_ROBOTS = {"ghosts", "forces", "shell", "points"}
 """Layers that a stage alone does not have."""
 _NONE = "–"
-# viser makes the colour of its buttons from these: light ones on a dark page, and white text on both.
+# viser derives the colour of its buttons from these: light ones on a dark page, and white text on both.
 _BRAND = {False: (0, 54, 84), True: (0, 114, 178)}
 _CALM, _GREY, _STAGES = (0, 158, 115), (128, 128, 128), ((0, 114, 178), (230, 159, 0))
 _BOX = "padding:0.35em 1em 0.35em 0.6em;font-size:0.8rem;line-height:1.4;font-variant-numeric:tabular-nums"
-# One grid for all rows: a column is as wide as its widest text, and the bars take what is left.
+# One grid for all rows: a column is as wide as its widest text, and the bars take the rest.
 _GRID = "display:grid;grid-template-columns:{columns};gap:0.15em 0.6em;align-items:center;white-space:nowrap"
 _TRACK = "position:relative;height:0.62em;border-radius:0.3em;background:rgba(128,128,128,0.28);overflow:hidden"
 _RIGHT = "text-align:right"
@@ -43,8 +43,8 @@ Report = Callable[[str, Any], Coroutine[Any, Any, None]]
 class Panel:
     """The widgets of one client of a `Viewer`, added to a `viser.GuiApi`.
 
-    `report` takes the name and the value of every event, `model` is the session's. On the `narrow` page of a phone the
-    instruments have a tab of their own.
+    `report` is called with the name and the value of every event, `model` is the session's. On the `narrow` page of a
+    phone the instruments have a tab of their own.
     """
 
     def __init__(self, gui: Any, viewer: Any, model: ViewerModel | StageModel, report: Report, *, narrow: bool) -> None:
@@ -116,7 +116,7 @@ class Panel:
         widget = getattr(self.gui, f"add_{kind}")(label, *arguments, **options)
 
         async def on_event(message: Any) -> None:
-            # What the server assigns comes back as an event of no client.
+            # A value set by the server comes back as an event without a client.
             if message.client_id is not None:
                 value = message.target.value
                 if kind == "slider":
@@ -134,7 +134,7 @@ class Panel:
     def show(self, state: State, moved: tuple[str, int]) -> None:
         """Show a state.
 
-        The slider that the user moves, "coordinate" or "leg" and which of them, is left alone, and so are the values
+        The slider that the user moves, "coordinate" or "leg" with its number, is not changed; neither are the values
         of the others of its kind.
         """
         self.status.content = status(state, self.angles)
@@ -145,7 +145,7 @@ class Panel:
         if tuple(self.branch.options) != labels:
             self.branch.options = labels
         self.branch.value = state.label or labels[0]
-        # Where angles are not unique, those of the state that is shown.
+        # If angles are not unique, those of the state shown are kept.
         pose = self.model.coordinates(state.target if state.distance > 0.0 else state.shown.pose, self.angles)
         readings = state.shown.readings
         kinds = (
@@ -161,7 +161,7 @@ class Panel:
         self.q.value = np.array2string(self.model.values() + 0.0, precision=9, separator=", ", max_line_width=60)
 
     def set_angles(self, angles: str) -> None:
-        """Take another convention of the angles; `show` brings their values."""
+        """Take another convention of the angles; `show` sets their values."""
         self.angles = angles
         for slider, name in zip(self.pose_sliders, self.model.conventions[angles], strict=True):
             slider.label = name
@@ -216,7 +216,7 @@ def _cell(text: str, style: str = "", name: str = "") -> str:
 
 
 def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str = "left", start: float = 0.0) -> str:
-    """Return a track with a bar of a share of it, from its start on a side, and ticks at shares."""
+    """Return a track with a bar for a fraction of it, from its start on one side, and ticks at fractions."""
     marks = "".join(
         f'<div style="position:absolute;top:0;bottom:0;left:{100.0 * x:.1f}%;width:2px;background:currentColor"></div>'
         for x in ticks
@@ -231,7 +231,7 @@ def _legs(state: State) -> str:
     for k, (leg, reading, excess, unit) in enumerate(
         zip(legs.names, readings, state.shown.limit_excess, units, strict=True)
     ):
-        # The track is the range allowed with a tenth on either side, so that a leg beyond it is seen to be.
+        # The track is the allowed range with a tenth on either side, so that a leg beyond it is visible.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
         ticks = tuple(share for share, limit in ((0.1, low), (0.9, high)) if limit != 0.0 and np.isfinite(limit))
         if not np.isfinite([low, high]).all():

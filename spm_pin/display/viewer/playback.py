@@ -23,9 +23,9 @@ from spm_pin.support.motion_table import POSITION, QUATERNION, MotionTable
 
 _SECONDS = 10.0  # duration of the demo motion, and of a path without times
 _POINTS = 81
-_INTERVAL = 1.0 / 25.0  # between two moments of a path that is played [s]
-# Directions of the six legs' motion, found by a search for large motions of the paper's machine: the legs go along the
-# first and back, and swing along the second meanwhile.
+_INTERVAL = 1.0 / 25.0  # between two moments of a path being played [s]
+# Directions of the six legs' motion, found by a search for large motions of the paper's machine: the legs move along
+# the first and back, and swing along the second meanwhile.
 _ALONG = np.array([0.52, 0.05, 0.25, 0.75, -0.11, -0.30])
 _ACROSS = np.array([-0.45, 0.61, -0.25, -0.32, 0.34, 0.37])
 
@@ -37,7 +37,7 @@ class Recording:
     points: RigidTransform | FloatArray
     """Poses (n,) of {m} in {B}, or readings of the encoders [m], shape (n, 6)."""
     times: FloatArray
-    """When it was at each (n,) [s], increasing from 0."""
+    """Times of the points (n,) [s], increasing from 0."""
 
     def follow(self, machine: Manipulator, start: Configuration | str | None = None) -> Playback:
         """Follow a solution along the path, by default the physical one; see `spm_pin.follow`."""
@@ -59,7 +59,7 @@ def read_recording(path: str | Path) -> Recording:
     path : str or Path
         The file: a heading that names the columns, then numbers. ``r_b1`` to ``r_c3``, the readings [m]; or ``x``,
         ``y``, ``z`` [m] with the quaternion ``qx``, ``qy``, ``qz``, ``qw``. With a column ``time`` [s] the path is
-        timed; else it takes ten seconds. Other columns are passed over.
+        timed; otherwise it takes ten seconds. Other columns are ignored.
     """
     table = MotionTable(path)
     points = table.columns(LEGS) if table.has(LEGS) else table.poses()
@@ -81,18 +81,18 @@ class Playback:
     path: FollowedPath[Configuration]
     """The solution followed along the recorded points."""
     times: FloatArray
-    """When the recorded points (n,) were reached [s]."""
+    """Times of the recorded points (n,) [s]."""
 
     def time(self, parameter: float | FloatArray) -> FloatArray:
-        """Return when the path is at parameters (...) from 0 to 1 [s]."""
+        """Return the times of the path at parameters (...) from 0 to 1 [s]."""
         return np.asarray(np.interp(parameter, np.linspace(0.0, 1.0, len(self.times)), self.times))
 
     def state_at(self, time: float) -> Configuration:
-        """Return the solved configuration nearest to a time [s], its last where the solution ended."""
+        """Return the solved configuration nearest to a time [s], or the last one after the end of the solution."""
         return self.path.configurations[int(np.abs(self.time(self.path.parameters) - time).argmin())]
 
     def report(self, now: float, most: int = 12) -> list[str]:
-        """Return lines on how far the solution lasts and on its first events; ● marks those before `now` [s]."""
+        """Return lines on the extent of the solution and on its first events; ● marks those before `now` [s]."""
         events = self.path.events
         lines = [f"{len(self.path.parameters)} configurations of {self.path.labels[0]}"]
         if not self.path.complete:
@@ -107,7 +107,7 @@ class Playback:
 
 
 def demo_motion(start: Configuration) -> Playback | None:
-    """Return a small loop of readings from a configuration and back, followed; None where there is no such path.
+    """Return a small closed loop of readings from a configuration, followed; None if there is no such path.
 
     Its size is halved until no singularity and no leg limit lies on it.
     """
@@ -128,9 +128,9 @@ def demo_motion(start: Configuration) -> Playback | None:
 
 
 class Player:
-    """Runs the time of a path from 0 to its duration [s]; all methods belong to the event loop's thread.
+    """Runs the time of a path from 0 to its duration [s]; all methods must be called in the event loop's thread.
 
-    `show` shows the path at a time [s]; `post` has an event queue call it, and returns False once that is closed. With
+    `show` shows the path at a time [s]; `post` puts it into an event queue, and returns False once that is closed. With
     `repeat` the path begins again at the end.
     """
 
@@ -152,13 +152,13 @@ class Player:
         return self._task is not None
 
     def stop(self) -> None:
-        """Stop where it is."""
+        """Stop at the present time."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
 
     def toggle(self) -> None:
-        """Stop, or run on from where it is, from the beginning where it has ended."""
+        """Stop, or continue from the present time, after the end from the beginning."""
         if self.playing:
             self.stop()
         else:

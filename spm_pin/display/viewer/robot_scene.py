@@ -21,14 +21,14 @@ from spm_pin.machine import BRANCHES, Configuration, Manipulator, Stage, StageCo
 from spm_pin.support.arguments import FloatArray
 
 WARN, LOAD = (200, 16, 46), (122, 79, 181)
-"""Limits and warnings have a red of their own, darker than all colours of the robot, and loads a violet: that on the
-platform and what holds it."""
+"""Limits and warnings have a red of their own, darker than all colours of the robot, and loads a violet: the load on
+the platform and the leg forces that balance it."""
 VIEWS = {"Home": (15.0, 25.0), "Front": (0.0, 4.0), "Side": (90.0, 4.0), "Top": (0.0, 89.0)}
 """Azimuth and elevation of the viewer in {B} [degrees]; the first is that of the pictures."""
 FIELD_OF_VIEW = np.deg2rad(28.0)
-"""Vertical [rad]: narrow, as the pictures are parallel projections."""
+"""Vertical viewing angle [rad]: narrow, because the pictures are parallel projections."""
 _BORDER = 0.06
-"""Empty border at every edge of a picture, as a share of its height."""
+"""Empty border at every edge of a picture, relative to its height."""
 
 OnClick = Callable[[str], Coroutine[Any, Any, None]]
 Colour = tuple[int, ...]
@@ -44,7 +44,7 @@ _SHELL_RESOLUTION = 14  # coarse enough to be sent to a page
 
 
 def solid_placements(configuration: Configuration | StageConfiguration) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where the solids of `visual_parts` are in configurations (...).
+    """Return the placements of the solids of `visual_parts` in configurations (...).
 
     The positions of their origins in {B} [m], shape (..., n, 3), their quaternions, scalar first, shape (..., n, 4),
     and the scales along their axes, shape (..., n, 3).
@@ -62,12 +62,12 @@ def _shell(machine: Manipulator) -> tuple[npt.NDArray[np.float32], npt.NDArray[n
 
 
 def _linear(colour: Colour) -> Colour:
-    """Return a colour for many instances at once, which viser takes for linear intensities instead of sRGB."""
+    """Return a colour for many instances at once, which viser reads as linear intensities instead of sRGB."""
     return tuple(round(255.0 * (channel / 255.0) ** 2.2) for channel in colour)
 
 
 class RobotScene:
-    """The nodes of one session in a client's viser scene; `on_click` takes the label of a ghost that is clicked."""
+    """The nodes of one session in a client's viser scene; `on_click` is called with the label of a clicked ghost."""
 
     def __init__(self, scene: Any, machine: Manipulator | Stage, on_click: OnClick) -> None:
         self.scene = scene
@@ -91,11 +91,11 @@ class RobotScene:
             position=(0.0, 0.0, -0.3 * self.size),
         )
         self._robot = [self._mesh(f"/robot/{k}", k) for k in range(len(self._parts))]
-        # Base and terminal platform are where the robot's are; of the legs their tubes are enough.
+        # Base and terminal platform coincide with the robot's; tubes are enough for the legs.
         self._ghosts = {
             k: self._ghost(k, on_click) for k, part in enumerate(self._parts) if part.mesh in ("tube", "middle_plate")
         }
-        # The terminal platform where it should be.
+        # The terminal platform in the requested pose.
         self._wanted = scene.add_frame("/wanted", show_axes=False, visible=False)
         for k, part in enumerate(self._parts):
             if part.body == platform:
@@ -158,7 +158,7 @@ class RobotScene:
         )
 
     def show(self, state: SessionState | StageState) -> None:
-        """Show a state but for its forces; what viser has already is not sent again."""
+        """Show a state without its forces; only changes are sent to viser."""
         beyond = {f"leg_{leg[2:]}" for leg, excess in zip(self._legs, state.shown.limit_excess, strict=True) if excess}
         nodes = zip(self._robot, self._parts, self._colours, *solid_placements(state.shown), strict=True)
         for handle, part, colour, position, quaternion, scale in nodes:
@@ -179,7 +179,7 @@ class RobotScene:
         others = [label in state.labels and label != state.label for label in BRANCHES]
         shown = self.layers["ghosts"] and any(others)
         if shown:
-            # An absent branch has no size, so that the number of instances never changes.
+            # A missing branch has size zero, so that the number of instances never changes.
             scales, positions = np.zeros((2, len(BRANCHES), len(self._parts), 3), np.float32)
             quaternions = np.tile(_NOT_TURNED, (len(BRANCHES), len(self._parts), 1))
             positions[others], quaternions[others], scales[others] = solid_placements(
@@ -200,7 +200,7 @@ class RobotScene:
             handle.visible = named
 
     def show_forces(self, state: SessionState | StageState) -> None:
-        """Show the load, the leg forces that hold it, and the forces that legs of equal strength hold."""
+        """Show the load, the leg forces that balance it, and the forces that legs of equal strength can hold."""
         o, wrench = state.shown.translation, state.wrench
         length = 1.1 * self.size
         force, moment = wrench[:3], wrench[3:]
@@ -212,7 +212,7 @@ class RobotScene:
         shares = forces / max(float(np.abs(forces).max()), 1e-300)
         middles = _beside_legs(state.shown, 0.2 * self.size)
         half = 0.45 * state.shown.leg_vectors * np.abs(shares)[:, None]
-        # Away from the actuator's middle where it pushes, towards it where it pulls; at both ends.
+        # Away from the actuator's middle if it pushes, towards it if it pulls; at both ends.
         outward = np.stack([[middles, middles + half], [middles, middles - half]]).transpose(2, 0, 1, 3)
         outward[shares < 0.0] = outward[shares < 0.0][:, :, ::-1]
         self._point("legs", outward[np.abs(shares) > 0.02].reshape(-1, 2, 3))
@@ -229,7 +229,7 @@ class RobotScene:
         points = self._trail_points
         step = float(np.linalg.norm(o - points[-1])) if points else np.inf
         if step > self.size:
-            points.clear()  # the robot was put elsewhere
+            points.clear()  # the robot was moved elsewhere
         if step > _TRAIL_STEP * self.machine.base_radius:
             points.append(np.array(o))
             del points[:-_TRAIL_POINTS]
@@ -238,13 +238,13 @@ class RobotScene:
         self._trail.visible = self.layers["trail"] and len(points) > 1
 
     def _show_held_forces(self, state: Configuration) -> None:
-        """Show the forces at o that equal limits of the leg forces hold, `_HELD` of the robot's size for each limit."""
+        """Show the forces at o allowed by equal limits of leg forces, `_HELD` of the robot's size for each limit."""
         shown = self.layers["forces"]
         if not shown and not self._has_forces:
             return
         try:
             section = wrench_polytope(state, 1.0).section("linear") if shown else None
-        except SpmError:  # at a singularity, or where the state does not exist
+        except SpmError:  # at a singularity, or if the state is missing
             section = None
         self._has_forces = section is not None
         if section is None:
@@ -255,7 +255,7 @@ class RobotScene:
         self.scene.add_mesh_simple("/forces", points, np.uint32(section.faces), color=_FORCES, **options)
 
     def clear_trail(self) -> None:
-        """Begin the trail of o anew."""
+        """Begin a new trail of o."""
         self._trail_points.clear()
 
     def show_workspace(self, layer: str, shown: bool) -> None:
@@ -281,7 +281,7 @@ def _segments(points: Sequence[FloatArray] | FloatArray) -> npt.NDArray[np.float
 
 
 def _free_place(joints: FloatArray, others: list[FloatArray]) -> FloatArray:
-    """Return the place for a branch's name at the rim of its middle platform that is farthest from the others."""
+    """Return the position of a branch's name at the rim of its middle platform that is farthest from the others."""
     rim = np.concatenate([joints, (joints + np.roll(joints, 1, axis=0)) / 2.0])
     places = rim + 0.25 * (rim - joints.mean(axis=0))
     gaps = [np.linalg.norm(places - other, axis=-1) for other in others]
@@ -322,7 +322,7 @@ def fit_camera(
     """Return the position of a camera and the point that it looks at [m], for points (n, 3) to fill its picture.
 
     `view` is the azimuth and elevation of the viewer [degrees], `aspect` width over height of the whole picture. From
-    below something covers the share `covered` of it; `_BORDER` stays empty at every edge.
+    below a part `covered` of it is hidden; `_BORDER` stays empty at every edge.
     """
     axes = view_axes(*np.deg2rad(view))
     half = np.tan(0.5 * FIELD_OF_VIEW)

@@ -1,4 +1,4 @@
-"""The state of a session of a stage alone: its platform is dragged in tilt and height, all else follows."""
+"""The state of a session of a stage alone: its platform is dragged in tilt and height, and all else follows."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from spm_pin.machine import Stage, StageConfiguration
 from spm_pin.support.arguments import FloatArray, real_array
 
 _NEAR = 0.1
-"""A singularity is near where its smallest singular value, or the slope of a leg over its largest, is below this."""
+"""A singularity is near if its smallest singular value, or the relative slope of a leg, is below this."""
 _DIRECTIONS = 24
-"""In how many directions the largest tilt is sought."""
+"""Number of directions of the largest tilt."""
 _ROLL, _TILT = "height, roll, pitch", "height, tilt, azimuth"
 """Conventions of the coordinates of the pose: names of properties of a state."""
 _NO_ANGLES = dict.fromkeys(("tilt", "azimuth", "roll", "pitch"))
@@ -34,11 +34,11 @@ _NO_ANGLES = dict.fromkeys(("tilt", "azimuth", "roll", "pitch"))
 
 @dataclass(frozen=True)
 class StageState:
-    """The configuration shown, the pose requested and the load, as `SessionState` of the robot."""
+    """The configuration shown, the requested pose and the load, as `SessionState` for a manipulator."""
 
-    target: RigidTransform  # the requested pose of the platform in {B}; that of `shown` where legs were moved
+    target: RigidTransform  # the requested pose of the platform in {B}; that of `shown` if legs were moved
     shown: StageConfiguration
-    distance: float  # root mean square distance of the balls from where they should be [m]; 0 where the pose is reached
+    distance: float  # root mean square distance of the balls from their requested positions [m]; 0 if reached
     wrench: FloatArray  # the load (f, m) on the platform at its origin in {B}, shape (6,) [N, N m]
     remarks: tuple[str, ...] = ()
 
@@ -58,7 +58,7 @@ class StageState:
 
     @cached_property
     def forces(self) -> FloatArray | None:
-        """Efforts of the actuators (3,); None where they cannot hold every load."""
+        """Efforts of the actuators (3,); None if they cannot hold every load."""
         try:
             return stages.leg_forces(self.shown, self.wrench)
         except SingularConfigurationError:
@@ -81,7 +81,7 @@ class StageState:
 
 
 class StageModel:
-    """A session's state and its transitions, from a physical configuration, as `ViewerModel` of the robot."""
+    """A session's state and its transitions, from a physical configuration, as `ViewerModel` for a manipulator."""
 
     conventions: ClassVar[dict[str, tuple[str, ...]]] = {
         _ROLL: ("height [mm]", "roll [°]", "pitch [°]"),
@@ -112,7 +112,7 @@ class StageModel:
         return self._show(shown, pose, distance, [f"Out of reach: {why}. Shown: the nearest reachable tilt, {away}."])
 
     def set_readings(self, readings: npt.ArrayLike) -> StageState:
-        """Move to encoder readings (3,) as far as the platform's mode lasts."""
+        """Move to encoder readings (3,) as far as the platform's mode exists."""
         wanted = read_stage_readings(self._stage, readings)
         before, solve = self.state.shown.readings, partial(stages.forward_physical, self._stage)
         share, shown = 1.0, solve(wanted)
@@ -122,13 +122,13 @@ class StageModel:
         return self._show(shown, remarks=readings_remarks(share))
 
     def load(self, wrench: npt.ArrayLike) -> StageState:
-        """Put a wrench (f, m) on the platform at its origin in {B} [N, N m]."""
+        """Apply a wrench (f, m) to the platform at its origin in {B} [N, N m]."""
         load = real_array(wrench, "wrench", (6,), "(f, m) at the platform's origin in {B} in N and N m")
         self.state = replace(self.state, wrench=load)
         return self.state
 
     def place(self, configuration: StageConfiguration) -> StageState:
-        """Show a configuration, as it is."""
+        """Show a configuration."""
         return self._show(configuration)
 
     def _show(
@@ -166,7 +166,7 @@ class StageModel:
         return ranges_of_readings(self.state.shown, partial(stages.forward_physical, self._stage))
 
     def command(self) -> str:
-        """Return the command line that finds what is shown, its stage in a file where numbers do not describe it."""
+        """Return the command line for the state shown, with a file for a stage that dimensions do not describe."""
         stage, (height, roll, pitch) = self._stage, _coordinates(self.state.shown, _ROLL).tolist()
         typed = f"--stage {'FILE' if self.file is None else shlex.quote(str(self.file))}"
         ends = np.empty((2, 0)) if stage.limits is None else stage.limits.ends
@@ -181,11 +181,11 @@ class StageModel:
         return f"spm-pin stage inverse {typed} --height {1e-3 * height!r} --roll {roll!r} --pitch {pitch!r}"
 
     def values(self) -> FloatArray:
-        """Return the readings of what is shown [m], for RRS legs [rad]."""
+        """Return the readings of the state shown [m], for RRS legs [rad]."""
         return self.state.shown.readings
 
     def data(self) -> dict[str, Any]:
-        """Return what is shown as data for JSON, in metres, radians and newtons."""
+        """Return the state shown as data for JSON, in metres, radians and newtons."""
         state, shown = self.state, self.state.shown
         pose = "tilt", "azimuth", "roll", "pitch", "height", "shift", "torsion"
         names = *pose, "readings", "balls", "closure_residual"
@@ -202,6 +202,6 @@ class StageModel:
 
 
 def _coordinates(state: StageConfiguration, convention: str) -> FloatArray:
-    """Return the height [mm] and two angles [degrees] of a state, those that the convention names."""
+    """Return the height [mm] and the two angles [degrees] of a state that the convention names."""
     angles = [np.degrees(getattr(state, name)) for name in convention.split(", ")[1:]]
     return np.array([1e3 * state.height, *angles]) + 0.0

@@ -1,9 +1,9 @@
 """Newton's method on a stage: the physical state of its legs' circles, and a state followed to other circles.
 
-A stage is three circles and a triangle, `spm_pin.formulas.circles`; the two stages of a robot are solved one by one and
-put together afterwards. The search for the physical state begins at the level stage. A state is followed in steps that
-are safe by the theorem of Newton and Kantorovich, `circles.is_safe_step`: there is one solution near, and Newton's
-method finds it.
+With locked actuators each ball lies on a circle, see `spm_pin.formulas.circles`; the two stages of a robot are solved
+separately and combined afterwards. The search for the physical state begins at the level stage. A state is followed in
+steps that are safe by the theorem of Newton and Kantorovich, `circles.is_safe_step`: there is one solution nearby, and
+Newton's method converges to it.
 """
 
 from __future__ import annotations

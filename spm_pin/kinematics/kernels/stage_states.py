@@ -60,9 +60,9 @@ NO_STATE, OTHER_ASPECT, BEYOND, INSIDE = 0, 1, 2, 3
 """Classes of coordinates: no state exists; in another aspect; slightly beyond a forward singularity or one of
 a leg; in the wanted aspect and within reach of the legs."""
 _BEYOND = -0.05
-"""Smallest determinant, in units in which it is about 1 at home, and smallest room of a leg over r, of a stage that is
-slightly beyond a singularity: searches may step that far."""
-_STEPS = 12  # Newton steps for x3 and the centre at most
+"""Limits beyond a singularity to which searches may step: smallest determinant, in units in which it is about 1 at
+home, and smallest room of a leg over r."""
+_STEPS = 12  # most Newton steps for x3 and the centre
 
 
 @jit
