@@ -1,7 +1,7 @@
-"""The errors of `spm_pin`: one base class, and on each error the data that explains it.
+"""The errors of `spm_pin`: one base class, and the data of each error in its fields.
 
-Every error is an `SpmError`. Those caused by a bad argument are also a `ValueError`, so code that handles
-nothing of this package still catches them. "No real branch" is no error: it is a `Status`.
+Every error is an `SpmError`. Those caused by a bad argument are also a `ValueError`, so that programs need not
+import this package to catch them. A pose without real branches is not an error: the result has a `Status`.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ EXTRAS = {
     "viewer": ("viser", "trimesh"),
     "workspace": ("trimesh", "skimage"),
 }
-"""Packages looked for, of those that the optional extras bring, by the names under which they are imported."""
+"""Packages of the optional extras, by the names under which they are imported."""
 
 _LONGEST = 500
-"""Characters of a received value that a message shows."""
+"""Largest number of characters of a received value in a message."""
 
 
 class SpmError(Exception):
     """Base of all errors raised on purpose by this package."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Errors of worker processes travel pickled, made anew from the attributes that the parameters are named after;
+        # Errors of worker processes are pickled, and made anew from the attributes named after the parameters;
         # the default would pass the message instead.
         return type(self), tuple(self._fields().values()) or self.args
 
@@ -48,24 +48,24 @@ class SpmError(Exception):
 
 
 class ArgumentError(SpmError, ValueError):
-    """An argument that cannot be what the function needs.
+    """An argument that a function cannot use.
 
     Attributes
     ----------
     argument : str
         Name of the argument, as in the signature.
     expected : str
-        What would have been accepted.
+        What is accepted.
     received : Any
-        The value, or the part of it that is wrong; the message shows at most 500 characters of it.
+        The value, or the wrong part of it; the message shows at most 500 characters of it.
     cause : str
-        The likely cause, or what to do; empty where none is known.
+        The likely cause, or what to do; may be empty.
     file : str
-        The file read, of which `argument` is then a key or a column; `argument` is empty where the whole file is meant.
+        The file, of which `argument` is then a key or a column, or empty for the whole file.
     line : int
-        Line of the file; 0 where it is not known.
+        Line of the file; 0 if not known.
     index : str
-        Key or index of the wrong entry of `argument`, as Python prints it; empty for the whole of it.
+        Key or index of the wrong entry of `argument`, as Python prints it; empty for the whole argument.
 
     Made with an argument such as ``via[0]``, it has the argument ``via`` and the index ``0``.
     """
@@ -94,9 +94,9 @@ class ArgumentError(SpmError, ValueError):
 
 @contextlib.contextmanager
 def raised_as(kind: type[ArgumentError], owner: str = "", file: str = "") -> Iterator[None]:
-    """Raise an `ArgumentError` of a block, or of the function decorated, as one of another kind.
+    """Raise an `ArgumentError` of a block or decorated function as another class.
 
-    `owner` is what its argument is a part of, and `file` where that was read.
+    The argument is named as a part of `owner`, and as read from `file`.
     """
     try:
         yield
@@ -116,7 +116,7 @@ def _brief(received: Any) -> str:
 
 
 class GeometryError(ArgumentError):
-    """Dimensions or limits that describe no manipulator."""
+    """Dimensions or limits that do not describe a machine."""
 
 
 class PoseError(ArgumentError):
@@ -124,24 +124,24 @@ class PoseError(ArgumentError):
 
 
 class UnreachableError(ArgumentError):
-    """A state for a motion that the machine does not reach, or that its limits exclude."""
+    """A state of a motion that is out of reach or beyond the limits."""
 
 
 class SelectionError(ArgumentError, LookupError):
-    """An index or a label in square brackets that selects nothing."""
+    """An index, or a label in square brackets, that selects nothing."""
 
 
 class NotOneSolutionError(SpmError):
-    """`SolutionSet.one` met a problem without a solution, or with several.
+    """Raised by `SolutionSet.one` for a problem without a solution, or with several.
 
     Attributes
     ----------
     labels : tuple of str
-        The solutions of the first such problem; empty where there is none.
+        The solutions of the first such problem; empty if it has none.
     index : tuple of int
         Batch index of that problem; empty for a single one.
     cause : str
-        Why there is none, where that is known.
+        Why there is no solution, if known.
     """
 
     def __init__(self, labels: tuple[str, ...], index: tuple[int, ...], cause: str = "") -> None:
@@ -161,20 +161,20 @@ class NotOneSolutionError(SpmError):
 
 
 class SingularConfigurationError(SpmError):
-    """A configuration, singular to rounding, at which the requested quantity does not exist or is not unique.
+    """A configuration, singular to rounding, for which the requested quantity does not exist or is not unique.
 
     Attributes
     ----------
     kind : str
-        "inverse": the platform's twist does not determine the leg rates. "forward": the legs do not hold the
-        platform. "constraint": a stage's revolute joints alone let its platform go, which is both. "leg": a PRS or
-        RRS leg's actuator does not move its ball.
+        "inverse": the platform's twist does not determine the leg rates. "forward": the platform can move with locked
+        actuators. "constraint": the revolute joints of a stage do not constrain its platform, which is both. "leg": the
+        actuator of a PRS or RRS leg does not move its ball.
     sigma_min : float
-        Smallest singular value of the matrix concerned, scaled to be dimensionless; of a leg its slope κ.
+        Smallest singular value of the matrix concerned, dimensionless; for a leg its slope κ.
     index : tuple of int
         Batch index of the first such member; empty for a single configuration.
     cause : str
-        Which joints of a chain of `spm_pin.loops` move although the actuators stand still; empty otherwise.
+        For chains of `spm_pin.loops`: the joints that can move while the actuators stand still; otherwise empty.
     """
 
     def __init__(self, kind: str, sigma_min: float, index: tuple[int, ...] = (), cause: str = "") -> None:
@@ -182,7 +182,7 @@ class SingularConfigurationError(SpmError):
         meaning = {
             "inverse": "the twist of the platform does not determine the leg rates",
             "forward": "the actuators do not hold the platform",
-            "constraint": "the closures do not constrain the mechanism as elsewhere",
+            "constraint": "the closures constrain the mechanism less than elsewhere",
             "leg": "the actuator of a leg does not move its ball",
         }
         where = f" at batch index {index}" if index else ""
@@ -191,7 +191,7 @@ class SingularConfigurationError(SpmError):
 
 
 class MissingExtraError(SpmError, ImportError):
-    """A package of an optional extra is not installed; `extra` brings it, `package` is its name for `import`."""
+    """A package of an optional extra that is not installed: `extra` is its extra, `package` its name for `import`."""
 
     def __init__(self, extra: str, package: str) -> None:
         self.extra = extra
@@ -199,18 +199,18 @@ class MissingExtraError(SpmError, ImportError):
         # Not published on a package index yet: the advice is for a folder of the sources.
         advice = f'pip install ".[{extra}]" in the folder of the sources'
         installed = "scikit-image" if package == "skimage" else package.replace("_", "-")
-        super().__init__(f"this needs {installed}, of the extra {extra}: {advice}", name=package)
+        super().__init__(f"this needs {installed} of the extra {extra}: {advice}", name=package)
 
 
 def require_extra(extra: str, *packages: str) -> None:
-    """Raise `MissingExtraError` if a package of an extra is not installed, of all or of those named; import nothing."""
+    """Raise `MissingExtraError` if a package of an extra, or one of those named, is not installed; import nothing."""
     for package in packages or EXTRAS[extra]:
         if find_spec(package) is None:
             raise MissingExtraError(extra, package)
 
 
 class DescriptionError(ArgumentError):
-    """A description file that is missing or malformed, or a request that the description cannot express.
+    """A missing or malformed description file, or a request that a format cannot express.
 
     For a file, `argument` is its path and line, as ``closures.yaml:5``.
     """
@@ -222,11 +222,11 @@ class ClosureError(SpmError):
     Attributes
     ----------
     residual : float
-        Largest distance of two frames that a closure should hold together, where the search ended [m].
+        Largest distance of two frames of a closure at the end of the search [m].
     iterations : int
         Number of steps.
     loop : str
-        Name of the closure that is open most, where loops have names.
+        Name of the closure with the largest gap, if loops have names.
     """
 
     def __init__(self, residual: float, iterations: int, cause: str = "", loop: str = "") -> None:

@@ -115,7 +115,7 @@ def check_copied_formula(page, stage: spm.Stage, held: spm.stages.StageConfigura
     numbers = [float(x) for x in re.findall(r"[\d.]+(?= mm|°)", shown)]
     arms = balls - stage.legs.pivots
     places = np.stack([(arms * axis).sum(axis=-1) for axis in stage.legs.planes], axis=-1)
-    real = spm.stages.forward_physical(stage, stage.legs.readings(places))
+    real = spm.stages.forward_physical(stage, stage.legs.readings(places, stage.crank_middles))
     expected = [1e3 * off.max(), 1e3 * np.abs(side).max(), np.rad2deg(real.tilt), 1e3 * real.height]
     np.testing.assert_allclose(numbers, expected, rtol=0.0, atol=0.0051)
     labels = page.locator("#balancer .off").all_text_contents()
@@ -143,6 +143,16 @@ def test_the_header_is_the_package_s(browser, kind: str, inside: bool, tmp_path:
         for text, part in zip(texts, parts, strict=True)
     ]
     assert codes[0] == codes[1]
+
+
+def test_a_crank_that_swings_through_straight_down_reads_on(browser) -> None:
+    with opened(browser) as page:
+        enter(page, "RRS", [50, 100, 40, 120, -115, 29], tilt=0.0, height=64.3)
+        cells = page.locator("#balancer td:nth-child(2)")
+        shown = cells.evaluate_all("all => all.map((one) => Number(one.dataset.value))")
+        held = spm.stages.inverse_physical(stage_in_python(page), 0.0643)
+        np.testing.assert_allclose(shown, held.readings, rtol=0.0, atol=1e-12)
+        assert max(shown) < -1.9
 
 
 def test_a_drag_tilts_the_plate_towards_where_it_goes_and_stops_where_the_machine_does(browser) -> None:
@@ -193,7 +203,7 @@ def test_what_is_out_of_reach_is_said(browser) -> None:
         assert re.fullmatch(r"55\.0° is .*: shown is \d+\.\d°", page.locator(".balancer-status").inner_text())
         limits = SIZES["RRS"][0][4:]
         lengths = [70, 95, 5, 10], [0, 95, 45, 105], ["", 95, 45, 105], [0.07, 0.095, 0.045, 0.105]
-        for numbers in (*([*x, *limits] for x in lengths), *([70, 95, 45, 105, *x] for x in ([85, -70], [-100, 85]))):
+        for numbers in (*([*x, *limits] for x in lengths), *([70, 95, 45, 105, *x] for x in ([85, -70], [-400, 85]))):
             enter(page, "RRS", SIZES["RRS"][0])
             enter(page, "RRS", numbers)
             assert "at no height" in page.locator(".balancer-status").inner_text()

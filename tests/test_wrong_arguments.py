@@ -242,6 +242,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Manipulator.from_parameters.parameters": lambda: BUILT.parameters,
     "Manipulator.to_yaml.path": lambda: "machine.yaml",
     "calibration.choose_poses.candidates": lambda: 40,
+    **dict.fromkeys(("Inclinations.roll", "Inclinations.pitch", "Inclinations.height"), lambda: [0.1, 0.2]),
     "calibration.identify.readings": lambda: MEASURED.readings,
     "calibration.identify.poses": lambda: MEASURED.pose,
     "calibration.read_measurements.path": measurements_file,
@@ -284,7 +285,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 INPUTS = (
     "Configuration DesignProblem JointLimits LegLimits LegPath Legs Manipulator Masses Payload PlatformPath RigidBody"
 )
-INPUTS += " Ball Stage StageConfiguration StageLimits"
+INPUTS += " Ball Inclinations Stage StageConfiguration StageLimits"
 """Classes that users make themselves; the others are results, made by the package."""
 
 OTHER_WORDS = {

@@ -17,7 +17,7 @@ import spm_pin as spm
 from spm_pin.export import stage_c_sources
 
 SOURCES = Path(__file__).parent / "balancer"
-EXPORTED = ("machine", "state", "other", "asked", "balls", "inverse", "forward", "readings")
+EXPORTED = ("geometry", "state", "other", "asked", "balls", "inverse", "forward", "readings")
 WORDS = {
     "title": "Your ball balancer",
     "heading": "Your ball balancer",

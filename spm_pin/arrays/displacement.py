@@ -29,8 +29,8 @@ _LONGEST_STEP = 0.4
 _CLOSED = 2000.0
 """Largest error of a solution, in roundings of the lengths in it."""
 _APART = (0.0, 1e-3, 1e-1)
-"""Least discriminants, in units of r², with which branches of the drawing are computed for starts: beside its folds
-those of a machine as built are elsewhere, or exist where the drawing has none."""
+"""Least discriminants, in units of r², for which nominal branches are computed as starts: beside their folds
+those of a calibrated machine are elsewhere, or exist where no nominal ones do."""
 _ORDERS = 2
 """Orders of derivatives."""
 _LEVEL = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), UP
@@ -45,17 +45,17 @@ class Branches(NamedTuple):
     middle_joints: Array
     """b_i in {B} [m], shape (..., 8, 3, 3)."""
     readings: Array
-    """Readings of the encoders, shape (..., 8, 6): [m], of RRS legs [rad]."""
+    """Readings of the encoders, shape (..., 8, 6): [m], for RRS legs [rad]."""
     exists: Array
-    """Which branches are real and in reach, shape (..., 8). The numbers of others are finite and mean nothing."""
+    """True for branches that are real and in reach, shape (..., 8); numbers of the others are arbitrary and finite."""
 
     def __getitem__(self, index: Any) -> Branches:
-        """Index the batch, all fields alike."""
+        """Index the batch axes of all fields."""
         return Branches._make(indexed(self, (3, 2, 1), index))
 
 
 class State(NamedTuple):
-    """States (...) of a machine, with fields that are read by name: an index is one of the batch, `state[k]`.
+    """States (...) of a machine, with fields to be read by name; an index selects members of the batch, `state[k]`.
 
     To JAX and PyTorch it is a named tuple of its fields, in this order.
     """
@@ -67,9 +67,9 @@ class State(NamedTuple):
     middle_joints: Array
     """b_i in {B} [m], shape (..., 3, 3)."""
     readings: Array
-    """Readings of the encoders, shape (..., 6): [m], of RRS legs [rad]."""
+    """Readings of the encoders, shape (..., 6): [m], for RRS legs [rad]."""
     exists: Array
-    """Where there is such a state, shape (...). Elsewhere all is finite, and all derivatives with it."""
+    """True where the state exists, shape (...). Elsewhere numbers and all derivatives are arbitrary and finite."""
 
     def __getitem__(self, index: Any) -> Any:
         """Index the batch, all fields alike."""
@@ -85,12 +85,12 @@ def indexed(fields: Iterable[Array], inner: tuple[int, ...], index: Any) -> list
 
 @quietly
 def inverse_displacement(machine: Manipulator | Array, rotation: Array, translation: Array) -> Branches:
-    """Compute all branches of the inverse displacement of a drawn machine, in closed form.
+    """Compute all branches of the inverse displacement of a nominal machine, in closed form.
 
     Parameters
     ----------
     machine : Manipulator or array, shape (..., 3)
-        A drawn machine, or dimensions E, C, d [m].
+        A nominal machine, or dimensions E, C, d [m].
     rotation : array, shape (..., 3, 3)
         From {m} to {B}. It is not checked.
     translation : array, shape (..., 3)
@@ -99,8 +99,8 @@ def inverse_displacement(machine: Manipulator | Array, rotation: Array, translat
     problem = _Inverse(machine, rotation, translation)
     library = problem.library
     if not problem.machine.is_drawn:
-        cause = "Its eight roots have no closed form: inverse_physical takes it. Pass dimensions E, C, d of a drawn one"
-        raise ArgumentError("machine", "a machine as drawn", "one as built, as parameters always count", cause)
+        cause = "Its eight roots have no closed form: use inverse_physical, or dimensions E, C, d of a nominal machine"
+        raise ArgumentError("machine", "a nominal machine", "a calibrated one, as parameters always are", cause)
     b, exists = problem.drawn_branches(range(len(FAMILIES)), 0.0)
     b = problem.with_derivatives(b, exists)
     zero, (readings, reach) = library.zeros(b[0][0]), _readings(library, problem.machine, problem.pose, b)
@@ -117,7 +117,7 @@ def inverse_physical(
     Parameters
     ----------
     machine : Manipulator, array of shape (..., 3) or (..., 54), or pair
-        A machine; dimensions E, C, d [m] of a drawn one with RPS legs, or the parameters of RPS legs, see
+        A machine; dimensions E, C, d [m] of a nominal one with RPS legs, or the parameters of RPS legs, see
         `spm_pin.Manipulator.parameters`; or a pair of a `Manipulator` and of parameters (..., n): its kinds of legs,
         working modes and leg limits, and other numbers.
     rotation, translation
@@ -160,7 +160,7 @@ def forward_physical(machine: Manipulator | Array, readings: Array, near: State 
     machine : Manipulator, array of shape (..., 3) or (..., 54), or pair
         As for `inverse_physical`.
     readings : array, shape (..., 6)
-        Readings of the encoders [m], of RRS legs [rad].
+        Readings of the encoders [m], for RRS legs [rad].
     near : State, optional
         From where Newton's method begins: the state to which it leads, if both stages keep the signs of their
         determinants, and all legs are in their working modes. No proof is given that it has not left the assembly mode
@@ -255,7 +255,7 @@ class _Inverse:
         self._machine, self._pose, self._legs = self.library.constant((self.machine, self.pose, self.legs))
 
     def drawn_branches(self, families: Any, least: float) -> tuple[Any, Any]:
-        """Return the balls (2 n, ...) of the branches + and - of families of the drawing, and which are real.
+        """Return the balls (2 n, ...) of the branches + and - of families of the nominal machine, and which are real.
 
         A discriminant below `least` times r² is taken for that.
         """
@@ -322,7 +322,7 @@ class _Inverse:
 def _with_derivatives(
     library: Library, b: Any, exists: Any, motions: BallMotions, correction: Callable[[Any, BallMotions], Any]
 ) -> Any:
-    """Return balls with the derivatives of the solution that they are; any finite ones where they are none.
+    """Return balls with the derivatives of the solution; missing ones get arbitrary finite derivatives.
 
     `correction` is Newton's step with these motions, which are constants.
     """
@@ -368,7 +368,7 @@ def rods_of(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> Ro
     """Return what the legs are at balls b_i in {B} and a pose."""
     run, c = library.run, machine.upper_balls(library, b)
     places = machine.places(library, [*b, *run(ball_motions.points_from_platform, c, *pose)])
-    readings, reach = (machine.of_places(library, name, places) for name in ("reading", "reach"))
+    readings, reach = machine.readings(library, places), machine.of_places(library, "reach", places)
     slopes, centres = machine.of_places(library, "slope", places, readings), machine.circles(library, readings)
     lower, upper = (tuple(centre for centre, _ in half) for half in (centres[:3], centres[3:]))
     upper = run(vectors.shifted, run(vectors.turned, pose[0], upper), pose[1])

@@ -71,7 +71,7 @@ class Library:
         return math.sin(x) if type(x) is float else self.xp.sin(x)
 
     def arctan2(self, y: Any, x: Any) -> Any:
-        """Return the angle of a vector, zero of that of no length, where derivatives are finite too."""
+        """Return the angle of a vector; zero for a zero vector, where derivatives are finite too."""
         if type(x) is float and type(y) is float:
             return math.atan2(y, x)
         return self.xp.atan2(y, self.xp.where(x * x + y * y > self.normal, x, 1.0))
@@ -157,7 +157,7 @@ class MachineOnArrays(NamedTuple):
     """Dimensions and legs; floats, or arrays of any shape of batch."""
 
     radii: tuple[Any, Any]  # E and C
-    r: Any  # of the drawn middle platform
+    r: Any  # of the nominal middle platform
     legs: tuple[StageLegs, StageLegs]  # in {B} and in {m}
     balls: tuple[Any, Any]  # in {n}
     squares: tuple[Any, Any]  # of the sides of the balls' triangles
@@ -168,6 +168,7 @@ class MachineOnArrays(NamedTuple):
     numbers: tuple[tuple[Any, ...], ...]  # that are fixed in each leg
     joint_names: tuple[str, ...]  # of the URDF
     limits: tuple[tuple[float, ...], tuple[float, ...]]
+    middles: tuple[Any, ...]  # see `planar_legs.crank_middle`
     is_drawn: bool
     valid: Any  # where its numbers are those of a machine, see `Manipulator`
 
@@ -188,6 +189,10 @@ class MachineOnArrays(NamedTuple):
         """Return the values of a formula of the legs' kinds, such as "reading", at `places`, leg by leg."""
         legs = zip(self.kinds, places, self.numbers, *further, strict=True)
         return [library.run(getattr(kind.formulas, name), *xz, *more, numbers) for kind, xz, numbers, *more in legs]
+
+    def readings(self, library: Library, places: Sequence[Any]) -> list[Any]:
+        """Return the readings of balls at `places`, without offsets, leg by leg."""
+        return self.of_places(library, "reading", places, self.middles)
 
     def circles(self, library: Library, readings: Sequence[Any]) -> list[tuple[Any, Any]]:
         """Return centres, in {B} or {m}, and radii of the balls' circles at readings without offsets."""
@@ -219,9 +224,9 @@ class MachineOnArrays(NamedTuple):
 
 
 def read_machine(library: Library, machine: Any) -> MachineOnArrays:
-    """Return a machine of a `Manipulator`, of dimensions (..., 3) E, C, d, or of the parameters of its legs.
+    """Return a machine from a `Manipulator`, dimensions (..., 3) E, C, d, or the parameters of its legs.
 
-    Parameters are an array (..., 54), of RPS legs, or a pair of a machine and of its parameters (..., n).
+    Parameters are an array (..., 54) for RPS legs, or a pair of a machine and its parameters (..., n).
     """
     if isinstance(machine, Manipulator):
         return _machine_of(machine)
@@ -295,7 +300,9 @@ def _completed(
     lower, upper = (library.run(circles.squared_sides, b) for b in halves)
     weights = library.run(leg_planes.upper_ball_weights, *halves)
     ends = limits.minimum, limits.maximum
-    return MachineOnArrays(radii, r, stages, halves, (lower, upper), weights, offsets, *of_legs, ends, *further)
+    middles = tuple(library.run(planar_legs.crank_middle, *leg) for leg in zip(*ends, offsets, strict=True))
+    placed = radii, r, stages, halves, (lower, upper), weights, offsets
+    return MachineOnArrays(*placed, *of_legs, ends, middles, *further)
 
 
 @functools.lru_cache(maxsize=32)
@@ -310,7 +317,7 @@ def stage_machine(stage: Stage) -> MachineOnArrays:
     """Return a stage as the lower half of a robot of two, with three legs."""
     both = _machine_of(Manipulator.of_stages(stage, stage))
     halves = {name: getattr(both, name)[:1] for name in ("radii", "legs", "balls", "squares")}
-    legs = {name: getattr(both, name)[:3] for name in ("offsets", "planes", "kinds", "numbers")}
+    legs = {name: getattr(both, name)[:3] for name in ("offsets", "planes", "kinds", "numbers", "middles")}
     return both._replace(**halves, **legs)
 
 

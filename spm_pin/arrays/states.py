@@ -56,8 +56,8 @@ class _Legs:
 def inverse_jacobian(machine: Manipulator | Array, state: State | Configuration) -> Array:
     """Compute J_f (..., 6, 6), which maps the twist (v, ω) at o to the leg rates; arguments as for `leg_forces`.
 
-    At an inverse singularity, as the level home is, or a leg's own, there is none: the numbers are finite and mean
-    nothing.
+    At an inverse singularity, such as the level home, or a leg's own singularity, J_f does not exist: the numbers are
+    arbitrary and finite.
     """
     legs = _Legs(machine, state)
     library, run = legs.library, legs.library.run
@@ -77,7 +77,7 @@ def inverse_jacobian(machine: Manipulator | Array, state: State | Configuration)
 
 @quietly
 def leg_forces(machine: Manipulator | Array, state: State | Configuration, wrench: Array) -> Array:
-    """Compute what actuators exert (..., 6) to hold a wrench [N], of RRS legs [N m]; positive increases readings.
+    """Compute what actuators exert (..., 6) to hold a wrench [N], for RRS legs [N m]; positive increases readings.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def leg_forces(machine: Manipulator | Array, state: State | Configuration, wrenc
 def joint_values(machine: Manipulator | Array, state: State | Configuration) -> Array:
     """Compute the values of the eighteen joints of the URDF, shape (..., 18), in the order of its tree.
 
-    Of RPS legs that is `JOINTS`, of others `spm_pin.machine.joint_angles.joint_names`.
+    For RPS legs the names are `JOINTS`, for others `spm_pin.machine.joint_angles.joint_names`.
 
     Angles in radians, slides in metres: with these a simulator of the open tree is reset to a closed state. Leg limits
     decide where the joints are at zero; dimensions and parameters have none. Arguments are as for `leg_forces`.
@@ -118,9 +118,10 @@ def joint_values(machine: Manipulator | Array, state: State | Configuration) -> 
     for k, radius, stage, balls, axes, up in stages:
         kind, names = arrays.kinds[k], ("b1", "b2", "b3", "c1", "c2", "c3")[k : k + 3]
         formulas, numbers = kind.bound(lambda x: functools.partial(run, x)), arrays.numbers[k : k + 3]
-        ends = max(arrays.limits[0][k : k + 3]), min(arrays.limits[1][k : k + 3])
+        ends, middles = (max(arrays.limits[0][k : k + 3]), min(arrays.limits[1][k : k + 3])), arrays.middles[k : k + 3]
         pair, triangles = (drawn_numbers(numbers, len(kind.identified)), numbers), (radius, arrays.r)
-        frames = library.together(run(values.stage_frames, stage, own, triangles, ends, pair, up, formulas), legs.zero)
+        constants = stage, own, triangles, ends, middles, pair, up, formulas
+        frames = library.together(run(values.stage_frames, *constants), legs.zero)
         of_legs = run(values.leg_values, library.together(balls, legs.zero), frames, formulas)
         first = mapped(lambda x: x[0, ...], (of_legs, frames))
         for x, (sine, cosine) in zip("xyz", run(values.ball_angles, *first, axes, up), strict=True):

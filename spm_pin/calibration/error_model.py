@@ -8,6 +8,8 @@ kind, on which c and the radius ρ depend:
     lower:  u·t_L(b) = u·da - u·dp - κ do + Σ (u·∂c/∂ν + ∂ρ/∂ν) dν + φ u×(c - a),   n·t_L(b) = n·da - n·dp - dn·(b - a),
     upper:  the same with the twist t_L - t.
 
+A stage alone has the lower legs, and t_L is the twist of its platform.
+
 φ is the turn of the leg's plane about n that dn makes, and × the product in that plane. On the left are the matrices
 J_b and J_c of `spm_pin.kinematics.rates_and_forces`.
 """
@@ -22,19 +24,20 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.rates_and_forces import stage_inverses
-from spm_pin.machine import LEGS, Configuration, Manipulator
-from spm_pin.machine.configuration import check_configuration
+from spm_pin.machine import Configuration, Machine, StageConfiguration
+from spm_pin.machine.configuration import check_state
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, real_array, real_number
 
 
-def error_jacobian(configuration: Configuration) -> FloatArray:
+def error_jacobian(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return how the platform moves in states (...) per error of each parameter, at constant readings.
 
     Returns
     -------
     ndarray, shape (..., 6, n)
-        Rows (v, ω): displacement of o [m] and rotation of m [rad], in {B}; columns `Manipulator.parameter_names`, 54 of
-        RPS legs, per metre or radian. At singularities as `spm_pin.platform_jacobian`.
+        Rows (v, ω): displacement of the platform's origin [m] and rotation [rad], in {B}; columns
+        `Machine.parameter_names`, nine of each RPS leg, per metre or radian. At singularities as
+        `spm_pin.platform_jacobian`.
 
     Examples
     --------
@@ -45,9 +48,10 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     >>> (jacobian @ errors)[:3].round(6)
     array([-1.83e-04, -2.16e-04, -3.50e-05])
     """
-    check_configuration(configuration)
-    state, legs = configuration, configuration.machine.legs
-    outward = np.where(np.arange(6) < 3, 1.0, -1.0)[:, None]
+    state = check_state(configuration)
+    legs = state.machine.legs
+    count = len(legs.names)
+    outward = np.where(np.arange(count) < 3, 1.0, -1.0)[:, None]
     # Unit vectors from the circles' centres to the balls, in {B}, and in the planes of the legs.
     with np.errstate(invalid="ignore"):
         along = outward * state.leg_vectors / np.linalg.norm(state.leg_vectors, axis=-1, keepdims=True)
@@ -56,11 +60,11 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
         for points in (along, state.circle_centres - state.leg_bases)
     )
     turning = centres[..., 0] * across[..., 1] - centres[..., 1] * across[..., 0]
-    frames = np.empty((*state.shape, 6, 3, 3))
+    frames = np.empty((*state.shape, count, 3, 3))
     frames[..., :3, :, :], frames[..., 3:, :, :] = np.eye(3), state.rotation[..., None, :, :]
     middle = state.middle_pose.as_matrix()[..., None, :3, :3]
-    tilts = configuration.machine.axis_derivatives
-    rows = np.zeros((*state.shape, 6, 2, 9))
+    tilts = legs.axis_derivatives
+    rows = np.zeros((*state.shape, count, 2, 9))
     for row, direction in enumerate((along, state.leg_axes)):
         rows[..., row, 2:5] = (direction[..., None, :] @ frames)[..., 0, :]
         rows[..., row, 5:8] = -(direction[..., None, :] @ middle)[..., 0, :]
@@ -68,10 +72,9 @@ def error_jacobian(configuration: Configuration) -> FloatArray:
     rows[..., 0, :2] = turning[..., None] * (legs.plane_turns[:, None] @ tilts)[:, 0]
     rows[..., 1, :2] = -((state.balls - state.leg_bases)[..., None, :] @ (frames @ tilts))[..., 0, :]
     rows[..., 1, :] *= outward
-    inverses = stage_inverses(state)
-    # Of each leg the motions (..., 6, 6) that its two equations make.
-    sides = np.swapaxes(inverses, -1, -2).reshape(*state.shape, 2, 2, 3, 6)
-    along_leg, along_axis = (sides[..., k, :, :].reshape(*state.shape, 6, 6) for k in range(2))
+    # Of each leg the motions (..., legs, 6) that its two equations make.
+    sides = np.swapaxes(stage_inverses(state), -1, -2).reshape(*state.shape, len(legs.kinds), 2, 3, 6)
+    along_leg, along_axis = (sides[..., k, :, :].reshape(*state.shape, count, 6) for k in range(2))
     moved = along_leg[..., None] * rows[..., 0, None, :] + along_axis[..., None] * rows[..., 1, None, :]
     columns = [_of_legs(moved)]
     for stage, derivatives in enumerate(legs.circle_derivatives(state.readings)):
@@ -95,54 +98,67 @@ def pose_errors(predicted: FloatArray, measured: FloatArray) -> FloatArray:
     return np.concatenate([predicted[:, :3, 3] - measured[:, :3, 3], turn], axis=-1)
 
 
-def gauge_directions(machine: Manipulator, target: FloatArray) -> FloatArray:
-    """Return the errors that change no measurement, of the parameters and of `Frames`, (n + 12, k).
+def gauge_directions(machine: Machine, base: FloatArray, target: FloatArray, *, has_lengths: bool = True) -> FloatArray:
+    """Return the errors that change no measurement, of the parameters and of `Frames` (4, 4) each, (n + 12, k).
 
     Each of the frames {n}, {B} and {m} may move: {n} changes the coordinates of all balls, {B} and {m} those of a
-    stage's axes and pivots, and what is measured from them; `target` is a point of {m} (3,). Where a circle moves
-    straight, on a slide, the pivot may be anywhere on it.
+    stage's axes and pivots, and what is measured from them; the {n} of a stage alone is what is measured. Where a
+    circle moves straight, on a slide, the pivot may be anywhere on it. Where no length is measured the balls of a stage
+    may be shifted, and where no reading is one, all its lengths may be in proportion.
     """
-    legs, directions = machine.legs, []
-    shown, (outward, forward) = np.linalg.pinv(machine.axis_derivatives), legs.planes
+    legs, directions, point = machine.legs, [], target[:3, 3]
+    count, is_alone = len(legs.names), len(legs.kinds) == 1
+    shown, (outward, forward) = np.linalg.pinv(legs.axis_derivatives), legs.planes
     turned = [np.array(kind.turned) for kind in legs.kinds]
 
     def add(own: FloatArray, links: FloatArray | float = 0.0, frames: FloatArray | float = 0.0) -> None:
-        """Add errors of the legs (6, 9), with a turn (6,) of their links, and of the frames (12,)."""
-        changes = [
-            np.outer(of_stage, by) for of_stage, by in zip((links + np.zeros(6)).reshape(2, 3), turned, strict=True)
-        ]
+        """Add errors of the legs (legs, 9), with a turn (legs,) of their links, and of the frames (12,)."""
+        stages = (links + np.zeros(count)).reshape(-1, 3)
+        changes = [np.outer(of_stage, by) for of_stage, by in zip(stages, turned, strict=True)]
         own[:, 8] += np.concatenate([x[:, 0] for x in changes])
         directions.append(np.concatenate([own.ravel(), *(x[:, 1:].ravel() for x in changes), frames + np.zeros(12)]))
 
     for shift, turn in zip(np.eye(6)[:, :3], np.eye(6)[:, 3:], strict=True):
-        own = np.zeros((6, 9))
+        own, seen = np.zeros((count, 9)), np.concatenate([np.zeros(6), shift + np.cross(turn, point), turn])
         own[:, 5:8] = shift + np.cross(turn, legs.balls)
-        add(own)
+        add(own, frames=seen if is_alone else 0.0)
         tilts = np.cross(turn, legs.axes)
         # What is left of a turn in each leg's plane, whose own x stays level.
         links = (np.cross(turn, outward) * forward).sum(axis=-1) - (legs.plane_turns * tilts).sum(axis=-1)
-        for stage, part in enumerate((slice(3), slice(3, 6))):
-            own, moved, frames = np.zeros((6, 9)), np.zeros(6), np.zeros((2, 6))
+        seen_from = np.concatenate([-base[:3, :3] @ shift, -base[:3, :3] @ turn, np.zeros(6)])
+        for part, frames in ((slice(3), seen_from), (slice(3, 6), seen))[: len(legs.kinds)]:
+            own, moved = np.zeros((count, 9)), np.zeros(count)
             own[part, :2] = (shown @ tilts[..., None])[part, :, 0]
             own[part, 2:5] = shift + np.cross(turn, legs.pivots[part])
             moved[part] = links[part]
-            frames[stage] = np.concatenate([-shift, -turn] if stage == 0 else [shift + np.cross(turn, target), turn])
-            add(own, moved, frames.ravel())
-    rates, later = (legs.centre_rates(np.full(6, reading)) for reading in (0.0, 1.0))
+            add(own, moved, frames)
+    rates, later = (legs.centre_rates(np.full(count, reading)) for reading in (0.0, 1.0))
     for leg in np.flatnonzero((rates == later).all(axis=-1) & rates.any(axis=-1)):
-        own = np.zeros((6, 9))
+        own = np.zeros((count, 9))
         own[leg, 2:5] = rates[leg, 0] * outward[leg] + rates[leg, 1] * forward[leg]
         own[leg, 8] = 1.0
         add(own)
+    if not has_lengths:
+        owners = np.array([name.partition(".")[0] for name in legs.parameter_names])
+        lengths = np.where(np.array(legs.parameter_units) == "m", legs.parameters, 0.0)
+        for stage, kind in enumerate(legs.kinds):
+            part = slice(3 * stage, 3 * stage + 3)
+            for shift in np.eye(3):
+                own = np.zeros((count, 9))
+                own[part, 5:8] = shift
+                add(own)
+            if kind.unit == "rad":
+                scaled = np.where(np.isin(owners, legs.names[part]), lengths, 0.0)
+                directions.append(np.concatenate([scaled, np.zeros(12)]))
     return np.array(directions).T
 
 
-def parameter_scale(machine: Manipulator) -> FloatArray:
+def parameter_scale(machine: Machine) -> FloatArray:
     """Return the unit of each parameter's error (n,): a radian, or the side of the middle platform [m]."""
-    return np.where(np.array(machine.parameter_units) == "rad", 1.0, machine.middle_side)
+    return np.where(np.array(machine.parameter_units) == "rad", 1.0, machine.ball_side)
 
 
-def selected(machine: Manipulator, names: Collection[str] | str, argument: str) -> BoolArray:
+def selected(machine: Machine, names: Collection[str] | str, argument: str) -> BoolArray:
     """Return which parameters are meant by names of parameters, legs, components or kinds, such as `ball`."""
     several = [names] if isinstance(names, str) else check_instance(names, Collection, argument)  # type: ignore[type-abstract]
     wanted = {name if isinstance(name, str) else repr(name) for name in several}
@@ -152,11 +168,13 @@ def selected(machine: Manipulator, names: Collection[str] | str, argument: str) 
     if unknown or not wanted:
         known = ", ".join(dict.fromkeys(part.split("_")[0] for _, part in parts))
         expected = f"names of parameters such as r_b1.pivot_x, components such as pivot_x, {known}"
-        raise ArgumentError(argument, f"{expected}, or legs {', '.join(LEGS)}", ", ".join(unknown) or "none")
+        raise ArgumentError(
+            argument, f"{expected}, or legs {', '.join(machine.legs.names)}", ", ".join(unknown) or "none"
+        )
     return np.array([bool(wanted & key) for key in keys])
 
 
-def prior_deviations(machine: Manipulator, tolerances: Mapping[str, float] | npt.ArrayLike) -> FloatArray:
+def prior_deviations(machine: Machine, tolerances: Mapping[str, float] | npt.ArrayLike) -> FloatArray:
     """Return the standard deviations (n,) of the parameters, 0 of those not named."""
     count = len(machine.parameter_names)
     if isinstance(tolerances, Mapping):

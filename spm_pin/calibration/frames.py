@@ -1,25 +1,31 @@
-"""The frames in which a platform is measured: where a tracker sees {B}, and where its target is on {m}."""
+"""The frames in which a platform is measured: where a tracker sees {B}, and where its target is on the platform.
+
+An IMU and a ruler are a tracker that sees less: its z is the vertical, and its target an IMU and a point of the plate.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.calibration.error_model import error_jacobian
-from spm_pin.machine import Configuration
+from spm_pin.machine.batched import Batched
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.pose import homogeneous
 
 FRAME_PARAMETERS = tuple(f"{frame}.{part}{x}" for frame in ("base", "target") for part in ("", "turn_") for x in "xyz")
-"""Names of the changes of both frames: of {B} in its own axes, of the target in those of {m} [m, rad]."""
+"""Names of the changes of both frames: of {B} in the tracker's axes, of the target in the platform's [m, rad]."""
+_ROUNDS = 10
+"""Times that the vertical and an IMU's mounting are estimated from each other."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """Poses (4, 4) of {B} seen from the tracker, and of the target in {m}; as given both are where they should be."""
+    """Poses (4, 4) of {B} seen from the tracker, and of the target in the platform's frame."""
 
     base: FloatArray
     target: FloatArray
@@ -30,7 +36,7 @@ class Frames:
         return cls(np.eye(4), np.eye(4))
 
     @classmethod
-    def estimated(cls, states: Configuration, measured: FloatArray) -> Frames:
+    def estimated(cls, states: Batched, measured: FloatArray) -> Frames:
         """Return the frames with which poses (N, 4, 4), seen by the tracker, are nearest to states (N,).
 
         The place of the target is searched for, with the base for each that fits all positions best. Where rotations
@@ -51,7 +57,7 @@ class Frames:
             points = poses[:, :3, :3] @ target + poses[:, :3, 3]
             return np.asarray((turn.apply(points) + position - places).ravel())
 
-        size = states.machine.middle_side
+        size: float = states.machine.ball_side
         starts = np.concatenate([np.zeros((1, 3)), size * np.eye(3), -size * np.eye(3)])
         fits = [scipy.optimize.least_squares(errors, x) for x in starts]
         target = min(fits, key=lambda fit: float(fit.cost)).x
@@ -60,32 +66,49 @@ class Frames:
         pairs = (position, turn), (target, ahead.mean())
         return cls(*(RigidTransform.from_components(*pair).as_matrix() for pair in pairs))
 
+    @classmethod
+    def levelled(cls, states: Batched, measured: FloatArray) -> Frames:
+        """Return the frames with which verticals and heights, of poses (N, 4, 4), are nearest to states (N,)."""
+        seen, heights, turn = measured[:, :3, :3], measured[:, 2, 3], Rotation.identity()
+        rotations, up, point = states.rotation, np.array([0.0, 0.0, 1.0]), np.zeros(3)
+        level, tilted = 0.0, states.exists & np.isfinite(seen[:, 0, 0])
+        if tilted.any():
+            for _ in range(_ROUNDS):
+                # The vertical in the IMU's frame is turnᵀ Rᵀ up.
+                turn, _ = Rotation.align_vectors(rotations[tilted].mT @ up, seen[tilted, 2])
+                up = (rotations[tilted] @ turn.apply(seen[tilted, 2])[..., None]).mean(axis=0)[:, 0]
+                up /= np.linalg.norm(up)
+        if (known := states.exists & np.isfinite(heights)).any():
+            places = np.concatenate([up @ rotations[known], np.ones((known.sum(), 1))], axis=-1)
+            *point, level = np.linalg.lstsq(places, heights[known] - states.translation[known] @ up)[0]
+        base = homogeneous(Rotation.align_vectors([0.0, 0.0, 1.0], up)[0].as_matrix(), np.array([0.0, 0.0, level]))
+        return cls(base, homogeneous(turn.as_matrix(), np.array(point)))
+
     def changed(self, by: FloatArray) -> Frames:
         """Return frames changed by `FRAME_PARAMETERS`."""
         shifts, turns = by.reshape(2, 2, 3).swapaxes(0, 1)
         moves = homogeneous(Rotation.from_rotvec(turns).as_matrix(), shifts)
-        target = self.target.copy()
-        target[:3, :3] = moves[1, :3, :3] @ target[:3, :3]
-        target[:3, 3] += moves[1, :3, 3]
-        return Frames(self.base @ moves[0], target)
+        frames = np.stack([self.base, self.target])
+        frames[:, :3, :3] = moves[:, :3, :3] @ frames[:, :3, :3]
+        frames[:, :3, 3] += moves[:, :3, 3]
+        return Frames(*frames)
 
-    def seen(self, states: Configuration) -> FloatArray:
+    def seen(self, states: Batched) -> FloatArray:
         """Return what the tracker sees of the target in states (N,): poses (N, 4, 4)."""
         return np.asarray(self.base @ states.pose.as_matrix() @ self.target)
 
-    def motions(self, states: Configuration, twists: FloatArray) -> FloatArray:
-        """Return what the tracker sees of twists (v, ω) at o in {B}, (N, 6, k) each."""
+    def motions(self, states: Any, twists: FloatArray) -> FloatArray:
+        """Return what the tracker sees of the platform's twists (v, ω) in {B}, (N, 6, k) each."""
         lever = states.rotation @ self.target[:3, 3]
         linear = twists[:, :3] + np.cross(twists[:, 3:], lever[..., None], axis=1)
         return np.concatenate([self.base[:3, :3] @ linear, self.base[:3, :3] @ twists[:, 3:]], axis=1)
 
-    def jacobian(self, states: Configuration) -> FloatArray:
+    def jacobian(self, states: Any) -> FloatArray:
         """Return how what is seen moves per error of the machine's parameters and of the frames, (N, 6, n + 12)."""
-        point = states.rotation @ self.target[:3, 3] + states.translation
+        point = self.base[:3, :3] @ (states.rotation @ self.target[:3, 3] + states.translation)[..., None]
         turns = np.tile(np.eye(3), (len(states), 1, 1))
         frames = np.zeros((len(states), 6, 12))
         frames[:, :3, :3] = frames[:, 3:, 3:6] = turns
-        frames[:, :3, 3:6] = np.cross(turns, point[..., None], axis=1)
-        frames[:, :3, 6:9] = frames[:, 3:, 9:] = states.rotation
-        turned = np.concatenate([self.base[:3, :3] @ frames[:, :3], self.base[:3, :3] @ frames[:, 3:]], axis=1)
-        return np.concatenate([self.motions(states, error_jacobian(states)), turned], axis=-1)
+        frames[:, :3, 3:6] = np.cross(turns, point, axis=1)
+        frames[:, :3, 6:9] = frames[:, 3:, 9:] = self.base[:3, :3] @ states.rotation
+        return np.concatenate([self.motions(states, error_jacobian(states)), frames], axis=-1)

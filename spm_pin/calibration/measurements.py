@@ -1,10 +1,11 @@
-"""Measurements of poses and readings: their file, their uncertainty, and mistakes in them that can be named."""
+"""Measurements and readings: their file, their uncertainty, and mistakes in them that can be named."""
 
 from __future__ import annotations
 
 import itertools
 import warnings
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.calibration.error_model import pose_errors
 from spm_pin.calibration.frames import Frames
+from spm_pin.calibration.observables import POSES, POSITIONS, Inclinations, Observable, poses_and_observable
 from spm_pin.errors import ArgumentError, SingularConfigurationError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
-from spm_pin.machine import LEGS, Configuration, Manipulator, as_rigid_transform
+from spm_pin.machine import LEGS, STAGE_LEGS, Machine, as_rigid_transform
+from spm_pin.machine.batched import Batched
 from spm_pin.machine.machine import unit_hint
 from spm_pin.support.arguments import (
     LARGEST,
@@ -32,15 +35,19 @@ from spm_pin.support.motion_table import POSITION, MotionTable
 from spm_pin.support.pose import homogeneous
 
 _SUSPICIOUS = 0.02
-"""Median error of the positions, in sides of the middle platform, from which on exchanged columns are looked for."""
+"""Median error, in sides of the middle platform, from which on exchanged columns are looked for."""
+_LEVELS = "roll", "pitch", "height"
+"""Columns of what an IMU and a ruler show."""
 _SUBSET = 40
 """Measurements, evenly spread over all, with which exchanged columns are tried."""
+TRACKER_NOISE, LEVEL_NOISE = (1e-5, 1e-5), (5e-4, 2e-3)
+"""Standard deviations of lengths [m] and angles [rad] of a laser tracker, and of a ruler and an IMU."""
 _BETTER = 5.0
-"""How many times smaller that error must become when columns are exchanged."""
+"""Factor by which that error must decrease when columns are exchanged."""
 
 
 class MeasurementError(ArgumentError):
-    """Measurements that do not fit the machine, or do not determine what is asked for.
+    """Measurements that do not fit the machine, or do not determine the requested parameters.
 
     Attributes
     ----------
@@ -65,40 +72,46 @@ class MeasurementError(ArgumentError):
 
 @dataclass(frozen=True)
 class Measurements:
-    """N poses and readings, checked."""
+    """N measurements and readings, checked."""
 
-    poses: FloatArray  # measured poses of the target (N, 4, 4); not turned if only positions were measured
-    readings: FloatArray  # readings of the legs, (N, 6) [m], of RRS legs [rad]
-    components: int  # 6 for poses, 3 for positions alone
+    poses: FloatArray  # measured poses of the target (N, 4, 4); what is not measured of them is arbitrary or NaN
+    readings: FloatArray  # readings of the legs, (N, legs) [m], of RRS legs [rad]
+    observable: Observable  # what is measured of the poses
     frames: Frames  # of the tracker
 
     @classmethod
-    def check(cls, machine: Manipulator, poses: Any, readings: npt.ArrayLike, *, frames: bool) -> Measurements:
+    def check(cls, machine: Machine, poses: Any, readings: npt.ArrayLike, *, frames: bool) -> Measurements:
         """Read the arguments of `identify`, with its errors; `frames` says that those of the tracker are unknown."""
-        array = as_array(poses) if not isinstance(poses, RigidTransform) else None
-        if array is not None and array.shape[-1:] == (3,):
-            position = real_array(poses, "poses", (3,), "positions of o in {B} in metres")
-            matrix, components = homogeneous(np.eye(3), position), 3
+        array = as_array(poses) if not isinstance(poses, RigidTransform | Inclinations) else None
+        if isinstance(poses, Inclinations):
+            matrix, observable = poses_and_observable(poses)
+        elif array is not None and array.shape[-1:] == (3,):
+            position = real_array(poses, "poses", (3,), "positions of the platform's origin in {B} in metres")
+            matrix, observable = homogeneous(np.eye(3), position), POSITIONS
         else:
-            matrix, components = as_rigid_transform(poses, "poses").as_matrix(), 6
-        read = real_array(readings, "readings", (6,), f"readings of {', '.join(LEGS)} in {machine.legs.unit_text()}")
-        if matrix.ndim != 3 or read.shape != (len(matrix), 6):
-            expected = f"one row of six readings for each of N poses, whose shape is {matrix.shape[:-2]}"
+            matrix, observable = as_rigid_transform(poses, "poses").as_matrix(), POSES
+        names = machine.legs.names
+        shape, meaning = (len(names),), f"readings of {', '.join(names)} in {machine.legs.unit_text()}"
+        read = real_array(readings, "readings", shape, meaning)
+        if matrix.ndim != 3 or read.shape != (len(matrix), *shape):
+            expected = f"one row of {len(names)} readings for each of N poses, whose shape is {matrix.shape[:-2]}"
             raise ArgumentError("readings", expected, f"shape {read.shape}")
-        measured = cls(matrix, read, components, Frames.as_defined())
+        measured = cls(matrix, read, observable, Frames.as_defined())
         if not len(matrix):
             return measured
-        for name, values in (("readings", read * (np.array(machine.legs.units) == "m")), ("poses", measured.position)):
-            sizes = np.median(np.abs(values), axis=0)
+        place = measured.position[np.isfinite(measured.position).all(axis=-1)]
+        for name, values in (("readings", read * (np.array(machine.legs.units) == "m")), ("poses", place)):
+            sizes = np.median(np.abs(values), axis=0) if len(values) else np.zeros(3)
             hint = unit_hint(machine, sizes.max())
             if hint:
-                column = (LEGS if name == "readings" else POSITION)[int(sizes.argmax())]
+                column = (names if name == "readings" else POSITION)[int(sizes.argmax())]
                 raise MeasurementError(name, "lengths in metres", f"values of {sizes.max():g} for {column}", hint)
         if frames:
             return measured._in_frames(machine)
-        # Exchanged legs may explain positions as well as a mirrored axis does; only rotations tell the two apart.
+        # Exchanged legs may explain positions as well as a mirrored axis does; only rotations tell the two apart. Of an
+        # IMU a wrong sign is more likely than exchanged legs.
         checks = [measured._check_columns, measured._check_axes]
-        for check in checks if components == 3 else checks[::-1]:
+        for check in checks if observable == POSITIONS else checks[::-1]:
             check(machine)
         measured._check_rows(machine)
         return measured
@@ -108,40 +121,63 @@ class Measurements:
         """Measured positions (N, 3) [m]."""
         return self.poses[:, :3, 3]
 
-    def states(self, machine: Manipulator) -> Configuration:
+    @cached_property
+    def present(self) -> BoolArray:
+        """Which components of which rows were measured, (N, n)."""
+        return ~np.isnan(self.observable.errors(np.tile(np.eye(4), (len(self.poses), 1, 1)), self.poses))
+
+    def states(self, machine: Any) -> Batched:
         """Return the states (N,) of a machine with the readings; absent where it has none."""
         impossible = np.any(self._impossible(machine), axis=-1)
         possible = np.where(impossible[:, None], machine.legs.offsets + 1.0, self.readings)
-        return forward_physical(machine, possible).transformed(
+        states: Batched = forward_physical(machine, possible).transformed(
             lambda array, inner: np.where(impossible.reshape(-1, *[1] * inner), np.nan, array)
         )
+        return states
 
-    def _impossible(self, machine: Manipulator) -> BoolArray:
-        """Return which readings (N, 6) their legs cannot have, because the ball's circle would have no radius."""
+    def _impossible(self, machine: Machine) -> BoolArray:
+        """Return which readings (N, legs) their legs cannot have, because the ball's circle would have no radius."""
         return np.asarray(machine.legs.circles(self.readings)[1] <= 0.0)
 
-    def errors(self, machine: Manipulator, frames: Frames | None = None) -> FloatArray:
-        """Return the predicted less the measured poses (N, components) [m, rad]; NaN where there is no state."""
-        seen = (frames or self.frames).seen(self.states(machine))
-        return pose_errors(seen, self.poses)[:, : self.components]
+    def errors(self, machine: Machine, frames: Frames | None = None) -> FloatArray:
+        """Return the predicted less the measured components (N, n) [m, rad]; NaN where there is no state.
 
-    def _in_frames(self, machine: Manipulator) -> Measurements:
+        They are zero where nothing was measured.
+        """
+        seen = (frames or self.frames).seen(self.states(machine))
+        return np.where(self.present, self.observable.errors(seen, self.poses), 0.0)
+
+    def slopes(self, machine: Machine, frames: Frames) -> FloatArray:
+        """Return the derivatives of `errors` by errors of parameters and frames (N, n, p), zero without a state."""
+        states = self.states(machine)
+        slopes = self.observable.slopes(frames.seen(states), self.poses, frames.jacobian(states))
+        return np.nan_to_num(np.where(self.present[..., None], slopes, 0.0))
+
+    def _in_frames(self, machine: Machine) -> Measurements:
         """Return the same with the frames with which they are nearest to the states of a machine."""
         states = self.states(machine)
         self._check_states(machine, states.exists)
-        return replace(self, frames=Frames.estimated(states, self.poses))
+        estimated = Frames.levelled if self.observable.is_levelled else Frames.estimated
+        return replace(self, frames=estimated(states, self.poses))
 
-    def are_in_other_frames(self, machine: Manipulator) -> bool:
-        """Return whether frames of a tracker explain the positions much better than those given."""
-        size, exists = _median_size(self.errors(machine)[:, :3]), self.states(machine).exists
-        if not (exists.all() and size > _SUSPICIOUS * machine.middle_side):
+    def are_in_other_frames(self, machine: Machine) -> bool:
+        """Return whether frames of a tracker explain the measurements much better than those given."""
+        size, exists = self._typical_error(machine), self.states(machine).exists
+        if not (exists.all() and size > _SUSPICIOUS * machine.ball_side):
             return False
-        return size > _BETTER * _median_size(self._in_frames(machine).errors(machine)[:, :3])
+        return size > _BETTER * self._in_frames(machine)._typical_error(machine)
 
-    def _check_rows(self, machine: Manipulator) -> None:
+    def _typical_error(self, machine: Machine, predicted: FloatArray | None = None) -> float:
+        """Return the median size of the errors of a machine, or of predicted poses (N, 4, 4) [m]; infinite for none."""
+        if predicted is None:
+            predicted = self.frames.seen(self.states(machine))
+        errors = np.where(self.present, self.observable.errors(predicted, self.poses), 0.0)
+        return float(np.median(np.nan_to_num(self.observable.sizes(errors, machine.ball_side), nan=np.inf)))
+
+    def _check_rows(self, machine: Machine) -> None:
         """Raise if transposed rotations, or readings of other rows, explain the poses much better."""
         predicted = self.states(machine).pose.as_matrix()
-        if self.components == 6:
+        if self.observable == POSES:
             rotation = self.poses[:, :3, :3]
             scalar_first = np.roll(Rotation.from_matrix(rotation).as_quat(), -1, axis=-1)
             rotations = {
@@ -157,48 +193,52 @@ class Measurements:
             _refuse_if_better("poses", "rotations from {m} to {B}", turns, _SUSPICIOUS, "mrad")
         shifts = [0, *(shift for k in range(1, len(self.position) // 2 + 1) for shift in (k, -k))]
         sizes = {
-            (f"readings shifted by {shift} rows", "Shifted"): _median_size(
-                predicted[:, :3, 3] - np.roll(self.position, shift, axis=0)
-            )
+            (f"readings shifted by {shift} rows", "Shifted"): replace(
+                self, poses=np.roll(self.poses, shift, axis=0)
+            )._typical_error(machine, predicted)
             for shift in shifts
         }
-        _refuse_if_better("poses", "poses in the order of the readings", sizes, _SUSPICIOUS * machine.middle_side)
+        _refuse_if_better("poses", "poses in the order of the readings", sizes, _SUSPICIOUS * machine.ball_side)
 
-    def _check_axes(self, machine: Manipulator) -> None:
-        """Raise if coordinates that are exchanged or negated explain the positions much better."""
-        errors = np.nan_to_num(self.errors(machine), nan=np.inf)
-        turned = self.components == 6 and _median_size(errors[:, 3:]) > _SUSPICIOUS
-        if turned or not np.isfinite(_median_size(errors[:, :3])):
+    def _check_axes(self, machine: Machine) -> None:
+        """Raise if coordinates that are exchanged or negated explain the measurements much better."""
+        predicted = self.states(machine).pose.as_matrix()
+        if self.observable == POSES:
+            turns = pose_errors(predicted, self.poses)[:, 3:]
+            if _median_size(np.nan_to_num(turns, nan=np.inf)) > _SUSPICIOUS:
+                return
+        if not np.isfinite(self._typical_error(machine, predicted)):
             return
-        predicted, sizes = errors[:, :3] + self.position, {}
-        for order, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1, -1), repeat=3)):
-            meant = ", ".join(f"{'-' * (sign < 0)}{POSITION[k]}" for k, sign in zip(order, signs, strict=True))
-            size = _median_size(predicted - self.position[:, order] * signs)
-            sizes["positions along other axes", f"As {meant}"] = size
-        _refuse_if_better("poses", "positions x, y, z of o in {B}", sizes, _SUSPICIOUS * machine.middle_side)
+        what = "roll and pitch" if self.observable.is_levelled else "positions"
+        sizes = {
+            (f"{what} along other axes", f"As {meant}"): replace(self, poses=poses)._typical_error(machine, predicted)
+            for meant, poses in self.observable.other_axes(self.poses)
+        }
+        expected = f"{what}{'' if self.observable.is_levelled else ' x, y, z'} of the platform in {{B}}"
+        _refuse_if_better("poses", expected, sizes, _SUSPICIOUS * machine.ball_side)
 
-    def _check_columns(self, machine: Manipulator) -> None:
-        """Raise if there is no state, or if exchanged columns explain the positions much better."""
+    def _check_columns(self, machine: Machine) -> None:
+        """Raise if there is no state, or if exchanged columns explain the measurements much better."""
+        names = machine.legs.names
         if (impossible := self._impossible(machine)).any():
             row, leg = first_offender(impossible)
-            received = f"{self.readings[row, leg]:g} for {LEGS[leg]} in row {row}"
+            received = f"{self.readings[row, leg]:g} for {names[leg]} in row {row}"
             raise MeasurementError("readings", "readings that exceed the offsets", received, rows=(row,))
-        errors = self.errors(machine)
-        typical = _median_size(np.nan_to_num(errors[:, :3], nan=np.inf))
-        if typical > _SUSPICIOUS * machine.middle_side:
+        typical = self._typical_error(machine)
+        if typical > _SUSPICIOUS * machine.ball_side:
             sizes = {("", ""): typical}
-            some = slice(None, None, -(-len(errors) // _SUBSET))
-            for order in itertools.permutations(range(6)):
-                swapped = replace(self, poses=self.poses[some], readings=self.readings[some][:, order], components=3)
-                wrong = [f"{LEGS[i]} holds {LEGS[order.index(i)]}" for i in range(6) if order[i] != i]
+            some = slice(None, None, -(-len(self.poses) // _SUBSET))
+            for order in itertools.permutations(range(len(names))):
+                swapped = replace(self, poses=self.poses[some], readings=self.readings[some][:, order])
+                wrong = [f"{x} holds {names[order.index(i)]}" for i, x in enumerate(names) if order[i] != i]
                 if wrong:
                     with np.errstate(invalid="ignore"):
-                        size = _median_size(np.nan_to_num(swapped.errors(machine), nan=np.inf))
+                        size = swapped._typical_error(machine)
                     sizes[f"columns in another order: {', '.join(wrong)}", "In that order"] = size
-            _refuse_if_better("readings", f"readings in the order {', '.join(LEGS)}", sizes, 0.0)
-        self._check_states(machine, np.asarray(~np.isnan(errors).any(axis=-1)))
+            _refuse_if_better("readings", f"readings in the order {', '.join(names)}", sizes, 0.0)
+        self._check_states(machine, self.states(machine).exists)
 
-    def _check_states(self, machine: Manipulator, exists: BoolArray) -> None:
+    def _check_states(self, machine: Machine, exists: BoolArray) -> None:
         """Raise at the first row whose readings the machine cannot have."""
         if not exists.all():
             row = int(exists.argmin())
@@ -223,17 +263,21 @@ def _refuse_if_better(
         raise MeasurementError(argument, expected, received, cause)
 
 
-def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int) -> FloatArray:
+def covariances(
+    noise: npt.ArrayLike, argument: str, components: int, count: int, lengths: int | None = None
+) -> FloatArray:
     """Read standard deviations or covariances of measurements with this many components, as (count, n, n).
 
-    A pair for poses, one number for positions or readings, n numbers, or a covariance (n, n) or (count, n, n).
+    One number, a pair for components that are `lengths` and for the others, n numbers, or a covariance (n, n) or
+    (count, n, n).
     """
     array = real_array(noise, argument, (), "standard deviations in metres and radians, or covariances")
     if (np.abs(array) > LARGEST).any() or (array.ndim < 2 and (array <= 0.0).any()):
         expected = "positive standard deviations, or covariances, in metres and radians"
         raise ArgumentError(argument, expected, f"{array.ravel()[0]:g}")
-    if array.shape == () or (array.shape == (2,) and argument == "pose_noise"):
-        array = np.repeat(np.broadcast_to(array, 2), 3)[:components]
+    if array.shape == () or (array.shape == (2,) and lengths is not None):
+        first = components if lengths is None else lengths
+        array = np.repeat(np.broadcast_to(array, 2), [first, components - first])
     if array.shape == (components,):
         array = np.diag(array**2)
     if array.shape not in ((components, components), (count, components, components)):
@@ -243,36 +287,58 @@ def covariances(noise: npt.ArrayLike, argument: str, components: int, count: int
     return np.broadcast_to(array, (count, components, components))
 
 
-def pose_covariances(
-    states: Configuration, frames: Frames, components: int, pose_noise: npt.ArrayLike, reading_noise: npt.ArrayLike
+def total_covariances(
+    states: Any,
+    frames: Frames,
+    observable: Observable,
+    measured: FloatArray,
+    pose_noise: npt.ArrayLike | None,
+    reading_noise: npt.ArrayLike,
 ) -> FloatArray:
-    """Return covariances (N, n, n) of measured less predicted poses: errors of readings as the poses they cause."""
-    slopes = frames.motions(states, platform_jacobian(states))[:, :components]
-    lost = np.isnan(slopes).any(axis=(-1, -2)) & states.exists
+    """Return covariances (N, n, n) of measured less predicted poses: errors of readings as the poses they cause.
+
+    The identity in components that were not measured, NaN in poses (N, 4, 4).
+    """
+    jacobian, legs = platform_jacobian(states), len(states.machine.legs.names)
+    lost = np.isnan(jacobian).any(axis=(-1, -2)) & states.exists
     if lost.any():
         raise SingularConfigurationError("forward", 0.0, first_offender(lost))
-    poses = covariances(pose_noise, "pose_noise", components, len(states))
-    return poses + slopes @ covariances(reading_noise, "reading_noise", 6, len(states)) @ slopes.mT
+    if pose_noise is None:
+        pose_noise = LEVEL_NOISE if observable.is_levelled else TRACKER_NOISE
+    count = len(observable.components)
+    poses = covariances(pose_noise, "pose_noise", count, len(states), observable.lengths)
+    slopes = observable.slopes(frames.seen(states), measured, frames.motions(states, jacobian))
+    total = poses + slopes @ covariances(reading_noise, "reading_noise", legs, len(states)) @ slopes.mT
+    return np.where(np.isnan(total) & states.exists[:, None, None], np.eye(count), total)
 
 
 @raised_as(MeasurementError)
 def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     """Read a CSV file of measurements.
 
-    The heading names the columns, in any order: x, y, z, the position of o in {B} [m]; qx, qy, qz, qw, if measured, the
-    rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m], of RRS legs [rad]. A
-    warning lists other columns, which are not used. A `MeasurementError` names the line and column of what cannot be
-    read.
+    The heading names the columns, in any order: x, y, z, the position of the platform in {B} [m]; qx, qy, qz, qw, if
+    measured, its rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m], of RRS
+    legs [rad], or r_1 to r_3 of a stage. Instead of a position roll and pitch [rad], height [m], or all three, as
+    `Inclinations` takes them; cells may be empty there. A warning lists other columns, which are not used. A
+    `MeasurementError` names the line and column of what cannot be read.
 
     Returns
     -------
-    poses : RigidTransform, shape (N,), or ndarray, shape (N, 3)
-        Poses, or positions if there is no quaternion.
-    readings : ndarray, shape (N, 6)
+    poses : RigidTransform, shape (N,), ndarray, shape (N, 3), or Inclinations
+        Poses, or positions if there is no quaternion; or what an IMU and a ruler show.
+    readings : ndarray, shape (N, legs)
         Readings of the legs [m, rad].
     """
     table = MotionTable(path)
-    readings, poses = table.columns([*POSITION, *LEGS])[:, 3:], table.poses()
+    legs = STAGE_LEGS if table.has(STAGE_LEGS) else LEGS
+    poses: Any
+    if table.has(_LEVELS) and not table.has(POSITION):
+        names = [name for name in _LEVELS if table.has([name])]
+        readings, columns = table.columns(legs), table.columns(names, missing=True).T
+        with raised_as(MeasurementError, file=str(table.path)):
+            poses = Inclinations(**dict(zip(names, columns, strict=True)))
+    else:
+        readings, poses = table.columns([*POSITION, *legs])[:, 3:], table.poses()
     if table.unused:
         warnings.warn(f"{table.path}: columns that are not used: {', '.join(table.unused)}", stacklevel=3)
     return poses, readings

@@ -13,19 +13,19 @@ from spm_pin.calibration.error_model import error_jacobian, pose_errors, prior_d
 from spm_pin.calibration.identification import given_or_drawn
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.machine import Configuration, Manipulator
-from spm_pin.support import notebook
-from spm_pin.support.arguments import FloatArray, check_instance, choice, generator, real_number, whole_number
+from spm_pin.machine import Configuration, Machine, StageConfiguration
+from spm_pin.machine.machine import check_machine
+from spm_pin.support.arguments import FloatArray, choice, generator, real_number, whole_number
 
 
 @dataclass(frozen=True, repr=False)
 class ToleranceAnalysis:
     """Errors of the platform of machines whose dimensions are normally distributed, at N states."""
 
-    states: Configuration
+    states: Configuration | StageConfiguration
     """The states of the machine without errors, shape (N,)."""
     deviations: FloatArray
-    """Standard deviations of the parameters [m, rad], `Manipulator.parameter_names`, shape (n,)."""
+    """Standard deviations of the parameters [m, rad], `Machine.parameter_names`, shape (n,)."""
     covariance: FloatArray
     """Covariance of the platform's error (displacement, rotation vector) [m, rad] in {B}, to first order, shape
     (N, 6, 6)."""
@@ -40,10 +40,6 @@ class ToleranceAnalysis:
             f"<ToleranceAnalysis: {1e3 * position:.3g} mm and {1e3 * angle:.3g} mrad RMS, {len(self.samples)} samples>"
         )
 
-    def _repr_html_(self) -> str:
-        rows = [(name, f"{share:.1%}") for name, share in self.ranking("component")]
-        return notebook.table(repr(self), ("component", "share of the variance of the position"), rows)
-
     @property
     def rms(self) -> tuple[float, float]:
         """Root mean squares of the displacement [m] and of the rotation angle [rad], to first order."""
@@ -53,7 +49,7 @@ class ToleranceAnalysis:
 
     @property
     def sampled_rms(self) -> tuple[float, float]:
-        """Root mean squares of displacement [m] and angle [rad] of the samples, NaN if there are none."""
+        """Root mean squares of displacement [m] and angle [rad] of the samples, NaN if missing."""
         if not len(self.samples):
             return float("nan"), float("nan")
         position, angle = np.sqrt(np.nanmean((self.samples.reshape(-1, 2, 3) ** 2).sum(axis=-1), axis=0))
@@ -80,9 +76,9 @@ class ToleranceAnalysis:
 
 
 def tolerance(
-    machine: Manipulator,
+    machine: Machine,
     tolerances: Mapping[str, float] | npt.ArrayLike,
-    states: Configuration | int = 60,
+    states: Configuration | StageConfiguration | int = 60,
     *,
     samples: int = 200,
     rng: Any = None,
@@ -91,13 +87,13 @@ def tolerance(
 
     Parameters
     ----------
-    machine : Manipulator
+    machine : Manipulator or Stage
         The machine whose readings are commanded.
     tolerances : mapping of str to float, or array_like, shape (n,)
-        Standard deviations [m, rad]: of each of `Manipulator.parameter_names`, or under names of parameters, components
+        Standard deviations [m, rad]: of each of `Machine.parameter_names`, or under names of parameters, components
         such as "pivot_x", kinds ("direction", "pivot", "ball", "offset", and "rod", "crank" of legs that have them) or
         legs; a later name replaces an earlier one, what is not named has no error.
-    states : Configuration or int
+    states : Configuration, StageConfiguration or int
         Where: states of shape (N,), or the number of states to draw uniformly within the leg limits.
     samples : int
         Random machines for the Monte Carlo analysis; 0 for none.
@@ -112,7 +108,7 @@ def tolerance(
     >>> [f"{name} {share:.0%}" for name, share in analysis.ranking("kind")]
     ['ball 33%', 'pivot 33%', 'offset 31%', 'direction 4%']
     """
-    machine, random = check_instance(machine, Manipulator, "machine"), generator(rng)
+    machine, random = check_machine(machine), generator(rng)
     deviations = prior_deviations(machine, tolerances)
     samples = whole_number(samples, "samples", least=0, most=10**6)
     places = given_or_drawn(machine, states, "states", random)
@@ -122,7 +118,7 @@ def tolerance(
     variances = (scaled[:, :3] ** 2).sum(axis=1).mean(axis=0)
     errors = np.empty((samples, len(places), 6))
     for sample in range(samples):
-        built = machine.from_parameters(machine.parameters + deviations * random.standard_normal(len(deviations)))
+        built: Any = machine.from_parameters(machine.parameters + deviations * random.standard_normal(len(deviations)))
         states_of_built = forward_physical(built, places.readings)
         errors[sample] = pose_errors(states_of_built.pose.as_matrix(), places.pose.as_matrix())
     return ToleranceAnalysis(

@@ -1,12 +1,12 @@
 """The kinematics as CasADi functions, for optimisation and optimal control, with derivatives of any order.
 
-Arguments of all: `machine` is the machine that is built in, drawn or as built, of legs of any kind; None is the
-paper's machine, and `"symbolic"` a drawn one of RPS legs whose `dimensions` (3,) = E, C, d [m] are one more input. With
-`parameters` the parameters of the legs, see `spm_pin.Manipulator.parameters`, are one more input instead, and `machine`
-is the drawing. Readings are in metres, of RRS legs in radians; so are rates, and forces are then torques [N m].
+Common arguments: `machine` is the machine that is built in, nominal or calibrated, with legs of any kind. None is the
+paper's machine. `"symbolic"` is a nominal one with RPS legs whose `dimensions` (3,) = E, C, d [m] are one more input.
+With `parameters`, the legs' parameters, see `spm_pin.Manipulator.parameters`, are one more input, and `machine` is
+nominal. Readings are in metres, for RRS legs in radians; so are rates, and forces are then torques [N m].
 
 Functions of a state have the inputs `joints` (3, 3), rows b_i in {B} [m], `rotation` (3, 3) from {m} to {B} and
-`position` (3,) of o in {B} [m], and then what they say.
+`position` (3,) of o in {B} [m], and further inputs stated there.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Dimensions = Manipulator | Literal["symbolic"] | None
 _LEG_NAMES = ("b1", "b2", "b3", "c1", "c2", "c3")
 _NEWTON_STEPS = 14
 _LONGEST_STEP = 0.3
-"""Of a step of Newton's method, in units of d."""
+"""Largest step of Newton's method, in units of d."""
 
 
 def inverse_physical(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
@@ -52,21 +52,21 @@ def inverse_physical(machine: Dimensions = None, *, parameters: bool = False) ->
     -------
     casadi.Function
         Inputs: `rotation` and `position`. Outputs: `readings` (6,) of the encoders; `joints`; `discriminant` (1,),
-        dimensionless, not negative where the branches TT of the drawn machine are real; and `exists` (1,), 1 where the
-        physical branch does and 0 where not.
+        dimensionless, not negative where the branches TT of the nominal machine are real; and `exists` (1,), 1 if the
+        physical branch exists, otherwise 0.
 
     Notes
     -----
-    The leg limits of `machine` decide between two physical branches, as in `spm_pin.inverse_physical`. Where none is
-    physical the other outputs go on smoothly: they are those of the branch whose stages are tilted less. A negative
-    `discriminant` is taken for zero, and so is what a rod is too short by, so readings are those of a machine that does
-    not close, and their derivatives finite: constrain the first to be positive. At a level platform they are finite and
-    mean nothing; `exists` is 0. Of a drawn machine nothing is NaN for finite arguments. One as built is solved by
-    Newton's method from the branches TT of the drawing, and then by `casadi.rootfinder`, through which CasADi
+    The leg limits of `machine` decide between two physical branches, as in `spm_pin.inverse_physical`. If none is
+    physical the other outputs are continued smoothly: they are those of the branch with less tilted stages. A negative
+    `discriminant`, and the missing length of a rod, are replaced by zero, so that readings are those of a machine that
+    does not close, and derivatives are finite: constrain `discriminant` to be positive. For a level platform outputs
+    are arbitrary and finite, and `exists` is 0. Outputs of a nominal machine are never NaN for finite inputs. A
+    calibrated one is solved by Newton's method from the nominal branches TT, then by `casadi.rootfinder`, which CasADi
     differentiates implicitly.
 
-    `exists` is 0 as well for what is no pose, an entry of RᵀR - I being above 1e-6, and for dimensions not within 1e-9
-    to 1e9 m. A rotation is not repaired: up to there its error is one of the other outputs too.
+    `exists` is also 0 for an invalid pose, with an entry of RᵀR - I above 1e-6, and for dimensions not within 1e-9
+    to 1e9 m. A rotation is not repaired: below that bound its error is also one of the other outputs.
     """
     symbolic, rotation, position = MachineInCasadi(machine, parameters), *_pose()
     if not symbolic.is_drawn:
@@ -86,7 +86,7 @@ def inverse_physical(machine: Dimensions = None, *, parameters: bool = False) ->
 
 
 def inverse_branch(branch: str, machine: Dimensions = None) -> ca.Function:
-    """Make the inverse displacement of a drawn machine in one branch.
+    """Make the inverse displacement of a nominal machine in one branch.
 
     Parameters
     ----------
@@ -102,13 +102,13 @@ def inverse_branch(branch: str, machine: Dimensions = None) -> ca.Function:
     Raises
     ------
     ArgumentError
-        If there is no such branch, or `machine` is a machine as built.
+        If there is no such branch, or `machine` is a calibrated machine.
     """
     choice(branch, "branch", BRANCHES)
     symbolic, rotation, position = MachineInCasadi(machine), *_pose()
     if not symbolic.is_drawn:
-        cause = "The eight roots of a machine as built have no closed form; inverse_physical takes it"
-        raise ArgumentError("machine", "a machine as drawn", "one as built", cause)
+        cause = "The eight roots of a calibrated machine have no closed form; inverse_physical takes it"
+        raise ArgumentError("machine", "a nominal machine", "a calibrated one", cause)
     drawn, family = Drawn(symbolic, rotation, position), branch[:2]
     joints = drawn.branch(family, 1.0 if branch[2] == "+" else -1.0)
     state = StateInCasadi(symbolic, joints, rotation, position)
@@ -417,9 +417,9 @@ def frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
 
 
 def drawn_starts(machine: MachineInCasadi, drawn: Drawn) -> list[Any]:
-    """Return where Newton's method starts: at TT+ and TT- of the drawing, and at both with larger discriminants.
+    """Return the starts of Newton's method: TT+ and TT- of the nominal machine, and both with larger discriminants.
 
-    Beside a fold of the drawing the branches of a machine as built are elsewhere, or real where those are not.
+    Close to a nominal fold the branches of a calibrated machine are elsewhere, or real where nominal ones are not.
     """
     joints = [drawn.branch("TT", sign, least) for least in (0.0, 1e-3, 1e-1) for sign in (1.0, -1.0)]
     return [ca.vertcat(*(machine.planes[i].coordinates(b[i, :].T) for i in range(3))) for b in joints]
@@ -441,7 +441,7 @@ def within_limits(machine: MachineInCasadi, readings: Any) -> list[Any]:
 
 
 def _as_built_inverse(machine: MachineInCasadi, rotation: Any, position: Any) -> ca.Function:
-    """Make `inverse_physical` of a machine as built, by Newton's method from the branches TT of the drawing."""
+    """Make `inverse_physical` of a calibrated machine, by Newton's method from the nominal branches TT."""
     drawn, unknowns = Drawn(machine, rotation, position), ca.SX.sym("unknowns", 6)
     starts = drawn_starts(machine, drawn)
     error = closure_equations(machine, unknowns, rotation, position)

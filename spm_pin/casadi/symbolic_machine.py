@@ -39,7 +39,7 @@ from spm_pin.support.pose import ORTHONORMALITY_TOLERANCE
 FLOOR = 1e-40
 """Least radicand of a square root: its root is far below rounding, and its powers in derivatives are finite."""
 FIELDS = {"dimensions": 3, "axes": 18, "pivots": 18, "balls": 18, "offsets": 6, "minimum": 6, "maximum": 6}
-"""How many numbers describe a machine of RPS legs: E, C, d, the six legs and the limits of their readings."""
+"""Number of parameters of a machine with RPS legs: E, C, d, the six legs and the limits of their readings."""
 
 
 def sqrt(x: Any) -> Any:
@@ -48,7 +48,7 @@ def sqrt(x: Any) -> Any:
 
 
 def _arctan2(y: Any, x: Any) -> Any:
-    """Return the angle of a vector, zero of that of no length, where derivatives are finite too."""
+    """Return the angle of a vector; zero for a zero vector, where derivatives are finite too."""
     return ca.atan2(y, ca.if_else(x * x + y * y > 0.0, x, 1.0))
 
 
@@ -175,7 +175,7 @@ class MachineInCasadi:
         return symbolic
 
     def drawing(self) -> MachineInCasadi:
-        """Return a machine whose axes, pivots and balls are those of the drawing, and all else this one's."""
+        """Return a machine whose axes, pivots and balls are nominal, and all else this one's."""
         drawn = copy(self)
         drawn.is_drawn = True
         drawn._draw(self.base, self.platform, self.side)
@@ -260,6 +260,16 @@ class MachineInCasadi:
         place = in_casadi(planar_legs.place_in_plane)(parts(ball), self._own_planes[leg])
         return getattr(self.formulas[leg // 3], name)(*place, *further, self.numbers[leg])
 
+    @property
+    def middles(self) -> list[Any]:
+        """Angles to which readings of cranks, without offsets, are nearest; see `planar_legs.crank_middle`."""
+        ends = zip(*map(ca.vertsplit, (self.minimum, self.maximum, self.offsets)), strict=True)
+        return [in_casadi(planar_legs.crank_middle)(*leg) for leg in ends]
+
+    def reading(self, leg: int, ball: Any) -> Any:
+        """Return the reading of a leg, without its offset, whose ball is there in {B} or {m}."""
+        return self.of_ball("reading", leg, ball, self.middles[leg])
+
     def are_readings(self, own: Sequence[Any]) -> list[Any]:
         """Return where readings of the first legs, without offsets, are finite, and those of cranks within a turn."""
         most = (MOST_TURNED if self.kinds[leg // 3].unit == "rad" else np.inf for leg in range(len(own)))
@@ -282,12 +292,14 @@ class MachineInCasadi:
     def leg_frames(self, stage: int, own_axes: Any) -> Sequence[joint_values.LegFrame]:
         """Return the constants of a stage's legs; `own_axes` are the axes of the lower balls' triangle in {n}."""
         legs, radius = slice(3 * stage, 3 * stage + 3), (self.base, self.platform)[stage]
-        limits = ca.mmax(self.minimum[legs]), ca.mmin(self.maximum[legs])
+        limits, middles = (ca.mmax(self.minimum[legs]), ca.mmin(self.maximum[legs])), parts(self.middles[legs])
         numbers = drawn_numbers(self.numbers[legs], len(self.kinds[stage].identified)), self.numbers[legs]
         placed = leg_planes.StageLegs(rows(self.axes[legs]), rows(self.pivots[legs]))
         triangles, up = (radius, self.r), (1.0, -1.0)[stage]
         formula, kind = in_casadi(joint_values.stage_frames), self.formulas[stage]
-        frames: Sequence[joint_values.LegFrame] = formula(placed, own_axes, triangles, limits, numbers, up, kind)
+        frames: Sequence[joint_values.LegFrame] = formula(
+            placed, own_axes, triangles, limits, middles, numbers, up, kind
+        )
         return frames
 
 
@@ -312,7 +324,7 @@ class StateInCasadi:
         self.bases = self._in_base(machine.pivots)
         self.axes = [*machine.axes[:3], *(rotation @ a for a in machine.axes[3:])]
         self._own = [x for stage in self.own_balls() for x in stage]
-        own = [machine.of_ball("reading", leg, ball) for leg, ball in enumerate(self._own)]
+        own = [machine.reading(leg, ball) for leg, ball in enumerate(self._own)]
         self.readings, self.slopes = ca.vertcat(*own) + machine.offsets, self.slopes_at(own)
         centres = self._in_base([machine.circle(leg, reading)[0] for leg, reading in enumerate(own)])
         self.vectors = [self.balls[i] - centres[i] for i in range(3)]
@@ -370,7 +382,7 @@ class StateInCasadi:
 
 
 class Drawn:
-    """The closed form of the drawn machine at a pose."""
+    """The closed form of the nominal machine at a pose."""
 
     def __init__(self, machine: MachineInCasadi, rotation: Any, position: Any) -> None:
         rows = [parts(rotation[i, :]) for i in range(3)]

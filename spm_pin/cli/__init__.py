@@ -1,4 +1,4 @@
-"""The command `spm-pin`: its subcommands by subject, options and outputs that they share."""
+"""The command `spm-pin`: its subcommands by subject, and their common options and outputs."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from types import FrameType
 
 
 def main() -> None:
-    """Run the command line and exit with its code: 130 after Ctrl-C at any moment, also while modules are imported."""
+    """Run the command line and exit with its code: 130 after Ctrl-C at any moment, also during imports."""
     if not os.environ.get("COLUMNS", "").strip("0"):
-        os.environ.pop("COLUMNS", None)  # an unknown width; Rich would print nothing
+        os.environ.pop("COLUMNS", None)  # an unknown width, with which Rich would print nothing
     interrupted, report_unraisable = False, sys.unraisablehook
 
     def interrupt(*_: object) -> None:
-        # Libraries in C swallow the exception at times: what counts is that the signal came.
+        # Libraries in C sometimes swallow the exception; the arrival of the signal decides.
         nonlocal interrupted
         interrupted = True
         raise KeyboardInterrupt
 
     def interrupt_again(unraisable: sys.UnraisableHookArgs) -> None:
-        # Raised while a compiler called Python back, the exception goes no further: raise it a little later.
+        # An exception raised while a compiler calls Python is lost: raise it a little later.
         if isinstance(unraisable.exc_value, KeyboardInterrupt):
             main_thread = threading.main_thread().ident or 0
             threading.Timer(0.05, signal.pthread_kill, (main_thread, signal.SIGINT)).start()
@@ -32,7 +32,7 @@ def main() -> None:
     def quit_now(signum: int, frame: FrameType | None) -> None:
         os._exit(130)
 
-    # A shell that starts a command in the background has Ctrl-C ignored; it stays so.
+    # A shell that starts a command in the background ignores Ctrl-C; keep that.
     handles_interrupts = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     code: str | int | None = 0
     try:

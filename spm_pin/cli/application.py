@@ -1,4 +1,4 @@
-"""The command `spm-pin`: its subcommands, its exit codes, and how errors are shown."""
+"""The command `spm-pin`: its subcommands, exit codes, and the display of errors."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from spm_pin.cli import outputs
 from spm_pin.errors import SpmError, UnreachableError
 
 EXIT_CODES = (
-    "Exit codes: 0 done. 1 a comparison or a proof failed: methods disagree, a printed number is unexplained, leg "
-    "limits hold a singularity, measurements fit no machine or are in another unit. 2 the command cannot be carried "
-    "out as typed: an option, a file, a missing extra. 3 unreachable: no real solution, no path, in move an end beyond "
-    "the limits, in design no machine within the bounds. 4 degenerate: a continuous family of solutions; isolated "
-    "solutions beside it are shown. 5 beyond the limits: solutions are shown, none of which is physical and within the "
-    "leg limits. 70 a defect of spm-pin. 74 input or output failed: a full device, a pipe that its reader closed. 130 "
-    "Ctrl-C, which ends every command, also view; crosscheck reports the poses done, and sweep and design go on when "
+    "Exit codes: 0 success. 1 a comparison or a proof failed: methods disagree, a printed number is unexplained, there "
+    "is a singularity within leg limits, measurements fit no machine or are in another unit. 2 the command is not "
+    "valid as typed: an option, a file, a missing extra. 3 unreachable: no solution, no path, move to an end beyond "
+    "the limits, design with no machine within the bounds. 4 degenerate: a continuous family of solutions; isolated "
+    "solutions are shown. 5 beyond the limits: solutions are shown, but none is physical and within the "
+    "leg limits. 70 a defect of spm-pin. 74 input or output failed: a full device, a closed pipe. 130 "
+    "Ctrl-C, which ends every command, also view; crosscheck reports the poses done, sweep and design continue when "
     "started again."
 )
 
@@ -39,7 +39,7 @@ app = typer.Typer(
 
 
 class _Command(TyperCommand):
-    """A command whose function is imported when its options are needed: not for a list of commands."""
+    """A command whose function is imported only when its options are needed, not for a list of commands."""
 
     def __init__(self, name: str | None, *, callback: Callable[..., Any] | None = None, **settings: Any) -> None:
         super().__init__(name, **settings)
@@ -65,7 +65,7 @@ class _Command(TyperCommand):
         return self._made.callback
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the options; flags, which take no value, without a type."""
+        """Return the options, without a type for flags, which take no value."""
         params: list[Any] = super().get_params(ctx)
         for param in params:
             if getattr(param, "is_flag", False):
@@ -73,7 +73,7 @@ class _Command(TyperCommand):
         return params
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the options; an error about a value shows what was typed, and how many values were expected."""
+        """Read the options; an error about a value shows the typed text and the expected number of values."""
         typed = list(args)
         try:
             return super().parse_args(ctx, args)
@@ -88,7 +88,7 @@ class _Command(TyperCommand):
             raise
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; a closed pipe is 74, and not 1 as typer would have it, a comparison that failed."""
+        """Run the command; a closed pipe exits with 74, not with typer's 1, which is a failed comparison."""
         try:
             return super().invoke(ctx)
         except BrokenPipeError:
@@ -116,22 +116,24 @@ _COMMANDS = {
     "sweep": "workspace",
     "design": "workspace",
 }
-"""The commands, which are functions of these names, and their files, in the order of the help."""
+"""The commands, named like their functions, and their files, in the order of the help."""
 
-_STAGE_COMMANDS = dict.fromkeys(("inverse", "forward", "reach", "draw", "view", "write"), "stage")
+_STAGE_COMMANDS = dict.fromkeys(
+    ("inverse", "forward", "reach", "certify", "draw", "view", "calibrate", "tolerance", "write"), "stage"
+)
 """Those of `spm-pin stage`."""
 
 
 def _add_commands(group: typer.Typer, commands: dict[str, str]) -> None:
     for name, file in commands.items():
-        # Typer would keep the lines of the docstring, and break them again in a narrower window.
+        # Typer would keep the line breaks of the docstring and wrap them again in a narrower window.
         paragraphs = _docstrings(file)[name].split("\n\n")
         text = "\n\n".join(" ".join(text.split()) for text in paragraphs)
         group.command(name, cls=_Command, help=text)(_loader(name, file))
 
 
 def _loader(name: str, file: str) -> Callable[[], Callable[..., None]]:
-    """Return a function that imports a command, and has its name."""
+    """Return a function that imports a command, under the command's name."""
 
     def load() -> Callable[..., None]:
         command: Callable[..., None] = getattr(import_module(f"spm_pin.cli.{file}"), name)
@@ -143,12 +145,12 @@ def _loader(name: str, file: str) -> Callable[[], Callable[..., None]]:
 
 @cache
 def _docstrings(file: str) -> dict[str, str]:
-    """Return the docstrings of the functions in a file, which is not imported."""
+    """Return the docstrings of the functions in a file, without importing it."""
     module = ast.parse(Path(__file__).with_name(f"{file}.py").read_bytes())
     return {part.name: ast.get_docstring(part) or "" for part in module.body if isinstance(part, ast.FunctionDef)}
 
 
-_stage = typer.Typer(help="A stage alone: a ball balancer, a tripod head, a mirror's mount.", no_args_is_help=True)
+_stage = typer.Typer(help="A stage alone: a ball balancer, a tripod head, a mirror mount.", no_args_is_help=True)
 _add_commands(_stage, _STAGE_COMMANDS)
 app.add_typer(_stage, name="stage")
 _add_commands(app, _COMMANDS)
@@ -168,9 +170,9 @@ def _common(
 
 
 def run(was_interrupted: Callable[[], bool]) -> str | int | None:
-    """Run the command line and return its exit code; an error is a line on stderr.
+    """Run the command line and return its exit code; an error is one line on stderr.
 
-    A traceback appears only if SPM_PIN_TRACEBACK is set. Errors that come of an interrupt are not shown.
+    A traceback is shown only if SPM_PIN_TRACEBACK is set. Errors caused by an interrupt are not shown.
     """
     outputs.write_any_text()
     try:
@@ -179,7 +181,7 @@ def run(was_interrupted: Callable[[], bool]) -> str | int | None:
         except SystemExit as end:
             return end.code
         finally:
-            # Here, where a full device is still an error that can be shown.
+            # Flush here, where an error of a full device can still be shown.
             outputs.flush()
     except SpmError as error:
         outputs.note(f"error: {error}", "bold red")
@@ -190,7 +192,7 @@ def run(was_interrupted: Callable[[], bool]) -> str | int | None:
         if os.environ.get("SPM_PIN_TRACEBACK"):
             raise
         if isinstance(error, OSError):
-            if not isinstance(error, BrokenPipeError):  # whoever reads has seen enough
+            if not isinstance(error, BrokenPipeError):  # the reader has closed the pipe on purpose
                 outputs.note(f"error: input or output failed: {error}", "bold red")
             return 74
         outputs.note(f"error: {type(error).__name__}: {error}", "bold red")

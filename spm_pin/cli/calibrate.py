@@ -1,4 +1,4 @@
-"""`spm-pin calibrate`, the machine as built from measured poses and leg readings, and `tolerance`, what errors cost."""
+"""`spm-pin calibrate`, the machine as built from measurements and leg readings, and `tolerance`, what errors cost."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 import typer
 from typer import Argument, Option
 
-from spm_pin.calibration import Calibration, MeasurementError, identify, read_measurements
+from spm_pin.calibration import Calibration, Inclinations, MeasurementError, identify, read_measurements
 from spm_pin.calibration import tolerance as analyse
+from spm_pin.calibration.measurements import LEVEL_NOISE, TRACKER_NOISE
 from spm_pin.cli import options, outputs
 from spm_pin.display.figures import calibration_figure
-from spm_pin.machine import LEGS
+from spm_pin.errors import ArgumentError
 from spm_pin.support.motion_table import MotionTable
 
 
@@ -27,53 +28,68 @@ from spm_pin.support.motion_table import MotionTable
 )
 def calibrate(
     measurements: Annotated[
-        Path, Argument(metavar="CSV", help="Columns x y z \\[m], qx qy qz qw if measured, r_b1 to r_c3 \\[m or rad].")
+        Path,
+        Argument(
+            metavar="CSV",
+            help="Columns x y z \\[m], qx qy qz qw if measured; or roll pitch \\[rad], height \\[m], or all three; and "
+            "readings r_b1 to r_c3, of a stage r_1 to r_3 \\[m or rad].",
+        ),
     ],
     out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
     identified: Annotated[
         list[str] | None,
-        Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. All if not."),
+        Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. Default: all."),
     ] = None,
     pose_noise: Annotated[
-        tuple[float, float], Option(metavar="M RAD", help="Standard deviations of positions and orientations.")
-    ] = (1e-5, 1e-5),
+        tuple[float, float] | None,
+        Option(
+            metavar="M RAD",
+            help="Standard deviations of positions or heights, and of orientations or tilts; if not given 1e-5 1e-5, "
+            "of roll, pitch and heights 5e-4 2e-3.",
+        ),
+    ] = None,
     reading_noise: Annotated[
-        float, Option(metavar="M", help="Standard deviation of the readings, of RRS legs in radians.")
+        float, Option(metavar="M", help="Standard deviation of the readings, for RRS legs in radians.")
     ] = 1e-6,
     frames: Annotated[
-        bool, Option("--frames", help="Poses are a target's as a tracker sees them: estimate both frames too.")
+        bool,
+        Option("--frames", help="Estimate the frames too: of a tracker and its target, or of the base and an IMU."),
     ] = False,
     tolerance: Annotated[
-        float | None,
+        list[str] | None,
         Option(
-            metavar="SIGMA", help="Standard deviation of all dimensions as made, in metres and radians; unknown if not."
+            metavar="SIGMA",
+            help="Standard deviation of all dimensions as made, in metres and radians, or offset=SIGMA of some, which "
+            "are named as for --identify; may be repeated. Unknown if not given.",
         ),
     ] = None,
     loss: Annotated[
-        str, Option(help="linear refuses outliers; soft_l1, huber, cauchy give them less weight.")
+        str, Option(help="linear refuses outliers; soft_l1, huber and cauchy give them less weight.")
     ] = "linear",
     machine_file: options.MachineFile = None,
-    force: Annotated[bool, Option("--force", help="Write --out even where the measurements do not fit.")] = False,
+    force: Annotated[bool, Option("--force", help="Write --out even if the measurements do not fit.")] = False,
     json: options.AsJson = False,
 ) -> None:
-    """Identify the machine as built from measured poses and leg readings.
+    """Identify a machine from measured poses and leg readings.
 
     Example: spm-pin calibrate measurements.csv --out machine.yaml
 
-    Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. The file
-    written can be given as --machine to other commands. --figure needs the extra "plots".
+    Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. Other
+    commands take the written file as --machine. --figure needs the extra "plots".
 
-    The exit code is 1, and no machine is written without --force, if a row does not belong to the others, residuals
-    exceed three times what the noise explains, or E, C or d come out more than 4 % from the nominal ones. It is 1, and
-    there is no machine to write, if the measurements are in another unit, in other columns or rows, or too few. It is 2
+    The exit code is 1, and no machine is written without --force, if a row does not fit the others, residuals
+    exceed three times what the noise explains, or E, C or d differ by more than 4 % from the nominal ones. It is 1,
+    without a machine to write, if the measurements are in another unit, in other columns or rows, or too few. It is 2
     if the file cannot be read.
     """
     dimensions = options.read_machine(machine_file)
     with options.warnings_as_notes():
         poses, readings = read_measurements(measurements)
+    if pose_noise is None:
+        pose_noise = LEVEL_NOISE if isinstance(poses, Inclinations) else TRACKER_NOISE
     noise: dict[str, Any] = {"pose_noise": pose_noise, "reading_noise": reading_noise, "frames": frames}
-    noise["tolerances"] = None if tolerance is None else dict.fromkeys(LEGS, tolerance)
+    noise["tolerances"] = _read_tolerances(tolerance, dimensions.legs.names) if tolerance else None
     try:
         calibration = identify(dimensions, poses, readings, parameters=identified, loss=loss, **noise)
     except MeasurementError as error:
@@ -96,7 +112,7 @@ def calibrate(
         content |= {name: getattr(calibration, name).as_matrix() for name in ("base", "target")}
         outputs.write_json(content | {"parameters": values, "standard_deviations": deviations})
     else:
-        _report(calibration, measurements)
+        _report(calibration, measurements, has_tolerances=bool(tolerance))
     if not fits:
         which = "the nominal" if calibration.status == "another nominal" else "one"
         message = f"the measurements do not fit {which} machine: {calibration.reason}"
@@ -108,14 +124,24 @@ def calibrate(
             raise typer.Exit(1)
 
 
-def _sizes(calibration: Calibration) -> list[tuple[str, str, float, float]]:
+def _read_tolerances(typed: list[str], legs: Sequence[str]) -> dict[str, float]:
+    """Return standard deviations by names: a number alone is of all legs, and later ones replace earlier ones."""
+    table: dict[str, float] = {}
+    for text in typed:
+        name, _, number = text.rpartition("=")
+        try:
+            table |= dict.fromkeys([name] if name else legs, float(number))
+        except ValueError:
+            raise ArgumentError("--tolerance", "a number, or a name and a number, such as offset=0.05", text) from None
+    return table
+
+
+def _sizes(calibration: Calibration[Any]) -> list[tuple[str, str, float, float]]:
     """Return each compared quantity, its unit, and its root mean square before and after."""
     rows = []
-    for name, unit, part in (("position", "mm", slice(3)), ("orientation", "mrad", slice(3, 6))):
-        if calibration.before[:, part].size:
-            errors = calibration.before[:, part], calibration.residuals[:, part]
-            before, after = (1e3 * float(np.sqrt((e**2).sum(axis=-1).mean())) for e in errors)
-            rows.append((name, unit, before, after))
+    for name, unit, *sizes in calibration.error_sizes:
+        before, after = (1e3 * float(np.sqrt(np.nanmean(size**2))) for size in sizes)
+        rows.append((name, f"m{unit}", before, after))
     return rows
 
 
@@ -128,7 +154,7 @@ def _with_lines(message: str, rows: Sequence[int], path: Path) -> str:
     return f"{message} (row{many} {', '.join(map(str, rows))}: line{many} {numbers} of {path.name})"
 
 
-def _report(calibration: Calibration, measurements: Path) -> None:
+def _report(calibration: Calibration[Any], measurements: Path, *, has_tolerances: bool) -> None:
     known, total = len(calibration.deviations), len(calibration.deviations) + len(calibration.unidentifiable)
     lines = [f"{known} of {total} combinations of parameters identified from {len(calibration.misfit)} measurements"]
     for name, unit, before, after in _sizes(calibration):
@@ -136,27 +162,30 @@ def _report(calibration: Calibration, measurements: Path) -> None:
         lines.append(f"{name} predicted from the readings, RMS error: {errors}")
     if np.isfinite(calibration.chi_square):
         lines.append(f"residuals are {np.sqrt(calibration.chi_square):.2g} times what the noise given explains")
-    scale = np.where(np.array(calibration.units) == "rad", 1.0, calibration.fitted.middle_side)
+    scale = np.where(np.array(calibration.units) == "rad", 1.0, calibration.fitted.ball_side)
     worst = np.argsort(-np.abs(calibration.identifiable[-1]))[:2]
     apart = 1e3 * calibration.deviations[-1] * np.abs(calibration.identifiable[-1, worst] * scale[worst])
     least = " and ".join(
         f"{calibration.names[k]} by {x:.2g} m{calibration.units[k]}" for k, x in zip(worst, apart, strict=True)
     )
-    lines.append(f"least known is the combination that moves {least} (standard deviation)")
+    lines.append(f"the least accurate combination moves {least} (standard deviation)")
     if calibration.outliers.any():
         rows = np.flatnonzero(calibration.outliers).tolist()
         lines.append(_with_lines(f"{len(rows)} outlier{'s' * (len(rows) > 1)}", rows, measurements))
     if len(calibration.names) > len(calibration.fitted.parameters):
-        for name, frame in (("{B} from the tracker", calibration.base), ("the target in {m}", calibration.target)):
+        frames_of = {"{B} in the frame of the measurements": calibration.base}
+        frames_of["target or IMU on the platform"] = calibration.target
+        for name, frame in frames_of.items():
             position = ", ".join(f"{x:.6g}" for x in frame.translation)
             turn = ", ".join(f"{x:.6g}" for x in frame.rotation.as_quat())
             lines.append(f"{name}: position {position} m, quaternion {turn}")
     outputs.print_lines(lines)
     fitted = calibration.fitted
     changes = fitted.parameters - fitted.nominal.parameters
-    # In brackets what is smaller than twice its standard deviation.
+    # Numbers below twice their standard deviation are in brackets; it is larger if the given noise is too small.
+    spread = 2.0 * np.sqrt(np.fmax(calibration.chi_square, 1.0))
     texts = {
-        name: f"({text})" if abs(change) < 2.0 * deviation else text
+        name: f"({text})" if abs(change) < spread * deviation else text
         for name, change, deviation in zip(
             fitted.parameter_names, changes, calibration.standard_deviations, strict=False
         )
@@ -165,10 +194,11 @@ def _report(calibration: Calibration, measurements: Path) -> None:
     components = dict.fromkeys(name.partition(".")[2] for name in texts)
     columns: dict[str, Any] = {"leg": str}
     columns |= {part: lambda leg, part=part: texts.get(f"{leg}.{part}", "") for part in components}
-    outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, LEGS)
-    outputs.print_lines(
-        ["(…) is smaller than twice its standard deviation: not known by itself, but in combinations with others."]
-    )
+    outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, fitted.legs.names)
+    lines = ["(…) is below twice its standard deviation: not known by itself, but in combinations with others."]
+    if not has_tolerances:
+        lines.append("--tolerance SIGMA, how well the parts are made, keeps these near the nominal machine.")
+    outputs.print_lines(lines)
 
 
 def _deviation(help_text: str) -> Any:
@@ -180,17 +210,17 @@ def tolerance(
     direction: Annotated[float, _deviation("the directions of revolute axes and slides, in radians.")] = 1e-4,
     pivot: Annotated[float, _deviation("each coordinate of the pivots, in metres.")] = 1e-4,
     ball: Annotated[float, _deviation("each coordinate of the ball joints, in metres.")] = 1e-4,
-    offset: Annotated[float, _deviation("the encoders' offsets, in metres, of RRS legs in radians.")] = 1e-4,
-    rod: Annotated[float | None, _deviation("the rods, in metres; 1e-4 of legs that have them.")] = None,
-    crank: Annotated[float | None, _deviation("the cranks, in metres; 1e-4 of legs that have them.")] = None,
-    by: Annotated[str, Option(help="What to rank: parameter, component, kind or leg.")] = "component",
-    states: Annotated[int, Option(min=1, help="States to draw within the leg limits.")] = 60,
-    samples: Annotated[int, Option(min=0, help="Random machines; 0 for first order alone.")] = 200,
+    offset: Annotated[float, _deviation("the encoders' offsets, in metres, for RRS legs in radians.")] = 1e-4,
+    rod: Annotated[float | None, _deviation("the rods, in metres; 1e-4 for legs with rods.")] = None,
+    crank: Annotated[float | None, _deviation("the cranks, in metres; 1e-4 for legs with cranks.")] = None,
+    by: Annotated[str, Option(help="Group of the ranking: parameter, component, kind or leg.")] = "component",
+    states: Annotated[int, Option(min=1, help="Number of random states within the leg limits.")] = 60,
+    samples: Annotated[int, Option(min=0, help="Number of random machines; 0 for first order only.")] = 200,
     seed: Annotated[int, Option(min=0, help="Seed of states and machines.")] = 0,
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Predict how far the platform is off if its dimensions are, and which tolerance pays.
+    """Predict the accuracy of the platform for tolerances of the dimensions, and rank them.
 
     Example: spm-pin tolerance --direction 1e-4 --pivot 5e-5 --ball 5e-5 --offset 1e-5
     """

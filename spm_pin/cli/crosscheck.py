@@ -1,4 +1,4 @@
-"""`spm-pin crosscheck`, methods compared on random poses; `reproduce`, the paper recomputed; and `demo`, both."""
+"""`spm-pin crosscheck` compares methods, `reproduce` recomputes the paper, and `demo` runs both."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ def crosscheck(
     poses: Annotated[int, typer.Option(min=1, help="Random poses, four fifths of them in leg space.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the poses and of the wrenches.")] = 0,
     method: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}; may be repeated. All if not given.")
+        list[str] | None, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}; may be repeated. Default: all.")
     ] = None,
     pairs: Annotated[bool, typer.Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
-    out: Annotated[Path | None, outputs.file_option("Also write the report to a file, as JSON.")] = None,
-    figure: Annotated[Path | None, outputs.picture_option("Also draw the differences of all pairs.")] = None,
+    out: Annotated[Path | None, outputs.file_option("JSON file of the report to write.")] = None,
+    figure: Annotated[Path | None, outputs.picture_option("Picture of the differences of all pairs to write.")] = None,
 ) -> None:
-    """Solve random poses by independent methods and compare their answers.
+    """Solve random poses by independent methods and compare the results.
 
-    Branches, inverse Jacobians and leg forces are compared by pairs, with tolerances from conditioning and rounding.
-    Exits with 1 if the methods disagree, and says which is wrong. Interrupted, it reports the poses done so far.
+    Branches, inverse Jacobians and leg forces are compared in pairs, with tolerances from conditioning and rounding.
+    Exits with 1 if the methods disagree, and says which one is wrong. If interrupted, it reports the poses done so far.
     --figure needs the extra "plots".
     """
     report = _compare(options.read_machine(machine_file), poses, seed, method)
@@ -78,7 +78,7 @@ def crosscheck(
 
 
 def _compare(machine: Manipulator, poses: int, seed: int, methods: list[str] | None) -> Report:
-    """Run a comparison with a progress bar; on Ctrl-C return the report of the poses done so far, if there are any."""
+    """Run a comparison with a progress bar; on Ctrl-C return the report of the poses compared so far, if any."""
     names = None if methods is None else list(dict.fromkeys(methods))
     report = None
     with outputs.progress_bar() as bar:
@@ -93,7 +93,7 @@ def _compare(machine: Manipulator, poses: int, seed: int, methods: list[str] | N
 
 
 def _end(report: Report, failed: bool = False) -> None:
-    """Raise the exit code of a comparison, which Ctrl-C may have ended before its last pose."""
+    """Raise the exit code of a comparison, which Ctrl-C may have ended early."""
     if len(report.xyx) < report.requested:
         raise typer.Exit(130)
     if failed or not report.agrees:
@@ -101,7 +101,7 @@ def _end(report: Report, failed: bool = False) -> None:
 
 
 def _print_verdict(heading: str, report: Report) -> None:
-    """Print the outcome of a comparison in one sentence, with the part of methods that did not solve every pose."""
+    """Print the result of a comparison in one sentence, naming methods that did not solve every pose."""
     done, names = len(report.xyx), []
     for score in report.scores:
         pairs = (pair for pair in report.differences if score.name in (pair.first, pair.second))
@@ -125,12 +125,12 @@ def _print_scores(report: Report) -> None:
     }
     columns["expected"] = lambda score: f"{100 * score.allowed:g} %" if score.solved else "-"
     faulty = {score.name: "red" for score in report.scores if score.invented or score.misses_too_often}
-    title = "Inverse displacement by each method, and at how many poses it is known to lack a branch"
+    title = "Inverse displacement by each method, and the number of poses at which it lacks a branch"
     outputs.print_table(title, columns, report.scores, style=lambda score: faulty.get(score.name))
 
 
 def _print_differences(report: Report, pairs: bool) -> None:
-    """Print the differences of all pairs of methods, or the largest of each quantity."""
+    """Print the differences of all pairs of methods, or the largest for each quantity."""
     shown: list[PairDifference] = []
     for _, group in groupby(report.differences, key=attrgetter("quantity")):
         of_quantity = list(group)
@@ -158,7 +158,7 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
     lines = []
     absent = [name for name in METHODS if name.replace("-", " ") not in {score.name for score in report.scores}]
     if all_methods and absent:
-        drawn = "" if report.machine.is_nominal else "they know machines as drawn alone, or "
+        drawn = "" if report.machine.is_nominal else "they take nominal machines only, or "
         lines.append(f"Left out, since {drawn}their packages are not installed: {', '.join(absent)}.")
     worst = report.worst
     if worst is not None:
@@ -233,15 +233,15 @@ def demo(
 def reproduce(
     table: Annotated[
         list[int] | None,
-        typer.Option(metavar="NUMBER", help="Show every cell of a table, 1 to 5; may be repeated. All if not given."),
+        typer.Option(metavar="NUMBER", help="Show every cell of a table, 1 to 5; may be repeated. Default: all."),
     ] = None,
     cells: Annotated[bool, typer.Option("--cells", help="Show every cell of all tables.")] = False,
     json: options.AsJson = False,
-    out: Annotated[Path | None, outputs.file_option("Also write everything to a file, as JSON.")] = None,
+    out: Annotated[Path | None, outputs.file_option("JSON file of all results to write.")] = None,
 ) -> None:
     """Recompute the paper's tables and compare every printed digit.
 
-    Exits with 1 if a printed number differs and nothing in the numbers explains why.
+    Exits with 1 if a printed number differs and no cause was found.
     """
     reproduction = recompute(TABLES if table is None else table)
     content = {
@@ -271,7 +271,7 @@ def reproduce(
 
 
 def _print_summary(heading: str, reproduction: Reproduction) -> None:
-    """Print the outcome in one sentence; the counts are those of the tables, without the example's pose."""
+    """Print the result in one sentence, with the counts of the tables, without the example's pose."""
     cells = reproduction.in_tables
     counts = Counter(cell.verdict for cell in cells)
     numbers = sorted({cell.table for cell in cells})
@@ -285,7 +285,7 @@ def _print_summary(heading: str, reproduction: Reproduction) -> None:
 
 
 def _print_tables_summary(reproduction: Reproduction) -> None:
-    """Print how many cells of each table agree."""
+    """Print the number of cells of each table that agree."""
     rows = {number: [cell.verdict for cell in reproduction.table(number)] for number in _TITLES}
     columns: dict[str, Any] = {"": lambda n: _TITLES[n].partition(" (")[0], "cells": lambda n: str(len(rows[n]))}
     columns |= {str(verdict): lambda n, verdict=verdict: str(rows[n].count(verdict)) for verdict in Verdict}
@@ -294,7 +294,7 @@ def _print_tables_summary(reproduction: Reproduction) -> None:
 
 
 def _number(value: complex, like: str = "0.0000") -> str:
-    """Format with one digit more than printed, so that the rounding can be followed."""
+    """Format with one digit more than printed, to show the rounding."""
     digits = len(like.removesuffix("i").rpartition(".")[2]) if "." in like else 0
     digits = min(digits + 1, 5)
     real = fixed(value.real, digits)

@@ -37,16 +37,16 @@ def draw(
     unit: options.Unit = LengthUnit.M,
     machine_file: options.MachineFile = None,
     view: Annotated[
-        tuple[float, float], Option(metavar="AZIMUTH ELEVATION", help="Where to look from, in degrees.")
+        tuple[float, float], Option(metavar="AZIMUTH ELEVATION", help="Direction of the view, in degrees.")
     ] = (15.0, 25.0),
     width: Annotated[int | None, Option(help="Width of the picture in pixels.")] = None,
     names: Annotated[
         bool | None,
-        Option("--names/--no-names", help="Name joints, legs and axes; a branch alone has names."),
+        Option("--names/--no-names", help="Names of joints, legs and axes; default: for a single branch."),
     ] = None,
-    background: Annotated[str | None, Option(help="A colour, or none; white if not given.")] = None,
+    background: Annotated[str | None, Option(help="A colour, or none; default: white.")] = None,
 ) -> None:
-    """Draw the manipulator: the physical branch of a pose, branches by their names, or all of them.
+    """Draw the manipulator: the physical branch of a pose, named branches, or all of them.
 
     Example: spm-pin draw --out branches.png --all
 
@@ -92,7 +92,7 @@ def view(
     host: Host = "127.0.0.1",
     port: Port = 8080,
     demo: Annotated[
-        bool | None, Option("--demo/--no-demo", help="Move until touched; by default if no pose is given.")
+        bool | None, Option("--demo/--no-demo", help="Move until touched; default: if no pose is given.")
     ] = None,
     dark: Dark = False,
     browser: Browser = True,
@@ -135,8 +135,8 @@ def serve(start: Any, *, host: str, port: int, browser: bool, **page: Any) -> No
             outputs.note(f"port {port} is taken, this is on {viewer.port}")
         outputs.note(f"viewer at {viewer.url}, Ctrl-C ends it")
         if host not in ("127.0.0.1", "localhost", "::1"):
-            outputs.note("there is no password: whoever reaches this port can use the page", "yellow")
-        # Without a screen, a browser in text would take the terminal.
+            outputs.note("there is no password: anyone who reaches this port can use the page", "yellow")
+        # Without a screen, a text browser would take over the terminal.
         if browser and (sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             webbrowser.open(viewer.url)
         viewer.wait()

@@ -1,4 +1,4 @@
-"""`spm-pin export` and `urdf`: the robot or a stage in the format of another engine, or kinematics in C."""
+"""`spm-pin export` and `urdf`: a robot or a stage in the format of another engine, or its kinematics in C."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _OWN_OPTIONS: dict[str, set[str]] = {
     "c-stage": {"stage"},
     "linuxcnc": {"stage"},
 }
-"""Options that not every format takes, by the formats that do."""
+"""Options of some formats only, by format."""
 
 
 @outputs.name_options(directory="--out")
@@ -37,43 +37,43 @@ def export(
     option: Annotated[Format | None, Option("--format", help="The same, as an option.")] = None,
     out: Annotated[
         Path | None,
-        Option(metavar="FILE", parser=outputs.file_name, help="Where to write; standard output if not given."),
+        Option(metavar="FILE", parser=outputs.file_name, help="File or folder to write; default: standard output."),
     ] = None,
     prefix: Annotated[str | None, options.PREFIX] = None,
     machine_file: options.MachineFile = None,
     stage: Stage | None = None,
-    unit: Annotated[LengthUnit, Option(help="Of the numbers of a stage; what is written is in metres.")] = LengthUnit.M,
+    unit: Annotated[LengthUnit, Option(help="Unit of the stage's dimensions; files are in metres.")] = LengthUnit.M,
     masses: options.MassesFile = None,
     ros_constraints: Annotated[
         bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
     ] = False,
     anchors: Annotated[
         Literal["bodies", "sites"] | None,
-        Option(help="mjcf: anchor closures in bodies, or in sites, which Drake passes over."),
+        Option(help="mjcf: anchor closures in bodies, or in sites, which Drake ignores."),
     ] = None,
     collisions: Annotated[
         Literal["exact", "simple", "none"] | None,
-        Option(help="mjcf: shapes that collide; simple has no cylinders, which MJX does not know beside boxes."),
+        Option(help="mjcf: shapes that collide; simple has no cylinders, which MJX does not support with boxes."),
     ] = None,
     actuators: Annotated[
         Literal["motors", "servos"] | None,
-        Option(help="mjcf: motors, of the robot if not given, or servos, of a stage."),
+        Option(help="mjcf: motors, the default for a robot, or servos, the default for a stage."),
     ] = None,
     ball: Annotated[bool, Option("--ball", help="mjcf: a ball on the platform of a --stage.")] = False,
     loops: Annotated[
         Literal["joints", "drake"] | None, Option(help="sdf: close loops by joints, or by Drake's elements.")
     ] = None,
 ) -> None:
-    """Write the robot or a stage with its loops closed, in the format of another engine, or its kinematics in C.
+    """Write the robot or a stage with closed loops in the format of another engine, or its kinematics in C.
 
     urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
-    YAML file that closes a URDF's loops. srdf: groups and passive joints. With --out, the meshes are put beside the
-    file, into a folder `meshes`. With --stage, or --base and what follows, these are of a stage alone.
+    YAML file with the closures of a URDF. srdf: groups and passive joints. With --out, the meshes are copied beside the
+    file, into a folder `meshes`. With --stage, or --base and so on, these files describe a stage alone.
 
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
     program. linuxcnc: a configuration that simulates the machine, or a stage alone, and the source of its kinematics
     module. ros or ros2: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
-    c-stage: of a stage alone, a ball balancer say, one header in C99 for a microcontroller.
+    c-stage: one header in C99 for a microcontroller, for a stage alone, such as a ball balancer.
     """
     if (format_ is None) == (option is None):
         received = "none" if format_ is None else "two"
@@ -85,11 +85,11 @@ def export(
     for name, value in (special | {"masses": masses, "stage": stage}).items():
         if value and name not in own:
             cause = "c-stage writes that of a stage" if (chosen, name) == ("c", "stage") else ""
-            raise ArgumentError(f"--{name.replace('_', '-')}", f"to be left out with --format {chosen}", value, cause)
+            raise ArgumentError(f"--{name.replace('_', '-')}", f"no such option with --format {chosen}", value, cause)
     if machine_file is not None and (stage is not None or chosen == "c-stage"):
-        raise ArgumentError("--machine", "to be left out with a stage", machine_file, "The file of a --stage?")
+        raise ArgumentError("--machine", "no such option with a stage", machine_file, "The file of a --stage?")
     if stage is None and chosen == "c-stage":
-        raise ArgumentError("--stage", "a stage: its file, or --base, --platform and what follows", "none")
+        raise ArgumentError("--stage", "a stage: its file, or --base, --platform and so on", "none")
     if ball and stage is None:
         raise ArgumentError("--ball", "a --stage for it to roll on", "none")
     model = options.read_machine(machine_file) if stage is None else stage
@@ -105,7 +105,7 @@ def export(
 
     if chosen == "linuxcnc":
         if prefix:
-            raise ArgumentError("--prefix", "to be left out with --format linuxcnc", prefix)
+            raise ArgumentError("--prefix", "no such option with --format linuxcnc", prefix)
         exporters.write_linuxcnc(model, out)
         outputs.note(f"wrote a configuration of LinuxCNC into {out}")
         return
@@ -123,17 +123,17 @@ def export(
 
 @outputs.name_options()
 def urdf(
-    out: Annotated[Path | None, outputs.file_option("Where to write; standard output if not given.")] = None,
+    out: Annotated[Path | None, outputs.file_option("File to write; default: standard output.")] = None,
     prefix: Annotated[str, options.PREFIX] = "",
     machine_file: options.MachineFile = None,
     masses: options.MassesFile = None,
 ) -> None:
     """Write the URDF: an open tree of eighteen joints, its four loops closed by Drake's tags.
 
-    Other loaders pass over those tags; `spm-pin export` writes the closed robot for them. At zero the tree of a drawing
-    is assembled. With --out, the meshes are put beside the file, into a folder `meshes`, and named relative to it;
-    Pinocchio finds them if it is told the file's folder, package_dirs=".". A URDF on standard output names them by
-    their whole paths.
+    Other loaders ignore those tags; `spm-pin export` writes closed robots for them. The tree of a nominal machine
+    is assembled at zero. With --out, the meshes are copied beside the file, into a folder `meshes`, and named relative
+    to it; Pinocchio finds them with package_dirs=".", the file's folder. A URDF on standard output names them by
+    absolute paths.
     """
     machine, bodies = options.read_machine(machine_file), options.read_masses(masses, "written")
     _write_model("urdf", out, machine, bodies, prefix, {})
@@ -142,13 +142,13 @@ def urdf(
 def _write_model(
     chosen: str, path: Path | None, machine: Machine, masses: Masses | None, prefix: str, special: dict[str, Any]
 ) -> None:
-    """Write a model; where it has meshes, these go into a folder beside its file."""
+    """Write a model; its meshes are copied into a folder beside its file."""
     without_meshes: dict[str, Any] = {"srdf": description.srdf_text, "extended-urdf": description.extended_urdf_text}
     if chosen in without_meshes:
         outputs.write_text(without_meshes[chosen](machine=machine, prefix=prefix), path)
         return
     write: Any = {"urdf": description.urdf_text, "mjcf": description.mjcf_text, "sdf": description.sdf_text}[chosen]
-    # Beside a file go its meshes; a text on standard output has whole paths.
+    # Meshes go beside a file; on standard output they have absolute paths.
     meshes = "meshes" if path is not None else None
     text = write(machine, prefix=prefix, meshes=meshes, masses=masses, **special)
     if path is not None:

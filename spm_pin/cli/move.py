@@ -1,4 +1,4 @@
-"""`spm-pin certify`, leg limits proved free of singularities, and `move`, the fastest motion within limits."""
+"""`spm-pin certify` proves that limits have no singularities; `move` plans the fastest motion within limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from spm_pin.cli.options import LengthUnit, SixLegs, leg_option
 from spm_pin.display.figures import certificate_figure, motion_figure
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.machine import LEGS, Configuration, LegLimits
+from spm_pin.machine import LEGS, Configuration, LegLimits, StageConfiguration
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
 from spm_pin.support.arguments import FloatArray, IntArray
@@ -36,10 +36,13 @@ _NAMES: dict[str, str | tuple[str, ...]] = {
 }
 
 _Ends = tuple[float, float] | None
+Boxes = Annotated[int, Option(min=1, help="Boxes to look at in each stage, at most.")]
+LengthError = Annotated[float, Option(help="Errors of pivots, balls, readings to prove it for, in --unit.")]
+AngleError = Annotated[float, Option(help="Errors of the revolute axes to prove it for, in radians.")]
 
 
 def _largest(help_text: str) -> Any:
-    """Return an option of a limit: one number, or six of them separated by commas."""
+    """Return an option for a limit: one number, or six separated by commas."""
     return Option(metavar="X", help=f"Largest {help_text}")
 
 
@@ -52,29 +55,29 @@ def _degrees(help_text: str) -> Any:
 )
 def certify(
     minimum: Annotated[
-        float | None, Option("--min", help="Least reading of all six legs, in --unit, of cranks in degrees.")
+        float | None, Option("--min", help="Minimum reading of all six legs, in --unit, for cranks in degrees.")
     ] = None,
     maximum: Annotated[float | None, Option("--max", help="Largest reading of all six legs, as --min.")] = None,
-    boxes: Annotated[int, Option(min=1, help="Boxes to look at in each stage, at most.")] = 300_000,
-    length_error: Annotated[float, Option(help="Errors of pivots, balls, readings to prove it for, in --unit.")] = 0.0,
-    angle_error: Annotated[float, Option(help="Errors of the revolute axes to prove it for, in radians.")] = 0.0,
+    boxes: Boxes = 300_000,
+    length_error: LengthError = 0.0,
+    angle_error: AngleError = 0.0,
     inverse: Annotated[
-        bool, Option("--inverse", help="Ask for inverse singularities as well: a bound of |det K|, or a state.")
+        bool, Option("--inverse", help="Also inverse singularities: a bound of |det K|, or a singular state.")
     ] = False,
     out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
     unit: Annotated[
-        LengthUnit, Option(help="Unit of the lengths typed; the answer is in metres and radians.")
+        LengthUnit, Option(help="Unit of the typed lengths; results are in metres and radians.")
     ] = LengthUnit.M,
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Prove that leg limits hold no forward singularity, so that six readings mean one configuration.
+    """Prove that there is no forward singularity within leg limits, so that six readings determine the configuration.
 
     Example: spm-pin certify --min 1.1 --max 1.5
 
     Without --min and --max the limits are the machine's. The exit code is 0 if the proof succeeds, 1 if a singular
-    configuration was found or boxes were left undecided. --out needs the extra "plots". For the file of a machine as
-    built it is proved for all machines that are as near to the nominal one.
+    configuration was found or boxes were left undecided. --out needs the extra "plots". For the file of a calibrated
+    machine it is proved for all machines that are as close to the nominal one.
     """
     dimensions = options.read_machine(machine_file)
     if (minimum is None) != (maximum is None):
@@ -89,7 +92,14 @@ def certify(
     with outputs.stderr.status("dividing the states of both stages"):
         certificate = prove(dimensions, limits, boxes=boxes, **errors)
         if inverse:
-            other = certify_inverse(certificate.machine, certificate.limits, boxes=boxes, forward=certificate)
+            other = certify_inverse(dimensions, certificate.limits, boxes=boxes, forward=certificate)
+    report_certificate(certificate, other, out, json=json)
+
+
+def report_certificate(
+    certificate: Certificate, other: InverseCertificate | None, out: Path | None, *, json: bool
+) -> None:
+    """Print certificates, write a picture if `out` is given, and end with 1 if one does not hold."""
     outputs.write_figure(out, certificate_figure, certificate)
     if json:
         outputs.write_json(_content(certificate, other))
@@ -101,18 +111,18 @@ def certify(
 
 
 def _content(certificate: Certificate, other: InverseCertificate | None) -> dict[str, Any]:
-    def state(witness: Configuration | None) -> dict[str, Any] | None:
+    def state(witness: Configuration | StageConfiguration | None) -> dict[str, Any] | None:
         return None if witness is None else {"readings": witness.readings, "pose": witness.pose.as_matrix()}
 
-    lower, upper = certificate.bounds
+    names = ("stage",) if len(certificate.stages) == 1 else ("lower", "upper")
     content = {
         "holds": certificate.holds,
         "limits": {"minimum": certificate.limits.minimum, "maximum": certificate.limits.maximum},
         "errors": {"length": certificate.errors[0], "angle": certificate.errors[1]},
-        "bounds": {"J_b": lower, "J_c": upper},
+        "bounds": dict(zip(certificate.names, certificate.bounds, strict=True)),
         "boxes": {
             name: {"examined": proof.boxes, "proved": len(proof.proved), "undecided": len(proof.undecided)}
-            for name, proof in (("lower", certificate.lower), ("upper", certificate.upper))
+            for name, proof in zip(names, certificate.stages, strict=True)
         },
         "witness": state(certificate.witness),
     }
@@ -127,7 +137,7 @@ def _content(certificate: Certificate, other: InverseCertificate | None) -> dict
 @options.takes_pose("goal_pose", "to-", required=False)
 def move(
     start: Annotated[
-        SixLegs | None, leg_option("--from", "Readings at the start, in --unit, of cranks in degrees.")
+        SixLegs | None, leg_option("--from", "Readings at the start, in --unit, for cranks in degrees.")
     ] = None,
     goal: Annotated[SixLegs | None, leg_option("--to", "Readings at the end, as --from.")] = None,
     start_pose: RigidTransform | None = None,
@@ -139,7 +149,7 @@ def move(
     limits: Annotated[
         tuple[str, str] | None,
         Option(
-            metavar="MIN MAX", help="Of the readings, each one number or six, as --from; the machine's if not given."
+            metavar="MIN MAX", help="Limits of the readings, each one number or six, as --from; default: the machine's."
         ),
     ] = None,
     leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s].")] = None,
@@ -149,12 +159,12 @@ def move(
     twist: Annotated[_Ends, Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s].")] = None,
     payload: Annotated[float, Option(help="Mass on the terminal platform, at o \\[kg].")] = 0.0,
     hip: Annotated[_Ends, _degrees("Angles of the revolute joints, from home, in degrees.")] = None,
-    ball_x: Annotated[_Ends, _degrees("The same of the ball joints, about the legs' revolute axes.")] = None,
-    ball_y: Annotated[_Ends, _degrees("About their middle axes.")] = None,
-    ball_z: Annotated[_Ends, _degrees("About the middle platform's normal.")] = None,
+    ball_x: Annotated[_Ends, _degrees("Angles of the ball joints about the legs' revolute axes, in degrees.")] = None,
+    ball_y: Annotated[_Ends, _degrees("Angles of the ball joints about their middle axes.")] = None,
+    ball_z: Annotated[_Ends, _degrees("Angles of the ball joints about the middle platform's normal.")] = None,
     clearance: Annotated[float | None, Option(help="Least distance of legs without a common joint, in --unit.")] = None,
-    margin: Annotated[float, Option(help="Least |det J| of a stage over d³ on the way.")] = 0.05,
-    straight: Annotated[bool, Option("--straight", help="Move o on a straight line, and nowhere else.")] = False,
+    margin: Annotated[float, Option(help="Smallest |det J| of a stage over d³ on the way.")] = 0.05,
+    straight: Annotated[bool, Option("--straight", help="Move o along a straight line only.")] = False,
     period: Annotated[float, Option(help="Time between the rows \\[s].")] = 2e-3,
     out: Annotated[Path | None, outputs.file_option("CSV of the motion to write.", (".csv",))] = None,
     plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
@@ -168,9 +178,9 @@ def move(
     Example: spm-pin move --from 120 120 140 125 120 150 --to 140 120 120 120 150 125 --unit cm --leg-force 1500
     --leg-rate 0.5 --out motion.csv --plot motion.png
 
-    A limit of force or of acceleration is needed; X is one number for all legs, or six separated by commas. The CSV has
-    the time, readings, pose and all joints in SI units; spm-pin view --path plays it. Exit code 3 if there is no
-    path, or an end that the machine does not reach. --plot needs the extra "plots".
+    A limit of force or of acceleration is required; X is one number for all legs, or six separated by commas. The CSV
+    has the time, readings, pose and all joints in SI units; spm-pin view --path plays it. The exit code is 3 if no path
+    was found, or if an end is out of reach. --plot needs the extra "plots".
     """
     from spm_pin.motion import Payload, plan, time_optimal
     from spm_pin.motion.paths import MotionLimits
@@ -193,7 +203,8 @@ def move(
         for name, text in typed.items()
         if text is not None
     }
-    MotionLimits(**largest, twist=twist)  # what it refuses is refused before the search for a path
+    # What it refuses is refused before the search for a path.
+    MotionLimits(dimensions.legs.names, **largest, twist=twist)
     ways: dict[str, Any] = {"via": passed, "joint_limits": joint_limits, "line": "poses" if straight else "legs"}
     certificate = prove(dimensions, allowed) if allowed is not None else None
     planned = plan(dimensions, first, last, allowed, margin=margin, certificate=certificate, **ways)
@@ -217,7 +228,7 @@ def move(
 def _end_state(
     typed: SixLegs | None, pose: RigidTransform | None, option: str, readings: options.Readings
 ) -> FloatArray | RigidTransform:
-    """Return the state at one end of the motion as `plan` takes it: readings (6,) in SI, or a pose."""
+    """Return the state at one end of the motion as an argument of `plan`: readings (6,) in SI, or a pose."""
     if (typed is None) == (pose is None):
         received = "neither" if pose is None else "both"
         raise ArgumentError(option, f"either readings, or a pose by {option}-translation and an orientation", received)

@@ -1,4 +1,4 @@
-"""Options that several subcommands take, and what they request: geometries, poses, states, branches, in SI."""
+"""Common options of subcommands, and what they stand for in SI: machines, poses, states, branches."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ class LengthUnit(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Readings:
-    """Units in which a command reads and prints readings: lengths in --unit, angles in degrees as those of a pose."""
+    """Units in which a command reads and prints readings: lengths in --unit, angles in degrees."""
 
     machine: Machine
     unit: LengthUnit
 
     @property
     def are_angles(self) -> BoolArray:
-        """True for the legs whose readings are angles, shape (6,), of a stage alone (3,)."""
+        """True for the legs whose readings are angles, shape (6,), or (3,) for a stage alone."""
         return np.asarray(np.array(self.machine.legs.units) == "rad")
 
     @property
@@ -75,28 +75,28 @@ class Readings:
 
     @property
     def units(self) -> list[str]:
-        """Units of the six, "deg" for degrees."""
+        """Units of the six readings, "deg" for degrees."""
         return ["deg" if is_angle else str(self.unit) for is_angle in self.are_angles]
 
     @property
     def heading(self) -> str:
-        """The unit of all legs, or those of the stages."""
+        """Unit of all legs, or units of both stages."""
         return self.stages(str(self.unit), "degrees")
 
     def stages(self, length: str, angle: str) -> str:
-        """Return `length` or `angle`, as all legs have it, or one for each stage where the stages differ."""
+        """Return `length` or `angle` if all legs have the same, otherwise one for each stage."""
         lower, upper = (angle if is_angle else length for is_angle in self.are_angles[::3])
         return lower if lower == upper else f"{lower} (r_b1 to r_b3) and {upper} (r_c1 to r_c3)"
 
     def read(self, option: str, typed: Any) -> FloatArray:
-        """Return readings typed [m, rad], one for all legs or one each; cranks of at most one turn."""
+        """Return typed readings in [m, rad], one for all legs or one each; cranks turn by at most one turn."""
         angles = self._angles(typed)
         if (angles > 360.0).any():
             raise ArgumentError(option, "angles of cranks in degrees, of at most one turn", f"{angles.max():g}")
         return np.asarray(np.array(typed) / self.scale)
 
     def read_limits(self, option: str, minimum: Any, maximum: Any) -> list[list[float]]:
-        """Return limits typed [m, rad], with a note on their unit where another one is likely."""
+        """Return typed limits in [m, rad], with a note on their unit if another one is likely."""
         if hint := self.hint(option, maximum):
             note(hint, "yellow")
         if (wrong := np.ravel(np.greater_equal(minimum, maximum))).any():
@@ -109,7 +109,7 @@ class Readings:
         return [self.read(option, np.broadcast_to(x, self.are_angles.shape)).tolist() for x in (minimum, maximum)]
 
     def _angles(self, typed: Any) -> FloatArray:
-        """Return the finite sizes of the angles among what was typed [degrees]."""
+        """Return the finite magnitudes of typed angles [degrees]."""
         angles = np.abs(np.broadcast_to(typed, self.are_angles.shape)[self.are_angles])
         return np.asarray(angles[np.isfinite(angles)])
 
@@ -118,8 +118,8 @@ class Readings:
         return fixed(reading, 3) if self.are_angles[leg] else self.unit.text(reading)
 
     def columns(self, after: str = "") -> dict[str, Any]:
-        """Return the columns of the readings of states in a table, a star beside those beyond their limits."""
-        # The space in the heading stands for the star.
+        """Return the columns of readings in a table, with a star after those beyond their limits."""
+        # The space in the heading is for the star.
         return {
             f"{name}{after} ": lambda row, leg=leg: (
                 self.text(row["readings"][leg], leg) + " *"[leg in row["beyond_limits"]]
@@ -128,7 +128,7 @@ class Readings:
         }
 
     def hint(self, option: str, typed: Any) -> str:
-        """Return `unit_hint` of the lengths among readings typed."""
+        """Return `unit_hint` for the lengths among typed readings."""
         lengths = np.abs(np.broadcast_to(typed, self.are_angles.shape)[~self.are_angles])
         return unit_hint(option, lengths.max(), self.unit, self.machine) if lengths.size else ""
 
@@ -138,21 +138,21 @@ SixLegs = tuple[float, float, float, float, float, float]
 
 
 def leg_option(name: str, help_text: str) -> Any:
-    """Return an option of six readings."""
+    """Return an option for six readings."""
     return typer.Option(name, metavar="B1 B2 B3 C1 C2 C3", help=help_text)
 
 
 AnyLegs = Annotated[
-    SixLegs | None, leg_option("--legs", "Readings of the legs in --unit, of cranks in degrees, instead of a pose.")
+    SixLegs | None, leg_option("--legs", "Readings of the legs in --unit, for cranks in degrees, instead of a pose.")
 ]
-Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, in and out.")]
+Unit = Annotated[LengthUnit, typer.Option(help="Unit of lengths, typed and printed.")]
 MachineFile = Annotated[
     Path | None,
-    typer.Option("--machine", "--geometry", metavar="FILE", help="YAML file of a machine; the paper's if not given."),
+    typer.Option("--machine", "--geometry", metavar="FILE", help="YAML file of a machine; default: the paper's."),
 ]
 MassesFile = Annotated[
     Path | None,
-    typer.Option("--masses", metavar="FILE", help="YAML file of masses and payload; assumed if not given."),
+    typer.Option("--masses", metavar="FILE", help="YAML file of masses and payload; default: assumed masses."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Limits = Annotated[
@@ -160,23 +160,26 @@ Limits = Annotated[
     typer.Option(
         "--limits",
         metavar="MIN MAX",
-        help="Limits of all six readings, in --unit or degrees; the machine's if not given.",
+        help="Limits of all six readings, in --unit or degrees; default: the machine's.",
     ),
 ]
-PREFIX = typer.Option("--prefix", help="Put before every name, such as left_.")
+PREFIX = typer.Option("--prefix", help="Prefix of all names, such as left_.")
 Branches = Annotated[
     list[str] | None, typer.Option("--branch", metavar="LABEL", help="Branch, such as TT+; may be repeated.")
 ]
 
 
 _SMALL_TURN = 1.5
-"""A pose turned by less may have been typed in radians [degrees]."""
+"""Turns of a pose smaller than this may have been typed in radians [degrees]."""
 
 
-def read_machine(path: Path | None) -> Manipulator:
-    """Return the machine of `--machine`, by default the paper's; warnings about the file are notes on stderr."""
-    if path is None:
-        return Manipulator.paper()
+def read_machine(path: Path | Manipulator | None) -> Manipulator:
+    """Return the machine of `--machine`, by default the paper's; warnings about the file are notes on stderr.
+
+    One that other options describe, such as those of a stage, is returned as it is.
+    """
+    if not isinstance(path, Path):
+        return path or Manipulator.paper()
     with warnings_as_notes("--machine: "):
         return Manipulator.from_yaml(path)
 
@@ -200,28 +203,28 @@ def warnings_as_notes(before: str = "") -> Iterator[None]:
 
 
 OptionTable = dict[str, tuple[Any, str, str]]
-"""Options by their names: what they take, its name in the help, and the help."""
+"""Options by name: type, name of the value in the help, and help."""
 _POSE: OptionTable = {
     "translation": (Triple, "X Y Z", "Position of o in {B}, in --unit."),
     "xyx": (Triple, "ALPHA BETA LAMBDA", "The paper's X-Y-X Euler angles in degrees."),
-    "rpy": (Triple, "ROLL PITCH YAW", "Instead: about the fixed axes X, Y, Z in degrees, as in URDF."),
-    "quat": (tuple[float, float, float, float], "X Y Z W", "Instead: unit quaternion, scalar last."),
-    "rotvec": (Triple, "X Y Z", "Instead: rotation vector, its length the angle in degrees."),
+    "rpy": (Triple, "ROLL PITCH YAW", "In place of --xyx: angles about the fixed axes X, Y, Z, as in URDF."),
+    "quat": (tuple[float, float, float, float], "X Y Z W", "In place of --xyx: unit quaternion, scalar last."),
+    "rotvec": (Triple, "X Y Z", "In place of --xyx: rotation vector, its length the angle in degrees."),
     "matrix": (
         tuple[float, float, float, float, float, float, float, float, float],
         "R11 ... R33",
-        "Instead: rotation matrix from {m} to {B}, row by row.",
+        "In place of --xyx: rotation matrix from {m} to {B}, row by row.",
     ),
 }
-"""Options of a pose, its position and then its orientations."""
+"""Options of a pose: position, then orientations."""
 
 
 def takes_pose(
     argument: str = "pose", prefix: str = "", *, required: bool = True
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorate a command that has a pose as `argument`, so that it takes --translation and one orientation instead.
+    """Decorate a command with a pose as `argument`, so that it takes --translation and one orientation instead.
 
-    The options have `prefix` before their names. If the pose is not `required`, it is None where no option is given.
+    The option names begin with `prefix`. If the pose is not `required`, it is None if no option is given.
     The command has an argument `unit`.
     """
 
@@ -242,9 +245,9 @@ def with_options(
     prefix: str = "",
     needed: Sequence[str] = (),
 ) -> Callable[..., None]:
-    """Return a command that takes options, with a prefix before their names, in place of one of its arguments.
+    """Return a command that takes options, whose names begin with a prefix, in place of one of its arguments.
 
-    `read` makes the argument from the values of the options, by their names in the table, None where one is not
+    `read` makes the argument from the values of the options, by their names in the table, None if not
     `needed` and not given, and from the command's other arguments.
     """
     options = {}
@@ -272,7 +275,7 @@ def with_options(
 
 
 def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: bool) -> RigidTransform | None:
-    """Return the pose of `--translation` and one orientation, in degrees where these are angles."""
+    """Return the pose of `--translation` and one orientation; angles are in degrees."""
     translation, *_ = typed.values()
     _, *orientations = typed
     chosen = [name for name in orientations if typed[name] is not None]
@@ -299,9 +302,9 @@ def _read_pose(typed: dict[str, Any], prefix: str, unit: LengthUnit, required: b
 
 
 def six_numbers(text: str, option: str, *, single: bool = False) -> FloatArray:
-    """Read six numbers separated by commas, shape (6,), or where allowed a single one, shape ()."""
+    """Read six numbers separated by commas, shape (6,), or if allowed a single one, shape ()."""
     try:
-        numbers = np.array([] if "_" in text else [float(x) for x in text.split(",")])  # Python takes 1_2 for 12
+        numbers = np.array([] if "_" in text else [float(x) for x in text.split(",")])  # Python reads 1_2 as 12
     except ValueError:
         numbers = np.empty(0)
     if numbers.size != 6 and not (single and numbers.size == 1):
@@ -311,7 +314,7 @@ def six_numbers(text: str, option: str, *, single: bool = False) -> FloatArray:
 
 
 def read_masses(path: Path | None, what: str) -> Masses | None:
-    """Return the masses of `--masses`; without it None, and a note that they are assumed in `what`."""
+    """Return the masses of `--masses`; without it None, with a note that masses are assumed in `what`."""
     if path is not None:
         return Masses.from_yaml(path)
     note(f"{what} with assumed masses, in proportion to the machine's size; --masses FILE gives the machine's")
@@ -319,7 +322,7 @@ def read_masses(path: Path | None, what: str) -> Masses | None:
 
 
 def unit_hint(option: str, typed: Any, unit: LengthUnit, machine: Machine) -> str:
-    """Return a hint at the unit where a length, or three in norm, is out of proportion to the machine, else nothing."""
+    """Return a hint on the unit if a length, or three in norm, is out of proportion to the machine; else empty."""
     length = float(np.linalg.norm(typed))
     better = likely_unit(machine, length / unit.per_metre, unit)
     if better is None:
@@ -332,7 +335,7 @@ def unit_hint(option: str, typed: Any, unit: LengthUnit, machine: Machine) -> st
 
 
 def pose_remarks(solutions: SolutionSet) -> list[str]:
-    """Return sentences on why one pose has no isolated branches, and on the way on; none for other poses."""
+    """Return sentences on why a pose has no isolated branches and what to do; none for other poses."""
     if solutions.status is Status.UNREACHABLE and abs(solutions.rotation[..., 2, 2]).max() == 1.0:
         return ["A level platform is held only with its centre o on the Z axis of the base, and then in many ways."]
     degeneracy = solutions.degeneracy
@@ -342,8 +345,8 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
     legs = [str(i + 1) for i in np.flatnonzero(degeneracy.legs)]
     of = "legs" if len(legs) > 1 else "leg"
     remarks = [
-        f"The solutions of {families} form a continuous family of dimension {int(degeneracy.dimension)}, of which none "
-        "is picked." + (f" Both planes of {of} {', '.join(legs)} coincide." if legs else "")
+        f"The solutions of {families} form a continuous family of dimension {int(degeneracy.dimension)} and are "
+        "omitted." + (f" Both planes of {of} {', '.join(legs)} coincide." if legs else "")
     ]
     if len(legs) == 3:
         remarks.append(
@@ -355,7 +358,7 @@ def pose_remarks(solutions: SolutionSet) -> list[str]:
 
 
 def status_content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
-    """Return what `--json` says of all solutions: their units, the status, and any continuous family."""
+    """Return the JSON content common to all solutions: their units, the status, and any continuous family."""
     degeneracy = solutions.degeneracy
     units = Readings(solutions.machine, unit).units
     family = degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")}
@@ -363,7 +366,7 @@ def status_content(solutions: SolutionSet, unit: LengthUnit) -> dict[str, Any]:
 
 
 def status_line(solutions: SolutionSet, what: str, unit: LengthUnit) -> str:
-    """Return a sentence on the status of solutions, called `what`: how many are real, how well they close."""
+    """Return a sentence on the status of solutions, called `what`: how many are real, and their closure residual."""
     line = f"status: {solutions.status}"
     if len(solutions.labels) > 1:
         line += f", {solutions.count} of {len(solutions.labels)} {what} real"
@@ -375,7 +378,7 @@ def status_line(solutions: SolutionSet, what: str, unit: LengthUnit) -> str:
 def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, required: bool = False) -> list[str]:
     """Return the branches of `--branch`, or all real ones.
 
-    A branch named must be real where others are; if `required`, also where no branch is real.
+    A named branch must be real if others are; if `required`, also if no branch is real.
     """
     real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
     if required and labels is not None and not real:
@@ -392,9 +395,9 @@ def selected_labels(solutions: SolutionSet, labels: list[str] | None, *, require
 
 
 def exit_code(status: Any, physical: Configuration | StageConfiguration) -> int:
-    """Return the exit code of a command whose displacement has a status and a `physical` solution, if that exists.
+    """Return the exit code of a command whose displacement has a status and perhaps a `physical` solution.
 
-    3 if it is unreachable, 4 if degenerate, 5 if there is no physical solution within the limits, and else 0.
+    3 if it is unreachable, 4 if degenerate, 5 if there is no physical solution within the limits, otherwise 0.
     """
     held = bool(physical.exists) and not physical.limit_excess.any()
     codes = {Status.OK: 0 if held else 5, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}
@@ -402,7 +405,7 @@ def exit_code(status: Any, physical: Configuration | StageConfiguration) -> int:
 
 
 def solve_pose(machine: Manipulator, pose: RigidTransform, unit: LengthUnit) -> tuple[SolutionSet, list[str]]:
-    """Return the branches of the pose typed, and remarks on one that has none or too many."""
+    """Return the branches of the typed pose, and remarks on a pose with none or too many."""
     solutions = inverse_displacement(machine, pose)
     hint = unit_hint("--translation", pose.translation * unit.per_metre, unit, machine)
     remarks = [hint] if hint else pose_remarks(solutions)
@@ -416,7 +419,7 @@ def solve_pose(machine: Manipulator, pose: RigidTransform, unit: LengthUnit) -> 
 def solve_request(
     machine: Manipulator, pose: RigidTransform | None, legs: SixLegs | None, unit: LengthUnit
 ) -> tuple[SolutionSet, list[str]]:
-    """Return the branches of the pose typed, or the one that `--legs` determine, and remarks where there are none."""
+    """Return the branches of the typed pose, or the state of `--legs`, and remarks if there is no solution."""
     if pose is not None and legs is None:
         return solve_pose(machine, pose, unit)
     if legs is None or pose is not None:
@@ -435,9 +438,9 @@ def legs_remarks(machine: Manipulator, legs: SixLegs, unit: LengthUnit) -> list[
 def requested_solutions(
     machine: Manipulator, pose: RigidTransform | None, legs: SixLegs | None, unit: LengthUnit
 ) -> tuple[SolutionSet, Configuration]:
-    """Return the branches of the requested pose, and the one to take if none is named.
+    """Return the branches of the requested pose, and the one to use if none is named.
 
-    That is the physical one, or else the first; with `legs` the one they determine; with no option at all, a regular
+    That is the physical one, or else the first; with `legs` the state of these; without options, a regular
     configuration near the home.
     """
     if pose is None and legs is None:
@@ -447,7 +450,7 @@ def requested_solutions(
     if not solutions.count:
         if legs is not None:
             raise ArgumentError(
-                "--legs", "readings with which the machine can be assembled", "none such", " ".join(remarks)
+                "--legs", "readings with which the machine can be assembled", "others", " ".join(remarks)
             )
         if solutions.status is Status.UNREACHABLE:
             remarks.append("spm-pin nearest finds the nearest pose that is reached.")
@@ -461,7 +464,7 @@ def requested_solutions(
 
 
 def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, Configuration]:
-    """Return branches of a pose under the titles of their pictures."""
+    """Return branches of a pose by the titles of their pictures."""
     titled, physical = {}, solutions.is_physical
     for k in map(solutions.labels.index, labels):
         state = solutions.configurations[k]
@@ -471,20 +474,20 @@ def titled_branches(solutions: SolutionSet, labels: Sequence[str]) -> dict[str, 
 
 
 def state_content(state: Configuration, *, physical: bool) -> dict[str, Any]:
-    """Return what `--json` says of every state: whether it is physical, and which legs are beyond their limits."""
+    """Return the JSON content of each state: whether it is physical, and which legs are beyond their limits."""
     beyond = np.flatnonzero(state.limit_excess)
     return {"physical": physical, "within_limits": not beyond.size, "beyond_limits": beyond}
 
 
 def state_mark(content: dict[str, Any]) -> str:
-    """Return the mark of a `state_content` in a table: a star stands for a leg beyond its limits."""
+    """Return the mark of a `state_content` in a table: a star for a leg beyond its limits."""
     return "physical" * bool(content["physical"]) + "*" * (not content["within_limits"])
 
 
 def state_remarks(
     contents: Sequence[dict[str, Any]], physical: Configuration | StageConfiguration, what: str
 ) -> list[str]:
-    """Return sentences on the marks of the states shown, and on there being no `physical` one."""
+    """Return sentences on the marks of the states shown, and on a missing physical state."""
     names, remarks = physical.machine.legs.names, []
     beyond = [", ".join(names[leg] for leg in content["beyond_limits"]) for content in contents]
     if any(beyond):

@@ -1,4 +1,4 @@
-"""Output of the subcommands: text and tables on the console, and files, checked with their extras before the work."""
+"""Output of the subcommands: text and tables on the console, and files, which are checked before the work."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Raise the error: Rich would end with the code 1."""
+        """Raise the error: Rich would exit with the code 1."""
         raise
 
 
-# File names and messages may contain brackets and words between colons, which Rich would take for styles and emoji.
+# File names and messages may contain brackets and words between colons, which Rich reads as styles and emoji.
 stdout = _Console(markup=False, highlight=False, emoji=False)
 stderr = _Console(stderr=True, markup=False, highlight=False, emoji=False, soft_wrap=True)
 
 _PRINTED_AS_ZERO = 1e-12
-"""A number smaller than this share of its scale is printed as zero."""
+"""A number smaller than this fraction of its scale is printed as zero."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -46,7 +46,7 @@ _ASCII |= {"×": "x", "•": "*", "→": "->", "≤": "<=", "≥": ">=", "…": 
 
 
 def write_any_text() -> None:
-    """Let stdout and stderr take every text: what their encoding does not have is written in ASCII."""
+    """Let stdout and stderr accept all texts: characters that their encoding lacks are replaced by ASCII."""
 
     def in_ascii(error: UnicodeError) -> tuple[str, int]:
         assert isinstance(error, UnicodeEncodeError)
@@ -60,7 +60,7 @@ def write_any_text() -> None:
 
 
 def flush() -> None:
-    """Write what stdout still holds; if that fails, raise `OSError`, and let nothing more be written."""
+    """Write the rest of stdout; if that fails, raise `OSError` and discard further output."""
     if sys.stdout is None:
         return
     try:
@@ -73,22 +73,22 @@ def flush() -> None:
 
 
 def print_lines(lines: Iterable[str], style: str | None = None) -> None:
-    """Print sentences on stdout, wrapped between words on a screen; in a pipe not at all, nor options to be copied."""
+    """Print sentences on stdout, wrapped between words on a screen, but not in a pipe, nor within options to copy."""
     for line in lines:
         stdout.print(line, style=style, soft_wrap=not stdout.is_terminal or line.startswith("  --"))
 
 
 def note(text: str, style: str | None = None) -> None:
-    """Print a line on stderr, beside the results; where that is full there is no place left to say so."""
+    """Print a line on stderr; if that is full, the line is lost."""
     with contextlib.suppress(OSError):
         stderr.print(text, style=style)
 
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a progress bar on stderr, and yield the function that takes a step's name, what is done, and of how much."""
+    """Show a progress bar on stderr, and yield a function of the step's name, the number done and the total."""
     columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    # Rich would end with an empty line where there is no terminal to draw on.
+    # Without a terminal Rich would end with an empty line.
     with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_interactive) as bar:
         task = bar.add_task("", total=None)
         yield lambda step, done, total: bar.update(task, description=step, completed=done, total=total)
@@ -103,9 +103,9 @@ def print_table(
     group: Callable[[Row], object] = lambda row: None,
     style: Callable[[Row], str | None] = lambda row: None,
 ) -> None:
-    """Print a table on stdout, its lines not wrapped; `columns` are headings and functions from a row to its text.
+    """Print a table on stdout without wrapping lines; `columns` are headings and functions from a row to its text.
 
-    The first column is aligned to the left, and so are those with headings in `left`; an empty line separates rows of
+    The first column, and those with headings in `left`, are aligned to the left; an empty line separates rows of
     another `group`. Without rows nothing is printed.
     """
     rows, headings = list(rows), list(columns)
@@ -132,7 +132,7 @@ def print_table(
 
 
 def significant(value: float, scale: float = 0.0, digits: int = 5) -> str:
-    """Format with a number of significant digits; a number that is rounding beside `scale` is printed as 0."""
+    """Format with a number of significant digits; rounding errors compared with `scale` are printed as 0."""
     return "0" if abs(value) <= _PRINTED_AS_ZERO * scale else f"{value:.{digits}g}"
 
 
@@ -144,7 +144,7 @@ def file_name(text: str) -> Path:
 
 
 def file_option(help_text: str, endings: Sequence[str] = (), extra: str = "") -> Any:
-    """Return an option of a file to write, checked before the work by `check_output`, and the extra that it needs."""
+    """Return an option for a file to write, which `check_output` checks before the work, and the extra it needs."""
 
     def check(parameter: typer.CallbackParam, path: Path | None) -> Path | None:
         if path is not None:
@@ -157,18 +157,18 @@ def file_option(help_text: str, endings: Sequence[str] = (), extra: str = "") ->
 
 
 def picture_option(help_text: str) -> Any:
-    """Return an option of a picture to write, as `file_option`."""
+    """Return an option for a picture to write, like `file_option`."""
     from spm_pin.display.writing import FORMATS
 
     return file_option(help_text, FORMATS, "plots")
 
 
 def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:
-    """Raise `ArgumentError` if a file cannot be written later, by its ending, its folder, its permissions."""
+    """Raise `ArgumentError` if a file cannot be written later: its ending, its folder, its permissions."""
     if endings and path.suffix.lower() not in endings:
         raise ArgumentError(option, f"a file name ending in {', '.join(endings)}", path.name, cause)
     reason = ""
-    # Folders that do not exist are made when the file is written.
+    # Folders that do not exist are created when the file is written.
     present = next(place for place in (path, *path.absolute().parents) if place.exists())
     # A file is replaced by another one in its folder.
     needed = [present, path.resolve().parent] if path.is_file() else [present]
@@ -176,7 +176,7 @@ def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (),
     if path.is_dir():
         reason = "It is a directory"
     elif present != path and not present.is_dir():
-        reason = f"{present} is no directory"
+        reason = f"{present} is not a directory"
     elif denied:
         reason = f"No permission to write {path if denied[0] == path else f'in {denied[0]}'}"
     if reason:
@@ -184,7 +184,7 @@ def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (),
 
 
 def write_text(text: str, path: Path | None) -> None:
-    """Write a text file and say so on stderr; without a path, print the text."""
+    """Write a text file, with a note on stderr; without a path, print the text."""
     if path is None:
         typer.echo(text, nl=False)
         return
@@ -215,10 +215,10 @@ _FILES = {"machine": "machine_file"}
 
 
 def name_options(**options: str | tuple[str, ...]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate a command so that its errors name the options typed, not the arguments of the functions it calls.
+    """Decorate a command so that its errors name the typed options instead of the arguments of functions.
 
-    `options`, by the argument's name, are those that have another name: of several, the first that
-    was typed, or the last. Errors in a file get the option before.
+    `options` maps arguments to options with other names: if there are several, to the first that
+    was typed, or the last. Errors in a file get the option in front.
     """
 
     def decorate(command: Callable[P, R]) -> Callable[P, R]:
@@ -253,18 +253,18 @@ def name_options(**options: str | tuple[str, ...]) -> Callable[[Callable[P, R]],
 
 
 def in_file_of(option: str, error: ArgumentError) -> ArgumentError:
-    """Return an error in a file as one that names the option with which the file was given."""
+    """Return an error in a file as one that also names the option of the file."""
     if error.argument:
         return error.replaced(argument=f"{option}: {error.argument}")
     return error.replaced(argument=f"{option}: {error.file}" + f":{error.line}" * bool(error.line), file="")
 
 
 def _option_name(parameter: str, hint: Any) -> str:
-    """Return what a user types for a parameter of a command: its option, or the name of the argument in the help."""
+    """Return what a user types for a parameter of a command: its option, or the argument's name in the help."""
     for info in getattr(hint, "__metadata__", ()):
         if isinstance(info, ArgumentInfo):
             return str(info.metavar or parameter.upper())
-        # Typer takes the first name for a default where there are several.
+        # If there are several names, typer takes the first for a default.
         for declared in (getattr(info, "default", None), *(getattr(info, "param_decls", None) or ())):
             if isinstance(declared, str) and declared.startswith("--"):
                 return declared.partition("/")[0]

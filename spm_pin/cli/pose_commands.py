@@ -1,6 +1,6 @@
 """`spm-pin inverse`, `nearest`, `forward`, `singularities` and `statics`: states of one pose or of six readings.
 
-Each builds one record per state, which is the JSON, and prints a table of columns of these records.
+Each makes one record per state, which is the JSON content, and prints a table of columns of these records.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _ORIENTATIONS = {
     "rpy": ("roll, pitch, yaw in degrees", ("roll", "pitch", "yaw"), 3),
     "quat": ("unit quaternion", ("qx", "qy", "qz", "qw"), 6),
 }
-"""Orientations that `forward` prints: what they are, their columns, and decimals."""
+"""Orientations that `forward` prints: meaning, columns, and decimals."""
 
 
 @outputs.name_options()
@@ -43,9 +43,9 @@ def inverse(
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Find every configuration that holds the platform in a pose.
+    """Find every configuration with a given pose of the platform.
 
-    Example, the paper's: spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm
+    The paper's example: spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm
 
     The exit code is 5 if no physical branch is within the leg limits.
     """
@@ -78,7 +78,7 @@ def nearest(
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Find the reachable pose nearest to one, within the leg limits and in the physical mode.
+    """Find the reachable pose nearest to a given one, within the leg limits and in the physical mode.
 
     Example: spm-pin nearest --translation 0.1 0 2.4 --rpy 5 0 0
 
@@ -101,18 +101,18 @@ def nearest(
 
 
 _INSET = 1e-4
-"""How far a nearest pose stays from the leg limits, as a share of the strokes."""
+"""Distance of a nearest pose from the leg limits, as a fraction of the strokes."""
 
 
 def _nearest(machine: Manipulator, pose: RigidTransform | None, unit: LengthUnit) -> Record | None:
-    """Return the nearest reachable pose, its readings and how far it is; None without leg limits or a pose."""
+    """Return the nearest reachable pose, its readings and its distance; None without leg limits or a pose."""
     if machine.limits is None or pose is None:
         return None
     from spm_pin.workspace.poses import nearest_reachable_pose
 
     state, distance = inverse_physical(machine, pose), 0.0
     if not state.exists or state.limit_excess.any():
-        # A little within the limits, where the pose as it is printed still is.
+        # Slightly within the limits, so that the pose is reached as it is printed.
         ends = machine.limits.ends
         inset = _INSET * np.where(np.isfinite(ends).all(axis=0), ends[1] - ends[0], machine.size)
         found = nearest_reachable_pose(machine, pose, LegLimits(ends[0] + inset, ends[1] - inset))
@@ -127,7 +127,7 @@ def _nearest(machine: Manipulator, pose: RigidTransform | None, unit: LengthUnit
 
 
 def _nearest_lines(reach: Record | None, unit: LengthUnit) -> list[str]:
-    """Return lines on the nearest pose, if there is one, with the options that enter it."""
+    """Return lines on the nearest pose, if any, with the options to enter it."""
     if reach is None:
         return []
     distance = f"{unit.text(reach['distance'], 1)} {unit}"
@@ -135,7 +135,7 @@ def _nearest_lines(reach: Record | None, unit: LengthUnit) -> list[str]:
 
 
 def _pose_options(reach: Record, unit: LengthUnit) -> str:
-    """Return the options that enter a nearest pose, to a tenth of a micrometre and a millionth of a degree."""
+    """Return the options to enter a nearest pose, to a tenth of a micrometre and a millionth of a degree."""
     translation = " ".join(unit.text(x, 2) for x in reach["translation"])
     named = "" if unit is LengthUnit.M else f" --unit {unit}"
     return f"--translation {translation} --rpy {' '.join(fixed(x, 6) for x in reach['rpy'])}{named}"
@@ -144,7 +144,7 @@ def _pose_options(reach: Record, unit: LengthUnit) -> str:
 def _records(
     solutions: SolutionSet, labels: list[str] | None, compute: Callable[[Configuration], Record]
 ) -> list[Record]:
-    """Return the marks of each branch of `--branch`, or of all real ones, and what is computed of its state."""
+    """Return the marks of each branch of `--branch`, or of all real ones, and results for its state."""
     records, physical = [], solutions.is_physical
     for label in options.selected_labels(solutions, labels):
         state, is_physical = solutions[label], bool(physical[solutions.labels.index(label)])
@@ -165,12 +165,10 @@ def _lengths(state: Configuration, shown: Readings) -> Record:
 @outputs.name_options(leg_lengths="--legs", readings="--legs")
 def forward(
     legs: Annotated[
-        SixLegs, leg_option("--legs", "Readings r_b1 to r_b3, r_c1 to r_c3 in --unit, of cranks in degrees.")
+        SixLegs, leg_option("--legs", "Readings r_b1 to r_b3, r_c1 to r_c3 in --unit, for cranks in degrees.")
     ],
     every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
-    xyx: Annotated[
-        bool, typer.Option("--xyx", help="Print the paper's X-Y-X angles in degrees, as by default.")
-    ] = False,
+    xyx: Annotated[bool, typer.Option("--xyx", help="Print the paper's X-Y-X angles in degrees (default).")] = False,
     rpy: Annotated[bool, typer.Option("--rpy", help="Print roll, pitch and yaw in degrees, as in URDF.")] = False,
     quat: Annotated[bool, typer.Option("--quat", help="Print the unit quaternion, scalar last.")] = False,
     unit: options.Unit = LengthUnit.M,
@@ -179,7 +177,7 @@ def forward(
 ) -> None:
     """Find the pose of the platform from the readings of the legs, lengths or angles.
 
-    Example, the paper's: spm-pin forward --legs 120 120 140 125 120 150 --unit cm
+    The paper's example: spm-pin forward --legs 120 120 140 125 120 150 --unit cm
 
     The exit code is 5 if a leg is beyond its limits.
     """
@@ -243,10 +241,10 @@ def singularities(
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Compute how near each branch of a pose, or the state of readings, is to a singularity.
+    """Compute how close each branch of a pose, or the state of given readings, is to a singularity.
 
     Determinants are divided by d³, the distance is the smallest singular value; both are dimensionless and zero at a
-    singularity, which is named: forward for J_b and J_c, the lower and the upper stage, inverse for K.
+    singularity, whose kind is named: forward for J_b and J_c, the lower and the upper stage, inverse for K.
 
     The exit code is 5 if no physical branch is within the leg limits.
     """
@@ -280,7 +278,7 @@ def _end(
     unit: LengthUnit,
     json: bool,
 ) -> NoReturn:
-    """End a command: its remarks, the nearest pose where that of a table is not reached, and the exit code."""
+    """End a command: print remarks and, if the pose of the table is out of reach, the nearest; set the exit code."""
     physical = solutions.physical()
     if not json:
         outputs.print_lines(options.state_remarks(branches, physical, "branch"))
@@ -324,10 +322,10 @@ def statics(
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Find the efforts of the actuators that hold a wrench on the platform, and the rates of the readings of its twist.
+    """Compute the efforts of the actuators that balance a wrench on the platform, and the leg rates for its twist.
 
-    Efforts are forces in N, or torques in N m of cranks; a positive one increases the reading: a cylinder pushes. At
-    an inverse singularity the efforts are still there; the rates are not.
+    Efforts are forces in N, or for cranks torques in N m; a positive one increases the reading: a cylinder pushes. At
+    an inverse singularity the efforts exist, but the rates do not.
 
     The exit code is 5 if no physical branch is within the leg limits.
     """

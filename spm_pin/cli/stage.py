@@ -1,4 +1,4 @@
-"""`spm-pin stage`: a stage alone, of a file or of numbers that a ruler gives: displacements, reach, pictures."""
+"""`spm-pin stage`: a stage alone, from a file or measured dimensions: displacements, reach, pictures."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ import typer
 from typer import Option
 
 from spm_pin.cli import options, outputs
+from spm_pin.cli.calibrate import calibrate as calibrate_machine
+from spm_pin.cli.calibrate import tolerance as tolerance_of_machine
 from spm_pin.cli.draw import Browser, Dark, Host, Port, serve
+from spm_pin.cli.move import AngleError, Boxes, LengthError, report_certificate
 from spm_pin.cli.options import LengthUnit, Readings, Triple
-from spm_pin.cli.stage_options import takes_place, takes_stage
+from spm_pin.cli.stage_options import as_command_of_stage, takes_place, takes_stage
 from spm_pin.display import reach_figure, save_figure, stage_figure
 from spm_pin.display.writing import FORMATS, fixed
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.machine import Stage, StageConfiguration, StageSolutions, Status
 from spm_pin.machine.stage_configuration import BELOW
+from spm_pin.proofs import certify as prove
 from spm_pin.stages import ReachEnd, best_height, forward_physical, height_range, inverse_physical, nearest_reachable
 from spm_pin.stages import forward as all_modes
 from spm_pin.stages import inverse as both_modes
@@ -27,18 +31,18 @@ from spm_pin.stages import reach as largest_tilts
 
 Record = dict[str, Any]
 _BESIDE = 1e-3 * np.array([0.0, -1.0, 1.0, -2.0, 2.0])
-"""Changes of a rounded tilt and azimuth [°] that are tried until one is reached."""
+"""Changes of a rounded tilt and azimuth [°] that are tried until a reachable one is found."""
 _NOT_PHYSICAL = "No mode there is reached from the level platform without a forward singularity"
 
 
 @takes_stage()
 @takes_place
 def inverse(stage: Stage, place: Record, unit: options.Unit = LengthUnit.M, json: options.AsJson = False) -> None:
-    """Find what the legs of a stage read for a tilt and a height of its platform, in both operation modes.
+    """Compute the readings of a stage for a tilt and a height of its platform, in both operation modes.
 
     Example: spm-pin stage inverse --base 80 --platform 90 --crank 50 --rod 110 --unit mm --height 120 --roll 8
 
-    Where the platform does not get there, the nearest reachable tilt is named. The exit code is 3 if neither mode is
+    If the tilt is out of reach, the nearest reachable tilt is printed. The exit code is 3 if neither mode is
     real, 5 if none is physical and within the limits.
     """
     solutions = both_modes(stage, **place)
@@ -62,13 +66,13 @@ def inverse(stage: Stage, place: Record, unit: options.Unit = LengthUnit.M, json
 
 
 def _options_of(nearest: StageConfiguration, place: Record, unit: LengthUnit) -> str:
-    """Return the options that enter a nearest tilt, rounded to one that is reached, of several towards less tilt."""
+    """Return the options to enter a nearest tilt, rounded to a reachable one: of several, one with less tilt."""
     tilt = max(math.floor(1e3 * math.degrees(nearest.tilt) - 0.1) / 1e3, 0.0)
     level = float(nearest.height * unit.per_metre)
     if not math.isclose(nearest.height, place["height"]):
         level += math.copysign(1e-4 * level, nearest.height - place["height"])
     azimuth = math.degrees(nearest.azimuth) if tilt else 0.0
-    # Where limits exclude the level platform less tilt may be beyond them.
+    # If the level platform is beyond the limits, less tilt may be as well.
     tilts, azimuths = np.meshgrid(np.maximum(tilt + _BESIDE, 0.0), azimuth + _BESIDE, indexing="ij")
     places = {"tilt": np.radians(tilts), "azimuth": np.radians(azimuths)}
     states = inverse_physical(nearest.stage, level / unit.per_metre, **places)
@@ -83,12 +87,12 @@ def _options_of(nearest: StageConfiguration, place: Record, unit: LengthUnit) ->
 @outputs.name_options()
 def forward(
     stage: Stage,
-    readings: Annotated[Triple, Option(metavar="R1 R2 R3", help="In --unit, of servos in degrees.")],
-    every: Annotated[bool, Option("--all", help="All sixteen assembly modes, not the physical one alone.")] = False,
+    readings: Annotated[Triple, Option(metavar="R1 R2 R3", help="Readings in --unit, for servos in degrees.")],
+    every: Annotated[bool, Option("--all", help="All sixteen assembly modes, not only the physical one.")] = False,
     unit: options.Unit = LengthUnit.M,
     json: options.AsJson = False,
 ) -> None:
-    """Find the tilt and the height of a stage's platform from what its legs read.
+    """Compute the tilt and the height of a stage's platform from the readings of its legs.
 
     Example: spm-pin stage forward --base 80 --platform 90 --crank 50 --rod 110 --unit mm --readings 20 33 6
     """
@@ -117,14 +121,14 @@ def reach(
     stage: Stage,
     height: Annotated[
         list[float] | None,
-        Option(metavar="LENGTH", help="Of the platform's centre, in --unit; may be repeated; nine if not given."),
+        Option(metavar="LENGTH", help="Height of the platform's centre, in --unit; may be repeated; default: nine."),
     ] = None,
-    directions: Annotated[int, Option(metavar="N", help="In how many directions the largest tilt is sought.")] = 72,
+    directions: Annotated[int, Option(metavar="N", help="Number of directions of the largest tilt.")] = 72,
     out: Annotated[Path | None, outputs.picture_option("Picture of the largest tilts to write.")] = None,
     unit: options.Unit = LengthUnit.M,
     json: options.AsJson = False,
 ) -> None:
-    """Find how far a stage's platform tilts, by height and direction, and what ends it.
+    """Compute how far a stage's platform tilts at each height and in each direction, and what limits the tilt.
 
     Example: spm-pin stage reach --base 80 --platform 90 --crank 50 --rod 110 --limits -35 70 --unit mm --out reach.png
     """
@@ -161,18 +165,63 @@ def reach(
 
 
 @takes_stage()
+@outputs.name_options(limits="--limits", boxes="--boxes", length_error="--length-error", angle_error="--angle-error")
+def certify(
+    stage: Stage,
+    boxes: Boxes = 300_000,
+    length_error: LengthError = 0.0,
+    angle_error: AngleError = 0.0,
+    out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
+    unit: options.Unit = LengthUnit.M,
+    json: options.AsJson = False,
+) -> None:
+    """Prove that the limits of a stage hold no forward singularity, so that three readings mean one configuration.
+
+    Example: spm-pin stage certify --base 80 --platform 90 --crank 50 --rod 110 --limits 0 50 --unit mm
+
+    The exit code is 0 if the proof succeeds, 1 if a singular configuration was found or boxes were left undecided.
+    --out needs the extra "plots". For the file of a calibrated stage it is proved for all as near to the nominal one.
+    """
+    with outputs.stderr.status("dividing the states of the stage"):
+        certificate = prove(stage, boxes=boxes, length_error=length_error / unit.per_metre, angle_error=angle_error)
+    report_certificate(certificate, None, out, json=json)
+
+
+@takes_stage()
 @outputs.name_options()
 def write(
     stage: Stage,
     out: Annotated[Path, outputs.file_option("YAML file to write.", (".yaml", ".yml"))],
     unit: options.Unit = LengthUnit.M,
 ) -> None:
-    """Write a stage into a file, for the --stage of other commands.
+    """Write a stage to a file, for the --stage of other commands.
 
     Example: spm-pin stage write --base 80 --platform 90 --crank 50 --rod 110 --limits -35 70 --unit mm --out stage.yaml
     """
     stage.to_yaml(out)
     outputs.note(f"wrote {out}; spm-pin export c-stage --stage {out} writes its header for a microcontroller")
+
+
+@as_command_of_stage(calibrate_machine)
+def calibrate() -> None:
+    """Calibrate a stage from what an IMU and a ruler show, or from measured poses, and leg readings.
+
+    Example: spm-pin stage calibrate seen.csv --base 80 --platform 90 --crank 50 --rod 110 --unit mm --out built.yaml
+
+    The file has columns roll and pitch as the IMU on the platform shows them, height of the platform's centre, or all
+    three, and r_1 to r_3, in radians and metres; or poses, as for spm-pin calibrate. Cells of the three may be empty.
+    The stage written can be given as --stage to other commands. Exit codes are those of spm-pin calibrate.
+    """
+
+
+@as_command_of_stage(tolerance_of_machine)
+def tolerance() -> None:
+    """Predict how far a stage's platform is off if its dimensions are, and which tolerance pays.
+
+    Example: spm-pin stage tolerance --stage balancer.yaml --pivot 2e-4 --offset 2e-3
+
+    States are drawn within the limits of the readings, which the file has to have.
+    """
 
 
 @takes_stage()
@@ -227,7 +276,7 @@ def _state(stage: Stage, place: Record, unit: LengthUnit) -> StageConfiguration:
         cause = _height_hint(stage, place, unit) or solutions.configurations.missing_reason or _NOT_PHYSICAL
         if (nearest := nearest_reachable(stage, **place)).exists:
             cause += f". The nearest: {_options_of(nearest, place, unit)}"
-        raise ArgumentError("--height, --tilt", "a place that the stage reaches", "none", cause)
+        raise ArgumentError("--height, --tilt", "a height and a tilt that the stage reaches", "others", cause)
     return state
 
 
@@ -255,7 +304,7 @@ def _records(solutions: StageSolutions, unit: LengthUnit) -> list[Record]:
 
 
 def _print_states(stage: Stage, records: list[Record], unit: LengthUnit, *, at: str = "") -> None:
-    """Print states by their readings, or, `at` readings that were typed, by their poses."""
+    """Print states by their readings, or for typed readings `at` by their poses."""
     angle = "°" if stage.unit == "rad" else str(unit)
     columns: dict[str, Any] = {"mode": lambda row: row["label"]} if len(records) > 1 or not at else {}
     if at:
@@ -282,5 +331,5 @@ def _remarks(records: list[Record], physical: StageConfiguration) -> list[str]:
 
 
 def _status_lines(status: object, reason: str, hint: str) -> list[str]:
-    """Return the status with its reason, or, where there is a hint at the unit, with that."""
+    """Return the status with its reason, or with a hint on the unit if there is one."""
     return [f"status: {status}", hint] if hint else [f"status: {status}" + f": {reason}" * bool(reason)]

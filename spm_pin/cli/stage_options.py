@@ -1,10 +1,11 @@
-"""Options of a stage, and of the height and the tilt of its platform: the same for every command that takes them."""
+"""Options of a stage, and of the height and the tilt of its platform, common to several commands."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,40 +17,65 @@ from spm_pin.stages import home_height
 
 Typed = dict[str, Any]
 _STAGE: OptionTable = {
-    "stage": (Path, "FILE", "YAML file of a stage, in place of the numbers that follow."),
-    "base": (float, "RADIUS", "From the centre of the base to the pivots, in --unit."),
-    "platform": (float, "RADIUS", "From the centre of the platform to the balls, in --unit."),
-    "crank": (float, "LENGTH", "Of servos' cranks, in --unit: with --rod, legs RRS."),
+    "stage": (Path, "FILE", "YAML file of a stage, in place of the following dimensions."),
+    "base": (float, "RADIUS", "Distance from the centre of the base to the pivots, in --unit."),
+    "platform": (float, "RADIUS", "Distance from the centre of the platform to the balls, in --unit."),
+    "crank": (float, "LENGTH", "Length of the servos' cranks, in --unit; with --rod: RRS legs."),
     "rod": (
         float,
         "LENGTH",
-        "From knee or carriage to ball, in --unit, of all three: alone, legs PRS; without, RPS. Unequal ones: --stage.",
+        "Distance from knee or carriage to ball, in --unit; alone: PRS legs, without: RPS. Unequal rods: --stage.",
     ),
-    "slide": (float, "DEGREES", "Direction of PRS legs' slides: 0 outwards, 90 upwards, the default."),
-    "sign": (int, "±1", "Working mode: -1, knees outside and carriages below, the default, or 1."),
-    "limits": (tuple[float, float], "MIN MAX", "Of the readings: in --unit, of servos in degrees."),
+    "slide": (float, "DEGREES", "Direction of the slides of PRS legs: 0 outwards, 90 upwards (default)."),
+    "sign": (int, "±1", "Working mode: -1, knees outside and carriages below (default), or 1."),
+    "limits": (tuple[float, float], "MIN MAX", "Limits of the readings: in --unit, for servos in degrees."),
 }
 _PLACE: OptionTable = {
-    "height": (float, "LENGTH", "Of the platform's centre above the pivots, in --unit; the middle if not given."),
-    "tilt": (float, "DEGREES", "Of the platform, which is level if nothing is given."),
-    "azimuth": (float, "DEGREES", "Where it is lowest: 0, along x, if not given; legs are at -30, 90 and 210."),
-    "roll": (float, "DEGREES", "Instead of --tilt, with --pitch: about x."),
-    "pitch": (float, "DEGREES", "About y."),
-    "normal": (Triple, "X Y Z", "Instead: the platform's normal, of any length."),
+    "height": (float, "LENGTH", "Height of the platform's centre above the pivots, in --unit; default: the middle."),
+    "tilt": (float, "DEGREES", "Tilt of the platform; default: level."),
+    "azimuth": (float, "DEGREES", "Direction in which it is lowest; default: 0, along x. Legs: -30, 90 and 210."),
+    "roll": (float, "DEGREES", "In place of --tilt, with --pitch: angle about x."),
+    "pitch": (float, "DEGREES", "Angle about y."),
+    "normal": (Triple, "X Y Z", "In place of --tilt: the platform's normal, of any length."),
 }
 _WAYS: tuple[set[str], ...] = {"tilt", "azimuth"}, {"roll", "pitch"}, {"normal"}
 
 
 def takes_stage(*, required: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorate a command that has a `stage`, so that it takes the options of one instead; it has a `unit` too.
+    """Decorate a command with a `stage`, so that it takes the options of one instead; it also has a `unit`.
 
-    If it is not `required`, it is None where no option is given.
+    If it is not `required`, it is None if no option is given.
     """
-    return partial(options.with_options, argument="stage", table=_STAGE, read=partial(_read_stage, required=required))
+    return functools.partial(
+        options.with_options, argument="stage", table=_STAGE, read=functools.partial(_read_stage, required=required)
+    )
+
+
+def as_command_of_stage(command: Callable[..., None]) -> Callable[[Callable[[], None]], Callable[..., None]]:
+    """Decorate an empty function so that it is a robot's command for a stage, with the docstring of the function.
+
+    It has the options of a stage in place of `machine_file`; --stage alone if the command has some of the others.
+    """
+    names = inspect.signature(command).parameters.keys()
+    table = _STAGE | {"unit": (LengthUnit, "UNIT", "Of the lengths among these options; metres if not given.")}
+    needed = ["stage"] if names & table.keys() else []
+    if needed:
+        table = {"stage": (Path, "FILE", "YAML file of a stage, see spm-pin stage write.")}
+
+    def read(typed: Typed, _: Typed) -> Stage | None:
+        unit = typed.pop("unit", None) or LengthUnit.M
+        return _read_stage(dict.fromkeys(_STAGE) | typed, {"unit": unit}, required=True)
+
+    def decorate(described: Callable[[], None]) -> Callable[..., None]:
+        made = options.with_options(command, "machine_file", table, read, needed=needed)
+        made.__doc__, made.__name__ = described.__doc__, described.__name__
+        return made
+
+    return decorate
 
 
 def takes_place(command: Callable[..., None]) -> Callable[..., None]:
-    """Decorate a command that has a `stage`, and a `place`, arguments of `stages.inverse`, so that it takes options.
+    """Decorate a command with a `stage` and a `place`, arguments of `stages.inverse`, so that it takes options.
 
     Errors that name an argument of `stages.inverse` name the option.
     """
@@ -61,16 +87,16 @@ def _read_place(typed: Typed, arguments: Typed) -> Typed:
     height, place = typed["height"], {name: x for name, x in typed.items() if x is not None and name != "height"}
     if not any(place.keys() <= way for way in _WAYS):
         several = " and ".join(f"--{name}" for name in place)
-        raise ArgumentError(several, "--tilt with --azimuth, or --roll with --pitch, or --normal", "several of them")
+        raise ArgumentError(several, "--tilt with --azimuth, or --roll with --pitch, or --normal", "a mixture")
     if not 0.0 <= place.get("tilt", 0.0) < 180.0:
-        cause = "To the other side leans what has another azimuth"
+        cause = "For a tilt to the opposite side change the azimuth"
         raise ArgumentError("--tilt", "an angle in degrees, from 0 to less than 180", f"{place['tilt']:g}", cause)
     for name in place.keys() - {"normal"}:
         if not abs(place[name]) <= 360.0:
             raise ArgumentError(f"--{name}", "an angle in degrees, of at most one turn", f"{place[name]:g}")
         place[name] = math.radians(math.remainder(place[name], 360.0))
     if "azimuth" in place and "tilt" not in place:
-        raise ArgumentError("--tilt", "a tilt beside --azimuth", "none")
+        raise ArgumentError("--tilt", "a tilt together with --azimuth", "none")
     if "tilt" in place:
         place.setdefault("azimuth", 0.0)
     metres = home_height(arguments["stage"]) if height is None else height / arguments["unit"].per_metre
@@ -112,7 +138,7 @@ def _read_kind(typed: Typed, lengths: Typed) -> LegKind:
     sign: Typed = {} if typed["sign"] is None else {"sign": typed["sign"]}
     if lengths["crank"] is not None:
         if lengths["rod"] is None:
-            raise ArgumentError("--rod", "the length of the rods beside --crank", "none")
+            raise ArgumentError("--rod", "the length of the rods together with --crank", "none")
         _refuse(typed, "slide", "--crank")
         return RRS(crank=lengths["crank"], rod=lengths["rod"], **sign)
     if lengths["rod"] is not None:
@@ -125,4 +151,4 @@ def _read_kind(typed: Typed, lengths: Typed) -> LegKind:
 
 def _refuse(typed: Typed, name: str, beside: str) -> None:
     if typed[name] is not None:
-        raise ArgumentError(f"--{name}", f"not to be given with {beside}", f"{typed[name]:g}")
+        raise ArgumentError(f"--{name}", f"no such option with {beside}", f"{typed[name]:g}")

@@ -1,4 +1,4 @@
-"""`spm-pin workspace`, what a machine reaches; `sweep`, metrics over many points; `design`, dimensions searched."""
+"""`spm-pin workspace`: the reachable set; `sweep`: metrics over many points; `design`: search for dimensions."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _NAMES |= dict.fromkeys(("alpha", "beta", "lambda_"), "--xyx")
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
 _LEGS = (
-    "Leg lengths as encoders show them, of RRS legs degrees, instead of poses: once for all six, twice for lower and "
+    "Readings of the legs, for RRS legs in degrees, instead of poses: once for all six, twice for lower and "
     "upper, or six times; of a stage once for all three, or three times."
 )
-_SAMPLES = "Draw so many points instead; ranges are then START:STOP."
-_METRICS = f"May be repeated; {', '.join(_DEFAULT)} if not given. One of {', '.join(sweeps.METRICS)}."
-_LENGTH = "Characteristic length of conditioning and isotropy, in --unit; the platform's radius."
+_SAMPLES = "Number of random points instead of a lattice; ranges are then START:STOP."
+_METRICS = f"May be repeated; default: {', '.join(_DEFAULT)}. One of {', '.join(sweeps.METRICS)}."
+_LENGTH = "Characteristic length of conditioning and isotropy, in --unit; default: the platform's radius."
 _COLUMNS = (
     "volume, footprint, assembled, certified, task_margin or task_effort with --task, or a metric with _mean or _low, "
     "such as payload_low"
@@ -56,28 +56,28 @@ _NONE = "no machine keeps the bounds"
 def workspace(
     limits: options.Limits = None,
     spacing: Annotated[
-        float | None, Option(help="Of the grid, in --unit; a twentieth of what is reached if not given.")
+        float | None, Option(help="Spacing of the grid, in --unit; default: a twentieth of the reachable set.")
     ] = None,
     out: Annotated[
         Path | None,
         Option(metavar="FILE", help="Picture (.png, .svg, .pdf) or mesh in metres (.stl, .ply, .obj, .glb)."),
     ] = None,
     paper: Annotated[
-        bool, Option("--paper", help="The 24 surfaces of the paper's Table 6 instead, of RPS legs as drawn.")
+        bool, Option("--paper", help="The 24 surfaces of the paper's Table 6 instead, for nominal RPS legs.")
     ] = False,
     resolution: Annotated[int, Option(help="Increments of a varying leg for --paper, at least 2.")] = 40,
-    sections: Annotated[bool, Option("--sections", help="Draw sections of --paper, with what is reached.")] = False,
+    sections: Annotated[bool, Option("--sections", help="Draw sections of --paper, with reachable points.")] = False,
     samples: Annotated[int, Option(min=1, help="Random sets of leg lengths for --sections.")] = 2_000_000,
     unit: options.Unit = LengthUnit.M,
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
 ) -> None:
-    """Find where the platform's centre can be, in some orientation: the boundary and the volume of what is reached.
+    """Compute where the platform's centre can be, in some orientation: boundary and volume of the reachable set.
 
     Example: spm-pin workspace --limits 110 150 --unit cm --out reached.png
 
-    For the file of a calibrated machine it is that machine's. The volume is from two meshes, of the spacing and of half
-    of it. --paper gives the paper's shell, which is not the whole boundary: --sections shows where it is not. It needs
+    It takes the file of a calibrated machine as well. The volume is extrapolated from two meshes, with the spacing and
+    half of it. --paper computes the paper's shell, which is not the whole boundary: --sections shows where. It needs
     the extra "workspace", and --out "plots".
     """
     if sections and (out is None or not paper):
@@ -122,7 +122,7 @@ def _limited(machine: Manipulator | Stage, limits: tuple[float, float], unit: Le
 
 
 def _reached(machine: Manipulator, spacing: float | None) -> tuple[Boundary, Estimate]:
-    """Return the boundary of what is reached, of half the spacing, and its volume."""
+    """Return the boundary of the reachable set, with half the spacing, and its volume."""
     with outputs.progress_bar() as progress:
         coarse = reachable_boundary(machine, spacing=spacing, progress=progress)
         fine = reachable_boundary(machine, spacing=0.5 * coarse.spacing, progress=progress)
@@ -130,7 +130,7 @@ def _reached(machine: Manipulator, spacing: float | None) -> tuple[Boundary, Est
 
 
 def _measures(mesh: Shell | Boundary, volume: float, error: float, unit: LengthUnit) -> dict[str, Any]:
-    """Return what `--json` says of a mesh of either kind."""
+    """Return the JSON content of a mesh of either kind."""
     length = unit.per_metre
     scale = Readings(mesh.machine, unit).scale
     return {
@@ -145,7 +145,7 @@ def _measures(mesh: Shell | Boundary, volume: float, error: float, unit: LengthU
 
 
 def _measure_lines(mesh: Shell | Boundary, volume: float, error: float, unit: LengthUnit) -> list[str]:
-    """Return the limits and the volume, which has as many digits as its error leaves and one more."""
+    """Return the limits and the volume, which has one digit more than its error justifies."""
     scale = unit.per_metre**3
     digits = 1 - math.floor(math.log10(error * scale)) if error else 0
     size, off = (f"{round(x * scale, n):.{max(0, n)}f}" for x, n in ((volume, digits), (error, digits - 1)))
@@ -169,7 +169,7 @@ def _print_reached(boundary: Boundary, estimate: Estimate, unit: LengthUnit, jso
 
 
 def _limit_lines(limits: LegLimits, machine: Manipulator, unit: LengthUnit) -> list[str]:
-    """Return the limits in words, in a line where those of all legs are in one unit."""
+    """Return the limits in words, in one line if all legs have the same unit."""
     shown, lines = Readings(machine, unit), []
     stages = {"lower legs": slice(0, 3), "upper legs": slice(3, 6)}
     for place, legs in stages.items() if len(set(shown.units)) > 1 else [("legs", slice(0, 6))]:
@@ -242,14 +242,14 @@ def sweep(
     azimuth: Annotated[str | None, Option(metavar=_RANGE, help="Of a stage: where it is lowest, in degrees.")] = None,
     legs: Annotated[list[str] | None, Option(metavar=_RANGE, help=_LEGS)] = None,
     samples: Annotated[int | None, Option(min=1, help=_SAMPLES)] = None,
-    seed: Annotated[int, Option(min=0, help="Seed of the drawing.")] = 0,
+    seed: Annotated[int, Option(min=0, help="Seed of the random points.")] = 0,
     metric: Annotated[list[str] | None, Option(metavar="NAME", help=_METRICS)] = None,
     limits: options.Limits = None,
     length: Annotated[float | None, Option(help=_LENGTH)] = None,
     leg_force: Annotated[float, Option(help="Largest force of a leg, for the payloads [N].")] = 1.0,
     leg_stiffness: Annotated[float, Option(help="Stiffness of a leg, for the stiffnesses [N/m].")] = 1.0,
     scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler: tcp://head:8786.")] = None,
-    workers: Annotated[int | None, Option(min=1, help="Processes on this machine; one per processor.")] = None,
+    workers: Annotated[int | None, Option(min=1, help="Processes on this machine; default: one per processor.")] = None,
     chunk: Annotated[int, Option(min=1, help="Most points per chunk, the unit of work and of storage.")] = CHUNK,
     status: Annotated[bool, Option("--status", help="Only print how much is done.")] = False,
     unit: options.Unit = LengthUnit.M,
@@ -261,7 +261,7 @@ def sweep(
     Example: spm-pin sweep --legs 1.1:1.5 --samples 100000 --out map.zarr
     Example: spm-pin sweep --machine stage.yaml --height 0.1:0.14:9 --tilt 0:30:7 --azimuth 0:360:13 --out tilts.zarr
 
-    Killed or interrupted it loses nothing: the same command goes on, and so does spm-pin sweep --out FOLDER alone.
+    If it is interrupted nothing is lost: the same command continues, and so does spm-pin sweep --out FOLDER alone.
     """
     tilts = {"--height": height, "--tilt": tilt, "--azimuth": azimuth}
     poses: dict[str, Any] = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
@@ -293,7 +293,7 @@ def sweep(
         beside = {"--samples": samples, "--metric": metric, "--limits": limits, "--length": length}
         named = ", ".join(option for option, value in beside.items() if value)
         if named:
-            cause = "To go on with a sweep, give --out alone."
+            cause = "To continue a sweep, give --out alone"
             raise ArgumentError(", ".join((*own, "--legs")), f"ranges beside {named}", "none", cause)
         require_extra("cluster")
         with _progress(out) as progress:
@@ -313,9 +313,9 @@ def sweep(
 def _domain(
     poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], metres: FloatArray, scale: float
 ) -> Domain | None:
-    """Return the domain that the options describe, `poses` or `legs`; None where there is none of them.
+    """Return the domain that the options describe; None if they are not given.
 
-    What is typed is times `metres` (legs,) for readings, and times `scale` for positions.
+    Typed readings are multiplied by `metres` (legs,), positions by `scale`.
     """
     missing = [option for option, value in poses.items() if value is None]
     if legs and len(missing) < len(poses):
@@ -344,7 +344,7 @@ def _domain(
 
 
 def _range(option: str, text: str, scale: float) -> float | tuple[float, ...]:
-    """Read a number, START:STOP or START:STOP:COUNT; which of them is right is not known here."""
+    """Read a number, START:STOP or START:STOP:COUNT; the caller checks which of them is allowed."""
     parts = text.split(":")
     try:
         numbers = [float(part) for part in parts]
@@ -371,7 +371,7 @@ def _go_on(out: Path, own_metrics: tuple[str, ...] = ()) -> str:
 
 @contextlib.contextmanager
 def _progress(out: Path) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar; after Ctrl-C, print what is kept and how to go on, and exit."""
+    """Show a progress bar; after Ctrl-C, print what is kept and how to continue, and exit."""
     try:
         with outputs.progress_bar() as bar:
             yield lambda done, total: bar(out.name, done, total)
@@ -391,14 +391,14 @@ def design(
             help=f"A free dimension in metres, angles in radians: {', '.join(VARIABLES)}. May be repeated.",
         ),
     ],
-    maximise: Annotated[list[str] | None, Option(metavar="COLUMN", help=f"To be large: {_COLUMNS}.")] = None,
-    minimise: Annotated[list[str] | None, Option(metavar="COLUMN", help="To be small, likewise.")] = None,
+    maximise: Annotated[list[str] | None, Option(metavar="COLUMN", help=f"Column to maximise: {_COLUMNS}.")] = None,
+    minimise: Annotated[list[str] | None, Option(metavar="COLUMN", help="Column to minimise.")] = None,
     at_least: Annotated[
-        list[str] | None, Option(metavar="COLUMN:VALUE", help="A least value, such as certified:1. May be repeated.")
+        list[str] | None, Option(metavar="COLUMN:VALUE", help="Lower bound, such as certified:1. May be repeated.")
     ] = None,
     at_most: Annotated[
         list[str] | None,
-        Option(metavar="COLUMN:VALUE", help="A largest value, such as footprint:1.2. May be repeated."),
+        Option(metavar="COLUMN:VALUE", help="Upper bound, such as footprint:1.2. May be repeated."),
     ] = None,
     task: Annotated[
         Path | None,
@@ -406,21 +406,19 @@ def design(
     ] = None,
     wrench: Annotated[
         str | None,
-        Option(
-            metavar="F,M", help="Force [N] and moment [N m] at o in {B} for task_effort, six numbers; 0,0,-1,0,0,0."
-        ),
+        Option(metavar="F,M", help="Force [N] and moment [N m] at o in {B} for task_effort; default: 0,0,-1,0,0,0."),
     ] = None,
-    population: Annotated[int, Option(min=2, help="Machines of a generation.")] = 40,
+    population: Annotated[int, Option(min=2, help="Number of machines in a generation.")] = 40,
     generations: Annotated[int, Option(min=2, help="Number of generations.")] = 25,
-    states: Annotated[int, Option(min=2, help="States at which each machine is evaluated.")] = 2000,
+    states: Annotated[int, Option(min=2, help="Number of states at which each machine is evaluated.")] = 2000,
     seed: Annotated[int, Option(min=0, help="Seed of the search and of the states.")] = 0,
     workers: Annotated[
         int | None,
-        Option(min=1, help="Processes on this machine, by default 1. More pay where a generation takes long."),
+        Option(min=1, help="Processes on this machine; default 1. More are faster if a generation takes long."),
     ] = None,
     scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler: tcp://head:8786.")] = None,
     choose: Annotated[int | None, Option(metavar="ROW", help="Row of the front to write to --out, from 0.")] = None,
-    out: Annotated[Path | None, outputs.file_option("YAML file of that machine to write.", (".yaml", ".yml"))] = None,
+    out: Annotated[Path | None, outputs.file_option("YAML file of the chosen machine.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the front to write.")] = None,
     machine_file: options.MachineFile = None,
     json: options.AsJson = False,
@@ -430,8 +428,8 @@ def design(
     Example: spm-pin design front.json --free base_radius:0.4:0.8 --free platform_radius:0.25:0.6
     --free middle_side:0.5:1 --maximise payload_low --maximise volume --at-least certified:1 --at-most footprint:1.2
 
-    What is not free is as in --machine, which the front is compared with. Stopped by Ctrl-C, the same command goes on
-    where it was; ended, it shows the front again at once. Exit code 3 if no machine keeps the bounds. It needs the
+    Values that are not free are those of --machine, with which the front is compared. After Ctrl-C the same command
+    continues; after its end, it shows the front again. Exit code 3 if no machine keeps the bounds. It needs the
     extra "design".
     """
     require_extra("design")
@@ -461,7 +459,7 @@ def design(
     if choose is not None and out is not None:
         if choose >= len(front.designs):
             if not len(front.designs):
-                raise ArgumentError("--choose", "a front that has rows", choose, _NONE.capitalize())
+                raise ArgumentError("--choose", "a front with rows", choose, _NONE.capitalize())
             raise ArgumentError("--choose", f"a row from 0 to {len(front.designs) - 1}", choose)
         front.designs.machines[choose].to_yaml(out)
         outputs.note(f"wrote {out}")
@@ -477,7 +475,7 @@ def design(
 
 
 def _task_functions(path: Path, wrench: str | None, machine: Manipulator | Stage) -> dict[str, Any]:
-    """Return the columns of a task by their names, functions of a machine."""
+    """Return the columns of a task, by name, as functions of a machine."""
     if isinstance(machine, Stage):
         cause = "Tasks of tilts are given in Python: spm_pin.design.Task.of_tilts"
         raise ArgumentError("--task", "poses of a manipulator", "a stage by --machine", cause)
@@ -540,6 +538,6 @@ def _print_front(front: Front) -> None:
     outputs.print_table("Machines that no other beats in all aims", columns, rows)
     better = int(front.better.sum())
     text = f"{len(front.evaluated)} machines evaluated, {len(designs)} on the front, {better} of them at least as good"
-    outputs.print_lines([f"{text} as the machine that the search began with in all aims"])
+    outputs.print_lines([f"{text} as the machine at the start in all aims"])
     if "volume" in problem.columns and not {"certified", "assembled"} & problem.at_least.keys():
-        outputs.note("volume comes out small where a forward singularity is within the limits: --at-least certified:1")
+        outputs.note("volume is too small if there is a forward singularity within the limits: --at-least certified:1")

@@ -116,9 +116,9 @@ class MethodScore:
     residual: float = 0.0
     """Largest closure residual in units of the one it states."""
     invented_at: int = -1
-    """Pose of the first branch invented; -1 if there is none."""
+    """Pose of the first branch invented; -1 if missing."""
     missed_at: int = -1
-    """Pose of the first branch missed; -1 if there is none."""
+    """Pose of the first branch missed; -1 if missing."""
 
     @property
     def pose(self) -> int:
@@ -221,7 +221,7 @@ def compare_in_batches(
             progress(description, done, poses)
 
     comparison = _Comparison(machine, made, step)
-    # Of a slow method a share of the poses, at least one, evenly spread.
+    # Slow methods compute only some of the poses, at least one, evenly distributed.
     counts = {method.name: max(1, round(method.share * poses)) for method in made}
     selected = {name: np.arange(poses) * count % poses < count for name, count in counts.items()}
     while done < poses:
@@ -255,8 +255,8 @@ def compare_methods(
     Parameters
     ----------
     machine : Manipulator
-        The manipulator, drawn or as built. A numerical search knows no labels of a machine as built: the branches of
-        such a machine are compared as sets, each paired with the nearest of those that the methods before have found.
+        The manipulator, nominal or calibrated. A numerical search has no labels for a calibrated machine: its branches
+        are compared as sets, each paired with the nearest of those found by the previous methods.
     poses : int
         Number of poses; four fifths of them in leg space.
     seed : int
@@ -332,7 +332,7 @@ class _Comparison:
     def _solve(self, method: Method, poses: RigidTransform, selected: BoolArray, known: FloatArray) -> _Answer | None:
         """Return a method's branches of poses (n,); None if it solves none of them.
 
-        Those of a machine as built are put into the order of the branches `known` (n, 8, 3, 3), and added to these.
+        Those of a calibrated machine are put into the order of the branches `known` (n, 8, 3, 3), and added to these.
         """
         if not selected.any():
             return None

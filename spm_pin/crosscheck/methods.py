@@ -101,9 +101,9 @@ class Paper(Method):
     def __post_init__(self) -> None:
         check_rps(self.machine, "the paper's equations")
         if not self.machine.is_nominal:
-            expected = "a machine as drawn, whose equations are those of the paper"
-            cause = "Leave this method out, or compare its drawing, machine.nominal"
-            raise GeometryError("machine", expected, "one as built", cause)
+            expected = "a nominal machine, whose equations are those of the paper"
+            cause = "Leave this method out, or compare machine.nominal"
+            raise GeometryError("machine", expected, "a calibrated one", cause)
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
@@ -216,7 +216,7 @@ METHODS: dict[str, Callable[[Manipulator], Method]] = {
 def make_methods(names: Sequence[Method | str] | None, machine: Manipulator) -> list[Method]:
     """Return methods: by their names in `METHODS`, as they are, or all of `METHODS` that serve here.
 
-    Those serve whose packages can be imported and that take the machine, drawn or as built.
+    Those serve whose packages can be imported and that take the machine, nominal or calibrated.
     """
     if names is None:
         serving = []

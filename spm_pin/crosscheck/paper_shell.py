@@ -21,7 +21,6 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator
 from spm_pin.machine.manipulator import check_rps
-from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, IntArray, first_offender, frozen, type_and_value, whole_number
 from spm_pin.workspace.boundary import ClosedMesh
 from spm_pin.workspace.states import finite_limits
@@ -157,15 +156,11 @@ class Shell(ClosedMesh):
     configuration: Configuration
     """The state at each vertex of the mesh, shape (V,)."""
     convergence: Convergence
-    """How the volume converges as the resolution grows."""
+    """Convergence of the volume with increasing resolution."""
 
     def __repr__(self) -> str:
         size = f"{len(self.vertices)} vertices, {len(self.faces)} faces"
         return f"<Shell: {len(self.patches)} patches, {size}, {self.volume:.4f} m³>"
-
-    def _repr_html_(self) -> str:
-        rows = [(patch.name, f"{patch.area:.4f}") for patch in self.patches]
-        return notebook.table(repr(self), ("patch", "area [m²]"), rows)
 
     def __getitem__(self, name: str) -> Patch:
         for patch in self.patches:
@@ -217,8 +212,8 @@ def workspace_shell(machine: Manipulator, limits: LegLimits | None = None, *, re
     limits = finite_limits(machine, limits)
     check_rps(machine, "the paper's 24 surfaces")
     if not machine.is_nominal:
-        cause = "The paper's 24 surfaces are those of the drawing: machine.nominal, or the file without its legs"
-        raise GeometryError("machine", "a machine as drawn", "one as built", cause)
+        cause = "The paper's 24 surfaces are those of machine.nominal, or the file without its legs"
+        raise GeometryError("machine", "a nominal machine", "a calibrated one", cause)
     if min(limits.minimum) == 0.0:
         raise ArgumentError("limits", "a positive minimum for every leg", f"{limits.minimum} m")
     n = whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)

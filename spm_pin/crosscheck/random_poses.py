@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.machine import Manipulator, pose
+from spm_pin.machine import Configuration, Manipulator, pose
 from spm_pin.support.arguments import FloatArray, check_instance, generator, whole_number
 
 
@@ -16,7 +16,8 @@ def in_leg_space(machine: Manipulator, count: int, rng: np.random.Generator | in
     Without limits the lengths are those of the home, a third more or less.
     """
     count, rng = _checked(machine, count, rng)
-    return random_states(machine, count, rng).pose
+    states: Configuration = random_states(machine, count, rng)
+    return states.pose
 
 
 def on_all_rotations(machine: Manipulator, count: int, rng: np.random.Generator | int) -> RigidTransform:

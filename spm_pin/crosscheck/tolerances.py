@@ -12,7 +12,7 @@ their Jacobian F_b has the smallest singular value s; then
   by ε itself, and 1 of RPS legs;
 - forces f = -J_f⁻ᵀ w are then wrong by |J_f⁻¹| |ΔJ_f| |f|.
 
-In a machine as built the upper legs' balls are u_i = b_i + α p + β q + γ p x q with p = b_2 - b_1, q = b_3 - b_1 and
+In a calibrated machine the upper legs' balls are u_i = b_i + α p + β q + γ p x q with p = b_2 - b_1, q = b_3 - b_1 and
 fixed α, β, γ: the equations stay quadratic, and q grows by (3/2) Σ|γ|.
 
 Lengths stand for angles times d, so that norms mean something.

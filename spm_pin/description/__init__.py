@@ -1,4 +1,4 @@
-"""Descriptions of the robot and of a stage alone: where files are, and their text in the formats of other programs.
+"""Descriptions of a manipulator or a stage: paths of the files, and their text in the formats of other programs.
 
 The paths of the files are constants, named as the package robot_descriptions names them:
 

@@ -1,4 +1,4 @@
-"""Masses of the links of a URDF: read, checked, and replaced by those of a machine and its payload."""
+"""Masses of the links of a URDF: reading, checking, and replacement by those of a machine and its payload."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ElementTree.register_namespace("drake", "http://drake.mit.edu")
 _KEYS = {"mass", "centre", "inertia"}
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _PLATFORMS = "terminal_platform", "platform"
-"""The link that carries the payload, of the robot and of a stage alone."""
+"""The link to which the payload is fixed, for a manipulator and for a stage."""
 _LARGEST = 1e12
 """Largest mass [kg], moment of inertia [kg m²] and distance of a centre of mass [m] in a URDF."""
 
@@ -56,11 +56,11 @@ class RigidBody:
     Parameters
     ----------
     mass : float
-        [kg], not negative.
+        Mass [kg], not negative.
     centre : array_like, shape (3,)
-        Its centre of mass in the frame of the body that has it or carries it [m].
+        Centre of mass in the frame of the body, or of the body that carries it [m].
     inertia : array_like, shape (3, 3), optional
-        About its centre of mass in the axes of that frame [kg m²]; a point mass by default.
+        Inertia about the centre of mass, in the axes of that frame [kg m²]; a point mass by default.
     """
 
     mass: float
@@ -77,7 +77,7 @@ class RigidBody:
         rounding = 1e-9 * abs(moments).max()
         if moments[0] < -rounding or moments[:2].sum() < moments[2] - rounding:
             expected = "principal moments of a body: none negative or above the sum of the other two"
-            raise ArgumentError("inertia", expected, f"moments {moments}", "About another point?")
+            raise ArgumentError("inertia", expected, f"moments {moments}", "Is it about another point?")
         object.__setattr__(self, "mass", mass)
         object.__setattr__(self, "centre", frozen(centre.copy()))
         object.__setattr__(self, "inertia", frozen(inertia.copy()))
@@ -90,11 +90,11 @@ class Masses:
     Parameters
     ----------
     bodies : mapping of str to mapping
-        By the names of links without prefix, or patterns such as ``leg_*_rod``; the last that fits counts. Each has
+        Masses by the names of links without prefix, or patterns such as ``leg_*_rod``; the last match counts. Each has
         "mass" [kg], and may have "centre" (3,) [m] and "inertia" (3, 3) [kg m²], about the centre of mass, both in the
-        link's frame. What is left out is that of the assumed body, its inertia in proportion to the mass.
+        link's frame. Other values are those of the assumed body, its inertia in proportion to the mass.
     payload : RigidBody, optional
-        Fixed to the terminal platform, in {m}, or to a stage's platform, in {n}.
+        A body fixed to the terminal platform, in {m}, or to a stage's platform, in {n}.
     """
 
     bodies: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -112,7 +112,7 @@ class Masses:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Masses:
-        """Read a YAML file with the keys `bodies` and `payload`, each of which may be left out."""
+        """Read a YAML file with the keys `bodies` and `payload`, both optional."""
         with raised_as(DescriptionError):
             content = read_yaml(path)
         if not isinstance(content, dict) or set(content) - {"bodies", "payload"}:
@@ -125,7 +125,7 @@ class Masses:
 def _read_body(body: Any, name: str) -> RigidBody:
     """Return the body of a mapping with the keys of `Masses.bodies`."""
     if not isinstance(body, Mapping) or "mass" not in body or set(body) - _KEYS:
-        raise ArgumentError(name, "a mapping with mass, and perhaps centre and inertia", _keys(body))
+        raise ArgumentError(name, "a mapping with mass, and optionally centre and inertia", _keys(body))
     try:
         return RigidBody(**body)
     except ArgumentError as error:
@@ -133,7 +133,7 @@ def _read_body(body: Any, name: str) -> RigidBody:
 
 
 def _keys(content: Any) -> str:
-    """Return the keys of a mapping, or the type of what is none, for a message."""
+    """Return the keys of a mapping, or the type of another value, for a message."""
     return ", ".join(map(str, content)) if isinstance(content, Mapping) else type(content).__name__
 
 
@@ -141,7 +141,7 @@ def with_masses(urdf: str, masses: Masses, prefix: str) -> str:
     """Return the text of a URDF with other masses."""
     root = ElementTree.fromstring(urdf, ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True)))
     links = {str(link.get("name")).removeprefix(prefix): link for link in root.iter("link")}
-    links.pop("root", None)  # which ROS must find without a mass
+    links.pop("root", None)  # ROS requires that it has no mass
     changed: dict[str, RigidBody] = {}
     for pattern, body in masses.bodies.items():
         fitting = [name for name in links if fnmatchcase(name, pattern)]
@@ -178,7 +178,7 @@ def numbers(node: Any, key: str, default: str = "") -> Numbers:
 
 
 def read_placement(node: Element) -> Placement:
-    """Return the placement in the `<origin>` of an element, the identity if there is none."""
+    """Return the placement in the `<origin>` of an element, or the identity."""
     origin = node.find("origin")
     return Placement() if origin is None else Placement(*(numbers(origin, key, "0 0 0") for key in ("xyz", "rpy")))
 
@@ -191,7 +191,7 @@ def read_inertial(inertial: Element) -> tuple[float, Placement, FloatArray]:
 
 
 def _body(link: Element) -> RigidBody:
-    """Return the body of a link, in the link's axes; without an inertial it has no mass."""
+    """Return the body of a link, in the link's axes; without an inertial its mass is zero."""
     inertial = link.find("inertial")
     if inertial is None:
         return RigidBody(0.0)
@@ -202,7 +202,7 @@ def _body(link: Element) -> RigidBody:
 
 
 def _write(link: Element, body: RigidBody) -> None:
-    """Replace the inertial of a link; its axes are the principal ones, which all formats can express."""
+    """Replace the inertial of a link; its axes are the principal axes, which all formats can express."""
     for old in link.findall("inertial"):
         link.remove(old)
     moments, axes = np.linalg.eigh(np.asarray(body.inertia))
@@ -219,7 +219,7 @@ def _write(link: Element, body: RigidBody) -> None:
 def check_inertials(urdf: str, source: str) -> None:
     """Check masses and moments of inertia of a URDF's text, and that no joint has the name of a link.
 
-    Pinocchio keeps both kinds of names in one list, and takes a mass of NaN for none. Errors call the text `source`.
+    Pinocchio keeps both kinds of names in one list, and reads a mass of NaN as no mass. Errors call the text `source`.
     """
     root = ElementTree.fromstring(urdf)
     links = {str(link.get("name")): link.find("inertial") for link in root.iter("link")}
@@ -243,7 +243,7 @@ def _check_inertial(inertial: Element, place: str) -> None:
         expected = f"moments of inertia [kg m²] and a centre of mass [m] of at most {_LARGEST:g}"
         raise DescriptionError(place, expected, f"{moments.tolist()} and {centre}")
     least, largest = np.linalg.eigvalsh(moments)[[0, -1]]
-    # A negligible violation comes from the digits of an exporter.
+    # A negligible violation comes from an exporter's rounding.
     if least < -1e-9 * largest or largest < 0.0:
         cause = "Products of inertia with the wrong sign, or not about the centre of mass?"
         raise DescriptionError(place, "moments of inertia of which none is negative", f"principal {least:g}", cause)

@@ -26,7 +26,7 @@ _CLOSED = 1e-14
 
 
 class Shape(NamedTuple):
-    """A shape that is seen, which has a material, or one that collides."""
+    """A visual shape, which has a material, or a collision shape."""
 
     kind: str  # "box", "cylinder", "sphere" or "mesh"
     size: Numbers  # sides of a box, radius and length of a cylinder about z, radius of a sphere [m]; scales of a mesh
@@ -36,7 +36,7 @@ class Shape(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A body; its moments of inertia (ixx, iyy, izz) are principal ones, in the inertial frame."""
+    """A body; its moments of inertia (ixx, iyy, izz) are the principal ones, in the inertial frame."""
 
     mass: float
     moments: Numbers
@@ -46,7 +46,7 @@ class Link(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """A joint: "fixed", "revolute" or "prismatic"; limits lower, upper [rad or m], effort, velocity."""
+    """A joint of type "fixed", "revolute" or "prismatic"; limits: lower, upper [rad or m], effort, velocity."""
 
     name: str
     kind: str
@@ -71,18 +71,18 @@ class Joint(NamedTuple):
 
 @dataclass(frozen=True)
 class Robot:
-    """A spanning tree, and what closes and drives it."""
+    """A spanning tree, with its closures and actuators."""
 
     name: str
     links: dict[str, Link]
     joints: dict[str, Joint]
     closures: tuple[Closure, ...]
-    motors: dict[str, str]  # names of the actuators by those of the joints that they drive, in the order of the legs
+    motors: dict[str, str]  # names of the actuators, by the joints that they drive, in the order of the legs
     materials: dict[str, Numbers]  # red, green, blue and opacity, from 0 to 1, by name
 
     @cached_property
     def joint_to(self) -> dict[str, Joint]:
-        """The joint that carries a link, by the link's name; none for the base."""
+        """The parent joint of each link, by the link's name; none for the base."""
         return {joint.child: joint for joint in self.joints.values()}
 
     @cached_property
@@ -93,7 +93,7 @@ class Robot:
 
     @cached_property
     def order(self) -> tuple[Joint, ...]:
-        """The joints depth first, those that leave one link by name: Pinocchio's order when it reads a URDF."""
+        """The joints depth first, those of one link sorted by name: Pinocchio's order when it reads a URDF."""
         ordered: list[Joint] = []
 
         def visit(link: str) -> None:
@@ -111,7 +111,7 @@ class Robot:
         return tuple(joint for joint in self.order if joint.moves)
 
     def frames(self, values: Mapping[str, float] | None = None) -> dict[str, FloatArray]:
-        """Return the pose (4, 4) of each link in the base, at joint values by name; a joint not named is at zero."""
+        """Return the pose (4, 4) of each link in the base, at joint values by name; other joints are at zero."""
         values = values or {}
         frames = {self.base: np.eye(4)}
         for joint in self.order:
@@ -120,7 +120,7 @@ class Robot:
         return frames
 
     def carrier(self, link: str) -> tuple[str, FloatArray]:
-        """Return the link that moves a link, itself or the one it is fixed to in the end, and its pose (4, 4) there."""
+        """Return the link that moves with a link, itself or the one to which it is fixed, and its pose (4, 4) there."""
         pose = np.eye(4)
         while link in self.joint_to and not self.joint_to[link].moves:
             pose = self.joint_to[link].placement.matrix @ pose
@@ -128,18 +128,18 @@ class Robot:
         return link, pose
 
     def gaps(self, values: Mapping[str, float] | None = None) -> FloatArray:
-        """Return how far the loops are open at joint values (number of closures, 3) [m]."""
+        """Return the gaps of the loops at joint values (number of closures, 3) [m]."""
         frames = self.frames(values)
         return np.array([frames[c.frame_a][:3, 3] - frames[c.frame_b][:3, 3] for c in self.closures])
 
     def is_assembled(self) -> bool:
-        """Return whether all loops are closed at zero to 1e-9 m, as those of the drawing are."""
+        """Return whether all loops are closed at zero to 1e-9 m, as in a nominal machine."""
         return float(np.linalg.norm(self.gaps(), axis=-1).max()) <= 1e-9
 
     def closed_home(self) -> dict[str, float]:
-        """Return the values of all moving joints, by name, at which the loops are closed and the actuated joints are 0.
+        """Return the values of all moving joints, by name, for closed loops and actuated joints at 0.
 
-        They are 0 for a machine of the drawing. Otherwise Newton's method closes the loops from there, to rounding.
+        They are 0 for a nominal machine. Otherwise Newton's method closes the loops from there, to rounding.
         """
         values = {joint.name: 0.0 for joint in self.moving}
         if self.is_assembled():

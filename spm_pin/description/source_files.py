@@ -20,7 +20,7 @@ from spm_pin.machine.manipulator import config_directory
 from spm_pin.support.arguments import as_bool, check_instance
 from spm_pin.support.files import write_files
 
-# Names of files; `spm_pin.description` says what each is.
+# Names of files; `spm_pin.description` documents them.
 ENTRY = "spm.urdf.xacro"
 STAGE_ENTRY = "stage.urdf.xacro"
 URDF = "spm.urdf"
@@ -31,7 +31,7 @@ EXTENDED_URDF = "spm_closures.yaml"
 CLOSURES = "config/closures.yaml"
 """The closures as this package reads them."""
 MESHES = "meshes"
-"""The folder of the solids that are drawn, OBJ files without unit: the URDF scales them."""
+"""The folder of the meshes, OBJ files without unit, which the URDF scales."""
 
 # xacro keeps its state in module globals.
 _XACRO = threading.Lock()
@@ -46,20 +46,20 @@ def description_file(name: str) -> Path:
     """Return the path of one description file, by its path relative to the description's folder, such as `URDF`."""
     path = description_directory() / name
     if not path.is_file():
-        raise DescriptionError("name", "a file of the description", str(path), "An incomplete installation?")
+        raise DescriptionError("name", "a file of the description", str(path), "Is the installation incomplete?")
     return path
 
 
 def copy_meshes(folder: Path) -> None:
-    """Copy the meshes into the folder `MESHES` of a folder, for a file there that names them relative to itself.
+    """Copy the meshes into the folder `MESHES` beside a file, which names them relative to itself.
 
-    A file of the same name with another content is left as it is, and is a `DescriptionError`.
+    A file of the same name with other content is not changed, and raises a `DescriptionError`.
     """
     sources = sorted((description_directory() / MESHES).iterdir())
     meshes: dict[Path, str | bytes] = {folder / MESHES / source.name: source.read_bytes() for source in sources}
     for copy, content in meshes.items():
         if copy.is_file() and copy.read_bytes() != content:
-            cause = "Of another version? Move it away"
+            cause = "Is it of another version? Move it away"
             raise DescriptionError("out", "no other meshes beside the file", str(copy), cause)
     with raised_as(DescriptionError):
         write_files(meshes, "out")
@@ -68,7 +68,7 @@ def copy_meshes(folder: Path) -> None:
 def check_prefix(prefix: str) -> None:
     """Raise `DescriptionError` unless `prefix` can begin a name in xacro, URDF, SRDF and YAML."""
     well_formed = isinstance(prefix, str) and re.fullmatch(r"([A-Za-z_][A-Za-z0-9_./-]*)?", prefix)
-    # xacro turns these words into numbers and truth values, and so into other names.
+    # xacro evaluates these words as numbers and truth values, which gives other names.
     if not well_formed or prefix.lower() in ("inf", "infinity", "nan", "true", "false"):
         expected = "a name such as left_, of letters, digits and _ . / -, beginning with a letter"
         raise DescriptionError("prefix", expected, repr(prefix))
@@ -76,7 +76,7 @@ def check_prefix(prefix: str) -> None:
 
 @dataclass(frozen=True)
 class Closure:
-    """Two frames whose origins a ball joint holds together, at which a loop is cut."""
+    """Two frames at a cut loop, whose origins coincide in a ball joint."""
 
     name: str
     """Name of the closure."""
@@ -95,7 +95,7 @@ def read_closures(machine: Machine | None = None, *, prefix: str = "") -> tuple[
 
 
 def machine_or_paper(machine: Machine | None) -> Machine:
-    """Return a machine that was given, or the paper's."""
+    """Return the given machine, or the paper's."""
     return Manipulator.paper() if machine is None else check_machine(machine)
 
 
@@ -108,24 +108,24 @@ def urdf_text(
     masses: Masses | None = None,
     root: bool = False,
 ) -> str:
-    """Return the URDF of a machine: its spanning tree, the loops closed by Drake's ball constraints.
+    """Return the URDF of a machine: its spanning tree, with loops closed by Drake's ball constraints.
 
     Parameters
     ----------
     machine : Manipulator or Stage, optional
         The manipulator, by default the paper's, or a stage alone.
     prefix : str
-        Before the name of every link, joint, transmission, actuator and material, so that robots can share a model.
+        Prefix of the name of every link, joint, transmission, actuator and material, so that robots can share a model.
     meshes : str
-        The folder of the meshes as the URDF is to name it: ``"meshes"`` beside the URDF, or
-        ``"package://spm_description/meshes"``. By default the absolute path of this installation's.
+        Folder of the meshes in the URDF: ``"meshes"`` beside the URDF, or
+        ``"package://spm_description/meshes"``. By default the absolute path in this installation.
     ros_constraints : bool
         Close the loops by `<constraint>` as well, as proposed in https://github.com/ros/urdfdom/pull/264.
     masses : Masses, optional
-        Of the machine's bodies, and a payload. By default assumed ones, in proportion to the machine's size.
+        Masses of the machine's bodies, and a payload. By default assumed ones, in proportion to the machine's size.
     root : bool
-        Begin with a link `root` without an inertia, to which `base` is fixed: for ROS, where KDL warns of a root link
-        that has one.
+        Begin with a link `root` without inertia, to which `base` is fixed: in ROS, KDL warns of a root link
+        with inertia.
     """
     check_prefix(prefix)
     as_bool(ros_constraints, "ros_constraints")
@@ -143,7 +143,7 @@ def urdf_text(
     if ros_constraints:
         elements = "".join(map(_ros_constraint, read_closures(machine, prefix=prefix)))
         text = text.replace("</robot>", f"{elements}</robot>")
-    # xacro's own banner holds the path of this machine's copy.
+    # xacro's own banner contains the path of this machine's copy.
     return f'<?xml version="1.0" ?>\n<!-- Expanded from {entry}, which is the place for changes. -->\n{text}'
 
 

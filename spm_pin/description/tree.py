@@ -1,4 +1,4 @@
-"""The spanning tree, as `urdf/spm_macro.xacro` has it: its joints and their values, and the files that name them."""
+"""The spanning tree of `urdf/spm_macro.xacro`: its joints, their values, and the files with their names."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ HOME = "home"
 
 
 def extended_urdf_text(machine: Machine | None = None, *, prefix: str = "") -> str:
-    """Return closures and motors as an Extended-URDF file, to lie beside the URDF of a machine, by default the paper's.
+    """Return closures and motors as an Extended-URDF file for the URDF of a machine, by default the paper's.
 
-    Layout of https://github.com/Gepetto/example-parallel-robots. The names of the closures have no place in it. No
+    The layout is that of https://github.com/Gepetto/example-parallel-robots, which has no names of closures. No
     joint changes its type when loaded: `joint_name` and `joint_type` are empty.
     """
     closures = read_closures(machine, prefix=prefix)
@@ -30,11 +30,11 @@ def extended_urdf_text(machine: Machine | None = None, *, prefix: str = "") -> s
 
 
 def joint_values(configuration: Configuration | StageConfiguration) -> dict[str, float]:
-    """Return the values of the tree's joints, eighteen or nine, in a single configuration that exists.
+    """Return the values of the tree's joints, eighteen or nine, for a single configuration that exists.
 
-    By name, without prefix, in the order of `joint_names`: of passive joints angles in [-π, π] [rad], of actuated ones
-    the reading without offset minus that at home [m, rad]. Where the configuration violates the mechanism's closure, so
-    does the tree.
+    They are by name, without prefix, in the order of `joint_names`: for passive joints angles in [-π, π] [rad], for
+    actuated joints the reading without offset minus that in the home [m, rad]. If the configuration violates the
+    closure equations, so does the tree.
     """
     check_state(configuration, single=True, existing=True)
     machine, angles = configuration.machine, joint_angles(configuration, corners=(0,)).values
@@ -43,7 +43,7 @@ def joint_values(configuration: Configuration | StageConfiguration) -> dict[str,
 
 
 def machine_of(states: Mapping[str, Configuration | StageConfiguration], machine: Machine | None) -> Machine:
-    """Return the machine of named states and of a URDF, or raise unless they have one."""
+    """Return the common machine of named states and of a URDF; raise an error if there is none."""
     if not isinstance(states, Mapping):
         raise DescriptionError("states", "a mapping of names to configurations", type(states).__name__)
     machines = [check_state(state, "states").machine for state in states.values()]
@@ -77,9 +77,9 @@ def srdf_text(
     Parameters
     ----------
     states : mapping of str to Configuration or StageConfiguration, optional
-        The states by name, all of one machine, that of the URDF; `home` is added.
+        The states by name, all of the URDF's machine; `home` is added.
     machine : Manipulator or Stage, optional
-        That of the URDF; by default that of the states, or else the paper's.
+        The machine of the URDF; by default that of the states, or else the paper's.
     prefix : str
         As for `urdf_text`.
     """

@@ -1,6 +1,6 @@
-"""The solids of the description: meshes in colours, and where a configuration puts them.
+"""The solids of the description: coloured meshes, and their poses in a configuration.
 
-All that shows the robot draws these: pictures, viewer, and other engines from the URDF.
+Pictures, the viewer and, from the URDF, other engines show these.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from spm_pin.support.pose import homogeneous
 
 
 def platforms(machine: Machine) -> tuple[str, ...]:
-    """Return the links that legs stand on or hold, the one that is moved last."""
+    """Return the links with pivots or balls, the one that is moved last."""
     return ("base", "platform") if len(machine.legs.kinds) == 1 else ("base", "middle_platform", "terminal_platform")
 
 
@@ -42,40 +42,40 @@ class VisualPart:
 
 @lru_cache(maxsize=16)
 def section_size(machine: Machine) -> float:
-    """Return the length s that radii and thicknesses of a machine are fractions of [m]; see `inertials.yaml`."""
+    """Return the length s to which radii and thicknesses of a machine are proportional [m]; see `inertials.yaml`."""
     sizes = [radius for radii in machine.stage_radii for radius in radii]
     for kind, home in zip(machine.legs.kinds, home_readings(machine)[::3], strict=True):
-        # The shortest link: the whole of an RPS leg.
+        # The shortest link; for an RPS leg the whole leg.
         sizes += [getattr(kind.nominal, name) for name in ("crank", "rod") if hasattr(kind, name)] or [home]
     return float(min(sizes))
 
 
 def leg_links(machine: Machine) -> tuple[tuple[str, str], ...]:
-    """Return the two links of each leg, in the order of the legs: what its first joint moves, and the rod."""
+    """Return the two links of each leg, in the order of the legs: the one after its first joint, and the rod."""
     names = enumerate(f"leg_{leg[2:]}" for leg in machine.legs.names)
     return tuple((f"{leg}_{machine.legs.kinds[k // 3].body}", f"{leg}_rod") for k, leg in names)
 
 
 def bodies(machine: Machine) -> tuple[str, ...]:
-    """Return the links that move against one another, as far as they are seen; all others are fixed to them."""
+    """Return the visible links that move relative to one another; all others are fixed to them."""
     return (*platforms(machine), *(link for half in zip(*leg_links(machine), strict=True) for link in half))
 
 
 def _turns_at_pivot(machine: Machine) -> list[bool]:
-    """Return whether the first link of each leg turns about its pivot; a carriage has its frame at the knee."""
+    """Return whether the first link of each leg turns about its pivot; the frame of a carriage is at the knee."""
     return [kind.joints[0] == "hip" for kind in machine.legs.kinds for _ in range(3)]
 
 
 @lru_cache(maxsize=16)
 def visual_parts(machine: Machine) -> tuple[VisualPart, ...]:
-    """Return the solids that the URDF of a machine shows, in the order of its links."""
+    """Return the solids in the URDF of a machine, in the order of its links."""
     robot = read_robot(machine)
     home, links = robot.frames(), leg_links(machine)
     frames = dict(home)
     carriers = {robot.carrier(body)[0]: body for body in bodies(machine)}
     corners = [f"{corner}{i}" for corner in ("base_a", "terminal_c") for i in "123"]
     for (body, rod), corner, is_at_pivot in zip(links, corners, _turns_at_pivot(machine), strict=False):
-        # Where joints are reversed, the frames of links are at their other ends.
+        # If joints are reversed, the frames of links are at their other ends.
         for own, origin in ((body, corner if is_at_pivot else body), (rod, rod.replace("rod", "tip"))):
             frames[own] = homogeneous(home[own][:3, :3], home[origin][:3, 3])
     parts = []
@@ -105,10 +105,10 @@ def read_obj(path: Path) -> tuple[FloatArray, npt.NDArray[np.int32]]:
 def part_placements(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return the poses of the solids of configurations (...), shape (..., n, 4, 4), in the order of `visual_parts`.
 
-    The matrices go from the vertices of a part to {B}. A state may violate the mechanism's closure; what does not exist
-    is NaN. All are rigid, but for the tubes of RPS legs, barrels and rods, whose third column is longer or shorter than
-    1: a rod is drawn from inside its barrel to its ball whatever the leg's length, and a barrel is shorter where the
-    leg has no room for it.
+    The matrices map the vertices of a part to {B}. A state may violate the closure equations; missing ones are NaN.
+    All are rigid, except for the tubes of RPS legs, barrels and rods, whose third column is longer or shorter than
+    1: a rod is shown from inside its barrel to its ball for any length of the leg, and a barrel is shortened if the
+    leg is too short for it.
     """
     machine = configuration.machine
     parts = visual_parts(machine)

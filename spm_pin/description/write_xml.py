@@ -1,4 +1,4 @@
-"""A closed machine in the formats of other engines: MJCF, its loops closed by equality constraints, and SDFormat."""
+"""Writers of closed machines for other engines: MJCF, with equality constraints, and SDFormat."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from spm_pin.support.arguments import FloatArray, check_instance, choice, real_n
 Value = str | float | Iterable[float]
 
 SERVO = 200.0
-"""Natural frequency of the machine on its servos [rad/s]: they give way by g / SERVO² = 0.25 mm under its weight."""
+"""Natural frequency of the machine on its servos [rad/s]: they deflect by g / SERVO² = 0.25 mm under its weight."""
 _FRICTION = (0.8, 0.001, 0.0001)
-"""Friction between ball and plate, as MuJoCo takes it: Coulomb's coefficient, and the lever arms of the moments against
+"""Friction between ball and plate in MuJoCo's terms: Coulomb's coefficient, and the lever arms of the moments against
 spinning and rolling [m]."""
 
 
 @dataclass(frozen=True)
 class Ball:
-    """A ball that is free to roll on a stage's platform, and the round plate under it, for `mjcf_text`.
+    """A ball that rolls freely on a stage's platform, and the round plate under it, for `mjcf_text`.
 
     Parameters
     ----------
     radius, mass : float
-        Of the ball, solid [m], [kg]; by default about those of a golf ball.
+        Radius [m] and mass [kg] of the solid ball; by default about those of a golf ball.
     plate_radius, plate_height : float, optional
-        Of the plate, and of its upper face above the platform's origin [m]; by default 1.5 and 0.2 times the
-        platform's radius. The plate's mass is part of the platform's.
+        Radius of the plate, and height of its upper face above the platform's origin [m]; by default 1.5 and 0.2
+        times the platform's radius. The plate's mass is part of the platform's.
     """
 
     radius: float = 0.02
@@ -61,7 +61,7 @@ class Ball:
         return self.plate_radius or 1.5 * stage.platform_radius, self.plate_height or 0.2 * stage.platform_radius
 
     def at_rest(self, stage: Stage, platform: FloatArray, place: Iterable[float] = (0.0, 0.0)) -> FloatArray:
-        """Return the ball's centre (3,) at x and y on the plate of a platform with this pose (4, 4) [m]."""
+        """Return the ball's centre (3,) at x and y on the plate, for this pose (4, 4) of the platform [m]."""
         _, height = self.plate(stage)
         return np.asarray((platform @ [*place, height + self.radius, 1.0])[:3])
 
@@ -86,24 +86,24 @@ def mjcf_text(
         As for `urdf_text`.
     states : mapping of str to Configuration or StageConfiguration, optional
         Named states of this machine, which become keyframes after `home`: all joints at zero, or, if the loops of a
-        machine as built are open there, the actuated joints, and the others where the loops close.
+        calibrated machine are open there, the actuated joints, and the others where the loops close.
     anchors : str, optional
-        How a closure is written. "bodies", the default: by two bodies and a point in the first, which MuJoCo, Drake and
-        Pinocchio take alike. "sites": by two sites, which MuJoCo and Pinocchio take, and Drake passes over.
+        Anchors of a closure. "bodies", the default: two bodies and a point in the first, which MuJoCo, Drake and
+        Pinocchio support. "sites": two sites, which MuJoCo and Pinocchio support, and Drake ignores.
     actuators : str, optional
-        "motors", of which `ctrl` is the effort, by default of a manipulator; or "servos", which are led to the leg's
-        reading, their `ctrl`, within its limits, by default of a stage.
+        "motors", whose `ctrl` is the effort, the default for a manipulator; or "servos", whose `ctrl` is the reading
+        to reach, within its limits, the default for a stage.
     ball : Ball, optional
         A ball on a stage's platform, with its plate; they collide with one another and nothing else.
     collisions : str, optional
-        The shapes that collide. "exact", the default: those of the URDF. "simple": without cylinders, whose contacts
-        with boxes MJX does not know; capsules and boxes inside them take their place. "none": no shape collides.
+        Shapes that collide. "exact", the default: those of the URDF. "simple": capsules and boxes inside them in
+        place of cylinders, whose contacts with boxes MJX does not support. "none": no shape collides.
 
     Notes
     -----
     The base is welded to the world. q is the same vector as in Pinocchio when it reads the URDF. Links are bodies; the
-    base, closures' frames and links fixed to others have sites too, whose names end in _site. Velocity limits, for
-    which MJCF has no place, are the numeric `velocity_limit`, in the order of the joints. The ball's six degrees of
+    base, closures' frames and links fixed to others have sites too, whose names end in _site. Velocity limits,
+    which MJCF cannot express, are the numeric `velocity_limit`, in the order of the joints. The ball's six degrees of
     freedom come last.
     """
     check_prefix(prefix)
@@ -117,7 +117,7 @@ def mjcf_text(
     by_sites = choice("bodies" if anchors is None else anchors, "anchors", ("bodies", "sites")) == "sites"
     home = robot.closed_home()
     values_by_state[HOME] = home
-    # Each scale of a file is a mesh of its own.
+    # Each scale of a file becomes a mesh of its own.
     files: dict[tuple[str, Numbers], str] = {}
     for shape in (shape for link in robot.links.values() for shape in link.visuals):
         stem = PurePosixPath(shape.mesh).stem
@@ -132,7 +132,7 @@ def mjcf_text(
     rolling: dict[str, Value] = {}
     platform = f"{prefix}platform"
     if ball and stage:
-        # So that friction at rest slips little: a ball would roll with a tenth of its rolling friction.
+        # To reduce slip at rest: a ball would roll with a tenth of its rolling friction.
         rolling = {"cone": "elliptic", "impratio": "10"}
         balls = [_ball(ball, stage, body, platform, robot.frames(home)[platform])]
     for name, values in values_by_state.items():
@@ -172,11 +172,11 @@ def _motors(robot: Robot) -> Iterable[Element]:
 
 
 def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
-    """Yield servos on which three carry all that moves with the frequency `SERVO`, critically damped.
+    """Yield servos, critically damped: three hold all moving masses with the frequency `SERVO`.
 
-    Each is led to a reading, not to the value of its joint.
+    The command of each is a reading, not the value of its joint.
     """
-    said = "ctrl is what the legs are to read, in metres, of cranks in radians: the values of their joints, and "
+    said = "ctrl is the reading of each leg, in metres, for cranks in radians: the value of its joint plus "
     assumed = "Their largest forces are assumed, and all masses that were not given, by the machine's size."
     yield ElementTree.Comment(f" {said}{_written(zeros)}. {assumed} ")
     mass = sum(link.mass for name, link in robot.links.items() if robot.carrier(name)[0] != robot.base)
@@ -196,10 +196,10 @@ def _stage_under(ball: Ball, machine: Machine) -> Stage:
 
 
 def _ball(ball: Ball, stage: Stage, body: Element, platform: str, home: FloatArray) -> Element:
-    """Return the body of a ball at rest at home, and add the plate under it to the body of the platform."""
+    """Return the body of a ball at rest in the home, and add the plate under it to the platform's body."""
     radius, height = ball.plate(stage)
     half = 0.02 * stage.platform_radius
-    # Bits of their own: nothing else of the machine is touched. A fifth of the default's time constant.
+    # Their own collision bits, so that nothing else of the machine is touched. A fifth of the default time constant.
     both: dict[str, Value] = {
         "contype": "2",
         "conaffinity": "2",
@@ -218,7 +218,7 @@ def _ball(ball: Ball, stage: Stage, body: Element, platform: str, home: FloatArr
 
 
 def _sites(robot: Robot) -> dict[str, dict[str, FloatArray]]:
-    """Return the frames to be marked, by the body that moves them, and their poses (4, 4) in it.
+    """Return the frames to be marked, by the body that moves with them, and their poses (4, 4) in it.
 
     Pinocchio misplaces constraints and sites in bodies without a joint of their own.
     """
@@ -239,9 +239,9 @@ def _body(
     meshes: Mapping[tuple[str, Numbers], str],
     collisions: str,
 ) -> Element:
-    """Return the body of a link, with those of the links that it carries inside, where they are at home.
+    """Return the body of a link, with those of its child links inside, placed as in the home.
 
-    From that place of two bodies an engine computes the anchor of a closure in the second one.
+    From these poses an engine computes the anchor of a closure in the second body.
     """
     link, joint, parts = robot.links[name], robot.joint_to.get(name), []
     place = {} if joint is None else _place(joint.placement)
@@ -275,7 +275,7 @@ def _solid(shape: Shape, group: str, meshes: Mapping[tuple[str, Numbers], str]) 
     solid: dict[str, Value] = {"type": shape.kind, "group": group, **_place(shape.placement)}
     if shape.kind == "mesh":
         return solid | {"mesh": meshes[shape.mesh, shape.size]}
-    # MuJoCo takes half the sides of a box, and half the length of a cylinder.
+    # MuJoCo takes half the sides of a box and half the length of a cylinder.
     halves = {"box": 0.5, "cylinder": np.array([1.0, 0.5]), "sphere": 1.0}
     return solid | {"size": halves[shape.kind] * np.array(shape.size)}
 
@@ -318,9 +318,9 @@ def sdf_text(
     machine, prefix, meshes, masses
         As for `urdf_text`.
     loops : str, optional
-        "joints": a ball joint between the two frames of each closure; the robot must stand assembled at zero, as that
-        of a drawing does. "drake": Drake's ball constraints, for Drake takes no loops of joints. By default joints
-        where that is possible.
+        "joints": a ball joint between the two frames of each closure, which requires a robot that is assembled at
+        zero, as nominal ones are. "drake": Drake's ball constraints, since Drake does not support loops of joints.
+        By default joints if possible.
 
     Notes
     -----
@@ -409,12 +409,12 @@ def _element(tag: str, *children: Element | None, text: Any = None, **attributes
 
 
 def _texts(**values: Value) -> list[Element]:
-    """Return an element for each value, which is its text."""
+    """Return an element for each value, with the value as its text."""
     return [_element(tag, text=value) for tag, value in values.items()]
 
 
 def _document(root: Element) -> str:
-    """Return the text of an XML file, with a comment above its root that says where it comes from."""
+    """Return the text of an XML file, with a comment above its root that states its origin."""
     ElementTree.indent(root)
     body = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0"?>\n<!-- Written by spm_pin, which is the place for changes. -->\n{body}\n'

@@ -298,7 +298,7 @@ class DesignProblem:
     def __post_init__(self) -> None:
         machine = check_machine(self.machine)
         if not (machine.is_nominal and machine.limits and machine.limits.are_finite):
-            raise ArgumentError("machine", "a drawn machine with finite leg limits", repr(machine))
+            raise ArgumentError("machine", "a nominal machine with finite leg limits", repr(machine))
         for name in _CHOICES:
             object.__setattr__(self, name, dict(check_instance(getattr(self, name), dict, name)))
         object.__setattr__(self, "functions", _checked_functions(self.functions))
@@ -421,7 +421,7 @@ class Front:
 
     @cached_property
     def better(self) -> BoolArray:
-        """Which machines of the front are at least as good as the reference in all aims and keep all bounds, (n,)."""
+        """True for machines of the front at least as good as the reference in all aims that keep all bounds, (n,)."""
         values = self.problem.objectives(self.designs)[0]
         return np.asarray((values <= self.problem.objectives(self.reference)[0]).all(axis=-1))
 

@@ -112,7 +112,7 @@ class Task:
     def effort(self, machine: Manipulator | Stage) -> float:
         """Return the largest effort of an actuator at any pose [N], of RRS legs [N m], in the branch of `margin`.
 
-        NaN where there is none, or a pose is singular.
+        NaN if no branch exists, or a pose is singular.
         """
         states = self._along(machine)[1]
         return float("nan") if states is None else float(np.abs(leg_forces(states, self._load)).max())

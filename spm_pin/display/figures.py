@@ -57,23 +57,22 @@ def agreement_figure(report: Report) -> Figure:
     return figure
 
 
-def calibration_figure(calibration: Calibration) -> Figure:
+def calibration_figure(calibration: Calibration[Any]) -> Figure:
     """Draw the position errors of all measurements before and after, and the uncertainties of the combinations."""
     from spm_pin.calibration import Calibration
 
     check_instance(calibration, Calibration, "calibration")
     figure = new_figure(9.0, 3.8, layout="constrained")
     errors, combinations = figure.subplots(1, 2, width_ratios=(3, 2))
-    residuals = {"before": (calibration.before, _VERMILION), "after": (calibration.residuals, _BLUE)}
-    for name, (values, colour) in residuals.items():
-        sizes = 1e6 * np.linalg.norm(values[:, :3], axis=-1)
-        label = f"{name}, {float(f'{np.sqrt((sizes**2).mean()):.3g}'):g} µm RMS"  # 9200, not 9.2e+03
+    what, unit, *both = calibration.error_sizes[0]
+    for name, size, colour in zip(("before", "after"), both, (_VERMILION, _BLUE), strict=True):
+        sizes = 1e6 * size
+        label = f"{name}, {float(f'{np.sqrt(np.nanmean(sizes**2)):.3g}'):g} µ{unit} RMS"  # 9200, not 9.2e+03
         errors.semilogy(np.maximum(sizes, 1e-9), "o", ms=3.5, color=colour, label=label)
     outliers = np.flatnonzero(calibration.outliers)
     if len(outliers):
-        sizes = 1e6 * np.linalg.norm(calibration.residuals[outliers, :3], axis=-1)
-        errors.plot(outliers, sizes, "o", ms=9, mfc="none", color="black", label="outlier")
-    errors.set(xlabel="measurement", ylabel="predicted − measured position [µm]")
+        errors.plot(outliers, 1e6 * both[1][outliers], "o", ms=9, mfc="none", color="black", label="outlier")
+    errors.set(xlabel="measurement", ylabel=f"predicted − measured {what} [µ{unit}]")
     legend_below(figure, fontsize=8)
     count = len(calibration.deviations)
     combinations.semilogy(1 + np.arange(count), calibration.deviations, ".", color=_BLUE)
@@ -152,13 +151,14 @@ def reach_figure(reach: StageReach) -> Figure:
 
 
 def certificate_figure(certificate: Certificate) -> Figure:
-    """Draw the boxes of both stages over the tilt of the middle platform, seen along Z."""
+    """Draw the boxes of each stage over the tilt of the platform on its balls, seen along Z."""
     from spm_pin.proofs import Certificate
 
     check_instance(certificate, Certificate, "certificate")
-    figure = new_figure(9.0, 4.6, layout="constrained")
-    stages = (("lower stage", certificate.lower, 0), ("upper stage", certificate.upper, 1))
-    for ax, (name, proof, k) in zip(figure.subplots(1, 2), stages, strict=True):
+    count = len(certificate.stages)
+    figure = new_figure(4.5 * count, 4.6, layout="constrained")
+    places = figure.subplots(1, count, squeeze=False)[0]
+    for k, (ax, name, proof) in enumerate(zip(places, certificate.names, certificate.stages, strict=True)):
         _draw_boxes(ax, proof.proved, _BLUE, "proved")
         _draw_boxes(ax, proof.undecided, _VERMILION, "undecided")
         reach = max(float(np.abs(boxes[:, :2]).max()) for boxes in (proof.proved, proof.undecided) if len(boxes))
@@ -169,13 +169,11 @@ def certificate_figure(certificate: Certificate) -> Figure:
                 ax.plot(radius * np.cos(angle), radius * np.sin(angle), color="0.6", lw=0.6)
                 around = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
                 ax.annotate(f"{tilt}°", (0.0, radius), color="0.2", fontsize=8, ha="center", va="center", bbox=around)
-        bound = certificate.bounds[k]
-        ax.set_title(
-            f"{name}: |det J_{'bc'[k]}| ≥ {bound:.3f} d³" if bound else f"{name}: {certificate.verdict}", fontsize=10
-        )
+        bound, whose = certificate.bounds[k], "" if count == 1 else f"{('lower', 'upper')[k]} stage: "
+        ax.set_title(f"{whose}|det {name}| ≥ {bound:.3f} d³" if bound else f"{whose}{certificate.verdict}", fontsize=10)
         ax.set(aspect="equal", xlabel="x", ylabel="y" if k == 0 else "")
     legend_below(figure, fontsize=8)
-    title = "Tilt of the middle platform, vector part (x, y) of its quaternion"
+    title = f"Tilt of the {'middle ' * (count == 2)}platform, vector part (x, y) of its quaternion"
     if any(certificate.errors):
         title += "; all machines within {:g} mm and {:g} mrad".format(*(1e3 * error for error in certificate.errors))
     figure.suptitle(title, fontsize=10)

@@ -15,6 +15,7 @@ from spm_pin.description.visuals import leg_links, section_size, visual_parts
 from spm_pin.display.rendering import (
     AXIS_COLOURS,
     TRIAD,
+    VIEW,
     Colour,
     Extent,
     Image,
@@ -38,7 +39,6 @@ from spm_pin.machine import LEGS, StageConfiguration
 from spm_pin.machine.configuration import Configuration, check_members
 from spm_pin.support.arguments import FloatArray, check_instance, real_number
 from spm_pin.support.files import file_path
-from spm_pin.support.notebook import VIEW
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,7 +19,6 @@ from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.machine import StageConfiguration
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
-from spm_pin.support.notebook import view_axes
 
 Colour = tuple[float, float, float]
 """Red, green and blue in sRGB, from 0 to 1."""
@@ -32,6 +31,9 @@ AXIS_COLOURS: dict[str, Colour] = {"x": (0.835, 0.369, 0.0), "y": (0.0, 0.62, 0.
 """Colours of the axes of {B} and {m}."""
 TRIAD = 0.7
 """Length of a frame's arrows over the size of the robot's sections, `section_size`."""
+
+VIEW = (math.radians(15.0), math.radians(25.0))
+"""The azimuth and the elevation [rad] from which pictures are taken."""
 
 _SIDES = 24  # of an arrow
 _NEARER = 0.4  # over the size of the sections: a frame's arrows lie in its plate, and are drawn on its surface
@@ -241,3 +243,11 @@ def _edges(region: npt.NDArray[np.int32], depth: Image, width: int) -> BoolArray
             edge[first] |= border & front
             edge[second] |= border & ~front
     return edge
+
+
+def view_axes(azimuth: float, elevation: float) -> FloatArray:
+    """Return the unit vectors to the right, up and towards the viewer as rows (3, 3), in {B}; angles in radians."""
+    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    level = math.cos(elevation)
+    near = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+    return np.stack([right, np.cross(near, right), near])

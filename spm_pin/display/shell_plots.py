@@ -12,12 +12,11 @@ from scipy import ndimage
 
 from spm_pin.crosscheck.paper_shell import Patch, Shell
 from spm_pin.display.plots import INK, draw_solids
-from spm_pin.display.rendering import Colour, Rendering, Solid, camera_axes
+from spm_pin.display.rendering import VIEW, Colour, Rendering, Solid, camera_axes
 from spm_pin.display.writing import legend_below, new_figure, write_name
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.support.arguments import FloatArray, check_instance, type_and_value
 from spm_pin.support.files import file_path, write_files
-from spm_pin.support.notebook import VIEW
 from spm_pin.workspace.boundary import Boundary
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""What leaves Python: C99 for controllers and microcontrollers, ROS 2 packages, configurations of LinuxCNC."""
+"""Exports for use without Python: C99 for controllers and microcontrollers, ROS 2 packages, LinuxCNC configurations."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

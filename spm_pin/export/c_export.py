@@ -56,7 +56,7 @@ STATUSES = {
     "NOT_FINITE": (-1, "an argument is NaN or infinite"),
     "NOT_A_ROTATION": (-2, "an entry of R^T R - I is above 1e-6, or R is a reflection"),
     "OUT_OF_RANGE": (-3, "a length <= 0, a crank past a turn, a place past 1e5 (E + C + d), or a result infinite"),
-    "BAD_GEOMETRY": (-4, "numbers that are no machine; of `all_branches` legs elsewhere than drawn"),
+    "BAD_GEOMETRY": (-4, "numbers that are no machine; for `all_branches`, legs that are not nominal"),
     "BAD_NEAR": (-5, "the state to begin from does not close to 1e-6 d"),
 }
 """Value and meaning of what each function returns; negative ones are errors of the caller."""
@@ -149,7 +149,7 @@ def c_sources(machine: Manipulator, *, prefix: str = "spm_", masses: Masses | No
     Parameters
     ----------
     machine : Manipulator
-        The machine that is built in, drawn or as built. The functions take others too.
+        The machine that is built in, nominal or calibrated. The functions take others too.
     prefix : str
         What all names begin with.
     masses : Masses, optional
@@ -281,7 +281,7 @@ def _formulas(machine: Manipulator) -> str:
         made("circles_of_readings", [readings], *(_column([stage[k] for stage in stages]) for k in (1, 2, 3)))
     )
     made_functions.append(made("limits_hold", [readings], ca.vertcat(*functions.within_limits(symbolic, readings))))
-    # Of the closure: how far terms of second order go, and how the planes of the upper legs move.
+    # Errors of the closure: size of terms of second order, and motion of the upper legs' planes.
     error = functions.closure_equations(symbolic, balls, rotation, position)
     points = [symbolic.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
     upper, weights = symbolic.all_balls(points)[3:], [[ca.fabs(x) for x in w] for w in symbolic.ball_weights()]
@@ -395,7 +395,7 @@ def _c_text(function: ca.Function) -> str:
     # No argument is ever left out.
     body = re.sub(r"(arg\[\d+\])\? (arg\[\d+\]\[\d+\]) : 0;", r"\2;", body)
     body = re.sub(r"if \(res\[\d+\]!=0\) ", "", body).replace("casadi_inf", "INFINITY").replace("casadi_fabs", "fabs")
-    # Numbers that stand for conditions are compared, as clang asks for.
+    # Numbers that are conditions are compared with zero, as clang requires.
     body = re.sub(r"\((a\d+)(?=\?)", r"(\1!=0.0", body)
     body = re.sub(r"(a\d+)(&&|\|\|)(a\d+)", r"\1!=0.0\2\3!=0.0", body)
     body = re.sub(r"!(a\d+)", r"\1==0.0", body)
@@ -430,7 +430,7 @@ def _snippets(function: StateFunction) -> dict[str, str]:
 def _known_answers(machine: Manipulator, available: list[StateFunction]) -> dict[str, str]:
     """Return the tables of the test program."""
     rng, rise = np.random.default_rng(17), sum(machine.dimensions)
-    # In the home's aspect; then poses anywhere, and one out of reach.
+    # In the home assembly region; then poses anywhere, and one out of reach.
     held = _held_states(machine, rng)[: _CASES - 4]
     turned = Rotation.random(3, rng=rng)
     far = RigidTransform.from_components(rise * rng.uniform(-1.0, 1.0, (3, 3)), turned)
@@ -473,7 +473,7 @@ def _held_states(machine: Manipulator, rng: np.random.Generator) -> Configuratio
 
 
 def _is_drawn(machine: Manipulator) -> bool:
-    """Return whether axes, pivots and balls are those of the drawing."""
+    """Return whether axes, pivots and balls are nominal."""
     legs = zip(machine.legs.arrays[:3], machine.nominal.legs.arrays[:3], strict=True)
     return all(np.array_equal(own, drawn) for own, drawn in legs)
 

@@ -20,7 +20,7 @@ from spm_pin.support.arguments import FloatArray
 
 _FILES = {"kins.c": "@NAME@kins.c", "machine.ini": "@NAME@.ini", "machine.hal": "@NAME@.hal"}
 _UNITS = {"m": ("UNITS_PER_METRE", 1e3, "LINEAR"), "rad": ("1.0 / DEGREE", np.rad2deg(1.0), "ANGULAR")}
-"""How many units of a joint are one of a reading, in C and as a number, and the joint's type."""
+"""Units of a joint per unit of a reading, in C and as a number, and the joint's type."""
 _SAMPLES = 4096
 _STEP = 1e-4
 """Step of finite differences of the axes [mm, degrees]."""
@@ -38,7 +38,7 @@ def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
     Parameters
     ----------
     machine : Manipulator or Stage
-        The robot or the stage alone, drawn or as built, with legs of any kind.
+        The robot or the stage alone, nominal or calibrated, with legs of any kind.
 
     Returns
     -------

@@ -21,13 +21,13 @@ from spm_pin.support.files import file_path
 
 _TEMPLATES = Path(__file__).parent / "templates" / "ros"
 ASSUMED = {"m": (0.1, 1.0), "rad": (1.0, 10.0)}
-"""Largest rate [1/s] and acceleration [1/s²] of readings that exported files begin with; a machine knows none."""
+"""Default largest rate [1/s] and acceleration [1/s²] of readings in exported files; a machine has none."""
 _PATTERN = np.array([-1.0, 0.0, 1.0, -1.0, 0.0, 1.0])
-"""How the readings at the start lie about the middle of the limits: of three steps each those of the smallest J_f."""
+"""Pattern of the readings at the start about the middle of the limits: the one with the smallest J_f of 3^6."""
 _STEP = 0.1
-"""The largest step of a reading between two set-points that exported files begin with, in strokes, see `_stroke`."""
+"""Default largest step of a reading between two set-points in exported files, in strokes, see `_stroke`."""
 _SHARE = 0.1
-"""The largest deviation of these readings from the middle, in lengths of the legs at home."""
+"""Largest deviation of these readings from the middle, in lengths of the legs in the home."""
 
 
 def ros_package(
@@ -38,7 +38,7 @@ def ros_package(
     Parameters
     ----------
     machine : Manipulator
-        The machine, drawn or as built.
+        The machine, nominal or calibrated.
     prefix : str
         Put before the name of every link, joint and function in C.
     masses : Masses, optional
@@ -128,7 +128,7 @@ def travel(machine: Manipulator) -> tuple[FloatArray, FloatArray]:
 
 
 def ends_of_travel(limits: FloatArray, home: FloatArray, stroke: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the least and largest readings of limits (2, legs), where there is none a stroke from the home."""
+    """Return the smallest and largest readings of limits (2, legs), without limits a stroke about the home."""
     minimum, maximum = limits
     low = np.where(np.isfinite(minimum), minimum, home - stroke)
     return low, np.minimum(maximum, np.maximum(low, home) + stroke)

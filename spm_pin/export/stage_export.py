@@ -30,7 +30,7 @@ def stage_c_sources(stage: Stage, *, prefix: str = "stage_") -> dict[str, str]:
     Parameters
     ----------
     stage : Stage
-        The stage that is built in, drawn or as built. The functions take others too.
+        The stage that is built in, nominal or calibrated. The functions take others too.
     prefix : str
         What all names begin with. Another one is put before the names of the files: `left_stage.h`.
 
@@ -77,12 +77,13 @@ def _renamed(text: str, prefix: str) -> str:
 
 
 def stage_numbers(stage: Stage) -> FloatArray:
-    """Return the numbers of a `stage_geometry` (63,): `up`, the height at home, and twenty of each leg."""
+    """Return the numbers of a `stage_geometry` (65,): `up`, the height at home, and twenty-one of each leg."""
     legs, kind = stage.legs, stage.kind
     angle = np.broadcast_to(getattr(kind, "direction", np.nan), 3)
     fixed = [np.broadcast_to(getattr(kind, name, 0.0), 3) for name in ("crank", "rod")]
     fixed += [np.nan_to_num(np.cos(angle)), np.nan_to_num(np.sin(angle))]
     fixed += [np.broadcast_to(getattr(kind, "sign", 0.0), 3), legs.offsets, *stage.reading_limits]
+    fixed += [np.where(np.array(legs.units) == "rad", stage.crank_middles + legs.offsets, 0.0)]
     numbers = np.concatenate([legs.pivots, *legs.planes, legs.balls, np.stack(fixed, axis=-1)], axis=-1)
     return np.concatenate([[stage.kind.up, stages.home_height(stage)], numbers.ravel()])
 

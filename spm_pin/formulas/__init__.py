@@ -1,12 +1,12 @@
 """The formulas of the mechanism, each once: straight lines of arithmetic on numbers and tuples of numbers.
 
 One file per subject of `docs/theory`, with the symbols used there. A formula has no loop over a batch, no `if` on a
-value, no default argument and no closure; it calls `sqrt`, `where`, `both` and `either` of `operations` in place of
-whatever a kind of number has for them. So one formula runs on many kinds of numbers:
+value, no default argument and no closure; it calls `sqrt`, `where`, `both` and `either` of `operations`, so that
+each backend can replace them. One formula is evaluated on many scalar types:
 
-- compiled loops over batches: `spm_pin.kinematics.kernels`, which Numba compiles from the functions as they stand;
-- expressions of CasADi, ball arithmetic, numbers of many digits, arrays: by `operations.bind`, which copies a formula
-  and all that it calls with other operations in place of those of floats.
+- in compiled loops over batches: `spm_pin.kinematics.kernels`, which Numba compiles from the unchanged functions;
+- on CasADi expressions, ball arithmetic, numbers of many digits, arrays: by `operations.bind`, which copies a formula
+    and all formulas that it calls, with other operations.
 
 Dimensions are arguments, never read from a `Manipulator`.
 """

@@ -1,12 +1,12 @@
-"""Newton's method on the three balls b_i of the middle platform, of any machine: `docs/theory/as_built.md`.
+"""Newton's method on the three balls b_i of the middle platform, for any machine: `docs/theory/as_built.md`.
 
 Two components of each ball's velocity are given, q_i along f_i and p_i along a_i: f_i and a_i are the directions of the
-leg and of its axis where the readings are known, the axes of the ball's two legs where the pose is. The velocity is
+leg and of its axis if the readings are given, the axes of the ball's two legs if the pose is. The velocity is
 
     v_i = q_i n_i + p_i m_i + λ_i w_i,    w_i = f_i x a_i,    n_i = a_i x w_i / |w_i|²,    m_i = w_i x f_i / |w_i|²,
 
-and the λ_i follow from the rates of the balls' distances, as in `spm_pin.formulas.wrenches`. With the errors of planes,
-lengths and distances in place of the rates it is Newton's step, to be subtracted.
+and the λ_i follow from the rates of the balls' distances, as in `spm_pin.formulas.wrenches`. If the errors of planes,
+lengths and distances replace the rates, it is Newton's step, to be subtracted.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ NONE = (0.0, 0.0, 0.0)
 
 
 class BallMotions(NamedTuple):
-    """The velocities of the b_i per unit of q_i, p_i and λ_i, and what gives the λ_i."""
+    """Velocities of the b_i per unit of q_i, p_i and λ_i, and the equations for the λ_i."""
 
     n: Rows
     m: Rows
@@ -55,7 +55,7 @@ class BallMotions(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Errors of the positions of the balls, or rates that undo them."""
+    """Errors of the positions of the balls, or rates that remove them."""
 
     along_f: Vector
     along_a: Vector
@@ -68,7 +68,7 @@ def plane_errors(b: Rows, legs: StageLegs) -> Vector:
 
 
 def stage_errors(b: Rows, stage: Circles) -> Errors:
-    """Return the errors of balls that ought to be on the circles of a stage, along the arms and the axes."""
+    """Return the errors of balls relative to the circles of a stage, along the arms and the axes."""
     arms = differences(b, stage.centres)
     _, distances = directions_and_lengths(arms)
     return Errors(
@@ -77,7 +77,7 @@ def stage_errors(b: Rows, stage: Circles) -> Errors:
 
 
 def structure_errors(b: Rows, c: Rows, lower: StageLegs, upper: StageLegs, squares: Vector) -> Errors:
-    """Return the errors of balls b, c that ought to be in the planes of the lower and of the upper legs, all in {B}."""
+    """Return the errors of balls b, c relative to the planes of the lower and of the upper legs, all in {B}."""
     apart = scaled(0.5, minus(squared_sides(b), squares))
     return Errors(plane_errors(c, upper), plane_errors(b, lower), apart)
 
@@ -97,7 +97,7 @@ def ball_motions(b: Rows, f: Rows, a: Rows) -> BallMotions:
 
 
 def velocities(motions: BallMotions, rates: Errors) -> Rows:
-    """Return the velocities of the balls with these rates along f_i and a_i and of half the squared distances."""
+    """Return the velocities of the balls for these rates along f_i and a_i and of half the squared distances."""
     v = combinations(multiples(rates.along_f, motions.n), rates.along_a, motions.m)
     d12, d23, d31, d21, d32, d13 = pairs(motions.b, v)
     missing = minus(rates.apart, (d12 + d21, d23 + d32, d31 + d13))
@@ -112,7 +112,7 @@ def upper_velocities(b: Rows, v: Rows, weights: Rows) -> Rows:
 
 
 def structure_velocities(motions: BallMotions, rates: Errors, a_m: Rows, weights: Rows) -> Rows:
-    """Return what `velocities` does where `rates.along_f` are those of the upper legs' balls along their axes `a_m`."""
+    """Return `velocities` for `rates.along_f` of the upper legs' balls along their axes `a_m`."""
     b, first = motions.b, velocities(motions, Errors(NONE, rates.along_a, rates.apart))
     x = velocities(motions, Errors((1.0, 0.0, 0.0), NONE, NONE))
     y = velocities(motions, Errors((0.0, 1.0, 0.0), NONE, NONE))
@@ -131,7 +131,7 @@ def structure_step(b: Rows, lower: StageLegs, upper: StageLegs, weights: Rows, s
 
 
 def structure_side(b: Rows, c: Rows, lower: StageLegs, upper: StageLegs) -> float:
-    """Return det K [m³]: its sign tells on which side of the inverse singularities a state is."""
+    """Return det K [m³]: its sign is the side of the inverse singularities on which a state is."""
     p = mean(b)
     return structure_determinant(arms(b, p, 1.0), arms(c, p, 1.0), lower.axes, upper.axes)
 
@@ -143,7 +143,7 @@ def moved_balls(b: Rows, v: Rows, longest: float) -> Rows:
 
 
 def placeholder_state(r: float) -> tuple[Rows, tuple[Rows, Vector]]:
-    """Return balls and a pose far from any singularity, to compute with where there is no state, without NaN."""
+    """Return balls and a pose far from any singularity, which replace a missing state to avoid NaN."""
     level = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     return shifted(drawn_triangle(r), (0.0, 0.0, 2.0 * r)), (level, (0.0, 0.0, 4.0 * r))
 

@@ -1,7 +1,7 @@
 """The four quadratics of a pose and the branches of the inverse displacement: `docs/theory/inverse_displacement.md`.
 
-Horizontal vectors and halves of quaternions are complex numbers, written as pairs of reals so that the roots u, v may
-be complex besides. The families come in two groups, equal modes (TT, FF) and mixed ones (TF, FT). Within a
+Horizontal vectors and halves of quaternions are complex numbers, written as pairs of reals because the roots u, v may
+be complex too. The families form two groups, equal modes (TT, FF) and mixed ones (TF, FT). Within a
 group κ, μ and the weights of u and v are the same, and the forms differ in the sign of all but h.
 
     pose -> pose_frame -> families -> root -> middle_joints -> leg_lengths, stands_at_home
@@ -35,17 +35,17 @@ Complex = tuple[float, float]
 Quaternion = tuple[float, float, float, float]
 
 ROUNDING = 2.0**-46
-"""Rounding of a pose relative to its size: what is smaller is taken for zero when a family is degenerate."""
+"""Relative rounding error of a pose: smaller quantities count as zero in the test for degenerate families."""
 ROUNDING_BOUND = 2.0**-39
 """Bound of the rounding error of a discriminant over r², divided by (1 + (|x| + |y|)/r)²: `docs/theory/proofs.md`."""
 PARALLEL = 1e-12
-"""Sine of the tilt up to which the Z axes of {B} and {m} are taken for parallel in proofs."""
+"""Sine of the tilt up to which the Z axes of {B} and {m} count as parallel in proofs."""
 
 
 class PoseFrame(NamedTuple):
     """Quantities that the families of a pose share."""
 
-    is_vertical: bool  # the Z axes are parallel and have no common normal: all else is finite and means nothing
+    is_vertical: bool  # the Z axes are parallel and have no common normal: all else is arbitrary and finite
     x0: float
     x3: float
     cosine: float  # c = |S|
@@ -76,7 +76,7 @@ class Family(NamedTuple):
 
 
 class Group(NamedTuple):
-    """What the two families of a group share."""
+    """Quantities that the two families of a group share."""
 
     form: Vector  # uu, uv, vv without h
     f: Complex  # weights F and G of u and v in the quaternions of a and b
@@ -91,7 +91,7 @@ def product(a: Complex, b: Complex) -> Complex:
 
 
 def quaternions(rotation: Rows) -> tuple[Quaternion, Quaternion, Quaternion, Quaternion]:
-    """Return x0, x1, x2, x3 of a rotation matrix, of any length, computed from x0, x3, x2 and x1."""
+    """Return x0, x1, x2, x3 of a rotation matrix, not normalised, computed from x0, x3, x2 and x1."""
     (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation
     trace = r00 + r11 + r22
     return (
@@ -129,7 +129,7 @@ def pose_frame(rotation: Rows, position: Vector, r: float) -> PoseFrame:
     s, w = (x0 * over_cosine, x3 * over_cosine), (x1 * over_sine, x2 * over_sine)
     normal, half_cosecant = product(s, w), 0.5 * (over_cosine * over_sine)
     h = normal[0] * position[0] + normal[1] * position[1]
-    # No larger power of the position, which may be any number.
+    # No higher power of the position, which may be any number.
     noise = ROUNDING * (r + (magnitude(position[0]) + magnitude(position[1])) * (2.0 * half_cosecant))
     normal_m = product((s[0], -s[1]), w)
     return PoseFrame(vertical, x0, x3, cosine, sine, s, w, normal, normal_m, half_cosecant, h, noise)
@@ -148,12 +148,12 @@ def _group(kappa: float, mu: float, sine: float, even: Complex, odd: Complex) ->
 
 def families(frame: PoseFrame, r: float) -> tuple[Family, Family, Family, Family]:
     """Return the quadratics TT, TF, FT, FF of a pose."""
-    # i s r [W³ ± conj(W)³], the brackets of families whose e are equal; in mixed ones they change places.
+    # i s r [W³ ± conj(W)³], the brackets of families whose e are equal; in mixed ones they are exchanged.
     cubed, s, x0, x3 = product(product(frame.w, frame.w), frame.w), frame.s, frame.x0, frame.x3
     plus = -2.0 * r * cubed[0] * s[1], 2.0 * r * cubed[0] * s[0]
     minus_ = 2.0 * r * cubed[1] * s[0], 2.0 * r * cubed[1] * s[1]
-    # Per group the sign of the quaternion is the one with κ >= 0: κ does not change sign on any path along which a
-    # family stays real, so labels do not either.
+    # Per group the quaternion has the sign with κ >= 0: κ does not change sign on any path along which a
+    # family stays real, and so labels do not change either.
     lift = where(x0 < 0.0, -1.0, 1.0)
     group = _group(magnitude(x0), lift * x3, frame.sine, plus, minus_)
     a, b = lift * frame.w[0], lift * frame.w[1]
@@ -203,16 +203,16 @@ def is_tilted(rotation: Rows) -> bool:
 
 
 def is_continuous(family: Family, noise: float) -> bool:
-    """Return whether the quadratic vanishes, and its solutions with it are a continuous family."""
+    """Return whether the quadratic vanishes, and with it all its solutions are a continuous family."""
     first, second = magnitude(family.uu) <= noise, magnitude(family.uv) <= noise
     return both(both(first, second), magnitude(family.vv) <= noise)
 
 
 def root(family: Family, sign: float, discriminant_root: float) -> Vector:
-    """Return u, v of the branch + or - of a family, of any length, and u² + v²."""
+    """Return u, v of the branch + or - of a family, not normalised, and u² + v²."""
     signed = sign * family.plus * discriminant_root
     u1, v1, u2, v2 = signed - family.uv, family.uu, family.vv, -signed - family.uv
-    # Both pairs solve the form; the longer one is free of cancellation.
+    # Both pairs solve the form; the longer one has no cancellation.
     first, second = u1 * u1 + v1 * v1, u2 * u2 + v2 * v2
     longer = first >= second
     return where(longer, u1, u2), where(longer, v1, v2), where(longer, first, second)
@@ -221,7 +221,7 @@ def root(family: Family, sign: float, discriminant_root: float) -> Vector:
 def middle_joints(
     u: Any, v: Any, size: Any, family: Family, frame: PoseFrame, position: Vector
 ) -> tuple[Vector, Vector]:
-    """Return the middle joints' radii ρ_i in the planes of their lower legs, and heights z_i, of a root u, v.
+    """Return the middle joints' radii ρ_i in the planes of their lower legs, and heights z_i, for a root u, v.
 
     `size` is r / (u² + v²). The three may be complex.
     """
@@ -238,7 +238,7 @@ def middle_joints(
     cos_tilt = frame.cosine * frame.cosine - frame.sine * frame.sine
     z = position[2] + (cos_tilt * along - along_m) * frame.half_cosecant
     square, across = family.lower * size * (p * p), 2.0 * COS_30 * x
-    # Mode F is turned half round its normal.
+    # Mode F is turned by half a turn about its normal.
     turned = family.lower < 0.0
     c, s = where(turned, a1, -a2), where(turned, a2, a1)
     c, s = COS_30 * twice * (p * c), size * (p * s)
@@ -246,7 +246,7 @@ def middle_joints(
 
 
 def branch_balls(family: Family, sign: float, frame: PoseFrame, position: Vector, r: float, least: float) -> Rows:
-    """Return the b_i of the branch + or - of a family; a discriminant below `least` is taken for `least`."""
+    """Return the b_i of the branch + or - of a family; a discriminant below `least` is replaced by `least`."""
     u, v, square = root(family, sign, sqrt(larger(discriminant(family), least)))
     radii, heights = middle_joints(u, v, r / where(square > 0.0, square, 1.0), family, frame, position)
     return cartesian(radii, heights)
@@ -282,9 +282,9 @@ def seen_from_platform(b: Rows, rotation: Rows, position: Vector) -> tuple[Vecto
 def stands_at_home(
     radii: Vector, heights: Vector, rotation: Rows, position: Vector, base_radius: float, platform_radius: float
 ) -> tuple[bool, float]:
-    """Return whether a branch TT is physical, leg limits aside, and the sum of its radii in both stages.
+    """Return whether a branch TT is physical, without regard to leg limits, and the sum of its radii in both stages.
 
-    Both stages stand upright and are in their home's aspect. The sum is larger where their tilts are smaller.
+    Both stages are then upright and in their home assembly regions. The sum is larger if their tilts are smaller.
     """
     upper, below = seen_from_platform(cartesian(radii, heights), rotation, position)
     lower_sum, upper_sum = radii[0] + radii[1] + radii[2], upper[0] + upper[1] + upper[2]
@@ -295,7 +295,7 @@ def stands_at_home(
 
 
 def is_upright(b: Rows, lower: Rows, upper: Rows, rotation: Rows, position: Vector) -> bool:
-    """Return whether both stages of any machine are in mode T, the balls on the outer side of their circles' centres.
+    """Return whether both stages of any machine are in mode T, with balls on the outer side of their circles' centres.
 
     Arguments are as for `is_physical`.
     """
@@ -310,10 +310,11 @@ def is_upright(b: Rows, lower: Rows, upper: Rows, rotation: Rows, position: Vect
 def is_physical(
     b: Rows, c: Rows, lower: Rows, upper: Rows, axes: Rows, upper_axes: Rows, rotation: Rows, position: Vector
 ) -> bool:
-    """Return whether a state of any machine is physical, leg limits aside: upright, both stages in their home's aspect.
+    """Return whether a state of any machine is physical, without regard to leg limits.
 
-    b and c are the balls of the lower and of the upper legs, `lower` and `upper` the vectors from the circles' centres
-    to the former and from the latter to theirs, all in {B}; those of a stage that hangs are reversed.
+    Both stages are upright and in their home assembly regions. b and c are the balls of the lower and upper legs;
+    `lower` and `upper` are vectors from circles' centres to lower balls, and from upper balls to circles' centres, in
+    {B}; those of a stage that hangs are reversed.
     """
     aspects = both(is_stage_at_home(b, lower, axes), is_stage_at_home(c, upper, upper_axes))
     return both(is_upright(b, lower, upper, rotation, position), aspects)
@@ -327,8 +328,8 @@ def tilt_cosine_sum(b: Rows, rotation: Rows) -> float:
 
 
 def is_other_preferred(rank: float, tilts: float, other_rank: float, other_tilts: float) -> bool:
-    """Return whether the other of two branches is chosen: by its rank, or by its sum of radii if ranks are equal.
+    """Return whether the second of two branches is chosen: by its rank, or by its sum of radii if ranks are equal.
 
-    The rank is 0 where a branch is not physical, 1 where it is, 2 where it is within the leg limits too.
+    The rank is 0 for a branch that is not physical, 1 for a physical one, 2 if it is also within the leg limits.
     """
     return either(other_rank > rank, both(other_rank == rank, other_tilts > tilts))

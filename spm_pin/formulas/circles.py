@@ -1,11 +1,11 @@
-"""Newton's method on a stage of any machine, three circles and a triangle: `docs/theory/forward_displacement.md`.
+"""Newton's method for a stage of any machine, three circles and a triangle: `docs/theory/forward_displacement.md`.
 
-A leg whose actuator is locked holds its ball on a circle about its revolute axis, and the three balls of a stage are
-the corners of a triangle. Circles and balls are seen from the plate that carries the legs: {B} of the lower stage, {m}
-of the upper one. Lengths are in any one unit.
+With locked actuators each ball lies on a circle about the leg's revolute axis, and the three balls of a stage are
+the corners of a triangle. Circles and balls are in the frame of the legs' plate: {B} for the lower stage, {m}
+for the upper one. Lengths may have any unit.
 
-Unknown are the directions e_i from the centres c_i of the circles to the balls b_i = c_i + ρ_i e_i. The equations say
-that the balls have the triangle's distances; the errors are those of half the squared distances. A turn of e_i about
+The unknowns are the directions e_i from the centres c_i of the circles to the balls b_i = c_i + ρ_i e_i. The equations
+are that the balls have the triangle's distances; errors are those of half the squared distances. A turn of e_i about
 the axis a_i moves b_i along t_i = ρ_i a_i x e_i, so the errors have the derivatives c_ij = (b_i - b_j)·t_i, and
 Newton's step is `wrenches.pairs` and `stages.pair_inverse`.
 """
@@ -39,20 +39,20 @@ from spm_pin.formulas.vectors import (
 from spm_pin.formulas.wrenches import is_stage_at_home, mean, pairs
 
 LONGEST_TURN = 0.3
-"""Largest turn of a leg in one of Newton's steps [rad]."""
+"""Largest rotation of a leg in one of Newton's steps [rad]."""
 SEARCH_STEPS, MOST_STEPS, WANDERING = 20, 60, 1e-2
-"""After `SEARCH_STEPS` of Newton's steps, one larger than `WANDERING` [rad] says that there is no solution; at most
-`MOST_STEPS` are taken. No state has been seen that took more than 14 but near a fold, where steps only halve."""
+"""If a step after `SEARCH_STEPS` of Newton's steps is larger than `WANDERING` [rad], there is no solution; at most
+`MOST_STEPS` are made. At most 14 were observed, except near a fold, where steps only halve."""
 _KANTOROVICH, _DRIFT = 0.125, 0.25
 """Bounds of `is_safe_step`: largest products of the inverse derivative's norm at the end of a step with the Lipschitz
-constant times Newton's first step, and with the change of the derivative on the way. At constant angles the errors are
-quadratic in radii and centres, so all along the step they are at most 5/4 of those in the middle and at the end, and
-the norm is at most 4/3 of that at the end: the first product stays below (4/3)² 5/4 · 1/8 < 0.28; the theorem asks for
+constant times Newton's first step, and with the change of the derivative along the step. At constant angles the errors
+are quadratic in radii and centres, so along the step they are at most 5/4 of those in the middle and at the end, and
+the norm is at most 4/3 of that at the end: the first product is below (4/3)² 5/4 · 1/8 < 0.28; the theorem requires
 1/2."""
 
 
 class Circles(NamedTuple):
-    """Circles on which the legs hold the balls of a stage, and the squared distances of the balls 12, 23, 31."""
+    """Circles on which the balls of a stage lie, and the squared distances of the balls 12, 23, 31."""
 
     axes: Rows
     centres: Rows
@@ -67,7 +67,7 @@ def squared_sides(b: Rows) -> Vector:
 
 
 def circles_between(start: Circles, end: Circles, share: float) -> Circles:
-    """Return the circles at a share, 0 to 1, of the straight way from those of one stage to those of another."""
+    """Return the circles at a fraction, 0 to 1, of the straight line between those of two stages."""
     shares = share, share, share
     axes = combinations(start.axes, shares, differences(end.axes, start.axes))
     centres = combinations(start.centres, shares, differences(end.centres, start.centres))
@@ -76,10 +76,10 @@ def circles_between(start: Circles, end: Circles, share: float) -> Circles:
 
 
 def level_balls(stage: Circles, corners: Rows, up: float) -> Rows:
-    """Return the balls of a level platform at the height that legs of mean length give it, the start of a search.
+    """Return the balls of a level platform at its height for legs of mean length, the start of a search.
 
-    `corners` are the balls in the platform's frame; the platform is above the plate if `up` is 1, below it if -1. Where
-    the stage would be flat, which is singular, the platform is put higher.
+    `corners` are the balls in the platform's frame; the platform is above the plate if `up` is 1, below it if -1. If
+    the stage would be flat, which is singular, the platform is raised.
     """
     r = mean_radius(corners)
     aside = r - mean_radius(stage.centres)
@@ -89,7 +89,7 @@ def level_balls(stage: Circles, corners: Rows, up: float) -> Rows:
 
 
 def directions_to(stage: Circles, b: Rows) -> Rows:
-    """Return the directions e_i from the centres of the circles towards balls that are near the circles."""
+    """Return the directions e_i from the centres of the circles towards balls near the circles."""
     arms = differences(b, stage.centres)
     return directions(combinations(arms, scaled(-1.0, dots(stage.axes, arms)), stage.axes))
 
@@ -105,12 +105,12 @@ def errors(stage: Circles, b: Rows) -> Vector:
 
 
 def inverse_derivative(stage: Circles, e: Rows, b: Rows) -> Rows:
-    """Return the columns of the inverse of the matrix of the c_ij: the turns of the legs per unit error."""
+    """Return the columns of the inverse of the matrix of the c_ij: rotations of the legs per unit error."""
     return pair_inverse(pairs(b, multiples(stage.radii, crosses(stage.axes, e))))
 
 
 def newton_step(stage: Circles, e: Rows) -> Vector:
-    """Return Newton's step: by which angles [rad] the legs are to be turned back."""
+    """Return Newton's step: the angles [rad] by which the legs are turned back."""
     b = balls_at(stage, e)
     return weighted(errors(stage, b), inverse_derivative(stage, e, b))
 
@@ -121,34 +121,34 @@ def turned_back(stage: Circles, e: Rows, step: Vector) -> Rows:
 
 
 def limited(step: Vector) -> Vector:
-    """Return a step scaled down so that no leg turns farther than `LONGEST_TURN`."""
+    """Return a step scaled down so that no leg turns by more than `LONGEST_TURN`."""
     return scaled(1.0 / larger(1.0, largest(step) / LONGEST_TURN), step)
 
 
 def has_converged(size: float, last: float) -> bool:
-    """Return whether Newton's method has converged with a step of this size; `last` is the one before, NaN if none.
+    """Return whether Newton's method has converged with a step of this size; `last` is the previous one, NaN if none.
 
-    Steps are as small as rounding, or the next one will be: its size is about (size / last)² size.
+    Steps are of the size of rounding, or the next one will be: its size is about (size / last)² size.
     """
     at_rounding = either(size < 1e-15, both(size < 1e-10, size > 0.5 * last))
     return either(at_rounding, size * size * size < 1e-17 * last * last)
 
 
 def is_next_to_solution(size: float, last: float) -> bool:
-    """Return whether Newton's method began next to a solution, with no other near, by its first step and its second.
+    """Return whether Newton's method began close to a solution, and no other one, by its first and second step.
 
-    `size` is that of the first step, `last` being NaN, or of the second, which is to be a tenth of the first, `last`.
+    `size` is that of the first step, with `last` NaN, or of the second, which must be a tenth of the first, `last`.
     """
     return size <= where(last == last, larger(0.1 * last, 1e-13), 0.1)
 
 
 def is_stalled(size: float, last: float) -> bool:
-    """Return whether small steps hardly shrink: they halve towards a fold, or are rounding that is large there."""
+    """Return whether small steps hardly shrink: they halve towards a fold, or are rounding, which is large there."""
     return both(size < 1e-6, size > 0.25 * last)
 
 
 def is_closed(stage: Circles, e: Rows) -> bool:
-    """Return whether the balls have their distances to rounding; at a fold the angles then have half the digits."""
+    """Return whether the balls have their distances to rounding; at a fold the angles have half the digits."""
     size = largest(stage.squares) + largest(stage.radii) * largest(stage.radii)
     return largest(errors(stage, balls_at(stage, e))) <= 1e-15 * size
 
@@ -156,7 +156,7 @@ def is_closed(stage: Circles, e: Rows) -> bool:
 def is_safe_step(middle: Circles, end: Circles, b: Rows, change: float) -> bool:
     """Return whether one branch of solutions leads from the balls b at the start of a step to the circles at its end.
 
-    That is so, and Newton's method finds the end from b, if the theorem of Newton and Kantorovich holds all along the
+    That is so, and Newton's method converges to the end from b, if Newton's and Kantorovich's theorem holds along the
     step: `middle` and `end` are the circles half-way and at the end, and centres and radii change by at most `change`.
     """
     e = directions_to(end, b)
@@ -171,13 +171,13 @@ def is_safe_step(middle: Circles, end: Circles, b: Rows, change: float) -> bool:
         magnitude(first[2]) + magnitude(second[2]) + magnitude(third[2]),
     )
     norm, (lipschitz, drift) = largest(sums), _bounds(end, change)
-    # NaN where there is no inverse, so false.
+    # False also for NaN, if there is no inverse.
     is_regular = norm * drift <= _DRIFT
     return both(is_regular, norm * lipschitz * larger(largest(step), largest(half_way)) <= _KANTOROVICH)
 
 
 def _bounds(stage: Circles, change: float) -> tuple[float, float]:
-    """Return bounds of how the derivative's rows change: per radian, and if centres and radii change by `change`."""
+    """Return bounds of the change of the derivative's rows: per radian, and for changes of centres and radii."""
     gaps, sides, (a, b, c) = _roots(squared_sides(stage.centres)), _roots(stage.squares), stage.radii
     first, second = gaps[0] * (a + b) + 4.0 * a * b, gaps[1] * (b + c) + 4.0 * b * c
     lipschitz = larger(larger(first, second), gaps[2] * (c + a) + 4.0 * c * a)
@@ -190,13 +190,13 @@ def _roots(a: Vector) -> Vector:
 
 
 def largest_change(start: Circles, end: Circles) -> float:
-    """Return how far a ball moves at most between two stages while its direction e_i stays."""
+    """Return the largest displacement of a ball between two stages with its direction e_i constant."""
     centres = differences(end.centres, start.centres)
     return largest(minus(end.radii, start.radii)) + largest(_roots(dots(centres, centres)))
 
 
 def is_home_state(stage: Circles, e: Rows, b: Rows, up: float) -> bool:
-    """Return whether a stage is in the aspect of its home, upright and without torsion; up is as for `level_balls`."""
+    """Return whether a stage is upright, without torsion and in its home assembly region; up as for `level_balls`."""
     stands = both(mean_radius(b) > 0.0, up * (mean(b)[2] - mean(stage.centres)[2]) > 0.0)
     return both(stands, is_stage_at_home(b, (scaled(up, e[0]), scaled(up, e[1]), scaled(up, e[2])), stage.axes))
 
@@ -247,7 +247,7 @@ def _pair_form(gap: Vector, squares: float, p: Vector, q: Vector, p2: Vector, q2
 
 
 def form_sizes(forms: tuple[PairForm, PairForm, PairForm]) -> Vector:
-    """Return a bound of each error, and of its second derivatives, over all real angles."""
+    """Return a bound of each error and of its second derivatives, over all real angles."""
     return _sum(forms[0]), _sum(forms[1]), _sum(forms[2])
 
 
@@ -258,7 +258,7 @@ def _sum(form: PairForm) -> float:
 
 
 def in_other_angle(form: PairForm, c: float, s: float) -> Vector:
-    """Return the coefficients of 1, cosine and sine of the second angle where the first has cosine c and sine s."""
+    """Return the coefficients of 1, cosine and sine of the second angle if the first has cosine c and sine s."""
     return (
         form.constant + form.cosine * c + form.sine * s,
         form.other_cosine + form.cosines * c + form.sine_cosine * s,
@@ -267,7 +267,7 @@ def in_other_angle(form: PairForm, c: float, s: float) -> Vector:
 
 
 def in_first_angle(form: PairForm, one: float, c: float, s: float) -> Vector:
-    """Return the coefficients of 1, cosine and sine of the first angle; those of the second are as one to c to s."""
+    """Return the coefficients of 1, cosine and sine of the first angle; the second's have the ratio one, c, s."""
     return (
         form.constant * one + form.other_cosine * c + form.other_sine * s,
         form.cosine * one + form.cosines * c + form.cosine_sine * s,
@@ -278,8 +278,8 @@ def in_first_angle(form: PairForm, one: float, c: float, s: float) -> Vector:
 def eliminant(forms: tuple[PairForm, PairForm, PairForm], c: float, s: float) -> float:
     """Return a trigonometric polynomial of degree eight that vanishes at the first leg's angles in all assembly modes.
 
-    c and s are cosine and sine of that angle. The sides 12 and 31 allow two angles each of the other legs; this is the
-    product of the errors of the side 23 over the four pairs, times what frees it of denominators.
+    c and s are cosine and sine of that angle. The sides 12 and 31 allow two angles for each other leg; this is the
+    product of the errors of the side 23 over the four pairs, times a factor that removes its denominators.
     """
     f12, f23, f31 = forms
     n2, a2, b2 = in_other_angle(f12, c, s)

@@ -1,8 +1,8 @@
-"""Values of the revolute, prismatic and ball joints of a state, of any machine: `docs/mechanism.md`.
+"""Values of the revolute, prismatic and ball joints of a state, for any machine: `docs/mechanism.md`.
 
-The value of a leg's actuated joint is its reading less that at home, the value of its passive joint the angle about the
-revolute axis from home. `kind` has the leg's formulas from `spm_pin.formulas.planar_legs`, bound to the same kind of
-numbers. Angles are returned as multiples of their sine and cosine, for the caller's own arc tangent.
+The value of a leg's actuated joint is its reading minus that in the home, the value of its passive joint the angle
+about the revolute axis from the home. `kind` has the leg's formulas from `spm_pin.formulas.planar_legs`, bound to the
+same scalar type. Angles are returned as multiples of sine and cosine, for the caller's own arc tangent.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from spm_pin.formulas.planar_legs import Circle, Numbers
 from spm_pin.formulas.vectors import Rows, Vector, combined, cross, direction, dot, minus, times, weighted
 
 Angle = tuple[float, float]
-"""Multiples of the sine and the cosine of an angle, by one positive factor."""
+"""Sine and cosine of an angle, times one positive factor."""
 InPlane = tuple[float, float]
 """x and z of a vector in a leg's plane, radially outwards and towards the middle platform."""
 
 
 class LegHome(NamedTuple):
-    """A leg with both platforms level on one axis."""
+    """A leg in the home, with both platforms level on one axis."""
 
     reading: float  # without the encoder's offset
     x: float  # of the ball, from the pivot
@@ -34,21 +34,22 @@ class LegFrame(NamedTuple):
 
     axes: Rows  # of the frame, in {B} or {m}
     pivot: Vector  # in those axes
-    corner: Rows  # the axes of the frame at the ball, in those of the lower balls' triangle
-    outward: float  # x and z of the leg's plane over y and z of the frame, +1 or -1
+    corner: Rows  # axes of the frame at the ball, in those of the lower balls' triangle
+    outward: float  # signs of x and z of the leg's plane along y and z of the frame, +1 or -1
     up: float
     rod: InPlane  # direction from the circle's centre to the ball at home
-    passive: InPlane  # the same in the frame of the body that carries the passive joint
+    passive: InPlane  # the same in the frame of the body with the passive joint
     home_reading: float
+    middle: float  # see `planar_legs.crank_middle`
     numbers: Numbers  # constants of the leg, see `planar_legs`
 
 
 class LegValues(NamedTuple):
-    """Joint values of a leg, from its ball seen from the platform that the leg stands on."""
+    """Joint values of a leg, from its ball in the frame of the leg's plate."""
 
     passive: Angle
     actuated: float
-    rod: Angle  # by which the rod, or an RPS leg, is turned about the revolute axis
+    rod: Angle  # rotation of the rod, or an RPS leg, about the revolute axis
     length: float  # of the rod, the factor of its angle
     plane_distance: float
 
@@ -56,7 +57,7 @@ class LegValues(NamedTuple):
 def leg_home(
     x: float, height: float, limits: tuple[float, float], slope_sign: float, numbers: Numbers, kind: Any
 ) -> LegHome:
-    """Return a leg at home, where its ball is at x: at the middle of its limits, if the ball then is above the plate.
+    """Return a leg in the home, with its ball at x: at the middle of its limits, if the ball is then above the plate.
 
     Otherwise, and without limits, it is at the reading of its kind's `home`. `slope_sign` is that of κ in the leg's
     working mode, and `height` the home height of a stage without limits, the sum of the radii of its two triangles.
@@ -69,7 +70,7 @@ def leg_home(
 
 
 def ball_height(x: float, reading: float, slope_sign: float, numbers: Numbers, kind: Any) -> float:
-    """Return z of a ball at x on the circle of a reading: the upper place, or the lower one if that has the mode."""
+    """Return z of a ball at x on the circle of a reading: the upper position, or the lower one if it has the mode."""
     circle: Circle = kind.circle(reading, numbers)
     aside = x - circle.x
     rise = sqrt((circle.radius - aside) * (circle.radius + aside))
@@ -83,13 +84,14 @@ def leg_frame(
     own_axes: Rows,
     signs: tuple[float, float],
     at_home: LegHome,
+    middle: float,
     numbers: tuple[Numbers, Numbers],
     kind: Any,
 ) -> LegFrame:
     """Return the constants of a leg with this axis and pivot.
 
     `own_axes` are the axes of the lower balls' triangle in {n}; `signs` are the leg's of `leg_constants.TANGENT_SIGNS`,
-    and +1 of a lower leg or -1 of an upper; `numbers` are those of the drawing and the leg's own.
+    and +1 for a lower leg or -1 for an upper; `numbers` are those of the nominal machine and the leg's own.
     """
     (axis, pivot), (tangent_sign, up), (drawn_numbers, own_numbers) = placement, signs, numbers
     rows = leg_axes(axis)
@@ -97,7 +99,8 @@ def leg_frame(
     circle = kind.circle(at_home.reading, drawn_numbers)
     rod = (at_home.x - circle.x) / circle.radius, (at_home.z - circle.z) / circle.radius
     passive = kind.passive(*rod, at_home.reading)
-    return LegFrame(rows, times(rows, pivot), corner, -tangent_sign, up, rod, passive, at_home.reading, own_numbers)
+    pivot, reading = times(rows, pivot), at_home.reading
+    return LegFrame(rows, pivot, corner, -tangent_sign, up, rod, passive, reading, middle, own_numbers)
 
 
 def stage_frames(
@@ -105,6 +108,7 @@ def stage_frames(
     own_axes: Rows,
     triangles: tuple[float, float],
     limits: tuple[float, float],
+    middles: Vector,
     numbers: tuple[tuple[Numbers, Numbers, Numbers], tuple[Numbers, Numbers, Numbers]],
     up: float,
     kind: Any,
@@ -112,31 +116,35 @@ def stage_frames(
     """Return the constants of a stage's legs.
 
     `triangles` are the radii of the platform of the legs and of the balls, and `limits` those that the legs share;
-    `numbers` are those of the drawing, in the legs' own working modes, and the legs' own.
+    `middles` are those of `planar_legs.crank_middle`, and `numbers` those of the drawing, in the legs' own working
+    modes, and the legs' own.
     """
     radius, r = triangles
     home = leg_home(r - radius, r + radius, limits, kind.largest_slope(numbers[0][0]), numbers[0][0], kind)
     return (
-        _frame_at(home, 0, legs, own_axes, numbers, up, kind),
-        _frame_at(home, 1, legs, own_axes, numbers, up, kind),
-        _frame_at(home, 2, legs, own_axes, numbers, up, kind),
+        _frame_at(home, 0, legs, own_axes, middles, numbers, up, kind),
+        _frame_at(home, 1, legs, own_axes, middles, numbers, up, kind),
+        _frame_at(home, 2, legs, own_axes, middles, numbers, up, kind),
     )
 
 
-def _frame_at(home: LegHome, leg: int, legs: StageLegs, own_axes: Rows, numbers: Any, up: float, kind: Any) -> LegFrame:
+def _frame_at(
+    home: LegHome, leg: int, legs: StageLegs, own_axes: Rows, middles: Vector, numbers: Any, up: float, kind: Any
+) -> LegFrame:
     """Return the constants of a leg; in the other working mode the ball is in the same place at another reading."""
     drawn, own = numbers[0][leg], numbers[1][leg]
     has_mode = kind.largest_slope(drawn) * kind.largest_slope(numbers[0][0]) > 0.0
-    at_home = LegHome(where(has_mode, home.reading, kind.reading(home.x, home.z, drawn)), home.x, home.z)
+    middle, placement = middles[leg], (legs.axes[leg], legs.pivots[leg])
+    at_home = LegHome(where(has_mode, home.reading, kind.reading(home.x, home.z, middle, drawn)), home.x, home.z)
     signs = TANGENT_SIGNS[leg], up
-    return leg_frame((legs.axes[leg], legs.pivots[leg]), AXES[leg], own_axes, signs, at_home, (drawn, own), kind)
+    return leg_frame(placement, AXES[leg], own_axes, signs, at_home, middle, (drawn, own), kind)
 
 
 def leg_values(ball: Vector, leg: LegFrame, kind: Any) -> LegValues:
     """Return the values of a leg's passive and actuated joint from its ball, in {B} or {m}."""
     along, across, level = minus(times(leg.axes, ball), leg.pivot)
     x, z = leg.outward * across, leg.up * level
-    reading = kind.reading(x, z, leg.numbers)
+    reading = kind.reading(x, z, leg.middle, leg.numbers)
     circle = kind.circle(reading, leg.numbers)
     rod = x - circle.x, z - circle.z
     sense = leg.outward * leg.up
@@ -160,16 +168,16 @@ def triangle_axes(b: Rows) -> Rows:
 def ball_angles(values: LegValues, leg: LegFrame, axes: Rows, sign: float) -> tuple[Angle, Angle, Angle]:
     """Return the angles about x, y, z of the rotation Rx Ry Rz from the rod to the middle platform, times `sign`.
 
-    `axes` are those of the lower balls' triangle, seen from the platform that the leg stands on. For an upper leg the
+    `axes` are those of the lower balls' triangle, in the frame of the leg's plate. For an upper leg the
     rotation goes from the platform to the rod: its transpose has the angles negated, and `sign` is -1.
     """
-    # The axes of the frame at the ball in the leg's frame, then turned back as the rod is about x.
+    # The axes of the frame at the ball in the leg's frame, then turned back about x like the rod.
     x, y, z = _seen(leg, axes, leg.corner[0]), _seen(leg, axes, leg.corner[1]), _seen(leg, axes, leg.corner[2])
     s, c = _unit(values.rod, values.length)
     y_z, z_z = c * z[1] + s * z[2], c * z[2] - s * z[1]
     level = sqrt(y_z * y_z + z_z * z_z)
     sine, cosine = _unit((-y_z, z_z), level)
-    # The last from what the first leaves over, hence exact where the first is not determined.
+    # The last angle is computed from the rest of the first, hence exact where the first is not determined.
     last_sine = cosine * (c * x[1] + s * x[2]) + sine * (c * x[2] - s * x[1])
     last_cosine = cosine * (c * y[1] + s * y[2]) + sine * (c * y[2] - s * y[1])
     return (sign * sine, cosine), (sign * z[0], level), (sign * last_sine, last_cosine)
@@ -180,7 +188,7 @@ def _seen(leg: LegFrame, axes: Rows, corner: Vector) -> Vector:
 
 
 def _unit(angle: Angle, length: float) -> Angle:
-    """Return sine and cosine over their length, (0, 1) where that is zero."""
+    """Return sine and cosine divided by their length, (0, 1) if that is zero."""
     none = length == 0.0
     safe = where(none, 1.0, length)
     return angle[0] / safe, where(none, 1.0, angle[1] / safe)

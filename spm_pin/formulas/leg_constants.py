@@ -1,4 +1,4 @@
-"""Constants of the legs as drawn, and the formulas of their parameters and limits: `docs/mechanism.md`."""
+"""Constants of the nominal legs, and the formulas of their parameters and limits: `docs/mechanism.md`."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from spm_pin.formulas.vectors import Rows, Vector, combined, cross, dot, larger,
 
 UP = (0.0, 0.0, 1.0)
 RADIAL = ((COS_30, -0.5, 0.0), (0.0, 1.0, 0.0), (-COS_30, -0.5, 0.0))
-"""Unit vectors from the platform's centre towards the drawn legs 1, 2, 3, in {B} of lower and in {m} of upper legs."""
+"""Unit vectors from the platform's centre towards the nominal legs 1, 2, 3, in {B} for lower and {m} for upper legs."""
 AXES = ((0.5, COS_30, 0.0), (1.0, 0.0, 0.0), (-0.5, COS_30, 0.0))
-"""The drawn revolute axes, unit vectors in the same frames."""
+"""The nominal revolute axes, unit vectors in the same frames."""
 TANGENT_SIGNS = (1.0, -1.0, -1.0)
-"""Signs by which the drawn axes point counterclockwise about z: z turned about such an axis goes outwards."""
+"""Signs that make the nominal axes counterclockwise about z: a rotation about such an axis turns z outwards."""
 INFINITY = float("inf")
 LIMIT_ROUNDING = 1e-8
-"""By how much a reading may be beyond a limit and count as within it, as a share of the leg's larger finite limit. The
+"""Tolerance for readings beyond a limit, relative to the leg's larger finite limit. The
 reading computed for a state at an end stop differs from the stop by rounding, near a singularity by that much."""
 
 
@@ -24,7 +24,7 @@ def drawn_triangle(radius: float) -> Rows:
 
 
 def mean_radius(points: Rows) -> float:
-    """Return the mean radius of three points: of their components along the `RADIAL` directions."""
+    """Return the mean radius of three points, that of their components along the `RADIAL` directions."""
     return (dot(RADIAL[0], points[0]) + dot(RADIAL[1], points[1]) + dot(RADIAL[2], points[2])) / 3.0
 
 
@@ -40,20 +40,20 @@ def turned_axis(axis: Vector, first: float, second: float) -> Vector:
 
 
 def admitted_readings(low: float, high: float) -> tuple[float, float]:
-    """Return the ends of the readings that count as within the limits of a leg."""
+    """Return the limits of a leg with the tolerance for rounding."""
     rounding = limit_rounding(low, high)
     return low - rounding, high + rounding
 
 
 def limit_rounding(low: float, high: float) -> float:
-    """Return by how much a reading may be beyond the limits of a leg and count as within them."""
+    """Return the tolerance for readings beyond the limits of a leg."""
     highest, lowest = where(high < INFINITY, magnitude(high), 0.0), where(low > -INFINITY, magnitude(low), 0.0)
     return LIMIT_ROUNDING * larger(highest, lowest)
 
 
 def leg_axes(axis: Vector) -> Rows:
-    """Return the axes of a leg's frame: x along its revolute axis, z as near to Z of {B} or {m} as that allows."""
+    """Return the axes of a leg's frame: x along its revolute axis, z as close to Z of {B} or {m} as that allows."""
     z = combined(UP, -axis[2], axis)
     scale = 1.0 / sqrt(dot(z, z))
-    # The second axis is z × x, without what rounding would leave of its third component.
+    # The second axis is z × x, without the rounding error of its third component.
     return axis, scaled(scale, cross(UP, axis)), scaled(scale, z)

@@ -1,9 +1,9 @@
-"""The planes of the six legs, and balls that do not coincide, of any machine: `docs/theory/as_built.md`.
+"""The planes of the six legs, and balls that do not coincide, for any machine: `docs/theory/as_built.md`.
 
-A leg moves in the plane through its pivot that is normal to its revolute axis, and carries a ball of the middle
-platform there. Axes and pivots of lower legs are in {B}, of upper legs in {m}.
+A leg moves in the plane through its pivot that is normal to its revolute axis; a ball of the middle platform stays
+in this plane. Axes and pivots of lower legs are in {B}, of upper legs in {m}.
 
-Of a given pose all six planes are known in {B}, and R, t of the middle platform are sought. With the ball p_i in the
+For a given pose all six planes are known in {B}, and R, t of the middle platform are unknown. With the ball p_i in the
 platform's frame, the six equations n_i · (R p_i + t) = h_i are linear in t. The left null space of the 6 x 3 matrix of
 the n_i leaves three equations in R alone, quadratic forms xᵀ Q x of its quaternion x, scalar last.
 """
@@ -40,7 +40,7 @@ class StageLegs(NamedTuple):
 
 
 def carried(legs: StageLegs, rotation: Rows, position: Vector) -> StageLegs:
-    """Return in {B} the legs of a stage that are given in {m}, whose pose is R and o."""
+    """Return in {B} the legs of a stage that are given in {m}, the frame with the pose R, o."""
     return StageLegs(turned(rotation, legs.axes), shifted(turned(rotation, legs.pivots), position))
 
 
@@ -48,7 +48,7 @@ def upper_balls(b: Rows, weights: Rows) -> Rows:
     """Return the balls c_i of the upper legs from those of the lower ones, b_i, by `upper_ball_weights`.
 
     c_i - b_i is a sum of multiples of b_2 - b_1, b_3 - b_1 and their cross product; with weights of zero, those of the
-    drawn machine, c_i is b_i exactly.
+    nominal machine, c_i is b_i exactly.
     """
     p, q = minus(b[1], b[0]), minus(b[2], b[0])
     along_p, along_q, along_n = transposed(weights)
@@ -58,7 +58,7 @@ def upper_balls(b: Rows, weights: Rows) -> Rows:
 
 
 def upper_ball_weights(lower: Rows, upper: Rows) -> Rows:
-    """Return the weights of `upper_balls` from the balls in {n}, the platform's frame: zero where balls coincide."""
+    """Return the weights of `upper_balls` from the balls in {n}, the platform's frame: zero if balls coincide."""
     first, second = minus(lower[1], lower[0]), minus(lower[2], lower[0])
     normal = cross(first, second)
     scale = 1.0 / dot(normal, normal)
@@ -71,11 +71,11 @@ class StagePlanes(NamedTuple):
 
     normals: Rows  # in {B}
     heights: Vector
-    balls: Rows  # that lie in the planes, in the middle platform's frame
+    balls: Rows  # in these planes, in the middle platform's frame
 
 
 def quadric(lower_weights: Vector, upper_weights: Vector, lower: StagePlanes, upper: StagePlanes) -> Form:
-    """Return the form of the weighted sum of n_i · R p_i - h_i, with weights under which t drops out."""
+    """Return the form of the weighted sum of n_i · R p_i - h_i, with weights for which t drops out."""
     below, above = _moments(lower_weights, lower), _moments(upper_weights, upper)
     (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = combinations(below, (1.0, 1.0, 1.0), above)
     c = dot(lower_weights, lower.heights) + dot(upper_weights, upper.heights)

@@ -1,4 +1,4 @@
-"""Operations of formulas besides + - * / and comparisons, for floats, and how a runner replaces them."""
+"""Operations of formulas besides + - * / and comparisons, for floats, and their replacement by other backends."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 F = TypeVar("F", bound=Callable[..., Any])
 
 COS_30 = float(np.sqrt(0.75))
-"""The cosine of 30°. Where floats are not exact enough, a runner binds another number to this name."""
+"""The cosine of 30°. If floats are not exact enough, a backend binds another number to this name."""
 RIGHT_ANGLE = float(np.pi / 2.0)
 """The angle π/2, likewise."""
 INFINITY = float("inf")
@@ -22,7 +22,7 @@ sqrt: Callable[[float], float] = np.sqrt
 cos: Callable[[float], float] = np.cos
 sin: Callable[[float], float] = np.sin
 arctan2: Callable[[float, float], float] = math.atan2
-# As compiled, to the bit: NumPy may have one of its own.
+# The same bits as compiled: NumPy's own function may differ.
 
 
 ARRAYS: dict[str, Any] = {
@@ -32,7 +32,7 @@ ARRAYS: dict[str, Any] = {
     "both": np.logical_and,
     "either": np.logical_or,
 }
-"""The operations of NumPy's arrays, entry by entry."""
+"""The operations for NumPy arrays, elementwise."""
 
 
 def where(condition: bool, yes: float, no: float) -> float:
@@ -53,20 +53,20 @@ def either(a: bool, b: bool) -> bool:
 def bind(formula: F, **operations: Any) -> F:
     """Return a copy of a formula, and of all formulas that it calls, with other operations.
 
-    In the copies `operations` stand for `sqrt`, `cos`, `sin`, `arctan2`, `where`, `both`, `either`, and perhaps
-    `COS_30` and `RIGHT_ANGLE`. What is not given stays that of floats.
+    In the copies `operations` replace `sqrt`, `cos`, `sin`, `arctan2`, `where`, `both`, `either`, and optionally
+    `COS_30` and `RIGHT_ANGLE`. Operations that are not given remain those for floats.
     """
     copy: F = _copied(formula, operations, {})
     return copy
 
 
 def on_arrays(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a formula as a function of NumPy's arrays in place of numbers, entry by entry."""
+    """Return a formula as an elementwise function of NumPy arrays."""
     return bind(formula, **ARRAYS)
 
 
 def rows_of(array: Any) -> tuple[tuple[Any, ...], ...]:
-    """Return matrices (..., 3, 3) as formulas take them: nine arrays (...), row by row."""
+    """Return matrices (..., 3, 3) as arguments of formulas: nine arrays (...), row by row."""
     return tuple(tuple(array[..., i, j] for j in range(3)) for i in range(3))
 
 
@@ -79,7 +79,7 @@ def mapped(function: Callable[..., Any], tree: Any, *trees: Any) -> Any:
 
 
 def vector_of(array: Any) -> tuple[Any, Any, Any]:
-    """Return vectors (..., 3) as formulas take them: three arrays (...)."""
+    """Return vectors (..., 3) as arguments of formulas: three arrays (...)."""
     return array[..., 0], array[..., 1], array[..., 2]
 
 

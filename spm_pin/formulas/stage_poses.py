@@ -2,7 +2,7 @@
 
 The rotation is T R_z(ψ), where T turns z to the normal about a level axis and ψ is the torsion. The planes of the legs,
 a_i·(R p_i + t) = a_i·(pivot i), are linear in x and y of t and in cos ψ and sin ψ. A sum of them with weights under
-which x and y drop out is one equation in ψ, with two solutions: of a drawn stage one has no torsion, mode T, and the
+which x and y drop out is one equation in ψ, with two solutions: for a nominal stage one has no torsion, mode T, and the
 other a half turn, mode F.
 """
 
@@ -29,16 +29,16 @@ from spm_pin.formulas.vectors import (
 )
 
 LEAST_RISE = 1e-6
-"""1 + z of a normal from which on it has a pose: within 1.4 mrad of -z the legs hardly hold the torsion."""
+"""Smallest 1 + z of a normal that has a pose: within 1.4 mrad of -z the legs hardly determine the torsion."""
 
 
 class StageConstants(NamedTuple):
-    """The planes of a stage's legs, the balls in the platform's frame, and what solves the planes for x and y."""
+    """The planes of a stage's legs, the balls in the platform's frame, and the solution of the planes for x and y."""
 
     axes: Rows
     heights: Vector  # a_i·(pivot i)
     balls: Rows
-    weights: Vector  # under which x and y drop out
+    weights: Vector  # for which x and y drop out
     along_x: Vector
     along_y: Vector
 
@@ -64,7 +64,7 @@ def stage_constants(axes: Rows, pivots: Rows, balls: Rows) -> StageConstants:
 
 
 def unit_normal(normal: Vector, least_rise: float) -> tuple[Vector, bool]:
-    """Return the unit vector along a normal of any length, and whether it has a pose; else z.
+    """Return the unit vector along a normal of any length, and whether it has a pose; otherwise z.
 
     Zero, NaN, infinity and directions whose 1 + z is at most `least_rise` have none.
     """
@@ -72,7 +72,7 @@ def unit_normal(normal: Vector, least_rise: float) -> tuple[Vector, bool]:
     is_finite = both(both(magnitude(x) < INFINITY, magnitude(y) < INFINITY), magnitude(z) < INFINITY)
     size = largest(normal)
     is_normal = both(is_finite, size > 0.0)
-    # Divided by the largest component first: squares of short and of long vectors are not representable.
+    # Divided by the largest component first: squares of very short and very long vectors are not representable.
     size = where(is_normal, size, 1.0)
     x, y, z = x / size, y / size, z / size
     x, y, z = direction((where(is_normal, x, 0.0), where(is_normal, y, 0.0), where(is_normal, z, 1.0)))
@@ -81,7 +81,7 @@ def unit_normal(normal: Vector, least_rise: float) -> tuple[Vector, bool]:
 
 
 def shortest_turn(normal: Vector) -> Rows:
-    """Return the rotation T about a level axis that takes z to a unit vector, NaN where that is -z."""
+    """Return the rotation T about a level axis that turns z to a unit vector, NaN for -z."""
     x, y, z = normal
     # 1 / (1 + z) is (1 - z) / (x² + y²), which keeps its digits near -z.
     is_below = z < 0.0
@@ -90,7 +90,7 @@ def shortest_turn(normal: Vector) -> Rows:
 
 
 def torsion_equation(turn: Rows, height: float, stage: StageConstants) -> Torsion:
-    """Return the equation of the torsion where T and the height of the platform's centre are given."""
+    """Return the equation of the torsion for given T and height of the platform's centre."""
     (px, py, pz), (x, y, z) = transposed(stage.balls), transposed(turned(transposed(turn), stage.axes))
     cosines = x[0] * px[0] + y[0] * py[0], x[1] * px[1] + y[1] * py[1], x[2] * px[2] + y[2] * py[2]
     sines = y[0] * px[0] - x[0] * py[0], y[1] * px[1] - x[1] * py[1], y[2] * px[2] - x[2] * py[2]
@@ -102,14 +102,14 @@ def torsion_equation(turn: Rows, height: float, stage: StageConstants) -> Torsio
 
 
 def discriminant(equation: Torsion) -> float:
-    """Return a number that is negative where no pose has the normal, and zero where both modes meet."""
+    """Return a number that is negative if no pose has the normal, and zero where both modes meet."""
     return equation.cosine * equation.cosine + equation.sine * equation.sine - equation.constant * equation.constant
 
 
 def pose_in_mode(
     sign: float, turn: Rows, height: float, equation: Torsion, stage: StageConstants
 ) -> tuple[Rows, Vector]:
-    """Return rotation and position of mode T, sign +1, or F, -1; NaN where there is none."""
+    """Return rotation and position of mode T, sign +1, or F, -1; NaN if missing."""
     a, b, constant = equation.cosine, equation.sine, equation.constant
     root, scale = sign * sqrt(discriminant(equation)), 1.0 / (a * a + b * b)
     c, s = scale * (a * constant + b * root), scale * (b * constant - a * root)

@@ -1,11 +1,11 @@
-"""The equations of one drawn 3RPS stage: `docs/theory/forward_displacement.md`.
+"""The equations of one nominal 3RPS stage: `docs/theory/forward_displacement.md`.
 
 A stage is three legs of given lengths from pivots at radius E, each in its pivot's vertical plane, to a triangle of
-circumradius r. Units are r: ε = E/r, ζ the height of the triangle's centre, w = x1 + i x2 of its quaternion, and of the
-squared leg lengths over the three azimuths m the mean and λ the first harmonic, κ = 2ε - 1.
+circumradius r. Lengths are in units of r: ε = E/r, ζ is the height of the triangle's centre, w = x1 + i x2 of its
+quaternion, m the mean and λ the first harmonic of the squared leg lengths over the three azimuths, κ = 2ε - 1.
 
-A state (x0, x1, x2, ζ) has the coordinates of its mode: in mode F, where r, ε and ζ are negative, x0 stands for the
-quaternion's x3, and x1 + i x2 for i w.
+A state (x0, x1, x2, ζ) has the coordinates of its mode: in mode F, where r, ε and ζ are negative, x0 is the
+quaternion's x3, and x1 + i x2 is i w.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Pairs = tuple[float, float, float, float, float, float]
 """Quantities of the pairs of legs 12, 23, 31, 21, 32, 13."""
 
 ANY_ASPECT, HOME_ASPECT = 0.0, 2.0
-"""Numbers of a stage's aspects; 1 and -1 stand for all with this sign of the determinant."""
+"""Numbers of a stage's aspects; 1 and -1 are all others with this sign of the determinant."""
 
 EPS = 2.0**-52
 """The distance from 1 to the next larger double."""
@@ -49,7 +49,7 @@ class StageEquations(NamedTuple):
 
 def stage_equations(first: float, second: float, third: float, epsilon: float) -> StageEquations:
     """Set up f = 0 for three leg lengths and ε, in units of r."""
-    # Differences of squares as products: exact where legs are equal.
+    # Differences of squares as products: exact for equal legs.
     real, imag = _harmonic(
         (second - first) * (second + first), (second - third) * (second + third), (first - third) * (first + third)
     )
@@ -65,7 +65,7 @@ def _harmonic(second_first: float, second_third: float, first_third: float) -> t
 
 
 def residual(stage: StageEquations, state: ModeState) -> Vector:
-    """Return f: real and imaginary part of the equation for λ, and the one for ζ²."""
+    """Return f: real and imaginary part of the equation for λ, and the equation for ζ²."""
     x0, x1, x2, zeta = state
     a, b, p = x1 * x1 - x2 * x2, 2.0 * x1 * x2, x1 * x1 + x2 * x2
     h, lift = 2.0 * stage.epsilon - x0 * x0, 2.0 * zeta * x0
@@ -75,7 +75,7 @@ def residual(stage: StageEquations, state: ModeState) -> Vector:
 
 
 def residual_by_legs(stage: StageEquations, state: ModeState) -> Vector:
-    """Return f from the errors of the squared lengths leg by leg, which keeps the digits of a short leg."""
+    """Return f from the errors of the squared lengths leg by leg, which is accurate for a short leg."""
     radii, heights = corners(state[0], state[1], state[2], 0.0, state[3])
     first = _error_of_square(radii[0] - stage.epsilon, heights[0], stage.lengths[0])
     second = _error_of_square(radii[1] - stage.epsilon, heights[1], stage.lengths[1])
@@ -120,10 +120,10 @@ def jacobian(stage: StageEquations, state: ModeState) -> Rows:
 
 
 def moved(state: ModeState, step: Vector) -> ModeState:
-    """Return a state after a step along the tangents and ζ, put back onto the sphere, with x0 >= 0."""
+    """Return a state after a step along the tangents and ζ, normalised, with x0 >= 0."""
     first, second = _tangents(state)
     x = combined(combined((state[0], state[1], state[2]), step[0], first), step[1], second)
-    # Both signs of a quaternion are one rotation.
+    # Both signs of a quaternion are the same rotation.
     x = scaled(where(x[0] < 0.0, -1.0, 1.0) / sqrt(dot(x, x)), x)
     return x[0], x[1], x[2], state[3] + step[2]
 
@@ -140,7 +140,7 @@ def inverse(rows: Rows) -> tuple[Rows, bool]:
 
 
 def damped(step: Vector, longest: float) -> Vector:
-    """Return a step scaled down so that its turns are at most `longest` [rad] and its change of ζ at most 1."""
+    """Return a step scaled down so that it rotates by at most `longest` [rad] and changes ζ by at most 1."""
     excess = larger(larger(1.0, magnitude(step[0]) / longest), larger(magnitude(step[1]) / longest, magnitude(step[2])))
     return scaled(1.0 / excess, step)
 
@@ -190,9 +190,9 @@ def corners(x0: float, x1: float, x2: float, x3: float, zeta: float) -> tuple[Ve
 
 
 def stage_pairs(radii: Vector, heights: Vector, base_radius: float) -> Pairs:
-    """Return c_ij = (b_i - b_j)·w_i of a drawn stage, w_i = z_i u_i - (ρ_i - E) Z normal to leg i and to its axis.
+    """Return c_ij = (b_i - b_j)·w_i of a nominal stage, w_i = z_i u_i - (ρ_i - E) Z normal to leg i and to its axis.
 
-    ρ_i and z_i are radius and height of b_i, u_i is the radial direction. The same as `wrenches.pairs` of legs that are
+    ρ_i and z_i are radius and height of b_i, u_i is the radial direction. These are `wrenches.pairs` for legs that are
     not divided by their lengths.
     """
     (p1, p2, p3), (z1, z2, z3) = radii, heights
@@ -212,7 +212,7 @@ def pair_determinant(c: Pairs) -> float:
 
 
 def pair_determinant_slope(c: Pairs, slopes: Pairs) -> float:
-    """Return the derivative of D where the c_ij have these derivatives."""
+    """Return the derivative of D for these derivatives of the c_ij."""
     a, b = slopes[0] * c[1] * c[2] + slopes[1] * c[2] * c[0], slopes[3] * c[4] * c[5] + slopes[4] * c[5] * c[3]
     return a + slopes[2] * c[0] * c[1] + b + slopes[5] * c[3] * c[4]
 
@@ -233,9 +233,9 @@ def pair_adjugate(c: Pairs) -> Rows:
 def is_home_aspect(c: Pairs) -> bool:
     """Return whether a stage is reached from equal legs without a forward singularity.
 
-    The senses of the axes are such that all tangents of the drawn stage point the same way round. det J_b is D up to a
-    positive factor, and all six c_ij are positive at equal legs. Where D is positive, none, one, three or four of them
-    are negative, never two: its sign alone does not tell the aspect, but together with this it does.
+    The senses of the axes are such that all tangents of the nominal stage point the same way round. det J_b is D up to
+    a positive factor, and all six c_ij are positive for equal legs. If D is positive, none, one, three or four of them
+    are negative, never two: its sign alone does not determine the region, but together with this number it does.
     """
     return both(pair_determinant(c) > 0.0, negative_pairs(c) <= 1.0)
 
@@ -246,7 +246,7 @@ def negative_pairs(c: Pairs) -> float:
 
 
 def in_home_aspect(radii: Vector, heights: Vector, base_radius: float) -> bool:
-    """Return whether a drawn stage is in the aspect of its home."""
+    """Return whether a nominal stage is in its home assembly region."""
     return is_home_aspect(stage_pairs(radii, heights, base_radius))
 
 
@@ -255,7 +255,7 @@ def _sign_bit(x: float) -> float:
 
 
 def cartesian(radii: Vector, heights: Vector) -> Rows:
-    """Return in {B} the three points with these radii and heights in the vertical planes of the drawn legs."""
+    """Return in {B} the three points with these radii and heights in the vertical planes of the nominal legs."""
     p1, p2, p3 = radii
     first, second = (COS_30 * p1, -0.5 * p1, heights[0]), (0.0 * p2, p2, heights[1])
     return first, second, (-COS_30 * p3, -0.5 * p3, heights[2])

@@ -70,7 +70,7 @@ def combined(a: Vector, x: float, b: Vector) -> Vector:
 
 
 def direction(a: Vector) -> Vector:
-    """Return the unit vector along a, NaN where a is zero."""
+    """Return the unit vector along a, NaN if a is zero."""
     return scaled(1.0 / sqrt(dot(a, a)), a)
 
 

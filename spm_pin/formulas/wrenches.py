@@ -1,7 +1,7 @@
-"""The forces of the legs on the middle platform, and what they allow: `docs/theory/rates_forces_singularities.md`.
+"""Leg forces on the middle platform, and motions that they allow: `docs/theory/rates_forces_singularities.md`.
 
-Each leg of a stage acts through its ball b_i with two forces: along f_i, where it lets b_i move at the rate q_i, and
-along a_i, where it lets it not move at all. So a motion of the platform moves b_i with the velocity
+Each leg of a stage acts on its ball b_i with two forces: along f_i, where b_i moves at the rate q_i, and
+along a_i, where it cannot move. So a motion of the platform moves b_i with the velocity
 
     v_i = q_i n_i + λ_i w_i,    w_i = f_i x a_i,    n_i = a_i x w_i / |w_i|².
 
@@ -11,7 +11,7 @@ d_ij = (b_i - b_j)·n_i
     c_ij λ_i + c_ji λ_j = -d_ij q_i - d_ji q_j    for ij = 12, 23, 31,
 
 three equations for the λ_i. Their determinant D = c12 c23 c31 + c21 c32 c13 is minus that of the 6 x 6 matrix of the
-six forces. As a rule f_i is along the leg and a_i along its revolute axis; for the structure matrix K both are axes.
+six forces. Usually f_i is along the leg and a_i along its revolute axis; for the structure matrix K both are axes.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def determinant(b: Rows, f: Rows, a: Rows) -> float:
 
 
 def is_stage_at_home(b: Rows, f: Rows, a: Rows) -> bool:
-    """Return whether an upright stage of any machine is in its home's aspect; f_i are along the legs, up at home."""
+    """Return whether an upright stage is in its home assembly region; f_i are along the legs, upwards in the home."""
     return is_home_aspect(pairs(b, crosses(multiples(TANGENT_SIGNS, a), f)))
 
 
@@ -101,7 +101,7 @@ def _twist(b: Rows, v: Rows, o: Vector) -> Twist:
 
 
 def stage_twists(b: Rows, f: Rows, a: Rows, o: Vector) -> Matrix:
-    """Return the twists at o of unit rates along the f_i with none along the a_i: half the columns of G = J_f⁻¹."""
+    """Return the twists at o for unit rates along the f_i and none along the a_i: half the columns of G = J_f⁻¹."""
     w, n, (first, second, third) = stage_rates(b, f, a)
     return (
         _twist(b, combinations(multiples(first, w), (1.0, 0.0, 0.0), n), o),
@@ -111,7 +111,7 @@ def stage_twists(b: Rows, f: Rows, a: Rows, o: Vector) -> Matrix:
 
 
 def stage_forces(twists: Matrix, wrench: Twist) -> Vector:
-    """Return the leg forces of a stage that hold a wrench (f, m) at o, from its `stage_twists`."""
+    """Return the leg forces of a stage that balance a wrench (f, m) at o, from its `stage_twists`."""
     return -power(twists[0], wrench), -power(twists[1], wrench), -power(twists[2], wrench)
 
 
@@ -153,10 +153,10 @@ def _rates_along(directions: Rows, rates: StageRates, free: Rows) -> Rows:
 def inverse_jacobian(
     b: Rows, c: Rows, lower: Rows, upper: Rows, a: Rows, a_m: Rows, o: Vector
 ) -> tuple[Matrix, Matrix]:
-    """Return what `drawn_inverse_jacobian` does where the upper legs' balls c_i are apart from the lower ones' b_i.
+    """Return `drawn_inverse_jacobian` for upper legs' balls c_i that differ from the lower ones' b_i.
 
-    The planes of the lower legs leave the middle platform three motions: those of unit rates of the b_i along the R_i2.
-    Of these the combinations are taken in which one c_i has unit rate along its R_i2, and the other two none.
+    The planes of the lower legs leave the platform three motions: those for unit rates of the b_i along the R_i2.
+    They are combined so that one c_i has unit rate along its R_i2, and the other two have none.
     """
     twists = stage_twists(b, a_m, a, o)
     columns, _ = inverse(_rates(a_m, c, o, twists))
@@ -178,7 +178,7 @@ def _without_structure(
 ) -> tuple[Matrix, Matrix]:
     """Return the rows of J_f; `below` and `above` are the legs' rates, for unit rates of the platform along the R_i2.
 
-    As seen from {B}, a motion of the platform carries the upper legs' planes, hence their balls, along the R_i2.
+    Relative to {B}, a motion of the platform moves the upper legs' planes, hence their balls, along the R_i2.
     """
     m, m_upper = _moments(a_m, c, o), _moments(upper, c, o)
     uppers = _joined(differences(upper, matrix_product(above, a_m)), differences(m_upper, matrix_product(above, m)))
@@ -186,7 +186,7 @@ def _without_structure(
 
 
 def structure_determinant(b: Rows, c: Rows, a: Rows, a_m: Rows) -> float:
-    """Return det K of any machine, by the expansion of Laplace for three rows (f, m) and three."""
+    """Return det K of any machine, by Laplace's expansion for three rows (f, m) and three."""
     f1, m1, f2, m2 = transposed(a), transposed(crosses(b, a)), transposed(a_m), transposed(crosses(c, a_m))
     f1_minors, m1_minors, f2_minors, m2_minors = _minors(f1), _minors(m1), _minors(f2), _minors(m2)
     both_forces = dot(f1[0], f1_minors[0]) * dot(m2[0], m2_minors[0])
@@ -206,7 +206,7 @@ def _sum_of_products(f1: Rows, m1: Rows, f2: Rows, m2: Rows) -> float:
 
 
 def arms(balls: Rows, p: Vector, side: float) -> Rows:
-    """Return the lever arms of three balls from p, over the middle platform's side."""
+    """Return the lever arms of three balls about p, divided by the middle platform's side."""
     unit = 1.0 / side
     return multiples((unit, unit, unit), differences(balls, (p, p, p)))
 
@@ -219,7 +219,7 @@ def may_be_singular(b: Rows, f: Rows, a: Rows, side: float, singular: float) -> 
 
 
 def may_structure_be_singular(b: Rows, c: Rows, a: Rows, a_m: Rows, side: float, singular: float) -> bool:
-    """Return whether the six constraints K may be dependent where the upper legs' balls are not the lower ones'."""
+    """Return whether the six constraints K may be dependent if the upper legs' balls differ from the lower ones'."""
     lower, upper = arms(b, mean(b), side), arms(c, mean(b), side)
     size = _squared_size(lower, a) + _squared_size(upper, a_m)
     return _is_suspect(structure_determinant(lower, upper, a, a_m), size, singular)
@@ -228,8 +228,8 @@ def may_structure_be_singular(b: Rows, c: Rows, a: Rows, a_m: Rows, side: float,
 def _is_suspect(determinant: float, squared_size: float, singular: float) -> bool:
     """Return False if the smallest singular value of six forces is certainly above `singular` times the largest.
 
-    If True, a decomposition has to tell; of NaN it is False. The five larger singular values multiply to at most
-    (F²/5)^(5/2), F the Frobenius norm, so most matrices are known to be regular. The factor covers the determinant's
+    If True, a decomposition must decide; for NaN it is False. The product of the five larger singular values is at most
+    (F²/5)^(5/2), F the Frobenius norm, so most matrices are certainly regular. The factor covers the determinant's
     rounding.
     """
     ratio = 5.0 / squared_size

@@ -1,4 +1,4 @@
-"""The closed form: branches, assembly modes, rates, forces and singularities, without iteration in the inverse."""
+"""Kinematics of machines: branches, assembly modes, rates, forces, singularities and paths."""
 
 from spm_pin.kinematics.batches import compile_kernels, set_threads, threads
 from spm_pin.kinematics.forward_displacement import ASSEMBLY_MODES, forward_displacement, forward_physical

@@ -1,8 +1,8 @@
 """Running kernels over batches: results allocated, the batch divided between threads, shapes restored.
 
-Kernels release the interpreter's lock and the members of a batch do not depend on each other, so a batch is cut into
-parts and the parts go to threads that live as long as the call. Nothing is left behind that a fork could break, and
-the answer does not depend on the number of threads.
+Kernels release the interpreter's lock and the members of a batch do not depend on each other, so a batch is divided
+into parts for threads that live as long as the call. No thread is left that a fork could break, and
+the results do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from spm_pin.support.arguments import LARGEST_RATIO, FloatArray, check_instance,
 from spm_pin.support.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 
 _MIN_CHECKED = 1 << 17
-"""Poses whose check is worth a thread."""
+"""Number of poses whose check is worth a thread."""
 _CACHE_LINE, _LONG = 64, 1 << 14
-"""Bytes of a cache line, and of a result that begins at one: a store across two lines takes twice as long."""
+"""Bytes of a cache line, at which large results begin: a store across two lines takes twice as long."""
 Result = tuple[tuple[int, ...], npt.DTypeLike]
 """Trailing shape and type of one result of a kernel."""
 
@@ -69,7 +69,7 @@ _BRANCHES: tuple[Result, Result, Result, Result] = (
     ((8, 3, 3), np.float64),
     ((8, 6), np.float64),
 )
-"""Shapes and types of rotation, position, joints and lengths, which drawn machines and machines as built both have."""
+"""Shapes and types of rotation, position, joints and lengths, common to nominal and calibrated machines."""
 DRAWN_BRANCHES = DrawnBranches(
     *_BRANCHES,
     discriminants=((4,), np.float64),
@@ -81,11 +81,11 @@ DRAWN_BRANCHES = DrawnBranches(
 BUILT_BRANCHES = BuiltBranches(
     *_BRANCHES, roots=np.empty((0, 8, 3, 3), np.complex128), carried=((8,), np.uint8), status=((), np.int8)
 )
-"""Shapes and types of the results. The roots are not asked for: no memory for them."""
+"""Shapes and types of the results. The roots are not requested: no memory for them."""
 
 
 def new_result(count: int, result: Result) -> npt.NDArray[Any]:
-    """Return memory for one result of `count` members, which begins at a cache line where it is long."""
+    """Return memory for one result of `count` members, which begins at a cache line if it is long."""
     if count == 1:
         return np.empty((1, *result[0]), result[1])
     shape, dtype = (count, *result[0]), np.dtype(result[1])
@@ -110,7 +110,7 @@ def run_kernel(
 
     The kernel takes `inputs`, arrays with the batch of N members along their first axis, then `constants`, then
     `results`: arrays to write into or, if given as `Result`, to allocate, with a first axis of N · packed. `min_batch`
-    is how many members are worth a thread.
+    is the number of members that is worth a thread.
     """
     count = len(inputs[0])
     arrays = [r if isinstance(r, np.ndarray) else new_result(count * packed, r) for r in results]
@@ -136,16 +136,16 @@ def run_on_states(
     load: FloatArray | None = None,
     min_batch: int = 1 << 16,
 ) -> tuple[Any, ...]:
-    """Run a kernel that takes b, R, o, circle centres, and a load if there is one, on the states of a configuration.
+    """Run a kernel that takes b, R, o, circle centres, and optionally a load, on the states of a configuration.
 
     The leading axes of the load (..., 6) broadcast with those of the states; the results have those of both.
     """
     state = configuration
     shape = state.shape if load is None else np.broadcast_shapes(state.shape, load.shape[:-1])
-    # Of RPS legs nothing is computed and nothing copied.
+    # For RPS legs nothing is computed or copied.
     centres = state.machine.legs.pivots if state.machine.legs.are_rps else state.own_circle_centres
     arrays = [state.middle_joints, state.rotation, state.translation, centres, *([] if load is None else [load])]
-    # Two batch axes, so that what all branches of a pose share need not be copied.
+    # Two batch axes, so that values common to all branches of a pose need not be copied.
     inner = shape[-1] if len(shape) > 1 else 1
     inputs = []
     for array, trailing in zip(arrays, ((3, 3), (3, 3), (3,), (6, 3), (6,)), strict=False):
@@ -162,25 +162,28 @@ def flat_batch(array: FloatArray, shape: tuple[int, ...], inner: int) -> FloatAr
 
 
 def broadcast(array: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return `np.broadcast_to(array, shape)`, which takes as long as a kernel, only where there is something to do."""
+    """Return `np.broadcast_to(array, shape)`, which takes as long as a kernel, only if it is needed."""
     return array if array.shape == shape else np.broadcast_to(array, shape)
 
 
 def with_batch_shape(arrays: Iterable[npt.NDArray[Any]], shape: tuple[int, ...]) -> tuple[Any, ...]:
     """Return arrays of N members with the axes of a batch of this shape in place of the first."""
+    if not shape:
+        # Takes half as long, in single calls, which are repeated thousands of times a second.
+        return tuple([array[0, ...] for array in arrays])
     return tuple([array.reshape((*shape, *array.shape[1:])) for array in arrays])
 
 
 def radii(machine: Manipulator) -> tuple[float, float, float]:
-    """Return the circumradii of the drawn middle, base and terminal platforms [m]."""
+    """Return the circumradii of the nominal middle, base and terminal platforms [m]."""
     return machine.middle_radius, machine.base_radius, machine.platform_radius
 
 
 def read_pose(machine: Manipulator, pose: PoseLike) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
     """Return the batch shape of a pose, its rotations (N, 3, 3) and positions (N, 3) [m].
 
-    Raises `PoseError` if it is not a pose, or so far away that the machine cannot be resolved beside it. The arrays may
-    be the caller's memory. Rotations are repaired where rounding made them inexact.
+    Raises `PoseError` if it is not a pose, or so far away that the machine cannot be resolved relative to it. The
+    arrays may be the caller's memory. Rotations are repaired if rounding made them inexact.
     """
     from spm_pin.kinematics.kernels.branch_kernels import are_valid
 
@@ -200,7 +203,7 @@ def read_pose(machine: Manipulator, pose: PoseLike) -> tuple[tuple[int, ...], Fl
             index = first_offender(too_far)
             expected = f"a position in metres within {farthest:.3g} m, {2.0 * LARGEST_RATIO:.0e} times the machine"
             where = f" at index {index}" if index else ""
-            raise PoseError("pose", expected, f"{position[index].tolist()}{where}", "A position in another unit?")
+            raise PoseError("pose", expected, f"{position[index].tolist()}{where}", "Is it in another unit?")
     return shape, flat, places
 
 
@@ -228,7 +231,7 @@ def set_threads(count: int | None) -> None:
 
 @contextlib.contextmanager
 def threads(count: int | None) -> Iterator[None]:
-    """Set how many threads may share a large batch inside a ``with``, in this thread alone; see `set_threads`."""
+    """Set how many threads may share a large batch inside a ``with``, in this thread only; see `set_threads`."""
     token = _in_this_context.set(_checked(count))
     try:
         yield
@@ -259,7 +262,7 @@ def _from_environment(name: str) -> int | None:
 def parallel_for(work: Callable[[slice], None], size: int, min_batch: int) -> None:
     """Call `work` on slices that cover a batch of this size, on several threads at once if it is large.
 
-    `min_batch` is how many members are worth a thread.
+    `min_batch` is the number of members that is worth a thread.
     """
     count = min(_allowed(), size // min_batch) if size >= 2 * min_batch else 1
     if count == 1:
@@ -273,11 +276,11 @@ def parallel_for(work: Callable[[slice], None], size: int, min_batch: int) -> No
 
 
 def compile_kernels() -> None:
-    """Compile all functions for this computer, in about a minute, and keep them on disk for later processes.
+    """Compile all functions for this computer, in about a minute, and store them on disk for later processes.
 
-    Otherwise each is interpreted, with the same results, until a large batch or many calls make it worth compiling,
-    which delays that call by up to 20 s; after this function no call is delayed. Compiled code is kept where
-    `NUMBA_CACHE_DIR` says, else beside the sources, else in the user's cache directory. Call it in a controller that
+    Otherwise each is interpreted, with the same results, until a large batch or many calls make compiling worthwhile,
+    which delays that call by up to 20 s; after this function no call is delayed. Compiled code is stored in
+    `NUMBA_CACHE_DIR` if set, else beside the sources, else in the user's cache directory. Call it in a controller that
     starts, when a container image is built, or before many processes start. Another processor model, or another
     version of spm_pin or Numba, compiles anew. The environment variable `SPM_PIN_KERNELS` set to "compiled" compiles
     each kernel at its first call, set to "interpreted" none.

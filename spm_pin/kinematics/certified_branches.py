@@ -1,9 +1,9 @@
-"""Branches with proof: whether each family is real, and how far from the computed joints the exact ones can be.
+"""Certified branches: whether each family is real, and bounds of the distance of computed joints to the exact ones.
 
 A discriminant above the bound of its rounding error has the computed sign. The others are computed by the same formulas
 in balls (python-flint), with more digits until the ball leaves zero, and the joints with them. The exact
 rotation is that of the quaternion that the kernels compute from a rotation matrix, because a matrix of doubles is
-orthogonal to rounding only; pose and legs of a machine as built are taken as the exact numbers that are stored.
+orthogonal to rounding only; pose and legs of a calibrated machine are taken as the exact numbers that are stored.
 
 For the joints, the nine coordinates x of the lower legs' balls are unknown, and the equations, of degree two, are the
 six leg planes, the upper legs' balls being combinations of the lower ones, and the three distances. With A an
@@ -38,9 +38,9 @@ Vectors = Any
 _SAFE = 1.0 + 1e-12
 """Factor for the rounding of a few products of bounds."""
 _CHUNK = 1 << 14
-"""Branches whose radii are computed at once."""
+"""Number of branches whose radii are computed together."""
 _BITS = 400, 1600, 6400
-"""Precisions in which a discriminant is computed; one that is zero to the last is left undecided."""
+"""Precisions in which a discriminant is computed; one that is zero in the last is left undecided."""
 
 
 def certify_branches(machine: Manipulator, solved: DrawnBranches | BuiltBranches) -> FloatArray:
@@ -48,7 +48,7 @@ def certify_branches(machine: Manipulator, solved: DrawnBranches | BuiltBranches
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
     radius = _radii(machine, solved)
-    if isinstance(solved, DrawnBranches):  # of a machine as built there are no families
+    if isinstance(solved, DrawnBranches):  # a calibrated machine has no families
         flagged = solved.flagged[:, None]
         _decide_families(
             machine, solved, ~solved.certain & (flagged & [1, 2, 4, 8] == 0) & (flagged & VERTICAL == 0), radius
@@ -57,7 +57,7 @@ def certify_branches(machine: Manipulator, solved: DrawnBranches | BuiltBranches
 
 
 def _decide_families(machine: Manipulator, solved: DrawnBranches, undecided: BoolArray, radius: FloatArray) -> None:
-    """Compute the families `undecided` (N, 4), and their radii (N, 8), anew."""
+    """Compute the families `undecided` (N, 4), and their radii (N, 8), with higher precision."""
     rotation, position, joints, lengths, discriminants, certain, at_home, status, _ = solved
     for n in np.flatnonzero(undecided.any(axis=-1)):
         families = _families_in_balls(rotation[n], position[n], machine.middle_side)
@@ -67,7 +67,7 @@ def _decide_families(machine: Manipulator, solved: DrawnBranches, undecided: Boo
                 certain[n, family] = True
                 discriminants[n, family], joints[n, pair], radius[n, pair] = exact
         anew = np.repeat(undecided[n] & certain[n], 2)
-        # The exact joints are known; nothing else is near them if all other solutions are known to be farther away.
+        # The exact joints are known; they are unique nearby if all other solutions are known to be farther away.
         apart = np.linalg.norm(joints[n][:, None] - joints[n], axis=-1).max(axis=-1)
         far = (apart > _SAFE * (radius[n] + radius[n][:, None])) | np.isnan(apart) | np.eye(8, dtype=np.bool_)
         radius[n, anew & ~(far.all(axis=-1) & (None not in families))] = np.nan
@@ -82,11 +82,11 @@ def _decide_families(machine: Manipulator, solved: DrawnBranches, undecided: Boo
 
 
 _ExactFamily = tuple[float, FloatArray, FloatArray]
-"""The discriminant of a family over r², the joints (2, 3, 3) of its branches [m], and how far the exact ones can be."""
+"""Discriminant of a family over r², joints (2, 3, 3) of its branches [m], and distances to the exact ones."""
 
 
 def _families_in_balls(rotation: FloatArray, position: FloatArray, side: float) -> list[_ExactFamily | None]:
-    """Return the families of a pose from ball arithmetic; None where the sign of a discriminant is not known."""
+    """Return the families of a pose from ball arithmetic; None if the sign of a discriminant is not known."""
     solved: list[_ExactFamily | None] = [None] * 4
     entries: Any = [[arb(x) for x in row] for row in rotation.tolist()]
     place: Any = [arb(x) for x in position.tolist()]
@@ -112,7 +112,7 @@ def _families_in_balls(rotation: FloatArray, position: FloatArray, side: float) 
 
 
 def _in_balls(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a formula of balls of the working precision, and of the quaternion of a pose instead of its matrix."""
+    """Return a formula for balls of the working precision, and for the quaternion of a pose instead of its matrix."""
     return bind(formula, sqrt=arb.sqrt, COS_30=arb(3).sqrt() / 2, quaternion=_normalised)
 
 
@@ -122,7 +122,7 @@ def _normalised(quaternion: Vectors) -> Vectors:
 
 
 def _rounded(points: Vectors) -> tuple[FloatArray, float]:
-    """Return the doubles next to three points, and how far from them the points can be."""
+    """Return the doubles nearest to three points, and the largest distances of the points from them."""
     doubles = np.array([[float(x) for x in point] for point in points])
     squares = [
         sum((x - y) ** 2 for x, y in zip(*pair, strict=True)) for pair in zip(points, doubles.tolist(), strict=True)
@@ -131,13 +131,13 @@ def _rounded(points: Vectors) -> tuple[FloatArray, float]:
 
 
 def _largest_component(rotation: FloatArray) -> IntArray:
-    """Return which of `branches.quaternions` kernels take of matrices (..., 3, 3): that of the largest component."""
+    """Return which of `branches.quaternions` kernels use for matrices (..., 3, 3): that of the largest component."""
     a, b, c = np.moveaxis(np.diagonal(rotation, axis1=-2, axis2=-1), -1, 0)
     return np.asarray(np.argmax([a + b + c, c, b, a], axis=0))
 
 
 def _radii(machine: Manipulator, solved: DrawnBranches | BuiltBranches) -> FloatArray:
-    """Return radii (N, 8) [m] around joints in which exact ones exist, and are the only ones; NaN where not proved."""
+    """Return radii (N, 8) [m] around joints in which exactly one solution exists; NaN if not proved."""
     joints = solved.joints.reshape(-1, 3, 3)
     radius = np.full(len(joints), np.nan)
     legs, enclosed = (_drawn_legs, _enclosed_rotation) if machine.is_nominal else (_legs, _rows)
@@ -162,7 +162,7 @@ def _legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vectors]:
 
 
 def _drawn_legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vectors]:
-    """Return what `_legs` does of a drawn machine, exactly: all leg planes contain the Z axis of their platform."""
+    """Return `_legs` for a nominal machine, exactly: all leg planes contain the Z axis of their platform."""
     root, side = 0.5 * SQRT_3, Interval.from_numbers(machine.middle_side)
     half, one, zero = _vector(np.array([0.5, 1.0, 0.0]))
     axes = [(half, root, zero), (one, zero, zero), (-half, root, zero)]
@@ -170,7 +170,7 @@ def _drawn_legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vector
 
 
 def _enclosed_rotation(rotation: FloatArray) -> Vectors:
-    """Return enclosures of R (N,), the rotation of the quaternion that the kernels take of each matrix."""
+    """Return enclosures of R (N,), the rotation of the quaternion that the kernels compute from each matrix."""
     quaternions: Any = formulas.quaternions(_rows(rotation))
     largest = _largest_component(rotation)
     x0, x1, x2, x3 = (

@@ -1,14 +1,12 @@
 """Forward displacement: every assembly mode of six leg lengths, the physical one, and the one near a state.
 
-The upper stage seen from {m} is a 3RPS stage like the lower one, so the two are solved independently, and every
-solution of one goes with every solution of the other. The physical state is where Newton's method leads from the level
-stages. From a state, one mode is followed while the leg lengths change, in steps so short that Newton's method provably
-does not leave it. See `docs/theory/forward_displacement.md`.
+The upper stage in {m} is a 3RPS stage like the lower one, so the two are solved independently, and every
+solution of one is combined with every solution of the other. The physical state is the one to which Newton's method
+leads from the level stages. From a state, one mode is followed while the leg lengths change, in steps so short that
+Newton's method provably does not leave it. See `docs/theory/forward_displacement.md`.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +29,7 @@ ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in 
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
 
 _OPEN = 1e-6
-"""Closure residual of a state, relative to d, from which on it is no configuration."""
+"""Largest closure residual of a configuration, relative to d."""
 _START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
 """Leg lengths of the paper's solution 3, over its home lengths."""
 _STATE = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
@@ -55,21 +53,21 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
     SolutionSet
         The assembly modes of `ASSEMBLY_MODES` along the last axis, so `.rotation` is (..., 256, 3, 3), `.translation`
         (..., 256, 3) and `.middle_joints` (..., 256, 3, 3), NaN where a mode is not real. `.status` (...) is
-        `Status.OK`; `UNREACHABLE` where a stage cannot be closed; `DEGENERATE` where a stage of a drawn machine moves
-        with its legs locked: the continuous family is left out, and `.degeneracy` says in which families of modes it
-        is; or `UNSOLVED`, and nothing exists, where not all modes could be told apart: beside such a family, with legs
-        shorter than a thousandth of the middle platform, and in a machine as built beside a forward singularity or
+        `Status.OK`; `UNREACHABLE` if a stage cannot be closed; `DEGENERATE` if a stage of a nominal machine moves
+        with locked legs: the continuous family is omitted, and `.degeneracy` says to which families of modes it
+        belongs; or `UNSOLVED`, all missing, if modes could not be separated: beside such a family, with legs
+        shorter than a thousandth of the middle platform, and in a calibrated machine beside a forward singularity or
         with legs of fifty times its sides.
 
-        Of a machine as built labels are carried from the drawn machine with the same leg lengths while the errors
-        grow. `.merged` (..., 256) marks those whose mode has met another one, and those that were left over.
+        For a calibrated machine labels are tracked from the nominal machine with the same leg lengths while the errors
+        grow. `.merged` (..., 256) is true if the tracked mode has met another one, and for remaining labels.
 
     Notes
     -----
-    A stage's modes are named T (no torsion) or F (turned half round) and numbered by falling mean radius of the
-    middle joints about the stage's own axis, hence T1 is tilted least; + is the sheet on which the middle platform
-    stands above the base, or hangs below the terminal platform, - its mirror image. Two modes that are to rounding
-    the same, at a forward singularity, count once. A problem takes 43 kB: give large batches in parts.
+    A stage's modes are named T (no torsion) or F (turned by half a turn) and numbered by decreasing mean radius of the
+    middle joints about the stage's own axis, so T1 is tilted least; + is the sheet on which the middle platform
+    is above the base, or below the terminal platform, - its mirror image. Two modes that coincide to rounding,
+    at a forward singularity, count once. A problem takes 43 kB: divide large batches.
 
     Examples
     --------
@@ -86,7 +84,7 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
     is_drawn = machine.is_nominal and legs.are_rps
     stages = zip(legs.stages, _of_stages(readings), _drawings(machine), strict=True)
     below, above = (all_modes(*stage) for stage in stages)
-    # A stage that cannot be closed is enough to know that there is none.
+    # If one stage cannot be closed there is no solution.
     is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
     status = np.where(is_absent, Status.UNREACHABLE, np.maximum(below.status, above.status)).astype(np.int8)
     is_solved = status == Status.OK
@@ -113,7 +111,7 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
 
 @or_of_stage(stage_displacement.forward_physical)
 def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
-    """Find the physical configuration with these readings: the one that the machine is in.
+    """Find the physical configuration with these readings, in which an assembled machine is.
 
     Of a stage as `spm_pin.stages.forward_physical`.
 
@@ -124,30 +122,30 @@ def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Config
     readings : array_like, shape (..., 6), of a stage (..., 3)
         What the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 show [m]: in a drawn machine the leg lengths.
     near : Configuration, optional
-        Where the machine was. Its leading axes broadcast with those of `readings`.
+        A state of the machine before. Its leading axes broadcast with those of `readings`.
 
     Returns
     -------
     Configuration
-        Of shape (...). Without `near` the configuration in the aspect of the symmetric home: both stages without
+        Of shape (...). Without `near` the configuration in the home assembly region: both stages without
         torsion, on the sheet +, and reached from equal legs without a forward singularity. With `near` the end of the
         path on which its leg lengths change to the given ones in a straight line, whatever its mode. `.exists` is
-        False, and everything NaN, where there is no such configuration, or where that path meets a forward
+        False, and everything NaN, if there is no such configuration, or if that path meets a forward
         singularity or takes more than 250,000 steps of a stage.
 
     Raises
     ------
     ArgumentError
-        If a length is too large for the machine to be resolved beside it, or `near` does not close or belongs to
+        If a length is too large for the machine to be resolved, or `near` does not close or belongs to
         another machine.
 
     Notes
     -----
-    Of RPS legs as drawn the home's aspect holds one configuration at most; `docs/theory/uniqueness.md` proves it. It
-    has been T1+/T1+ wherever E and C are a twentieth of d or more. Other legs may have two: give `near`.
-    Newton's method finds it from the level stages, or it is looked for among all modes where that leads to another one.
-    Where that leads nowhere there is none: so it was in a million sets of leg lengths, but it is not proved. The state
-    `near` may be far, for each step of the path is so short that Newton's method provably stays on it.
+    Nominal RPS legs have at most one configuration in the home assembly region; `docs/theory/uniqueness.md` proves
+    it. It was T1+/T1+ in all cases with E and C at least a twentieth of d. Other legs may have two: give `near`.
+    Newton's method finds it from the level stages; if that leads to another state, it is searched among all modes.
+    If that fails no state exists: this held for a million sets of leg lengths, but is not proved. The state
+    `near` may be far: each step of the path is so short that Newton's method provably stays on it.
 
     Examples
     --------
@@ -162,12 +160,10 @@ def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Config
         _check_near(machine, checked, near)
         shape = np.broadcast_shapes(checked.shape[:-1], near.shape)
         upper = (near.balls[..., 3:, :] - near.translation[..., None, :]) @ near.rotation
-        arrays = (near.middle_joints, 2), (upper, 2), (near.readings, 1), (checked, 1)
-        *balls, start, end = [flat_batch(x, shape, inner) for x, inner in arrays]
-        stages = zip(legs.stages, balls, _of_stages(start), _of_stages(end), strict=True)
-        return _joined(machine, shape, [followed_balls(*stage) for stage in stages])
-    own = zip(legs.stages, _of_stages(checked.reshape(-1, 6)), strict=True)
-    state = _joined(machine, checked.shape[:-1], [physical_balls(*stage) for stage in own])
+        balls = np.stack([near.middle_joints, upper], axis=-3)
+        flat = [flat_batch(x, shape, inner) for x, inner in ((balls, 3), (near.readings, 1), (checked, 1))]
+        return _joined(machine, shape, followed_balls(legs, *flat))
+    state = _joined(machine, checked.shape[:-1], physical_balls(legs, checked.reshape(-1, 6)))
     if not state.shape and not state.exists:
         reason = "with these readings no configuration is reached from the home without a forward singularity"
         state.missing_reason = f"{reason}. {unit_hint(machine, checked)}".rstrip(". ")
@@ -179,21 +175,22 @@ def starting_configuration(machine: Manipulator) -> Configuration:
     _, places = homes(machine)
     for share in (1.0, 0.5, 0.2, 0.05):
         # With the balls moved along the lines from their pivots, as far as the legs reach.
-        readings = machine.legs.readings(places * (1.0 + share * (_START - 1.0))[:, None])
+        moved = places * (1.0 + share * (_START - 1.0))[:, None]
+        readings = machine.legs.readings(moved, machine.crank_middles)
         if np.isfinite(readings).all() and (state := forward_physical(machine, readings)).exists:
             return state
     raise ArgumentError("machine", "a manipulator that stands near its home", machine, "Give a pose instead")
 
 
 def set_of_one(state: Configuration, label: str) -> SolutionSet:
-    """Return the set of one solution, which may not exist."""
+    """Return a set with one solution, which may be missing."""
     arrays = (array[None] for array in (state.rotation, state.translation, state.middle_joints))
     states = Configuration.from_arrays(state.machine, *arrays)
     return SolutionSet(states, (label,), Status.OK if state.exists else Status.UNREACHABLE)
 
 
 def _check_near(machine: Manipulator, lengths: FloatArray, near: Configuration) -> None:
-    """Raise an ArgumentError if `near` is no closed state of this machine that goes with lengths (..., 6)."""
+    """Raise an ArgumentError if `near` is not a closed state of this machine whose shape fits lengths (..., 6)."""
     check_configuration(near, "near", existing=True)
     check_same_machine(near.machine, machine, "near", "`machine`")
     broadcastable("near", near.shape, "readings", lengths.shape[:-1])
@@ -203,7 +200,7 @@ def _check_near(machine: Manipulator, lengths: FloatArray, near: Configuration) 
 
 
 def _drawings(machine: Manipulator) -> tuple[Drawing, Drawing]:
-    """Return the drawn stages. Of legs that are not RPS modes have no labels there, and take the first that fit."""
+    """Return the nominal stages. Modes of other legs than RPS have no nominal labels, and take the first that fit."""
     legs, is_rps, (r, base, platform) = machine.nominal.legs, machine.legs.are_rps, radii(machine)
     whole = np.stack([legs.axes, legs.pivots, legs.balls])
     is_drawn = machine.is_nominal and is_rps
@@ -223,9 +220,9 @@ def _of_stages(readings: FloatArray) -> tuple[FloatArray, FloatArray]:
     return readings[:, :3], readings[:, 3:]
 
 
-def _joined(machine: Manipulator, shape: tuple[int, ...], balls: Sequence[FloatArray]) -> Configuration:
-    """Return the configurations (...) of the balls of both stages (N, 3, 3), in {B} and in {m}."""
+def _joined(machine: Manipulator, shape: tuple[int, ...], balls: FloatArray) -> Configuration:
+    """Return the configurations (...) of the balls of both stages (N, 2, 3, 3), in {B} and in {m}."""
     from spm_pin.kinematics.kernels.ball_circles import join_stages
 
-    states = run_kernel(join_stages, balls, (machine.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    states = run_kernel(join_stages, (balls,), (machine.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
     return Configuration.from_arrays(machine, *with_batch_shape(states, shape))

@@ -1,7 +1,7 @@
 """Interval arithmetic with outward rounding on arrays of double-precision intervals.
 
 IEEE 754 rounds +, -, × and the square root correctly, so the exact result lies between the neighbours of the computed
-one; every operation moves its ends out to these neighbours or one place beyond. An operation on intervals then contains
+one; every operation moves its ends to these neighbours or one place further. An operation on intervals then contains
 the exact result of the operation on any numbers in them.
 """
 
@@ -35,18 +35,18 @@ class Interval:
     low: FloatArray
     high: FloatArray
 
-    # NumPy leaves `array * interval` to the interval.
+    # NumPy leaves `array * interval` to this class.
     __array_ufunc__ = None
 
     @classmethod
     def from_numbers(cls, value: npt.ArrayLike) -> Interval:
-        """Return intervals of one number each: exactly those doubles."""
+        """Return intervals that contain exactly one double each."""
         array = np.asarray(value, dtype=np.float64)
         return cls(array, array)
 
     @classmethod
     def within(cls, bound: npt.ArrayLike) -> Interval:
-        """Return the intervals of the numbers that are not larger than a bound, of either sign."""
+        """Return the intervals of the numbers up to a bound in magnitude."""
         array = np.asarray(bound, dtype=np.float64)
         return cls(-array, array)
 
@@ -86,7 +86,7 @@ class Interval:
         return Interval(np.maximum(least, 0.0), _above(np.maximum(low, high)))
 
     def root(self) -> Interval:
-        """Return the square roots of the part that is not negative; 0 where none is."""
+        """Return the square roots of the part that is not negative; 0 if that is empty."""
         low, high = np.sqrt(np.maximum(self.low, 0.0)), np.sqrt(np.maximum(self.high, 0.0))
         return Interval(np.maximum(_below(low), 0.0), _above(high))
 
@@ -98,7 +98,7 @@ class Interval:
         return Interval(np.where(contains_zero, np.nan, low), np.where(contains_zero, np.nan, high))
 
     def least(self) -> FloatArray:
-        """Return the smallest magnitudes of numbers in the intervals; 0 where one contains zero."""
+        """Return the smallest magnitudes of numbers in the intervals; 0 if one contains zero."""
         return np.maximum(np.maximum(self.low, -self.high), 0.0)
 
     def misses(self, other: Interval) -> BoolArray:
@@ -107,12 +107,12 @@ class Interval:
 
 
 def as_interval(value: Interval | float) -> Interval:
-    """Return an interval as it is, and a number as the interval of it alone."""
+    """Return an interval unchanged, and a number as the interval of that number."""
     return value if isinstance(value, Interval) else Interval.from_numbers(value)
 
 
 def real_root(x: Interval) -> Interval:
-    """Return the square roots of the part that is not negative; both ends NaN where none is."""
+    """Return the square roots of the part that is not negative; both ends NaN if that is empty."""
     root, absent = x.root(), x.high < 0.0
     return Interval(np.where(absent, np.nan, root.low), np.where(absent, np.nan, root.high))
 
@@ -136,7 +136,7 @@ def sine(x: Interval | float) -> Interval:
 
 
 def angle(y: Interval, x: Interval) -> Interval:
-    """Return the angles of points (x, y), from -π to π: all of these where they are on both sides of the cut."""
+    """Return the angles of points (x, y), from -π to π: the whole range if they are on both sides of the cut."""
     corners = [np.arctan2(b, a) for a in (x.low, x.high) for b in (y.low, y.high)]
     low, high = np.minimum.reduce(corners) - 4.0 * _TRIGONOMETRIC, np.maximum.reduce(corners) + 4.0 * _TRIGONOMETRIC
     cut = (x.low <= 0.0) & (y.low <= 0.0) & (y.high >= 0.0)
@@ -144,7 +144,7 @@ def angle(y: Interval, x: Interval) -> Interval:
 
 
 _TRIGONOMETRIC = 1e-15
-"""Error of a cosine, or of an angle as a share of π: NumPy's are right to four places."""
+"""Relative error of NumPy's cosines, and of its angles over π: they are right to four places."""
 _TURN = float(np.pi) + 1e-15
 RIGHT_ANGLE = Interval(np.nextafter(np.pi / 2.0, 0.0), np.nextafter(np.pi / 2.0, 2.0))
 """The angle π/2."""

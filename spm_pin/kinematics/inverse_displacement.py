@@ -1,7 +1,7 @@
 """Inverse displacement in closed form: four quadratics, one per family, no iteration, no data-dependent branching.
 
-Derivation: `docs/theory/inverse_displacement.md`. A machine as built has no such quadratics: its six leg planes are
-three quadrics, all eight roots of which are found, and the labels of the drawn machine are carried to them, see
+Derivation: `docs/theory/inverse_displacement.md`. The equations of a calibrated machine are three quadrics, from its
+six leg planes; all eight roots are found, and the labels of the nominal machine are tracked to them, see
 `docs/theory/as_built.md`.
 """
 
@@ -45,7 +45,7 @@ _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 def inverse_displacement(
     machine: Manipulator, pose: PoseLike, *, out: BranchMemory | None = None, certify: bool = False
 ) -> SolutionSet:
-    """Find all configurations of the manipulator that hold the platform in a pose.
+    """Find all configurations with a given pose of the platform: the branches.
 
     A stage is asked for a height and a tilt instead of a pose, with the arguments of `spm_pin.stages.inverse`.
 
@@ -56,28 +56,28 @@ def inverse_displacement(
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
     out : BranchMemory, optional
-        Memory for the results, of this machine and for a batch of this size. What earlier calls with it returned then
-        holds the new numbers.
+        Memory for the results, for this machine and a batch of this size. The results of earlier calls with it then
+        have the new numbers.
     certify : bool
-        Bound the error of all joints, in `SolutionSet.radius`. In a drawn machine also decide the families that are not
-        `certain`, and compute their branches, with more digits, a few milliseconds each.
+        Bound the error of all joints, in `SolutionSet.radius`. For a nominal machine also decide the families that are
+        not `certain`, and compute their branches, with more digits, a few milliseconds each.
 
     Returns
     -------
     SolutionSet
         The branches TT+, TT-, TF+, TF-, FT+, FT-, FF+, FF- along the last axis, so `.middle_joints` is
         (..., 8, 3, 3) and `.leg_lengths` (..., 8, 6), NaN where a branch is not real. `.status` (...) is `Status.OK`;
-        `UNREACHABLE` where no branch is real; or `DEGENERATE` where some solutions are a continuous family, which is
-        left out.
+        `UNREACHABLE` if no branch is real; or `DEGENERATE` if some solutions are a continuous family, which is
+        omitted.
 
-        Of a drawn machine `.discriminants` (..., 4), dimensionless, are those of the families' quadratics divided by
+        For a nominal machine `.discriminants` (..., 4), dimensionless, are those of the families' quadratics divided by
         r² = d²/3: the two branches of a family are real where it is not negative, and meet where it is zero, at an
         inverse singularity. `.degeneracy` describes continuous families, and `.certain` (..., 4) says which families
-        are proved to be real, or not; see `docs/theory/proofs.md`.
+        are proved to be real or not; see `docs/theory/proofs.md`.
 
-        Of a machine as built labels are carried from the drawn machine while the errors grow. `.merged` (..., 8) is
-        true under a label whose branch met another one on the way, and under a label left over that a real root of this
-        machine took. The status may be `UNSOLVED`, where not all eight roots could be isolated; see
+        For a calibrated machine labels are tracked from the nominal one while the errors grow. `.merged` (..., 8) is
+        true if the tracked branch of a label met another one, and for a remaining label given to a real root of this
+        machine. The status may be `UNSOLVED`, if not all eight roots could be isolated; see
         `docs/theory/as_built.md`.
 
     Notes
@@ -125,7 +125,7 @@ def _states(machine: Manipulator, solved: DrawnBranches | BuiltBranches, shape: 
 
 
 def _within_reach(branches: SolutionSet) -> SolutionSet:
-    """Return the branches whose balls all legs reach."""
+    """Return the branches whose balls are within reach of all legs."""
     reached = np.isfinite(branches.readings)
     left = branches.where(reached.all(axis=-1))
     lost = np.asarray(branches.exists.any(axis=-1) & ~left.exists.any(axis=-1))
@@ -133,12 +133,12 @@ def _within_reach(branches: SolutionSet) -> SolutionSet:
         rows = zip(BRANCHES, branches.exists, ~reached, strict=True)
         beyond = (f"{label} {', '.join(np.array(LEGS)[legs])}" for label, exists, legs in rows if exists and legs.any())
         left.configurations.missing_reason = f"balls are out of reach of their legs: {'; '.join(beyond)}"
-    # Which branches are physical depends on rods, and the kernels look at the lines from the pivots.
+    # Which branches are physical depends on rods, while the kernels use the lines from the pivots.
     return replace(left, status=np.where(lost, Status.UNREACHABLE, branches.status), at_home=None)
 
 
 class BranchMemory:
-    """Memory into which `inverse_displacement` writes the branches of one batch after another, of `size` poses each."""
+    """Memory for the branches of one batch after another, with `size` poses each; see `inverse_displacement`."""
 
     def __init__(self, machine: Manipulator, size: int) -> None:
         self._machine = check_instance(machine, Manipulator, "machine")
@@ -156,7 +156,7 @@ def _memory_of(out: BranchMemory, machine: Manipulator, size: int) -> list[npt.N
 
 
 class _Method(NamedTuple):
-    """The kernels that solve poses of a machine, what else they take, and the results of all branches."""
+    """The kernels that solve poses of a machine, their constants, and the results of all branches."""
 
     all_branches: Callable[..., None]
     physical_branch: Callable[..., None]
@@ -191,7 +191,7 @@ def _method(machine: Manipulator) -> _Method:
 
 @or_of_stage(stage_displacement.inverse_physical)
 def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
-    """Find the physical configuration for a pose: the one in which the machine holds the platform there.
+    """Find the physical configuration for a pose, in which an assembled machine is.
 
     A stage is asked for a height and a tilt instead of a pose, with the arguments of `spm_pin.stages.inverse_physical`.
 
@@ -202,16 +202,16 @@ def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuratio
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         As for `inverse_displacement`, one or a batch of shape (...).
     near : Configuration, optional
-        Where the machine was: of two physical configurations, which are on either side of an inverse singularity, the
-        one nearer to that state is returned. See `SolutionSet.nearest`.
+        A state of the machine before: of two physical configurations, on either side of an inverse singularity, the
+        one closer to that state is returned. See `SolutionSet.nearest`.
 
     Returns
     -------
     Configuration
-        Of shape (...): what ``inverse_displacement(machine, pose).physical(near)`` returns, in less time and memory.
+        Of shape (...): the same as ``inverse_displacement(machine, pose).physical(near)``, with less time and memory.
         Both stages are without torsion and reached from the symmetric home without a forward singularity. If TT+ and
-        TT- both are, those within the leg limits are preferred, then the one nearer to `near` or, without it, the one
-        whose stages are tilted less. `.exists` is False, and everything NaN, where there is no such configuration.
+        TT- both are, those within the leg limits are preferred, then the one closer to `near` or, without it, the one
+        with less tilted stages. `.exists` is False, and everything NaN, if there is no such configuration.
 
     Examples
     --------
@@ -233,13 +233,13 @@ def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuratio
     solved = run_kernel(method.physical_branch, (rotation, position), constants, results, method.min_batch)
     state = Configuration.from_arrays(machine, *with_batch_shape(solved, shape))
     if not shape and not state.exists:
-        # The same, with the reason why there is none.
+        # The same, with the reason why it does not exist.
         return inverse_displacement(machine, pose).physical()
     return state
 
 
 def branch_lengths(machine: Manipulator, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
-    """Find the leg lengths of all branches alone, as maps and filters need them.
+    """Find the leg lengths of all branches only, for maps and filters.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def branch_lengths(machine: Manipulator, pose: PoseLike) -> tuple[FloatArray, np
     -------
     leg_lengths : ndarray, shape (..., 8, 6)
         r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m] of the branches in the order of `BRANCHES`, NaN where one is not real:
-        what `inverse_displacement` returns, to the bit, for a third of the memory.
+        the same bits as from `inverse_displacement`, with a third of the memory.
     status : ndarray of int8, shape (...)
         `Status` of each pose.
     """
@@ -258,7 +258,7 @@ def branch_lengths(machine: Manipulator, pose: PoseLike) -> tuple[FloatArray, np
     method = _method(machine)
     results = method.results
     if isinstance(results, DrawnBranches):
-        # No memory for what is not asked for.
+        # No memory for results that are not requested.
         nothing = {name: new_result(0, getattr(results, name)) for name in results._fields}
         results = results._replace(**{x: nothing[x] for x in nothing if x not in ("lengths", "status", "flagged")})
     solved = method.branches(rotation, position, results)
@@ -278,9 +278,9 @@ def complex_middle_joints(machine: Manipulator, pose: PoseLike) -> npt.NDArray[n
     Returns
     -------
     ndarray of complex128, shape (..., 8, 3, 3)
-        Rows b_1, b_2, b_3 in {B} [m]. A family with a negative discriminant holds two conjugate solutions, as
-        in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. Of a machine as built
-        real roots stand under their labels of `inverse_displacement`, the others under those left over.
+        Rows b_1, b_2, b_3 in {B} [m]. A family with a negative discriminant has two conjugate solutions, as
+        in the paper's Tables 1-3. NaN where a family is continuous or has no finite solution. For a calibrated machine
+        real roots have their labels of `inverse_displacement`, the others the remaining labels.
     """
     shape, rotation, position = read_pose(machine, pose)
     method, roots = _method(machine), ((8, 3, 3), np.complex128)
@@ -297,7 +297,7 @@ def complex_middle_joints(machine: Manipulator, pose: PoseLike) -> npt.NDArray[n
 
 
 def _find_degeneracy(machine: Manipulator, shape: tuple[int, ...], solved: DrawnBranches) -> Degeneracy:
-    """Describe the continuous families, which only poses that are flagged can have; set their status."""
+    """Describe the continuous families, which only flagged poses can have; set their status."""
     from spm_pin.kinematics.kernels.branch_kernels import VERTICAL
 
     rotation, position, flagged = solved.rotation, solved.position, solved.flagged
@@ -324,13 +324,13 @@ def _find_degeneracy(machine: Manipulator, shape: tuple[int, ...], solved: Drawn
 def _vertical_families(rotation: FloatArray, place: FloatArray) -> IntArray:
     """Return the dimensions (N, 4) of the continuous families TT, TF, FT, FF where the Z axes are parallel; 0 for none.
 
-    `place` is o / r. All legs' planes are vertical then, so a solution can move along Z: there are none, or a
+    `place` is o / r. All legs' planes are vertical then, so a solution can move along Z: there is no solution, or a
     continuous family.
 
     - Platform level, turned by 0 or a half turn: planes in pairs parallel. On the axis they coincide and the middle
-      platform moves with three degrees of freedom, in equal or in opposite modes; off it, nothing.
-    - Platform level, turned by another angle τ: lines vertical. The middle platform stands upside down in both stages,
-      which takes |o| = 2 r |sin τ| in the horizontal.
+      platform moves with three degrees of freedom, in equal or in opposite modes; off it, there is no solution.
+    - Platform level, turned by another angle τ: lines vertical. The middle platform is upside down in both stages,
+      which requires |o| = 2 r |sin τ| in the horizontal.
     - Platform upside down, turned over about the horizontal axis W: y = i o / r must be on the segment from e_p W⁴ to
       e_q conj(W²); where that shrinks to a point, (P : Q) is free as well.
     """
@@ -351,3 +351,9 @@ def _vertical_families(rotation: FloatArray, place: FloatArray) -> IntArray:
     )
     of_level = np.where(np.abs(sine) <= tolerance, 3 * on_axis, on_circle)
     return np.where(is_level, of_level, on_segment * np.where(extent <= tolerance, 2, 1))
+
+
+@or_of_stage(stage_displacement.physical_at_poses)
+def physical_at_poses(machine: Manipulator, pose: PoseLike) -> Configuration:
+    """Return the physical states of poses (...); of a stage their heights and normals count."""
+    return inverse_physical(machine, pose)

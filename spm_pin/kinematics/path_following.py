@@ -49,10 +49,10 @@ def follow(
     start : Configuration or str, optional
         The solution at parameter 0: the one nearest to a configuration, or a label. By default the physical one.
     samples : int
-        The path is solved in at least so many steps. Two crossings within one step of the same limit or of the
+        Least number of steps of the path. Two crossings within one step of the same limit or of the
         same kind of singularity are found if the function in between has its extremum beyond zero.
     certificate : Certificate, optional
-        Certified leg limits, see `spm_pin.certify`: the result then says which states are in them.
+        Certified leg limits, see `spm_pin.certify`: the result then says which states are within them.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Leg rates from the platform's twist and back, leg forces that hold a wrench, and the platform's stiffness.
+"""Leg rates from the platform's twist and vice versa, leg forces for a wrench, and the platform's stiffness.
 
 A stage has three freedoms: its *motion* (v_z, ω_x, ω_y) stands where a manipulator has a twist (v, ω), see
 `spm_pin.kinematics.stage_rates`. The wrench on its platform has six components all the same, of which the structure
@@ -14,8 +14,8 @@ and a stage alone has the first term. With rigid structures that is C = G diag(1
 loads are taken to be small: what a load itself adds by turning the legs is of the size load / (leg length · k) relative
 to C⁻¹.
 
-For rates and forces no 6 x 6 is decomposed, see `spm_pin.formulas.wrenches`; singular values decide about the few
-states that may be singular. A single state that is, or that does not exist, raises: `SingularConfigurationError` or
+For rates and forces no 6 x 6 matrix is decomposed, see `spm_pin.formulas.wrenches`; singular values decide for the few
+states that may be singular. A single state that is singular or missing raises `SingularConfigurationError` or
 `ArgumentError`. In a batch its result is NaN, and the `kind` of `singularities` says which are singular. Derivation:
 `docs/theory/rates_forces_singularities.md`.
 """
@@ -40,7 +40,7 @@ from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcast
 State = Configuration | StageConfiguration
 """States of a manipulator or of a stage."""
 _STIFFEST = 1e100
-"""Largest stiffness [N/m]: products of two are still numbers."""
+"""Largest stiffness [N/m], for which products of two are still finite."""
 
 
 def inverse_jacobian(configuration: State) -> FloatArray:
@@ -129,13 +129,13 @@ def leg_forces(configuration: State, wrench: npt.ArrayLike) -> FloatArray:
 
     forces, suspect = _run(stage_forces, configuration, (6,), load)
     if np.count_nonzero(suspect):
-        # A state is as singular under any wrench.
+        # Whether a state is singular does not depend on the wrench.
         forces[np.broadcast_to(_without_hold(configuration), forces.shape[:-1])] = np.nan
     return forces if configuration.machine.legs.are_rps else forces * configuration.slopes
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
-    """Return the matrices of a kernel, shape (..., 6, 6); NaN at a singularity of this kind, or raise for one state."""
+    """Return the matrices of a kernel (..., 6, 6); NaN at a singularity of this kind, or an error for one state."""
     check_configuration(configuration)
     matrices, suspect = _run(kernel, configuration, (6, 6))
     if np.count_nonzero(suspect):
@@ -150,7 +150,7 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
 
 
 def _regular_slopes(configuration: Configuration) -> FloatArray:
-    """Return κ of the legs (..., 6), NaN where a leg is singular; a single state raises."""
+    """Return κ of the legs (..., 6), NaN if a leg is singular; a single singular state raises an error."""
     slopes = configuration.slopes
     singular = np.abs(slopes) <= SINGULAR * configuration.machine.legs.largest_slopes
     if singular.any() and not configuration.shape:
@@ -159,7 +159,7 @@ def _regular_slopes(configuration: Configuration) -> FloatArray:
 
 
 def _without_hold(configuration: Configuration) -> BoolArray:
-    """Return which members of a batch are forward singular, or do not exist; a single one that is singular raises."""
+    """Return which members of a batch are forward singular or missing; a single singular state raises an error."""
     return np.asarray(np.isnan(platform_jacobian(configuration)).any(axis=(-1, -2)))
 
 
@@ -184,21 +184,21 @@ def _broadcast_argument(
 
 
 def leg_constants(machine: Manipulator) -> FloatArray:
-    """Return the axes of the six legs and `upper_ball_weights` (9, 3), as the kernels take a machine."""
+    """Return the axes of the six legs and `upper_ball_weights` (9, 3), as arguments of the kernels."""
     return np.concatenate([machine.legs.axes, machine.legs.upper_ball_weights])
 
 
 def force_matrices(configuration: Configuration) -> FloatArray:
     """Return J_b, J_c and K (..., 3, 6, 6): rows (f, arm x f), arms from the lower balls' centre in units of d.
 
-    NaN for a state that does not exist, and in the row of a leg without length.
+    NaN for a missing state, and in the row of a leg whose length is zero.
     """
     vectors, machine = configuration.leg_vectors, configuration.machine
     centre = configuration.middle_joints.mean(axis=-2)[..., None, :]
     arms = (configuration.balls - centre) / machine.middle_side
     with np.errstate(invalid="ignore"):
         directions = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    # The axes of the lower legs do not depend on the state: one that does not exist has none of them either.
+    # The axes of the lower legs do not depend on the state, but must be NaN for a missing one.
     axes = np.where(configuration.exists[..., None, None], configuration.leg_axes, np.nan)
     legs, structure = (np.concatenate([f, np.cross(arms, f)], axis=-1) for f in (directions, axes))
     stages = [np.concatenate([legs[..., k, :], structure[..., k, :]], axis=-2) for k in (slice(3), slice(3, 6))]
@@ -208,7 +208,7 @@ def force_matrices(configuration: Configuration) -> FloatArray:
 def stage_inverses(configuration: State) -> FloatArray:
     """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), with twists (v, ω) at o in {B} [m/s, rad/s] for rows; of a stage one.
 
-    NaN where `platform_jacobian` is; a single state that is singular raises.
+    NaN where `platform_jacobian` is; a single singular state raises an error.
     """
     if isinstance(configuration, StageConfiguration):
         return stage_rates.stage_inverses(configuration)
@@ -222,11 +222,11 @@ def stage_inverses(configuration: State) -> FloatArray:
 def _are_singular(configuration: Configuration, indices: IntArray, kind: str) -> BoolArray:
     """Return which states at these indices (n, axes) are singular to rounding, "forward" or "inverse".
 
-    For a single configuration, raise if it is.
+    For a single singular configuration, raise an error.
     """
     some = configuration[tuple(indices.T)] if configuration.shape else configuration
     matrices = force_matrices(some).reshape(-1, 3, 6, 6)
-    # What exists has a row of NaN where a leg has no length.
+    # An existing state has a row of NaN if the length of a leg is zero.
     is_short = np.asarray(np.isnan(matrices).any(axis=(-1, -2, -3)))
     values = np.linalg.svd(np.nan_to_num(matrices[:, :2] if kind == "forward" else matrices[:, 2:]), compute_uv=False)
     smallest = np.where(values[..., -1] <= SINGULAR * values[..., 0], values[..., -1], np.inf).min(axis=-1)
@@ -245,11 +245,11 @@ class PrincipalStiffness(NamedTuple):
     """Stiffness in its principal directions, weakest first."""
 
     translational: FloatArray
-    """Force per displacement of o while the platform turns as it likes [N/m], shape (..., 3)."""
+    """Force per displacement of o with free rotation of the platform [N/m], shape (..., 3)."""
     translational_directions: FloatArray
     """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
     rotational: FloatArray
-    """Moment per rotation while o moves as it likes [N m/rad], shape (..., 3)."""
+    """Moment per rotation with free translation of o [N m/rad], shape (..., 3)."""
     rotational_directions: FloatArray
     """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
 

@@ -1,15 +1,15 @@
 """Singularity analysis: kind, rank, distance, lost wrench and gained twist of configurations.
 
-Three 6 x 6 matrices decide, see `spm_pin.kinematics.rates_and_forces`, at the middle platform's centre and with lengths
-in units of d, so that they are dimensionless and of order one:
+Three 6 x 6 matrices determine the kind, see `spm_pin.kinematics.rates_and_forces`, at the middle platform's centre and
+with lengths in units of d, so that they are dimensionless and of order one:
 
-- J_b and J_c, the six forces of the lower and of the upper stage. Where one is singular the locked legs of that
-  stage let its platform move: a **forward** singularity (type 2, parallel).
-- K, the structure's forces of both stages. Where it is singular the middle platform can move while the terminal
-  platform stands still, and a direction of motion of the latter is lost: an **inverse** singularity (type 1, serial).
-- Where the structure's three forces of one stage are dependent already, both happen: a **constraint** singularity.
-- Where the slope κ of a PRS or RRS leg is zero, rod across the slide or in line with the crank, the leg itself is
-  singular: its actuator moves nothing to first order, and holds any force along the rod.
+- J_b and J_c, the six forces of the lower and of the upper stage. If one is singular, the platform of that stage can
+    move with locked legs: a **forward** singularity (type 2, parallel).
+- K, the structure's forces of both stages. If it is singular, the middle platform can move while the terminal
+    platform is fixed, and the latter loses a direction of motion: an **inverse** singularity (type 1, serial).
+- If the structure's three forces of one stage are dependent, both happen: a **constraint** singularity.
+- If the slope κ of a PRS or RRS leg is zero, rod perpendicular to the slide or in line with the crank, the leg itself
+    is singular: its actuator does not move the ball to first order, and any force along the rod is held without effort.
 """
 
 from __future__ import annotations
@@ -30,18 +30,17 @@ from spm_pin.kinematics.rates_and_forces import force_matrices, leg_constants, p
 from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
 from spm_pin.machine.configuration import Configuration, check_state
 from spm_pin.machine.stage_configuration import StageConfiguration
-from spm_pin.support import notebook
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 
 _MIN_BATCH_PER_THREAD = 1 << 11
 _MATRICES = ("J_b", "J_c", "K")
 _STEP = 1e-100
-"""Imaginary step of derivatives, in metres of leg length: its square is nothing beside one."""
+"""Imaginary step of derivatives, in metres of leg length: its square is negligible relative to one."""
 
 
 @dataclass(frozen=True, repr=False)
 class Singularities:
-    """Singularities of states of shape (...), and distances to them; NaN and rank 0 where a state does not exist.
+    """Singularities of states of shape (...), and distances to them; NaN and rank 0 for a missing state.
 
     The axis of length three counts the matrices J_b, J_c, K.
     """
@@ -49,17 +48,17 @@ class Singularities:
     determinants: FloatArray
     """det J_b, det J_c, det K [m³], for forces of length one and moments about any point: signed, smooth; (..., 3)."""
     scaled_determinants: FloatArray
-    """The determinants over d³, shape (..., 3): dimensionless, zero just where singular; for a cost."""
+    """The determinants over d³, shape (..., 3): dimensionless, zero exactly at singularities; smooth, for a cost."""
     sigma: FloatArray
     """Smallest singular values, dimensionless, shape (..., 3).
 
-    How far, in the Frobenius norm, the forces' directions and arms over d would have to change to make the matrix
+    The change, in the Frobenius norm, of the forces' directions and arms over d that would make the matrix
     singular.
     """
     condition: FloatArray
     """Largest singular value over the smallest, shape (..., 3); infinite where that is zero."""
     rank: IntArray
-    """Singular values above `tolerance` times the largest, shape (..., 3)."""
+    """Number of singular values above `tolerance` times the largest, shape (..., 3)."""
     kind: npt.NDArray[np.int8]
     """A combination of `SingularityKind`, at the same tolerance, shape (...)."""
     mobility: IntArray
@@ -68,22 +67,22 @@ class Singularities:
     The rank of J_f⁻¹; 6 where regular. Not defined at a forward singularity, -1 there.
     """
     gained_twist: FloatArray
-    """The twist (v, ω) at o in {B} that each stage resists least when its legs are locked, shape (..., 2, 6).
+    """Twist (v, ω) at o in {B} that each stage resists least with locked legs, shape (..., 2, 6).
 
-    Of the lower stage, then the upper: the right singular vector of J_b, or J_c. At a forward singularity the platform
-    moves so. Its size is such that (v, dω) at the middle platform's centre has length 1 m/s.
+    First for the lower stage, then for the upper: the right singular vector of J_b, or J_c. At a forward singularity
+    the platform moves so. It is normalised so that (v, dω) at the middle platform's centre has length 1 m/s.
     """
     inner_twist: FloatArray
-    """The twist (v, ω) at o in {B} of the middle platform with both ends standing still, shape (..., 6).
+    """Twist (v, ω) at o in {B} of the middle platform with both ends fixed, shape (..., 6).
 
-    The one that the structure resists least: the right singular vector of K. At an inverse singularity it is free,
+    The structure resists it least: the right singular vector of K. At an inverse singularity it is free,
     given the legs.
     """
     lost_wrench: FloatArray
-    """The wrench (f, m) at o in {B} on the terminal platform that takes hardly any leg force, shape (..., 6).
+    """Wrench (f, m) at o in {B} on the terminal platform that needs the smallest leg forces, shape (..., 6).
 
-    The structure of both stages carries it. At an inverse singularity with none at all, and no motion can do work on
-    it: that is the lost freedom. |f| = 1, or |m| = 1 for a couple.
+    The structure of both stages carries it. At an inverse singularity it needs no leg force, and no motion can do work
+    on it: that is the lost degree of freedom. |f| = 1, or |m| = 1 for a couple.
     """
 
     def __repr__(self) -> str:
@@ -91,23 +90,6 @@ class Singularities:
         smallest = np.where(exists[..., None], self.sigma, np.inf).reshape(-1, 3).min(axis=0, initial=np.inf)
         sigmas = ", ".join(f"{value:.2e}" for value in smallest)
         return f"<Singularities: {kinds_text(self.kind, exists)}; smallest singular values of J_b, J_c, K: {sigmas}>"
-
-    def _repr_html_(self) -> str:
-        if self.kind.shape:
-            header = ("index", "kind", *(f"smallest singular value of {name}" for name in _MATRICES), "mobility")
-            return notebook.table(repr(self), header, notebook.first_rows(self.kind.shape, self._cells))
-        columns = zip(_MATRICES, self.scaled_determinants, self.sigma, self.condition, strict=True)
-        rows = [(name, *(f"{value:.3g}" for value in values)) for name, *values in columns]
-        header = ("matrix", "determinant [d³]", "smallest singular value", "condition")
-        return notebook.table(repr(self), header, rows)
-
-    def _cells(self, index: tuple[int, ...]) -> tuple[str, ...]:
-        """Return the cells of a state in a notebook's table."""
-        if not self.rank[index].any():
-            return ("does not exist",)
-        kind, mobility = SingularityKind(int(self.kind[index])), int(self.mobility[index])
-        free = "not defined" if mobility < 0 else str(mobility)
-        return (str(kind), *(f"{value:.3g}" for value in self.sigma[index]), free)
 
 
 @overload
@@ -128,8 +110,8 @@ def singularities(
     configuration : Configuration or StageConfiguration
         States of shape (...).
     tolerance : float
-        A matrix is singular where its smallest singular value is at most this times its largest; by default
-        where rounding cannot tell. Raise it to name singularities that are merely near.
+        A matrix is singular if its smallest singular value is at most this times its largest; the default is the
+        size of rounding. Raise it to include states that are merely close to a singularity.
 
     Returns
     -------
@@ -138,10 +120,10 @@ def singularities(
 
     Notes
     -----
-    Where a leg has no length, hence no direction, a single state raises `SingularConfigurationError`, and a member of a
-    batch is NaN, of rank 0 and of the kind FORWARD. A state that does not exist is NaN, of rank 0 and REGULAR.
-    At the symmetric home K has rank 3: it is an inverse singularity in which three freedoms are lost. What the
-    literature calls these singularities is in docs/theory/literature_checks.md.
+    If a leg has length zero, hence no direction, a single state raises `SingularConfigurationError`, and a member of a
+    batch is NaN, of rank 0 and of the kind FORWARD. A missing state is NaN, of rank 0 and REGULAR.
+    In the symmetric home K has rank 3: it is an inverse singularity that loses three degrees of freedom. The names of
+    these singularities in the literature are in docs/theory/literature_checks.md.
     """
     from spm_pin.kinematics.kernels.singularity_kernels import describe_singularities
 
@@ -191,7 +173,7 @@ def singularities(
 
 
 def _have_dependent_constraints(configuration: Configuration, rank: IntArray, tolerance: float) -> BoolArray:
-    """Return in which states (...) the constraints of a stage are dependent, which makes K singular."""
+    """Return the states (...) in which the constraints of a stage are dependent, which makes K singular."""
     dependent = np.asarray(configuration.exists & (rank[..., 2] < 6))
     if dependent.any():
         some = configuration[np.nonzero(dependent)] if configuration.shape else configuration
@@ -230,12 +212,12 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
 def determinants(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return det J_b, det J_c and det K of states (...) alone [m³], (..., 3), as `Singularities.determinants`.
 
-    Of a stage it is det J_b, (..., 1). NaN for a member that does not exist, or for a leg without length.
+    Of a stage (..., 2): det J of its six forces [m³], zero at forward singularities, and what is zero at inverse ones,
+    the determinant of v_x, v_y and ω_z in the equations of the legs' planes [m]. NaN for a member that does not exist,
+    or for a leg without length.
     """
-    check_state(configuration)
     if isinstance(configuration, StageConfiguration):
-        scale = configuration.stage.platform_radius**3
-        return scale * stage_rates.determinants(configuration)[..., :1]
+        return stage_rates.determinants(configuration) * configuration.stage.platform_radius ** np.array([3, 1])
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
     machine = configuration.machine

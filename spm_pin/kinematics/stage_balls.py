@@ -1,7 +1,4 @@
-"""The balls of one stage with given readings, in its physical state or near another one, for legs of any kind.
-
-A robot's two stages are solved one after the other.
-"""
+"""The balls of a machine's stages with given readings: all modes, the physical state, and one near another state."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.formulas.planar_legs import LONGEST_CHORD
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.machine.leg_kinds import RPS
-from spm_pin.machine.legs import PlacedLegs
+from spm_pin.machine.legs import Legs, PlacedLegs
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 _is_home_state = on_arrays(formulas.is_home_state)
@@ -30,13 +27,13 @@ CentresAndRadii = tuple[FloatArray, FloatArray]
 
 
 class Drawing(NamedTuple):
-    """The drawn stage, whose modes have labels."""
+    """The nominal stage, whose modes have labels."""
 
     legs: FloatArray
     """Axes, pivots and balls [m] (3, 3, 3)."""
     is_rps: bool
     is_drawn: bool
-    """Whether the stage itself is the drawn one, of RPS legs."""
+    """True if the stage itself is nominal, with RPS legs."""
     radius: float
     """Radius of the platform, on which the balls are [m]."""
     base_radius: float
@@ -49,65 +46,92 @@ class Modes(NamedTuple):
     balls: FloatArray
     """(N, 16, 3, 3) [m], NaN where a mode is not real."""
     merged: BoolArray
-    """Labels (N, 16) whose mode has met another one, and those left over."""
+    """True for labels (N, 16) whose mode has met another one, and for remaining ones."""
     continuous: BoolArray
-    """Which of the modes T, F of a drawn stage of RPS legs are continuous families, (N, 2)."""
+    """True for the modes T, F of a nominal stage with RPS legs that are continuous families, (N, 2)."""
     status: npt.NDArray[np.int8]
-    """`Status` (N,) but for continuous families."""
+    """`Status` (N,), without regard to continuous families."""
 
 
 def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Modes:
     """Return all modes with readings (N, 3), under the labels of the drawn stage."""
-    modes = _modes(stage, _circles(stage, readings), drawing)
+    modes = _modes(stage, _stage_circles(stage, readings), drawing)
     return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
 
 
-def physical_balls(stage: PlacedLegs, readings: FloatArray) -> FloatArray:
-    """Return the balls (N, 3, 3) [m] in the home's aspect with readings (N, 3), NaN where there is no such state."""
+def physical_balls(legs: Legs, readings: FloatArray) -> FloatArray:
+    """Return the balls (N, m, 3, 3) [m] of m stages in the home's aspect with readings (N, 3m), NaN for none."""
     from spm_pin.kinematics.kernels.ball_circles import home_states
 
-    locked, results = _circles(stage, readings), (_BALLS, ((), np.bool_))
-    balls, is_elsewhere = run_kernel(home_states, locked, stage[:3], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    locked, count = _circles(legs, readings), len(legs.kinds)
+    constants, results = (legs.axes, legs.balls, legs.stage_ups), (((count, 3, 3), np.float64), ((count,), np.bool_))
+    balls: FloatArray
+    balls, is_elsewhere = run_kernel(home_states, locked, constants, results, _MIN_BATCH_PER_THREAD_PHYSICAL)
     # From the level stage Newton's method leads to every state of cylinders, and wanders for 1 in 500 of other legs,
     # a few into another working mode.
-    balls = _in_working_mode(stage, balls, readings)
-    is_elsewhere = is_elsewhere if isinstance(stage.kind, RPS) else np.isnan(balls[:, 0, 0])
+    if not legs.are_rps:
+        balls = _in_working_modes(legs, balls, readings)
+        for k, kind in enumerate(legs.kinds):
+            if not isinstance(kind, RPS):
+                is_elsewhere[:, k] = np.isnan(balls[:, k, 0, 0])
     if np.count_nonzero(is_elsewhere):
-        elsewhere = np.flatnonzero(is_elsewhere)
-        # The state is looked for among all modes.
-        centres, radii = (x[elsewhere] for x in locked)
-        unlabelled = Drawing(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
-        modes, none = _modes(stage, (centres, radii), unlabelled).balls, np.zeros(3)
-        modes = _in_working_mode(stage, modes, readings[elsewhere, None])
-        three: Any = formulas.Circles(rows_of(stage.axes), rows_of(centres[:, None]), none, none)  # type: ignore[arg-type]
-        is_home = _is_home_state(three, rows_of(modes - centres[:, None]), rows_of(modes), stage.up)
-        found = modes[np.arange(len(modes)), is_home.argmax(axis=-1)]
-        balls[elsewhere] = np.where(is_home.any(axis=-1)[:, None, None], found, np.nan)
+        for k, stage in enumerate(legs.stages):
+            elsewhere, own = np.flatnonzero(is_elsewhere[:, k]), slice(3 * k, 3 * k + 3)
+            centres, radii = (x[elsewhere, own] for x in locked)
+            balls[elsewhere, k] = _home_modes(stage, (centres, radii), readings[elsewhere, own])
     return balls
 
 
-def followed_balls(stage: PlacedLegs, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return where balls (N, 3, 3) [m] are led from readings (N, 3) to others, NaN where they meet a singularity."""
+def followed_balls(legs: Legs, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return where balls (N, m, 3, 3) [m] are led from readings (N, 3m) to others, NaN for a way that is singular."""
     from spm_pin.kinematics.kernels.ball_circles import follow_states
 
-    # Each crank is led along chords of its end's arc.
-    turns = np.nan_to_num(np.abs(end - start)).max(initial=0.0) if stage.kind.unit == "rad" else 0.0
-    parts, here = 1 + int(turns / LONGEST_CHORD), _circles(stage, start)
+    parts, here = 1, _circles(legs, start)
+    if "rad" in legs.units:
+        # Each crank is led along chords of its end's arc.
+        turns = np.nan_to_num(np.abs(end - start))[:, np.array(legs.units) == "rad"].max(initial=0.0)
+        parts += int(turns / LONGEST_CHORD)
     for part in range(1, parts + 1):
-        there = _circles(stage, end if part == parts else start + part / parts * (end - start))
+        there = _circles(legs, end if part == parts else start + part / parts * (end - start))
+        constants, results = (legs.axes, legs.balls), [(balls.shape[1:], np.float64)]
         inputs = balls, *here, *there
-        (balls,) = run_kernel(follow_states, inputs, stage[:2], [_BALLS], _MIN_BATCH_PER_THREAD_FOLLOWED)
+        (balls,) = run_kernel(follow_states, inputs, constants, results, _MIN_BATCH_PER_THREAD_FOLLOWED)
         here = there
-    return _in_working_mode(stage, balls, end)
+    return _in_working_modes(legs, balls, end)
 
 
-def _circles(stage: PlacedLegs, readings: FloatArray) -> CentresAndRadii:
-    """Return the circles that readings (N, 3) leave to the balls."""
+def _home_modes(stage: PlacedLegs, locked: CentresAndRadii, readings: FloatArray) -> FloatArray:
+    """Return the balls (N, 3, 3) [m] of the first of all modes that is in the home's aspect, NaN where none is."""
+    unlabelled = Drawing(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
+    modes = _in_working_mode(stage, _modes(stage, locked, unlabelled).balls, readings[:, None])
+    (centres, _), none = locked, np.zeros(3)
+    three: Any = formulas.Circles(rows_of(stage.axes), rows_of(centres[:, None]), none, none)  # type: ignore[arg-type]
+    is_home = _is_home_state(three, rows_of(modes - centres[:, None]), rows_of(modes), stage.up)
+    first = modes[np.arange(len(modes)), is_home.argmax(axis=-1)]
+    return np.where(is_home.any(axis=-1)[:, None, None], first, np.nan)
+
+
+def _circles(legs: Legs, readings: FloatArray) -> CentresAndRadii:
+    """Return the circles that readings (N, 3m) of m stages leave to the balls."""
+    if legs.are_rps:
+        return _rps_circles(legs, readings)
+    circles = [_stage_circles(stage, readings[:, 3 * k : 3 * k + 3]) for k, stage in enumerate(legs.stages)]
+    centres, radii = (np.concatenate(x, axis=1) for x in zip(*circles, strict=True))
+    return centres, radii
+
+
+def _rps_circles(legs: Legs | PlacedLegs, readings: FloatArray) -> CentresAndRadii:
+    own, pivots = readings - legs.offsets, legs.pivots[None]
+    return (pivots if len(own) == 1 else np.broadcast_to(pivots, (*own.shape, 3))), own
+
+
+def _stage_circles(stage: PlacedLegs, readings: FloatArray) -> CentresAndRadii:
+    """Return the circles that readings (N, 3) leave to the balls of a stage."""
     from spm_pin.kinematics.kernels.ball_circles import circle_centres
 
-    own = readings - stage.offsets
     if isinstance(stage.kind, RPS):
-        return (stage.pivots[None] if len(own) == 1 else np.broadcast_to(stage.pivots, (*own.shape, 3))), own
+        return _rps_circles(stage, readings)
+    own = readings - stage.offsets
     x, z, radii = (np.broadcast_to(x, own.shape) for x in stage.kind.on_arrays.circle(own, tuple(stage.kind.numbers.T)))
     constants = stage.pivots, stage.planes
     (centres,) = run_kernel(circle_centres, (x, z), constants, [_BALLS], _MIN_BATCH_PER_THREAD_PHYSICAL)
@@ -122,8 +146,16 @@ def _modes(stage: PlacedLegs, locked: CentresAndRadii, drawing: Drawing) -> Mode
     return Modes(*run_kernel(modes_of_stages, locked, constants, results, _MIN_BATCH_PER_THREAD))
 
 
+def _in_working_modes(legs: Legs, balls: FloatArray, readings: FloatArray) -> FloatArray:
+    """Return the balls (N, m, 3, 3) of m stages with readings (N, 3m), NaN where one has a leg in another mode."""
+    if not legs.are_rps:
+        for k, stage in enumerate(legs.stages):
+            balls[:, k] = _in_working_mode(stage, balls[:, k], readings[:, 3 * k : 3 * k + 3])
+    return balls
+
+
 def _in_working_mode(stage: PlacedLegs, balls: FloatArray, readings: FloatArray) -> FloatArray:
-    """Return the balls (..., 3, 3) of states with readings (..., 3), NaN where a leg is in another working mode."""
+    """Return the balls (..., 3, 3) of states with readings (..., 3), NaN if a leg is in another working mode."""
     if isinstance(stage.kind, RPS):
         return balls
     from spm_pin.kinematics.kernels.one_stage import working_modes

@@ -28,6 +28,7 @@ from spm_pin.support.arguments import (
     first_offender,
     real_array,
 )
+from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6
@@ -51,7 +52,7 @@ def inverse(
     Parameters
     ----------
     stage : Stage
-        The stage, drawn or as built. Its limits are not applied; see `StageSolutions.within`.
+        The stage, nominal or calibrated. Its limits are not applied; see `StageSolutions.within`.
     height : array_like, shape (...)
         Of the platform's origin, the centre of its balls, above the base's plane of pivots: z in {B} [m].
     tilt, azimuth : array_like, shape (...), optional
@@ -116,7 +117,7 @@ def inverse_physical(
     -------
     StageConfiguration
         Of shape (...): in mode T, and reached from the level platform without a forward singularity. `.exists` is
-        False, and everything NaN, where there is none. `.limit_excess` says which readings are beyond the limits.
+        False, and everything NaN, if missing. `.limit_excess` says which readings are beyond the limits.
 
     Examples
     --------
@@ -137,6 +138,12 @@ def inverse_physical(
     return state
 
 
+def physical_at_poses(stage: Stage, pose: PoseLike) -> StageConfiguration:
+    """Return the physical states with the heights and normals of poses (...); shift and torsion follow."""
+    matrices = as_rigid_transform(pose).as_matrix()
+    return inverse_physical(stage, matrices[..., 2, 3], normal=matrices[..., :3, 2])
+
+
 def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     """Find all states that three readings allow.
 
@@ -145,20 +152,20 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     stage : Stage
         The stage. Its limits are not applied.
     readings : array_like, shape (..., 3)
-        What the encoders show: [m], of RRS legs [rad].
+        What the encoders show: [m], for RRS legs [rad].
 
     Returns
     -------
     StageSolutions
         The assembly modes of `STAGE_MODES` along the last axis, `.rotation` (..., 16, 3, 3), NaN where a mode is not
-        real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` where there is none;
-        `DEGENERATE` where a stage of RPS legs as drawn moves with its legs locked, that family left out; or
+        real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` if none is real;
+        `DEGENERATE` where a stage of nominal RPS legs moves with its legs locked, that family left out; or
         `UNSOLVED`, and nothing exists, where fewer than sixteen distinct modes were found, complex ones counted.
 
     Notes
     -----
     T and F name modes as in `spm_pin.forward_displacement`, + is the side of the base on which the platform stands. Of
-    legs that are not RPS, and of a machine as built, numbers are names only.
+    legs that are not RPS, and of a calibrated machine, numbers are names only.
 
     Examples
     --------
@@ -189,22 +196,22 @@ def forward_physical(
     stage : Stage
         The stage. Its limits are not applied.
     readings : array_like, shape (..., 3)
-        What the encoders show: [m], of RRS legs [rad].
+        What the encoders show: [m], for RRS legs [rad].
     near : StageConfiguration, optional
         Where the machine was. Its leading axes broadcast with those of `readings`.
 
     Returns
     -------
     StageConfiguration
-        Of shape (...). Without `near` the state in the home's aspect: without torsion, and reached from the level
+        Of shape (...). Without `near` the state in the home assembly region: without torsion, reached from the level
         platform without a forward singularity. With `near` the end of the path on which its readings change to the
         given ones in a straight line, whatever its mode, in steps that provably stay on it. `.exists` is False, and
-        everything NaN, where there is none, or where that path meets a forward singularity.
+        everything NaN, if it is missing, or if that path meets a forward singularity.
 
     Notes
     -----
-    The home's aspect of a stage of RPS legs as drawn holds one state at most, `docs/theory/uniqueness.md`; that of one
-    of PRS legs, or of RRS legs with ``sign=+1``, may hold two, of which Newton's method from the level platform finds
+    A stage with nominal RPS legs has at most one state in the home assembly region, `docs/theory/uniqueness.md`; one
+    with PRS legs, or RRS legs with ``sign=+1``, may have two, of which Newton's method from the level platform finds
     one: give `near`.
 
     Examples
@@ -214,14 +221,14 @@ def forward_physical(
     >>> spm.stages.forward_physical(balancer, [0.2, 0.4, 0.6])
     <StageConfiguration: tilt 7.75° towards -1.8°, height 0.1232 m, readings 0.2000, 0.4000, 0.6000 rad>
     """
-    read, half = read_stage_readings(stage, readings), _half(stage)
+    read = read_stage_readings(stage, readings)
     if near is None:
-        shape, balls = read.shape[:-1], physical_balls(half, read.reshape(-1, 3))
+        shape, balls = read.shape[:-1], physical_balls(stage.legs, read.reshape(-1, 3))
     else:
         _check_near(stage, near)
         shape = broadcastable("near", near.shape, "readings", read.shape[:-1])
-        start = [flat_batch(x, shape, inner) for x, inner in ((near.balls, 2), (near.readings, 1), (read, 1))]
-        balls = followed_balls(half, *start)
+        balls, *ends = [flat_batch(x, shape, inner) for x, inner in ((near.balls, 2), (near.readings, 1), (read, 1))]
+        balls = followed_balls(stage.legs, balls[:, None], *ends)
     state = _of_balls(stage, shape, balls, read)
     if not shape and not state.exists:
         origin = "the level platform" if near is None else "`near` in a straight line"
@@ -234,7 +241,14 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     from spm_pin.kinematics.kernels.one_stage import poses_of_stages
 
     legs, kind = stage.legs, stage.kind
-    constants = np.stack(legs.arrays[:3]), np.stack(legs.planes), kind.number, kind.numbers, kind.up
+    constants = (
+        np.stack(legs.arrays[:3]),
+        np.stack(legs.planes),
+        kind.number,
+        kind.numbers,
+        stage.crank_middles,
+        kind.up,
+    )
     triple = ((modes, 3), np.float64)
     cosines: Any = triple if kind.number == RRS_LEGS else np.empty((0, modes, 3))
     results = ((modes, 3, 3), np.float64), triple, triple, cosines, ((modes,), np.uint8)
@@ -242,8 +256,8 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     rotation, translation, readings, cosines, physical = solved
     if kind.number == RRS_LEGS:
         # As `rrs_reading` does, on arrays: NumPy takes several arc tangents at a time.
-        np.arctan2(np.negative(cosines, out=cosines), readings, out=readings)
-        readings += 0.5 * math.pi
+        np.arctan2(readings, cosines, out=readings)
+        readings += stage.crank_middles
     if legs.offsets.any():
         readings += legs.offsets
     if (is_over := normals[:, 2] <= LEAST_RISE - 1.0).any():
@@ -257,7 +271,7 @@ def _half(stage: Stage) -> PlacedLegs:
 
 
 def _of_balls(stage: Stage, shape: tuple[int, ...], balls: FloatArray, readings: FloatArray) -> StageConfiguration:
-    """Return the states of this shape with balls, NaN where there is none, and readings that broadcast."""
+    """Return the states of this shape with balls, NaN if missing, and readings that broadcast."""
     from spm_pin.kinematics.kernels.ball_circles import platform_frames
 
     results = ((3, 3), np.float64), ((3,), np.float64)

@@ -48,7 +48,7 @@ def follow(
     stage : Stage
         The stage. Where it has limits, crossing one is an event.
     readings : array_like, shape (n, 3), optional
-        Readings of the encoders at points of the path [m], of RRS legs [rad], on a line in between.
+        Readings of the encoders at points of the path [m], for RRS legs [rad], on a line in between.
     start : StageConfiguration or str, optional
         The state at the first point: the one nearest to it, or a label. By default the physical one.
     height, tilt, azimuth, roll, pitch, normal
@@ -61,7 +61,7 @@ def follow(
     -------
     FollowedPath
         With its events: singularities, limits, labels that change and the end of the state; see `spm_pin.follow`. Modes
-        of readings have labels in stages of RPS legs as drawn, in others that of the first point is kept.
+        of readings have labels in stages of nominal RPS legs, in others that of the first point is kept.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def follow(
             return forward(stage, here)
         return inverse(stage, here[3], normal=here[:3] / np.linalg.norm(here[:3]))
 
-    # The modes of readings have labels of their own in drawn stages of RPS legs alone.
+    # The modes of readings have labels of their own in nominal stages of RPS legs alone.
     has_labels = height is not None or (stage.is_nominal and stage.legs.are_rps)
     watch = Watch(math.sqrt(3.0) * stage.platform_radius, determinants, _KINDS, has_labels)
     return followed(watch, solve, knots, start, count, has_legs=height is None)

@@ -29,10 +29,10 @@ _stage_twists, _parasitic_rates = on_arrays(wrenches.stage_twists), on_arrays(st
 
 
 class JointLoads(NamedTuple):
-    """What the joints of a stage carry, for states and wrenches of shape (...); weights and friction are left out."""
+    """Loads of the joints of a stage, for states and wrenches of shape (...); weights and friction are neglected."""
 
     efforts: FloatArray
-    """Of the actuators, positive where they increase the reading, shape (..., 3): [N], of RRS legs [N m]."""
+    """Efforts of the actuators, positive if they increase the reading, shape (..., 3): [N], for RRS legs [N m]."""
     rods: FloatArray
     """Force of each leg along `leg_vectors`, positive where it pushes the platform [N], shape (..., 3)."""
     across: FloatArray
@@ -128,7 +128,7 @@ def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., 3, 3)
-        Rows the legs, [m/s], of RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
+        Rows are legs, [m/s], for RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
         singularity as `parasitic_jacobian`; so, as "leg", where an actuator does not move its ball.
     """
     twists = parasitic_jacobian(configuration)
@@ -159,7 +159,7 @@ def singularities(state: StageConfiguration, least: float) -> StageSingularities
     `least` is the ratio of the smallest singular value to the largest, and of κ to its largest, of a singular state.
     """
     exists, scale = state.exists[..., None, None], state.stage.platform_radius
-    # A leg of no length has no direction and resists nothing: its row is zero, and the state forward singular.
+    # A leg whose length is zero has no direction and resists nothing: its row is zero, the state forward singular.
     six = np.nan_to_num(np.where(exists, _six_forces(state), np.eye(6)))
     three = np.where(exists, _inverse_matrices(state), np.eye(3))
     _, sizes, right = np.linalg.svd(six)
@@ -185,9 +185,9 @@ def determinants(state: StageConfiguration) -> FloatArray:
 
 
 def stage_inverses(configuration: StageConfiguration) -> FloatArray:
-    """Return J⁻¹ (..., 1, 6, 6) of the six forces: twists (v, ω) of unit rates of the balls along legs, then axes."""
-    columns = [_columns(configuration, along_legs=along) for along in (True, False)]
-    return np.concatenate(columns, axis=-1)[..., None, :, :]
+    """Return the twists (..., 1, 6, 6) of unit rates of the balls along legs and along axes; NaN where singular."""
+    parts = [_columns(configuration, along_legs=along) for along in (True, False)]
+    return np.concatenate(parts, axis=-1)[..., None, :, :]
 
 
 def _read(configuration: Any) -> StageConfiguration:

@@ -17,10 +17,8 @@ import scipy
 
 from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, stacked
-from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.solution_axis import Solutions
-from spm_pin.support import notebook
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 S = TypeVar("S", bound=Batched)
@@ -68,7 +66,7 @@ class Event:
 class CertifiedLimits(Protocol):
     """The part of a `Certificate` that `follow` uses; `proofs` is above this package and cannot be imported here."""
 
-    def covers(self, configuration: Configuration) -> BoolArray:
+    def covers(self, configuration: Any) -> BoolArray:
         """Return which configurations (...) are proved to be the only one of their leg lengths, shape (...)."""
 
 
@@ -109,14 +107,6 @@ class FollowedPath(Generic[S]):
         return (
             f"<FollowedPath: {ends}, {len(self.parameters)} states of {labels}; {events or 'no events'}{more}{inside}>"
         )
-
-    def _repr_html_(self) -> str:
-        rows = [(f"{event.parameter:.6f}", str(event.kind), event.detail) for event in self.events]
-        marks = [event.parameter for event in self.events]
-        states: Any = self.configurations
-        units = ", ".join(dict.fromkeys(states.machine.legs.units))
-        picture = notebook.curves(self.parameters, states.readings, f"legs [{units}] along the path", marks)
-        return notebook.table(repr(self), ("parameter", "event", "") if rows else (), rows, picture)
 
     @property
     def complete(self) -> bool:

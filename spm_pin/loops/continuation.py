@@ -76,6 +76,7 @@ def make_follower(
     linearised: Callable[..., Any],
     moved: Callable[..., Any],
     left_inverse: Callable[..., Any],
+    product: Callable[..., Any],
     jit: Callable[[Any], Any] = same,
 ) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Return `follow(problem, q)`, from a closed q to the problem's target, and `go_on`, which has J and A there.
@@ -90,6 +91,8 @@ def make_follower(
         q of (problem, q, s, x): after unknown joints have moved by x (p,) from q, and with driven joints at s.
     left_inverse : callable
         A (p, m) of J, and whether J is of full column rank.
+    product : callable
+        Product of a matrix and a vector.
     jit : callable
         Applied to each function: Numba's compiler, or nothing.
     """
@@ -106,11 +109,11 @@ def make_follower(
 
     @jit
     def bounds(problem, speeds, turns, u, w, a, b, reach):  # type: ignore[no-untyped-def]
-        """Return bounds (closures, 2) of derivatives of positions and angles, a times along u and b times along w.
+        """Return bounds (2, closures) of derivatives of positions and angles, a times along u and b times along w.
 
         Speeds are those at a share `reach` of u from where bounds are to hold.
         """
-        found = np.empty((len(problem.first_rows), 2))
+        found = np.empty((2, len(problem.first_rows)))
         for k in range(len(problem.first_rows)):
             total, motion, all_u, all_w = 0.0, 0.0, 0.0, 0.0
             if k == problem.pose:
@@ -128,13 +131,13 @@ def make_follower(
                     total += speed * a * monomial(all_u, a - 1, all_w, b) * u[j]
                     total += speed * b * monomial(all_u, a, all_w, b - 1) * w[j]
             power = monomial(all_u, a, all_w, b)
-            found[k, 0], found[k, 1] = total + np.exp(min(reach * all_u + all_w, 9.0)) * motion * power, power
+            found[0, k], found[1, k] = total + np.exp(min(reach * all_u + all_w, 9.0)) * motion * power, power
         return found
 
     @jit
     def spread(sizes, bound):  # type: ignore[no-untyped-def]
-        """Return bounds (p,) of A times what has bounds (closures, 2)."""
-        return sizes[0] @ np.ascontiguousarray(bound[:, 0]) + sizes[1] @ np.ascontiguousarray(bound[:, 1])
+        """Return bounds (p,) of A times what has bounds (2, closures)."""
+        return product(sizes[0], bound[0]) + product(sizes[1], bound[1])
 
     @jit
     def sizes_of(problem, inverse):  # type: ignore[no-untyped-def]
@@ -163,7 +166,9 @@ def make_follower(
         for _ in range(MOST_BOXES):
             for i in range(len(radii)):
                 w[problem.columns[i]] = radii[i]
-            linear = change @ radii + weight * spread(sizes, bounds(problem, speeds, turns, u, w, power, 1, reach))
+            linear = product(change, radii) + weight * spread(
+                sizes, bounds(problem, speeds, turns, u, w, power, 1, reach)
+            )
             square = spread(sizes, bounds(problem, speeds, turns, u, w, 0, 2, reach))
             total = eta + linear + square
             used = (total / radii).max()
@@ -195,10 +200,12 @@ def make_follower(
         inverse, regular = left_inverse(middle)
         if not regular:
             return False, 0.5
-        largest = np.abs(inverse @ c)
+        largest = np.abs(product(inverse, c))
         for share in (0.25, 0.75):
             s = done + share * (end - done)
-            largest = np.maximum(largest, np.abs(inverse @ residual(problem, moved(problem, q, s, share * x), s)))
+            largest = np.maximum(
+                largest, np.abs(product(inverse, residual(problem, moved(problem, q, s, share * x), s)))
+            )
         sizes = sizes_of(problem, inverse)
         eta = INNER * largest + QUINTIC * spread(sizes, bounds(problem, speeds, turns, u, none, 5, 0, 0.5)) + ROUNDING
         first, last = inverse @ jacobian, inverse @ at_end
@@ -213,7 +220,7 @@ def make_follower(
         """Return whether a step is safe, q, J and A at its end, its size, and the next one's factor."""
         x = np.zeros(len(problem.columns))
         tried = moved(problem, q, end, x)
-        change = -(inverse @ residual(problem, tried, end))
+        change = -product(inverse, residual(problem, tried, end))
         size = np.abs(change).max() if len(change) else 0.0
         if not size <= LONGEST:
             return False, q, jacobian, inverse, size, 0.5 * LONGEST / size
@@ -225,7 +232,7 @@ def make_follower(
             return False, q, jacobian, inverse, size, 0.5
         last, converged = max(size, 1e-300), False
         for _ in range(MOST_CORRECTIONS):
-            change = -(new @ c)
+            change = -product(new, c)
             correction = np.abs(change).max() if len(change) else 0.0
             if not correction <= max(0.5 * last, 1e-13):
                 break

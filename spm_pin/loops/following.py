@@ -124,7 +124,7 @@ def left_inverse(jacobian: FloatArray) -> tuple[FloatArray, bool]:
     return np.asarray(lapack.dpotrs(factor, jacobian.T)[0]), True
 
 
-follow, _ = make_follower(residual, linearised, moved, left_inverse)
+follow, _ = make_follower(residual, linearised, moved, left_inverse, np.dot)
 
 
 def _kernel() -> Any:

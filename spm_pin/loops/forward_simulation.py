@@ -1,9 +1,9 @@
 """Motion of a closed chain in time: an explicit method of order eight, brought back onto the closures each step.
 
-Joint values and velocities of the tree are integrated by DOP853. Rates are those of a closed q nearby, with unit
-quaternions, and of the admissible v nearest in kinetic energy: dependent rows contradict each other in open loops. So
-are the results of each step. The work of all forces but gravity's is integrated beside the state, so that energy gained
-less work done shows the method's error.
+Joint values and velocities of the tree are integrated by DOP853. The result of each step is a closed q nearby, with
+unit quaternions, and the admissible v nearest in kinetic energy. If rows depend on each other, which contradict each
+other in open loops, so are the places within a step at which rates are computed. The work of all forces but gravity's
+is integrated beside the state, so that energy gained less work done shows the method's error.
 """
 
 from __future__ import annotations
@@ -20,10 +20,12 @@ import numpy.typing as npt
 import pinocchio as pin
 from scipy.integrate import DOP853
 from scipy.linalg import lapack
+from scipy.optimize import brentq
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.loop_state import LoopState
-from spm_pin.loops.state_kinematics import StateKinematics, frame_index, largest
+from spm_pin.loops.point_dynamics import PointDynamics
+from spm_pin.loops.state_kinematics import frame_index, largest, read_vectors
 from spm_pin.support.arguments import FloatArray, Progress, real_array, real_number
 from spm_pin.support.progress import shown_progress
 
@@ -47,6 +49,8 @@ class SimulationEnd(enum.StrEnum):
     """Why a simulation ended."""
 
     COMPLETE = "complete"
+    EVENT = "event"
+    """A function of `events` became negative; `detail` is its name."""
     SINGULARITY = "singularity of the loops"
     """Forces of the closures have no bound there, or the motion is not unique."""
     STALLED = "stalled"
@@ -58,7 +62,7 @@ class LoopMotion:
     """A motion of a `ClosedChain` in time, at k times."""
 
     times: FloatArray
-    """The requested times [s], shape (k,), as far as the motion went."""
+    """The requested times [s], shape (k,), as far as the motion went; the last is that of an event that ended it."""
     q: FloatArray
     """Joint values, shape (k, nq)."""
     v: FloatArray
@@ -78,7 +82,7 @@ class LoopMotion:
     end: SimulationEnd
     """Why the run ended."""
     detail: str
-    """Reason why an incomplete run stopped; otherwise empty."""
+    """Reason why an incomplete run stopped, or the name of the event; otherwise empty."""
 
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
@@ -105,6 +109,7 @@ def simulate(
     times: npt.ArrayLike,
     *,
     wrenches: Mapping[str, Force] | None = None,
+    events: Mapping[str, Callable[[FloatArray], float]] | None = None,
     period: float | None = None,
     tolerance: float = 1e-10,
     progress: Progress | None = None,
@@ -126,6 +131,9 @@ def simulate(
         When to record [s], increasing; the motion begins at the first.
     wrenches : mapping of str, optional
         By name of a frame, (f, m) at its origin in the axes of the world: constant (6,), or a function as `tau`.
+    events : mapping of str to callable, optional
+        By name, functions of q (nq,), such as a distance that remains: the run ends where one becomes negative. They
+        are looked at after each step, and located on its interpolant.
     period : float, optional
         Of a digital controller [s]: `tau` is called once at the start of each period, in order, and its answer held.
     tolerance : float
@@ -146,20 +154,30 @@ def simulate(
     if state.q.ndim != 1 or state.v.ndim != 1:
         raise ArgumentError("q", "one configuration and one velocity", f"shapes {state.q.shape}, {state.v.shape}")
     act = _as_function(tau, "tau", len(chain.actuated))
+    for name, given in {"wrenches": wrenches, "events": events}.items():
+        if not (given is None or isinstance(given, Mapping)):
+            expected = "a mapping, of names of frames to wrenches or of events to functions of q"
+            raise ArgumentError(name, expected, type(given).__name__)
     loads = {} if wrenches is None else {k: _as_function(w, f"wrenches[{k!r}]", 6) for k, w in wrenches.items()}
     report = shown_progress(progress)
-    run = _Run(chain, state, {frame_index(chain.model, name): load for name, load in loads.items()}, tolerance)
+    placed = {frame_index(chain.model, name): load for name, load in loads.items()}
+    run = _Run(chain, state, placed, events or {}, tolerance)
     y, end = np.concatenate([state.q, state.v, [0.0]]), SimulationEnd.COMPLETE
+    run.detail = run.event(y)
 
     def tell(time: float) -> None:
         report("simulation", int(1000.0 * (time - begin) / (until - begin)) if until > begin else 1000, 1000)
 
     # Bad input raises here, before anything is integrated.
-    state.forward_dynamics(act(begin, state.q, state.v))
+    state.forward_dynamics(np.zeros(len(chain.actuated)))
     for k, span in enumerate(itertools.pairwise(_force_times(begin, until, period))):
         held = act if period is None else _as_function(act(span[0], *run.parts(y)), "tau", len(chain.actuated))
         if k == 0:
             run.record(begin, y, held)
+            if run.detail:
+                end = SimulationEnd.EVENT
+            if run.detail or until == begin:
+                break
         y, end = run.advance(y, span, recorded[(recorded > span[0]) & (recorded <= span[1])], held, tell)
         if end is not SimulationEnd.COMPLETE:
             break
@@ -172,7 +190,7 @@ def _as_function(force: Force, argument: str, size: int) -> Callable[[float, Flo
     """Return a function from a constant or a function; what a function returns is checked."""
 
     def read(value: npt.ArrayLike) -> FloatArray:
-        array = real_array(value, argument, (size,), "in N and N m")
+        array = read_vectors(value, argument, size, "in N and N m")
         if array.ndim != 1:
             raise ArgumentError(argument, f"shape ({size},) at each time", f"shape {array.shape}")
         return array
@@ -200,10 +218,18 @@ class _UnboundedRateError(Exception):
 class _Run:
     """Integrates the motion of a chain and records it; a vector y is q, v and the work done."""
 
-    def __init__(self, chain: Any, state: LoopState, loads: dict[int, Any], tolerance: float) -> None:
-        self._chain, self._kinematics = chain, StateKinematics(chain)
+    def __init__(
+        self, chain: Any, state: LoopState, loads: dict[int, Any], events: Mapping[str, Any], tolerance: float
+    ) -> None:
+        self._chain, self._kinematics = chain, state.kinematics
         self._kinematics.rank = state.kinematics.space.rank
-        self._loads, self._tolerance = loads, tolerance
+        self._are_independent = self._kinematics.rank == len(self._kinematics.labels)
+        self._points: PointDynamics | None = None
+        are_points = all(closure.kind == "point" for closure in chain.closures)
+        if self._are_independent and are_points and len(self._kinematics.labels) == 3 * len(chain.closures):
+            places = zip(chain.rows.joints, chain.rows.placements, strict=True)
+            self._points = PointDynamics(chain.model, ((i, at_i, j, at_j) for (i, j), (at_i, at_j) in places))
+        self._loads, self._events, self._tolerance = loads, events, tolerance
         self._least_sigma = min(LEAST_CONSTRAINED, LEAST_SHARE * state.kinematics.space.sigma)
         self.detail = ""
         self._nq, self._is_flat = chain.model.nq, chain.model.nq == chain.model.nv
@@ -217,17 +243,23 @@ class _Run:
     def _motion(self, t: float, q: FloatArray, v: FloatArray, act: Any) -> tuple[FloatArray, FloatArray, float]:
         """Return the accelerations at closed q, the forces of the actuators and the power of all but gravity."""
         kinematics, tau = self._kinematics, act(t, q, v)
-        kinematics.evaluate(q)
+        if self._loads or self._points is None:
+            kinematics.evaluate(q)
         forces = np.zeros(self._chain.model.nv)
         forces[kinematics.actuated] = tau
         for frame, load in self._loads.items():
             forces += kinematics.frame_jacobian(frame).T @ load(t, q, v)
-        return kinematics.accelerations(v, forces), tau, float(forces @ v)
+        if self._points is not None:
+            return self._points.accelerations(q, v, forces), tau, float(forces @ v)
+        # A run ends with rates that are too large, or not finite.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return kinematics.accelerations(v, forces), tau, float(forces @ v)
 
     def record(self, t: float, y: FloatArray, act: Any) -> None:
         """Record the motion at a time."""
         q, v = self.parts(y)
         a, tau, _ = self._motion(t, q, v, act)
+        self._kinematics.evaluate(q)
         kinetic, potential = self._kinematics.energies(v)
         self.records.append((t, q, v, a, tau.copy(), kinetic, potential, float(y[-1]), self._kinematics.widest_gap))
 
@@ -255,6 +287,27 @@ class _Run:
             v = np.zeros_like(v)
         return np.concatenate([q, v, y[-1:]])
 
+    def event(self, y: FloatArray) -> str:
+        """Return the name of a function of events that is negative, or nothing."""
+        q = self.parts(y)[0]
+        return next((name for name, function in self._events.items() if function(q) < 0.0), "")
+
+    def first_event(self, dense: Callable[[float], FloatArray], before: float, t: float) -> tuple[str, float]:
+        """Return the name of the first event in a step, or nothing, and its time, or that of the step's end."""
+        if not self.event(dense(t)):
+            return "", t
+
+        def margin(time: float, function: Any) -> float:
+            # Rounding must not have it end before the step begins.
+            return float(function(self.parts(dense(time))[0])) if time > before else 1e-300
+
+        q, times = self.parts(dense(t))[0], {}
+        for name, function in self._events.items():
+            if function(q) < 0.0:
+                times[name] = float(brentq(margin, before, t, args=(function,), xtol=1e-15, rtol=1e-14))
+        first = min(times, key=lambda name: times[name])
+        return first, times[first]
+
     def advance(
         self, y: FloatArray, span: tuple[float, float], times: FloatArray, act: Any, tell: Callable[[float], None]
     ) -> tuple[FloatArray, SimulationEnd]:
@@ -262,7 +315,7 @@ class _Run:
         model = self._chain.model
 
         def rate(t: float, y: FloatArray) -> FloatArray:
-            q, v = self.parts(self._closed(y))
+            q, v = self.parts(y if self._are_independent else self._closed(y))
             a, _, power = self._motion(t, q, v, act)
             along = v if self._is_flat else pin.tangentMap(model, q) @ v
             rates = np.concatenate([along, a, [power]])
@@ -279,13 +332,19 @@ class _Run:
                     self.detail = "no step is short enough"
                     return y, SimulationEnd.STALLED
                 # The interpolant of DOP853 belongs to the step before its end is projected onto the closures.
-                dense, t = solver.dense_output(), float(solver.t)
-                closed = self._closed(solver.y)
+                dense, before, t = solver.dense_output(), float(solver.t_old), float(solver.t)
+                self.detail, stop = self.first_event(dense, before, t)
+                closed = self._closed(dense(stop) if self.detail else solver.y)
+                t = stop
                 while waiting < times.size and times[waiting] <= t:
                     moment = float(times[waiting])
                     self.record(moment, closed if moment == t else self._closed(dense(moment)), act)
                     waiting += 1
                 y = closed
+                if self.detail:
+                    if self.records[-1][0] < t:
+                        self.record(t, y, act)
+                    return y, SimulationEnd.EVENT
                 solver.y, solver.f = closed, rate(t, closed)
                 tell(t)
         except (_UnboundedRateError, ClosureError) as error:

@@ -1,7 +1,7 @@
-"""A `Stage` and a robot of two, a `Manipulator`; their states and sets of states. No Pinocchio, CasADi or Numba.
+"""Machines, `Stage` and `Manipulator` (two stages), their states and sets of states. No Pinocchio, CasADi or Numba.
 
-What they share stands once: `Machine` is the base of both, with `Legs` of three or six; `Batched` of their states,
-`StageConfiguration` and `Configuration`; `Solutions` of sets of these, `StageSolutions` and `SolutionSet`.
+Base classes: `Machine` of both, with `Legs` of three or six; `Batched` of their states, `StageConfiguration` and
+`Configuration`; `Solutions` of sets of these, `StageSolutions` and `SolutionSet`.
 """
 
 from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES

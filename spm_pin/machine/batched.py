@@ -23,35 +23,35 @@ class Batched(ABC):
     """A state, or a batch of states, read-only."""
 
     missing_reason = ""
-    """Why a single state does not exist, where that is known; empty otherwise."""
+    """Why a single state does not exist, if known; otherwise empty."""
     _machine: Machine
     _solved: ClassVar[str]
-    """Name of the property, one number for each leg, that a solver may have computed already."""
+    """Name of the property, one number for each leg, which a solver may have computed already."""
 
     def _set(self, machine: Machine, *arrays: FloatArray) -> None:
-        """Keep rotations and translations of the platform, and of a robot the middle joints."""
+        """Store rotations and translations of the platform, and for a manipulator the middle joints."""
         self._machine = machine
         self._arrays = tuple(map(frozen, arrays))
         self._rotation, self._translation = self._arrays[:2]
 
     @property
     def _known(self) -> FloatArray | None:
-        """What `_solved` names, where it has been computed already."""
+        """The value of the property named by `_solved`, if it has been computed already."""
         return self.__dict__.get(self._solved)
 
     @classmethod
     @abstractmethod
     def from_arrays(cls, *arrays: Any) -> Self:
-        """Make a state of the mechanism, arrays as `_set` takes them, and what `_solved` names or None."""
+        """Make a state of a machine from arrays as for `_set`, and the value of the property `_solved`, or None."""
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Self:
-        """Return the states with each array replaced by what `change` returns for it and its number of inner axes."""
+        """Return the states with each array replaced by `change(array, number of inner axes)`."""
         solved = self._known
         arrays = (change(array, inner) for array, inner in zip(self._arrays, (2, 1, 2), strict=False))
         return self.from_arrays(self._machine, *arrays, None if solved is None else change(solved, 1))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Copies and unpickled states are read-only too; what is derived is not carried along.
+        # Copies and unpickled states are read-only too; derived values are not copied.
         state = self._machine, *self._arrays, self._known
         return self.from_arrays, state, {"missing_reason": self.missing_reason}
 
@@ -88,7 +88,7 @@ class Batched(ABC):
     @property
     @abstractmethod
     def leg_planes(self) -> tuple[FloatArray, FloatArray]:
-        """The axes x and z of the legs' planes as rows in {B}."""
+        """Axes x and z of the legs' planes as rows in {B}."""
 
     @property
     @abstractmethod
@@ -113,15 +113,15 @@ class Batched(ABC):
     @property
     @abstractmethod
     def compared_points(self) -> FloatArray:
-        """Points by which states are compared, as rows in {B} [m], shape (..., n, 3)."""
+        """Points by whose displacement states are compared, as rows in {B} [m], shape (..., n, 3)."""
 
     @abstractmethod
     def where(self, kept: BoolArray) -> Self:
-        """Return the states where `kept` (...) is true; the others do not exist."""
+        """Return the states where `kept` (...) is true; the others are missing."""
 
     @abstractmethod
     def _summary(self) -> str:
-        """Return a single state in a line."""
+        """Return the text of a single state."""
 
     def __repr__(self) -> str:
         if self.shape:
@@ -141,7 +141,7 @@ class Batched(ABC):
         batch = batch_index(index)
         try:
             _ = np.broadcast_to(False, self.shape)[batch]
-        except Exception as error:  # whatever NumPy makes of a foreign object
+        except Exception as error:  # NumPy raises any type for a foreign object
             expected = f"an index of the batch axes {self.shape}"
             raise SelectionError("index", expected, type_and_value(index), str(error)) from error
         return self.transformed(lambda array, inner: array[(*batch, *(slice(None),) * inner)])
@@ -177,26 +177,26 @@ class Batched(ABC):
 
     @property
     def centre_rates(self) -> FloatArray:
-        """Derivatives of `circle_centres` by their own readings, seen from the legs' plates, in {B}, (..., legs, 3)."""
+        """Derivatives of `circle_centres` by their own readings, relative to the plates, in {B}, (..., legs, 3)."""
         outward, forward = self.leg_planes
         rates = self._machine.legs.centre_rates(self.readings)
         return np.asarray(rates[..., :1] * outward + rates[..., 1:] * forward)
 
     @property
     def limits(self) -> LegLimits | None:
-        """Limits of the mechanism's readings."""
+        """Limits of the machine's readings."""
         return self._machine.limits
 
     @cached_property
     def limit_excess(self) -> FloatArray:
-        """By how much readings are above their limits, or below (negative), in their units, (..., legs); 0 within."""
+        """Excess of readings above their limits, negative below them, in their units, (..., legs); 0 within."""
         return frozen(np.zeros(self.readings.shape) if self.limits is None else self.limits.excess(self.readings))
 
     @cached_property
     def slopes(self) -> FloatArray:
-        """κ of the legs, shape (..., legs): the speed along each of `leg_vectors` per unit rate of the reading.
+        """κ of the legs, shape (..., legs): speed along each of `leg_vectors` per unit rate of the reading.
 
-        Dimensionless, or [m/rad] of RRS legs; 1 of RPS legs. Where it is zero the leg itself is singular.
+        [m/rad] for RRS legs, otherwise dimensionless; 1 for RPS legs. The leg itself is singular where it is zero.
         """
         return frozen(self._machine.legs.slopes(self.places, self.readings))
 

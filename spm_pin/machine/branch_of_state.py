@@ -1,7 +1,7 @@
 """The branch of a configuration: its family, its sign, whether it is physical, and the coordinates of its two stages.
 
-Each stage's middle platform has either no torsion (mode T) or is turned half round (mode F) against the other
-end of that stage; a family names the lower stage's mode, then the upper's. A family holds at most two branches
+Each stage's middle platform either has no torsion (mode T) or is turned by half a turn (mode F) against the other
+end of that stage. A family names the lower stage's mode, then the upper's. A family has at most two branches
 of one pose, distinguished by a sign. Derivation: `docs/theory/inverse_displacement.md`.
 """
 
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.formulas import branches, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of
+from spm_pin.machine.batched import Batched
 from spm_pin.machine.configuration import Configuration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
@@ -60,8 +61,8 @@ def _stages(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     return vectors[..., :3, :], vectors[..., 3:, :]
 
 
-def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatArray:
-    """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, shape (..., 2, 3).
+def stage_coordinates(configuration: Batched, modes: str = "TT") -> FloatArray:
+    """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, shape (..., 2, 3); of a stage one.
 
     x and y are parts of the quaternion of the middle platform, turned by half a turn about its normal in mode F; Z is
     the height of its centre. NaN where there is no configuration, or one of other modes.
@@ -69,8 +70,9 @@ def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatA
     middle, back = configuration.middle_pose.as_matrix(), np.swapaxes(configuration.rotation, -1, -2)
     rotation, centre = middle[..., :3, :3], middle[..., :3, 3]
     seen = (back @ (centre - configuration.translation)[..., None])[..., 0]
+    plates = [(rotation, centre), (back @ rotation, seen)][: len(configuration.machine.legs.kinds)]
     coordinates = []
-    for mode, turn, place in zip(modes, (rotation, back @ rotation), (centre, seen), strict=True):
+    for mode, (turn, place) in zip(modes, plates, strict=False):
         turn = turn if mode == "T" else turn * [-1.0, -1.0, 1.0]
         exists = np.asarray(np.isfinite(turn).all(axis=(-2, -1)))
         quaternion = Rotation.from_matrix(np.where(exists[..., None, None], turn, np.eye(3))).as_quat()
@@ -86,19 +88,19 @@ def tilt_cosine_sum(configuration: Configuration) -> FloatArray:
 
 
 def physical(configuration: Configuration) -> BoolArray:
-    """Return which states are physical, leg limits aside, shape (...).
+    """Return which states are physical, without regard to leg limits, shape (...).
 
-    Those reached from the symmetric home without a forward singularity: no torsion in either stage, each
-    stage on the outer side of its platform, and both in the home's aspect. The signs of det J_b and det J_c do not
-    determine the aspect alone: they are sums of two products of three factors, all six positive at home, and in the
-    home's aspect at most one of them is negative; see `docs/theory/forward_displacement.md`. Of a machine as built, the
-    nominal directions determine the mode, and the machine's own axes the aspect.
+    A physical state is reached from the symmetric home without a forward singularity: no torsion in either stage, each
+    stage on the outer side of its platform, and both in the home assembly region. The signs of det J_b and det J_c do
+    not determine this region alone: they are sums of two products of three factors, all six positive at home, and in
+    the home assembly region at most one is negative; see `docs/theory/forward_displacement.md`. If the machine is
+    calibrated, the nominal directions determine the mode, and the machine's own axes the region.
     """
     position = tuple(np.moveaxis(configuration.translation, -1, 0))
     outer = configuration.leg_vectors * configuration.machine.legs.ups[:, None]
     vectors = configuration.middle_joints, *_stages(outer), configuration.rotation
     upright = np.asarray(_is_upright(*map(rows_of, vectors), position))
-    # Of a batch few are upright, and the aspect takes longer.
+    # In a batch few states are upright, and the test of the region takes longer.
     states = configuration[upright] if configuration.shape else configuration
     outer = outer[upright] if configuration.shape else outer
     stages = zip(*map(_stages, (states.balls, outer, states.leg_axes)), strict=True)

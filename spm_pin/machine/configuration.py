@@ -1,4 +1,4 @@
-"""A state of the manipulator, the platform's pose and the ball joints, and what follows from it."""
+"""A state of the manipulator: pose of the platform, ball joints, and derived quantities."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class Configuration(Batched):
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of the terminal platform {m} in the base {B}.
     middle_joints : array_like, shape (..., 3, 3)
-        Centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m]: those of the lower legs' balls. A member
-        that does not exist is NaN throughout. Leading axes broadcast with those of `pose`.
+        Centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m]: those of the lower legs' balls. A missing
+        member is NaN throughout. Leading axes broadcast with those of `pose`.
 
     Notes
     -----
-    The arrays are copied. Nothing is solved here: the state may violate the loop equations, and `closure_residual`
-    is by how much.
+    The arrays are copied. Nothing is solved here: the state may violate the loop equations; see
+    `closure_residual`.
     """
 
     _machine: Manipulator
@@ -58,7 +58,7 @@ class Configuration(Batched):
         )
         incomplete = np.isnan(joints).any(axis=(-1, -2)) & ~np.isnan(joints).all(axis=(-1, -2))
         if incomplete.any():
-            expected = "all nine coordinates finite, or all NaN for a member that does not exist"
+            expected = "all nine coordinates finite, or all NaN for a missing member"
             raise ArgumentError("middle_joints", expected, f"some NaN at index {first_offender(incomplete)}")
         matrix = transform.as_matrix()
         shape = broadcastable("middle_joints", joints.shape[:-2], "the pose", transform.shape)
@@ -91,19 +91,18 @@ class Configuration(Batched):
 
     def _repr_html_(self) -> str:
         if not self.shape:
-            picture = notebook.stick_figure(self.leg_bases, self.balls) if self.exists else ""
-            return notebook.table(repr(self), self._columns, [self._cells()] if self.exists else [], picture)
+            return notebook.table(repr(self), self._columns, [self._cells()] if self.exists else [])
         rows = notebook.first_rows(self.shape, lambda index: self[index]._cells())
         return notebook.table(repr(self), ("index", *self._columns), rows)
 
     @property
     def _columns(self) -> tuple[str, ...]:
-        """Heading of a notebook's table."""
+        """Heading of the table in a notebook."""
         readings = (f"{leg} [{unit}]" for leg, unit in zip(LEGS, self.machine.legs.units, strict=True))
         return "o in {B} [m]", "roll, pitch, yaw [°]", *readings
 
     def _cells(self) -> tuple[str, ...]:
-        """Return the cells of a single state in a notebook's table."""
+        """Return the cells of a single state for the table in a notebook."""
         if not self.exists:
             return (self._absence(),)
         x, y, z = self.translation
@@ -123,11 +122,11 @@ class Configuration(Batched):
 
     @property
     def compared_points(self) -> FloatArray:
-        """The points by which states are compared, b_i and c_i as rows in {B} [m], shape (..., 6, 3)."""
+        """Points by whose displacement states are compared, b_i and c_i as rows in {B} [m], shape (..., 6, 3)."""
         return np.concatenate([self.middle_joints, self.platform_joints], axis=-2)
 
     def where(self, kept: BoolArray) -> Configuration:
-        """Return the states where `kept` (...) is true; the others have no joints, and keep their pose."""
+        """Return the states where `kept` (...) is true; the others have no joints, but keep their pose."""
         lengths = None if self._known is None else masked(self._known, kept, 1)
         joints = masked(self.middle_joints, kept, 2)
         return Configuration.from_arrays(self.machine, self._rotation, self._translation, joints, lengths)
@@ -144,7 +143,7 @@ class Configuration(Batched):
 
     @cached_property
     def balls(self) -> FloatArray:
-        """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); b_1, b_2, b_3 twice in the drawn machine."""
+        """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); in a nominal machine b_1, b_2, b_3 twice."""
         lower = self.middle_joints
         sides = lower[..., 1, :] - lower[..., 0, :], lower[..., 2, :] - lower[..., 0, :]
         moved = self.machine.legs.upper_ball_weights @ np.stack([*sides, np.cross(*sides)], axis=-2)
@@ -159,7 +158,7 @@ class Configuration(Batched):
 
     @property
     def platform_joints(self) -> FloatArray:
-        """Upper revolute joints c_1, c_2, c_3, or pivots, as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
+        """Pivots of the upper legs, c_1, c_2, c_3, as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
         return self.leg_bases[..., 3:, :]
 
     @cached_property
@@ -178,7 +177,7 @@ class Configuration(Batched):
     def leg_vectors(self) -> FloatArray:
         """Vectors from circle centres to lower balls, and from upper balls to circle centres, in {B} [m], (..., 6, 3).
 
-        Along them the legs push: an RPS leg has its pivot for the centre, other legs have rods.
+        The legs push along these vectors: an RPS leg has its pivot for the centre, other legs have rods.
         """
         centres, balls = self.circle_centres, self.balls
         return frozen(np.concatenate([(balls - centres)[..., :3, :], (centres - balls)[..., 3:, :]], axis=-2))
@@ -195,15 +194,15 @@ class Configuration(Batched):
 
     @property
     def own_circle_centres(self) -> FloatArray:
-        """`circle_centres` as rows in {B} of the lower legs, and in {m} of the upper legs [m], shape (..., 6, 3)."""
+        """`circle_centres` as rows, in {B} for lower legs and in {m} for upper legs [m], shape (..., 6, 3)."""
         centres, _ = self.machine.legs.circles(self.readings)
         return centres
 
     @cached_property
     def circle_centres(self) -> FloatArray:
-        """Centres of the circles that the locked actuators leave to the balls, as rows in {B} [m], shape (..., 6, 3).
+        """Centres of the circles on which balls move with locked actuators, as rows in {B} [m], shape (..., 6, 3).
 
-        The `leg_bases` of RPS legs, the joints of carriage and rod of PRS legs, and the knees of RRS legs.
+        For RPS legs the `leg_bases`, for PRS legs the joints of carriage and rod, for RRS legs the knees.
         """
         if self.machine.legs.are_rps:
             return self.leg_bases
@@ -218,16 +217,18 @@ class Configuration(Batched):
 
     @cached_property
     def readings(self) -> FloatArray:
-        """Readings of the legs' encoders, shape (..., 6): [m], of RRS legs [rad]; NaN for a ball out of a leg's reach.
+        """Readings of the legs' encoders, shape (..., 6): [m], for RRS legs [rad]; NaN for a ball out of a leg's reach.
 
-        Of RPS legs they are `leg_lengths` plus the offsets of the machine.
+        For RPS legs they are `leg_lengths` plus the offsets of the machine.
         """
         legs = self.machine.legs
-        return frozen(self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places))
+        return frozen(
+            self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places, self.machine.crank_middles)
+        )
 
     @cached_property
     def middle_pose(self) -> RigidTransform:
-        """Pose of the middle platform {n} in {B}; at the centre of a drawn machine's triangle, x along b_3 b_1."""
+        """Pose of the middle platform {n} in {B}; in a nominal machine at the triangle's centre, x along b_3 b_1."""
         corners = self.machine.legs.balls[:3]
         frames = triangle_frames(self.middle_joints) @ triangle_frames(corners).T
         centres = self.middle_joints.mean(axis=-2) - frames @ corners.mean(axis=0)
@@ -235,12 +236,12 @@ class Configuration(Batched):
 
     @cached_property
     def closure_residual(self) -> FloatArray:
-        """Largest violation of the nine closure equations [m], shape (...); NaN where a member does not exist.
+        """Largest violation of the nine closure equations [m], shape (...); NaN for a missing member.
 
-        The distances of each ball from the plane of its leg, Eqs. (5b), (5c), and the errors of the sides, Eq. (12).
+        These are distances of balls from the planes of their legs, Eqs. (5b), (5c), and errors of sides, Eq. (12).
         """
         b, legs = self.middle_joints, self.machine.legs
-        # The axes and the planes' distances from O: exact zeros in a drawn machine, whose planes go through Z.
+        # Axes, and distances of the planes from O; the latter are exactly zero in a nominal machine.
         lower = (b * legs.axes[:3]).sum(axis=-1) - (legs.pivots[:3] * legs.axes[:3]).sum(axis=-1)
         upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)
         sides = triangle_sides(b) - legs.sides
@@ -256,7 +257,7 @@ def check_configuration(
     return configuration
 
 
-def check_state(value: Any, argument: str = "configuration", *, existing: bool = False) -> Batched:
+def check_state(value: Any, argument: str = "configuration", *, existing: bool = False) -> Any:
     """Return `value` if it is a state of a manipulator or of a stage, without absent members if `existing`."""
     if not isinstance(value, Batched):
         received = type(value).__name__
@@ -271,14 +272,14 @@ def _cause_of_kind(value: Any) -> str:
 
 
 def check_members(configuration: Batched, argument: str, *, single: bool, existing: bool) -> None:
-    """Raise `ArgumentError` for a batch if one state is wanted, or for absent members if all have to exist."""
+    """Raise `ArgumentError` for a batch if `single`, and for missing members if `existing`."""
     if single and configuration.shape:
-        cause = f"Choose one by its index: {argument}[0]"
+        cause = f"Choose one member by its index: {argument}[0]"
         raise ArgumentError(argument, "a single configuration", f"a batch of shape {configuration.shape}", cause)
     if existing and not configuration.exists.all():
         index = first_offender(~configuration.exists)
         where = f" at batch index {index}" if index else ""
-        cause = configuration.missing_reason or "Not a real solution? See .status and .exists of the SolutionSet"
+        cause = configuration.missing_reason or "Is it no real solution? See .status and .exists of the SolutionSet"
         raise ArgumentError(argument, "a configuration that exists", f"NaN{where}", cause)
 
 

@@ -1,14 +1,14 @@
-"""Values of the revolute, prismatic and ball joints of configurations, and the frames and home they are measured from.
+"""Joint values of configurations (revolute, prismatic and ball joints), with the frames and the home that define them.
 
-A leg's frame stands at its pivot, x along the revolute axis, z as near to the normal of {B} or {m} as that allows. The
-frame at a ball is turned in {n} as the drawn machine's leg frames are in {B}: x along the middle platform's tangent, z
-along its normal. A leg's actuated joint, an RPS leg's slide for one, has the value of its reading less the encoder's
-offset and the reading at the symmetric home; its passive joint turns about the revolute axis, from the direction of leg
-or rod there. The ball joint of a lower leg turns the rod into the middle platform about the leg's revolute axis (x),
-the middle axis (y) and the platform's normal (z), in this order. That of an upper leg turns the middle platform into
-the rod, in the order z, y, x. The home of a machine as built is that of the drawn one.
+A leg's frame is at its pivot, x along the revolute axis, z as close to the normal of {B} or {m} as that allows. The
+frame at a ball has in {n} the orientation of the nominal machine's leg frames in {B}: x along the middle platform's
+tangent, z along its normal. The value of a leg's actuated joint, such as an RPS leg's slide, is its reading minus the
+encoder's offset and the reading in the symmetric home; its passive joint turns about the revolute axis, from the
+direction of leg or rod in the home. The ball joint of a lower leg turns the rod into the middle platform about the
+leg's revolute axis (x), the middle axis (y) and the platform's normal (z), in this order. That of an upper leg turns
+the middle platform into the rod, in the order z, y, x. A calibrated machine has the home of the nominal one.
 
-A stage alone is as the lower stage of a robot, its platform in the place of the middle one.
+A stage alone is treated as the lower stage of a manipulator, its platform as the middle one.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray, frozen, type_and_value, whole_number
 
-# Configurations computed together: intermediate arrays stay in the processor's cache.
+# Number of configurations computed together: intermediate arrays then stay in the processor's cache.
 _BLOCK = 2048
 
 
 def leg_joints(machine: Machine | None = None) -> dict[str, tuple[str, str]]:
-    """Return the names of each leg's two joints, from its plate to its ball, by the names of the legs."""
+    """Return the names of each leg's two joints, from its plate to its ball, by the leg's name."""
     names: dict[str, tuple[str, str]] = {}
     for leg, kind in _legs(machine):
         first, second = kind.joints
@@ -57,9 +57,9 @@ def _legs(machine: Machine | None) -> list[tuple[str, LegKind]]:
 
 
 def joint_names(machine: Machine | None = None) -> tuple[str, ...]:
-    """Return the names of the joints of a machine's URDF: eighteen, by default of RPS legs, or nine of a `Stage`.
+    """Return the joint names of a machine's URDF: eighteen, by default for RPS legs, or nine for a `Stage`.
 
-    Up the first legs to the platform that moves, then those of the other lower and upper legs.
+    First those along the first legs to the moving platform, then those of the other lower and upper legs.
     """
     legs = leg_joints(machine)
     lower, *upper = ((*legs[leg], *(f"ball_{leg[2:]}_{x}" for x in "xyz")) for leg in list(legs)[::3])
@@ -73,23 +73,23 @@ def actuated_joints(machine: Machine | None = None) -> tuple[str, ...]:
 
 
 def value_names(machine: Machine | None = None) -> tuple[str, ...]:
-    """Return the names of the joints in the order of `JointAngles.values` for the balls of the first legs."""
+    """Return the names of `JointAngles.values` in their order, for the balls of the first legs."""
     passive = [f"leg_{leg[2:]}_{kind.passive}" for leg, kind in _legs(machine)]
     balls = (f"ball_{leg[2:]}_{axis}" for axis in "xyz" for leg in list(leg_joints(machine))[::3])
     return *passive, *balls, *actuated_joints(machine)
 
 
 JOINTS = joint_names()
-"""The eighteen joints of a URDF of RPS legs; see `joint_names`."""
+"""The eighteen joints of a URDF with RPS legs; see `joint_names`."""
 
 
 def home_readings(machine: Machine) -> FloatArray:
-    """Return the readings (6,), of a stage (3,), of the symmetric home, offsets aside: [m], of RRS legs [rad].
+    """Return the readings in the symmetric home without offsets, (6,), for a stage (3,): [m], for RRS legs [rad].
 
-    All platforms are level there. The reading is the middle of the limits that the stage's three legs share, if the
-    stage stands there, in a robot above its pivots. Otherwise, and without limits, RPS legs are as long as the shortest
-    allowed and those of a stage as high as the sum of its two radii together, carriages are at their pivots, and balls
-    in the middle of the reach of crank and rod. A `GeometryError` is raised for a stage that does not stand there
+    All platforms are level there. The reading is the middle of the limits common to the stage's three legs, if the
+    stage can be level with it, in a manipulator above its pivots. Otherwise, and without limits, RPS legs have the
+    smallest allowed length and those of a stage the sum of its two radii; carriages are at their pivots, and balls
+    in the middle of the reach of crank and rod. A `GeometryError` is raised if the stage cannot be level with that
     either.
     """
     readings, _ = homes(check_machine(machine))
@@ -98,7 +98,7 @@ def home_readings(machine: Machine) -> FloatArray:
 
 @functools.lru_cache(maxsize=64)
 def homes(machine: Machine) -> tuple[FloatArray, FloatArray]:
-    """Return `home_readings`, and the balls' places there (6, 2), x and z in the planes of the legs [m]."""
+    """Return `home_readings`, and the positions of the balls there (6, 2), x and z in the planes of the legs [m]."""
     count = len(machine.legs.names)
     readings, places = np.empty(count), np.empty((count, 2))
     for stage, (radius, ball_radius) in enumerate(machine.stage_radii):
@@ -116,13 +116,13 @@ def homes(machine: Machine) -> tuple[FloatArray, FloatArray]:
                 at_home = at_home if np.isnan(z) else formulas.LegHome(middle, x, z)
         places[legs] = x, at_home.z
         # Legs of the other working mode have another reading in the same place.
-        own = kind.readings(places[legs])
+        own = kind.readings(places[legs], machine.crank_middles[legs])
         readings[legs] = np.where(signs == signs[0], at_home.reading, own)
         stands = at_home.z > 0.0 or is_alone or kind.up < 0.0
         if not (stands and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
             ends = f" between {low:g} and {high:g} {kind.unit}" if limits else ""
             expected = "a machine whose platforms are level at the middle of its limits"
-            cause = "A rod too short, another sign, or limits about a place where the stage does not stand?"
+            cause = "Is a rod too short, a sign wrong, or does the stage have no level state within its limits?"
             raise GeometryError("machine", expected, f"{kind!r} on radii of {radius:g} m{ends}", cause)
     return frozen(readings), frozen(places)
 
@@ -132,12 +132,12 @@ _FORMULAS = upper_balls, formulas.leg_values, formulas.leg_frame, formulas.trian
 
 
 def _of_numbers(function: Callable[..., Any]) -> Callable[..., float]:
-    """Return a function of NumPy's arrays as one of Python's numbers, with the same bits."""
+    """Return a function of NumPy arrays as one of Python floats, with the same bits."""
     return lambda *numbers: float(function(*numbers))
 
 
 def _runner(**operations: Callable[..., Any]) -> SimpleNamespace:
-    """Return the formulas with these operations by their names, and those of each kind of legs."""
+    """Return the formulas with these operations, and those of each kind of legs."""
     bound = {formula.__name__: bind(formula, **operations) for formula in _FORMULAS}
     kinds = {kind: kind.bound(lambda formula: bind(formula, **operations)) for kind in KINDS.values()}
     return SimpleNamespace(sqrt=operations["sqrt"], kinds=kinds, **bound)
@@ -153,7 +153,7 @@ _ON_NUMBERS = _runner(
 class _Constants(NamedTuple):
     legs: tuple[formulas.LegFrame, ...]
     sides: tuple[float, ...]  # b_1 b_2, b_2 b_3 and b_3 b_1
-    weights: Any  # see `upper_ball_weights`; None of a stage alone
+    weights: Any  # see `upper_ball_weights`; None for a stage alone
     kinds: tuple[type[LegKind], ...]  # of the legs
 
 
@@ -162,6 +162,7 @@ def _constants(machine: Machine) -> _Constants:
     axes, pivots, balls = map(_tuples, machine.legs.arrays[:3])
     own_axes, legs, kinds = _ON_NUMBERS.triangle_axes(balls[:3]), [], []
     readings, places = homes(machine)
+    middles = machine.crank_middles.tolist()
     for leg in range(len(readings)):
         kind, signs = machine.legs.kinds[leg // 3], (TANGENT_SIGNS[leg % 3], (1.0, -1.0)[leg // 3])
         kinds.append(type(kind))
@@ -169,7 +170,7 @@ def _constants(machine: Machine) -> _Constants:
         at_home = formulas.LegHome(readings[leg].item(), *places[leg].tolist())
         placement, run = (axes[leg], pivots[leg]), _ON_NUMBERS
         drawn_axis, of_kind = AXES[leg % 3], run.kinds[type(kind)]
-        legs.append(run.leg_frame(placement, drawn_axis, own_axes, signs, at_home, numbers, of_kind))
+        legs.append(run.leg_frame(placement, drawn_axis, own_axes, signs, at_home, middles[leg], numbers, of_kind))
     weights = _tuples(machine.legs.upper_ball_weights) if len(machine.stage_radii) == 2 else None
     return _Constants(tuple(legs), tuple(machine.legs.sides.tolist()), weights, tuple(kinds))
 
@@ -180,15 +181,15 @@ def _tuples(matrix: FloatArray) -> Any:
 
 @dataclass(frozen=True)
 class JointAngles:
-    """Joint values of configurations; NaN where one does not exist."""
+    """Joint values of configurations; NaN for missing ones."""
 
     values: FloatArray
-    """The passive joints; the balls' angles about x, y and z, of n lower and then n upper legs; the actuated joints;
-    shape (..., 12 + 6 n), of a stage alone (..., 6 + 3 n). Their names are `value_names`."""
+    """Values of the passive joints, of the balls about x, y and z (n lower, then n upper legs), of the actuated joints;
+    shape (..., 12 + 6 n), for a stage alone (..., 6 + 3 n). `value_names` has their names."""
     closure_residual: FloatArray
     """`Configuration.closure_residual` [m], shape (...)."""
     legs: int = 6
-    """Number of the legs, 3 of a stage alone."""
+    """Number of legs: 6, or 3 for a stage alone."""
 
     @property
     def passive(self) -> FloatArray:
@@ -215,7 +216,7 @@ class JointAngles:
 
     @property
     def actuated(self) -> FloatArray:
-        """Readings less offsets and the readings at home, shape (..., legs): [m], of RRS legs [rad]."""
+        """Readings minus offsets and readings in the home, shape (..., legs): [m], for RRS legs [rad]."""
         return self.values[..., -self.legs :]
 
     @property
@@ -227,7 +228,7 @@ class JointAngles:
 def check_state(
     value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False
 ) -> Configuration | StageConfiguration:
-    """Return `value` if it is a configuration of a robot or of a stage; see `check_configuration`."""
+    """Return `value` if it is a configuration of a manipulator or of a stage; see `check_configuration`."""
     if not isinstance(value, StageConfiguration):
         return check_configuration(value, argument, single=single, existing=existing)
     check_members(value, argument, single=single, existing=existing)
@@ -239,8 +240,8 @@ def joint_angles(
 ) -> JointAngles:
     """Return the joint values of configurations of shape (...), closed or not.
 
-    The ball joints are those of the legs `corners`, 0 to 2, of each stage. The values of a member are bit for bit the
-    same in any batch.
+    The ball joints are those of the legs `corners`, 0 to 2, of each stage. The values of a member are the
+    same bits in any batch.
     """
     check_state(configuration)
     if not isinstance(corners, tuple | list):
@@ -275,18 +276,18 @@ def joint_angles(
 
 
 def _single(state: list[FloatArray], constants: _Constants, corners: tuple[int, ...]) -> JointAngles:
-    """Return the values of one state, computed in Python's numbers: NumPy takes longer for arrays of one."""
+    """Return the values of one state, computed with Python floats: NumPy takes longer for arrays of one."""
     legs = len(constants.legs)
     try:
         parts = [tuple(a.ravel().tolist()) for a in state]
         angles, actuated, errors = _values(_rows(parts), constants, corners, _ON_NUMBERS)
-    except ZeroDivisionError:  # balls in one place or in a line
+    except ZeroDivisionError:  # balls coincide or are in a line
         return JointAngles(np.full(2 * legs + legs * len(corners), np.nan), np.array(np.nan), legs)
     return JointAngles(np.concatenate([np.arctan2(*zip(*angles, strict=True)), actuated]), np.array(max(errors)), legs)
 
 
 def _rows(parts: Sequence[Sequence[Any]]) -> Sequence[Any]:
-    """Return b_i as formulas take them, and of a robot R and o before, from their components."""
+    """Return b_i as the formulas take them, for a manipulator after R and o, from their components."""
     *pose, b = parts
     triangle = b[:3], b[3:6], b[6:]
     if not pose:
@@ -298,9 +299,9 @@ def _rows(parts: Sequence[Sequence[Any]]) -> Sequence[Any]:
 def _values(
     state: Sequence[Any], constants: _Constants, corners: tuple[int, ...], run: SimpleNamespace
 ) -> tuple[list[formulas.Angle], list[Any], list[Any]]:
-    """Return angles as multiples of (sine, cosine), actuated joints, and closure errors: of numbers, or of arrays (n,).
+    """Return (sine, cosine) multiples of angles, actuated joints, and closure errors, for numbers or arrays (n,).
 
-    The angles are those of the passive joints, then the balls' x, y and z. `state` is that of `_rows`.
+    The angles are those of the passive joints, then the balls' x, y and z. `state` comes from `_rows`.
     """
     *pose, b = state
     axes, balls = run.triangle_axes(b), [*b]

@@ -1,7 +1,7 @@
-"""The kinds of planar legs, RPS, PRS and RRS, with the numbers that are fixed in the three legs of a stage.
+"""The kinds of planar legs, RPS, PRS and RRS, with the fixed dimensions of the three legs of a stage.
 
-The actuated joint, underlined in the literature, is the P of RPS and of PRS and the first R of RRS. All three hold a
-ball on a circle when the actuator is locked: `spm_pin.formulas.planar_legs`.
+The actuated joint, underlined in the literature, is the P of RPS and of PRS and the first R of RRS. With a locked
+actuator the ball of each kind moves on a circle: `spm_pin.formulas.planar_legs`.
 """
 
 from __future__ import annotations
@@ -31,49 +31,49 @@ from spm_pin.support.arguments import (
 )
 
 Number = float | Sequence[float]
-"""One number of all three legs, or one for each."""
+"""One number for all three legs, or one for each."""
 
 FORMULAS = "reading", "reach", "room", "circle", "slope", "largest_slope", "home", "passive"
-"""What every kind has a formula for."""
+"""Names of the formulas that every kind has."""
 _STEP = 1e-100
 """Imaginary step of a derivative."""
 
 
 @dataclass(frozen=True)
 class LegKind:
-    """What planar legs of a stage have in common; see `RPS`, `PRS` and `RRS`."""
+    """Base class of planar legs of a stage; see `RPS`, `PRS` and `RRS`."""
 
     name: ClassVar[str]
     unit: ClassVar[str]
-    """Of readings: "m" or "rad"."""
+    """Unit of the readings, "m" or "rad"."""
     meaning: ClassVar[str]
-    """What a reading is, offset aside."""
+    """Meaning of a reading without its offset, in words."""
     effort_unit: ClassVar[str]
-    """Of what the actuator exerts: "N" or "N m"."""
+    """Unit of the actuator effort, "N" or "N m"."""
     joints: ClassVar[tuple[str, str]]
     """Names of the two joints from the plate to the ball: "hip", "slide" or "knee"."""
     actuated: ClassVar[str]
-    """Which of them the actuator moves."""
+    """Name of the actuated one."""
     body: ClassVar[str]
     """Name of the body between them."""
     least_reading: ClassVar[float] = -math.inf
-    """Beyond which every reading is, offset aside."""
+    """Lower bound of the reading, without its offset."""
     identified: ClassVar[tuple[str, ...]] = ()
-    """Names of the numbers that a maker chooses and a calibration identifies: all but the working mode."""
+    """Names of the numbers that a design chooses and a calibration identifies: all but the working mode."""
     turned: ClassVar[tuple[float, ...]]
-    """Changes of the offset, and of each of the `identified` numbers, that amount to a unit turn of the leg's links."""
+    """Changes of the offset, and of each `identified` number, that correspond to a unit rotation of the leg's links."""
     number: ClassVar[int]
-    """The kind's number of `spm_pin.formulas.planar_legs`, for kernels."""
+    """Number of the kind in `spm_pin.formulas.planar_legs`, for kernels."""
     formulas: ClassVar[SimpleNamespace]
-    """The kind's formulas of `spm_pin.formulas.planar_legs`, see `FORMULAS`, for runners to bind."""
+    """Formulas of the kind in `spm_pin.formulas.planar_legs`, see `FORMULAS`, for each backend to bind."""
     on_arrays: ClassVar[SimpleNamespace]
-    """The same as functions of NumPy's arrays."""
+    """The same as functions of NumPy arrays."""
 
     @raised_as(GeometryError)
     def __post_init__(self) -> None:
         for field in fields(self):
             legs = _three(getattr(self, field.name), field.name, _READERS[field.name])
-            # One number where the legs are equal, as it was drawn.
+            # Store a scalar if all three legs are equal.
             object.__setattr__(self, field.name, legs[0] if len(set(legs)) == 1 else legs)
 
     def __init_subclass__(cls) -> None:
@@ -88,18 +88,18 @@ class LegKind:
 
     @property
     def passive(self) -> str:
-        """Name of the joint that the actuator does not move, which is revolute."""
+        """Name of the joint without actuator, which is revolute."""
         return self.joints[self.joints[0] == self.actuated]
 
     @property
     def links(self) -> FloatArray:
-        """Sum of the lengths that are fixed in each leg [m], (3,)."""
+        """Sum of the fixed lengths of each leg [m], (3,)."""
         lengths = [getattr(self, field.name) for field in fields(self) if _READERS[field.name] is dimension]
         return np.asarray(sum((np.broadcast_to(length, 3) for length in lengths), np.zeros(3)))
 
     @functools.cached_property
     def numbers(self) -> FloatArray:
-        """The fixed numbers as the formulas take them, (3, n)."""
+        """The fixed numbers as arguments of the formulas, (3, n)."""
         rows = [np.broadcast_to(getattr(self, field.name), 3) for field in fields(self)]
         return frozen(np.array(rows, dtype=np.float64).reshape(len(rows), 3).T)
 
@@ -122,16 +122,16 @@ class LegKind:
 
     @classmethod
     def up_of(cls, bind: Callable[[Any], Any], numbers: Sequence[Any]) -> Any:
-        """Return `up` of three legs with these numbers, by formulas bound by a function such as `on_arrays`."""
+        """Return `up` for three legs with these numbers, by formulas bound by a function such as `on_arrays`."""
         return 1.0
 
     def as_data(self) -> dict[str, Any]:
-        """Return what a file says of these legs."""
+        """Return the data of these legs for a file."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {"kind": self.name} | {name: list(x) if isinstance(x, tuple) else x for name, x in values.items()}
 
     def with_numbers(self, identified: FloatArray) -> LegKind:
-        """Return legs with other identified numbers (3, n)."""
+        """Return legs with other `identified` numbers (3, n)."""
         return replace(self, **dict(zip(self.identified, map(tuple, identified.T.tolist()), strict=True)))
 
     @property
@@ -139,10 +139,13 @@ class LegKind:
         """The legs in the order 3, 2, 1."""
         return replace(self, **{name: x[::-1] for name, x in vars(self).items() if isinstance(x, tuple)})
 
-    def readings(self, places: FloatArray) -> FloatArray:
-        """Return the readings (..., 3) of balls at x and z (..., 3, 2), offsets aside; NaN out of a leg's reach."""
+    def readings(self, places: FloatArray, middles: FloatArray) -> FloatArray:
+        """Return the readings (..., 3) of balls at x and z (..., 3, 2), offsets aside; NaN out of a leg's reach.
+
+        Angles are those nearest to `middles` (3,), see `planar_legs.crank_middle`.
+        """
         with np.errstate(invalid="ignore"):
-            return np.asarray(self.on_arrays.reading(places[..., 0], places[..., 1], tuple(self.numbers.T)))
+            return np.asarray(self.on_arrays.reading(places[..., 0], places[..., 1], middles, tuple(self.numbers.T)))
 
     def circles(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the centres (..., 3, 2), x and z, and the radii (..., 3) of the balls' circles."""
@@ -153,7 +156,7 @@ class LegKind:
     def circle_derivatives(self, readings: FloatArray) -> FloatArray:
         """Return the derivatives of x, z and radius of the balls' circles, (..., 3, 3, 1 + n).
 
-        By the reading, then by each of the `identified` numbers.
+        The derivatives are by the reading, then by each of the `identified` numbers.
         """
         given = np.broadcast_to(self.numbers, (*readings.shape, self.numbers.shape[1]))
         given = np.concatenate([readings[..., None], given], axis=-1)
@@ -165,7 +168,7 @@ class LegKind:
         return np.stack(columns, axis=-1)
 
     def rooms(self, places: FloatArray) -> FloatArray:
-        """Return how far balls at x and z (..., 3, 2) are from where the legs are singular [m], (..., 3).
+        """Return the distance of balls at x and z (..., 3, 2) from the leg's own singularities [m], (..., 3).
 
         Negative out of a leg's reach.
         """
@@ -184,7 +187,7 @@ class LegKind:
 
 @dataclass(frozen=True)
 class RPS(LegKind):
-    """Legs of a revolute joint, an actuated prismatic one, and a ball: cylinders. A reading is a length [m]."""
+    """Cylinders: a revolute joint, an actuated prismatic one, and a ball. A reading is a length [m]."""
 
     number = planar_legs.RPS_LEGS
     unit = "m"
@@ -199,18 +202,18 @@ class RPS(LegKind):
 
 @dataclass(frozen=True)
 class PRS(LegKind):
-    """Legs of an actuated slide, a revolute joint and a ball: a carriage on a rail, or a nut on a screw, and a rod.
+    """A carriage on a rail, or a nut on a screw, and a rod: an actuated slide, a revolute joint and a ball.
 
-    A reading is the place of the carriage along the rail [m], from the pivot.
+    A reading is the position of the carriage along the rail [m], from the pivot.
 
     Parameters
     ----------
     rod : float, or three
-        From the revolute joint to the ball [m].
+        Distance from the revolute joint to the ball [m].
     direction : float, or three
-        Of the slide in the leg's plane: an angle [rad] from radially outwards, 0, to the middle platform, π/2.
+        Direction of the slide in the leg's plane [rad]: 0 is radially outwards, π/2 towards the middle platform.
     sign : int, or three
-        The working mode: -1 where the carriage is behind the ball, seen along the slide, +1 where it is ahead.
+        Working mode: -1 if the carriage is behind the ball, seen along the slide, +1 if it is ahead.
     """
 
     rod: Number
@@ -219,7 +222,7 @@ class PRS(LegKind):
 
     number = planar_legs.PRS_LEGS
     unit = "m"
-    meaning = "the place of the carriage along its slide, from the pivot"
+    meaning = "the position of the carriage along its slide, from the pivot"
     effort_unit = "N"
     joints = ("slide", "knee")
     actuated = "slide"
@@ -229,24 +232,25 @@ class PRS(LegKind):
 
     @classmethod
     def up_of(cls, bind: Callable[[Any], Any], numbers: Sequence[Any]) -> Any:
-        """Return `up` of three legs: -1 if the carriages are ahead of the balls on slides that rise."""
+        """Return `up` for three legs: -1 if the carriages are ahead of the balls on slides that rise."""
         return bind(planar_legs.prs_up)(*numbers)
 
 
 @dataclass(frozen=True)
 class RRS(LegKind):
-    """Legs of an actuated revolute joint, a second one and a ball: a servo's crank and a rod.
+    """A servo's crank and a rod: an actuated revolute joint, a second one and a ball.
 
-    A reading is the angle of the crank in the leg's plane [rad], -π/2 to 3π/2: 0 radially outwards, π/2 towards the
-    middle platform. Limits are within this turn, since readings jump where the crank points away from the platform.
+    A reading is the angle of the crank in the leg's plane [rad]: 0 radially outwards, π/2 towards the middle platform.
+    Of the angles that differ by turns it is the one nearest to the middle of the machine's limits of this leg, which
+    may be anywhere and up to a turn apart; without two limits the one from -π/2 to 3π/2, offset aside.
 
     Parameters
     ----------
     crank, rod : float, or three
-        From the servo's axis to the knee, and from there to the ball [m].
+        Distances from the servo's axis to the knee, and from there to the ball [m].
     sign : int, or three
-        The working mode: -1 where the knee is on the outer side of the line from the servo's axis to the ball, +1 where
-        it is on the inner.
+        Working mode: -1 if the knee is on the outer side of the line from the servo's axis to the ball, +1 if
+        it is on the inner side.
     """
 
     crank: Number
@@ -273,8 +277,8 @@ def _sign(value: Any, argument: str) -> float:
 
 
 def _direction(value: Any, argument: str) -> float:
-    expected = "an angle in radians, of at most one turn"
-    return real_number(value, argument, expected, least=-MOST_TURNED, most=MOST_TURNED, cause="Given in degrees?")
+    expected = "an angle in radians, at most one turn"
+    return real_number(value, argument, expected, least=-MOST_TURNED, most=MOST_TURNED, cause="Is it in degrees?")
 
 
 _READERS: dict[str, Callable[[Any, str], float]] = {
@@ -285,13 +289,13 @@ _READERS: dict[str, Callable[[Any, str], float]] = {
 }
 _SIZES, _TURNS = (SMALLEST, LARGEST), (-MOST_TURNED, MOST_TURNED)
 BOUNDS = {"rod": _SIZES, "crank": _SIZES, "direction": _TURNS, "sign": (-1.0, 1.0)}
-"""Between which the numbers fixed in a leg are; a sign is one of its bounds."""
+"""Ranges of the fixed numbers; a sign is one of its bounds."""
 KINDS: dict[str, type[LegKind]] = {kind.__name__: kind for kind in (RPS, PRS, RRS)}
-"""The kinds of legs by their names."""
+"""The kinds of legs, by name."""
 
 
 def drawn_numbers(numbers: Sequence[Any], identified: int) -> Any:
-    """Return the numbers of three legs as drawn, with the means of the first ones, which a calibration identifies."""
+    """Return the numbers of three nominal legs, with the means of the first ones, which a calibration identifies."""
     means = tuple((numbers[0][k] + numbers[1][k] + numbers[2][k]) / 3.0 for k in range(identified))
     return tuple((*means, *x[identified:]) for x in numbers)
 

@@ -37,15 +37,15 @@ LEGS = COLUMNS[6]
 STAGE_LEGS = STAGE_COLUMNS
 """Names and order of the legs of a stage alone."""
 
-# Unit vectors towards leg 1, 2, 3, and the revolute axes R_1i of Eq. (4a), in {B}; in {m} they read the same.
+# Unit vectors towards legs 1, 2, 3, and revolute axes R_1i of Eq. (4a), in {B}; their components in {m} are the same.
 RADIAL, AXES = np.array(leg_constants.RADIAL), np.array(leg_constants.AXES)
 AZIMUTHS = np.arctan2(RADIAL[:, 1], RADIAL[:, 0])
-"""Directions of the drawn legs 1, 2, 3 from x towards y [rad]: -30, 90 and 210 degrees."""
+"""Azimuths of the nominal legs 1, 2, 3, from x towards y [rad]: -30, 90 and 210 degrees."""
 
 COMPONENTS = ("direction_1", "direction_2", *(f"{p}_{x}" for p in ("pivot", "ball") for x in "xyz"), "offset")
 """Names of the nine parameters of an RPS leg."""
 _MOST_LENGTH, _MOST_ANGLE = 1e7, 0.2
-"""Largest standard deviations of random errors: normal numbers then do not leave the ranges accepted."""
+"""Largest standard deviations of random errors, for which normal numbers stay in the accepted ranges."""
 
 _turned_axis = on_arrays(leg_constants.turned_axis)
 _triangle_axes, _squared_sides = on_arrays(triangle_axes), on_arrays(circles.squared_sides)
@@ -54,8 +54,8 @@ _limit_rounding = on_arrays(leg_constants.limit_rounding)
 _upper_ball_weights = on_arrays(leg_planes.upper_ball_weights)
 _plane_axes = on_arrays(planar_legs.plane_axes)
 _UNIT = 1e-6
-"""Largest error of the length of an axis that is taken for rounding."""
-_UNITS = "metres, of RRS legs in radians"
+"""Largest difference of an axis's length from 1 that counts as rounding."""
+_UNITS = "metres, for RRS legs radians"
 _STEP = 1e-100
 """Imaginary step of a derivative."""
 _FLAT = 1e-6
@@ -64,17 +64,17 @@ _FLAT = 1e-6
 
 @dataclass(frozen=True, init=False, repr=False)
 class LegLimits:
-    """Smallest and largest reading of each leg.
+    """Minimum and maximum reading of each leg.
 
     Parameters
     ----------
     minimum, maximum : float or sequence of six floats
-        In the order of `LEGS`: in metres, of RRS legs in radians. They may be infinite. `StageLimits` are of three.
+        In the order of `LEGS`, in metres, for RRS legs in radians. They may be infinite. `StageLimits` has three legs.
 
     Notes
     -----
-    A reading beyond a limit by rounding is within it, everywhere in this package and in what it exports: by at most
-    1e-8 of the larger of the leg's finite limits.
+    A reading beyond a limit by rounding, at most 1e-8 of the larger finite limit of the leg, counts as within it, in
+    all functions of this package and in exported programs.
     """
 
     minimum: tuple[float, ...]
@@ -94,7 +94,7 @@ class LegLimits:
     @classmethod
     @raised_as(GeometryError)
     def stages(cls, lower: Sequence[float], upper: Sequence[float]) -> LegLimits:
-        """Make limits from (minimum, maximum) of the lower legs and of the upper ones [m], of RRS legs [rad]."""
+        """Make limits from (minimum, maximum) of the lower and of the upper legs [m], for RRS legs [rad]."""
         pairs = [number_pair(lower, "lower", _UNITS)] * 3 + [number_pair(upper, "upper", _UNITS)] * 3
         return LegLimits(*zip(*pairs, strict=True))
 
@@ -120,21 +120,21 @@ class LegLimits:
 
     @functools.cached_property
     def admitted(self) -> FloatArray:
-        """Ends (2, 6) of the readings that count as within the limits: these and what rounding adds."""
+        """Minima and maxima (2, 6) with the tolerance for rounding."""
         return frozen(np.array(_admitted_readings(*self.ends)))
 
     @property
     def rounding(self) -> FloatArray:
-        """By how much readings (6,) may be beyond the limits and count as within them."""
+        """Tolerance (6,) for readings beyond the limits, for rounding."""
         return np.asarray(_limit_rounding(*self.ends))
 
     def contains(self, readings: npt.ArrayLike) -> BoolArray:
-        """Return which sets of readings (..., 6) respect all limits, to rounding; NaN does not."""
+        """Return which sets of readings (..., 6) are within all limits, to rounding; False for NaN."""
         lengths, (low, high) = self._read(readings), self.admitted
         return np.asarray(_least(np.minimum(lengths - low, high - lengths)) >= 0.0)
 
     def excess(self, readings: npt.ArrayLike) -> FloatArray:
-        """Return by how much each of (..., 6) is above its limits, or below (negative), in its unit; 0 within them."""
+        """Return the excess of each of (..., 6) above its limits, negative below them, in its unit; 0 within them."""
         lengths, (low, high) = self._read(readings), self.admitted
         beyond = np.maximum(lengths - self.maximum, 0.0) + np.minimum(lengths - self.minimum, 0.0)
         return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
@@ -142,21 +142,21 @@ class LegLimits:
     def margin(self, readings: npt.ArrayLike, scale: npt.ArrayLike | None = None) -> FloatArray:
         """Return the distance of the worst leg of (..., 6) to its limits; negative outside, NaN for NaN.
 
-        `scale` (6,) is what a unit of each reading counts, 1 if not given.
+        `scale` (6,) is the factor for each reading, 1 if not given.
         """
         lengths, (low, high) = self._read(readings), self.admitted
         room = np.minimum(lengths - self.minimum, self.maximum - lengths)
         if scale is not None:
-            room = room * real_array(scale, "scale", (len(self.legs),), "what a unit of each reading counts")
+            room = room * real_array(scale, "scale", (len(self.legs),), "a factor for each reading")
         return _least(np.where((lengths >= low) & (lengths <= high), np.maximum(room, 0.0), room))
 
     def _read(self, readings: npt.ArrayLike) -> FloatArray:
         shape = (len(self.legs),)
-        return real_array(readings, "readings", shape, f"what the encoders show, in {_UNITS}", allow_nan=True)
+        return real_array(readings, "readings", shape, f"readings of the encoders, in {_UNITS}", allow_nan=True)
 
 
 class StageLimits(LegLimits):
-    """Smallest and largest reading of the three legs of a `Stage`: one number for all, or three; see `LegLimits`."""
+    """Minimum and maximum reading of the three legs of a `Stage`: one number for all, or three; see `LegLimits`."""
 
     legs = STAGE_LEGS
 
@@ -164,12 +164,14 @@ class StageLimits(LegLimits):
 def check_path_readings(
     limits: LegLimits | None, units: Sequence[str], readings: FloatArray, argument: str, places: FloatArray, what: str
 ) -> None:
-    """Raise `UnreachableError` at the first of `places` (n,) where readings (n, 6) are beyond the limits, if any."""
-    excess = np.zeros(readings.shape) if limits is None else limits.excess(readings)
+    """Raise `UnreachableError` at the first of `places` (n,) where readings (n, legs) are beyond the limits, if any."""
+    if limits is None:
+        return
+    excess = limits.excess(readings)
     if excess.any():
         k = int(excess.any(axis=-1).argmax())
         leg = int(np.abs(excess[k]).argmax())
-        received = f"{LEGS[leg]} of {readings[k, leg]:.6g} {units[leg]} at {what} {places[k]:.4g}"
+        received = f"{limits.legs[leg]} of {readings[k, leg]:.6g} {units[leg]} at {what} {places[k]:.4g}"
         raise UnreachableError(argument, f"readings within the machine's {limits}", received)
 
 
@@ -187,19 +189,19 @@ def _of_legs(value: float | Sequence[float], argument: str, legs: tuple[str, ...
     if array.shape not in ((), (len(legs),)):
         raise GeometryError(argument, expected, f"shape {array.shape}")
     if np.isnan(array).any():
-        raise GeometryError(argument, expected, "NaN", "Use infinity, or 0 for a least length, where there is no limit")
+        raise GeometryError("limits", expected, "NaN", "Use infinity for no maximum, or 0 for no minimum of a length")
     return tuple(float(x) for x in np.broadcast_to(array, len(legs)))
 
 
 class PlacedLegs(NamedTuple):
-    """The legs of one stage, a lower or an upper one, in the frame of the plate that carries them."""
+    """The legs of one stage, lower or upper, in the frame of their plate."""
 
     axes: FloatArray
     """Revolute axes of the legs, as rows (3, 3)."""
     balls: FloatArray
     """Centres of the balls in the platform's frame, as rows (3, 3) [m]."""
     up: float
-    """-1 where the platform is below the circles' centres at home, in the direction of z."""
+    """-1 if the platform is below the circles' centres at home, in the direction of z; otherwise +1."""
     pivots: FloatArray
     planes: FloatArray
     """Unit vectors x and z of the legs' planes (2, 3, 3)."""
@@ -209,30 +211,30 @@ class PlacedLegs(NamedTuple):
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Legs:
-    """Kinds, axes, pivots, balls and encoder offsets of the six legs of a machine, or the three of a stage; read-only.
+    """Kinds, axes, pivots, balls and encoder offsets of the legs of a manipulator (six) or a stage (three); read-only.
 
-    They are in the order of `LEGS`. Those of a `Stage` alone have one kind, and are a lower stage's.
+    They are in the order of `LEGS`. The legs of a `Stage` have one kind, and are those of a lower stage.
 
-    Leg i moves in the plane through its pivot that is normal to its axis, the direction of its revolute joints, and
-    holds the centre of a ball of the middle platform there. Its reading is that of its kind, plus the offset: of an RPS
-    leg |ball - pivot| + offset.
+    Leg i moves in the plane through its pivot that is normal to its axis, the direction of its revolute joints; the
+    centre of a ball of the middle platform stays in this plane. Its reading is that of its kind, plus the offset: for
+    an RPS leg |ball - pivot| + offset.
 
     Parameters
     ----------
     axes : array_like, shape (6, 3)
-        Unit vectors along the revolute axes, of the lower legs in {B}, of the upper legs in {m}. Either sense gives the
-        same machine; the one within a quarter turn of the drawn axis is stored.
+        Unit vectors along the revolute axes, in {B} for lower legs, in {m} for upper legs. Either sense gives the
+        same machine; the one within a quarter turn of the nominal axis is stored.
     pivots : array_like, shape (6, 3)
-        Points of these axes where the legs' lines start [m], in the same frames.
+        Points of these axes where the legs begin [m], in the same frames.
     balls : array_like, shape (6, 3)
         Centres of the balls [m] in {n}. Those of a lower and of an upper leg need not coincide.
     offsets : array_like, shape (6,)
-        What each reading exceeds that of its leg's own dimensions by [m], or [rad] of RRS legs.
+        Encoder offsets: reading minus value computed from the leg's own dimensions [m], for RRS legs [rad].
     kinds : pair of LegKind, or one
-        What the lower and the upper legs are, with the numbers fixed in them: `RPS`, `PRS` or `RRS`.
+        Kinds of the lower and the upper legs with their fixed numbers: `RPS`, `PRS` or `RRS`.
 
-    A `GeometryError` is raised for a number beyond 1e9 m, an axis that is no unit vector, and balls of the lower or of
-    the upper legs that are on one line.
+    A `GeometryError` is raised for a number beyond 1e9 m, an axis that is not a unit vector, and three balls of the
+    lower or of the upper legs on one line.
     """
 
     axes: FloatArray
@@ -241,7 +243,7 @@ class Legs:
     offsets: FloatArray
     kinds: tuple[LegKind, ...] = (RPS(), RPS())
     is_drawn: bool = field(default=False, init=False)
-    """True for legs that a `Manipulator` or a `Stage` has drawn from its dimensions."""
+    """True for legs that a `Manipulator` or a `Stage` has computed from its dimensions."""
 
     @raised_as(GeometryError)
     def __post_init__(self) -> None:
@@ -256,7 +258,7 @@ class Legs:
             leg = int(wrong.argmax())
             expected = "unit vectors along the revolute axes"
             raise ArgumentError("axes", expected, f"length {sizes[leg]:g} of {names[leg]}", "Divide it by its length")
-        # An exact unit vector keeps its bits, so that writing and reading gives the same machine.
+        # An exact unit vector keeps its bits, so that a machine is the same after writing and reading.
         exact = np.abs(sizes - 1.0) <= 4.0 * np.finfo(float).eps
         pivots = bounded_array(self.pivots, "pivots", (count, 3), "points of the revolute axes in metres")
         balls = bounded_array(self.balls, "balls", (count, 3), "ball centres in {n} in metres")
@@ -265,21 +267,21 @@ class Legs:
             longest = triangle_sides(b).max()
             if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
                 expected = "three ball centres of each stage that form a triangle"
-                raise ArgumentError("balls", expected, f"those of the {stage} legs on one line")
+                raise ArgumentError("balls", expected, f"balls of the {stage} legs on one line")
             if all(np.cross(x[1] - x[0], x[2] - x[0])[2] < 0.0 for x in (b, p)):
-                expected = f"{stage} legs 1, 2, 3 counterclockwise about z, as drawn at -30, 90, 210 degrees"
+                expected = f"{stage} legs 1, 2, 3 counterclockwise about z, nominally at -30, 90, 210 degrees"
                 cause = "List the legs in the opposite order, in axes, pivots, balls, offsets and numbers of the kind"
                 raise ArgumentError("balls", expected, "a clockwise order", cause)
             for name, points in (("pivots", p), ("balls", b)):
                 if (RADIAL * points).sum() < 0.0:
                     turn = math.degrees(np.arctan2(np.cross(RADIAL, points)[:, 2].sum(), (RADIAL * points).sum()))
-                    expected = f"{stage} legs within a quarter turn of the azimuths drawn, -30, 90, 210 degrees"
+                    expected = f"{stage} legs within a quarter turn of the nominal azimuths, -30, 90, 210 degrees"
                     cause = (
                         "Turn axes, pivots and balls about z by one angle, or name the leg nearest to -30 degrees leg 1"
                     )
                     raise ArgumentError(name, expected, f"{name} turned by {turn:.0f} degrees", cause)
         offsets = bounded_array(self.offsets, "offsets", (count,), f"offsets of the readings in {_UNITS}")
-        # A hinge's axis has no sense; x and z of a leg's plane follow from the sense of the drawn one.
+        # The sense of a hinge's axis is arbitrary; x and z of a leg's plane are computed with the nominal sense.
         backward = (axes * np.tile(AXES, (len(kinds), 1))).sum(axis=-1) < 0.0
         axes = axes / np.where(backward, -1.0, 1.0)[:, None] / np.where(exact, 1.0, sizes)[:, None]
         arrays = axes, pivots, balls, offsets
@@ -288,7 +290,7 @@ class Legs:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the legs: `LEGS`, or `STAGE_LEGS` of those of a stage alone."""
+        """Names of the legs: `LEGS`, or `STAGE_LEGS` for a stage alone."""
         return LEGS if len(self.kinds) == 2 else STAGE_LEGS
 
     @property
@@ -298,7 +300,7 @@ class Legs:
 
     @functools.cached_property
     def are_rps(self) -> bool:
-        """Whether all legs are RPS: their circles have the pivots for centres, and readings are lengths."""
+        """True if all legs are RPS: pivots are the centres of their circles, and readings are lengths."""
         return all(isinstance(kind, RPS) for kind in self.kinds)
 
     @functools.cached_property
@@ -307,19 +309,19 @@ class Legs:
         return tuple(kind.unit for kind in self.kinds for _ in range(3))
 
     def unit_text(self, lengths: str = "metres", angles: str = "radians") -> str:
-        """Return the unit of what is read of the legs, for messages: one, where all have it."""
+        """Return the unit of the readings for messages: one word if all legs have the same."""
         if "rad" not in self.units:
             return lengths
-        return angles if "m" not in self.units else f"{lengths}, of RRS legs in {angles}"
+        return angles if "m" not in self.units else f"{lengths}, for RRS legs {angles}"
 
     @functools.cached_property
     def least_readings(self) -> FloatArray:
-        """Bounds of the readings (6,), offsets aside: RPS legs have no negative length."""
+        """Lower bounds of the readings (6,) without offsets: RPS legs have no negative length."""
         return frozen(np.repeat([kind.least_reading for kind in self.kinds], 3))
 
     @functools.cached_property
     def stages(self) -> tuple[PlacedLegs, ...]:
-        """The legs of each stage: of a robot's lower and upper one, or of the only one."""
+        """The legs of each stage: of the lower and the upper one, or of the only one."""
         planes, stages = np.stack(self.planes), []
         for k, kind in enumerate(self.kinds):
             own = slice(3 * k, 3 * k + 3)
@@ -328,15 +330,20 @@ class Legs:
         return tuple(stages)
 
     @functools.cached_property
+    def stage_ups(self) -> FloatArray:
+        """`PlacedLegs.up` of each stage, (2,) or (1,)."""
+        return frozen(np.array([stage.up for stage in self.stages]))
+
+    @functools.cached_property
     def ups(self) -> FloatArray:
-        """`LegKind.up` of each leg, (6,) or (3,)."""
+        """`LegKind.up` for each leg, (6,) or (3,)."""
         return frozen(np.repeat([kind.up for kind in self.kinds], 3))
 
     @functools.cached_property
     def planes(self) -> tuple[FloatArray, FloatArray]:
         """Unit vectors x, radially outwards, and z, towards the balls, of the legs' planes, (6, 3) or (3, 3) each.
 
-        As the axes they are in {B} of lower and in {m} of upper legs.
+        As the axes they are in {B} for lower legs and in {m} for upper legs.
         """
         outward, forward = _plane_axes(vector_of(self.axes), *self._signs)
         return frozen(np.stack(outward, axis=-1)), frozen(np.stack(forward, axis=-1))
@@ -349,7 +356,7 @@ class Legs:
 
     @property
     def turned_over(self) -> Legs:
-        """The three legs of a stage that is turned over about its y axis, as upper legs: in the order 3, 2, 1."""
+        """The three legs of a stage turned over about its y axis, as upper legs: in the order 3, 2, 1."""
         (kind,), turn = self.kinds, np.array([-1.0, 1.0, -1.0])
         # The axis of leg 2 then points backwards.
         axes = (self.axes * turn * [[1.0], [-1.0], [1.0]])[::-1]
@@ -365,7 +372,7 @@ class Legs:
 
     @property
     def parameters(self) -> FloatArray:
-        """Nine numbers of each leg, then those fixed in PRS and RRS legs: see `Manipulator.parameters`."""
+        """Nine numbers for each leg, then the fixed numbers of PRS and RRS legs: see `Manipulator.parameters`."""
         drawn, first, second = axis_directions(len(self.kinds))
         across = np.stack([(self.axes * first).sum(axis=-1), (self.axes * second).sum(axis=-1)], axis=-1)
         sine = np.sqrt((across**2).sum(axis=-1))
@@ -376,8 +383,21 @@ class Legs:
         return np.concatenate([rows.ravel(), *numbers])
 
     @property
+    def axis_derivatives(self) -> FloatArray:
+        """Derivatives of the axes by the two coordinates of their direction in `parameters`, (legs, 3, 2)."""
+        drawn, first, second = axis_directions(len(self.kinds))
+        turn = self.parameters[: 9 * len(drawn)].reshape(-1, 9)[:, None, :2]
+        angle = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
+        sinc, across = np.sinc(angle / np.pi), np.stack([first, second], axis=-1)
+        # (cos a - sin a / a) / a², which is -1/3 at zero.
+        small = angle < 1e-3
+        curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
+        along = (across * turn).sum(axis=-1, keepdims=True)
+        return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
+
+    @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the `parameters`, such as `r_b1.pivot_x`, and of PRS and RRS legs `r_b1.rod`."""
+        """Names of the `parameters`, such as `r_b1.pivot_x`, and for PRS and RRS legs `r_b1.rod`."""
         own = (f"{leg}.{component}" for leg in self.names for component in COMPONENTS)
         stages = zip(self.kinds, (self.names[:3], self.names[3:]), strict=False)
         return *own, *(f"{leg}.{name}" for kind, legs in stages for leg in legs for name in kind.identified)
@@ -401,8 +421,8 @@ class Legs:
         angle = np.sqrt((values[:, :2] ** 2).sum(axis=-1))
         if (angle > np.pi / 2.0).any():
             leg = int(angle.argmax())
-            expected = "directions of the axes within a quarter turn of the drawn ones, in radians"
-            raise GeometryError("parameters", expected, f"{angle[leg]:g} rad at {self.names[leg]}", "Given in degrees?")
+            expected = "directions of the axes within a quarter turn of the nominal ones, in radians"
+            raise GeometryError("parameters", expected, f"{angle[leg]:g} rad at {self.names[leg]}", "Is it in degrees?")
         drawn = tuple(np.tile(AXES, (len(self.kinds), 1)).T)
         axes = np.stack(_turned_axis(drawn, values[:, 0], values[:, 1]), axis=-1)
         return Legs(axes, values[:, 2:5], values[:, 5:8], values[:, 8], tuple(kinds))
@@ -413,27 +433,30 @@ class Legs:
         expected = f"a standard deviation from 0 to {_MOST_LENGTH:g} m"
         spread = real_number(length, "length", expected, least=0.0, most=_MOST_LENGTH)
         expected = f"a standard deviation from 0 to {_MOST_ANGLE} rad"
-        turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Given in degrees?")
+        turn = real_number(angle, "angle", expected, least=0.0, most=_MOST_ANGLE, cause="Is it in degrees?")
         scale = np.array([turn if unit == "rad" else spread for unit in self.parameter_units])
         parameters = self.parameters + scale * random.standard_normal(len(scale))
         try:
             return self.from_parameters(parameters)
         except GeometryError as error:
-            cause = f"Legs with such errors are none: {error}"
+            cause = f"No machine has such legs: {error}"
             raise GeometryError(
-                "length", "errors that are small against the machine", f"{spread:g} m", cause
+                "length", "errors that are small compared with the machine", f"{spread:g} m", cause
             ) from error
 
     def deviations(self, drawn: Legs) -> tuple[FloatArray, ...]:
-        """Return by how much each leg is off the drawn one: axis [rad], and pivot, ball and offset [m]."""
+        """Return the difference of each leg from the nominal one: axis [rad], and pivot, ball and offset [m]."""
         sine = np.sqrt((np.cross(self.axes, drawn.axes) ** 2).sum(axis=-1))
         angles = np.arctan2(sine, (self.axes * drawn.axes).sum(axis=-1))
         _, pivots, balls, offsets = map(np.abs, map(np.subtract, self.arrays, drawn.arrays))
         return angles, pivots.max(axis=-1), balls.max(axis=-1), offsets
 
-    def readings(self, places: FloatArray) -> FloatArray:
-        """Return what the encoders show (..., 6) of balls at x and z (..., 6, 2) [m]; NaN out of a leg's reach."""
-        return self._of_stages("readings", places) + self.offsets
+    def readings(self, places: FloatArray, middles: FloatArray) -> FloatArray:
+        """Return what the encoders show (..., 6) of balls at x and z (..., 6, 2) [m]; NaN out of a leg's reach.
+
+        `middles` (6,) are the `Machine.crank_middles`.
+        """
+        return self._of_stages("readings", places, middles) + self.offsets
 
     def slopes(self, places: FloatArray, readings: FloatArray) -> FloatArray:
         """Return κ (..., 6), the speed of each ball away from its circle's centre per unit rate of the reading."""
@@ -442,7 +465,7 @@ class Legs:
     def circle_derivatives(self, readings: FloatArray) -> list[FloatArray]:
         """Return the derivatives of x, z and radius of the circles of both stages, (..., 3, 3, 1 + n) each.
 
-        By the readings (..., 6), then by each of the numbers that are fixed in the legs.
+        The derivatives are by the readings (..., 6), then by each fixed number of the legs.
         """
         return self._by_stage("circle_derivatives", readings - self.offsets)
 
@@ -452,7 +475,7 @@ class Legs:
 
     @functools.cached_property
     def plane_turns(self) -> FloatArray:
-        """Derivatives by the axes of the turn of each leg's plane about its axis, from x to z, (legs, 3)."""
+        """Derivatives by the axes of each plane's rotation about its axis, from x to z, (legs, 3)."""
         tilted = self.axes[:, None] + 1j * _STEP * np.eye(3)
         tangents, up = self._signs
         outward, _ = _plane_axes(vector_of(tilted), tangents[:, None], up[:, None])
@@ -466,17 +489,17 @@ class Legs:
 
     @property
     def free_limits(self) -> LegLimits:
-        """Limits that exclude nothing."""
+        """Infinite limits."""
         least = [kind.least_reading for kind in self.kinds for _ in range(3)]
         return (LegLimits if len(self.kinds) == 2 else StageLimits)(least, math.inf)
 
     @functools.cached_property
     def largest_slopes(self) -> FloatArray:
-        """The largest κ of each leg, (6,): 1, of RRS legs the crank's length [m]."""
+        """The largest κ of each leg, (6,): 1, for RRS legs the crank's length [m]."""
         return frozen(np.abs(np.concatenate([kind.largest_slopes for kind in self.kinds])))
 
     def circles(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the centres (..., 6, 3), in {B} or {m}, and radii (..., 6) [m] of the circles that readings leave."""
+        """Return the centres (..., 6, 3), in {B} or {m}, and radii (..., 6) [m] of the circles for these readings."""
         if self.are_rps:
             radii = readings - self.offsets
             return np.broadcast_to(self.pivots, (*radii.shape, 3)), radii
@@ -486,7 +509,7 @@ class Legs:
         return self.pivots + x * outward + z * forward, np.concatenate([radii for _, radii in stages], axis=-1)
 
     def _by_stage(self, name: str, *arguments: Any) -> list[Any]:
-        """Apply a method of each stage's kind to its part of arrays whose axis of length six counts the legs."""
+        """Apply a method of each stage's kind to its part of arrays with an axis of six legs."""
         stages = (slice(0, 3), slice(3, 6))[: len(self.kinds)]
         return [
             getattr(kind, name)(*(x[..., legs, :] if x.shape[-1] == 2 else x[..., legs] for x in arguments))
@@ -523,7 +546,7 @@ class Legs:
 
 @functools.lru_cache(maxsize=64)
 def drawn_legs(radii: tuple[tuple[float, float], ...], kinds: tuple[LegKind, ...]) -> Legs:
-    """Return the legs of the drawing, equal in a stage: its pivots and its balls at the `radii` of each stage [m]."""
+    """Return the nominal legs, equal within a stage, with pivots and balls at the `radii` of each stage [m]."""
     pivots, balls = (np.concatenate([radius * RADIAL for radius in column]) for column in zip(*radii, strict=True))
     nominal, count = tuple(kind.nominal for kind in kinds), len(kinds)
     legs = Legs(np.tile(AXES, (count, 1)), pivots, balls, np.zeros(3 * count), nominal)
@@ -532,7 +555,7 @@ def drawn_legs(radii: tuple[tuple[float, float], ...], kinds: tuple[LegKind, ...
 
 
 def axis_directions(stages: int = 2) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return each leg's drawn axis and the two directions perpendicular to it, radial and along z, (6, 3) each."""
+    """Return each leg's nominal axis and the two directions perpendicular to it, radial and along z, (6, 3) each."""
     axes = np.tile(AXES, (stages, 1))
     up = np.broadcast_to([0.0, 0.0, 1.0], axes.shape)
     return axes, np.cross(up, axes), up
@@ -551,7 +574,7 @@ def triangle_sides(b: FloatArray) -> FloatArray:
 
 
 def bounded_array(value: npt.ArrayLike, argument: str, shape: tuple[int, ...], meaning: str) -> FloatArray:
-    """Read finite numbers of this shape, none above the largest dimension."""
+    """Read finite numbers of this shape, at most the largest dimension in magnitude."""
     array = real_array(value, argument, shape, meaning)
     if array.shape != shape:
         raise ArgumentError(argument, f"shape {shape}, {meaning}", f"shape {array.shape}")

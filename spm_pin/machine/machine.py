@@ -1,81 +1,85 @@
-"""The base class of `Stage` and `Manipulator`: legs, their parameters and limits, files, and lengths in proportion."""
+"""The base class of `Stage` and `Manipulator`: legs, their parameters and limits, files, and checks of proportions."""
 
 from __future__ import annotations
 
 import math
 import warnings
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import yaml
 
 from spm_pin.errors import ArgumentError, GeometryError, raised_as
-from spm_pin.formulas.operations import RIGHT_ANGLE
-from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.formulas.operations import on_arrays
+from spm_pin.formulas.planar_legs import MOST_TURNED, crank_middle
 from spm_pin.machine.leg_kinds import RPS, LegKind
 from spm_pin.machine.legs import LegLimits, Legs, drawn_legs
-from spm_pin.support.arguments import FloatArray, type_and_value
+from spm_pin.support.arguments import FloatArray, frozen, type_and_value
 from spm_pin.support.files import file_path, read_yaml, write_files
 
+M = TypeVar("M")
+
 PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
-"""Units of length, and how many of them are a metre."""
+"""Units of length, and their number per metre."""
 _PROPORTION = 10.0
-"""Lengths this many times the machine's size are read as a wrong unit."""
+"""Lengths this many times the machine's size are assumed to be in a wrong unit."""
 _LARGE, _UNLIKE, _LONG_CRANK = 5.0, 100.0, 1.5
 """Dimensions larger than this [m], this many times another one, or cranks this many times their rods, are unusual."""
-_TRIM = 0.2
-"""Offset of a crank [rad] up to which limits of a quarter turn from its middle are accepted."""
 _USUAL = 0.4
 """Share of the machine's size that heights, readings and positions usually have."""
+_crank_middle = on_arrays(crank_middle)
 
 
 class Machine(ABC):
-    """A `Stage`, or a `Manipulator` of two: dimensions and legs, as drawn or as built."""
+    """A `Stage`, or a `Manipulator` of two stages: dimensions and legs, nominal or calibrated."""
 
     base_radius: float
     legs: Legs
     limits: LegLimits | None
+    limits_class: ClassVar[type[LegLimits]] = LegLimits
+    """Class of its limits."""
     _heading: ClassVar[str]
     """First line of its files."""
     _least_share: ClassVar[float]
-    """Share of its size from which on limits of lengths are in the unit of its dimensions."""
+    """Limits of lengths above this, relative to the machine's size, are in the unit of its dimensions."""
 
     @property
     @abstractmethod
     def size(self) -> float:
-        """About its height [m]."""
+        """Approximate height [m]."""
 
     @property
     def ball_side(self) -> float:
-        """Side of the drawn triangle of balls [m]."""
+        """Side of the nominal triangle of balls [m]."""
         return math.sqrt(3.0) * self.stage_radii[0][1]
 
     @property
     @abstractmethod
     def dimensions(self) -> tuple[float, ...]:
-        """Radii of the drawn pivots of each stage, and the size of the triangle of balls [m]."""
+        """Nominal radii of the pivots of each stage, and the size of the triangle of balls [m]."""
 
     @property
     @abstractmethod
     def stage_radii(self) -> tuple[tuple[float, float], ...]:
-        """Radii of the drawn triangles of each stage, of its pivots and of its balls [m]."""
+        """Radii of the nominal triangles of each stage, of its pivots and of its balls [m]."""
 
     @abstractmethod
     def as_data(self) -> dict[str, Any]:
-        """Return what `to_yaml` writes."""
+        """Return the data that `to_yaml` writes."""
 
     @classmethod
     @abstractmethod
     def from_data(cls, data: Any, argument: str = "data") -> Self:
-        """Return the machine of `as_data`; errors name the key that is wrong, or `argument` for the whole."""
+        """Return the machine of `as_data`; errors name the wrong key, or `argument` for the whole."""
 
     def _set_legs(self, legs: Legs | tuple[LegKind, ...]) -> None:
-        """Read legs: those as built are kept, kinds are drawn, and those that were drawn with other dimensions."""
+        """Set the legs: kinds, and legs that are nominal for other dimensions, are replaced by nominal legs."""
         kinds, count = legs.kinds if isinstance(legs, Legs) else legs, len(self.stage_radii)
         if not (isinstance(kinds, tuple) and len(kinds) == count and all(isinstance(kind, LegKind) for kind in kinds)):
             own = "RPS(), PRS(rod=…) or RRS(crank=…, rod=…), or the Legs of three"
@@ -85,23 +89,31 @@ class Machine(ABC):
             )
             raise GeometryError("legs", expected, received)
         drawn = drawn_legs(self.stage_radii, kinds)
-        # Legs whose numbers differ are those of a machine as built.
+        # Legs with different numbers are those of a calibrated machine.
         if not isinstance(legs, Legs) and not all(kind.is_drawn for kind in kinds):
             legs = Legs(*drawn.arrays, kinds)
         is_built = isinstance(legs, Legs) and not legs.is_drawn and legs != drawn
         object.__setattr__(self, "legs", legs if is_built else drawn)
 
-    def check_limits(self, limits: LegLimits) -> LegLimits:
-        """Return limits, or raise `GeometryError` if no readings of this machine have them or their unit is another."""
+    def check_limits(self, limits: LegLimits | Sequence[Any]) -> LegLimits:
+        """Return limits, or raise `GeometryError` if no readings of this machine have them or their unit is another.
+
+        Readings of cranks are nearest to the middle of the machine's own limits, so that limits of another turn have
+        to be those of the machine itself.
+        """
+        return self._checked_limits(limits, are_own=False)
+
+    def _checked_limits(self, limits: Any, *, are_own: bool) -> LegLimits:
+        """Return limits, the machine's own or others, or raise `GeometryError`."""
         legs = self.legs
         if not isinstance(limits, LegLimits) or limits.legs != legs.names:
-            own = "LegLimits" if len(legs.kinds) == 2 else "StageLimits"
-            raise GeometryError("limits", f"{own}(minimum, maximum)", type(limits).__name__)
+            expected = f"{self.limits_class.__name__}(minimum, maximum)"
+            raise GeometryError("limits", expected, type(limits).__name__)
         without_offsets = limits.ends - legs.offsets
         ends = np.where(np.isfinite(without_offsets), np.abs(without_offsets), 0.0)
-        # A calibrated crank with the limits of the nominal one may swing beyond the turn by its offset.
-        beyond = np.abs(without_offsets - RIGHT_ANGLE) - math.pi - limits.rounding
-        is_beyond_turn = np.isfinite(beyond) & (beyond > np.minimum(np.abs(legs.offsets), _TRIM))
+        middles = _crank_middle(*limits.ends, legs.offsets) if are_own else self.crank_middles
+        beyond = np.abs(without_offsets - middles) - math.pi - limits.rounding
+        is_beyond_turn = np.isfinite(beyond) & (beyond > 0.0)
         for leg, name in enumerate(legs.names):
             kind, low, high = legs.kinds[leg // 3], limits.minimum[leg], limits.maximum[leg]
             received = f"[{low:g}, {high:g}] for {name}"
@@ -110,8 +122,11 @@ class Machine(ABC):
             if kind.unit == "rad" and ends[:, leg].max() > MOST_TURNED:
                 raise GeometryError("limits", f"angles in radians, within ±{MOST_TURNED:g}", received, "In degrees?")
             if kind.unit == "rad" and is_beyond_turn[:, leg].any():
-                expected = "angles of a crank from -pi/2 to 3 pi/2, its offset aside, or infinity for no limit"
-                cause = "The crank would pass through -pi/2, where readings jump by a turn. End the limits there"
+                first, last = middles[leg] + legs.offsets[leg] + np.array([-math.pi, math.pi])
+                expected = f"angles of a crank within one turn, here from {first:.4g} to {last:.4g} rad"
+                cause = (
+                    "Readings are the angles nearest to the middle of the machine's own limits, or to pi/2 without two"
+                )
                 raise GeometryError("limits", expected, received, cause)
         lengths = ends[:, np.array(legs.units) == "m"]
         longest = float(lengths.max(initial=0.0))
@@ -125,7 +140,7 @@ class Machine(ABC):
         return limits
 
     def _warn_of_dimensions(self, lengths: dict[str, float]) -> None:
-        """Warn if these dimensions or the links are unusual, and may be in another unit or exchanged."""
+        """Warn if dimensions or links are unusual, and may be in another unit or exchanged."""
         lengths = dict(lengths)
         for kind in self.legs.kinds:
             own = {name: float(np.mean(getattr(kind, name))) for name in ("crank", "rod") if hasattr(kind, name)}
@@ -139,7 +154,7 @@ class Machine(ABC):
             warnings.warn(f"{text}. {cause}", stacklevel=4)
 
     def _repr_end(self) -> str:
-        """Return limits, and how far legs as built are off the drawing, as the end of the machine's text."""
+        """Return limits, and the differences from the nominal legs, as the end of the machine's text."""
         limits = "" if self.limits is None else f", limits={self.limits!r}"
         if self.is_nominal:
             return f"{limits})"
@@ -147,34 +162,34 @@ class Machine(ABC):
         turns = np.array([unit == "rad" for unit in self.legs.units])
         length = max(float(x.max()) for x in (pivots, balls, np.where(turns, 0.0, offsets)))
         angle = max(float(x.max()) for x in (angles, np.where(turns, offsets, 0.0)))
-        return f"{limits}, legs off the drawing by up to {length:.3g} m, {angle:.3g} rad)"
+        return f"{limits}, legs differ from nominal by up to {length:.3g} m, {angle:.3g} rad)"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), tuple(getattr(self, field.name) for field in fields(self))  # type: ignore[arg-type]
 
     @cached_property
     def nominal(self) -> Self:
-        """The machine as drawn, with the same dimensions and limits."""
+        """The nominal machine with the same dimensions and limits."""
         return self if self.is_nominal else self._with_legs(drawn_legs(self.stage_radii, self.legs.kinds))
 
     @property
     def is_nominal(self) -> bool:
-        """True if the legs are those of the drawing."""
+        """True if the legs are those that follow from the dimensions."""
         return self.legs.is_drawn
 
     @property
     def parameters(self) -> FloatArray:
         """The parameters of the legs, named in `parameter_names`: per leg direction (2), pivot, ball (3 each), offset.
 
-        After these follow the numbers that are fixed in PRS and RRS legs, leg by leg. The direction is the turn of the
-        axis from the drawn one about the two directions perpendicular to it [rad]: the tangent coordinates of the
+        Then the fixed numbers of PRS and RRS legs, leg by leg. The direction is the rotation of the
+        axis from the nominal one about the two directions perpendicular to it [rad]: the tangent coordinates of the
         shortest arc. Units are in `parameter_units`.
         """
         return self.legs.parameters
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the `parameters`: of a robot `PARAMETERS`, and of PRS and RRS legs numbers such as `r_b1.rod`."""
+        """Names of the `parameters`: `PARAMETERS` for a manipulator; PRS and RRS legs add names such as `r_b1.rod`."""
         return self.legs.parameter_names
 
     @property
@@ -182,9 +197,14 @@ class Machine(ABC):
         """Units of the `parameters`, "m" or "rad"."""
         return self.legs.parameter_units
 
+    @cached_property
+    def crank_middles(self) -> FloatArray:
+        """Angles to which readings of cranks, offsets aside, are nearest, (legs,): of their limits, or π/2 [rad]."""
+        return frozen(np.asarray(_crank_middle(*self.reading_limits, self.legs.offsets)))
+
     @property
     def reading_limits(self) -> FloatArray:
-        """Smallest and largest readings (2, legs), infinite where there is no limit."""
+        """Smallest and largest readings (2, legs), infinite without limits."""
         if self.limits is None:
             return np.tile([[-np.inf], [np.inf]], len(self.legs.names))
         return self.limits.ends
@@ -196,8 +216,8 @@ class Machine(ABC):
     def perturbed(self, rng: Any = None, *, length: float = 1e-4, angle: float = 1e-4) -> Self:
         """Return a machine with independent normal errors added to all parameters of the legs.
 
-        Their standard deviations are `length`, of each coordinate of pivots and balls and of the offsets [m], up to
-        1e7, and `angle`, of the turn of each axis about either direction perpendicular to it [rad], up to 0.2.
+        Their standard deviations are `length` for each coordinate of pivots and balls and for the offsets [m], up to
+        1e7, and `angle` for the rotation of each axis about either direction perpendicular to it [rad], up to 0.2.
         """
         return self._with_legs(self.legs.perturbed(rng, length=length, angle=angle))
 
@@ -215,13 +235,13 @@ class Machine(ABC):
     def from_yaml(cls, path: str | Path) -> Self:
         """Read a machine from a YAML file, in metres and radians; `docs/howto/machine_files.md` describes it.
 
-        A `GeometryError` names the key of what describes no machine.
+        A `GeometryError` names the key of an entry that does not describe a machine.
         """
         with raised_as(GeometryError, file=str(path)):
             return cls.from_data(read_yaml(path), "")
 
 
-def check_machine(value: Any, argument: str = "machine") -> Machine:
+def check_machine(value: M, argument: str = "machine") -> M:
     """Return `value` if it is a `Manipulator` or a `Stage`."""
     if not isinstance(value, Machine):
         raise ArgumentError(argument, "a Manipulator or a Stage", type(value).__name__)
@@ -241,9 +261,9 @@ def likely_unit(machine: Machine, length: float, unit: str = "m") -> str | None:
 
 
 def unit_hint(machine: Machine, lengths: npt.ArrayLike) -> str:
-    """Return a sentence on the unit that the largest of these lengths [m] may be in; empty if in proportion."""
+    """Return a sentence on the unit of the largest of these lengths [m]; empty if it is in proportion."""
     length = float(np.abs(lengths).max())
     unit = likely_unit(machine, length)
     if unit is None:
         return ""
-    return f"Lengths are in metres, and {length:g} m are out of proportion to this machine; is it {length:g} {unit}?"
+    return f"Lengths are in metres, and {length:g} m is out of proportion to this machine; is it {length:g} {unit}?"

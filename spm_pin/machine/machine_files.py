@@ -1,4 +1,4 @@
-"""Parts of the files of machines and of stages: mappings, limits, and legs with their kinds."""
+"""Parts of the files of manipulators and stages: mappings, limits, and legs with their kinds."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ def read_mapping(
     optional: Collection[str] = (),
     symbols: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Return a mapping of a file, which must have all of `keys` and may have `optional` ones.
+    """Return a mapping of a file, which must have all of `keys` and may have the `optional` ones.
 
-    `symbols` are names that somebody may have written instead of keys.
+    `symbols` are names that may have been written in place of keys, with their meaning.
     """
     expected = f"a mapping with the keys {', '.join(sorted(keys))}"
     if optional:
-        expected += f", and perhaps {', '.join(sorted(optional))}"
+        expected += f", and optionally {', '.join(sorted(optional))}"
     if not isinstance(data, dict):
         received, cause = "an empty file" if data is None else type_and_value(data), ""
         if isinstance(data, str):
-            cause = "A URDF or another XML file?" if data.lstrip().startswith("<") else "A table, as CSV files are?"
+            cause = "A URDF or another XML file?" if data.lstrip().startswith("<") else "A table, such as a CSV file?"
         raise GeometryError(argument, expected, received, cause)
     for key in data:
         if key not in keys and key not in optional:
@@ -75,7 +75,7 @@ def read_limits(data: Any, argument: str, kind: type[Limits]) -> Limits:
 
 
 def limits_as_data(limits: LegLimits) -> Any:
-    """Return what a file says of limits."""
+    """Return the data of limits for a file."""
     pairs = [list(pair) for pair in zip(limits.minimum, limits.maximum, strict=True)]
     return pairs[0] if pairs.count(pairs[0]) == len(pairs) else dict(zip(limits.legs, pairs, strict=True))
 
@@ -94,7 +94,7 @@ def read_kind(data: Any, argument: str) -> LegKind:
 
 
 def read_legs(data: Any, argument: str, kinds: tuple[LegKind, ...]) -> Legs:
-    """Return legs of a file, of these kinds."""
+    """Return the legs of a file, of these kinds."""
     names = LEGS if len(kinds) == 2 else STAGE_LEGS
     legs = read_mapping(data, argument, names)
     arrays = []
@@ -111,6 +111,6 @@ def read_legs(data: Any, argument: str, kinds: tuple[LegKind, ...]) -> Legs:
 
 
 def legs_as_data(legs: Legs) -> dict[str, Any]:
-    """Return what a file says of legs as built."""
+    """Return the data of calibrated legs for a file."""
     rows = zip(*(array.tolist() for array in legs.arrays), strict=True)
     return {leg: dict(zip(_LEG_KEYS, row, strict=True)) for leg, row in zip(legs.names, rows, strict=True)}

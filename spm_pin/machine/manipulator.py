@@ -1,8 +1,8 @@
-"""The dimensions of a manipulator and its parameters, as drawn or as built, its files, and lengths that fit its size.
+"""The dimensions and parameters of a manipulator, nominal or calibrated, and its files.
 
 Frames (Fig. 1 and Eq. (1) of the paper): {B} at the centre O of the base triangle, Z up; {m} at the centre o of the
 terminal platform, z up; {n} at the centre of the middle platform's triangle, x along b_3 b_1 and z normal to it. Legs
-1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in all three.
+1, 2, 3 are at the azimuths -30, 90 and 210 degrees in all three.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from spm_pin.machine.legs import (
     LegLimits,
     Legs,
     StageLimits,
-    axis_directions,
 )
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.machine_files import (
@@ -38,7 +37,6 @@ from spm_pin.machine.machine_files import (
     read_mapping,
 )
 from spm_pin.machine.stage import Stage
-from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, check_instance, dimension
 from spm_pin.support.files import read_yaml
 
@@ -46,7 +44,7 @@ PARAMETERS = tuple(f"{leg}.{component}" for leg in LEGS for component in COMPONE
 """Names of the 54 parameters of RPS legs, nine for each, in the order of `Manipulator.parameters`."""
 
 _SAME = 1e-9
-"""Machines that differ by less, relative to the middle side, are the same."""
+"""Machines with smaller relative differences, divided by the middle side, count as the same."""
 
 _DIMENSIONS = {"E": "base_radius", "C": "platform_radius", "d": "middle_side"}
 _SYMBOLS = _DIMENSIONS | {"limits": "a key of a stage's file, which spm_pin.Stage.from_yaml reads, and spm-pin stage"}
@@ -62,7 +60,7 @@ def config_directory() -> Path:
 
 @dataclass(frozen=True, init=False, repr=False)
 class Manipulator(Machine):
-    """Dimensions of a manipulator, and its legs: those of the drawing, or those of one machine as built.
+    """Dimensions of a manipulator, and its legs, nominal or calibrated.
 
     Parameters
     ----------
@@ -71,15 +69,15 @@ class Manipulator(Machine):
     middle_side : float
         d, side of the middle platform's triangle b_1 b_2 b_3 [m].
     limits : LegLimits, optional
-        Limits of the encoders' readings, which in a drawn machine are the leg lengths. None means unlimited.
+        Limits of the encoders' readings, which in a nominal machine are the leg lengths. None means unlimited.
     legs : (LegKind, LegKind) or Legs, optional
-        Kinds of the lower and of the upper legs, `RPS` if not given; or the legs of a machine as built, whose branches
-        are named after those of the drawn machine.
+        Kinds of the lower and of the upper legs, `RPS` if not given; or the legs of a calibrated machine, whose
+        branches have the names of the nominal machine's.
 
     Notes
     -----
     A dimension is a number from 1e-9 to 1e9 m: then no product of lengths in this package over- or underflows. Six of
-    the 54 parameters of the legs are the choice of {n} and change no reading.
+    the 54 parameters of the legs are a choice of {n} and do not change readings.
     """
 
     base_radius: float
@@ -103,7 +101,7 @@ class Manipulator(Machine):
         for name, value in zip(_DIMENSIONS.values(), (base_radius, platform_radius, middle_side), strict=True):
             object.__setattr__(self, name, dimension(value, name))
         self._set_legs((RPS(), RPS()) if legs is None else legs)
-        object.__setattr__(self, "limits", None if limits is None else self.check_limits(limits))
+        object.__setattr__(self, "limits", None if limits is None else self._checked_limits(limits, are_own=True))
         if not isinstance(legs, Legs):
             self._warn_of_dimensions({name: getattr(self, name) for name in _DIMENSIONS.values()})
 
@@ -112,39 +110,19 @@ class Manipulator(Machine):
         legs = "" if self.legs.are_rps else f", legs={self.legs.kinds!r}"
         return f"Manipulator({sizes}{legs}{self._repr_end()}"
 
-    def _repr_html_(self) -> str:
-        dimensions = zip(("E, base radius", "C, platform radius", "d, middle side"), self.dimensions, strict=True)
-        rows = [(name, f"{value:.6g} m") for name, value in dimensions]
-        limits = self.limits or LegLimits(-math.inf, math.inf)
-        ends = zip(limits.minimum, limits.maximum, self.legs.units, strict=True)
-        pairs = [f"{low:.6g} to {high:.6g} {unit}" for low, high, unit in ends if self.limits is not None]
-        if len(set(pairs)) <= 1:
-            rows.append(("leg limits", pairs[0] if pairs else "none"))
-        else:
-            rows += [(f"limits of {leg}", pair) for leg, pair in zip(LEGS, pairs, strict=True)]
-        if not self.is_nominal:
-            for name, deviations in zip(
-                ("axes", "pivots", "balls", "offsets"), self.legs.deviations(self.nominal.legs), strict=True
-            ):
-                leg = int(deviations.argmax())
-                unit = "m" + {"axes": "rad", "offsets": self.legs.units[leg]}.get(name, "m")
-                rows.append((f"{name} off the drawing", f"up to {1e3 * deviations[leg]:.3g} {unit}, {LEGS[leg]}"))
-        title = "Machine as drawn" if self.is_nominal else "Machine as built"
-        return notebook.table(title, ("dimension", ""), rows)
-
     @classmethod
     @raised_as(GeometryError)
     def of_stages(cls, lower: Stage, upper: Stage) -> Manipulator:
-        """Return the machine of two stages, of legs of either kind, whose platforms are one triangle of balls.
+        """Return the machine of two stages, each with legs of any kind, whose platforms are one triangle of balls.
 
-        The upper stage is turned over about its y axis, with its base for the terminal platform, and so stands on the
-        same balls: its legs 3, 2, 1 are `r_c1` to `r_c3`. Of stages as built the platforms' frames become one, {n}.
+        The upper stage is turned over about its y axis, its base is the terminal platform, and it is mounted on the
+        same balls: its legs 3, 2, 1 are `r_c1` to `r_c3`. The platforms' frames of calibrated stages become one, {n}.
         """
         check_instance(lower, Stage, "lower")
         check_instance(upper, Stage, "upper")
         if not math.isclose(lower.platform_radius, upper.platform_radius, rel_tol=_SAME):
             expected = (
-                f"the platform_radius of the lower stage, {lower.platform_radius:g} m: both stand on one triangle"
+                f"the platform_radius of the lower stage, {lower.platform_radius:g} m: both share one triangle of balls"
             )
             raise GeometryError("upper", expected, f"{upper.platform_radius:g} m")
         dimensions = lower.base_radius, upper.base_radius, math.sqrt(3.0) * lower.platform_radius
@@ -163,13 +141,13 @@ class Manipulator(Machine):
     def paper(cls) -> Manipulator:
         """Return the paper's manipulator: E = 1.2/√3 m, C = 0.6/√3 m, d = 0.8 m, legs from 1.10 to 1.50 m.
 
-        The paper prints no leg limits; these are the project's own, see `urdf/config/geometry.yaml`.
+        The paper prints no leg limits; these are this project's own, see `urdf/config/geometry.yaml`.
         """
         return cls.from_yaml(config_directory() / "geometry.yaml")
 
     @classmethod
     def from_data(cls, data: Any, argument: str = "data") -> Manipulator:
-        """Return the machine of `as_data`; a `GeometryError` names the key of what describes none."""
+        """Return the machine of `as_data`; a `GeometryError` names a wrong key, or `argument` for the whole."""
         sizes = {f"{triangle}_{size}" for triangle in ("base", "platform") for size in ("side", "radius")}
         own = {"leg_limits", "legs", *_KIND_KEYS}
         read = read_mapping(data, argument, {"middle_side"}, sizes | own, _SYMBOLS)
@@ -187,7 +165,7 @@ class Manipulator(Machine):
         return cls(radii[0], radii[1], lengths["middle_side"], limits, legs)
 
     def as_data(self) -> dict[str, Any]:
-        """Return what `to_yaml` writes."""
+        """Return the data that `to_yaml` writes."""
         data: dict[str, Any] = dict(zip(_DIMENSIONS.values(), self.dimensions, strict=True))
         if self.limits is not None:
             data["leg_limits"] = limits_as_data(self.limits)
@@ -203,52 +181,44 @@ class Manipulator(Machine):
         return self.base_radius, self.platform_radius, self.middle_side
 
     @property
+    def ball_side(self) -> float:
+        """D [m]."""
+        return self.middle_side
+
+    @property
     def size(self) -> float:
-        """E + C + 2 d [m], about the height of a machine."""
+        """E + C + 2 d [m], the approximate height of a machine."""
         return self.base_radius + self.platform_radius + 2.0 * self.middle_side
 
     @property
     def stage_radii(self) -> tuple[tuple[float, float], ...]:
-        """Radii of the drawn triangles of the lower and of the upper stage, of pivots and of balls [m]."""
+        """Radii of the nominal triangles of the lower and of the upper stage, of pivots and of balls [m]."""
         return (self.base_radius, self.middle_radius), (self.platform_radius, self.middle_radius)
 
     @property
     def middle_radius(self) -> float:
-        """Radius r = d/√3 of the drawn middle platform, from its centre to a ball joint b_i [m]."""
+        """Radius r = d/√3 of the nominal middle platform, from its centre to a ball joint b_i [m]."""
         return self.middle_side / math.sqrt(3.0)
 
     @property
     def base_joints(self) -> FloatArray:
-        """Lower revolute joints a_1..a_3 of the drawing as rows (3, 3) [m] in {B}. Eq. (1a)."""
+        """Lower revolute joints a_1..a_3 of the nominal machine as rows (3, 3) [m] in {B}. Eq. (1a)."""
         return self.base_radius * RADIAL
 
     @property
     def platform_joints(self) -> FloatArray:
-        """Upper revolute joints c_1..c_3 of the drawing as rows (3, 3) [m] in {m}. Eq. (1b)."""
+        """Upper revolute joints c_1..c_3 of the nominal machine as rows (3, 3) [m] in {m}. Eq. (1b)."""
         return self.platform_radius * RADIAL
 
     @property
     def radial_directions(self) -> FloatArray:
-        """Unit vectors from O towards the drawn a_i in {B}, equally from o towards c_i in {m}, as rows (3, 3)."""
+        """Unit vectors from O towards the nominal a_i in {B}, equally from o towards c_i in {m}, as rows (3, 3)."""
         return RADIAL.copy()
 
     @property
     def revolute_axes(self) -> FloatArray:
-        """Unit revolute axes of the drawn legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
+        """Unit revolute axes of the nominal legs 1..3 as rows (3, 3): in {B} at the a_i, in {m} at the c_i. Eq. (4)."""
         return AXES.copy()
-
-    @property
-    def axis_derivatives(self) -> FloatArray:
-        """Derivatives of the axes with respect to the two coordinates of their direction in `parameters`, (6, 3, 2)."""
-        drawn, first, second = axis_directions()
-        turn = self.parameters[:54].reshape(6, 9)[:, None, :2]
-        angle = np.sqrt((turn**2).sum(axis=-1, keepdims=True))
-        sinc, across = np.sinc(angle / np.pi), np.stack([first, second], axis=-1)
-        # (cos a - sin a / a) / a², which is -1/3 at zero.
-        small = angle < 1e-3
-        curve = np.where(small, -1.0 / 3.0 + angle**2 / 30.0, (np.cos(angle) - sinc) / np.where(small, 1.0, angle) ** 2)
-        along = (across * turn).sum(axis=-1, keepdims=True)
-        return np.asarray(sinc * (across - turn * drawn[..., None]) + curve * turn * along)
 
 
 def machine_from_data(data: Any, place: str = "data") -> Manipulator | Stage:
@@ -263,27 +233,30 @@ def machine_from_yaml(path: str | Path) -> Manipulator | Stage:
     return machine_from_data(read_yaml(path), str(path))
 
 
-def check_same_machine(machine: Manipulator, expected: Manipulator, argument: str, owner: str) -> None:
+def check_same_machine(machine: Machine, expected: Machine, argument: str, owner: str) -> None:
     """Raise `GeometryError` unless both have the same dimensions and legs; limits only choose the tree's zero."""
     if machine.dimensions == expected.dimensions and machine.legs == expected.legs:
         return
     cause = "Computed for another machine?"
+    if type(machine) is not type(expected):
+        raise GeometryError(argument, f"a state of {owner}, a {type(expected).__name__}", repr(machine), cause)
     for kind, wanted in zip(machine.legs.kinds, expected.legs.kinds, strict=True):
         if type(kind) is not type(wanted) or getattr(kind, "sign", 0) != getattr(wanted, "sign", 0):
             raise GeometryError(argument, f"the kinds of {owner}, {wanted!r}", repr(kind), cause)
-    names = *_DIMENSIONS.values(), *expected.parameter_names
-    units = "m", "m", "m", *expected.parameter_units
-    own, others = (np.concatenate([each.dimensions, each.parameters]) for each in (machine, expected))
-    for name, unit, received, number in zip(names, units, own.tolist(), others.tolist(), strict=True):
-        if abs(received - number) > _SAME * (1.0 if unit == "rad" else expected.middle_side):
+    sizes = [name for name in _DIMENSIONS.values() if hasattr(expected, name)]
+    names, units = (*sizes, *expected.parameter_names), ("m",) * len(sizes) + expected.parameter_units
+    own, others = ([*each.dimensions, *each.parameters.tolist()] for each in (machine, expected))
+    for name, unit, received, number in zip(names, units, own, others, strict=True):
+        if abs(received - number) > _SAME * (1.0 if unit == "rad" else expected.ball_side):
             raise GeometryError(
                 argument, f"the {name} of {owner}, {number:.9g} {unit}", f"{received:.9g} {unit}", cause
             )
 
 
-def check_rps(machine: Manipulator, what: str) -> None:
+def check_rps(machine: Machine, what: str) -> None:
     """Raise a `GeometryError` unless all legs are RPS, which `what` is known for alone."""
     if not machine.legs.are_rps:
-        lower, upper = (kind.name for kind in machine.legs.kinds)
+        names = [kind.name for kind in machine.legs.kinds]
+        received = "{} below and {} above".format(*names) if len(names) == 2 else names[0]
         cause = "What takes PRS and RRS legs is listed in docs/howto/other_legs.md"
-        raise GeometryError("machine", f"a machine of RPS legs for {what}", f"{lower} below and {upper} above", cause)
+        raise GeometryError("machine", f"a machine of RPS legs for {what}", received, cause)

@@ -1,4 +1,4 @@
-"""The solutions of one problem, or of a batch of problems, along one axis: of a robot, or of a stage."""
+"""The solutions of one problem, or of a batch of problems, along one axis, for manipulators and stages."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Status(enum.IntEnum):
     UNREACHABLE = 1
     """No real solution."""
     DEGENERATE = 2
-    """Some solutions form a continuous family, of which none is picked; those of the other families are kept."""
+    """Some solutions form a continuous family and are omitted; those of the other families are kept."""
     UNSOLVED = 3
     """The method failed: nothing is known about the problem."""
 
@@ -55,7 +55,7 @@ class Solutions(ABC, Generic[S]):
     """True if a mask has excluded solutions."""
 
     _kind: ClassVar[type[Batched]]
-    """The states of which it is a set."""
+    """The states."""
 
     def __post_init__(self) -> None:
         shape = check_instance(self.configurations, self._kind, "configurations").shape
@@ -93,7 +93,7 @@ class Solutions(ABC, Generic[S]):
 
     @property
     def count(self) -> IntArray:
-        """Number of real solutions, shape (...); ``len`` counts those that are not real too."""
+        """Number of real solutions, shape (...); ``len`` is the number of labels."""
         return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
 
     @overload
@@ -123,7 +123,7 @@ class Solutions(ABC, Generic[S]):
         return (self.configurations[k] for k in range(len(self.labels)))
 
     def __len__(self) -> int:
-        """Return the number of labels, real or not; of a batch, the length of its first axis."""
+        """Return the number of labels, or for a batch the length of its first axis."""
         return self.shape[0] if self.shape else len(self.labels)
 
     def __repr__(self) -> str:
@@ -137,9 +137,9 @@ class Solutions(ABC, Generic[S]):
         return f"<{name}: {self.status}, {self.count} of {len(self.labels)} real: {shown}{hint}>"
 
     def pick(self, index: IntArray, exists: BoolArray) -> S:
-        """Return the solution of each problem at `index` (...); NaN, the pose too, where `exists` (...) is False."""
+        """Return the solution of each problem at `index` (...); NaN, pose included, where `exists` (...) is False."""
         everywhere = bool(exists.all())
-        # For a single problem a slice, so that nothing shares memory with the others.
+        # A slice for a single problem, so that nothing shares memory with the others.
         places = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
 
         def take(array: FloatArray, inner: int) -> FloatArray:
@@ -160,20 +160,21 @@ class Solutions(ABC, Generic[S]):
         return replace(self, configurations=self.configurations.where(kept), _chosen=chosen)
 
     def within(self, limits: LegLimits | None = None) -> Self:
-        """Keep the solutions inside limits of the legs, by default the machine's own; `status` stays as it is."""
+        """Keep the solutions within limits of the legs, by default the machine's own; `status` does not change."""
         limits = self.configurations.limits if limits is None else check_instance(limits, LegLimits, "limits")
         if limits is None:
             return self
         count = self.readings.shape[-1]
         if len(limits.legs) != count:
             raise ArgumentError("limits", f"limits of {count} legs", f"{type(limits).__name__} of {len(limits.legs)}")
+        self.configurations.machine.check_limits(limits)
         return self.where(limits.contains(self.readings))
 
     def nearest(self, near: S | npt.ArrayLike) -> S:
-        """Return the solution whose joints are nearest to those of `near`; NaN where none exists.
+        """Return the solution whose joints are nearest to those of `near`; NaN if none exists.
 
-        The largest displacement of a joint is compared: of all `compared_points` of a state, or of the first three if
-        only these are given, as rows (..., 3, 3) [m].
+        Solutions are compared by their largest displacement of a joint: of all `compared_points` of a state, or of the
+        first three if only these are given, as rows (..., 3, 3) [m].
         """
         return self._nearest(near, self.exists)
 
@@ -197,21 +198,21 @@ class Solutions(ABC, Generic[S]):
     def is_physical(self) -> BoolArray:
         """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
 
-        If several are, and some respect the machine's limits, the others are dropped; chain ``.within().physical()``
-        to exclude all that do not.
+        If several are, and some are within the machine's limits, the others are dropped; use ``.within().physical()``
+        to exclude all that are beyond them.
         """
 
     @property
     def ambiguous(self) -> Any:
-        """True if several solutions of a problem are physical, shape (...); `physical` then takes one."""
+        """True if several solutions of a problem are physical, shape (...); `physical` then chooses one."""
         several = np.count_nonzero(self.is_physical, axis=-1) > 1
         return several if self.shape else bool(several)
 
     def physical(self, near: S | npt.ArrayLike | None = None) -> S:
-        """Return the physical solution; NaN where there is none.
+        """Return the physical solution; NaN if missing.
 
-        Of those in `is_physical`, the nearest to `near` if it is given. Without it two may be left, on
-        either side of an inverse singularity: the one whose stages are tilted least, and `ambiguous` is true.
+        From `is_physical` it chooses the nearest to `near` if given. Without `near`, two solutions on either side of an
+        inverse singularity may remain: it then chooses the one with less tilted stages, and `ambiguous` is true.
         """
         candidates = self.is_physical
         if near is not None:
@@ -221,7 +222,7 @@ class Solutions(ABC, Generic[S]):
 
     @abstractmethod
     def preference(self, candidates: BoolArray) -> FloatArray:
-        """Return a number for each solution (..., n), the largest for the one to take; -inf for no candidate."""
+        """Return a score for each solution (..., n), the largest for the chosen one; -inf for no candidate."""
 
     def one(self) -> S:
         """Return the only solution of every problem.
@@ -246,7 +247,7 @@ class Solutions(ABC, Generic[S]):
         if status is Status.OK:
             if not self.count[index]:
                 return f".within(limits) or .where(mask) excluded all solutions{self._hint(index)}"
-            left = " that .within(limits) or .where(mask) kept" if self._chosen else ""
+            left = " left by .within(limits) or .where(mask)" if self._chosen else ""
             return f"none of the solutions{left} is physical{self._hint(index)}"
         if status is Status.UNREACHABLE:
             return f"out of reach: no solution is real{self._hint(index)}"
@@ -256,7 +257,7 @@ class Solutions(ABC, Generic[S]):
         return "the problem is singular, its solutions are a continuous family"
 
     def _hint(self, index: tuple[int, ...]) -> str:
-        """Return sentences, each after a stop, on why a problem has no solution, and where one is; empty if unknown."""
+        """Return sentences, each after a full stop, on why a problem has no solution and where one is; may be empty."""
         return following([self.configurations.missing_reason])
 
     def _details(self, batch: tuple[Any, ...]) -> dict[str, Any]:
@@ -265,7 +266,7 @@ class Solutions(ABC, Generic[S]):
 
 
 def following(sentences: Iterable[str]) -> str:
-    """Return sentences that are not empty as they follow another one, without its stop and theirs."""
+    """Return the sentences that are not empty, joined so that they follow another sentence."""
     text = ""
     for sentence in filter(None, sentences):
         text += f"{'' if text.endswith('?') else '.'} {sentence[0].upper()}{sentence[1:]}"

@@ -29,19 +29,19 @@ from spm_pin.support.arguments import (
 from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 _FAR_TURN = 45.0
-"""A platform turned by more, which few states are, may have been given in another unit of angles [degrees]."""
+"""Turns of the platform larger than this, which are rare, may be given in another unit of angles [degrees]."""
 
 
 @dataclass(frozen=True)
 class Degeneracy:
-    """Description of the continuous families of solutions, where there are any."""
+    """Description of the continuous families of solutions, if any."""
 
     dimension: npt.NDArray[np.int8]
-    """Dimension of the family, shape (...); 0 where all solutions are isolated."""
+    """Dimension of the family, shape (...); 0 if all solutions are isolated."""
     families: BoolArray
-    """True for those of TT, TF, FT, FF that are continuous, shape (..., 4)."""
+    """True for the continuous ones of TT, TF, FT, FF, shape (..., 4)."""
     legs: BoolArray
-    """Legs whose lower and upper plane coincide, so that b_i is bound to no line, shape (..., 3)."""
+    """Legs whose lower and upper planes coincide, so that b_i is not restricted to a line, shape (..., 3)."""
 
     def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
         inner = (*batch, slice(None))
@@ -57,32 +57,32 @@ class SolutionSet(Solutions[Configuration]):
     configurations : Configuration
         Batch of shape (..., n): the solutions, NaN where one is not real.
     labels : sequence of n str
-        Names of the places along the axis.
+        Names of the positions along the axis.
     status : array_like of Status, shape (...)
         Outcome of each problem; `Status` of a single problem, an int8 array of them for a batch.
     discriminants : ndarray, shape (..., 4), optional
-        Of the families TT, TF, FT, FF, for inverse displacement: real iff not negative.
+        Discriminants of the families TT, TF, FT, FF, for inverse displacement: real iff not negative.
     certain : ndarray of bool, shape (..., 4), optional
-        Families that are proved to be real, or not, as `exists` says: their discriminant is larger than all that
-        rounding can have changed. False for a continuous family, and where the Z axes of {B} and {m} are parallel to
+        Families for which `exists` is proved: their discriminant is larger than the effect of all
+        rounding. False for a continuous family, and where the Z axes of {B} and {m} are parallel to
         1e-12 rad.
     at_home : ndarray of bool, shape (..., n), optional
-        True for solutions reached from the symmetric home without a forward singularity, leg limits aside; looked for
-        if not given.
+        True for solutions reached from the symmetric home without a forward singularity, without regard to leg limits;
+        computed if not given.
     degeneracy : Degeneracy, optional
-        Which families, legs and how many dimensions, where `status` is `Status.DEGENERATE`.
+        Continuous families, legs and dimensions, where `status` is `Status.DEGENERATE`.
     merged : ndarray of bool, shape (..., n), optional
-        For a machine as built: True where the branch or mode of this label met another while the errors grew from zero
-        to those of the machine. It has ended, or is a root left over, whose label is a name only.
+        For a calibrated machine: True if the tracked branch or mode of this label met another one while the errors grew
+        from zero to those of the machine. It has vanished, or is a remaining root whose label is arbitrary.
     radius : ndarray, shape (..., n), optional
-        Radius [m] around each middle joint within which the exact one is, NaN where not proved; exactly one solution
-        has all three joints within it. Given if the solver was asked to certify.
+        Radius [m] around each middle joint within which the exact one is, NaN if not proved; exactly one solution
+        has all three joints within it. Given if certification was requested.
 
     Notes
     -----
     A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as NumPy
     would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that solution of every
-    problem. What selects nothing is a `SelectionError`. A single problem is a
+    problem. An index that selects nothing raises `SelectionError`. A single problem is a
     sequence of the solutions of all labels, real or not: `exists` says which are real, and `count` how many.
     """
 
@@ -99,7 +99,7 @@ class SolutionSet(Solutions[Configuration]):
     def from_unordered(
         cls, machine: Manipulator, pose: PoseLike, middle_joints: npt.ArrayLike, solved: npt.ArrayLike = True
     ) -> SolutionSet:
-        """Make a set of real branches, in any order, under the canonical labels.
+        """Make a set of real branches, given in any order, with the canonical labels.
 
         Parameters
         ----------
@@ -108,10 +108,10 @@ class SolutionSet(Solutions[Configuration]):
         pose : pose of shape (...)
             The pose that was solved.
         middle_joints : array_like, shape (..., n, 3, 3)
-            Up to eight distinct solutions each [m] in {B}, NaN in places not used.
+            Up to eight distinct solutions each [m] in {B}; unused places are NaN.
         solved : array_like of bool, shape (...)
             False where the method failed. There, and where a family has more than two solutions, the status is
-            `Status.UNSOLVED` and nothing exists.
+            `Status.UNSOLVED` and all solutions are missing.
         """
         check_instance(machine, Manipulator, "machine")
         transform = as_rigid_transform(pose)
@@ -125,7 +125,7 @@ class SolutionSet(Solutions[Configuration]):
         size = np.abs(normal).max(axis=-1) / machine.middle_side**2
         if (wrong := (size < 1e-9) | (size > 1e9)).any():
             index = first_offender(wrong)
-            cause = f"They are the corners of the middle platform, {machine.middle_side:g} m from each other."
+            cause = f"They are corners of the middle platform, {machine.middle_side:g} m apart"
             received = f"{joints[index].tolist()} at index {index}"
             raise ArgumentError("middle_joints", "three points that are not in a line", received, cause)
         branches, status = _in_canonical_order(machine, transform, joints, good)
@@ -160,7 +160,7 @@ class SolutionSet(Solutions[Configuration]):
         if self.labels == BRANCHES:
             header = ("branch", *(f"{leg} [m]" for leg in LEGS))
             rows = [[names[k], *(f"{length:.4f}" for length in self.readings[k])] for k in names]
-        else:  # assembly modes: they share their leg lengths and differ in their pose
+        else:  # assembly modes have the same leg lengths and differ in their pose
             header = ("mode", "x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]")
             angles = self.configurations[places].pose.rotation.as_euler("xyz", degrees=True)
             rows = [
@@ -169,9 +169,7 @@ class SolutionSet(Solutions[Configuration]):
             ]
         if self.count > len(rows):
             rows.append([f"and {self.count - len(rows)} more"])
-        legs = self.configurations
-        pictures = "".join(notebook.stick_figure(legs.leg_bases[k], legs.balls[k], names[k]) for k in list(names)[:8])
-        return notebook.table(repr(self), header, rows, pictures)
+        return notebook.table(repr(self), header, rows)
 
     def where(self, mask: npt.ArrayLike) -> SolutionSet:
         """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN."""
@@ -183,21 +181,21 @@ class SolutionSet(Solutions[Configuration]):
     def is_physical(self) -> BoolArray:
         """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
 
-        If several are, and some respect the machine's limits, the others are dropped; chain ``.within().physical()``
-        to exclude all that do not.
+        If several are, and some are within the machine's limits, the others are dropped; use ``.within().physical()``
+        to exclude all that are beyond them.
         """
         mode = physical(self.configurations) if self.at_home is None else self.at_home & self.exists
         limits = self.machine.limits
         if limits is None:
             return mode
-        # Of branches the first two as a rule: readings of the others are not computed.
+        # Usually the first two branches suffice; readings of the others are then not computed.
         some = slice(int(np.flatnonzero(mode.reshape(-1, len(self.labels)).any(axis=0))[-1:].sum()) + 1)
         inside = mode.copy()
         inside[..., some] &= limits.contains(self.configurations[..., some].readings)
         return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
 
     def preference(self, candidates: BoolArray) -> FloatArray:
-        """Prefer of two, which are on either side of an inverse singularity, the one whose stages are tilted least."""
+        """Prefer, of two solutions on either side of an inverse singularity, the one with less tilted stages."""
         score = np.where(candidates, 0.0, -np.inf)
         several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
         if several.any():
@@ -211,14 +209,14 @@ class SolutionSet(Solutions[Configuration]):
                 "continuous family. Give leg lengths to forward_physical instead; or tilt the pose, which makes "
                 "the solutions isolated, and choose with .nearest(near)"
             )
-        return "the pose or the leg lengths are singular, the solutions are a continuous family; see .degeneracy"
+        return "the pose or the leg lengths are singular: the solutions are a continuous family; see .degeneracy"
 
     def _hint(self, index: tuple[int, ...]) -> str:
         reasons = [self.configurations.missing_reason or unit_hint(self.machine, self.translation[index][0])]
         if self.labels == BRANCHES:
             turn = np.degrees(np.arccos(np.clip((np.trace(self.rotation[index][0]) - 1.0) / 2.0, -1.0, 1.0)))
             if turn > _FAR_TURN:
-                reasons.append(f"The platform is turned by {turn:.0f}° against the base: angles are in radians")
+                reasons.append(f"The platform is turned by {turn:.0f}° relative to the base: angles are in radians")
             reasons.append("For the nearest pose that is reached see spm_pin.workspace.nearest_reachable_pose")
         return following(reasons)
 
@@ -242,7 +240,7 @@ def _in_canonical_order(
     count = member.sum(axis=-1)
     good = solved & (count <= 2).all(axis=-1)
     top, bottom = np.where(member, signs, -np.inf).argmax(axis=-1), np.where(member, signs, np.inf).argmin(axis=-1)
-    # Two members are distinguished by their order, which is right also where rounding hides a sign.
+    # Two members are distinguished by their order, which is right even if rounding hides a sign.
     upper = np.take_along_axis(signs, top[..., None], axis=-1)[..., 0] >= 0.0
     present = np.stack([(count == 2) | ((count == 1) & upper), (count == 2) | ((count == 1) & ~upper)], axis=-1)
     present &= good[..., None, None]

@@ -1,8 +1,8 @@
-"""A stage: three planar legs of one kind on a plate, and the triangle of balls that they hold.
+"""A stage: three planar legs of one kind on a plate, and the triangle of balls on them.
 
-It is a machine of its own, a ball balancer, a tripod head or the mount of a mirror, and half of a `Manipulator`. Its
+It is a machine of its own (a ball balancer, a tripod head, a mirror mount), and half of a `Manipulator`. Its
 base has the frame {B} at the centre of the pivots, z towards the platform; the platform has {n} at the centre of the
-balls. Legs 1, 2, 3 stand at the azimuths -30, 90 and 210 degrees in both.
+balls. Legs 1, 2, 3 are at the azimuths -30, 90 and 210 degrees in both.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.machine.legs import AZIMUTHS, Legs, StageLimits
+from spm_pin.machine.legs import AZIMUTHS, LegLimits, Legs, StageLimits
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.machine_files import (
     legs_as_data,
@@ -31,31 +31,31 @@ from spm_pin.support.arguments import dimension, real_array, type_and_value
 _LENGTHS = RPS()
 _SAME_ANGLE = 1e-14
 _LEVEL = 1e-9
-"""Sine of the rise of a slide up to which it is level."""
+"""Sine of the rise of a slide up to which it counts as level."""
 
 
 @dataclass(frozen=True, init=False, repr=False)
 class Stage(Machine):
-    """Three planar legs of one kind on a base, and a platform on their balls: as drawn, or one machine as built.
+    """Three planar legs of one kind on a base, and a platform on their balls, nominal or calibrated.
 
     Parameters
     ----------
     base_radius, platform_radius : float
-        From the centre of the base to the legs' pivots, and from that of the platform to its balls [m].
+        Distances from the centre of the base to the pivots, and from the centre of the platform to the balls [m].
     legs : LegKind or Legs
-        Of a machine as drawn `RPS()`, `PRS(rod=…)` or `RRS(crank=…, rod=…)`; of one as built `Legs` of three, with
+        For a nominal stage `RPS()`, `PRS(rod=…)` or `RRS(crank=…, rod=…)`; for a calibrated one `Legs` of three, with
         their axes, pivots, balls and offsets.
     limits : (minimum, maximum) or StageLimits, optional
-        Of the readings, each one number or three: [m], of RRS legs [rad]. None means unlimited.
+        Limits of the readings, each one number or three: [m], for RRS legs [rad]. None means unlimited.
     azimuths : sequence of three floats, optional
-        Directions in which legs 1, 2, 3 stand, counterclockwise, from x towards y [rad]: of the pivot, the ball and the
-        plane of each leg. On average they have to be within a quarter turn of -30°, 90° and 210°, the default; leg 1 is
-        the one nearest to -30°. `Legs` have directions of their own.
+        Directions of legs 1, 2, 3, counterclockwise, from x towards y [rad]: of the pivot, the ball and the
+        plane of each leg. Their mean must be within a quarter turn of -30°, 90° and 210°, the default; leg 1 is
+        the one nearest to -30°. `Legs` have their own directions.
 
     Notes
     -----
-    Two of them on one triangle of balls are a `Manipulator`. `spm_pin.stages` has the displacements both ways, rates,
-    forces, singularities and the reach. A stage whose platform hangs is described turned over, z downwards.
+    Two stages on one triangle of balls are a `Manipulator`. `spm_pin.stages` has inverse and forward displacement,
+    rates, forces, singularities and the reach. A stage whose platform hangs is described upside down, z downwards.
 
     Examples
     --------
@@ -71,6 +71,7 @@ class Stage(Machine):
     legs: Legs
     limits: StageLimits | None
 
+    limits_class = StageLimits
     _least_share = 0.0
     _heading = "# A stage of three planar legs, lengths in metres and angles in radians: see Stage of spm_pin.\n"
 
@@ -89,17 +90,17 @@ class Stage(Machine):
         self._set_legs((legs,) if isinstance(legs, LegKind) else legs)
         if azimuths is not None:
             if isinstance(legs, Legs):
-                raise GeometryError("azimuths", "None beside the Legs of three, which have axes of their own", azimuths)
+                raise GeometryError("azimuths", "None together with Legs of three, which have their own axes", azimuths)
             angles = real_array(azimuths, "azimuths", (3,), "of legs 1, 2, 3 in radians")
             if np.shape(angles) != (3,) or (np.abs(angles) > MOST_TURNED).any():
                 expected = f"three angles in radians, within ±{MOST_TURNED:g}"
-                raise GeometryError("azimuths", expected, np.array2string(angles), "Given in degrees?")
+                raise GeometryError("azimuths", expected, np.array2string(angles), "Are they in degrees?")
             turns = np.mod(angles - AZIMUTHS + np.pi, 2.0 * np.pi) - np.pi
-            # Directions that are the default but for rounding are a machine as drawn.
+            # Directions that differ from the default by rounding only are nominal.
             if (np.abs(turns) > _SAME_ANGLE).any():
                 self._set_legs(self.legs.turned_about_z(turns))
         self._check_reach()
-        object.__setattr__(self, "limits", None if limits is None else self._read_limits(limits))
+        object.__setattr__(self, "limits", None if limits is None else self._checked_limits(limits, are_own=True))
         if isinstance(legs, LegKind):
             self._warn_of_dimensions({"base_radius": self.base_radius, "platform_radius": self.platform_radius})
 
@@ -112,30 +113,32 @@ class Stage(Machine):
         if isinstance(kind, RRS):
             reach, needed = numbers[:, 0] + numbers[:, 1], np.abs(x)
         elif isinstance(kind, PRS):
-            # Along a slide that rises the carriage follows the ball; else the height is free and the rod has to span z.
+            # Along a slide that rises the carriage follows the ball; otherwise the height is free and the rod spans z.
             vertical = np.abs(np.cos(numbers[:, 1])) < _LEVEL
             reach, needed = numbers[:, 0], np.where(vertical, np.abs(x), 0.0)
         else:
             return
         if (short := reach <= needed).any():
-            leg = int(short.argmax())
+            leg, cause = int(short.argmax()), "In another unit?"
+            if reach[leg] > 0.5 * needed[leg]:
+                cause = "In another unit, or diameters for radii?"
             what = "crank and rod" if isinstance(kind, RRS) else "a rod"
             expected = (
                 f"{what} longer than {needed[leg]:.4g} m, the radial distance from pivot to ball of the level platform"
             )
-            raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", "In another unit?")
+            raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", cause)
 
-    def _read_limits(self, value: StageLimits | Sequence[Any]) -> StageLimits:
-        if not isinstance(value, StageLimits):
-            if not (isinstance(value, list | tuple | np.ndarray) and len(value) == 2):
+    def _checked_limits(self, limits: LegLimits | Sequence[Any], *, are_own: bool) -> LegLimits:
+        """Return limits, also of a pair (minimum, maximum)."""
+        if not isinstance(limits, LegLimits):
+            if not (isinstance(limits, list | tuple | np.ndarray) and len(limits) == 2):
                 expected = f"a pair (minimum, maximum) in {self.unit}, each one number or three"
-                raise GeometryError("limits", expected, type_and_value(value))
+                raise GeometryError("limits", expected, type_and_value(limits))
             try:
-                value = StageLimits(value[0], value[1])
+                limits = StageLimits(limits[0], limits[1])
             except GeometryError as error:
                 raise GeometryError("limits", error.expected, error.received, error.cause) from error
-        self.check_limits(value)
-        return value
+        return super()._checked_limits(limits, are_own=are_own)
 
     def __repr__(self) -> str:
         radii = f"base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}"
@@ -143,17 +146,17 @@ class Stage(Machine):
 
     @property
     def kind(self) -> LegKind:
-        """What the three legs are, with the numbers that are fixed in them."""
+        """Kind of the three legs, with their fixed numbers."""
         return self.legs.kinds[0]
 
     @property
     def unit(self) -> str:
-        """Of the readings: "m" or "rad"."""
+        """Unit of the readings, "m" or "rad"."""
         return self.kind.unit
 
     @property
     def size(self) -> float:
-        """About the height of the stage [m]."""
+        """Approximate height of the stage [m]."""
         own = [float(np.max(getattr(self.kind, name))) for name in ("crank", "rod") if hasattr(self.kind, name)]
         return self.base_radius + self.platform_radius + sum(own)
 
@@ -164,12 +167,12 @@ class Stage(Machine):
 
     @property
     def stage_radii(self) -> tuple[tuple[float, float], ...]:
-        """Radii of the drawn triangles, of the pivots and of the balls [m]."""
+        """Radii of the nominal triangles, of the pivots and of the balls [m]."""
         return ((self.base_radius, self.platform_radius),)
 
     @classmethod
     def from_data(cls, data: Any, argument: str = "data") -> Stage:
-        """Return the stage of `as_data`; a `GeometryError` names the key of what describes none."""
+        """Return the stage of `as_data`; a `GeometryError` names a wrong key, or `argument` for the whole."""
         keys = {"base_radius", "platform_radius", "legs"}
         other = {"middle_side": "a key of a robot's file, which spm_pin.Manipulator.from_yaml reads"}
         read = read_mapping(data, argument, keys, {"limits", "as_built"}, other)
@@ -179,7 +182,7 @@ class Stage(Machine):
         return cls(read["base_radius"], read["platform_radius"], legs, limits)
 
     def as_data(self) -> dict[str, Any]:
-        """Return what `to_yaml` writes."""
+        """Return the data that `to_yaml` writes."""
         data: dict[str, Any] = {"base_radius": self.base_radius, "platform_radius": self.platform_radius}
         data["legs"] = self.kind.as_data()
         if self.limits is not None:

@@ -18,11 +18,11 @@ from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, fro
 from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 OPERATION_MODES = ("T", "F")
-"""The two solutions of an inverse displacement: without torsion, and turned half round."""
+"""The two solutions of an inverse displacement: without torsion, and with half a turn of torsion."""
 BELOW = "The height is negative: below the pivots"
-"""A cause that there is no physical state."""
+"""A cause for a missing physical state."""
 _HALF_TURN_BACK = -np.pi + 1e-9
-"""A torsion [rad] below which it is π up to rounding."""
+"""Smallest torsion [rad] of those that are π up to rounding, with negative sign."""
 
 _is_home_state = on_arrays(circles.is_home_state)
 
@@ -35,11 +35,11 @@ class StageConfiguration(Batched):
     stage : Stage
         The stage.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
-        Pose of the platform in {B}: its origin is the centre of the balls, in a machine as drawn.
+        Pose of the platform in {B}; in a nominal machine its origin is the centre of the balls.
 
     Notes
     -----
-    Nothing is solved here: balls may be out of their legs' planes, and `closure_residual` is by how much.
+    Nothing is solved here: balls may be out of their legs' planes; see `closure_residual`.
     """
 
     _machine: Stage
@@ -97,40 +97,40 @@ class StageConfiguration(Batched):
 
     @property
     def azimuth(self) -> FloatArray:
-        """Direction in which the normal leans, hence in which the platform is lowest [rad], shape (...).
+        """Direction to which the normal leans, where the platform is lowest [rad], shape (...).
 
-        From x towards y: the legs stand at -30°, 90° and 210°.
+        It is measured from x towards y: the legs are at -30°, 90° and 210°.
         """
         return np.asarray(np.arctan2(self.normal[..., 1] + 0.0, self.normal[..., 0]))
 
     @property
     def roll(self) -> FloatArray:
-        """Turn about x, of ``pose.rotation.as_euler("xyz")`` where there is no torsion [rad], shape (...)."""
+        """Rotation about x, that of ``pose.rotation.as_euler("xyz")`` without torsion [rad], shape (...)."""
         return np.asarray(np.arctan2(-self.normal[..., 1], self.normal[..., 2]))
 
     @property
     def pitch(self) -> FloatArray:
-        """Turn about y that comes before the roll about x: the normal is Rx(roll) Ry(pitch) z [rad], shape (...)."""
+        """Rotation about y before the roll about x: the normal is Rx(roll) Ry(pitch) z [rad], shape (...)."""
         return np.asarray(np.arctan2(self.normal[..., 0], np.hypot(self.normal[..., 1], self.normal[..., 2])))
 
     @property
     def height(self) -> FloatArray:
-        """Of the platform's origin above the plane of the pivots [m], shape (...)."""
+        """Height of the platform's origin above the plane of the pivots [m], shape (...)."""
         return self._translation[..., 2]
 
     @property
     def shift(self) -> FloatArray:
-        """By how much the platform's origin is beside the axis of the base, x and y [m], shape (..., 2).
+        """Lateral (parasitic) displacement of the platform's origin from the axis of the base, x and y [m], (..., 2).
 
-        It follows from the tilt: a parasitic motion.
+        It follows from the tilt and cannot be commanded.
         """
         return self._translation[..., :2]
 
     @property
     def torsion(self) -> FloatArray:
-        """Turn of the platform about its normal, from the shortest turn that takes z to it [rad], shape (...).
+        """Rotation of the platform about its normal, beyond the shortest rotation that tilts it [rad], shape (...).
 
-        Zero in mode T of a stage as drawn, π in mode F; a half turn is never -π, even by rounding.
+        Zero in mode T of a nominal stage, π in mode F; a half turn is never -π, even by rounding.
         """
         r = self._rotation
         torsion = np.arctan2(r[..., 1, 0] - r[..., 0, 1], r[..., 0, 0] + r[..., 1, 1])
@@ -149,7 +149,7 @@ class StageConfiguration(Batched):
 
     @property
     def compared_points(self) -> FloatArray:
-        """The points by which states are compared: the balls."""
+        """Points by whose displacement states are compared: the balls."""
         return self.balls
 
     @property
@@ -170,19 +170,19 @@ class StageConfiguration(Batched):
     @cached_property
     def readings(self) -> FloatArray:
         """Readings of the legs' encoders, shape (..., 3): [m], of RRS legs [rad]; NaN for a ball out of reach."""
-        return frozen(self.stage.legs.readings(self.places))
+        return frozen(self.stage.legs.readings(self.places, self.stage.crank_middles))
 
     @cached_property
     def circle_centres(self) -> FloatArray:
-        """Centres of the circles that the locked actuators leave to the balls, as rows in {B} [m], (..., 3, 3).
+        """Centres of the circles on which balls move with locked actuators, as rows in {B} [m], (..., 3, 3).
 
-        The pivots of RPS legs, the joints of carriage and rod of PRS legs, and the knees of RRS legs.
+        For RPS legs the pivots, for PRS legs the joints of carriage and rod, for RRS legs the knees.
         """
         return frozen(np.asarray(self.stage.legs.circles(self.readings)[0]))
 
     @property
     def leg_vectors(self) -> FloatArray:
-        """From circle centres to balls, as rows in {B} [m], (..., 3, 3): along them the legs push."""
+        """Vectors from circle centres to balls, along which the legs push, as rows in {B} [m], (..., 3, 3)."""
         return self.balls - self.circle_centres
 
     @property
@@ -203,7 +203,7 @@ class StageConfiguration(Batched):
 class StageSolutions(Solutions[StageConfiguration]):
     """The states of a stage that solve one problem, or a batch of problems, along one axis; see `SolutionSet`.
 
-    Of an inverse displacement two, labelled by the operation modes T, without torsion, and F, a half turn; of a forward
+    An inverse displacement has two, labelled by the operation modes T, without torsion, and F, a half turn; a forward
     displacement the sixteen of `spm_pin.kinematics.STAGE_MODES`.
     """
 

@@ -43,7 +43,7 @@ _ACCEPTED = 0.9995
 _LEAST = 1e-6
 """Smallest coefficient of y, as a share of the fastest constant y."""
 _LEFT = 1e-12
-"""How far left of a point of the grid the values from the left are taken."""
+"""Distance to the left of a grid point at which the values from the left are evaluated."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,10 @@ def limited_jerk(
 ) -> tuple[float, Clock, float]:
     """Return the duration [s] and the clock of the quickest motion that keeps all limits on a grid of n points.
 
-    `rows` are the limits at its parameters, `first` and `second` (n, 6) the derivatives of the leg lengths by s there,
-    `jerks` (6,) the largest jerk of each leg [m/s³]. The third result is by which share of it the duration may be above
-    the least: how much longer it is with half as many polynomials. Raises `ArgumentError` if there is no such motion.
+    `rows` are the limits at its parameters, `first` and `second` (n, legs) the derivatives of the leg lengths by s
+    there, `jerks` (legs,) the largest jerk of each leg [m/s³]. The third result is by which share of it the duration
+    may be above the least: how much longer it is with half as many polynomials. Raises `ArgumentError` if there is no
+    such motion.
     """
     programme = _Programme.from_rows(grid, rows, first, second, jerks)
     count = len(programme.tau)
@@ -131,7 +132,7 @@ def _quickest(programme: _Programme, grid: EasedGrid, start: BSpline, top: float
 
 @dataclass(frozen=True)
 class _Programme:
-    """The limits at both ends of every part of the grid, (m,) points; derivatives (m, 6) of the leg lengths there."""
+    """The limits at both ends of every part of the grid, (m,) points; derivatives (m, legs) of readings there."""
 
     tau: FloatArray
     rows: LimitRows
@@ -154,7 +155,7 @@ class _Programme:
         return cls(tau, rows[index], first[index], second[index], np.concatenate(third), jerks)
 
     def motion(self, y: list[FloatArray], at: Any = slice(None)) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return ṡ², s̈ and the legs' jerks over √y (6, p, k), of y and its derivatives (p, k) at p of the points."""
+        """Return ṡ², s̈ and the legs' jerks over √y (legs, p, k), of y and its derivatives (p, k) at p of the points."""
         s1, s2, s3 = (_EASE[order](self.tau[at])[:, None] for order in (1, 2, 3))
         x, u, jerk = s1**2 * y[0], s2 * y[0] + 0.5 * s1 * y[1], s3 * y[0] + 1.5 * s2 * y[1] + 0.5 * s1 * y[2]
         first, second, third = (values[at].T[..., None] for values in (self.first, self.second, self.third))
@@ -188,7 +189,7 @@ class _Programme:
         ]
         used.append(times_z(top * x / rows.fastest[:, None]))
         used += [root * times_z(top**1.5 * row / most) for row, most in zip(jerk, self.jerks, strict=True)]
-        ones = np.ones(7 * len(at))
+        ones = np.ones((1 + len(self.jerks)) * len(at))
         lower, upper = ((((limit - rows.c) / width).T.ravel()) for limit in (rows.lower, rows.upper))
         weights = np.gradient(self.tau[at])
         quiet: Any = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 500, "tol": 1e-6}}

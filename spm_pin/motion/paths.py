@@ -10,6 +10,7 @@ and of the platform are rows that are linear in u = s̈ and x = ṡ².
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,23 +20,25 @@ from scipy.interpolate import BPoly
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.kinematics.inverse_displacement import inverse_physical
-from spm_pin.machine import LEGS, Configuration, Manipulator
+from spm_pin.kinematics.inverse_displacement import physical_at_poses
+from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.chain_state import ChainState
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 from spm_pin.support.arguments import FloatArray, IntArray, leg_bounds, leg_values, real_array
 
+AnyMachine = Manipulator | Stage
+State = Configuration | StageConfiguration
 ROUNDING = 1e-9
 """Amount by which a rule of a path may be broken, in its unit: a state at its limit keeps it."""
 STEP = 0.005
-"""Largest distance of two samples of a path in the leg lengths, of RRS legs at the knees, in units of d."""
+"""Largest distance of two samples of a path in the leg lengths, for RRS legs at the knees, in units of d."""
 _LARGEST = 1e12
 """Largest limit of a leg that is accepted, far from overflow."""
 
 
 class LegMotion(NamedTuple):
-    """Leg lengths r_b1 to r_c3 along a path, (..., 6) [m], and their derivatives per unit of its parameter."""
+    """Readings of the legs along a path, (..., legs) [m], and their derivatives per unit of its parameter."""
 
     lengths: FloatArray
     """Leg lengths [m]."""
@@ -54,14 +57,14 @@ class LegPath:
 
     Parameters
     ----------
-    lengths : array_like, shape (n, 6)
+    lengths : array_like, shape (n, 6), of a stage (n, 3)
         Readings where it passes [m], of RRS legs [rad], in order, at least two and no two in succession the same.
     """
 
     def __init__(self, lengths: npt.ArrayLike) -> None:
-        points = real_array(lengths, "lengths", (6,), "leg lengths in metres, one row after another").copy()
-        if points.ndim != 2 or len(points) < 2:
-            raise ArgumentError("lengths", "shape (n, 6), at least two rows", f"shape {points.shape}")
+        points = real_array(lengths, "lengths", (), "leg lengths in metres, one row after another").copy()
+        if points.ndim != 2 or len(points) < 2 or points.shape[1] not in (3, 6):
+            raise ArgumentError("lengths", "shape (n, 6) or (n, 3), at least two rows", f"shape {points.shape}")
         distances = np.linalg.norm(np.diff(points, axis=0), axis=-1)
         if (distances == 0.0).any():
             row = int(distances.argmin())
@@ -92,7 +95,7 @@ class LegPath:
 
 
 def _slopes(points: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return derivatives at the points, shape (n, 6), with which the path between two is monotonic.
+    """Return derivatives at the points, shape (n, legs), with which the path between two is monotonic.
 
     Zero where a leg turns back, else the harmonic mean of both sides, as PCHIP takes it. A quintic from y0 to y1 with
     the slopes d0, d1 and no curvature at its ends has the Bézier points y0 + (0, 1, 2) d0 h / 5 and
@@ -112,11 +115,11 @@ MotionPath = LegPath | PlatformPath
 """A path; its parameter goes from 0 to 1, of a `PlatformPath` the share of its duration."""
 
 
-def states_along(machine: Manipulator, path: MotionPath, parameters: FloatArray) -> Configuration:
+def states_along(machine: AnyMachine, path: MotionPath, parameters: FloatArray) -> State:
     """Return the states at parameters (n,) from 0 to 1; some may not exist."""
     if isinstance(path, LegPath):
         return forward_physical(machine, path(parameters).lengths)
-    return inverse_physical(machine, platform_motion(path, parameters).pose)
+    return physical_at_poses(machine, platform_motion(path, parameters).pose)
 
 
 def platform_motion(path: PlatformPath, parameters: FloatArray) -> PlatformMotion:
@@ -125,16 +128,16 @@ def platform_motion(path: PlatformPath, parameters: FloatArray) -> PlatformMotio
     return path(np.minimum(path.start + parameters * path.duration, path.end))
 
 
-def line_states(machine: Manipulator, start: FloatArray, end: FloatArray) -> Configuration:
-    """Return the states on a straight line between leg lengths (6,), at most `STEP` apart."""
+def line_states(machine: AnyMachine, start: FloatArray, end: FloatArray) -> State:
+    """Return the states on a straight line between readings (legs,), at most `STEP` apart."""
     parameters = spaced_parameters(machine, np.array([start, end]))[:, None]
     return forward_physical(machine, start + parameters * (end - start))
 
 
-def spaced_parameters(machine: Manipulator, lengths: FloatArray) -> FloatArray:
-    """Return evenly spaced parameters from 0 to 1 for a path through leg lengths (n, 6), at most `STEP` apart."""
+def spaced_parameters(machine: AnyMachine, lengths: FloatArray) -> FloatArray:
+    """Return evenly spaced parameters from 0 to 1 for a path through readings (n, legs), at most `STEP` apart."""
     distance = float(np.linalg.norm(machine.legs.largest_slopes * np.diff(lengths, axis=0), axis=-1).sum())
-    return np.linspace(0.0, 1.0, max(int(np.ceil(distance / (STEP * machine.middle_side))), 2) + 1)
+    return np.linspace(0.0, 1.0, max(int(np.ceil(distance / (STEP * machine.ball_side))), 2) + 1)
 
 
 @dataclass(frozen=True)
@@ -142,19 +145,19 @@ class PathDynamics:
     """The mechanism at n parameters of a path; see the module."""
 
     parameters: FloatArray  # parameters from 0 to 1, shape (n,)
-    states: Configuration  # states in the physical mode, shape (n,)
-    q: FloatArray  # joint values [rad or m], continuous along the path, shape (n, 18)
-    first: FloatArray  # q', first derivatives of `q` by the parameter, shape (n, 18)
-    second: FloatArray  # q'', second derivatives of `q` by the parameter, shape (n, 18)
-    twist: FloatArray  # twist (v, ω) of the terminal platform at o in {B} per unit of ṡ [m, rad], shape (n, 6)
-    inertial: FloatArray  # f_a [N s²], shape (n, 6)
-    centrifugal: FloatArray  # f_b [N s²], shape (n, 6)
-    static: FloatArray  # f_c [N], shape (n, 6)
+    states: State  # states in the physical mode, shape (n,)
+    q: FloatArray  # joint values [rad or m], continuous along the path, shape (n, nq)
+    first: FloatArray  # q', first derivatives of `q` by the parameter, shape (n, nq)
+    second: FloatArray  # q'', second derivatives of `q` by the parameter, shape (n, nq)
+    twist: FloatArray  # twist (v, ω) of the platform at o in {B} per unit of ṡ [m, rad], shape (n, 6)
+    inertial: FloatArray  # f_a [N s²], shape (n, legs)
+    centrifugal: FloatArray  # f_b [N s²], shape (n, legs)
+    static: FloatArray  # f_c [N], shape (n, legs)
 
 
 def path_dynamics(chain: ClosedChain, path: MotionPath, parameters: FloatArray) -> PathDynamics:
     """Return the mechanism along a path; `ArgumentError` where it is out of reach or meets a singularity."""
-    states = states_along(chain.machine, path, parameters)
+    states: Any = states_along(chain.machine, path, parameters)
     if not states.exists.all():
         bad = parameters[int((~states.exists).argmax())]
         expected = "a path that the machine can go along in its physical mode"
@@ -182,11 +185,11 @@ def _at(
 ) -> tuple[FloatArray, ...]:
     """Return q', q'', the twist, f_a, f_b and f_c at one q, from the derivatives of leg lengths or of the platform."""
     state.update(q)
-    first = state.joint_rates(rate) if of_legs else state.joint_velocities(rate)
+    first = state.joint_rates(rate) if of_legs else state._velocities_along(rate)
     static, moved = state.inverse_dynamics(np.zeros(len(q))), state.inverse_dynamics(first)
     twist = state.kinematics.platform_jacobian @ first
     state.update(q, first)
-    second = state.joint_accelerations_of_legs(change) if of_legs else state.joint_accelerations(change)
+    second = state.joint_accelerations_of_legs(change) if of_legs else state._accelerations_along(rate, change)
     return first, second, twist, moved - static, state.inverse_dynamics(second) - static, static
 
 
@@ -225,22 +228,25 @@ class LimitRows:
 
 
 class MotionLimits:
-    """Limits of a motion, as `time_optimal` takes them; None where there is none."""
+    """Limits of a motion, as `time_optimal` takes them, for legs of these names; None where there is none."""
 
     def __init__(
         self,
+        legs: Sequence[str],
         leg_rates: npt.ArrayLike | None = None,
         leg_accelerations: npt.ArrayLike | None = None,
         leg_jerks: npt.ArrayLike | None = None,
         leg_forces: npt.ArrayLike | None = None,
         twist: Any = None,
     ) -> None:
-        self.leg_rates = _largest(leg_rates, "leg_rates", "m/s")
-        self.leg_accelerations = _largest(leg_accelerations, "leg_accelerations", "m/s²")
-        self.leg_jerks = _largest(leg_jerks, "leg_jerks", "m/s³")
+        count = len(legs)
+        self.leg_rates = _largest(leg_rates, "leg_rates", "m/s", count)
+        self.leg_accelerations = _largest(leg_accelerations, "leg_accelerations", "m/s²", count)
+        self.leg_jerks = _largest(leg_jerks, "leg_jerks", "m/s³", count)
         self.leg_forces = None
         if leg_forces is not None:
-            self.leg_forces = leg_bounds(leg_forces, "leg_forces", "forces of the legs in N", most=_LARGEST)
+            meaning = "forces of the legs in N"
+            self.leg_forces = leg_bounds(leg_forces, "leg_forces", meaning, most=_LARGEST, count=count)
         elif leg_accelerations is None:
             cause = "Without them the motion would start with a jump"
             raise ArgumentError("leg_forces, leg_accelerations", "limits of one of them", "neither", cause)
@@ -257,7 +263,7 @@ class MotionLimits:
             short = np.maximum(along.static - forces[1], forces[0] - along.static)
             if (short > 0.0).any():
                 point, leg = np.unravel_index(int(short.argmax()), short.shape)
-                holds = f"{LEGS[leg]} from {forces[0][leg]:g} to {forces[1][leg]:g} N"
+                holds = f"{chain.machine.legs.names[leg]} from {forces[0][leg]:g} to {forces[1][leg]:g} N"
                 needed = f"{along.static[point, leg]:.4g} N needed at rest at parameter {along.parameters[point]:.4g}"
                 expected = "forces that hold the machine along the path"
                 raise ArgumentError("leg_forces", expected, f"{needed}, {holds}", "Too heavy?")
@@ -289,14 +295,14 @@ class MotionLimits:
         return scale
 
 
-def _largest(value: npt.ArrayLike | None, argument: str, unit: str) -> FloatArray | None:
-    """Return the positive limits of the legs (6,); None if there are none."""
+def _largest(value: npt.ArrayLike | None, argument: str, unit: str, count: int) -> FloatArray | None:
+    """Return the positive limits of the legs (count,); None if there are none."""
     if value is None:
         return None
     meaning = f"a limit of each leg or of all in {unit}"
-    numbers = leg_values(value, argument, meaning, most=_LARGEST, cause="No limit? Leave it out")
+    numbers = leg_values(value, argument, meaning, most=_LARGEST, cause="No limit? Leave it out", count=count)
     if numbers.ndim > 1:
-        raise ArgumentError(argument, f"shape (6,) or (), {meaning}", f"shape {numbers.shape}")
+        raise ArgumentError(argument, f"shape ({count},) or (), {meaning}", f"shape {numbers.shape}")
     return numbers
 
 

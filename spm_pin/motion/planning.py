@@ -1,7 +1,7 @@
 """Paths from one state to another in the physical mode: a straight line where it is safe, else a way around.
 
 Readings within limits are a box, and a point of it has at most one configuration in the physical mode; that is proved
-for RPS legs as drawn, not for others. So a path is planned in the six readings: a straight line first; where that
+for RPS legs as drawn, not for others. So a path is planned in the readings: a straight line first; where that
 breaks a rule, two trees grow towards each other (RRT-Connect: Kuffner and LaValle, IEEE International Conference on
 Robotics and Automation, 2000), and what they find is shortened and made smooth. The rules are checked at samples not
 farther apart than `paths.STEP`. A `Certificate` proves the rule about forward singularities in between as well.
@@ -21,13 +21,22 @@ from spm_pin.errors import ArgumentError, UnreachableError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator, PoseLike, as_rigid_transform
-from spm_pin.machine.configuration import check_configuration
+from spm_pin.machine import Configuration, LegLimits, PoseLike, Stage, StageConfiguration, as_rigid_transform
+from spm_pin.machine.configuration import check_members
+from spm_pin.machine.machine import check_machine
 from spm_pin.machine.manipulator import check_same_machine
-from spm_pin.motion.paths import ROUNDING, LegPath, MotionPath, line_states, spaced_parameters, states_along
+from spm_pin.motion.paths import (
+    ROUNDING,
+    AnyMachine,
+    LegPath,
+    MotionPath,
+    State,
+    line_states,
+    spaced_parameters,
+    states_along,
+)
 from spm_pin.multibody.trajectory import PlatformPath
 from spm_pin.proofs import Certificate
-from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -42,7 +51,7 @@ from spm_pin.support.arguments import (
 )
 from spm_pin.workspace.poses import JointLimits
 
-Place = Configuration | PoseLike | npt.ArrayLike
+Place = State | PoseLike | npt.ArrayLike
 
 _REACH = 0.25
 """Longest step of a tree, in units of d."""
@@ -52,9 +61,9 @@ _SHORTCUTS = 100
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """A path between two states, or the reason why there is none; made by `plan`."""
+    """A path between two states, or the reason why no path was found; made by `plan`."""
 
-    machine: Manipulator
+    machine: AnyMachine
     """The machine."""
     path: MotionPath | None
     """The path, over a parameter from 0 to 1 (a PlatformPath: in "seconds")."""
@@ -65,7 +74,7 @@ class MotionPlan:
     reason: str
     """Why there is no path, or what is wrong with the straight one."""
     margin: float
-    """Least |det J_b| and |det J_c| over d³ along it; NaN without a path."""
+    """Least |det J| of a stage over d³ along it, d the side of the triangle of balls; NaN without a path."""
 
     def __repr__(self) -> str:
         if self.path is None:
@@ -73,18 +82,12 @@ class MotionPlan:
         proved = ", certified" if self.certified else ""
         return f"<MotionPlan: {self.method}{proved}, least determinant {self.margin:.3g} d³>"
 
-    def _repr_html_(self) -> str:
-        if self.path is None:
-            return notebook.table(repr(self), (), ())
-        picture = notebook.curves(np.linspace(0.0, 1.0, 200), self.configurations().readings, "readings over the path")
-        return notebook.table(repr(self), (), (), picture)
-
     @property
     def exists(self) -> bool:
         """True if there is a path."""
         return self.path is not None
 
-    def configurations(self, samples: int = 200) -> Configuration:
+    def configurations(self, samples: int = 200) -> State:
         """Return states along the path, shape (samples,), evenly spaced in its parameter."""
         count = whole_number(samples, "samples", "at least two samples", least=2, most=10**8)
         if self.path is None:
@@ -93,10 +96,10 @@ class MotionPlan:
 
 
 def plan(
-    machine: Manipulator,
+    machine: AnyMachine,
     start: Place,
     goal: Place,
-    limits: LegLimits | None = None,
+    limits: LegLimits | Sequence[float] | None = None,
     *,
     via: Sequence[Place] = (),
     joint_limits: JointLimits | None = None,
@@ -110,23 +113,24 @@ def plan(
 
     Parameters
     ----------
-    machine : Manipulator
-        The manipulator.
-    start, goal : Configuration, pose, or array_like of shape (6,)
+    machine : Manipulator or Stage
+        The machine.
+    start, goal : Configuration, pose, or array_like of shape (6,), of a stage StageConfiguration, or (3,)
         The states: a configuration in the physical mode, a pose of {m} in {B}, or readings: leg lengths [m], of RRS
-        legs angles [rad].
-    limits : LegLimits, optional
+        legs angles [rad]. The state of a tilt and a height is ``spm.inverse_physical(stage, height, tilt=…)``.
+    limits : LegLimits, of a stage StageLimits or a pair, optional
         Of the readings; by default those of `machine`.
     via : sequence of the same
         States to pass on the way, in order.
     joint_limits : JointLimits, optional
         Of the passive joints, and the distance that legs keep.
     margin : float
-        Distance to forward singularities: least |det J_b| and |det J_c| over d³.
+        Distance to forward singularities: least |det J| of a stage over d³.
     line : {"legs", "poses"}
         What is tried: a straight line in the leg lengths, and if that breaks a rule a way around; or one in the poses
         and no other, o on a line and the platform turning about one axis (with `via`, cubic splines through the poses).
-        A line of poses does not pass inverse singularities, level poses for example; one of legs may.
+        A line of poses does not pass inverse singularities, level poses of a manipulator for example; one of legs may.
+        Of a stage, whose shift and torsion follow, the height is on a line and the normal turns about one axis.
     certificate : Certificate, optional
         Of `spm_pin.certify`: a plan within it is marked as certified.
     tries : int
@@ -137,7 +141,7 @@ def plan(
     Returns
     -------
     MotionPlan
-        With a path, or with the reason why there is none.
+        With a path, or with the reason why no path was found.
 
     Examples
     --------
@@ -145,7 +149,7 @@ def plan(
     >>> spm.plan(spm.Manipulator.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.4, 1.2, 1.2, 1.2, 1.5, 1.25])
     <MotionPlan: straight in leg lengths, least determinant 1.15 d³>
     """
-    check_instance(machine, Manipulator, "machine")
+    check_machine(machine)
     allowed = machine.limits if limits is None else machine.check_limits(limits)
     joints = JointLimits() if joint_limits is None else check_instance(joint_limits, JointLimits, "joint_limits")
     least = real_number(margin, "margin", "a number, not negative", least=0.0)
@@ -165,7 +169,7 @@ def plan(
         if broken := rules.explain(state):
             raise UnreachableError(name, "a state that keeps the rules of the plan", broken)
     for (before, first), (name, state) in pairwise(zip(names, states, strict=True)):
-        if np.linalg.norm(state.readings - first.readings) <= 1e-12 * machine.middle_side:
+        if np.linalg.norm(state.readings - first.readings) <= 1e-12 * machine.ball_side:
             raise ArgumentError(name, f"another state than {before}", "the same: a motion of no length")
     if line == "poses":
         return _along_poses(rules, states, certificate)
@@ -187,29 +191,33 @@ def plan(
     return _finished(*smooth, method, reason, certificate)
 
 
-def _state(machine: Manipulator, place: Place, name: str) -> Configuration:
+def _state(machine: AnyMachine, place: Place, name: str) -> State:
     """Return the physical state of a configuration, a pose or leg lengths."""
-    if isinstance(place, Configuration):
-        check_configuration(place, name, single=True, existing=True)
+    count, unit = len(machine.legs.names), machine.legs.unit_text()
+    if isinstance(place, Configuration | StageConfiguration):
+        check_members(place, name, single=True, existing=True)
         check_same_machine(place.machine, machine, name, "`machine`")
         physical = forward_physical(machine, place.readings)
-        apart = np.abs(physical.middle_joints - place.middle_joints).max() if physical.exists else np.inf
-        if not apart <= 1e-6 * machine.middle_side:
+        apart = np.abs(physical.balls - place.balls).max() if physical.exists else np.inf
+        if not apart <= 1e-6 * machine.ball_side:
             cause = "Another branch or assembly mode: .physical() chooses the one a machine is in"
             raise ArgumentError(name, "a configuration in the physical mode", "one in another mode", cause)
         return physical
     array = as_array(place)
-    if array is not None and array.shape == (6,):
-        lengths = real_array(place, name, (6,), "leg lengths in metres")  # type: ignore[arg-type]
+    if array is not None and array.shape == (count,):
+        lengths = real_array(place, name, (count,), f"readings in {unit}")  # type: ignore[arg-type]
         state = forward_physical(machine, lengths)
         if not state.exists:
-            expected, cause = "leg lengths of the physical mode", _sentence(state.missing_reason)
+            expected, cause = "readings of the physical mode", _sentence(state.missing_reason)
             raise UnreachableError(name, expected, f"{lengths.tolist()}", cause)
         return state
+    if isinstance(machine, Stage):
+        cause = "spm.inverse_physical(stage, height, tilt=…, azimuth=…) is the state of a tilt and a height"
+        raise ArgumentError(name, "a StageConfiguration or three readings", type_and_value(place), cause)
     if array is not None and array.ndim < 2 and array.dtype.kind != "O":
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
         cause = "via is a list of states" if name.startswith("via") else ""
-        raise ArgumentError(name, "a Configuration, a pose or six leg lengths", received, cause)
+        raise ArgumentError(name, f"a configuration, a pose or {count} readings", received, cause)
     state = inverse_physical(machine, as_rigid_transform(place, name))
     if state.shape:
         raise ArgumentError(name, "one state", f"a batch of shape {state.shape}")
@@ -224,7 +232,7 @@ def _sentence(reason: str) -> str:
     return reason[:1].upper() + reason[1:]
 
 
-def _along_poses(rules: _PathRules, states: list[Configuration], certificate: Certificate | None) -> MotionPlan:
+def _along_poses(rules: _PathRules, states: list[State], certificate: Certificate | None) -> MotionPlan:
     """Return the plan straight in poses, or the reason why there is none."""
     machine = rules.machine
     poses = np.array([state.pose.as_matrix() for state in states])
@@ -237,20 +245,18 @@ def _along_poses(rules: _PathRules, states: list[Configuration], certificate: Ce
         return _no_plan(machine, rules.explain_line(rough) if rough.exists[first] else missing)
     along = states_along(machine, path, spaced_parameters(machine, rough.readings))
     reason = rules.explain_line(along)
-    signs = np.sign(determinants(along)[..., 2])
+    signs = np.sign(determinants(along)[..., -1])
     if not reason and (signs != signs[0]).any():
         where = int((signs != signs[0]).argmax()) / (len(signs) - 1)
         reason = f"the line of poses meets an inverse singularity at {100.0 * where:.0f} %"
     return _no_plan(machine, reason) if reason else _finished(path, along, "straight in poses", "", certificate)
 
 
-def _no_plan(machine: Manipulator, reason: str) -> MotionPlan:
+def _no_plan(machine: AnyMachine, reason: str) -> MotionPlan:
     return MotionPlan(machine, None, "none", False, reason, float("nan"))
 
 
-def _finished(
-    path: MotionPath, states: Configuration, method: str, reason: str, certificate: Certificate | None
-) -> MotionPlan:
+def _finished(path: MotionPath, states: State, method: str, reason: str, certificate: Certificate | None) -> MotionPlan:
     """Return the plan of a path whose states, evenly spaced in its parameter, keep the rules."""
     certified = False
     if certificate is not None and isinstance(path, LegPath):
@@ -267,12 +273,12 @@ def _finished(
 class _PathRules:
     """The rules of a path; the leg limits of `machine` play no part."""
 
-    machine: Manipulator
+    machine: AnyMachine
     limits: LegLimits | None
     joints: JointLimits
-    margin: float  # least |det J_b| and |det J_c| over d³
+    margin: float  # least |det J| of a stage over d³
 
-    def margins(self, states: Configuration) -> FloatArray:
+    def margins(self, states: State) -> FloatArray:
         """Return how far states are inside, (..., 5): existence, readings, singularities, angles [rad], clearance [m].
 
         Where a state does not exist, the first is -1 and the others are NaN.
@@ -282,11 +288,11 @@ class _PathRules:
         rows = [np.where(states.exists, 1.0, -1.0), legs, _least_determinant(states) - self.margin, angles, clearance]
         return np.stack(np.broadcast_arrays(*rows), axis=-1)
 
-    def broken(self, states: Configuration) -> BoolArray:
+    def broken(self, states: State) -> BoolArray:
         """Return which states do not exist or break a rule by more than `ROUNDING`, shape (...)."""
         return np.asarray(~(self.margins(states) >= -ROUNDING).all(axis=-1))
 
-    def explain(self, state: Configuration) -> str:
+    def explain(self, state: State) -> str:
         """Return which rule a single state breaks, in words; empty if none."""
         exists, legs, least, angles, clearance = self.margins(state).tolist()
         if exists < 0.0:
@@ -296,7 +302,7 @@ class _PathRules:
             leg = int(np.abs(self.limits.excess(state.readings)).argmax())
             unit = self.machine.legs.units[leg]
             limits = f"{self.limits.minimum[leg]:g} to {self.limits.maximum[leg]:g} {unit}"
-            return f"{LEGS[leg]} of {state.readings[leg]:.4g} {unit} is outside its limits, {limits}"
+            return f"{self.machine.legs.names[leg]} of {state.readings[leg]:.4g} {unit} is outside its limits, {limits}"
         if least < -ROUNDING:
             determinant = f"|det J| of {least + self.margin:.3g} d³"
             return f"a forward singularity is near: {determinant}, less than the margin of {self.margin:g}"
@@ -306,7 +312,7 @@ class _PathRules:
             return f"two legs are {-clearance * 1e3:.3g} mm too near to each other"
         return ""
 
-    def explain_line(self, states: Configuration) -> str:
+    def explain_line(self, states: State) -> str:
         """Return which rule the first of states (n,) that breaks one does, and where; empty if none."""
         broken = np.flatnonzero(self.broken(states))
         if not len(broken):
@@ -315,9 +321,9 @@ class _PathRules:
         return f"the straight line breaks a rule at {where:.0f} %: {self.explain(states[int(broken[0])])}"
 
 
-def _least_determinant(states: Configuration) -> FloatArray:
-    """Return the smaller of |det J_b| and |det J_c| over d³, shape (...)."""
-    return np.asarray(np.abs(determinants(states)[..., :2]).min(axis=-1) / states.machine.middle_side**3)
+def _least_determinant(states: State) -> FloatArray:
+    """Return the least |det J| of a stage over d³, shape (...)."""
+    return np.asarray(np.abs(determinants(states)[..., :-1]).min(axis=-1) / states.machine.ball_side**3)
 
 
 class _Node(NamedTuple):
@@ -361,7 +367,7 @@ def _find_corners(
 
 def _grow(rules: _PathRules, tree: list[_Node], target: FloatArray) -> _Node | None:
     """Add a step towards `target` to a tree; return the new node, None if the step breaks a rule."""
-    reach, metres = _REACH * rules.machine.middle_side, rules.machine.legs.largest_slopes
+    reach, metres = _REACH * rules.machine.ball_side, rules.machine.legs.largest_slopes
     distances = np.linalg.norm(metres * (np.array([node.point for node in tree]) - target), axis=-1)
     parent, distance = tree[int(distances.argmin())], float(distances.min())
     if distance == 0.0:
@@ -384,7 +390,7 @@ def _shortened(rules: _PathRules, corners: list[FloatArray], rng: np.random.Gene
     return corners
 
 
-def _smooth_path(rules: _PathRules, points: list[FloatArray]) -> tuple[LegPath, Configuration] | None:
+def _smooth_path(rules: _PathRules, points: list[FloatArray]) -> tuple[LegPath, State] | None:
     """Return a smooth path near the straight lines between points, and its states; None if it breaks a rule.
 
     Points are added in between until it keeps the rules as the lines do.

@@ -69,7 +69,7 @@ class TimedMotion(JointTrajectory):
         if self.evaluate is None:
             raise ArgumentError("times", "a motion as time_optimal returned it", "a copy from a file", "Plan it again")
         joints, readings, poses = self.evaluate(at)
-        return JointTrajectory(self.joint_names, at, *joints, readings, poses, self.actuated, self.units)
+        return JointTrajectory(self.joint_names, at, *joints, readings, poses, self.actuated, self.units, self.legs)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "evaluate": None}
@@ -97,19 +97,19 @@ def time_optimal(
     Parameters
     ----------
     chain : ClosedChain
-        The machine with its masses, as built too.
+        A manipulator or a stage with its masses, calibrated too.
     path : MotionPlan, LegPath or PlatformPath
         The way; the times of a PlatformPath count as its parameter only. A plan keeps the leg limits it was made with,
         the others must keep those of `chain.machine`.
-    leg_rates, leg_accelerations : array_like, shape (6,) or (), optional
+    leg_rates, leg_accelerations : array_like, shape (legs,) or (), optional
         Largest speed [m/s] and acceleration [m/s²] of each leg, or of all.
-    leg_forces : array_like, shape (6,), () or (2, 6), optional
+    leg_forces : array_like, shape (legs,), () or (2, legs), optional
         Largest force of each leg [N], pushing as pulling; or the least (pulling, negative) and the largest.
     twist : (float, float), optional
         Largest speed of o [m/s] and of turning [rad/s] of the terminal platform.
     payload : RigidBody, optional
         Carried by the terminal platform besides what the chain's masses have, in {m}.
-    leg_jerks : array_like, shape (6,) or (), optional
+    leg_jerks : array_like, shape (legs,) or (), optional
         Largest jerk of each leg [m/s³], on the average between two rows too. The motion also begins and ends without
         acceleration. Its duration approaches that without a limit where the limit is large.
     grid : int
@@ -142,7 +142,7 @@ def time_optimal(
         chain = chain.with_masses(Masses(payload=payload))
     parts = whole_number(grid, "grid", "a number of parts from 10 to 100,000", least=10, most=100_000)
     step = real_number(period, "period", "a positive time in seconds", above=0.0)
-    limits = MotionLimits(leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
+    limits = MotionLimits(chain.machine.legs.names, leg_rates, leg_accelerations, leg_jerks, leg_forces, twist)
     # The parameters, from 0 to 1, where the third derivative of the path may jump.
     knots = way.knots if isinstance(way, LegPath) else (way.times - way.start) / way.duration
 
@@ -186,8 +186,8 @@ def time_optimal(
 
     joints, readings, poses = rows(along, speeds, accelerations)
     above = slower * (1.0 + error) - 1.0
-    columns, units = tuple(chain.leg_indices.tolist()), chain.machine.legs.units
-    return TimedMotion(chain.joint_names, times, *joints, readings, poses, columns, units, above, motion_at)
+    names, columns, units = chain.joint_names, tuple(chain.leg_indices.tolist()), chain.machine.legs.units
+    return TimedMotion(names, times, *joints, readings, poses, columns, units, error=above, evaluate=motion_at)
 
 
 def _path(path: Any, chain: ClosedChain) -> MotionPath:
@@ -211,7 +211,8 @@ def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *,
     if not planned:
         machine, readings = chain.machine, along.states.readings
         check_path_readings(machine.limits, machine.legs.units, readings, "path", along.parameters, "parameter")
-    values = determinants(along.states)[:, : 2 if isinstance(path, LegPath) else 3]
+    values = determinants(along.states)
+    values = values[:, :-1] if isinstance(path, LegPath) else values
     crossed = (values[1:] * values[:-1] < 0.0).any(axis=-1)
     if crossed.any():
         point = int(crossed.argmax())

@@ -1,4 +1,4 @@
-"""The mechanism as a Pinocchio model whose loops are closed by constraints."""
+"""A machine as a Pinocchio model whose loops are closed by constraints."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -25,11 +25,17 @@ from spm_pin.description.source_files import (
 from spm_pin.description.tree import srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.kinematics.inverse_displacement import inverse_physical
-from spm_pin.machine.configuration import Configuration, check_configuration
-from spm_pin.machine.joint_angles import joint_angles, value_names
-from spm_pin.machine.legs import LEGS, check_path_readings
+from spm_pin.kinematics.inverse_displacement import physical_at_poses
+from spm_pin.loops.closed_chain import ClosedChain as LoopChain
+from spm_pin.loops.closures import Anchor
+from spm_pin.loops.closures import Closure as LoopClosure
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.joint_angles import check_state, joint_angles, value_names
+from spm_pin.machine.legs import check_path_readings
+from spm_pin.machine.machine import check_machine
 from spm_pin.machine.manipulator import Manipulator, check_rps, check_same_machine
+from spm_pin.machine.stage import Stage
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.multibody.chain_state import ChainState, at_index
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
 from spm_pin.multibody.constrained_model import AGREEMENT, ConstrainedModel, TreeKinematics, read_vectors
@@ -42,21 +48,22 @@ from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 
 class ClosedChain:
-    """The spanning tree of the description in Pinocchio, and the closures that make it the mechanism; read-only.
+    """The spanning tree of a machine's description in Pinocchio, and the closures of its loops; read-only.
 
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. The chain finds joint values q [rad, m]
     that close the loops, in the order of `joint_names`; rates, forces and dynamics at q are methods of its `state`.
-    Arguments are of one state or of a batch (..., 18), and leading axes of several broadcast. Pinocchio answers one
+    Arguments are of one state or of a batch (..., nq), and leading axes of several broadcast. Pinocchio answers one
     state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
-    `inverse_kinematics` without `near`, are vectorised closed forms. nq = nv = 18; the n = 6 actuators are legs.
+    `inverse_kinematics` without `near`, are vectorised closed forms. nq = nv = 18, of a stage 9; the actuators are the
+    n = 6 or 3 legs.
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
-    of the batch says why. Joint values of a machine as built are zero at the home of its drawing, where its loops are
-    open by about its errors. The value of an actuated joint is its reading less the offset and the reading at home.
+    of the batch says why. Joint values of a calibrated machine are zero at the nominal home, where its loops are open
+    by about its errors. The value of an actuated joint is its reading minus the offset and the reading in the home.
 
     Attributes
     ----------
-    machine : Manipulator
+    machine : Manipulator or Stage
         Dimensions, legs, and the limits that set the zero of the tree.
     prefix : str
         Before the name of every link and joint.
@@ -66,14 +73,14 @@ class ClosedChain:
         In the order of all results per closure.
     joint_names : tuple of str
         Names of the joints in the order of q.
-    leg_indices : ndarray, shape (6,)
+    leg_indices : ndarray, shape (n,)
         Indices of the joints in q that the actuators move, in the order of the legs.
     """
 
-    def __init__(self, urdf: str, machine: Manipulator, prefix: str = "") -> None:
+    def __init__(self, urdf: str, machine: Manipulator | Stage, prefix: str = "") -> None:
         self._urdf, self.machine, self.prefix = urdf, machine, prefix
         self.model = pin.buildModelFromXML(urdf)
-        self.closures = read_closures(prefix=prefix)
+        self.closures = read_closures(machine, prefix=prefix)
         self._constrained = ConstrainedModel(self.model, self.closures, machine, prefix)
         self._of_thread = threading.local()
         self.joint_names, self.leg_indices = self._constrained.names, self._constrained.legs
@@ -83,26 +90,27 @@ class ClosedChain:
     def from_urdf(
         cls,
         path: str | Path | None = None,
-        machine: Manipulator | None = None,
+        machine: Manipulator | Stage | None = None,
         *,
         prefix: str = "",
         masses: Masses | None = None,
     ) -> ClosedChain:
-        """Make a chain from the package's description, or from a URDF file expanded from it.
+        """Make a chain of a machine from the package's description, or from a URDF file expanded from it.
 
-        `machine` is by default the paper's. A file at `path` has the tree of the description for this machine,
-        perhaps with other inertias, shapes and limits; the closures are the description's. `prefix` stands before the
-        name of every link and joint. Raises `DescriptionError` for another tree, and for impossible inertias.
+        `machine`, a `Manipulator` or a `Stage`, is by default the paper's. A file at `path` has the tree of the
+        description for this machine, perhaps with other inertias, shapes and limits; the closures are the
+        description's. `prefix` stands before the name of every link and joint. Raises `DescriptionError` for another
+        tree, and for impossible inertias.
 
         Without `masses`, those of the description are assumed, in proportion to the machine's size: weights, dynamics
         and forces of motions are no better than they.
         """
         check_prefix(prefix)
-        machine = Manipulator.paper() if machine is None else check_instance(machine, Manipulator, "machine")
+        machine = Manipulator.paper() if machine is None else check_machine(machine)
         is_shipped = machine == Manipulator.paper() and prefix == ""
         shipped = description_file(URDF)
         described = shipped.read_text(encoding="utf-8") if is_shipped else urdf_text(machine, prefix=prefix)
-        text = described if path is None else _read_urdf(file_path(path), described, machine.middle_side)
+        text = described if path is None else _read_urdf(file_path(path), described, machine.ball_side)
         chain = cls(text, machine, prefix)
         return chain if masses is None else chain.with_masses(masses)
 
@@ -120,7 +128,7 @@ class ClosedChain:
         return f"<ClosedChain{named}: {self.model.nq} joints, {len(self.closures)} closures, {self.machine}>"
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
-        """Return the state of joint values q (..., 18) and velocities v (..., 18), by default at rest.
+        """Return the state of joint values q (..., nq) and velocities v (..., nv), by default at rest.
 
         Its methods are all that follows from q and v: rates, forces, dynamics, singularities, the configuration.
         """
@@ -136,6 +144,12 @@ class ClosedChain:
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
         return self._constrained.joint_indices(*names)
+
+    @cached_property
+    def loops(self) -> LoopChain:
+        """The same chain in `spm_pin.loops`, for what concerns any robot: mobility, forces of the closures."""
+        closures = [LoopClosure("point", Anchor(c.frame_a), Anchor(c.frame_b), c.name) for c in self.closures]
+        return LoopChain(self.model, closures, [self.joint_names[k] for k in self.leg_indices])
 
     @cached_property
     def visual_model(self) -> Any:
@@ -164,32 +178,36 @@ class ClosedChain:
         """
         return mount(self, other, frame, placement, carried=False)
 
-    def carrying(self, other: Any, frame: str = "terminal_platform", placement: Any = None) -> MountedChain:
+    def carrying(self, other: Any, frame: str | None = None, placement: Any = None) -> MountedChain:
         """Return this chain with another robot on it, whose universe is fixed to a frame of the chain.
 
-        `frame` is named without prefix, `placement` is that of the other robot's universe in it; else as `mounted_on`.
+        `frame` is named without prefix, by default the platform; `placement` is that of the other robot's universe in
+        it; else as `mounted_on`.
         """
-        return mount(self, other, f"{self.prefix}{frame}", placement, carried=True)
+        place = self._constrained.platform if frame is None else f"{self.prefix}{frame}"
+        return mount(self, other, place, placement, carried=True)
 
-    def joint_values(self, configuration: Configuration) -> FloatArray:
-        """Return q (..., 18) of a configuration of the chain's machine, in closed form: angles in [-π, π].
+    def joint_values(self, configuration: Configuration | StageConfiguration) -> FloatArray:
+        """Return q (..., nq) of a configuration of the chain's machine, in closed form: angles in [-π, π].
 
         Its leg limits play no part. The configuration is closed to 1e-9 of the middle platform's side at least, and the
         tree as far as it is; members of a batch that do not exist are NaN.
         """
-        state = check_configuration(configuration)
-        if not state.shape:
-            check_configuration(configuration, existing=True)
+        state = check_state(configuration, existing=not np.shape(getattr(configuration, "exists", True)))
         if state.machine is not self.machine:
             check_same_machine(state.machine, self.machine, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
-            state = Configuration.from_arrays(self.machine, state.rotation, state.translation, state.middle_joints)
+            if isinstance(self.machine, Stage):
+                state = StageConfiguration.from_arrays(self.machine, state.rotation, state.translation)
+            else:
+                own, balls = self.machine, cast(Configuration, state).middle_joints
+                state = Configuration.from_arrays(own, state.rotation, state.translation, balls)
         return self._values_of(state)
 
-    def _values_of(self, configuration: Configuration) -> FloatArray:
+    def _values_of(self, configuration: Configuration | StageConfiguration) -> FloatArray:
         """Return `joint_values` of a configuration of the chain's own machine."""
         angles = joint_angles(configuration, corners=(0,))
-        is_open = angles.closure_residual > AGREEMENT * self.machine.middle_side
+        is_open = angles.closure_residual > AGREEMENT * self._constrained.side
         if is_open.any():
             index = first_offender(is_open)
             where = f" at batch index {index}" if index else ""
@@ -198,21 +216,21 @@ class ClosedChain:
             raise ArgumentError("configuration", "a closed mechanism", received, cause)
         missed = np.isnan(angles.actuated) & configuration.exists[..., None]
         if missed.any():
-            leg = LEGS[first_offender(missed)[-1]]
+            leg = self.machine.legs.names[first_offender(missed)[-1]]
             raise ArgumentError("configuration", "balls within the reach of their legs", f"one out of reach of {leg}")
         return angles.values.take(self._order, axis=-1)
 
     def leg_lengths(self, q: npt.ArrayLike) -> FloatArray:
-        """Return the distances from pivot to ball [m] that slides of RPS legs have in q (..., 18), shape (..., 6)."""
+        """Return the distances from pivot to ball [m] that slides of RPS legs have in q (..., nq), shape (..., n)."""
         check_rps(self.machine, "lengths of the legs in q")
         return self._constrained.readings(self._constrained.read_q(q))
 
     def readings(self, q: npt.ArrayLike) -> FloatArray:
-        """Return what the encoders show in q (..., 18), shape (..., 6): [m], of RRS legs [rad]."""
+        """Return what the encoders show in q (..., nq), shape (..., n): [m], of RRS legs [rad]."""
         return np.asarray(self._constrained.readings(self._constrained.read_q(q)) + self.machine.legs.offsets)
 
     def with_readings(self, q: npt.ArrayLike, readings: npt.ArrayLike) -> FloatArray:
-        """Return a copy of q (..., 18) with other readings (..., 6), the other joints as they are: loops open."""
+        """Return a copy of q (..., nq) with other readings (..., n), the other joints as they are: loops open."""
         joints, own = self._constrained.read_q(q), self._without_offsets(readings)
         shape = broadcastable("readings", own.shape[:-1], "q", joints.shape[:-1])
         changed = np.broadcast_to(joints, (*shape, joints.shape[-1])).copy()
@@ -220,24 +238,24 @@ class ClosedChain:
         return changed
 
     def _without_offsets(self, readings: npt.ArrayLike) -> FloatArray:
-        own = np.asarray(read_vectors(readings, "readings", 6) - self.machine.legs.offsets)
+        own = np.asarray(read_vectors(readings, "readings", len(self.leg_indices)) - self.machine.legs.offsets)
         self._constrained.check_readings(own, "readings", "A leg length is the reading less the offset of its encoder")
         return own
 
     def project(self, q: npt.ArrayLike) -> FloatArray:
-        """Return closed joint values (..., 18) near q, by Newton's method; angles are not reduced to one turn.
+        """Return closed joint values (..., nq) near q, by Newton's method; angles are not reduced to one turn.
 
         All joints move, as little as closes the loops to first order, slides measured in units of the middle platform's
         side. Raises `ClosureError` if the loops do not close to rounding in fifty steps.
         """
-        state = self._at(q)
-        return np.array(state._each_member(lambda: close_loops(state.kinematics, state.kinematics.q, most=50), (18,)))
+        state, shape = self._at(q), (self.model.nq,)
+        return np.array(state._each_member(lambda: close_loops(state.kinematics, state.kinematics.q, most=50), shape))
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
-        """Return all joints (..., 18) of readings (..., 6) [m], of RRS legs [rad].
+        """Return all joints (..., nq) of readings (..., n) [m], of RRS legs [rad].
 
         By default in the physical assembly mode of each member, in closed form, angles in [-π, π]; see
-        `spm_pin.forward_physical`. With `near` (18,), a closed q, the mechanism goes from there to the first member by
+        `spm_pin.forward_physical`. With `near` (nq,), a closed q, the mechanism goes from there to the first member by
         changing all readings in proportion, and on to each from the one before, in C order, in the assembly mode that
         it comes to, angles continuous and not reduced to one turn.
 
@@ -251,10 +269,11 @@ class ClosedChain:
         return self._follow(near, follow_legs, self._without_offsets(readings), axes=(1,))
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
-        """Return all joints (..., 18) of a pose (...) of the terminal platform, {m} in {B}.
+        """Return all joints (..., nq) of a pose (...) of the terminal platform, {m} in {B}.
 
-        By default in the physical branch of each member, in closed form, angles in [-π, π]; see
-        `spm_pin.kinematics.inverse_physical`. With `near` (18,), a closed q, the platform moves and turns from there
+        Of a stage the height and the normal of the pose count: its shift and torsion follow from them. By default in
+        the physical branch of each member, in closed form, angles in [-π, π]; see
+        `spm_pin.kinematics.inverse_physical`. With `near` (nq,), a closed q, the platform moves and turns from there
         to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
         that it comes to. Leg limits play no part. Errors are those of `forward_kinematics`, at inverse singularities
         instead of forward ones.
@@ -263,7 +282,7 @@ class ClosedChain:
         if near is None:
             place, rotation = transform.translation, transform.rotation
             return self._physical_values(
-                inverse_physical(self.machine, transform),
+                physical_at_poses(self.machine, transform),
                 "pose",
                 "poses that a physical branch has",
                 lambda: f"o at {_listed(place)} m, turned by the rotation vector {_listed(rotation.as_rotvec())} rad",
@@ -271,9 +290,13 @@ class ClosedChain:
         return self._follow(near, follow_pose, transform.rotation.as_matrix(), transform.translation, axes=(2, 1))
 
     def _physical_values(
-        self, configuration: Configuration, argument: str, expected: str, received: Callable[[], str]
+        self,
+        configuration: Configuration | StageConfiguration,
+        argument: str,
+        expected: str,
+        received: Callable[[], str],
     ) -> FloatArray:
-        """Return the joint values of a physical solution, or raise if there is none of a single problem."""
+        """Return the joint values of a physical solution; for a single problem without one, raise an error."""
         if not configuration.shape and not configuration.exists:
             reason = configuration.missing_reason or "Out of reach, or a misread number?"
             sentence = f"{reason[0].upper()}{reason[1:]}{'' if reason.endswith(('.', '?')) else '.'}"
@@ -304,9 +327,9 @@ class ClosedChain:
         """Return the motion of all joints for one of the platform, with the leg forces of it under gravity.
 
         `path`, a `PlatformPath` or another callable, takes a time [s] and returns pose, twist and acceleration of the
-        terminal platform; `times` (n,) [s] increase at any rate; `near` (18,) is a closed q in the branch wanted, near
-        the path's start. Raises as `inverse_kinematics`, with the index of the time, and `UnreachableError` where a leg
-        is beyond the limits of the machine.
+        terminal platform, of which a stage follows height and normal. `times` (n,) [s] increase at any rate; `near`
+        (nq,) is a closed q in the branch wanted, near the path's start. Raises as `inverse_kinematics`, with the index
+        of the time, and `UnreachableError` where a leg is beyond the limits of the machine.
         """
         q, t = self._constrained.read_q(near, "near", single=True), increasing_times(times)
         if not callable(path):
@@ -319,8 +342,8 @@ class ClosedChain:
             try:
                 pose, twist, acceleration = read_motion(motion)
                 q = follow_pose(state.kinematics, q, pose.rotation.as_matrix(), pose.translation)
-                v = state.update(q).joint_velocities(twist)
-                a = state.update(q, v).joint_accelerations(acceleration)
+                v = state.update(q)._velocities_along(twist)
+                a = state.update(q, v)._accelerations_along(twist, acceleration)
                 efforts = np.zeros(q.size)
                 efforts[self.leg_indices] = state.inverse_dynamics(a)
             except (ArgumentError, ClosureError, SingularConfigurationError) as error:
@@ -329,8 +352,9 @@ class ClosedChain:
         positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
         check_path_readings(self.machine.limits, self.machine.legs.units, readings, "path", t, "time")
         pose = RigidTransform.from_matrix(poses)
-        columns, units = tuple(self.leg_indices.tolist()), self.machine.legs.units
-        return JointTrajectory(self.joint_names, t, positions, v, a, efforts, readings, pose, columns, units)
+        columns, legs = tuple(self.leg_indices.tolist()), self.machine.legs
+        of_joints = positions, v, a, efforts, readings
+        return JointTrajectory(self.joint_names, t, *of_joints, pose, columns, legs.units, legs.names)
 
     def simulate(
         self,
@@ -352,10 +376,10 @@ class ClosedChain:
 
         Parameters
         ----------
-        q0, v0 : array_like, shape (18,)
+        q0, v0 : array_like, shape (nq,)
             Joint values and velocities of a closed mechanism at the first time.
-        forces : array_like (6,), callable, or None
-            Of the legs [N], of RRS legs torques [N m]: constant, or a function (t, q, v) → (6,); None lets them move
+        forces : array_like (n,), callable, or None
+            Of the legs [N], of RRS legs torques [N m]: constant, or a function (t, q, v) → (n,); None lets them move
             freely. A function without `period` is smooth in its arguments alone: it is called several times a step, and
             not in order.
         times : array_like, shape (n,)
@@ -369,7 +393,7 @@ class ClosedChain:
             Of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the energy
             to about 1e-12 of itself in a second of falling.
         """
-        return run_simulation(self._constrained, q0, v0, times, forces, wrench, period, tolerance)
+        return run_simulation(self.loops, self._constrained, q0, v0, times, forces, wrench, period, tolerance)
 
 
 def _listed(numbers: npt.ArrayLike) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,9 +20,13 @@ import pinocchio as pin
 from scipy.linalg import LinAlgError, eigh
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
+from spm_pin.loops.loop_state import Energy
+from spm_pin.loops.point_dynamics import PointDynamics
 from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.manipulator import Manipulator
+from spm_pin.machine.stage import Stage
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.multibody.constrained_model import (
-    AccelerationSolver,
     ConstrainedModel,
     SingularValues,
     TreeKinematics,
@@ -31,45 +35,32 @@ from spm_pin.multibody.constrained_model import (
 from spm_pin.support.arguments import FloatArray, broadcastable, symmetric_matrices
 
 
-class Energy(NamedTuple):
-    """Energy of all moving bodies [J], floats or arrays (...)."""
-
-    kinetic: Any
-    """Kinetic energy [J]."""
-    potential: Any
-    """Potential energy of gravity [J], zero at the height of the universe's origin."""
-
-    @property
-    def total(self) -> Any:
-        """Kinetic and potential energy together."""
-        return self.kinetic + self.potential
-
-
 class PlatformDynamics(NamedTuple):
-    """The mechanism's equations of motion at its terminal platform, Λ ṫ + C t + G = J_fᵀ f + w.
+    """The mechanism's equations of motion at its platform, Λ ṫ + C t + G = J_fᵀ f + w.
 
     t = (v, ω) is the twist of m at o and ṫ its time derivative, f are the leg forces, w is the wrench applied onto m,
-    all in {B}. The masses of all bodies are in it.
+    all in {B}. The masses of all bodies are in it. Of a stage t is the motion (v_z, ω_x, ω_y), and w the part of the
+    wrench that works along it, `platform_jacobian` @ `inverse_jacobian` transposed times the wrench.
     """
 
     mass: FloatArray
-    """Λ, reflected at o, shape (..., 6, 6); symmetric and positive definite."""
+    """Λ, reflected at o, shape (..., 6, 6), of a stage (..., 3, 3); symmetric and positive definite."""
     coriolis: FloatArray
-    """C, shape (..., 6, 6), of the factorization for which Λ̇ - 2 C is skew."""
+    """C, of the same shape, of the factorization for which Λ̇ - 2 C is skew."""
     bias: FloatArray
-    """C t [N, N m], shape (..., 6)."""
+    """C t [N, N m], shape (..., 6), of a stage (..., 3)."""
     gravity: FloatArray
-    """G, shape (..., 6): minus the wrench that the weights of all bodies exert at o."""
+    """G, of the same shape: minus what the weights of all bodies exert at o."""
 
 
 class NaturalFrequencies(NamedTuple):
     """Vibrations of the platform on elastic legs, slowest first."""
 
     frequencies: FloatArray
-    """[Hz], shape (..., 6)."""
+    """[Hz], shape (..., 6), of a stage (..., 3)."""
     modes: FloatArray
-    """Small displacements (of o [m], rotation [rad]) in {B} as rows, shape (..., 6, 6), in the order of the
-    frequencies; Mᵀ Λ M = 1 of the columns."""
+    """Small displacements (of o [m], rotation [rad]) in {B} as rows, shape (..., 6, 6), of a stage (..., 3, 3), in the
+    order of the frequencies; Mᵀ Λ M = 1 of the columns."""
 
 
 Result = TypeVar("Result")
@@ -96,7 +87,7 @@ class ConstrainedState:
         self._constrained = constrained
         self.kinematics = TreeKinematics(constrained)
         self.failures: dict[tuple[int, ...], SpmError] = {}
-        self._solver: AccelerationSolver | None = None
+        self._solver: PointDynamics | None = None
         self._batch: tuple[int, ...] = ()
         self._q, self._v = self.kinematics.q, self.kinematics.zero_velocity
 
@@ -202,7 +193,7 @@ class ConstrainedState:
         constrained, kinematics = self._constrained, self.kinematics
         arrays = {"forces": read_vectors(forces, "forces", constrained.actuated.size), **_wrench(wrench)}
         if self._solver is None:
-            self._solver = AccelerationSolver(constrained)
+            self._solver = constrained.point_dynamics()
         solver = self._solver
 
         def member(force: FloatArray, load: FloatArray | None = None) -> FloatArray:
@@ -237,7 +228,7 @@ class ConstrainedState:
         return self._each_member(member, (constrained.actuated.size,), **arrays)
 
     def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return leg forces (6,) and forces in the cut balls (3 n,) that give the tree's generalized forces (18,)."""
+        """Return leg forces and forces in the cut balls (3 n,) that give the tree's generalized forces (joints,)."""
         legs, kinematics = self._constrained.legs, self.kinematics
         # The actuators do not act on the passive joints: these give λ, and the legs what is left.
         cuts = kinematics.forward_factors.solve_transposed(torques.take(self._constrained.passive))
@@ -266,14 +257,16 @@ class ConstrainedState:
 class ChainState(ConstrainedState):
     """The state of a `ClosedChain`: a `ConstrainedState` with methods that a mounted chain does not have.
 
-    Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it;
-    legs are in the order r_b1, r_b2, r_b3, r_c1, r_c2, r_c3, and a positive leg force pushes, to extend the leg.
+    Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it.
+    The platform of a stage has three freedoms: its *motion* (v_z, ω_x, ω_y) stands where a manipulator has a twist, and
+    the parasitic v_x, v_y and ω_z follow. The n legs are in the order of `Machine.legs.names`, and a positive leg force
+    pushes, to extend the leg. `joints` are 18, or 9 of a stage.
     Methods that use rates or forces take a closed q, and raise `ArgumentError` where a ball joint's middle angle is
     ±90°, and `SingularConfigurationError` at the singularities they name, where a matrix is singular to rounding.
     """
 
-    def configuration(self) -> Configuration:
-        """Return the configuration (...): the poses of m and of the middle platform's corners.
+    def configuration(self) -> Configuration | StageConfiguration:
+        """Return the configuration (...): the pose of m and those of the middle platform's corners.
 
         If q is open, so is the configuration, and its leg lengths are those between its points, not those of q.
         """
@@ -281,36 +274,65 @@ class ChainState(ConstrainedState):
 
         def member() -> tuple[FloatArray, ...]:
             corners = [kinematics.data.oMf[frame].translation for frame in constrained.corner_frames]
-            return *kinematics.terminal_pose(), np.array(corners)
+            return *kinematics.terminal_pose(), np.array(corners).reshape(-1, 3)
 
-        return Configuration.from_arrays(constrained.machine, *self._each_member(member, [(3, 3), (3,), (3, 3)]))
+        corners = len(constrained.corner_frames)
+        rotation, translation, points = self._each_member(member, [(3, 3), (3,), (corners, 3)])
+        machine = constrained.machine
+        if isinstance(machine, Stage):
+            return StageConfiguration.from_arrays(machine, rotation, translation)
+        return Configuration.from_arrays(cast(Manipulator, machine), rotation, translation, points)
 
     def inverse_jacobian(self) -> FloatArray:
-        """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates.
+        """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; of a stage (..., 3, 3).
 
         Raises at an inverse or a constraint singularity.
         """
-        legs = self._constrained.legs
-        return self._each_closed_member(lambda: self.kinematics.velocities_of_twists.take(legs, axis=0), (6, 6))
+        legs, shape = self._constrained.legs, (len(self._constrained.legs), len(self._constrained.freedoms))
+        return self._each_closed_member(lambda: self.kinematics.velocities_of_twists.take(legs, axis=0), shape)
 
-    def joint_velocities(self, twist: npt.ArrayLike) -> FloatArray:
-        """Return the velocities of all joints (..., 18) [rad/s, m/s] for a twist (..., 6) of m.
-
-        Raises as `inverse_jacobian`.
-        """
-        twists = read_vectors(twist, "twist", 6)
-        return self._each_closed_member(lambda t: self.kinematics.velocities_of_twists.dot(t), (18,), twist=twists)
-
-    def joint_rates(self, leg_rates: npt.ArrayLike) -> FloatArray:
-        """Return the velocities of all joints (..., 18) [rad/s, m/s] for rates of the six legs (..., 6) [m/s].
+    def platform_jacobian(self) -> FloatArray:
+        """Return the map from leg rates to the twist of m, shape (..., 6, n), with the parasitic motion of a stage.
 
         Raises at a forward or a constraint singularity.
         """
-        rates = read_vectors(leg_rates, "leg_rates", 6)
-        return self._each_closed_member(self.kinematics.velocities_of_legs, (18,), leg_rates=rates)
+        kinematics, legs = self.kinematics, len(self._constrained.legs)
+
+        def member() -> FloatArray:
+            columns = [kinematics.velocities_of_legs(rates) for rates in np.eye(legs)]
+            return np.asarray(kinematics.platform_jacobian @ np.array(columns).T)
+
+        return self._each_closed_member(member, (6, legs))
+
+    def joint_velocities(self, twist: npt.ArrayLike) -> FloatArray:
+        """Return the velocities of all joints (..., joints) [rad/s, m/s] for a twist (..., 6) or motion (..., 3) of m.
+
+        Raises as `inverse_jacobian`.
+        """
+        twists = self._freedoms(twist, "twist")
+        each = self._each_closed_member
+        return each(lambda t: self.kinematics.velocities_of_twists.dot(t), (self._joints,), twist=twists)
+
+    def joint_rates(self, leg_rates: npt.ArrayLike) -> FloatArray:
+        """Return the velocities of all joints (..., joints) [rad/s, m/s] for rates of the legs (..., n) [m/s].
+
+        Raises at a forward or a constraint singularity.
+        """
+        rates = self._legs(leg_rates, "leg_rates")
+        return self._each_closed_member(self.kinematics.velocities_of_legs, (self._joints,), leg_rates=rates)
+
+    @property
+    def _joints(self) -> int:
+        return len(self._constrained.names)
+
+    def _legs(self, value: npt.ArrayLike, argument: str) -> FloatArray:
+        return read_vectors(value, argument, len(self._constrained.legs))
+
+    def _freedoms(self, value: npt.ArrayLike, argument: str) -> FloatArray:
+        return read_vectors(value, argument, len(self._constrained.freedoms))
 
     def leg_forces(self, wrench: npt.ArrayLike) -> FloatArray:
-        """Return the actuator forces (..., 6) [N] that hold a wrench (..., 6) applied onto the terminal platform.
+        """Return the actuator forces (..., n) [N] that hold a wrench (..., 6) applied onto the terminal platform.
 
         Weights and friction are left out: `inverse_dynamics` has the weights. Raises at a forward or a constraint
         singularity.
@@ -318,43 +340,74 @@ class ChainState(ConstrainedState):
         return self._holding(wrench)[0]
 
     def cut_forces(self, wrench: npt.ArrayLike) -> FloatArray:
-        """Return the forces in the ball joints where the tree is cut, shape (..., 4, 3) [N] in {B}.
+        """Return the forces in the ball joints where the tree is cut, shape (..., closures, 3) [N] in {B}.
 
         Per closure, what the middle platform (`frame_a`) exerts onto the tip of the leg (`frame_b`). The wrench and the
         errors are those of `leg_forces`.
         """
         cuts = self._holding(wrench)[1]
-        return cuts.reshape(*cuts.shape[:-1], 4, 3)
+        return cuts.reshape(*cuts.shape[:-1], len(self._constrained.closures), 3)
 
     def _holding(self, wrench: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the forces of the legs (..., 6) and in the cut balls (..., 12) that hold a wrench (..., 6)."""
+        """Return the forces of the legs (..., n) and in the cut balls (..., 3 closures) that hold a wrench (..., 6)."""
 
         def member(load: FloatArray) -> tuple[FloatArray, FloatArray]:
             return self._balance(-(self.kinematics.platform_jacobian.T @ load))
 
-        return self._each_closed_member(member, [(6,), (12,)], wrench=read_vectors(wrench, "wrench", 6))
+        shapes: list[tuple[int, ...]] = [(len(self._constrained.legs),), (3 * len(self._constrained.closures),)]
+        return self._each_closed_member(member, shapes, wrench=read_vectors(wrench, "wrench", 6))
 
     def singular_values(self) -> SingularValues:
         """Return how near q is to each kind of singularity, without raising `SingularConfigurationError`."""
         return SingularValues(*self._each_closed_member(self.kinematics.singular_values, [(), (), ()]))
 
     def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
-        """Return the accelerations of all joints (..., 18) for one of the terminal platform (..., 6).
+        """Return the accelerations of all joints (..., joints) for one of the terminal platform (..., 6).
 
-        That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}. Raises at an
-        inverse or a constraint singularity.
+        That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}; of a stage that
+        of its motion (..., 3). Raises at an inverse or a constraint singularity.
         """
+        kinematics, freedoms = self.kinematics, self._constrained.freedoms
 
         def member(acceleration: FloatArray) -> FloatArray:
-            self._check_closed()
-            gaps, platform = self._bias()
-            kinematics = self.kinematics
-            return kinematics.inverse_factors.solve(kinematics.nondimensional(acceleration - platform, -gaps))
+            if not self._constrained.is_stage:
+                return self._accelerations_of(acceleration)
+            a = self._accelerations_of(np.zeros(6))
+            missing = acceleration - (kinematics.platform_jacobian @ a + self._bias()[1])[freedoms]
+            return np.asarray(a + kinematics.velocities_of_twists @ missing)
 
-        return self._each_member(member, (18,), acceleration=read_vectors(acceleration, "acceleration", 6))
+        wanted = self._freedoms(acceleration, "acceleration")
+        return self._each_member(member, (self._joints,), acceleration=wanted)
+
+    def _accelerations_of(self, acceleration: FloatArray) -> FloatArray:
+        """Return the accelerations of all joints with which W times that of m is W times one given (6,)."""
+        self._check_closed()
+        gaps, platform = self._bias()
+        kinematics = self.kinematics
+        return kinematics.inverse_factors.solve(kinematics.nondimensional(acceleration - platform, -gaps))
+
+    def _velocities_along(self, twist: FloatArray) -> FloatArray:
+        """Return the velocities of all joints of a single state with which m moves as W times a twist (6,) says."""
+        kinematics, gaps = self.kinematics, np.zeros(3 * len(self._constrained.closures))
+        return kinematics.inverse_factors.solve(kinematics.nondimensional(twist, gaps))
+
+    def _accelerations_along(self, twist: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Return the accelerations of all joints along a path of this twist and acceleration (6,) of the platform.
+
+        A stage follows the normal n of the path and not its spin: n × n̈ = α - n (n·α) + (ω·n) n × ω is the same.
+        """
+        if self._constrained.is_stage:
+            kinematics = self.kinematics
+            spin, normal = (
+                twist[3:] - (kinematics.platform_jacobian @ self._rates)[3:],
+                kinematics.terminal_pose()[0][:, 2],
+            )
+            acceleration = acceleration.copy()
+            acceleration[3:] += (spin @ normal) * np.cross(normal, twist[3:])
+        return self._accelerations_of(acceleration)
 
     def joint_accelerations_of_legs(self, leg_accelerations: npt.ArrayLike) -> FloatArray:
-        """Return the accelerations of all joints (..., 18) for those of the legs (..., 6) [m/s²].
+        """Return the accelerations of all joints (..., joints) for those of the legs (..., n) [m/s²].
 
         Raises as `joint_rates`.
         """
@@ -363,8 +416,8 @@ class ChainState(ConstrainedState):
             self._check_closed()
             return self.kinematics.velocities_of_legs(accelerations, self._bias()[0])
 
-        wanted = read_vectors(leg_accelerations, "leg_accelerations", 6)
-        return self._each_member(member, (18,), leg_accelerations=wanted)
+        wanted = self._legs(leg_accelerations, "leg_accelerations")
+        return self._each_member(member, (self._joints,), leg_accelerations=wanted)
 
     def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
         """Return the time derivative of the twist of m (..., 6) [m/s², rad/s²] for joint accelerations (..., nv)."""
@@ -372,14 +425,15 @@ class ChainState(ConstrainedState):
         def member(a: FloatArray) -> FloatArray:
             return self.kinematics.platform_jacobian @ a + self._bias()[1]
 
-        return self._each_closed_member(member, (6,), a=read_vectors(a, "a", 18))
+        return self._each_closed_member(member, (6,), a=read_vectors(a, "a", self._joints))
 
     def platform_dynamics(self) -> PlatformDynamics:
         """Return the equations of motion at the terminal platform, Λ ṫ + C t + G = J_fᵀ f + w, of all bodies' masses.
 
         Raises at an inverse or a constraint singularity.
         """
-        return PlatformDynamics(*self._each_member(self._platform_dynamics, [(6, 6), (6, 6), (6,), (6,)]))
+        n = len(self._constrained.freedoms)
+        return PlatformDynamics(*self._each_member(self._platform_dynamics, [(n, n), (n, n), (n,), (n,)]))
 
     def _platform_dynamics(self) -> tuple[FloatArray, ...]:
         self._check_closed()
@@ -390,31 +444,34 @@ class ChainState(ConstrainedState):
             pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
             for frame in (*constrained.frames, constrained.platform_frame)
         )
-        # K Ẋ = -K̇ X.
-        rates = kinematics.nondimensional(platform, constrained.linear_differences(points))
-        x_rate = -kinematics.inverse_factors.solve(rates @ x)
+        # Jc Ẋ = -J̇c X, and the twists of X have constant rows of freedoms.
+        rates, freedoms = constrained.linear_differences(points) @ x, constrained.freedoms
+        part = -kinematics.inverse_factors.solve(kinematics.nondimensional(np.zeros((6, len(freedoms))), rates))
+        x_rate = part - x @ (platform @ x + kinematics.platform_jacobian @ part)[freedoms]
         mass = kinematics.mass_matrix()
         coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)
         reflected = x.T @ mass @ x
         gravity = x.T @ pin.computeGeneralizedGravity(model, data, q)
-        bias = coriolis @ (kinematics.platform_jacobian @ v)
+        bias = coriolis @ (kinematics.platform_jacobian @ v)[freedoms]
         return 0.5 * (reflected + reflected.T), coriolis, bias, gravity
 
     def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
         """Return the small vibrations of the platform with its motors held, on legs that are elastic: Λ ẍ + K x = 0.
 
-        `stiffness` K (..., 6, 6) is the platform's as of `spm_pin.stiffness`; what weights add to it is left out.
+        `stiffness` K (..., 6, 6), of a stage (..., 3, 3), is the platform's as of `spm_pin.stiffness`, with a rigid
+        structure of a stage; what weights add to it is left out.
         Raises at an inverse or a constraint singularity.
         """
         meaning = "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness"
-        matrices = symmetric_matrices(stiffness, "stiffness", 6, meaning)
-        flat = matrices.reshape(*matrices.shape[:-2], 36)
-        return NaturalFrequencies(*self._each_closed_member(self._vibrations, [(6,), (6, 6)], stiffness=flat))
+        n = len(self._constrained.freedoms)
+        matrices = symmetric_matrices(stiffness, "stiffness", n, meaning)
+        flat = matrices.reshape(*matrices.shape[:-2], n * n)
+        return NaturalFrequencies(*self._each_closed_member(self._vibrations, [(n,), (n, n)], stiffness=flat))
 
     def _vibrations(self, stiffness: FloatArray) -> tuple[FloatArray, FloatArray]:
         x, expected = self.kinematics.velocities_of_twists, "a symmetric matrix, positive definite"
         try:
-            squares, modes = eigh(stiffness.reshape(6, 6), x.T @ self.kinematics.mass_matrix() @ x)
+            squares, modes = eigh(stiffness.reshape(x.shape[1], -1), x.T @ self.kinematics.mass_matrix() @ x)
         except LinAlgError as error:
             raise ArgumentError("stiffness", expected, str(error)) from error
         if squares[0] <= 0.0:

@@ -1,6 +1,7 @@
 """Closed joint values by Newton's method: from an open q nearby, and by continuation from another closed one.
 
-Continuation leads to six readings, or to a pose of the platform: eighteen equations for eighteen joints. The first
+Continuation leads to readings, or to a pose of the platform, of a stage its normal and its height: as many equations
+as joints. The first
 Newton step from a point of the path is the path's tangent; where the corrections after it are no small part of it, the
 step is shortened. So it is, too, where the determinant of the equations changes its sign or too much over the step or
 half of it. The determinant is zero at a fold, where a path ends, and its sign is another on the other side: steps
@@ -30,15 +31,15 @@ DETERMINANT_CHANGE = 1.5
 SHORTEST_SHARE = 2.0**-22
 """Share of the path below which the continuation ends."""
 SHORTEST_STEP = 1e-6
-"""In the units of `LONGEST_STEP`: nearer to a singularity, rounding moves a solution by no small part of a step."""
+"""Smallest step, in units of `LONGEST_STEP`: closer to a singularity, rounding errors are comparable to the step."""
 MOST_CORRECTIONS = 8
 
 Equations = Callable[[float, FloatArray], tuple[FloatArray, Callable[[], FloatArray]]]
-"""Of a share of the path, from 0 to 1, and q: the residual [m], and a function that returns the Newton step (18,)."""
+"""Of a share of the path, from 0 to 1, and q: the residual [m], and a function that returns the Newton step."""
 
 
 def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> FloatArray:
-    """Return closed joint values near q (18,), or raise `ClosureError`; see `ClosedChain.project`.
+    """Return closed joint values near q, or raise `ClosureError`; see `ClosedChain.project`.
 
     The kinematics are left at the result.
     """
@@ -68,7 +69,7 @@ def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> Fl
 
 
 def follow_legs(kinematics: TreeKinematics, q: FloatArray, readings: FloatArray) -> FloatArray:
-    """Return q of other readings (6,), offsets aside, all changed in proportion; raises at a forward singularity."""
+    """Return q of other readings (legs,), offsets aside, all changed in proportion; raises at a forward singularity."""
     constrained = kinematics.constrained
     begin = constrained.readings(q)
 
@@ -84,22 +85,39 @@ def follow_legs(kinematics: TreeKinematics, q: FloatArray, readings: FloatArray)
 
 
 def follow_pose(kinematics: TreeKinematics, q: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    """Return q of another pose of m, turned and moved in proportion; raises at an inverse singularity."""
+    """Return q of another pose of m, turned and moved in proportion; raises at an inverse singularity.
+
+    Of a stage, the normal and the height of the pose count.
+    """
     side = kinematics.constrained.side
+    between = _turn_of_normals if kinematics.constrained.is_stage else _turn
     kinematics.evaluate(q)
     start, origin = kinematics.terminal_pose()
-    turn = pin.log3(rotation @ start.T)
+    turn = between(start, rotation)
 
     def equations(share: float, q: FloatArray) -> tuple[FloatArray, Callable[[], FloatArray]]:
         kinematics.evaluate(q)
         target = rotation if share == 1.0 else pin.exp3(share * turn) @ start
         place = translation if share == 1.0 else origin + share * (translation - origin)
         now, here = kinematics.terminal_pose()
-        error = np.concatenate([(place - here) / side, pin.log3(target @ now.T), -kinematics.gap.ravel() / side])
+        error = kinematics.nondimensional(np.concatenate([place - here, between(now, target)]), -kinematics.gap.ravel())
         return side * error, lambda: kinematics.inverse_factors.solve(error)
 
     cause = "an inverse singularity, or out of reach?"
     return _follow(kinematics, q, equations, kinematics.inverse_determinant, cause)
+
+
+def _turn(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the rotation vector from one rotation to another."""
+    return np.asarray(pin.log3(end @ start.T))
+
+
+def _turn_of_normals(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the rotation vector of the smallest turn from the normal of one rotation to that of another."""
+    a, b = start[:, 2], end[:, 2]
+    axis = np.cross(a, b)
+    sine = float(np.linalg.norm(axis))
+    return np.asarray(axis * (math.atan2(sine, float(a @ b)) / sine if sine else 1.0))
 
 
 def _follow(

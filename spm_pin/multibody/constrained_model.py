@@ -1,17 +1,19 @@
 """A spanning tree with closures: where joints and frames are in the model, and the kinematics of the tree at one q.
 
-With Jm the Jacobian of the terminal platform m at o, Jc that of the closures and S the selection of the six legs,
-all joint velocities v of the mechanism that the closures admit solve, for a twist t of m or for leg rates ṙ,
+With Jm the Jacobian of the platform m at o, Jc that of the closures and S the selection of the legs, all joint
+velocities v of the mechanism that the closures admit solve, for a twist t of m or for leg rates ṙ,
 
-    K v = (t, 0),    K = [Jm; Jc],        N v = (ṙ, 0),    N = [S; Jc],
+    K v = (W t, 0),    K = [W Jm; Jc],        N v = (ṙ, 0),    N = [S; Jc],
 
-of which N comes down to the columns of the passive joints in Jc.
+of which N comes down to the columns of the passive joints in Jc. W selects the freedoms: all six of a manipulator's
+platform; of a stage the velocity along z and the angular velocities about the axes x and y of the platform, which turn
+its normal. The parasitic motion follows from them.
 
 Singular values need one unit: lengths are in units of d, the middle platform's side. And they should not depend on
 how the tree describes a ball joint: its three rates are replaced by the angular velocity across it. Such velocities u
 are of order one together, v = C u, and the scaled matrices are, with Ŝ u the legs' rates, of lengths in units of d,
 
-    K̂ = [A Jm C; Jc C / d],    N̂ = [Ŝ; Jc C / d],    A = diag(1/d, 1/d, 1/d, 1, 1, 1).
+    K̂ = [W A Jm C; Jc C / d],    N̂ = [Ŝ; Jc C / d],    A = diag(1/d, 1/d, 1/d, 1, 1, 1).
 """
 
 from __future__ import annotations
@@ -28,9 +30,10 @@ from scipy.linalg import lapack
 
 from spm_pin.description.source_files import Closure
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.loops.point_dynamics import PointDynamics
 from spm_pin.machine.joint_angles import actuated_joints, home_readings, joint_names
-from spm_pin.machine.legs import LEGS
-from spm_pin.machine.manipulator import Manipulator
+from spm_pin.machine.machine import Machine
+from spm_pin.machine.stage import Stage
 from spm_pin.support.arguments import FloatArray, IntArray, frozen, real_array
 
 AGREEMENT = 1e-9
@@ -43,19 +46,16 @@ largest singular value of about five.
 """
 SUSPECT = 1e-9
 """Reciprocal condition number below which a factorisation is checked by singular values: they take longer."""
-BALLS = (("ball_b1_x", "ball_b1_y", "ball_b1_z"), ("ball_c1_z", "ball_c1_y", "ball_c1_x"))
-"""The joints that stand for one ball joint each."""
-
 _MEANINGS = {
     **dict.fromkeys(("q", "q0", "near"), "joint values in rad and m in Pinocchio's order"),
     **dict.fromkeys(("v", "v0", "a"), "rates of the joints in Pinocchio's order"),
     **dict.fromkeys(("other", "chain"), "in Pinocchio's order"),
-    "readings": "of r_b1 to r_c3 in m, of RRS legs in rad",
-    "leg_rates": "of r_b1 to r_c3 in m/s, of RRS legs in rad/s",
-    "leg_accelerations": "of r_b1 to r_c3 in m/s², of RRS legs in rad/s²",
+    "readings": "of the legs in m, of RRS legs in rad",
+    "leg_rates": "of the legs in m/s, of RRS legs in rad/s",
+    "leg_accelerations": "of the legs in m/s², of RRS legs in rad/s²",
     "forces": "of the actuators in N and N m",
-    "twist": "(v, ω) at o in {B} in m/s and rad/s",
-    "acceleration": "of o in m/s², angular in rad/s², in {B}",
+    "twist": "(v, ω) at o in {B} in m/s and rad/s, of a stage (v_z, ω_x, ω_y)",
+    "acceleration": "of o in m/s², angular in rad/s², in {B}, of a stage of (v_z, ω_x, ω_y)",
     "wrench": "(f, m) in N and N m in the axes of {B}",
 }
 """Meaning of each argument, for messages."""
@@ -130,38 +130,46 @@ class Factors(NamedTuple):
 class ConstrainedModel:
     """A Pinocchio model that holds the mechanism's tree, perhaps with another robot's, and its closures; immutable.
 
-    The eighteen joints of the mechanism are counted in Pinocchio's order, which is that of a chain's own q. `prefix`
-    stands before the names of its links and joints in the model.
+    The joints of the mechanism, eighteen or nine, are counted in Pinocchio's order, which is that of a chain's own q.
+    `prefix` stands before the names of its links and joints in the model. `freedoms` are the rows of a twist that a
+    caller gives: all six, or v_z, ω_x and ω_y of a stage.
     """
 
-    def __init__(self, model: Any, closures: tuple[Closure, ...], machine: Manipulator, prefix: str) -> None:
+    def __init__(self, model: Any, closures: tuple[Closure, ...], machine: Machine, prefix: str) -> None:
         self.model, self.closures, self.machine = model, closures, machine
+        self.is_stage = isinstance(machine, Stage)
+        self.freedoms = np.array([2, 3, 4] if self.is_stage else range(6), dtype=np.intp)
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(machine)}
         names = sorted(joints, key=lambda name: joints[name].idx_q)
         self.names, self._prefix = tuple(prefix + name for name in names), prefix
-        # Where the eighteen are in the model's q and v, and where all other degrees of freedom are in v.
+        # Where they are in the model's q and v, and where all other degrees of freedom are in v.
         self.in_q = np.array([joints[name].idx_q for name in names], dtype=np.intp)
         self.in_v = np.array([joints[name].idx_v for name in names], dtype=np.intp)
         self.others = np.setdiff1d(np.arange(model.nv), self.in_v)
-        # Among the eighteen: the actuated ones in the order of `LEGS`, the other joints, and those of each ball.
+        # Among them: the actuated ones in the order of the legs, the other joints, and those that stand for each ball.
         self.legs = frozen(self.joint_indices(*actuated_joints(machine)))
         self.passive = np.setdiff1d(np.arange(len(names)), self.legs)
-        self.balls = tuple(self.joint_indices(*ball) for ball in BALLS)
-        # Where the actuators are in v: all of another robot, then the six legs.
+        corners = [leg[2:] for leg in machine.legs.names[::3]]
+        orders = [[f"ball_{leg}_{axis}" for axis in axes] for leg, axes in zip(corners, ("xyz", "zyx"), strict=False)]
+        self.balls = tuple(self.joint_indices(*ball) for ball in orders)
+        # Where the actuators are in v: all of another robot, then the legs.
         self.actuated = frozen(np.concatenate([self.others, self.in_v[self.legs]]))
         self._actuated_in_q = self.in_q[self.legs]
         # Offsets aside; RPS legs have no negative length.
         self.home_readings = home_readings(machine)
         self.least_readings = machine.legs.least_readings
         # d, and the part of platforms and links in the length of a loop [m].
-        self.side = machine.middle_side
-        self._fixed_sizes = sum(machine.dimensions) + sum(float(kind.links.sum()) for kind in machine.legs.kinds)
+        self.side = machine.ball_side
+        self._fixed_sizes = sum(base for base, _ in machine.stage_radii) + self.side
+        self._fixed_sizes += sum(float(kind.links.sum()) for kind in machine.legs.kinds)
         # Of a step of order one in each joint: 1 rad, or d.
         self._are_lengths = np.array(machine.legs.units) == "m"
         self.units = np.ones(len(names))
         self.units[self.legs[self._are_lengths]] = self.side
-        self.platform_frame = int(model.getFrameId(f"{prefix}terminal_platform"))
-        self.corner_frames = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123"]
+        self.platform = prefix + ("platform" if self.is_stage else "terminal_platform")
+        self.platform_frame = int(model.getFrameId(self.platform))
+        # A stage's corners follow from the pose of its platform.
+        self.corner_frames = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123" if not self.is_stage]
         # A frame that several closures share is evaluated once.
         self.pairs = [[int(model.getFrameId(name)) for name in (c.frame_a, c.frame_b)] for c in closures]
         self.frames = list(dict.fromkeys(frame for pair in self.pairs for frame in pair))
@@ -169,7 +177,7 @@ class ConstrainedModel:
         self.signs = np.array([unit[self.frames.index(b)] - unit[self.frames.index(a)] for a, b in self.pairs])
 
     def joint_indices(self, *names: str) -> IntArray:
-        """Return the indices (n,) among the eighteen of joints, with or without prefix."""
+        """Return the indices (n,) of joints among the mechanism's, with or without prefix."""
         place = {name.removeprefix(self._prefix): k for k, name in enumerate(self.names)}
         bare = [name.removeprefix(self._prefix) for name in names]
         unknown = [name for name in bare if name not in place]
@@ -178,15 +186,15 @@ class ConstrainedModel:
         return np.array([place[name] for name in bare], dtype=np.intp)
 
     def readings(self, q: FloatArray) -> FloatArray:
-        """Return the readings of the legs (..., 6), offsets aside, in q (..., nq)."""
+        """Return the readings (..., legs), offsets aside, in q (..., nq)."""
         return np.asarray(self.home_readings + q.take(self._actuated_in_q, axis=-1))
 
     def check_readings(self, readings: FloatArray, argument: str, cause: str) -> None:
-        """Raise `ArgumentError` where readings (..., 6), offsets aside, are of legs of negative length."""
+        """Raise `ArgumentError` where readings (..., legs), offsets aside, are of legs of negative length."""
         short = readings - self.least_readings
         if (min(short.tolist()) if short.ndim == 1 else short.min(initial=0.0)) < 0.0:
             worst = np.unravel_index(int(short.argmin()), short.shape)
-            received = f"{readings[worst]:g} m in {LEGS[worst[-1]]}"
+            received = f"{readings[worst]:g} m in {self.machine.legs.names[worst[-1]]}"
             raise ArgumentError(argument, "legs of no negative length", received, cause)
 
     def rounding(self, q: FloatArray) -> float:
@@ -200,6 +208,11 @@ class ConstrainedModel:
         cause = "The value of a slide is the leg's length minus its length at home"
         self.check_readings(self.readings(array), argument, cause)
         return array
+
+    def point_dynamics(self) -> PointDynamics:
+        """Return what computes accelerations under forces."""
+        frames = [[self.model.frames[frame] for frame in pair] for pair in self.pairs]
+        return PointDynamics(self.model, ((a.parentJoint, a.placement, b.parentJoint, b.placement) for a, b in frames))
 
     def linear_differences(self, spatial: Sequence[FloatArray]) -> FloatArray:
         """Return, per closure, the linear part at `frame_b` less that at `frame_a`, of vectors at `frames`.
@@ -225,9 +238,10 @@ class TreeKinematics:
         self.zero_velocity = frozen(np.zeros(self.model.nv))
         self._values: bytes | None = None
         self._side = constrained.side
-        # The diagonal of A.
-        self._twist_scale = np.array([1.0 / self._side] * 3 + [1.0] * 3)
-        self._unit_twists = self.nondimensional(np.eye(6), np.zeros((len(constrained.names) - 6, 6)))
+        # The diagonal of W A.
+        self._twist_scale = np.array([1.0 / self._side] * 3 + [1.0] * 3)[constrained.freedoms]
+        count = len(constrained.freedoms)
+        self._unit_twists = self._scaled(np.eye(count), np.zeros((len(constrained.names) - count, count)))
         # Where the balls' middle angles are in q.
         self._middles = [int(constrained.in_q[ball[1]]) for ball in constrained.balls]
         # Pinocchio updates these in place: no look-up at each q.
@@ -269,12 +283,12 @@ class TreeKinematics:
 
     @cached_property
     def own_constraint_jacobian(self) -> FloatArray:
-        """Jc's columns of the mechanism's own joints, shape (3 n, 18)."""
+        """Jc's columns of the mechanism's own joints, shape (3 n, joints)."""
         return np.asarray(self.constraint_jacobian[:, self._own])
 
     @cached_property
     def platform_jacobian(self) -> FloatArray:
-        """Jm: velocities of the mechanism's joints to the twist (v, ω) of m at o, shape (6, 18)."""
+        """Jm: velocities of the mechanism's joints to the twist (v, ω) of m at o, shape (6, joints)."""
         return np.asarray(self.frame_jacobian(self.constrained.platform_frame)[:, self._own])
 
     def terminal_pose(self) -> tuple[FloatArray, FloatArray]:
@@ -283,19 +297,29 @@ class TreeKinematics:
         return terminal.rotation.copy(), terminal.translation.copy()
 
     def nondimensional(self, platform: FloatArray, closures: FloatArray) -> FloatArray:
-        """Return [A p; c / d] of rows p of the platform (6, ...) and c of the closures (3 n, ...)."""
-        return np.concatenate([(self._twist_scale * platform.T).T, closures / self._side])
+        """Return [W A p; c / d] of rows p of the platform (6, ...) and c of the closures (3 n, ...)."""
+        return self._scaled(self.of_freedoms(platform), closures)
+
+    def _scaled(self, freedoms: FloatArray, closures: FloatArray) -> FloatArray:
+        return np.concatenate([(self._twist_scale * freedoms.T).T, closures / self._side])
+
+    def of_freedoms(self, platform: FloatArray) -> FloatArray:
+        """Return W p of vectors p of the platform (6, ...)."""
+        if not self.constrained.is_stage:
+            return platform
+        axes = self.data.oMf[self.constrained.platform_frame].rotation[:, :2]
+        return np.concatenate([platform[2:3], axes.T @ platform[3:]])
 
     @cached_property
     def velocity_scale(self) -> FloatArray:
-        """C: scaled velocities u (18,) to joint velocities, shape (18, 18)."""
+        """C: scaled velocities u to joint velocities, shape (joints, joints)."""
         scale = np.diag(self.constrained.units)
         for ball in self.constrained.balls:
             scale[np.ix_(ball, ball)] = np.linalg.inv(self.platform_jacobian[3:, ball])
         return scale
 
     def scaled_constraint_jacobian(self) -> FloatArray:
-        """Return Jc C / d, shape (12, 18)."""
+        """Return Jc C / d, shape (3 n, joints)."""
         return np.asarray(self.own_constraint_jacobian @ self.velocity_scale) / self._side
 
     def scaled_matrices(self) -> SingularValues:
@@ -312,12 +336,12 @@ class TreeKinematics:
 
     @cached_property
     def forward_factors(self) -> Factors:
-        """Factors of Jc's columns of the passive joints (12, 12), regular where N is; else raises."""
+        """Factors of Jc's columns of the passive joints (3 n, 3 n), regular where N is; else raises."""
         return self._factors(self.own_constraint_jacobian.take(self.constrained.passive, axis=1), "forward")
 
     @cached_property
     def inverse_factors(self) -> Factors:
-        """Factors of [A Jm; Jc / d] (18, 18), K with rows of one unit; raises where it is singular."""
+        """Factors of [W A Jm; Jc / d], K with rows of one unit; raises where it is singular."""
         return self._factors(self.nondimensional(self.platform_jacobian, self.own_constraint_jacobian), "inverse")
 
     def _factors(self, matrix: FloatArray, kind: str) -> Factors:
@@ -334,11 +358,19 @@ class TreeKinematics:
 
     @cached_property
     def velocities_of_twists(self) -> FloatArray:
-        """X = K⁻¹ [I; 0]: twists of m to velocities of the mechanism's joints, shape (18, 6)."""
-        return self.inverse_factors.solve(self._unit_twists)
+        """X: twists of m, of a stage (v_z, ω_x, ω_y), to velocities of the mechanism's joints, shape (joints, n)."""
+        velocities = self.inverse_factors.solve(self._unit_twists)
+        if not self.constrained.is_stage:
+            return velocities
+        freedoms = (self.platform_jacobian @ velocities)[self.constrained.freedoms]
+        # v_z is given in both; ω_x and ω_y say little of how the normal of a steep platform turns.
+        sigma = float(np.linalg.svd(freedoms[1:, 1:], compute_uv=False)[-1])
+        if sigma <= SINGULAR:
+            raise SingularConfigurationError("inverse", sigma)
+        return np.asarray(velocities @ np.linalg.inv(freedoms))
 
     def velocities_of_legs(self, leg_rates: FloatArray, closing: FloatArray | float = 0.0) -> FloatArray:
-        """Return N⁻¹ (ṙ, -c): leg rates (6,), and c (3 n,) by which gaps close, to velocities of the joints (18,)."""
+        """Return N⁻¹ (ṙ, -c): leg rates, and c (3 n,) by which gaps close, to velocities of the mechanism's joints."""
         v = np.empty(len(self.constrained.names))
         v[self.constrained.legs] = leg_rates
         opening = self.own_constraint_jacobian[:, self.constrained.legs] @ leg_rates + closing
@@ -398,7 +430,7 @@ class TreeKinematics:
             return
         opening = largest(self.constraint_jacobian.dot(v))
         # A leg's own rate is part of the speed, along one axis or more: quicker, and mostly enough.
-        rate = largest(v.take(self.constrained.actuated[-6:]))
+        rate = largest(v.take(self.constrained.in_v[self.constrained.legs]))
         if opening > 0.5 * AGREEMENT * rate and opening > AGREEMENT * self._gap_rate_bound(v):
             expected = "joint velocities that keep the loops closed"
             cause = "joint_velocities makes them from a twist, joint_rates from leg rates"
@@ -428,26 +460,3 @@ class TreeKinematics:
 
 
 _CACHED = {name for name, member in vars(TreeKinematics).items() if isinstance(member, cached_property)}
-
-
-class AccelerationSolver:
-    """Accelerations under forces, by `pinocchio.constraintDynamics`, and the memory it works in."""
-
-    def __init__(self, constrained: ConstrainedModel) -> None:
-        model = constrained.model
-        self._model, self._data = model, model.createData()
-        self._constraints, self._states = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-        for pair in constrained.pairs:
-            a, b = (model.frames[frame] for frame in pair)
-            places = a.parentJoint, a.placement, b.parentJoint, b.placement
-            self._constraints.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, *places, pin.LOCAL))
-        for constraint in self._constraints:
-            self._states.append(constraint.createData())
-        pin.initConstraintDynamics(model, self._data, self._constraints, self._states)
-        # A direct solution is NaN where rows of the closures depend on each other; this one is as accurate elsewhere.
-        self._settings = pin.ProximalSettings(0.0, 1e-12, 20)
-
-    def accelerations(self, q: FloatArray, v: FloatArray, torques: FloatArray) -> FloatArray:
-        """Return the joint accelerations (nv,) under generalized forces (nv,), the closures' forces included."""
-        constraints = self._constraints, self._states, self._settings
-        return np.asarray(pin.constraintDynamics(self._model, self._data, q, v, torques, *constraints).copy())

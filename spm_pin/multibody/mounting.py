@@ -19,7 +19,7 @@ class MountedChain:
 
     Made by `ClosedChain.mounted_on` and `ClosedChain.carrying`. The universe is that of whichever robot carries the
     other: all that is "in {B}" for a chain alone is in its axes here. q, nq and nv are those of `model`. The n
-    actuators are all of the other robot's, then the six legs. Leading axes broadcast.
+    actuators are all of the other robot's, then the legs. Leading axes broadcast.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class MountedChain:
     model : pinocchio.Model
         Both trees; do not change it.
     chain_indices, other_indices : ndarray
-        Indices in v of the chain's joints (18,) and of the other robot's degrees of freedom, each in its own order.
+        Indices in v of the chain's joints (joints,) and of the other robot's degrees of freedom, each in its own order.
     actuated_indices : ndarray
         Indices of the actuators in v.
     """
@@ -58,15 +58,15 @@ class MountedChain:
         return frozen(q), frozen(v)
 
     def join(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
-        """Return q (..., nq) of the model from the other robot's q and the chain's (..., 18)."""
+        """Return q (..., nq) of the model from the other robot's q and the chain's (..., joints)."""
         return _joined(other, self._other_q, chain, self._q)
 
     def join_velocities(self, other: npt.ArrayLike, chain: npt.ArrayLike) -> FloatArray:
-        """Return v (..., nv), or accelerations, from the other robot's and the chain's (..., 18)."""
+        """Return v (..., nv), or accelerations, from the other robot's and the chain's (..., joints)."""
         return _joined(other, self.other_indices, chain, self.chain_indices)
 
     def split(self, q: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the other robot's q and the chain's (..., 18) from q (..., nq) of the model."""
+        """Return the other robot's q and the chain's (..., joints) from q (..., nq) of the model."""
         array = read_vectors(q, "q", self.model.nq)
         return array[..., self._other_q], array[..., self._q]
 

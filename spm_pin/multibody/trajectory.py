@@ -14,7 +14,6 @@ from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.machine.legs import LEGS
-from spm_pin.support import notebook
 from spm_pin.support.arguments import FloatArray, as_bool, frozen, real_array
 from spm_pin.support.files import file_path, write_files
 from spm_pin.support.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
@@ -110,22 +109,24 @@ class JointTrajectory:
     times: FloatArray
     """Times [s], shape (n,)."""
     positions: FloatArray
-    """Joint values [rad, m], shape (n, 18); an actuated joint's is its reading without offset less that at home. Angles
+    """Joint values [rad, m], shape (n, nq); an actuated joint's is its reading without offset less that at home. Angles
     are continuous in time, and not reduced to one turn."""
     velocities: FloatArray
-    """Joint velocities [rad/s, m/s], shape (n, 18)."""
+    """Joint velocities [rad/s, m/s], shape (n, nv)."""
     accelerations: FloatArray
-    """Joint accelerations [rad/s², m/s²], shape (n, 18)."""
+    """Joint accelerations [rad/s², m/s²], shape (n, nv)."""
     efforts: FloatArray
-    """Forces of the actuators under gravity [N, N m], shape (n, 18); zero in passive joints."""
+    """Forces of the actuators under gravity [N, N m], shape (n, nv); zero in passive joints."""
     readings: FloatArray
-    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, 6)."""
+    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, legs)."""
     pose: RigidTransform
     """Poses (n,) of the terminal platform, {m} in {B}."""
     actuated: tuple[int, ...]
     """Columns of the joints that the actuators move, in the order of the legs."""
     units: tuple[str, ...]
     """Units of the readings, "m" or "rad"."""
+    legs: tuple[str, ...] = LEGS
+    """Names of the legs."""
 
     def __repr__(self) -> str:
         return f"<JointTrajectory: {len(self.joint_names)} joints at {self.times.size} times>"
@@ -140,12 +141,6 @@ class JointTrajectory:
     @property
     def _joints(self) -> tuple[FloatArray, ...]:
         return self.positions, self.velocities, self.accelerations, self.efforts
-
-    def _repr_html_(self) -> str:
-        columns, (_, rate, _, effort) = list(self.actuated), self.leg_units
-        pictures = notebook.curves(self.times, self.velocities[:, columns], f"rates of the legs [{rate}] over time [s]")
-        pictures += notebook.curves(self.times, self.efforts[:, columns], f"forces of legs [{effort}] over time [s]")
-        return notebook.table(repr(self), (), (), pictures)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields of a ROS message `trajectory_msgs/JointTrajectory`, as plain Python.
@@ -177,10 +172,10 @@ class JointTrajectory:
     def to_csv(self, path: str | Path | None = None) -> str:
         """Return a table, and write it to a file if `path` is given.
 
-        One row a time, with a heading: `time`; the readings `r_b1` to `r_c3` [m]; the pose as `x`, `y`, `z` [m] and the
-        quaternion `qx`, `qy`, `qz`, `qw`; for each joint `position`, `velocity`, `acceleration` and `effort` as
-        `name.position`. Numbers have the digits that float64 needs. `spm_pin.display.read_recording` and
-        `spm_pin.calibration.read_measurements` take their columns of it.
+        One row a time, with a heading: `time`; the readings `r_b1` to `r_c3`, of a stage `r_1` to `r_3`; the pose as
+        `x`, `y`, `z` [m] and the quaternion `qx`, `qy`, `qz`, `qw`; for each joint `position`, `velocity`,
+        `acceleration` and `effort` as `name.position`. Numbers have the digits that float64 needs.
+        `spm_pin.display.read_recording` and `spm_pin.calibration.read_measurements` take their columns of it.
         """
         if path is not None:
             write_table(self.columns(), path)
@@ -188,7 +183,7 @@ class JointTrajectory:
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the columns (n,) of `to_csv` by their names."""
-        columns = {TIME: self.times, **dict(zip(LEGS, self.readings.T, strict=True))}
+        columns = {TIME: self.times, **dict(zip(self.legs, self.readings.T, strict=True))}
         columns |= dict(zip(POSITION, self.pose.translation.T, strict=True))
         columns |= dict(zip(QUATERNION, self.pose.rotation.as_quat().T, strict=True))
         for kind, values in zip(("position", "velocity", "acceleration", "effort"), self._joints, strict=True):

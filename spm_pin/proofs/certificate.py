@@ -20,9 +20,12 @@ from spm_pin.errors import ArgumentError, GeometryError, SpmError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import existing_share
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.configuration import Configuration, check_state
 from spm_pin.machine.legs import LegLimits
+from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.manipulator import Manipulator
+from spm_pin.machine.stage import Stage
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.proofs.stage_proof import (
     DEEPEST,
     Boxes,
@@ -40,8 +43,7 @@ from spm_pin.proofs.stage_proof import (
     region_coordinates,
     rounded_down,
 )
-from spm_pin.support import notebook
-from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, real_array, real_number, whole_number
+from spm_pin.support.arguments import BoolArray, FloatArray, real_array, real_number, whole_number
 
 _ROUNDING = 1e-15
 """Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""
@@ -61,15 +63,13 @@ _FLAT = 1e-10
 class Certificate:
     """Result of a proof about the configurations that are joined to the home within leg limits."""
 
-    machine: Manipulator
-    """Dimensions of the manipulator."""
+    machine: Manipulator | Stage
+    """The nominal machine."""
     limits: LegLimits
     """Limits of the readings."""
-    lower: StageProof
-    """The subdivision of the lower stage."""
-    upper: StageProof
-    """The subdivision of the upper stage."""
-    witness: Configuration | None
+    stages: tuple[StageProof, ...]
+    """The subdivision of each stage, of a manipulator of the lower and of the upper one."""
+    witness: Configuration | StageConfiguration | None
     """A forward singular configuration within the limits, where one was found; None otherwise. It lies in a box that is
     joined to the home through other boxes of the nominal machine alone, without errors, so it may still not be joined
     to the home itself."""
@@ -82,7 +82,7 @@ class Certificate:
 
         Forward singular, or in a singularity of a leg itself, beyond which its working mode is another.
         """
-        return self.lower.bound > 0.0 and self.upper.bound > 0.0
+        return all(proof.bound > 0.0 for proof in self.stages)
 
     @property
     def verdict(self) -> str:
@@ -90,39 +90,47 @@ class Certificate:
         return "proved" if self.holds else "undecided" if self.witness is None else "not proved"
 
     @property
-    def bounds(self) -> tuple[float, float]:
-        """Proved lower bounds of |det J_b| / d³ and |det J_c| / d³ over these configurations; 0 where undecided."""
-        cube = self.machine.middle_side**3
-        return self.lower.bound / cube, self.upper.bound / cube
+    def bounds(self) -> tuple[float, ...]:
+        """Proved lower bounds of |det J| / d³ of each stage, J_b and J_c, over these configurations; 0 where undecided.
+
+        d is the side of the triangle of balls.
+        """
+        return tuple(proof.bound / self.machine.ball_side**3 for proof in self.stages)
 
     @property
-    def undecided(self) -> tuple[FloatArray, FloatArray]:
-        """Boxes of (x, y, Z) of the lower and of the upper stage that were not decided, shapes (N, 3, 2).
+    def undecided(self) -> tuple[FloatArray, ...]:
+        """Boxes of (x, y, Z) of each stage that were not decided, shapes (N, 3, 2).
 
-        (x, y) is the vector part of the middle platform's quaternion (x0, x, y, 0) against the base (lower) or the
-        terminal platform (upper, seen upside down), Z [m] the distance of its centre from the plane of the legs' bases.
+        (x, y) is the vector part of the quaternion (x0, x, y, 0) of the platform on the balls against the base (of an
+        upper stage the terminal platform, seen upside down), Z [m] the distance of its centre from the plane of the
+        legs' bases.
         """
-        return self.lower.undecided, self.upper.undecided
+        return tuple(proof.undecided for proof in self.stages)
 
-    def concerns(self, machine: Manipulator) -> bool:
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the stages' matrices."""
+        return ("J",) if len(self.stages) == 1 else ("J_b", "J_c")
+
+    def concerns(self, machine: Machine) -> bool:
         """Return whether a machine, its limits aside, is one of those that the certificate is about."""
-        errors = _deviation(check_instance(machine, Manipulator, "machine"), self.machine)
+        errors = _deviation(check_machine(machine), self.machine)
         most = _widened(self.machine, self.errors)
         return errors[0] <= most[0] and errors[1] <= most[1]
 
-    def covers(self, configuration: Configuration) -> BoolArray:
+    def covers(self, configuration: Configuration | StageConfiguration) -> BoolArray:
         """Return which configurations (...) are proved to be the only one of their readings, shape (...).
 
-        They respect the limits, and both stages lie in boxes of the proof. Nothing is covered if it does not hold.
+        They respect the limits, and their stages lie in boxes of the proof. Nothing is covered if it does not hold.
         """
-        check_configuration(configuration)
+        check_state(configuration)
         if not self.concerns(configuration.machine):
             raise ArgumentError("configuration", "a state of the certificate's machine", "one of another")
         inside = self.limits.contains(configuration.readings)
         if not self.holds:
             return np.zeros_like(inside)
         states = region_coordinates(configuration)
-        for k, proof in enumerate((self.lower, self.upper)):
+        for k, proof in enumerate(self.stages):
             inside = inside & are_in_boxes(states[..., k, :], proof.proved)
         return np.asarray(inside)
 
@@ -130,20 +138,20 @@ class Certificate:
         """Return the statement proved, or the counterexample or doubt that is left, in a few lines."""
         low, high, units = self.limits.minimum, self.limits.maximum, self.machine.legs.units
         ranges = dict.fromkeys(
-            f"{min(low[stage]):g} {units[stage][0]} to {max(high[stage]):g} {units[stage][0]}"
-            for stage in (slice(3), slice(3, 6))
+            f"{min(low[k : k + 3]):g} {units[k]} to {max(high[k : k + 3]):g} {units[k]}" for k in range(0, len(low), 3)
         )
-        lines = [f"Readings from {' and '.join(ranges)}, {self.lower.boxes + self.upper.boxes:,} boxes."]
+        lines = [f"Readings from {' and '.join(ranges)}, {sum(proof.boxes for proof in self.stages):,} boxes."]
         if any(self.errors):
             errors = f"{1e3 * self.errors[0]:.3g} mm and {1e3 * self.errors[1]:.3g} mrad"
             lines.append(f"For all machines whose dimensions, offsets and axes are within {errors} of the nominal.")
         if self.holds:
-            lower, upper = self.bounds
+            pairs = zip(self.names, self.bounds, strict=True)
+            least = " and ".join(f"|det {name}| >= {rounded_down(bound)} d³" for name, bound in pairs)
             legs = "" if self.machine.legs.are_rps else ", nor is a leg singular itself"
             lines += [
                 f"Proved: no configuration joined to the home within these limits is forward singular{legs},",
-                f"|det J_b| >= {rounded_down(lower)} d³ and |det J_c| >= {rounded_down(upper)} d³.",
-                "So six readings within them have exactly one such configuration, and straight lines of readings are",
+                f"{least}.",
+                "So readings within them have exactly one such configuration, and straight lines of readings are",
                 "free of forward singularities. Assembly modes that are not joined to the home are not part of this.",
             ]
         elif self.witness is not None:
@@ -152,7 +160,7 @@ class Certificate:
                 f"({self._readings(self.witness)}), in a box that a chain of touching boxes joins to that of the home.",
                 *self._whose(),
             ]
-        elif self.lower.singular is not None or self.upper.singular is not None:
+        elif any(proof.singular is not None for proof in self.stages):
             lines += [
                 "Undecided, for errors this large: boxes that they leave undecided lead to a singular configuration,",
                 "where none was found for the nominal machine alone. Smaller errors help, and narrower limits.",
@@ -161,14 +169,14 @@ class Certificate:
             smaller = ", or smaller errors" if any(self.errors) else ""
             lines.append("Undecided: no singular configuration was found, and none was excluded. More boxes may help,")
             lines.append(f"and narrower limits{smaller}.")
-        for name, boxes in zip(("lower", "upper"), self.undecided, strict=True):
+        for name, boxes in zip(self.names, self.undecided, strict=True):
             if len(boxes):
                 half_sine = float(np.sqrt((boxes[:, :2] ** 2).max(axis=2).sum(axis=1).max()))
                 tilt = np.degrees(2.0 * np.arcsin(min(half_sine, 1.0)))
-                lines.append(f"Undecided: {len(boxes):,} boxes of the {name} stage, tilted by up to {tilt:.0f}°.")
+                lines.append(f"Undecided: {len(boxes):,} boxes of {name}, tilted by up to {tilt:.0f}°.")
         return "\n".join(lines)
 
-    def _readings(self, state: Configuration) -> str:
+    def _readings(self, state: Configuration | StageConfiguration) -> str:
         units = self.machine.legs.units
         return ", ".join(f"{reading:.6f} {unit}" for reading, unit in zip(state.readings, units, strict=True))
 
@@ -176,31 +184,22 @@ class Certificate:
         """Return what the machine does at the readings of the singular configuration, and what would help."""
         assert self.witness is not None
         physical = forward_physical(self.machine, self.witness.readings)
-        apart = np.abs(physical.balls - self.witness.balls).max() / self.machine.middle_side
+        apart = np.abs(physical.balls - self.witness.balls).max() / self.machine.ball_side
         if apart > _SAME:
-            least = np.abs(determinants(physical)[:2]).min() / self.machine.middle_side**3
+            least = np.abs(determinants(physical)[:-1]).min() / self.machine.ball_side**3
             whose = f"As assembled it is in another one with these readings, a regular one: |det J| is {least:.2g} d³."
         else:
             whose = "The machine as assembled is there singular, or ends in it."
         smaller = ", and so do smaller errors" if any(self.errors) else ""
         return [whose, f"Narrower limits help: largest_certified_limits finds the widest{smaller}."]
 
-    def _repr_html_(self) -> str:
-        names, least = ("lower", "upper"), (self.lower, self.upper)
-        rows = [
-            (name, f"{proof.boxes:,}", f"{len(proof.undecided):,}", f"{rounded_down(bound)} d³")
-            for name, proof, bound in zip(names, least, self.bounds, strict=True)
-        ]
-        header = ("stage", "boxes", "undecided", "least |det J|, proved")
-        return notebook.table(self.explain(), header, rows)
-
     def __repr__(self) -> str:
         return f"<Certificate: {self.verdict}>"
 
 
 def certify(
-    machine: Manipulator,
-    limits: LegLimits | None = None,
+    machine: Manipulator | Stage,
+    limits: LegLimits | Sequence[float] | None = None,
     *,
     boxes: int = 300_000,
     length_error: float = 0.0,
@@ -209,22 +208,23 @@ def certify(
     """Prove that leg limits exclude forward singularities, and singularities of legs.
 
     What is joined, within the limits, to the physical configuration at their middle is proved free of them, by interval
-    branch and bound over all orientations without torsion and all heights. It follows that six readings within the
-    limits have exactly one configuration there, and that no straight line of readings meets a singularity; see
-    `docs/theory/proofs.md`.
+    branch and bound over all orientations without torsion and all heights, stage by stage. It follows that readings
+    within the limits have exactly one configuration there, and that no straight line of readings meets a singularity;
+    see `docs/theory/proofs.md`.
 
     Parameters
     ----------
-    machine : Manipulator
-        Dimensions. For a machine as built it is proved for all machines that are as near to the nominal one, the choice
-        of the frame {n} aside.
+    machine : Manipulator or Stage
+        For a calibrated machine it is proved for all machines that are as near to the nominal one, the choice of the
+        frame {n} of the balls aside.
     limits : LegLimits, optional
-        Limits of the readings, finite; by default those of the machine.
+        Limits of the readings, finite, of a stage `StageLimits` or a pair; by default those of the machine.
     boxes : int
         Boxes to look at in each stage, at most.
     length_error : float
         Prove it for every machine of which no coordinate of a pivot or a ball, no rod or crank, and no offset of a
-        reading differs by more than this from that of `machine` [m]. E, C and d are among these, with the same error.
+        reading differs by more than this from that of `machine` [m]. Its dimensions are among these, with the same
+        error.
     angle_error : float
         The same of each axis, of the turn about either direction perpendicular to it, of the directions of slides, and
         of offsets of angles [rad].
@@ -234,8 +234,9 @@ def certify(
     Certificate
         It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
     """
-    nominal = check_instance(machine, Manipulator, "machine").nominal
-    limits = nominal.limits if limits is None else machine.check_limits(limits)
+    check_machine(machine)
+    nominal = machine.nominal
+    allowed = nominal.limits if limits is None else machine.check_limits(limits)
     whole_number(boxes, "boxes", least=1)
     most = 0.25 * min(nominal.dimensions)
     expected = f"metres from 0 to {most:g}, a quarter of the smallest dimension"
@@ -246,29 +247,29 @@ def certify(
     if errors[0] > most or errors[1] > 0.2:
         received = f"one that differs by {length:g} m and {angle:g} rad, to which the errors are added"
         raise ArgumentError("machine", f"a machine within {most:g} m and 0.2 rad of the nominal one", received)
-    if limits is None or not limits.are_finite:
-        received = "none" if limits is None else f"{limits!r}"
+    if allowed is None or not allowed.are_finite:
+        received = "none" if allowed is None else f"{allowed!r}"
         raise GeometryError("limits", "finite limits of every reading", received)
-    middle = forward_physical(nominal, limits.ends.mean(axis=0))
+    middle = forward_physical(nominal, allowed.ends.mean(axis=0))
     if not middle.exists:
         raise GeometryError("limits", "readings between them that can be assembled", "a middle that cannot be")
     starts = region_coordinates(middle)
-    regions = stage_regions(nominal, limits, errors)
+    regions = stage_regions(nominal, allowed, errors)
     proofs = [prove_stage(region, start, most=boxes) for region, start in zip(regions, starts, strict=True)]
     witness, found = None, proofs
     if any(errors) and any(proof.singular is not None for proof in proofs):
         # Boxes that the errors leave undecided may lead to states that the nominal machine does not reach.
-        alone = stage_regions(nominal, limits, (0.0, 0.0))
+        alone = stage_regions(nominal, allowed, (0.0, 0.0))
         found = [prove_stage(region, start, most=boxes) for region, start in zip(alone, starts, strict=True)]
     if any(proof.singular is not None for proof in found):
         pairs = zip(starts, found, strict=True)
         states = [start if proof.singular is None else proof.singular for start, proof in pairs]
         witness = configuration_at(nominal, np.stack(states))
-    return Certificate(nominal, limits, proofs[0], proofs[1], witness, errors)
+    return Certificate(nominal, allowed, tuple(proofs), witness, errors)
 
 
 def largest_certified_limits(
-    machine: Manipulator,
+    machine: Manipulator | Stage,
     centre: npt.ArrayLike | None = None,
     *,
     tolerance: float = 0.01,
@@ -284,9 +285,9 @@ def largest_certified_limits(
 
     Parameters
     ----------
-    machine : Manipulator
-        Dimensions.
-    centre : array_like, shape (6,) or (), optional
+    machine : Manipulator or Stage
+        Its dimensions.
+    centre : array_like, shape (6,), of a stage (3,), or (), optional
         Readings in the middle [m], of RRS legs [rad]; by default the middle of the machine's limits.
     tolerance : float
         How far below the widest half-width that certifies the result may stay, relative to it.
@@ -300,7 +301,8 @@ def largest_certified_limits(
     Certificate
         It holds; its `limits` are the answer.
     """
-    legs = check_instance(machine, Manipulator, "machine").legs
+    legs = check_machine(machine).legs
+    count = len(legs.names)
     if len(set(legs.units)) > 1:
         cause = "All readings may differ from their centre by the same amount"
         raise GeometryError("machine", "a machine whose readings have one unit", "metres and radians", cause)
@@ -310,9 +312,9 @@ def largest_certified_limits(
             raise ArgumentError("centre", "readings, as the machine has no finite limits", "None")
         centre = machine.limits.ends.mean(axis=0)
     readings = real_array(centre, "centre", (), f"readings in {legs.unit_text()}")
-    if readings.shape not in ((), (6,)):
-        raise ArgumentError("centre", "one or six readings", f"shape {readings.shape}")
-    readings = np.broadcast_to(readings, 6)
+    if readings.shape not in ((), (count,)):
+        raise ArgumentError("centre", f"one reading or {count}", f"shape {readings.shape}")
+    readings = np.broadcast_to(readings, count)
     with raised_as(ArgumentError, "centre"):
         assembled = forward_physical(machine, readings).exists
     if not assembled:
@@ -321,14 +323,14 @@ def largest_certified_limits(
     # No length falls to zero, no rod is passed on its slide, and no crank turns farther than round.
     reach = np.pi if legs.units[0] == "rad" else float(legs.circles(readings)[1].min())
     rng = np.random.default_rng(0)
-    directions = np.concatenate([list(product((-1.0, 1.0), repeat=6)), rng.uniform(-1.0, 1.0, (_LINES, 6))])
+    directions = np.concatenate([list(product((-1.0, 1.0), repeat=count)), rng.uniform(-1.0, 1.0, (_LINES, count))])
     directions /= np.abs(directions).max(axis=-1, keepdims=True)
     ends = readings + 0.999 * reach * directions
     shares = existing_share(partial(forward_physical, machine), readings, ends)
     best, narrow, wide = None, 0.0, 0.999 * reach * float(shares.min())
     half = (1.0 - 0.9 * tolerance) * wide
     while wide - narrow > tolerance * wide:
-        limits = LegLimits(tuple(readings - half), tuple(readings + half))
+        limits = machine.limits_class(tuple(readings - half), tuple(readings + half))
         certificate = certify(machine, limits, boxes=boxes, length_error=length_error, angle_error=angle_error)
         if certificate.holds:
             best, narrow = certificate, half
@@ -341,33 +343,34 @@ def largest_certified_limits(
     return best
 
 
-def stage_regions(
-    machine: Manipulator, limits: LegLimits, errors: tuple[float, float] = (0.0, 0.0)
-) -> list[StageRegion]:
-    """Return the regions of both stages to be searched, lower first, for all machines within errors [m, rad]."""
-    radii = machine.base_radius, machine.platform_radius
-    low, high = limits.admitted.reshape(2, 2, 3)
-    length, angle = _widened(machine, errors)
-    kinds = machine.legs.kinds
-    return [StageRegion(radii[k], machine.middle_side, low[k], high[k], kinds[k], length, angle) for k in range(2)]
+def stage_regions(machine: Machine, limits: LegLimits, errors: tuple[float, float] = (0.0, 0.0)) -> list[StageRegion]:
+    """Return the regions of the stages to be searched, lower first, for all machines within errors [m, rad]."""
+    ends = limits.admitted.reshape(2, -1, 3).swapaxes(0, 1)
+    widened = _widened(machine, errors)
+    return [
+        StageRegion(radius, machine.ball_side, low, high, kind, *widened, up=kind.up)
+        for (radius, _), (low, high), kind in zip(machine.stage_radii, ends, machine.legs.kinds, strict=True)
+    ]
 
 
-def _widened(machine: Manipulator, errors: tuple[float, float]) -> tuple[float, float]:
+def _widened(machine: Machine, errors: tuple[float, float]) -> tuple[float, float]:
     """Return errors enlarged by rounding, so that a machine on their edge is within them; zeros stay zeros."""
     length, angle = errors
     return (length + _ROUNDING * sum(machine.dimensions), angle + _ROUNDING) if any(errors) else errors
 
 
-def _deviation(machine: Manipulator, nominal: Manipulator) -> tuple[float, float]:
+def _deviation(machine: Machine, nominal: Machine) -> tuple[float, float]:
     """Return the largest errors of a machine's lengths [m] and angles [rad] against a nominal one.
 
-    Infinite if of other legs. The frame {n} is where the balls are nearest to the nominal ones, if that is better.
+    Infinite if of other legs, or if one platform hangs and the other stands. The frame {n} is where the balls are
+    nearest to the nominal ones, if that is better.
     """
     if machine.is_nominal and machine.dimensions == nominal.dimensions and machine.legs.kinds == nominal.legs.kinds:
         return 0.0, 0.0
     if (
         machine.parameter_names != nominal.parameter_names
         or (machine.legs.slope_signs != nominal.legs.slope_signs).any()
+        or [kind.up for kind in machine.legs.kinds] != [kind.up for kind in nominal.legs.kinds]
     ):
         return np.inf, np.inf
     balls, drawn = machine.legs.balls, nominal.nominal.legs.balls
@@ -381,7 +384,7 @@ def _deviation(machine: Manipulator, nominal: Manipulator) -> tuple[float, float
     return float(max(offs, errors[~are_angles & ~are_balls].max())), float(errors[are_angles].max())
 
 
-def free_of_singularities(machines: Sequence[Manipulator], boxes: int) -> BoolArray:
+def free_of_singularities(machines: Sequence[Manipulator | Stage], boxes: int) -> BoolArray:
     """Return which machines (N,) are proved free of forward singularities within their limits.
 
     At most `boxes` are looked at for a stage. Where its legs have equal limits, the stage is the same after a turn by
@@ -392,13 +395,15 @@ def free_of_singularities(machines: Sequence[Manipulator], boxes: int) -> BoolAr
     symmetric = [
         machine.is_nominal
         and machine.legs.are_rps
-        and all(np.ptp(ends) == 0.0 for region in pair for ends in (region.minimum, region.maximum))
-        for machine, pair in zip(machines, regions, strict=True)
+        and all(np.ptp(ends) == 0.0 for region in own for ends in (region.minimum, region.maximum))
+        for machine, own in zip(machines, regions, strict=True)
     ]
     free = np.zeros(len(machines), dtype=np.bool_)
-    stages = [region for pair, equal in zip(regions, symmetric, strict=True) if equal for region in pair]
-    if stages:
-        free[symmetric] = _stages_free(stages, boxes).reshape(-1, 2).all(axis=-1)
+    owner = np.array([k for k, own in enumerate(regions) if symmetric[k] for _ in own], dtype=np.intp)
+    if len(owner):
+        free[symmetric] = True
+        are_free = _stages_free([region for k in np.unique(owner) for region in regions[k]], boxes)
+        free[owner[~are_free]] = False
     for index, (machine, equal) in enumerate(zip(machines, symmetric, strict=True)):
         if not equal:
             with contextlib.suppress(SpmError):

@@ -55,7 +55,7 @@ class InverseCertificate:
     machine: Manipulator
     """Dimensions of the manipulator."""
     region: str
-    """Which limits were searched, in words."""
+    """Description of the limits that were searched."""
     bound: float
     """Proved lower bound of |det K| / d³; 0 where something is undecided, infinity if the region holds no state."""
     least: float
@@ -113,8 +113,8 @@ def certify_inverse(
     check_instance(machine, Manipulator, "machine")
     check_rps(machine, "certificates of poses")
     if not machine.is_nominal:
-        cause = "Its drawing is one: machine.nominal, or the file without its legs"
-        raise GeometryError("machine", "a drawn machine", "a machine as built", cause)
+        cause = "Use its nominal machine, machine.nominal, or the file without its legs"
+        raise GeometryError("machine", "a nominal machine", "a calibrated machine", cause)
     whole_number(boxes, "boxes", least=1)
     if forward is None:
         forward = certify(machine, limits, boxes=boxes)
@@ -124,8 +124,7 @@ def certify_inverse(
         raise ArgumentError("forward", "a certificate of `machine` and `limits`", "one of others")
     limits = forward.limits
     stages = [
-        _StageCells(region, proof)
-        for region, proof in zip(stage_regions(machine, limits), (forward.lower, forward.upper), strict=True)
+        _StageCells(region, proof) for region, proof in zip(stage_regions(machine, limits), forward.stages, strict=True)
     ]
     low, high = limits.ends
     legs = np.random.default_rng(0).uniform(low, high, (_SAMPLES, 6))
@@ -143,7 +142,7 @@ def certify_inverse(
 
 
 def _scaled_determinant(machine: Manipulator, legs: FloatArray) -> FloatArray:
-    """Return det K / d³ of the physical states of leg lengths (..., 6); NaN where there is none."""
+    """Return det K / d³ of the physical states of leg lengths (..., 6); NaN if missing."""
     return np.asarray(determinants(forward_physical(machine, legs))[..., 2] / machine.middle_side**3)
 
 

@@ -42,9 +42,11 @@ from spm_pin.formulas.planar_legs import Circle
 from spm_pin.formulas.stages import pair_determinant
 from spm_pin.formulas.vectors import combined, matrix_product, minus, times
 from spm_pin.kinematics.intervals import INTERVALS, SQRT_3, Interval, as_interval
-from spm_pin.machine import Configuration, Manipulator
+from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
+from spm_pin.machine.batched import Batched
 from spm_pin.machine.branch_of_state import stage_coordinates
 from spm_pin.machine.leg_kinds import KINDS, RPS, LegKind
+from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 Int64Array = npt.NDArray[np.int64]
@@ -94,7 +96,7 @@ class ErrorBounds:
 
 
 class LegEnclosure(NamedTuple):
-    """What is known of a leg in states, of all machines; its numbers and those of `StageValues` are arrays."""
+    """Bounds for a leg in states, for all machines; its numbers and those of `StageValues` are arrays."""
 
     reading: Interval
     x: Interval  # of the circle's centre from the nominal pivot, radially
@@ -104,7 +106,7 @@ class LegEnclosure(NamedTuple):
 
 
 class StageValues(NamedTuple):
-    """What is known of states of a stage, of all machines."""
+    """Bounds for states of a stage, for all machines."""
 
     readings: list[Interval]  # without offsets
     squares: list[Interval]  # of the distances from the circles' centres to the balls [m²]
@@ -129,11 +131,13 @@ class StageRegion:
     maximum: FloatArray
     """Largest readings, shape (3,)."""
     legs: LegKind = RPS()  # noqa: RUF009  # frozen
-    """What the legs are, equal in the stage."""
+    """Kind of the legs, equal in the stage."""
     length_error: float = 0.0
     """Largest error of each coordinate of a pivot and of a ball, of a rod and a crank, and of a reading [m]."""
     angle_error: float = 0.0
     """Largest turn of a revolute axis about either direction perpendicular to it, of a slide, of a reading [rad]."""
+    up: float = 1.0
+    """Sign of D at home: -1 if the platform hangs below the centres of the circles."""
 
     @cached_property
     def numbers(self) -> tuple[tuple[Interval, ...], ...]:
@@ -147,7 +151,7 @@ class StageRegion:
 
     @cached_property
     def readings(self) -> list[Interval]:
-        """What readings within the limits are without their offsets."""
+        """Readings within the limits, without their offsets."""
         error = self.angle_error if self.legs.unit == "rad" else self.length_error
         within = Interval(self.minimum, self.maximum)
         within = within + Interval.within(error) if error else within
@@ -234,6 +238,7 @@ class StageRegion:
 
         pairs: Any = m(0, 1), m(1, 2), m(2, 0), m(1, 0), m(2, 1), m(0, 2)
         determinant: Any = pair_determinant(pairs)  # an Interval, as its arguments
+        determinant = determinant if self.up > 0.0 else -determinant
         missed = [
             leg.is_beyond | square.misses(radius.square())
             for leg, square, radius in zip(legs, squares, self.radii, strict=True)
@@ -249,7 +254,8 @@ class StageRegion:
         # By the turn of the leg's plane, see `docs/theory/proofs.md`.
         turned = Interval.within(_PLANE_TURN * self.angle_error * self.longest * _UP)
         x, z = x + turned, z + turned
-        reading = formulas.reading(x, z, numbers)
+        middle = Interval.from_numbers(0.5 * (self.minimum[leg] + self.maximum[leg]))
+        reading = formulas.reading(x, z, middle, numbers)
         beyond = np.isnan(reading.low) | reading.misses(limits)
         within = Interval(
             np.where(beyond, reading.low, np.maximum(reading.low, limits.low)),
@@ -280,17 +286,21 @@ def _largest(value: Interval | float) -> FloatArray:
     return np.maximum(np.abs(value.low), np.abs(value.high))
 
 
-def region_coordinates(configuration: Configuration) -> FloatArray:
-    """Return the states (x, y, Z [m]) of both stages, shape (..., 2, 3); NaN where there is none in mode T."""
-    return _MIRROR * stage_coordinates(configuration)
+def region_coordinates(configuration: Batched) -> FloatArray:
+    """Return the states (x, y, Z [m]) of the stages, shape (..., stages, 3); NaN where there is none in mode T."""
+    coordinates = stage_coordinates(configuration)
+    return _MIRROR[: coordinates.shape[-2]] * coordinates
 
 
-def configuration_at(machine: Manipulator, states: FloatArray) -> Configuration:
-    """Return the configuration of the states (2, 3) of both stages of a drawn machine."""
-    r, poses = machine.middle_radius, []
-    for x, y, z in _MIRROR * states:
+def configuration_at(machine: Machine, states: FloatArray) -> Configuration | StageConfiguration:
+    """Return the configuration of the states (stages, 3) of a nominal machine."""
+    (_, r), poses = machine.stage_radii[0], []
+    for x, y, z in _MIRROR[: len(states)] * states:
         rotation = Rotation.from_quat([x, y, 0.0, np.sqrt(max(1.0 - x * x - y * y, 0.0))])
         poses.append(RigidTransform.from_components([-2.0 * r * x * y, r * (y * y - x * x), z], rotation))
+    if isinstance(machine, Stage):
+        return StageConfiguration(machine, poses[0])
+    assert isinstance(machine, Manipulator)
     joints = poses[0].apply(r * machine.radial_directions)
     return Configuration(machine, poses[0] * poses[1].inv(), joints)
 

@@ -1,7 +1,7 @@
 """A Gymnasium environment in MuJoCo: keep a ball on the platform of a stage by its three actuators.
 
 Importing this module registers it, as `gymnasium.make("spm_pin.stages.balancing:spm_pin/BallBalancer-v0")` does:
-nothing else of the package imports it, or Gymnasium and MuJoCo, of the extra `gym`.
+nothing else of the package imports it, or Gymnasium and MuJoCo of the extra `gym`.
 """
 
 from __future__ import annotations
@@ -40,8 +40,9 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
 
     An action is where the three actuators are to go, -1 for the least reading and 1 for the largest, see `action`; they
     go there no faster than the description's limits of velocity. 50 actions are a second. An observation has the
-    components of `OBSERVATION`. The reward is 1 - (distance from the middle of the plate / its radius)², and the
-    episode is terminated where the ball leaves the plate. Made by `gymnasium.make` it is truncated after ten seconds.
+    components of `OBSERVATION`, of which places and angles have bounds, and rates none. The reward is 1 - (distance
+    from the middle of the plate / its radius)², and the episode is terminated where the ball leaves the plate. Made by
+    `gymnasium.make` it is truncated after ten seconds.
 
     `reset` draws a tilt, a height, and a place of the ball within half the plate's radius, where it is at rest. All
     joints follow in closed form, so that the loops are closed to rounding. Its `options` may have the `readings` (3,)
@@ -51,7 +52,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
     Parameters
     ----------
     stage : Stage, optional
-        The machine, drawn or as built, with limits; by default a balancer of three servos, 0.12 m high.
+        The machine, nominal or calibrated, with limits; by default a balancer of three servos, 0.12 m high.
     ball : Ball, optional
         The ball and its plate.
     max_tilt : float
@@ -91,10 +92,20 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         velocities = self.model.numeric("velocity_limit").data
         self._steps = self.model.opt.timestep * velocities[[joint.id for joint in joints]]
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,))
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (len(OBSERVATION),), np.float64)
+        most = self._largest_observation()
+        self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float64)
+
+    def _largest_observation(self) -> FloatArray:
+        """Return the largest magnitudes of an observation's components (10,): rates have none in a simulation."""
+        height, longest = self.stage.size, np.abs(self.stage.reading_limits - self.stage.legs.offsets).max()
+        bounds = dict.fromkeys(OBSERVATION, math.inf) | {"roll": math.pi, "pitch": 0.5 * math.pi}
+        bounds["height"] = height + (longest if self.stage.unit == "m" else 0.0)
+        # The episode ends where the ball has left the plate.
+        bounds["ball_x"] = bounds["ball_y"] = 2.0 * self.ball.plate(self.stage)[0]
+        return np.array(list(bounds.values()))
 
     def action(self, readings: npt.ArrayLike) -> npt.NDArray[np.float32]:
-        """Return the action (3,) that leads the actuators to readings (3,) [m], of RRS legs [rad]."""
+        """Return the action (3,) that leads the actuators to readings (3,) [m], for RRS legs [rad]."""
         low, high = self.stage.reading_limits
         own = real_array(readings, "readings", (3,), f"what the actuators are to read, in {self.stage.unit}")
         return np.asarray(np.clip((2.0 * own - low - high) / (high - low), -1.0, 1.0), dtype=np.float32)
@@ -175,7 +186,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         good = states.exists & ~np.any(states.limit_excess, axis=-1)
         if not good.any():
             cause = "A smaller max_tilt, or wider limits?"
-            raise ArgumentError("stage", f"one that tilts by {self.max_tilt:g} rad", "none such", cause)
+            raise ArgumentError("stage", f"one that tilts by {self.max_tilt:g} rad", "one with a smaller tilt", cause)
         return states[int(good.argmax())]
 
     def _state(self, readings: npt.ArrayLike) -> StageConfiguration:

@@ -26,7 +26,7 @@ class RealMachine:
     height: float
     """At which the source has it stand level: of the balls' centre above the plane of the pivots [m]."""
     source: str
-    """Where the numbers stand: a repository of github.com, the file and the commit that was read, or a paper."""
+    """Source of the numbers: a repository of github.com with the file and the commit that was read, or a paper."""
     assumed: str
     """Assumptions made where the source gives no number, as sentences."""
 

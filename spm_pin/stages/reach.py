@@ -1,7 +1,7 @@
 """What a stage reaches: heights of the level platform, tilts in every direction, and the nearest tilt to one.
 
-A state counts if it is physical, in mode T and the home's aspect, and within the stage's limits. Tilts are those up to
-which every smaller one in the same direction counts too.
+A state counts if it is physical (mode T, in the home assembly region) and within the stage's limits. A tilt is the
+largest such that all smaller tilts in the same direction are reachable.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, UnreachableError
+from spm_pin.kinematics.singularity_analysis import singularities
 from spm_pin.kinematics.stage_displacement import (
     forward_physical,
     inverse,
@@ -38,8 +39,10 @@ _HEIGHTS, _HIGHEST = 2000, 9.99
 _PARTS, _ROUNDS, _FEW = np.linspace(0.0, 1.0, 17), 11, 5
 """An interval is divided into so many parts, so many times: to 6e-14 of it, or with few rounds to 1e-6."""
 _MOST_DIRECTIONS = 10_000
+_REGULAR = 1e-6
+"""Distance to singularities, see `StageSingularities`, up to which a home is none: its digits are lost there."""
 _BESIDE = 1e-6
-"""How far beyond the end of the reach its cause is looked at [rad]."""
+"""Distance beyond the end of the reach at which its cause is determined [rad]."""
 
 
 class ReachEnd(enum.IntEnum):
@@ -68,7 +71,7 @@ class StageReach:
 
     stage: Stage
     heights: FloatArray
-    """Of the platform's origin [m], shape (n,)."""
+    """Heights of the platform's origin [m], shape (n,)."""
     azimuths: FloatArray
     """Directions in which the normal leans, evenly from -π [rad], shape (m,)."""
     tilts: FloatArray
@@ -86,7 +89,7 @@ class StageReach:
 
     @property
     def all_round(self) -> FloatArray:
-        """Largest tilt that is reached in every direction [rad], shape (n,); NaN where there is none."""
+        """Largest tilt that is reached in every direction [rad], shape (n,); NaN if missing."""
         return np.asarray(self.tilts.min(axis=-1))
 
 
@@ -101,7 +104,7 @@ def height_range(stage: Stage) -> tuple[float, float]:
     Returns
     -------
     lowest, highest : float
-        Heights of the platform's origin above the pivots: of several such ranges the widest, NaN where there is none.
+        Heights of the platform's origin above the pivots: of several such ranges the widest, NaN if missing.
     """
     return _height_range(check_instance(stage, Stage, "stage"))
 
@@ -138,11 +141,14 @@ def home_height(stage: Stage) -> float:
     """Return a height [m] at which a stage holds its platform level within its limits.
 
     There readings are in the middle of their limits, and where these have none cranks are level, carriages at their
-    pivots. If that is no state it is the middle of `height_range`; where that is empty an `UnreachableError` is raised.
+    pivots. If that is no state, or a singular one, it is the middle of `height_range`; where that is empty an
+    `UnreachableError` is raised.
     """
     state = _middle_state(check_instance(stage, Stage, "stage"))
     if state.exists and _counts(inverse_physical(stage, state.height)):
-        return float(state.height)
+        distances = singularities(state)
+        if min(float(distances.forward), float(distances.leg.min())) > _REGULAR:
+            return float(state.height)
     height = sum(height_range(stage)) / 2.0
     if math.isnan(height):
         expected = "one that holds its platform level at some height within its limits"
@@ -151,7 +157,7 @@ def home_height(stage: Stage) -> float:
 
 
 def _middle_state(stage: Stage) -> StageConfiguration:
-    """Return the physical state with readings in the middle of their limits, or usual ones where there are none."""
+    """Return the physical state with readings in the middle of their limits, or usual readings without limits."""
     limits = stage.reading_limits
     is_limited = np.isfinite(limits).all(axis=0)
     radii = stage.base_radius, stage.platform_radius

@@ -1,1 +1,1 @@
-"""What every room uses and no machine is in: checks of arguments, poses, files, tables, progress."""
+"""Shared helpers that know no machine: checks of arguments, poses, files, tables, progress."""

@@ -23,7 +23,7 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 """An array of indices or counts."""
 Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how many points or poses are done, and of how many; may raise to interrupt."""
+"""Called with a description of the work, the number of points or poses done and their total; may raise to interrupt."""
 Kind = TypeVar("Kind")
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -32,12 +32,12 @@ COLUMNS = {
     4: ("qx", "qy", "qz", "qw"),
     6: ("r_b1", "r_b2", "r_b3", "r_c1", "r_c2", "r_c3"),
 }
-"""Names of the columns of a table of positions, quaternions or readings, by their number."""
+"""Column names of a table of positions, quaternions or readings, by the number of columns."""
 STAGE_COLUMNS = ("r_1", "r_2", "r_3")
-"""Those of a table of readings of a stage."""
+"""The same for readings of a stage."""
 
 _PRINTED, _LONGEST = 10**20, 60
-"""Larger integers are not written out in messages, and of longer texts their beginnings."""
+"""Larger integers, and the rest of longer texts, are not printed in messages."""
 
 
 def first_offender(wrong: BoolArray | np.bool_) -> tuple[int, ...]:
@@ -60,12 +60,12 @@ def check_instance(value: Any, kind: type[Kind], argument: str, cause: str = "")
             "Manipulator",
             "Configuration",
         ):
-            cause = "For a stage alone there is spm_pin.stages; Manipulator.of_stages makes a robot of two"
+            cause = "For a stage use the functions of spm_pin.stages; Manipulator.of_stages joins two stages"
         raise ArgumentError(argument, f"{article} {kind.__name__}", type(value).__name__, cause)
     return value
 
 
-def check_progress(value: object, told: str = "what is being done, how much is done, and of how much") -> None:
+def check_progress(value: object, told: str = "a description, the number done, and the total") -> None:
     """Raise `ArgumentError` if this is neither None nor a function."""
     if value is not None and not callable(value):
         raise ArgumentError("progress", f"a function of {told}", type_and_value(value))
@@ -82,7 +82,7 @@ def real_number(
     below: float = np.inf,
     cause: str = "",
 ) -> float:
-    """Read a finite real number, no boolean, with above < number < below and least <= number <= most."""
+    """Read a finite real number (no boolean) with above < number < below and least <= number <= most."""
     if isinstance(value, float | int) and not isinstance(value, bool):
         try:
             number = float(value)
@@ -101,13 +101,13 @@ def real_number(
 SMALLEST, LARGEST = 1e-9, 1e9
 """Dimensions accepted [m]. Every result was found to scale to rounding from 1e-52 to 1e60 m."""
 LARGEST_RATIO = 1e5
-"""Leg lengths, relative to the machine, beyond which eleven of sixteen digits are lost."""
+"""Leg lengths relative to the machine's size above which eleven of sixteen digits are lost."""
 
 
 def dimension(value: Any, argument: str) -> float:
     """Read a radius or a side [m]."""
     expected = f"a positive length in metres, from {SMALLEST:g} to {LARGEST:g}"
-    cause = "Given in another unit?" if isinstance(value, float | int) and value > 0 else ""
+    cause = "Is it in another unit?" if isinstance(value, float | int) and value > 0 else ""
     return real_number(value, argument, expected, least=SMALLEST, most=LARGEST, cause=cause)
 
 
@@ -120,7 +120,7 @@ def number_pair(value: Any, argument: str, unit: str) -> tuple[float, float]:
 
 
 def whole_number(value: Any, argument: str, expected: str = "", *, least: int = 0, most: int = 10**12) -> int:
-    """Read a whole number from `least` to `most`, by default more than any memory holds; a float, even 2.0, is none."""
+    """Read an integer from `least` to `most`, by default more than any memory holds; floats, even 2.0, are refused."""
     expected = expected or f"a whole number from {least} to {most}"
     try:
         number = None if isinstance(value, bool) else operator.index(value)
@@ -162,7 +162,7 @@ def name_sequence(value: Any, argument: str, of: str = "joints") -> tuple[str, .
 
 
 def generator(value: Any, argument: str = "rng") -> np.random.Generator:
-    """Read a random generator, or make one of a seed; None for one that differs at every call."""
+    """Return a random generator, or make one from a seed; None makes one that differs at every call."""
     if isinstance(value, np.random.Generator):
         return value
     if value is not None and not isinstance(value, np.random.SeedSequence | np.random.BitGenerator):
@@ -184,7 +184,7 @@ def boolean_array(value: Any, argument: str, shape: tuple[int, ...]) -> BoolArra
 
 
 def broadcastable(argument: str, shape: tuple[int, ...], other: str, other_shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the shape to which the leading axes of an argument and of another broadcast."""
+    """Return the shape to which the leading axes of two arguments broadcast."""
     try:
         return np.broadcast_shapes(shape, other_shape)
     except ValueError:
@@ -193,9 +193,9 @@ def broadcastable(argument: str, shape: tuple[int, ...], other: str, other_shape
 
 
 def check_shapes(shapes: dict[str, tuple[int, ...]], last: dict[str, tuple[int, ...]]) -> None:
-    """Check the last axes of arguments, or of their fields, by the last of their names, and that the others broadcast.
+    """Check the last axes of arguments or their fields, and that their leading axes broadcast.
 
-    Arguments that `last` does not have are vectors of any length.
+    `last` maps the last part of a name to its last axes; names that are not in `last` are vectors of any length.
     """
     batch: tuple[int, ...] = ()
     for k, (argument, shape) in enumerate(shapes.items()):
@@ -208,7 +208,7 @@ def check_shapes(shapes: dict[str, tuple[int, ...]], last: dict[str, tuple[int, 
 def real_array(
     value: npt.ArrayLike, argument: str, trailing: tuple[int, ...], meaning: str, *, allow_nan: bool = False
 ) -> FloatArray:
-    """Read finite real numbers as float64 of shape `(..., *trailing)`; NaN marks an absent member with `allow_nan`."""
+    """Read finite real numbers as float64 of shape `(..., *trailing)`; with `allow_nan`, NaN marks a missing member."""
     array = shaped_array(value, argument, trailing, meaning)
     return finite_array(array, argument, trailing, meaning, allow_nan=allow_nan)
 
@@ -216,7 +216,7 @@ def real_array(
 def leg_values(
     value: npt.ArrayLike, argument: str, meaning: str, *, most: float, cause: str = "", count: int = 6
 ) -> FloatArray:
-    """Read a positive number for each leg, shape (..., count), or one for all, as (count,); none above `most`."""
+    """Read a positive number for each leg, shape (..., count), or one for all, as (count,); at most `most`."""
     array = as_array(value)
     single = array is not None and not array.ndim
     numbers = real_array(value, argument, () if single else (count,), meaning)
@@ -230,13 +230,13 @@ def leg_values(
 def leg_bounds(
     value: npt.ArrayLike, argument: str, meaning: str, *, most: float, count: int = 6
 ) -> tuple[FloatArray, FloatArray]:
-    """Read the least and the largest of `count` quantities, each of shape (count,).
+    """Read the minimum and the maximum of `count` quantities, each of shape (count,).
 
-    Of one positive number for all, or one each (count,), for both senses; or of a least and a largest (2, count).
+    One positive number, or (count,), is the largest magnitude in both senses; (2, count) are minima and maxima.
     """
     array = as_array(value)
     if array is None or array.shape not in ((), (count,), (2, count)):
-        shapes = f"shape () or ({count},), the largest in either sense, or (2, {count}), the least and the largest"
+        shapes = f"shape () or ({count},), the largest magnitude, or (2, {count}), minima and maxima"
         received = type_and_value(value) if array is None else f"shape {array.shape}"
         raise ArgumentError(argument, f"{meaning} of {shapes}", received)
     bounds = real_array(array, argument, (), meaning)
@@ -244,18 +244,18 @@ def leg_bounds(
         bounds = np.multiply.outer([-1.0, 1.0], np.broadcast_to(bounds, (count,)))
     lower, upper = bounds
     if (lower >= upper).any() or np.abs(bounds).max(initial=0.0) > most:
-        expected = f"{meaning}, least ones below the largest, of at most {most:g}"
+        expected = f"{meaning}, minima below maxima, at most {most:g} in magnitude"
         received = str(array if array.size <= 1 else bounds.tolist())
-        raise ArgumentError(argument, expected, received, "Rows exchanged, or no positive numbers?")
+        raise ArgumentError(argument, expected, received, "Are the rows exchanged, or numbers not positive?")
     return np.array(lower), np.array(upper)
 
 
 def symmetric_matrices(
     value: npt.ArrayLike, argument: str, size: int, meaning: str, *, allow_nan: bool = False, positive: bool = False
 ) -> FloatArray:
-    """Read matrices (..., size, size), symmetric to 1e-9 of their largest entry; else as `real_array` does.
+    """Read matrices (..., size, size), symmetric to 1e-9 of their largest entry; otherwise as `real_array`.
 
-    With `positive`, only positive definite ones.
+    With `positive`, they must be positive definite.
     """
     matrices = real_array(value, argument, (size, size), meaning, allow_nan=allow_nan)
     off = np.abs(matrices - matrices.swapaxes(-1, -2)).max(axis=(-1, -2), initial=0.0)
@@ -270,12 +270,12 @@ def symmetric_matrices(
 
 
 def shaped_array(value: npt.ArrayLike, argument: str, trailing: tuple[int, ...], meaning: str) -> FloatArray:
-    """Read real numbers that need not be finite as float64 of shape `(..., *trailing)`."""
+    """Read real numbers, not necessarily finite, as float64 of shape `(..., *trailing)`."""
     if isinstance(value, np.ma.MaskedArray):
         raise ArgumentError(argument, _expected(trailing, meaning), "a masked array", "Fill or drop what is masked")
-    array = as_array(_in_order(value, argument, trailing))
+    array = value if type(value) is np.ndarray else as_array(_in_order(value, argument, trailing))
     if array is None:
-        raise ArgumentError(argument, _expected(trailing, meaning), type_and_value(value), "Rows of different lengths?")
+        raise ArgumentError(argument, _expected(trailing, meaning), type_and_value(value), "Do rows differ in length?")
     if array.dtype.kind not in "fiu" and not (array.size == 0 and array.dtype.kind != "O"):
         raise ArgumentError(argument, _expected(trailing, meaning), f"{type_and_value(value)} of dtype {array.dtype}")
     if array.dtype != np.float64:
@@ -287,8 +287,8 @@ def shaped_array(value: npt.ArrayLike, argument: str, trailing: tuple[int, ...],
 
 
 def _in_order(value: Any, argument: str, trailing: tuple[int, ...]) -> Any:
-    """Return a table whose columns have names, such as a DataFrame of pandas or polars, in the order of `COLUMNS`."""
-    columns = getattr(value, "columns", ())  # of CasADi's matrices a method
+    """Return the values of a table with named columns, such as a DataFrame of pandas, in the order of `COLUMNS`."""
+    columns = getattr(value, "columns", ())  # in CasADi's matrices this is a method
     names = [] if callable(columns) else [name for name in columns if isinstance(name, str)]
     order = COLUMNS.get(trailing[-1], ()) if trailing else ()
     if (argument, trailing) == ("readings", (3,)):
@@ -296,8 +296,8 @@ def _in_order(value: Any, argument: str, trailing: tuple[int, ...]) -> Any:
     if not names or tuple(names) == order:
         return value
     if not order or set(order) - set(names):
-        expected = f"columns {', '.join(order)}" if order else "an array without names"
-        cause = "Columns are taken by their names: rename them, or give .to_numpy() in this order"
+        expected = f"columns {', '.join(order)}" if order else "an array without column names"
+        cause = "Columns are read by name: rename them, or pass .to_numpy() in this order"
         raise ArgumentError(argument, expected, f"a table with {', '.join(names)}", cause)
     return value[list(order)]
 
@@ -305,12 +305,13 @@ def _in_order(value: Any, argument: str, trailing: tuple[int, ...]) -> Any:
 def finite_array(
     array: FloatArray, argument: str, trailing: tuple[int, ...], meaning: str, *, allow_nan: bool = False
 ) -> FloatArray:
-    """Return `array`, whose shape has been checked, or raise if a number is not finite."""
+    """Return `array`, whose shape has been checked; raise an error if a number is not finite."""
     wrong = np.isinf(array) if allow_nan else ~np.isfinite(array)
-    if wrong.any():
+    # Takes a quarter of the time of `any()`, in single calls.
+    if np.count_nonzero(wrong):
         index = first_offender(wrong)
         where = f" at index {index}" if index else ""
-        cause = "A missing sample, the result of what does not exist, or a division by zero before this call?"
+        cause = "A missing sample, the result of a missing solution, or a division by zero before this call?"
         raise ArgumentError(argument, f"finite {_expected(trailing, meaning)}", f"{array[index]}{where}", cause)
     return array
 
@@ -329,7 +330,7 @@ def as_array(value: Any) -> npt.NDArray[Any] | None:
 
 
 def type_and_value(value: Any) -> str:
-    """Return the class of a value, with the value itself where that is a word or a number."""
+    """Return the class of a value, with the value itself if it is a word or a number."""
     if value is None or isinstance(value, bool):
         return str(value)
     name = type(value).__name__

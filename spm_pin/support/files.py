@@ -21,14 +21,14 @@ from spm_pin.support.arguments import type_and_value
 def file_path(
     value: Any, argument: str = "path", *, suffixes: Collection[str] = (), expected: str = "the name of a file"
 ) -> Path:
-    """Read the name of a file without access to it; `suffixes` are the endings accepted, lower case with their dot."""
+    """Read the name of a file without accessing it; `suffixes` are the accepted endings, lower case with their dot."""
     try:
         text = os.fspath(value)
         fits = isinstance(text, str) and bool(text) and b"\0" not in os.fsencode(text)
     except Exception as failed:  # whatever __fspath__ of a foreign object raises
         raise ArgumentError(argument, expected, type_and_value(value), str(failed)) from failed
     if not fits:
-        raise ArgumentError(argument, expected, repr(value), "Empty, or a byte of zero in it?")
+        raise ArgumentError(argument, expected, repr(value), "Is it empty, or does it contain a zero byte?")
     path = Path(text)
     if suffixes and path.suffix.lower() not in suffixes:
         raise ArgumentError(argument, f"a file name ending in {', '.join(suffixes)}", path)
@@ -38,8 +38,8 @@ def file_path(
 def write_files(contents: Mapping[Path, str | bytes], argument: str = "path") -> None:
     """Write files, texts in UTF-8, and make their folders: all of them or none.
 
-    Each is written beside its place and moved there when all are complete, so that a full disk or an interrupt leaves
-    the files that were there. Devices and pipes are written to directly. An error names the argument and the file.
+    Each file is written beside its place and moved there when all are complete, so a full disk or an interrupt leaves
+    the existing files. Devices and pipes are written to directly. An error names the argument and the file.
     """
     drafts: dict[Path, Path] = {}
     made: list[Path] = []
@@ -50,7 +50,7 @@ def write_files(contents: Mapping[Path, str | bytes], argument: str = "path") ->
             if path.exists() and not path.is_file():
                 path.write_bytes(data)
                 continue
-            place = Path(os.path.realpath(path))  # a link stays, and what it leads to is replaced
+            place = Path(os.path.realpath(path))  # a link is kept, and its target replaced
             if place.exists() and not os.access(place, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             made += reversed([folder for folder in place.parents if not folder.exists()])
@@ -74,17 +74,17 @@ def write_files(contents: Mapping[Path, str | bytes], argument: str = "path") ->
 
 _NUMBER = re.compile(r"[-+]?((0|[1-9]\d*)(\.\d*)?|\.\d+)([eE][-+]?\d+)?|[-+]?\.(inf|Inf|INF)", re.ASCII)
 _LARGEST_FILE = 1 << 20
-"""Characters of a file that are read; a larger one is refused."""
+"""Largest number of characters of a file that is read."""
 
 
 class _Loader(yaml.BaseLoader):
-    """Reads mappings, lists, decimal numbers and texts: no tag has an effect, and no key may occur twice."""
+    """Reads mappings, lists, decimal numbers and texts. Tags have no effect, and a key may not occur twice."""
 
     anchored = 0
     """Number of nodes with an anchor around the one being read."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        # Aliases within anchored nodes multiply: a few of them expand to billions of members.
+        # Aliases within anchored nodes multiply: a few of them can expand to billions of members.
         event = self.peek_event()  # type: ignore[no-untyped-call]
         is_alias = isinstance(event, yaml.AliasEvent)
         if is_alias and self.anchored:
@@ -113,7 +113,7 @@ class _Loader(yaml.BaseLoader):
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Read a YAML file of numbers, which become floats, texts, lists and mappings."""
+    """Read a YAML file; numbers become floats, the rest texts, lists and mappings."""
     file = file_path(path)
     try:
         with file.open("rb") as opened:
@@ -122,12 +122,12 @@ def read_yaml(path: str | Path) -> Any:
             raise ArgumentError(
                 "", f"a YAML file of at most {_LARGEST_FILE} characters", "a longer one", file=str(file)
             )
-        return yaml.load(text.decode("utf-8"), _Loader)  # which constructs no objects
+        return yaml.load(text.decode("utf-8"), _Loader)  # this loader constructs no objects
     except OSError as failed:
         raise ArgumentError("", "a readable YAML file", str(failed.strerror), file=str(file)) from failed
     except UnicodeDecodeError as failed:
         raise ArgumentError("", "a YAML file, text in UTF-8", str(failed), file=str(file)) from failed
     except ArgumentError:
         raise
-    except Exception as failed:  # YAMLError; of malformed escapes, tags and nesting also other kinds
+    except Exception as failed:  # YAMLError; malformed escapes, tags and nesting raise other types too
         raise ArgumentError("", "a YAML file", str(failed) or type(failed).__name__, file=str(file)) from failed

@@ -27,7 +27,7 @@ NAMES = TIME, *POSITION, *QUATERNION, *COLUMNS[6]
 
 
 class MotionTable:
-    """A table read from a file; columns become numbers when they are taken."""
+    """A table read from a file; columns are converted to numbers when they are read."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = file_path(path, suffixes=(".csv",))
@@ -47,9 +47,9 @@ class MotionTable:
         heading = str(self.path), number
         self._taken: set[str] = set()
         if not np.isnan([_number(name) for name in self.names]).any():
-            cause = "The first line looks like numbers: no heading?"
+            cause = "The first line looks like numbers: is the heading missing?"
             if any(set(NAMES) & {cell.strip("# ") for cell in row} for row in comments):
-                cause = "The heading is a comment: take away its #, as numpy.savetxt does with comments=''"
+                cause = "The heading is a comment: remove its #, as numpy.savetxt does with comments=''"
             received = ", ".join(self.names[:3]) + ", …"
             raise ArgumentError("", "a heading that names the columns", received, cause, *heading)
         if len(self.names) == 1 and (separator := next((x for x in ";\t" if x in self.names[0]), "")):
@@ -62,7 +62,7 @@ class MotionTable:
         for number, cells in self._rows:
             if len(cells) != len(self.names):
                 expected = f"{len(self.names)} values, one per column of the heading"
-                cause = "Decimal commas?" if len(cells) == 2 * len(self.names) else ""
+                cause = "Are there decimal commas?" if len(cells) == 2 * len(self.names) else ""
                 raise ArgumentError("", expected, len(cells), cause, str(self.path), number)
 
     def __len__(self) -> int:
@@ -70,33 +70,35 @@ class MotionTable:
 
     @property
     def lines(self) -> list[int]:
-        """The lines of the file on which the rows end."""
+        """Line number in the file at which each row ends."""
         return [line for line, _ in self._rows]
 
     @property
     def unused(self) -> tuple[str, ...]:
-        """Columns that nobody has taken so far."""
+        """Columns that have not been read so far."""
         return tuple(name for name in self.names if name not in self._taken)
 
     def has(self, names: Sequence[str]) -> bool:
-        """Return whether the table has one of these columns at least."""
+        """Return whether the table has at least one of these columns."""
         return not set(names).isdisjoint(self.names)
 
-    def columns(self, names: Sequence[str]) -> FloatArray:
-        """Return columns as an array (n, number of names)."""
-        missing = [name for name in names if name not in self.names]
-        if missing:
+    def columns(self, names: Sequence[str], *, missing: bool = False) -> FloatArray:
+        """Return columns as an array (n, number of names); with `missing` an empty cell is NaN."""
+        absent = [name for name in names if name not in self.names]
+        if absent:
             expected = f"a heading with the columns {', '.join(names)}"
-            raise ArgumentError("", expected, f"one without {', '.join(missing)}", file=str(self.path), line=1)
+            raise ArgumentError("", expected, f"one without {', '.join(absent)}", file=str(self.path), line=1)
         self._taken.update(names)
         places = [self.names.index(name) for name in names]
         numbers = np.array([[_number(cells[place]) for place in places] for _, cells in self._rows])
         wrong = ~np.isfinite(numbers)
+        if missing:
+            wrong &= np.array([[cells[place] != "" for place in places] for _, cells in self._rows])
         if wrong.any():
             row, column = first_offender(wrong)
             line, cells = self._rows[row]
             cell = cells[places[column]]
-            cause = "A decimal comma?" if "," in cell else ""
+            cause = "Is it a decimal comma?" if "," in cell else ""
             received = repr(cell) if cell else "nothing"
             raise ArgumentError(f"column {names[column]}", "a finite number", received, cause, str(self.path), line)
         return numbers
@@ -116,7 +118,7 @@ class MotionTable:
         return pose(position, quat=quaternion)
 
     def times(self) -> FloatArray | None:
-        """Return increasing times (n,) [s]; None if there are none."""
+        """Return increasing times (n,) [s], or None."""
         if not self.has([TIME]):
             return None
         times = self.columns([TIME])[:, 0]
@@ -131,7 +133,7 @@ class MotionTable:
 def _number(cell: str) -> float:
     """Return a number, or NaN where a cell holds none."""
     try:
-        return math.nan if "_" in cell else float(cell)  # Python takes 1_2 for 12
+        return math.nan if "_" in cell else float(cell)  # Python reads 1_2 as 12
     except ValueError:
         return math.nan
 

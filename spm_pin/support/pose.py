@@ -1,4 +1,4 @@
-"""Poses: made with `pose`, read with `as_rigid_transform` from whatever the caller's library calls one."""
+"""Poses: `pose` makes one, `as_rigid_transform` reads one from the types of common libraries."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from spm_pin.support.arguments import (
 )
 
 ORTHONORMALITY_TOLERANCE = 1e-6
-"""Largest entry of RᵀR - I taken for rounding, as of single precision, and repaired; more is an error."""
+"""Largest entry of RᵀR - I that counts as rounding, as in single precision, and is repaired; larger ones are errors."""
 UNIT = "a quaternion of length 1"
 _UNIT_TOLERANCE = 1e-3
-"""Quaternions whose length differs from 1 by no more are rounded, and are normalised."""
+"""Largest difference of a quaternion's length from 1 that counts as rounding and is normalised."""
 EXACT = 16.0 * float(np.finfo(np.float64).eps)
-"""Up to this, the rounding of a product of rotations, the matrix is kept to the last bit."""
+"""Largest entry of RᵀR - I, the rounding of a product of rotations, for which the matrix is kept unchanged."""
 
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _WRITTEN_OUT = {
-    6: "Position and three angles, in which convention? spm.pose(a[..., :3], rpy=a[..., 3:]), or xyx=..., rotvec=...",
-    7: "Position and quaternion? spm.pose(a[..., :3], quat=a[..., 3:]), scalar last: x, y, z, w",
+    6: "Is it a position and three angles? spm.pose(a[..., :3], rpy=a[..., 3:]), or xyx=..., rotvec=...",
+    7: "Is it a position and a quaternion? spm.pose(a[..., :3], quat=a[..., 3:]), scalar last: x, y, z, w",
 }
-"""How to say a pose that comes as six or seven numbers."""
-_TRANSFORM = "A homogeneous transform? That is a pose already: scipy.spatial.transform.RigidTransform.from_matrix(a)"
+"""How to convert six or seven numbers to a pose."""
+_TRANSFORM = "Is it a homogeneous transform? scipy.spatial.transform.RigidTransform.from_matrix(a) makes a pose of it"
 _ROTATION = "a rotation matrix"
 _POSITION = "a position in metres"
 
@@ -83,13 +83,13 @@ def pose(
     rotation : Rotation or array_like, shape (..., 3, 3), optional
         SciPy's rotation from {m} to {B}, or its matrix.
 
-        Exactly one orientation is required: the identity is no default, because at R = I the manipulator is singular or
-        cannot be assembled. A warning is given for angles beyond 2π, which are often degrees.
+        Exactly one orientation is required. There is no default, because at R = I the manipulator is singular or
+        cannot be assembled. Angles beyond 2π, which are often degrees, give a warning.
 
     Returns
     -------
     RigidTransform
-        With the broadcast of both leading shapes.
+        Its shape is the broadcast of both leading shapes.
 
     Examples
     --------
@@ -112,13 +112,13 @@ def pose(
     except ArgumentError as error:
         wrong = translation if error.argument == "translation" else value
         if isinstance(wrong, HasRotationTranslation):
-            cause = "That is a pose already; its parts are a.translation and a.rotation"
+            cause = "It is a pose already; its parts are a.translation and a.rotation"
             raise PoseError(error.argument, error.expected, f"a {type(wrong).__name__}", cause) from None
         raise _pose_error(error, wrong, _TRANSFORM if error.argument not in _ORIENTATIONS else "") from None
 
 
 def _pose_error(error: ArgumentError, value: Any, transform: str = "") -> PoseError:
-    """Return an error as one about a pose, with the way to say what looks like a whole one; `transform` if 4 x 4."""
+    """Return an error as one about a pose, with advice for numbers that look like a pose; `transform` if 4 x 4."""
     array = as_array(value)
     shape = () if array is None else array.shape
     cause = transform if shape[-2:] == (4, 4) else _WRITTEN_OUT.get(shape[-1] if shape else 0, "")
@@ -160,8 +160,8 @@ def first_wrong_quaternion(quaternions: FloatArray) -> tuple[tuple[int, ...], st
     if not wrong.any():
         return None
     index = first_offender(wrong)
-    # Nothing is known of a length far from 1.
-    cause = "Rounded to few digits?" if abs(lengths[index] - 1.0) < 0.1 else ""
+    # For a length far from 1 no cause is known.
+    cause = "Is it rounded to few digits?" if abs(lengths[index] - 1.0) < 0.1 else ""
     return index, f"length {lengths[index]:g}", cause
 
 
@@ -173,17 +173,17 @@ def inverse_command(translation: FloatArray, xyx: FloatArray, machine_file: str 
 
 
 def as_rigid_transform(value: PoseLike, argument: str = "pose") -> RigidTransform:
-    """Read a pose or a batch of poses, which `argument` names in errors; no library of poses is imported here."""
+    """Read a pose or a batch of poses, called `argument` in errors; no library of poses is imported."""
     return unchecked_transform(*checked_pose(*unchecked_pose(value, argument), argument))
 
 
 def unchecked_pose(value: PoseLike, argument: str = "pose") -> tuple[FloatArray, FloatArray]:
-    """Read rotations (..., 3, 3) and positions (..., 3) [m], kinds and shapes checked; may be the caller's memory."""
+    """Read rotations (..., 3, 3) and positions (..., 3) [m] and check shapes; may return the caller's memory."""
     if isinstance(value, RigidTransform):
         matrix = value.as_matrix()
         return matrix[..., :3, :3], matrix[..., :3, 3]
     if isinstance(value, Rotation):
-        cause = "A rotation alone is no pose: spm.pose(translation, rotation=...)"
+        cause = "A rotation alone is not a pose: spm.pose(translation, rotation=...)"
         raise PoseError(argument, "a rigid transform", "a Rotation", cause)
     try:
         if not isinstance(value, np.ndarray) and isinstance(value, HasRotationTranslation):
@@ -196,7 +196,7 @@ def unchecked_pose(value: PoseLike, argument: str = "pose") -> tuple[FloatArray,
         if not (matrices[..., 3, :] == _LAST_ROW).all():
             finite_array(matrices, argument, (4, 4), "a homogeneous transform")
             index = first_offender((matrices[..., 3, :] != _LAST_ROW).any(axis=-1))
-            cause = "Transposed matrix?" if (matrices[index][:, 3] == _LAST_ROW).all() else ""
+            cause = "Is the matrix transposed?" if (matrices[index][:, 3] == _LAST_ROW).all() else ""
             where = f" at index {index}" if index else ""
             raise ArgumentError(argument, "the last row [0, 0, 0, 1]", f"{matrices[index][3]}{where}", cause)
     except ArgumentError as error:
@@ -205,7 +205,7 @@ def unchecked_pose(value: PoseLike, argument: str = "pose") -> tuple[FloatArray,
 
 
 def checked_pose(rotation: FloatArray, position: FloatArray, argument: str) -> tuple[FloatArray, FloatArray]:
-    """Return rotations (..., 3, 3), rounding repaired, and positions (..., 3), or raise `PoseError`."""
+    """Return rotations (..., 3, 3), rounding repaired, and positions (..., 3); raise `PoseError` if invalid."""
     try:
         finite_array(position, argument, (3,), _POSITION)
         return _rotations(rotation, argument), position
@@ -214,22 +214,22 @@ def checked_pose(rotation: FloatArray, position: FloatArray, argument: str) -> t
 
 
 def _rotations(matrices: FloatArray, argument: str) -> FloatArray:
-    """Return matrices (..., 3, 3), those that rounding made no rotations repaired; raise if one is far from any."""
+    """Return matrices (..., 3, 3) with rounding errors repaired; raise an error for one that is not a rotation."""
     finite_array(matrices, argument, (3, 3), _ROTATION)
     error = np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)).max(axis=(-1, -2), initial=0.0)
     wrong = error > ORTHONORMALITY_TOLERANCE
     if wrong.any():
         index = first_offender(wrong)
         received = f"RᵀR - I with an entry of {error[index]:.1e}" + (f" at index {index}" if index else "")
-        raise ArgumentError(argument, _ROTATION, received, "Scaled, sheared, or rounded to few digits?")
+        raise ArgumentError(argument, _ROTATION, received, "Is it scaled, sheared, or rounded to few digits?")
     mirrored = np.linalg.det(matrices) < 0.0
     if mirrored.any():
         index = first_offender(mirrored)
         received = "determinant -1" + (f" at index {index}" if index else "")
-        raise ArgumentError(argument, _ROTATION, received, "A reflection: a left-handed frame?")
+        raise ArgumentError(argument, _ROTATION, received, "It is a reflection: is a frame left-handed?")
     rounded = error > EXACT
     if rounded.any():
-        # Member by member: what one pose is must not depend on its neighbours.
+        # Member by member: the result for one pose must not depend on the others.
         matrices = matrices.copy()
         matrices[rounded] = Rotation.from_matrix(matrices[rounded]).as_matrix()
     return matrices
@@ -250,5 +250,5 @@ def homogeneous(rotation: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def unchecked_transform(rotation: FloatArray, position: FloatArray) -> RigidTransform:
-    """Return the pose of arrays known to be valid, bit by bit."""
+    """Return the pose of valid arrays without changing a bit."""
     return RigidTransform(homogeneous(rotation, position), normalize=False, copy=False)

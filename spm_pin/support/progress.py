@@ -1,4 +1,4 @@
-"""Progress of long work: a function that was given, or else a line on the terminal."""
+"""Progress of long work: reported to a given function, or shown in a line on the terminal."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ import time
 from spm_pin.support.arguments import Progress, check_progress
 
 _PATIENCE, _PERIOD = 5.0, 0.5
-"""Seconds after which a line appears, and between its changes."""
+"""Seconds before the line appears, and between its updates."""
 
 
 def shown_progress(progress: Progress | None) -> Progress:
-    """Return `progress`, or what shows a line on stderr where that is a terminal or a notebook.
+    """Return `progress`, or a function that shows a line on stderr if that is a terminal or a notebook.
 
-    The line comes after five seconds, and goes when the work is done.
+    The line appears after five seconds and disappears when the work is done.
     """
     check_progress(progress)
     return _Line() if progress is None else progress
 
 
 class _Line:
-    """A line that is written over again and again."""
+    """A line that is overwritten repeatedly."""
 
     def __init__(self) -> None:
         self._next = time.monotonic() + _PATIENCE

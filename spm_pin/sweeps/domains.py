@@ -143,7 +143,7 @@ class Domain:
     axes: tuple[Axis, ...]
     """The coordinates, in the order of `AXES`."""
     sample: Sample | None = None
-    """How points are drawn from the box of the axes; all combinations of their values if not given."""
+    """Random sample of the box of the axes; all combinations of their values if not given."""
 
     @property
     def dims(self) -> tuple[str, ...]:

@@ -52,7 +52,8 @@ _KEEP_MEMORY = {
     f"distributed.nanny.pre-spawn-environ.MALLOC_{name}_THRESHOLD_": size
     for name, size in (("TRIM", 2**26), ("MMAP", 2**25))
 }
-"""Where freed memory goes back to the system at once, Dask's choice, NumPy's temporary arrays take twice the time."""
+"""Without this, Dask's default, freed memory returns to the system at once, and NumPy's temporary arrays take twice
+as long."""
 _IGNORE_INTERRUPTS = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 """Run by workers as they start: a terminal sends Ctrl-C to them too, and the process that drives them handles it."""
 _PATIENCE = 15

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError, SpmError
 from spm_pin.support.files import file_path
 from spm_pin.sweeps.domains import FORMAT, SweepPlan, definition_differences
+from spm_pin.sweeps.metrics import STATUS
 
 _LOCK = "sweep/lock"
 _DONE = "sweep/done"
@@ -184,6 +185,9 @@ def read_plan(path: Path) -> SweepPlan:
             lines = definition_differences(definition, json.loads(plan.text))
             if lines:
                 raise ValueError(lines[0])
+            shape = tuple(json.loads((path / STATUS.name / "zarr.json").read_bytes())["shape"])
+            if shape != plan.domain.shape:
+                raise ValueError(f"it has points of shape {plan.domain.shape}, and the store's arrays {shape}")
             return plan
         received = "which holds none" if path.exists() else "which does not exist"
     raise ArgumentError("store", "the folder of a sweep", f"{path}, {received}")

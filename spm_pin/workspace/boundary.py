@@ -187,7 +187,7 @@ class BoundaryPoints:
     at_limit: npt.NDArray[np.int8]
     """-1 for a leg at its minimum, 1 at its maximum, 0 for one that is free, shape (n, 6)."""
     violation: FloatArray
-    """By how much the conditions of a nearest point are missed, shape (n,); rounding."""
+    """Residuals of the conditions of a nearest point, shape (n,); rounding."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ _COARSE, _FINE, _POLISHED = {"maxiter": 10, "ftol": 1e-6}, {"maxiter": 200, "fto
 """Steps of a search at most, and the change of half the squared distance over the machine's size squared at its end;
 and how many of the nearest ends of coarse searches are finished."""
 _ROUNDING = 1e-9
-"""By how much a result may be beyond its limits, over the machine's size, and is moved to them."""
+"""Largest excess of a result beyond its limits, relative to the machine's size, that is moved to them."""
 
 
 def nearest_state(states: StateSet, target: FloatArray, starts: FloatArray, body: FloatArray) -> FloatArray:
@@ -79,7 +79,7 @@ class _Problem:
         return bool(self.room(x).min() >= -_ROUNDING and (self._places == INSIDE).all())
 
     def _evaluate(self, x: FloatArray) -> bool:
-        """Compute what the state at x (6,) is; False where there is none."""
+        """Compute what the state at x (6,) is; False if missing."""
         from spm_pin.kinematics.kernels.stage_states import BEYOND
         from spm_pin.kinematics.kernels.state_search import state_terms
 

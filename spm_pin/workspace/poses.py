@@ -68,7 +68,7 @@ _OFF_THE_EDGE = 1e-5
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of passive joints; None where there is none.
+    """Limits of passive joints; None if not given.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class JointLimits:
 def leg_clearance(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return the least distance of the axes of two legs that have no joint in common, shape (...) [m].
 
-    An axis goes from the pivot to the ball joint's centre, of PRS and RRS legs by way of the carriage or the knee. Of
+    An axis goes from the pivot to the ball joint's centre, in PRS and RRS legs by way of the carriage or the knee. From
     the fifteen pairs of legs, the three that meet at a corner of the middle platform are left out. NaN where a state
     does not exist.
     """
@@ -147,7 +147,7 @@ def _segment_distance2(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArra
     """
 
     def share(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
-        # Of a segment without length, or where two are parallel, any point is as good.
+        # For a segment of length zero, or two parallel ones, any point will do.
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.clip(np.nan_to_num(numerator / denominator, posinf=1.0, neginf=0.0), 0.0, 1.0)
 
@@ -162,19 +162,19 @@ def _segment_distance2(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArra
 
 @dataclass(frozen=True)
 class Reachability:
-    """Which poses of shape (...) can be reached, and by how much."""
+    """Reachability of poses of shape (...), with margins."""
 
     branches: SolutionSet | StageSolutions
     """All eight branches of each pose, limits not applied, shape (...); of a stage both modes of the tilt."""
     allowed: BoolArray
     """Which of them count and respect all limits, shape (..., 8), of a stage (..., 2), as all that follows."""
     leg_margin: FloatArray
-    """How far the worst leg of a branch is inside its limits [m], of RRS legs at the knee, shape (..., 8); negative
+    """Distance of the worst leg of a branch from its limits [m], for RRS legs at the knee, shape (..., 8); negative
     outside, infinite without limits, NaN where the branch is not real."""
     angle_margin: FloatArray
-    """How far the worst passive joint of a branch is inside its limits [rad], shape (..., 8)."""
+    """Distance of the worst passive joint of a branch from its limits [rad], shape (..., 8)."""
     clearance_margin: FloatArray
-    """By how much the nearest legs of a branch are farther apart than they must [m], shape (..., 8)."""
+    """Distance of the closest legs of a branch minus the least allowed one [m], shape (..., 8)."""
 
     @property
     def reachable(self) -> Any:
@@ -397,7 +397,7 @@ def _nearest_within(
     result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)
     if states.aspects == (HOME_ASPECT, HOME_ASPECT):
         return states.states(result.coordinates, result.readings)
-    # Elsewhere the sign of a determinant does not tell one aspect from another: the way from `near` does.
+    # Elsewhere the sign of a determinant does not distinguish aspects: the path from `near` does.
     followed = forward_physical(machine, result.readings, near=near)
     gap = np.abs(followed.middle_joints - states.states(result.coordinates).middle_joints).max(axis=(-1, -2))
     with np.errstate(invalid="ignore"):

@@ -52,7 +52,7 @@ _LARGE = 0.99
 
 @dataclass(frozen=True)
 class PositionReach:
-    """Which positions of shape (...) can be reached in some orientation."""
+    """Reachability of positions of shape (...) in some orientation."""
 
     reachable: BoolArray
     """Whether o can be there, to a billionth of the machine's size, shape (...)."""
@@ -77,7 +77,7 @@ class Estimate:
     high: float
     """Upper end of the interval."""
     confidence: float
-    """How probable it is that such an interval holds the truth; NaN where the interval is an extrapolation's error."""
+    """Confidence of the interval; NaN where the interval is the error of an extrapolation."""
     method: str
     """The method of the estimate."""
     unit: str

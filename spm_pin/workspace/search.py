@@ -33,7 +33,7 @@ _VOXELS, _PAD = 64, 0.15
 _CELLS = 20
 """Cells along each axis of the grid that covers the reachable positions."""
 _REMOTE_STARTS, _MORE_STARTS = 6, 8
-"""How many states of the sample that are nearest to a point are further starts of a search for the nearest reachable
+"""Number of states of the sample nearest to a point that are further starts of a search for the nearest reachable
 point, and of a second search for a state at a point after that from the groups has failed."""
 _MOST_STEPS, _PATIENT = 400, 3000
 """Most Newton steps of a search for the nearest state: while a platform is dragged, and for the nearest point."""
@@ -42,14 +42,14 @@ _CHUNK, _MIN_BATCH = 4096, 256
 
 
 class Membership(NamedTuple):
-    """Which of N points are reachable."""
+    """True for points that are reachable, (N,)."""
 
     reached: BoolArray
     """Points with a state, which proves it, (N,)."""
     undecided: BoolArray
     """Points (N,) without one whose search ended beyond a forward singularity or stalled just short of a state."""
     coordinates: FloatArray
-    """The states (N, 2, 3); where there is none, those found with the smallest residual norm."""
+    """The states (N, 2, 3); for those not found, the ones with the smallest residual norm."""
     readings: FloatArray
     """Their readings (N, 6), within the limits; NaN where there is no state."""
 
@@ -64,7 +64,7 @@ class NearestPoints(NamedTuple):
     distance: FloatArray
     """Root mean square distance from the targets (N,) [m]."""
     optimality: FloatArray
-    """By how much Eq. (1) of the page is missed, (N,); infinite where the state is the start."""
+    """Residuals of Eq. (1) of the page, (N,); infinite where the state is the start."""
 
     def update(self, index: IntArray, other: NearestPoints, chosen: IntArray | slice = slice(None)) -> None:
         """Put those states of `other` that are `chosen` in the places `index`."""

@@ -48,7 +48,7 @@ _MIN_BATCH = 4096
 _BOXES, _HALVINGS = 20_000, 12
 """Boxes of a stage's cover with which its refinement ends, and refinements at most; each halves the boxes' sides."""
 _RESERVE = 1.2
-"""Growth of the bound on how far balls move in a box, for a machine as built has a little torsion."""
+"""Growth of the bound on how far balls move in a box, for a calibrated machine has a little torsion."""
 _DRAWN_TOGETHER, _LEAST_TRIED = 50_000, 1_000_000
 """Stages drawn together at most, and tried at least before a set is taken for one that is too small to be hit."""
 _CHUNK, _MOST_CHUNKS = 20_000, 1000
@@ -74,7 +74,7 @@ class StateSet:
 
     machine: Manipulator
     minimum: FloatArray
-    """Least readings (6,) [m], of RRS legs [rad]."""
+    """Least readings (6,) [m], for RRS legs [rad]."""
     maximum: FloatArray
     """Largest readings (6,), likewise."""
     family: str = "TT"
@@ -95,7 +95,7 @@ class StateSet:
 
     @cached_property
     def _longest(self) -> FloatArray:
-        """How far each ball may be from its leg's pivot (6,) [m]; infinite without limits."""
+        """Largest distance of each ball from its leg's pivot (6,) [m]; infinite without limits."""
         with np.errstate(invalid="ignore"):
             reached = [self._circle_of(ends) for ends in (self.minimum, self.maximum)]
             longest = np.maximum(*(np.linalg.norm(centre, axis=-1) + radius for centre, radius in reached))
@@ -118,16 +118,16 @@ class StateSet:
 
     @cached_property
     def legs(self) -> FloatArray:
-        """Constants of both stages' legs for `kernels.stage_states`, (2, 3, 20); axes are tangents of the platforms."""
+        """Constants of both stages' legs for `kernels.stage_states`, (2, 3, 21); axes are tangents of the platforms."""
         legs = self.machine.legs
         axes = np.tile(TANGENT_SIGNS, 2)[:, None] * legs.axes
         balls = legs.balls * np.repeat(self._turns, 3, axis=0)
-        numbers = np.zeros((6, 5))
+        numbers = np.zeros((6, 6))
         for stage, kind in enumerate(legs.kinds):
             rows, own = slice(3 * stage, 3 * stage + 3), kind.numbers
             numbers[rows, : own.shape[1]], numbers[rows, 4] = own, kind.number
-        numbers[:, 3] = legs.offsets
-        return np.concatenate([axes, legs.pivots, balls, *legs.planes, numbers], axis=-1).reshape(2, 3, 20)
+        numbers[:, 3], numbers[:, 5] = legs.offsets, self.machine.crank_middles
+        return np.concatenate([axes, legs.pivots, balls, *legs.planes, numbers], axis=-1).reshape(2, 3, 21)
 
     @cached_property
     def _signed_aspects(self) -> FloatArray:
@@ -205,7 +205,7 @@ class StateSet:
         """Return coordinates of upper stages (N, 3) that put o at `points` (N, 3) [m], given those of the lower stages.
 
         By Newton's method, from the middle platform's normal turned towards o; NaN where that does not arrive. For the
-        home's aspect only.
+        home assembly region only.
         """
         stage = self.stages(0, lower)
         target = (stage.rotation.mT @ (points - stage.centre)[..., None])[..., 0]
@@ -327,9 +327,9 @@ class StateSet:
 
     @cached_property
     def few(self) -> tuple[FloatArray, FloatArray]:
-        """A few states of each stage within the limits, (n, 3) and (m, 3), always the same; for the home's aspect only.
+        """Few states of each stage within the limits, (n, 3) and (m, 3), always the same, in the home assembly region.
 
-        Each of the lower stage goes with each of the upper one. None where the set is empty.
+        Each state of the lower stage is combined with each of the upper one. None if the set is empty.
         """
         rng = np.random.default_rng(_SEED)
         drawn = forward_physical(self.machine, rng.uniform(self.minimum, self.maximum, (_FEW, 6)))
@@ -402,7 +402,7 @@ def states_within(machine: Manipulator, limits: LegLimits | None = None) -> Stat
 
 @lru_cache(maxsize=8)
 def _checked(machine: Manipulator, limits: LegLimits) -> StateSet:
-    # A leg of no length has no direction.
+    # A leg whose length is zero has no direction.
     maximum, least = np.array(limits.maximum), np.array(machine.legs.free_limits.minimum)
     states = StateSet(machine, np.maximum(limits.minimum, least + 1e-6 * np.abs(maximum)), maximum)
     if not all(map(len, states.few)):
@@ -420,7 +420,7 @@ def states_around(near: Configuration, limits: LegLimits) -> tuple[StateSet, Flo
     start = states.coordinates(batch)
     stages = [states.stages(stage, start[:, stage]) for stage in range(2)]
     readings = np.concatenate([stage.readings[0] for stage in stages])
-    # Of a state in another mode these coordinates are not.
+    # These are not coordinates of a state in another mode.
     if all(stage.in_aspect[0] for stage in stages) and np.abs(readings - near.readings).max() <= 1e-6 * states.radius:
         return states, start
     modes = FAMILIES[int(family(near))]

@@ -241,11 +241,11 @@ TORN = STATE._replace(middle_joints=np.ones((2, 3)))
         (arrays.inverse_physical, (PAPER, np.eye(4), np.zeros(3)), "rotation"),
         (arrays.inverse_physical, (PAPER, STATE.rotation, strict.asarray(STATE.translation)), "arrays of one library"),
         (arrays.inverse_physical, (PAPER, STATE.rotation, np.ones((3, 3))), "those of rotation, (2,), got (3,)"),
-        (arrays.inverse_displacement, (BUILT, STATE.rotation, STATE.translation), "a machine as drawn"),
+        (arrays.inverse_displacement, (BUILT, STATE.rotation, STATE.translation), "a nominal machine"),
         (
             arrays.inverse_displacement,
             (BUILT.parameters, STATE.rotation, STATE.translation),
-            "as parameters always count",
+            "as parameters always are",
         ),
         (arrays.forward_physical, (PAPER, np.ones(6, dtype=int)), "floating-point"),
         (arrays.forward_physical, (PAPER, np.ones(6, dtype=np.float16)), "dtype float16"),

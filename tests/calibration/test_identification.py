@@ -335,7 +335,7 @@ def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) 
         (f"{HEADING}\n{ROW.replace('0,0,0,1', '0,0,0,2', 1)}", r"qx to qw in .*csv:2.*length 1, got length 2"),
         (f"{HEADING.replace('r_c3', 'r_c4')}\n{ROW}", r"csv:1: expected .*, got one without r_c3"),
         (f"{HEADING.replace('qw', 'w')}\n{ROW}", r"csv:1: expected .*, got one without qw"),
-        (f"# {HEADING}\n{ROW}\n{ROW}", r"csv:2: .*The heading is a comment: take away its #"),
+        (f"# {HEADING}\n{ROW}\n{ROW}", r"csv:2: .*The heading is a comment: remove its #"),
         (f"{HEADING.replace(',', ';')}\n{ROW.replace(',', ';')}", r"csv:1: .*Semicolons instead of commas\?"),
         (f"{HEADING}\n{ROW.replace('.', ',').replace('0,1', '0,1', 1)}", r"csv:2: expected 13 values"),
         (f"{HEADING},x\n{ROW},1", r"csv:1: expected a heading with each column once, got twice x"),

@@ -70,7 +70,7 @@ def test_what_no_measurement_shows_is_known(lower: str, upper: str) -> None:
             )
         )
     )
-    hidden, slides = gauge_directions(machine, seen_from.target[:3, 3]), 3 * (lower, upper).count("PRS")
+    hidden, slides = gauge_directions(machine, seen_from.base, seen_from.target), 3 * (lower, upper).count("PRS")
     for components, frames in ((6, True), (3, True), (6, False), (3, False)):
         rows = (
             seen_from.jacobian(found)[:, :components]
@@ -175,7 +175,7 @@ def test_a_tracker_s_own_frame_is_named_as_a_cause() -> None:
 
 def test_poses_are_chosen_for_unknown_frames_too() -> None:
     candidates = elsewhere()
-    chosen = calibration.choose_poses(PAPER, 12, candidates=candidates, frames=True, positions_only=False)
+    chosen = calibration.choose_poses(PAPER, 12, candidates=candidates, frames=True)
     assert chosen.shape == (12,)
     assert np.isin(chosen.readings[:, 0], candidates.readings[:, 0]).all()
 

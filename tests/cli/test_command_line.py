@@ -59,7 +59,7 @@ def test_a_missing_package_has_the_name_that_pip_installs(extra: str) -> None:
         error = MissingExtraError(extra, package)
         assert error.package == error.name == package
         if package in installed:  # not all extras can be installed everywhere
-            named = re.match(r"this needs ([\w-]+),", str(error))
+            named = re.match(r"this needs ([\w-]+) of", str(error))
             assert named
             assert named[1] in installed[package]
 
@@ -315,7 +315,7 @@ def test_outputs_are_checked_before_the_work(
     ready = tmp_path / f"ready{ending}"
     (tmp_path / "file").touch()
     for target, words in (
-        (ready.parent / "file" / f"no{ending}", "file is no directory"),
+        (ready.parent / "file" / f"no{ending}", "file is not a directory"),
         (folder, "It is a directory"),
         (ready, "No permission to write"),
     ):
@@ -362,7 +362,7 @@ def test_an_option_that_needs_a_missing_extra_is_refused_before_the_work(
     monkeypatch.setitem(sys.modules, package, None)
     done = run(*arguments)
     assert done.returncode == 2
-    assert f'this needs {package}, of the extra {extra}: pip install ".[{extra}]"' in done.message
+    assert f'this needs {package} of the extra {extra}: pip install ".[{extra}]"' in done.message
     assert done.stdout == ""
     assert list(tmp_path.iterdir()) == []
 

@@ -110,12 +110,12 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (SIZES[:6] + SIZES[8:], "--rod: expected the length of the rods beside --crank"),
+        (SIZES[:6] + SIZES[8:], "--rod: expected the length of the rods together with --crank"),
         (SIZES[:2], "--platform: expected a radius, or --stage with a file"),
-        ([*SIZES, "--slide", "90"], "--slide: expected not to be given with --crank"),
+        ([*SIZES, "--slide", "90"], "--slide: expected no such option with --crank"),
         ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
-        ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt beside --azimuth"),
+        ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt together with --azimuth"),
         ([*SIZES, "--tilt", "10", "--pitch", "2"], "--tilt and --pitch: expected --tilt with --azimuth, or --roll"),
         (
             [*SIZES, "--normal", "0", "0", "0"],
@@ -131,7 +131,7 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
         ),
         (
             [*SIZES, "--tilt", "-10", "--azimuth", "0"],
-            "--tilt: expected an angle in degrees, from 0 to less than 180, got -10. To the other",
+            "--tilt: expected an angle in degrees, from 0 to less than 180, got -10. For a tilt to the",
         ),
         ([*SIZES, "--roll", "800"], "--roll: expected an angle in degrees, of at most one turn, got 800"),
         ([*SIZES, "--stage", "no.yaml"], "--stage: expected a file alone"),
@@ -190,7 +190,8 @@ def test_a_platform_that_hangs_below_its_carriages_is_drawn(tmp_path: Path) -> N
 def test_a_picture_of_what_is_not_reached_is_refused_with_the_nearest(command: list[str]) -> None:
     done = run("stage", command[0], *SIZES, "--tilt", "80", *command[1:])
     assert done.returncode == 2
-    assert "--height, --tilt: expected a place that the stage reaches, got none. the ball is out of" in done.message
+    assert "--height, --tilt: expected a height and a tilt that the stage reaches" in done.message
+    assert "the ball is out of" in done.message
     nearest = done.message.rpartition("The nearest: ")[2]
     assert run("stage", "inverse", *SIZES[:8], *nearest.split()).returncode == 0
 
@@ -199,3 +200,15 @@ def test_readings_typed_in_metres_are_named_where_they_were_read_in_millimetres(
     done = run("stage", "forward", "--base", "120", "--platform", "115", "--unit", "mm", "--readings", *["0.125"] * 3)
     assert done.returncode == 3
     assert "--readings was read in mm: 0.125 mm, on a machine of 235 mm. In m it would be" in done.stdout
+
+
+def test_limits_of_a_stage_are_proved(tmp_path: Path) -> None:
+    picture = tmp_path / "boxes.png"
+    done = run("stage", "certify", *SIZES, "--limits", "5", "30", "--json", "--out", str(picture))
+    content = json.loads(done.stdout)
+    assert (done.returncode, content["holds"], list(content["bounds"])) == (0, True, ["J"])
+    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), np.radians([5, 30]))
+    assert content["bounds"]["J"] == spm.certify(stage).bounds[0]
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    assert run("stage", "certify", *SIZES, "--limits", "-90", "170", "--boxes", "2000").returncode == 1
+    assert run("stage", "certify", *SIZES).returncode == 2

@@ -163,5 +163,5 @@ def test_sdf_closes_its_loops_by_joints() -> None:
 
 def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
     level = Stage(0.20, 0.25, PRS(rod=0.30, direction=np.pi))
-    with pytest.raises(spm.GeometryError, match="A rod too short, another sign"):
+    with pytest.raises(spm.GeometryError, match="Is a rod too short, a sign wrong"):
         urdf_text(spm.Manipulator.of_stages(level, SCREWS))

@@ -271,7 +271,7 @@ def test_a_payload_is_on_the_platform() -> None:
 
 
 def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
-    with pytest.raises(spm.GeometryError, match="A rod too short, another sign"):
+    with pytest.raises(spm.GeometryError, match="Is a rod too short, a sign wrong"):
         urdf_text(spm.Stage(0.3, 0.2, spm.PRS(rod=0.4, direction=0.0, sign=-1)))
 
 

@@ -394,7 +394,7 @@ def test_the_branch_is_followed_from_the_one_named():
         (
             "path.csv",
             "1, 2, 3\n1, 2, 4",
-            r"csv:1: .*names the columns.*The first line looks like numbers: no heading\?",
+            r"csv:1: .*names the columns.*The first line looks like numbers: is the heading missing\?",
         ),
         ("path.csv", csv("x, y, z, qx, qy, qz, qw", np.zeros((2, 7))), r"a quaternion of length 1, got length 0$"),
         ("path.csv", "r_b1, r_b2\n1, 2", "got one without r_b3, r_c1, r_c2, r_c3"),

@@ -380,7 +380,7 @@ def test_the_home_is_in_the_middle_of_the_limits_and_a_stage_without_one_is_refu
 
 def test_the_header_is_for_readers() -> None:
     header = stage_c_sources(BALANCER)["stage.h"]
-    assert len(header.encode()) < 22_500
+    assert len(header.encode()) < 22_800
     assert max(map(len, header.splitlines())) <= 170  # numbers of the machine; code has 120
     assert re.findall(r"#include (\S+)", header) == ["<math.h>"]
 

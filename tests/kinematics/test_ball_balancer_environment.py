@@ -47,6 +47,25 @@ def test_gymnasium_has_nothing_to_say_against_it() -> None:
 
 
 @pytest.mark.parametrize("name", STAGES)
+def test_observations_of_whole_episodes_are_in_their_space(name: str) -> None:
+    balancer, rng = BallBalancer(STAGES[name]), np.random.default_rng(0)
+    most = named(balancer.observation_space.high)
+    assert {key for key, value in most.items() if np.isinf(value)} == {
+        "ball_vx", "ball_vy", "roll_rate", "pitch_rate", "speed"
+    }  # fmt: skip
+    assert (most["roll"], most["pitch"]) == (np.pi, np.pi / 2.0)
+    _, highest = spm.stages.height_range(balancer.stage)
+    assert highest < most["height"] < 3.0 * highest
+    for seed in range(4):
+        observation, _ = balancer.reset(seed=seed)
+        has_fallen, aside = False, rng.uniform(-1.0, 1.0, 3)
+        while not has_fallen:
+            assert observation in balancer.observation_space
+            observation, _, has_fallen, _, _ = balancer.step(np.clip(aside + rng.normal(size=3), -1.0, 1.0))
+        assert observation in balancer.observation_space
+
+
+@pytest.mark.parametrize("name", STAGES)
 def test_a_reset_is_a_closed_state_of_the_stage_with_the_ball_on_its_plate(name: str) -> None:
     balancer = BallBalancer(STAGES[name])
     stage = balancer.stage

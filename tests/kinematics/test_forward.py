@@ -161,7 +161,7 @@ def test_stages_that_move_with_their_legs_locked_are_degenerate() -> None:
     [
         ([1.2] * 5 + [0.0], "0 for r_c3. Strokes"),
         ([[1.2] * 6, [1.2, -0.1] + [1.2] * 4], "-0.1 for r_b2 at index (1,)"),
-        ([1.2e9] * 6, "Lengths in another unit?"),
+        ([1.2e9] * 6, "Are they in another unit?"),
     ],
 )
 def test_invalid_lengths_are_refused(legs: list[float], words: str) -> None:

@@ -293,7 +293,7 @@ def test_invalid_seeds_and_readings_are_refused(machine: spm.Manipulator) -> Non
         with pytest.raises(spm.ArgumentError, match=words):
             forward_physical(machine, np.array([LEGS] * 2), near=seed)  # type: ignore[arg-type]
     if machine is not PAPER:
-        with pytest.raises(spm.ArgumentError, match=r"readings.*exceed their offset.*r_b1"):
+        with pytest.raises(spm.ArgumentError, match=r"readings.*above their offset.*r_b1"):
             forward_physical(machine, np.full(6, -1.0))
 
 

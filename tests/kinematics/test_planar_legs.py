@@ -32,18 +32,18 @@ def test_readings_of_right_triangles() -> None:
     rrs, prs = RRS(crank=3.0, rod=4.0), PRS(rod=5.0)
     place = np.array([[[3.0, 4.0]] * 3]) + 0.0
     right_angle = np.arctan2(4.0, 3.0) - np.arccos(3.0 / 5.0)
-    np.testing.assert_allclose(rrs.readings(place), right_angle, atol=1e-15)
-    np.testing.assert_allclose(prs.readings(place), 0.0, atol=1e-15)
-    np.testing.assert_allclose(RPS().readings(place), 5.0)
+    np.testing.assert_allclose(rrs.readings(place, np.zeros(3)), right_angle, atol=1e-15)
+    np.testing.assert_allclose(prs.readings(place, np.zeros(3)), 0.0, atol=1e-15)
+    np.testing.assert_allclose(RPS().readings(place, np.zeros(3)), 5.0)
     # The knee is at the end of the crank, the carriage on its vertical slide.
-    np.testing.assert_allclose(rrs.circles(rrs.readings(place))[0][0, 0], [3.0, 0.0], atol=1e-15)
-    np.testing.assert_allclose(prs.circles(prs.readings(place))[0][0, 0], [0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(rrs.circles(rrs.readings(place, np.zeros(3)))[0][0, 0], [3.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(prs.circles(prs.readings(place, np.zeros(3)))[0][0, 0], [0.0, 0.0], atol=1e-15)
 
 
 @pytest.mark.parametrize("kind", SIGNS, ids=repr)
 def test_a_reading_is_where_another_method_finds_the_joint_between_the_links(kind: Any) -> None:
     numbers, (x, z) = kind.numbers[0], BALL
-    (reading,) = kind.readings(np.array([[BALL] * 3]))[:, 0]
+    (reading,) = kind.readings(np.array([[BALL] * 3]), np.full(3, 0.5 * np.pi))[:, 0]
 
     def gaps(q: Array) -> list[float]:
         if isinstance(kind, RPS):
@@ -61,7 +61,7 @@ def test_a_reading_is_where_another_method_finds_the_joint_between_the_links(kin
 def test_formulas_of_legs_on_every_kind_of_number(kind: Any) -> None:
     def values(run: Callable[..., Any], number: Callable[[float], Any]) -> list[Any]:
         x, z, numbers = number(BALL[0]), number(BALL[1]), tuple(map(number, kind.numbers[0].tolist()))
-        reading = run(kind.formulas.reading)(x, z, numbers)
+        reading = run(kind.formulas.reading)(x, z, number(-2.5), numbers)
         circle = run(kind.formulas.circle)(reading, numbers)
         return [reading, *circle, run(kind.formulas.slope)(x, z, reading, numbers)]
 
@@ -214,11 +214,22 @@ def test_wrong_legs_are_refused_with_the_cause(name: str) -> None:
         call()
 
 
-@pytest.mark.parametrize("limits", [(-2.0, 0.5), (0.0, 4.8), ([-1.0, -1.58, -1.0], np.inf)])
+@pytest.mark.parametrize("limits", [(-2.0, 4.3), ([-1.0, -1.58, -1.0], np.inf), (-np.inf, 4.8)])
 def test_limits_beyond_the_turn_of_a_cranks_readings_are_refused(limits: tuple[Any, Any]) -> None:
     with pytest.raises(spm.GeometryError) as refused:
         Stage(0.05, 0.10, RRS(crank=0.04, rod=0.12), limits)
     assert refused.value.argument == "limits"
+
+
+def test_other_limits_than_the_machines_are_within_the_turn_of_its_readings() -> None:
+    """Readings are nearest to the middle of the machine's own limits: a state within others of another turn is not."""
+    servos, other = Stage(0.05, 0.10, RRS(crank=0.04, rod=0.12)), spm.machine.StageLimits(-2.0, 0.5)
+    for refuse in (servos.check_limits, spm.stages.inverse(servos, 0.07).within):
+        with pytest.raises(spm.GeometryError) as refused:
+            refuse(other)
+        assert refused.value.argument == "limits"
+    swinging = dataclasses.replace(servos, limits=spm.machine.StageLimits(-2.2, 0.4))
+    assert spm.stages.inverse(swinging, 0.07).within(other).physical().exists
 
 
 def test_limits_at_the_ends_of_the_turn_of_a_cranks_readings_are_accepted() -> None:

@@ -200,7 +200,7 @@ def test_all_sixteen_modes_and_no_others(machine: str, count: int) -> None:
         expected = real_modes(stage.legs.axes, centres, stage.legs.balls, radii)
         # Those of the legs' working mode: a leg of another reads something else.
         places = np.stack([((expected - stage.legs.pivots) * axes).sum(axis=-1) for axes in stage.legs.planes], axis=-1)
-        own = np.abs(stage.legs.readings(places) - state.readings).max(axis=-1) < 1e-9
+        own = np.abs(stage.legs.readings(places, stage.crank_middles) - state.readings).max(axis=-1) < 1e-9
         assert modes.count == own.sum() > 0
         gaps = np.abs(modes.configurations.balls[modes.exists][:, None] - expected[own]).max(axis=(-1, -2))
         assert gaps.min(axis=1).max() < 1e-9 * stage.size
@@ -307,7 +307,7 @@ def test_why_there_is_no_solution_is_said() -> None:
     with pytest.raises(spm.ArgumentError, match=r"got -0\.1\. To the other side"):
         spm.stages.inverse(BALANCER, 0.12, tilt=-0.1, azimuth=0.0)
     with pytest.raises(
-        spm.ArgumentError, match=r"a Manipulator, got Stage\. For a stage alone there is spm_pin\.stages"
+        spm.ArgumentError, match=r"a Manipulator, got Stage\. For a stage use the functions of spm_pin\.stages"
     ):
         spm.inverse_physical(BALANCER, 0.12)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match=r"azimuth: .*radians.*, got 15\. Given in degrees"):
@@ -331,6 +331,7 @@ def test_why_there_is_no_solution_is_said() -> None:
             lambda: Stage(0.08, 0.3, spm.RRS(crank=0.05, rod=0.11)),
             "longer than 0.22 m",
         ),
+        "a diameter": (lambda: Stage(0.08, 0.36, spm.RRS(crank=0.05, rod=0.11)), "diameters for radii"),
         "a rod beside its slide": (lambda: Stage(0.35, 0.2, spm.PRS(rod=0.14)), "a rod longer than 0.15 m"),
         "degrees": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), (-30, 90)), "In degrees"),
         "a few degrees": (lambda: Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), (-10, 10)), "In degrees"),

@@ -12,6 +12,8 @@ from spm_pin.kinematics import SingularityKind
 from spm_pin.machine import Stage
 from spm_pin.stages import MOTION, ReachEnd
 
+STRETCHED = Stage(0.6, 0.5, spm.RRS(crank=0.3, rod=0.4))
+"""With its cranks level the rods lie in line with them, and the platform in the plane of its pivots."""
 BALANCER = Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
 
 
@@ -177,6 +179,19 @@ def test_limits_narrower_than_the_heights_tried_have_their_range() -> None:
     # To first order the least stroke of a ball at the radius r, ±r θ, is the limits' half width.
     np.testing.assert_allclose(tilt, 0.00003 / 0.05, rtol=1e-4)
     assert spm.stages.nearest_reachable(mirror, 0.1, roll=0.01, pitch=0.0).exists
+
+
+def test_a_home_is_regular_and_exact() -> None:
+    """Of a stage that is singular with level cranks it is in the middle of the heights, from there to all upright."""
+    height = spm.stages.home_height(STRETCHED)
+    # Highest are cranks and rods in line: sqrt(0.7² - 0.1²).
+    assert height == pytest.approx(0.5 * np.sqrt(0.48), abs=1e-7)
+    home = spm.stages.inverse_physical(STRETCHED, height)
+    assert spm.stages.singularities(home).forward > 0.1
+    expected = 0.05 * np.sin(0.3) + np.sqrt(0.11**2 - (0.01 - 0.05 * np.cos(0.3)) ** 2)
+    assert spm.stages.home_height(BALANCER) == pytest.approx(expected, abs=1e-14)
+    again = spm.stages.forward_physical(STRETCHED, home.readings)
+    assert again.height == pytest.approx(height, abs=1e-14)
 
 
 def test_a_leg_of_no_length_leaves_the_rest_of_a_batch() -> None:

@@ -101,7 +101,7 @@ def test_offsets_of_cranks_are_angles_in_the_text() -> None:
     stage = next(x for x in STAGES.values() if x.unit == "rad")
     legs = stage.legs
     built = spm.Stage(stage.base_radius, stage.platform_radius, Legs(*legs.arrays[:3], [0.02, 0.0, 0.0], legs.kinds))
-    length, angle = re.findall(r"([0-9.e+-]+) (?:m|rad)\b", repr(built).split("off the drawing by up to")[1])
+    length, angle = re.findall(r"([0-9.e+-]+) (?:m|rad)\b", repr(built).split("legs differ from nominal by up to")[1])
     assert float(length) < 1e-12
     assert float(angle) == 0.02
 

@@ -81,7 +81,7 @@ BOMB = "".join(
         (SIDES + "leg_limits: [a, b]", "a list of 2 numbers"),
         ("", "an empty file"),
         (GOOD.replace("1.20", "0"), r"^base_side in .*robot\.yaml: expected a positive length"),
-        (GOOD.replace("0.80", "8e12"), r"^middle_side in .*robot\.yaml: .* Given in another unit\?"),
+        (GOOD.replace("0.80", "8e12"), r"^middle_side in .*robot\.yaml: .* Is it in another unit\?"),
         (GOOD.replace("[1.10, 1.50]", "[1.5, 1.1]"), r"^leg_limits in .*robot\.yaml: .* exchanged\?"),
         (GOOD + "middle_side: 0.9\n", "(?s)the key 'middle_side' twice.*line 5"),
         (GOOD.replace("[1.10, 1.50]", "{r_b1: [1, 2], r_b1: [1, 2]}"), "(?s)the key 'r_b1' twice.*line 4"),

@@ -169,7 +169,7 @@ def test_geometry_is_frozen_and_compared_by_value() -> None:
     check_same_machine(replace(built, limits=None), built, "near", "the machine")
     with pytest.raises(spm.GeometryError, match=r"near: expected the r_b1.direction_1 of the machine, 0 rad, got "):
         check_same_machine(twin, PAPER, "near", "the machine")
-    assert "off the drawing by up to 0.00" in repr(built)
+    assert "legs differ from nominal by up to 0.00" in repr(built)
 
 
 def test_a_machine_without_errors_is_the_drawn_one() -> None:

@@ -249,7 +249,7 @@ def test_the_ways_on_from_a_level_pose_lead_to_it() -> None:
     ("absent", "words"),
     [
         (lambda: spm.inverse_displacement(PAPER, spm.pose([9, 9, 9], rotation=POSE.rotation)), "out of reach"),
-        (lambda: spm.inverse_displacement(PAPER, spm.pose([0.7, 0.5, 2.3], rpy=[5, 3, 0])), "turned by 174° against"),
+        (lambda: spm.inverse_displacement(PAPER, spm.pose([0.7, 0.5, 2.3], rpy=[5, 3, 0])), "turned by 174° relative"),
         (lambda: spm.inverse_displacement(PAPER, spm.pose([0.7, 0.5, 2.3], rpy=[5, 3, 0])), "nearest_reachable_pose"),
         (lambda: spm.inverse_displacement(PAPER, POSE).within(), r"\.within\(limits\)"),
         (lambda: spm.forward_displacement(PAPER, [0.1, 1, 9, 1, 1, 1]), "out of reach"),
@@ -277,7 +277,7 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
     long = length == 150
     solutions = spm.forward_displacement(PAPER, LONG) if long else spm.inverse_displacement(PAPER, FAR)
     absent = spm.forward_physical(PAPER, LONG) if long else spm.inverse_physical(PAPER, FAR)
-    hint = f"{length:g} m are out of proportion to this machine; is it {length:g} cm?"
+    hint = f"{length:g} m is out of proportion to this machine; is it {length:g} cm?"
     assert solutions.status is spm.Status.UNREACHABLE
     for found in (solutions, solutions.physical(), absent, pickle.loads(pickle.dumps(solutions))):
         assert hint in repr(found)
@@ -336,7 +336,7 @@ def test_only_what_was_used_is_named_where_no_solution_is_physical(branches: spm
     for found in (unphysical.physical(), unphysical.physical(near=branches["TT+"])):
         assert found.missing_reason.startswith("none of the solutions is physical")
     for found in (branches.where(~physical).physical(), branches.where(~physical).physical(near=branches["TT+"])):
-        assert found.missing_reason.startswith("none of the solutions that .within(limits) or .where(mask) kept is")
+        assert found.missing_reason.startswith("none of the solutions left by .within(limits) or .where(mask) is")
     nothing = branches.within(spm.LegLimits(0.1, 0.2)).physical()
     assert nothing.missing_reason.startswith(".within(limits) or .where(mask) excluded all solutions")
     np.testing.assert_array_equal(

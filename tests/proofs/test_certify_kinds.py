@@ -114,12 +114,12 @@ def test_limits_up_to_a_leg_s_own_singularity_do_not_certify() -> None:
     """The rods of screws become level, and their carriages pass on: κ = 0 inside the limits."""
     stage = Stage(0.30, 0.25, PRS(rod=0.12), limits=(-0.05, 0.05))
     found = spm.certify(spm.Manipulator.of_stages(stage, SCREWS), boxes=12_000)
-    assert found.upper.bound > 0.0
+    assert found.stages[1].bound > 0.0
     wide = spm.certify(
         spm.Manipulator.of_stages(Stage(0.30, 0.25, PRS(rod=0.06), limits=(-0.06, 0.06)), SCREWS), boxes=12_000
     )
     assert not wide.holds
-    assert wide.lower.bound == 0.0
+    assert wide.stages[0].bound == 0.0
 
 
 def test_a_machine_is_judged_by_what_moves_it() -> None:

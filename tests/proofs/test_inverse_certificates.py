@@ -118,5 +118,5 @@ def test_a_witness_is_found_where_the_straight_way_between_samples_has_no_states
 def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(spm.GeometryError, match="limits"):
         certify_inverse(spm.Manipulator(0.6, 0.4, 0.5))
-    with pytest.raises(spm.GeometryError, match="machine: expected a drawn machine"):
+    with pytest.raises(spm.GeometryError, match="machine: expected a nominal machine"):
         certify_inverse(PAPER.perturbed(0))

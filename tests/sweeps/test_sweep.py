@@ -366,6 +366,8 @@ DEFINITIONS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "metric": lambda definition: definition.update(metrics=[{"unit": "m"}]),
     "axis": lambda definition: definition["domain"]["axes"][0].pop("count"),
     "count": lambda definition: definition["domain"]["axes"][0].update(count=10**12),
+    "points": lambda definition: definition["domain"]["axes"][0].update(count=3),
+    "sample": lambda definition: definition["domain"].update(sample={"count": 10**12, "seed": 0}),
     "format": lambda definition: definition.update(format=99),
     "legs without numbers": lambda definition: definition["geometry"].update(legs=dict.fromkeys(spm.machine.LEGS)),
     "another key": lambda definition: definition.update(points=630),

@@ -17,7 +17,7 @@ from spm_pin.workspace.states import StateSet, states_within
 
 LIMITS = {"RPS": (1.1, 1.5), "PRS": (-0.5, 0.1), "RRS": (0.2, 1.2), "PRS hanging": (2.4, 3.0)}
 MACHINES = [("PRS", "PRS", False), ("RRS", "PRS", True), ("RPS", "RRS", True), ("PRS hanging", "PRS hanging", True)]
-NAMES = [f"{lower} and {upper}{', as built' * built}" for lower, upper, built in MACHINES]
+NAMES = [f"{lower} and {upper}{', calibrated' * built}" for lower, upper, built in MACHINES]
 
 
 def limited(lower: str, upper: str, built: bool) -> spm.Manipulator:

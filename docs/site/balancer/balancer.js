@@ -41,7 +41,7 @@ function geometryOf(kind, values, isInside) {
   const home = crank * Math.sin(middle) + Math.sqrt(reach ** 2 - (x - crank * Math.cos(middle)) ** 2);
   const sign = kind === 0 ? 0 : kind === 2 && isInside ? 1 : -1;
   const legs = RADIAL.map((out) => [
-    out.map((c) => base * c), out, [0, 0, 1], out.map((c) => plate * c), crank, rod, slide, sign, 0, ...limits,
+    out.map((c) => base * c), out, [0, 0, 1], out.map((c) => plate * c), crank, rod, slide, sign, 0, ...limits, middle,
   ]);
   return { kind, plate, base, crank, rod, slide, sign, limits, home, legs };
 }
@@ -66,12 +66,12 @@ async function loadStage() {
   const { atan2, cos, sin } = Math;
   const { instance: { exports: c } } = await WebAssembly.instantiate(await unpacked.arrayBuffer(), { env: { atan2, cos, sin } });
   const numbers = (at, count) => new Float64Array(c.memory.buffer, at.value, count);
-  const geometry = numbers(c.geometry, 63), asked = numbers(c.asked, 4), balls = numbers(c.balls, 9);
+  const geometry = numbers(c.geometry, 66), asked = numbers(c.asked, 4), balls = numbers(c.balls, 9);
   const [state, other] = [c.state, c.other].map((at) => numbers(at, 15));
   const copy = (s) => {
     const part = (...ends) => Array.from(s.subarray(...ends)), position = part(9, 12);
     const placed = (ball) => position.map((x, k) => x + dot(s.subarray(3 * k, 3 * k + 3), ball));
-    const own = [0, 1, 2].map((leg) => placed(geometry.subarray(12 + 20 * leg, 15 + 20 * leg)));
+    const own = [0, 1, 2].map((leg) => placed(geometry.subarray(12 + 21 * leg, 15 + 21 * leg)));
     return { normal: [s[2], s[5], s[8]], position, readings: part(12), balls: own };
   };
   return {
@@ -132,7 +132,7 @@ function start(stage) {
       const input = element("input", { type: "number", step: "any", inputmode: "decimal", value: values[kind][k] });
       input.addEventListener("input", () => {
         const x = input.valueAsNumber, isLimit = kind === 2 && unit === "°";
-        values[kind][k] = isLimit ? (x >= -90 && x <= 270 ? x : NaN) : unit === "°" || x > 0 ? x : NaN;
+        values[kind][k] = isLimit ? (Math.abs(x) <= 360 ? x : NaN) : unit === "°" || x > 0 ? x : NaN;
         rebuild();
       });
       return element("label", {}, element("span", {}, `${name} [${unit}]`), input);

@@ -5,7 +5,7 @@ solve. CasADi's own linear solvers end a whole mapped call where one matrix is s
 
 The equations are quadratic, F(b + h) = F(b) + J h + Q(h) with |Q(h)| <= q |h|² and q = 3/2 (1/a + Σ|γ_i|), because
 Σ|h_i - h_j|² <= 3 |h|². Here a is the shortest side of the triangle of the b_i, and γ_i (b_2 - b_1) x (b_3 - b_1) is
-how far the ball of upper leg i is out of its plane, zero in a drawn machine, where q = 3/(2d). With s the smallest
+how far the ball of upper leg i is out of its plane, zero in a nominal machine, where q = 3/(2d). With s the smallest
 singular value of J this gives, without any approximation:
 
 - from |F| <= δ and s² > 4 q δ: a solution exists within 2δ/(s + √(s² - 4qδ)) (Kantorovich);

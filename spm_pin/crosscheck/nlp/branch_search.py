@@ -42,7 +42,7 @@ STARTS = 512
 MOST_BRANCHES = 8
 """Largest number of branches of a pose: the degree of Eq. (19)."""
 NUMBERS = tuple("12345678")
-"""Labels of the branches of a machine as built."""
+"""Labels of the branches of a calibrated machine."""
 
 _ITERATIONS = 60
 """Steps of Newton's method from each start at most."""
@@ -63,7 +63,7 @@ class Search:
     """Branches found by a multi-start, and what is proved about them; arrays over the batch of poses (...)."""
 
     solutions: SolutionSet
-    """The branches: of a drawn machine under the canonical labels; of one as built a set, numbered from 1 to 8.
+    """The branches: of a nominal machine under the canonical labels; of a calibrated one a set, numbered from 1 to 8.
     `Status.UNREACHABLE` where none was found and `infeasibility` is not rounding; `Status.UNSOLVED` where the search
     failed."""
     hits: IntArray
@@ -76,7 +76,7 @@ class Search:
     isolated: BoolArray
     """True where it is proved to be the only one there, shape (..., 8)."""
     infeasibility: FloatArray
-    """Where no branch was found: the smallest norm of the loop equations that least squares reach [m]."""
+    """If no branch was found: the smallest norm of the loop equations that least squares reaches [m]."""
 
 
 def search(
@@ -93,7 +93,7 @@ def search(
     Parameters
     ----------
     machine : Manipulator
-        The manipulator, drawn or as built; its leg limits are not applied.
+        The manipulator, nominal or calibrated; its leg limits are not applied.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
         Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
     starts : int
@@ -109,7 +109,7 @@ def search(
     -----
     Every branch attracts some 2 % of the starts or more, so that 512 starts miss one in about one search of 30,000. It
     is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten seeds each.
-    In machines as built none was missed in 4680 searches, with errors of 0.1, 1 and 3 mm, and as many mrad.
+    In calibrated machines none was missed in 4680 searches, with errors of 0.1, 1 and 3 mm, and as many mrad.
     """
     check_instance(machine, Manipulator, "machine")
     starts = whole_number(starts, "starts", "a positive whole number", least=1)

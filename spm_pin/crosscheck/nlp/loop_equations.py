@@ -2,7 +2,7 @@
 
 The unknowns are the nine coordinates of the lower legs' ball joints b_1, b_2, b_3 in {B}. Each leg moves in a plane,
 Eqs. (5b) and (5c), and the joints are as far apart as the middle platform holds them, Eq. (12): nine equations, of any
-machine, drawn or as built. Nothing is eliminated.
+machine, nominal or calibrated. Nothing is eliminated.
 
 A `casadi.Function` can be called with numbers or symbols, saved with `Function.save`, and turned into C with
 `Function.generate`: https://web.casadi.org/docs/#generating-c-code.
@@ -34,7 +34,7 @@ def legs(machine: Manipulator, b: ca.SX, rotation: ca.SX, translation: ca.SX) ->
     axes[3:] = [rotation @ axis for axis in axes[3:]]
     pivots[3:] = [translation + rotation @ pivot for pivot in pivots[3:]]
     b_1, b_2, b_3 = balls = _points(b)
-    # In a machine as built the upper legs' balls are beside the lower ones, fixed to their triangle.
+    # In a calibrated machine the upper legs' balls are beside the lower ones, fixed to their triangle.
     frame = ca.horzcat(b_2 - b_1, b_3 - b_1, ca.cross(b_2 - b_1, b_3 - b_1))
     weights = machine.legs.upper_ball_weights
     balls = balls + [ball + frame @ ca.SX(row) for ball, row in zip(balls, weights, strict=True)]
@@ -63,7 +63,11 @@ def readings_of_legs(machine: Manipulator, b: ca.SX, rotation: ca.SX, translatio
     for leg, (_, vector) in enumerate(legs(machine, b, rotation, translation)):
         kind, turn = machine.legs.kinds[leg // 3], (ca.SX.eye(3), rotation)[leg // 3]
         x, z = (ca.dot(turn @ ca.SX(direction[leg]), vector) for direction in planes)
-        shown.append(_READINGS[type(kind)](x, z, *kind.numbers[leg % 3].tolist()) + machine.legs.offsets[leg])
+        reading = _READINGS[type(kind)](x, z, *kind.numbers[leg % 3].tolist())
+        if kind.unit == "rad":
+            # Of the angles that differ by turns the one nearest to the middle of the limits, or to π/2.
+            reading -= 2.0 * np.pi * ca.floor((reading - machine.crank_middles[leg]) / (2.0 * np.pi) + 0.5)
+        shown.append(reading + machine.legs.offsets[leg])
     readings: ca.SX = ca.vertcat(*shown)
     return readings
 
@@ -76,12 +80,11 @@ def _carriage(x: ca.SX, z: ca.SX, rod: float, direction: float, sign: float) -> 
 
 
 def _crank(x: ca.SX, z: ca.SX, crank: float, rod: float, sign: float) -> ca.SX:
-    """Return the angle of an RRS leg's crank, by the law of cosines."""
+    """Return the angle of an RRS leg's crank, but for whole turns, by the law of cosines."""
     distance = ca.sqrt(x**2 + z**2)
-    angle = ca.atan2(z, x) + sign * ca.acos((distance**2 + crank**2 - rod**2) / (2.0 * crank * distance))
-    turns: ca.SX = ca.floor((angle + 0.5 * np.pi) / (2.0 * np.pi))
-    reading: ca.SX = angle - 2.0 * np.pi * turns
-    return reading
+    opening = ca.acos((distance**2 + crank**2 - rod**2) / (2.0 * crank * distance))
+    angle: ca.SX = ca.atan2(z, x) + sign * opening
+    return angle
 
 
 _READINGS: dict[type[LegKind], Callable[..., ca.SX]] = {
@@ -106,7 +109,7 @@ def closure(machine: Manipulator) -> ca.Function:
 def readings(machine: Manipulator) -> ca.Function:
     """Make ``readings(b, rotation, translation) -> readings``: those of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3.
 
-    In metres, of RRS legs in radians; not a number for a ball out of a leg's reach.
+    In metres, for RRS legs in radians; not a number for a ball out of a leg's reach.
     """
     state = _symbols(machine)
     return _function("readings", state, readings=readings_of_legs(machine, *state))

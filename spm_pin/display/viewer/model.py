@@ -97,12 +97,12 @@ class SessionState:
 
     @cached_property
     def is_near(self) -> BoolArray:
-        """Which of `SINGULARITIES` are near (3,), see `NEAR`."""
+        """True for `SINGULARITIES` that are near (3,), see `NEAR`."""
         return np.asarray((self.travel < NEAR * self.shown.machine.middle_side) | np.isnan(self.travel))
 
     @property
     def measures(self) -> list[Measure]:
-        """How far `SINGULARITIES` are."""
+        """Distances of `SINGULARITIES`."""
         singular, measures = self.singularities, []
         rows = zip(SINGULARITIES, self.is_near, self.travel, singular.sigma, singular.condition, strict=True)
         for name, is_near, travel, *numbers in rows:
@@ -149,7 +149,7 @@ class SessionState:
 
     @cached_property
     def notes(self) -> list[str]:
-        """What the user should know besides."""
+        """Further remarks for the user."""
         notes = []
         if not self.label:
             notes.append("The branches of this pose form a continuous family; none is picked.")
@@ -341,7 +341,7 @@ def reading_units(machine: Manipulator | Stage) -> list[ReadingUnit]:
 
 
 class Measure(NamedTuple):
-    """How far a singularity is."""
+    """Distance of a singularity."""
 
     name: str
     is_near: bool

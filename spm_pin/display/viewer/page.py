@@ -49,7 +49,7 @@ class Viewer:
     Parameters
     ----------
     start : Configuration, Manipulator, StageConfiguration or Stage, optional
-        What the page shows at first: a single configuration that exists, of a stage a physical one; or the machine, in
+        State shown at first: a single configuration that exists, for a stage a physical one; or the machine, in
         a regular configuration near its home. By default the paper's manipulator.
     host : str
         Address to listen at; by default only this machine can reach it. There is no password.

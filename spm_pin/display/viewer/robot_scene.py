@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from spm_pin.capability import wrench_polytope
 from spm_pin.crosscheck.paper_shell import workspace_shell
 from spm_pin.description.visuals import part_placements, platforms, section_size, visual_parts
+from spm_pin.display.rendering import view_axes
 from spm_pin.display.viewer.model import SessionState, sampled_states
 from spm_pin.display.viewer.stage_model import StageState
 from spm_pin.errors import SpmError
 from spm_pin.machine import BRANCHES, Configuration, Manipulator, Stage, StageConfiguration
 from spm_pin.support.arguments import FloatArray
-from spm_pin.support.notebook import view_axes
 
 WARN, LOAD = (200, 16, 46), (122, 79, 181)
 """Limits and warnings have a red of their own, darker than all colours of the robot, and loads a violet: that on the

@@ -50,7 +50,7 @@ class StageState:
 
     @cached_property
     def measures(self) -> list[Measure]:
-        """How far the singularities of the platform, and that of the leg nearest to its own, are."""
+        """Distances of the platform's singularities, and of the nearest leg singularity."""
         found = stages.singularities(self.shown)
         sigmas = {"forward": found.forward, "inverse": found.inverse, "leg's own": found.leg.min()}
         rows = [(name, float(sigma)) for name, sigma in sigmas.items()]
@@ -181,7 +181,7 @@ class StageModel:
         return f"spm-pin stage inverse {typed} --height {1e-3 * height!r} --roll {roll!r} --pitch {pitch!r}"
 
     def values(self) -> FloatArray:
-        """Return the readings of what is shown [m], of RRS legs [rad]."""
+        """Return the readings of what is shown [m], for RRS legs [rad]."""
         return self.state.shown.readings
 
     def data(self) -> dict[str, Any]:

@@ -115,7 +115,7 @@ static int check_geometry(const @PREFIX@geometry *g)
     return areas[0] > 1e-6 && areas[1] > 1e-6 && is_valid > 0.0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_GEOMETRY;
 }
 
-/* Return whether the legs are those of the drawing, to rounding. */
+/* Return whether the legs are nominal, to rounding. */
 static int is_drawn(const @PREFIX@geometry *g)
 {
     double error;

@@ -4,7 +4,7 @@
 
    Needs nothing but math.h: no heap, no global state, no recursion, and no loop without a bound, so that all functions
    may be called from several threads and from interrupts. A call with a state `near` takes a time that grows with the
-   way from there, bounded by @MOST_STEPS@ steps a stage. The inverse displacement of a machine as built without one
+   way from there, bounded by @MOST_STEPS@ steps a stage. The inverse displacement of a calibrated machine without one
    takes 0.2 ms, bounded by @ROOT_STEPS@ steps to each of eight roots, four times. All other calls take microseconds.
 
    Lengths are in metres, forces in newtons, angles in radians. {B} is the frame of the base, with the origin O and Z
@@ -82,7 +82,7 @@ int @PREFIX@inverse(const @PREFIX@geometry *geometry, const double rotation[9], 
 int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], const @PREFIX@state *near,
         @PREFIX@state *state);
 
-/* Inverse displacement of a machine as drawn: all branches that hold the platform in a pose. */
+/* Inverse displacement of a nominal machine: all branches that hold the platform in a pose. */
 int @PREFIX@all_branches(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
         @PREFIX@branches *branches);
 

@@ -8,7 +8,7 @@
 
    Metres and radians. The base's frame {b} has Z upwards, the platform's {p} is level where its axes are those of {b}.
    A reading is the length of an RPS leg, the place of a PRS leg's carriage on its slide, or the angle of an RRS leg's
-   crank, 0 outwards and pi/2 upwards. Numbers are float, or double with STAGE_DOUBLE defined before. */
+   crank, 0 outwards and pi/2 upwards, nearest to `middle`. Numbers are float, or double with STAGE_DOUBLE defined. */
 
 #ifndef STAGE_H
 #define STAGE_H
@@ -62,6 +62,7 @@ typedef struct {
     stage_real slide[2];                        /* direction of a PRS leg's slide: x and z */
     stage_real sign;                            /* working mode: -1 has the knee outwards, the carriage behind */
     stage_real offset, minimum, maximum;        /* of the reading; STAGE_NO_LIMIT is infinite */
+    stage_real middle;                          /* of the limits: a crank's reading is nearest to it */
 } stage_leg;
 
 typedef struct {
@@ -140,7 +141,7 @@ static inline void stage_put_places(const stage_geometry *m, const stage_state *
 /* Write the reading of a leg from its ball's place; return 0 where that is out of reach. */
 static inline int stage_put_reading(int kind, const stage_leg *leg, const stage_real *place, stage_real *reading)
 {
-    stage_real x = place[0], z = place[1], along = 0, beside = x * x + z * z, far = STAGE_M(sqrt)(beside);
+    stage_real x = place[0], z = place[1], along = 0, beside = x * x + z * z, far = STAGE_M(sqrt)(beside), c, s;
     if (kind == STAGE_PRS) {
         along = leg->slide[0] * z - leg->slide[1] * x;
         beside = (leg->rod - along) * (leg->rod + along);
@@ -154,9 +155,10 @@ static inline int stage_put_reading(int kind, const stage_leg *leg, const stage_
         return 0;
     }
     beside = leg->sign * STAGE_M(sqrt)(beside);
-    if (kind == STAGE_RRS) { /* from -z, as the knee is along and beside the line from pivot to ball */
-        beside = STAGE_M(atan2)(z * beside - x * along, z * along + x * beside) + STAGE_R(1.5707963267948966);
-        along = 0;
+    if (kind == STAGE_RRS) { /* the knee is along and beside the line from pivot to ball */
+        c = x * along - z * beside, s = z * along + x * beside;
+        along = leg->middle - leg->offset, x = STAGE_M(cos)(along), z = STAGE_M(sin)(along);
+        beside = STAGE_M(atan2)(x * s - z * c, x * c + z * s);
     }
     *reading = (kind == STAGE_RPS ? far : along + beside) + leg->offset;
     return 1;

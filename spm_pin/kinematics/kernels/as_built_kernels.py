@@ -1,12 +1,12 @@
-"""Inverse displacement of a machine as built for a batch of poses: all branches, labelled, or the physical one.
+"""Inverse displacement of a calibrated machine for a batch of poses: all branches, labelled, or the physical one.
 
 The six leg planes of a pose are three quadrics, all eight common points of which are found, see `quadric_roots`. Each
-real branch of the drawn machine is followed while the errors grow from zero to those of the machine, and gives its
+real branch of the nominal machine is followed while the errors grow from zero to those of the machine, and gives its
 label to the root where it ends. Where it meets another branch it ends on the way; the roots left over take the labels
 left over, marked as not carried.
 
-Which state is physical does not depend on labels. As a rule Newton's method leads from TT+ and TT- of the drawn machine
-to the only two roots that can be; where it does not at once, all eight are looked at.
+Which state is physical does not depend on labels. Usually Newton's method leads from TT+ and TT- of the nominal
+machine to the only two roots that can be physical; if it does not, all eight roots are checked.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ _DISPUTED = -2  # label of a root at which two branches seem to have arrived
 class PoseScratch(NamedTuple):
     """Arrays that poses are solved in, one after another."""
 
-    planes: Planes  # of the machine as built
+    planes: Planes  # of the calibrated machine
     planes_between: Planes  # of a machine with a share of the errors
     targets: FloatArray  # shares of the errors, the first of which is 1
     forms: FloatArray  # the quadrics there (_LEVELS, 3, 10)
@@ -213,7 +213,7 @@ def _read_pose(rotation: FloatArray, position: FloatArray, n: int, unit: float) 
 
 @jit_inline
 def _put_start(roots: FloatArray, k: int, b: Rows) -> None:
-    """Write a real branch of the drawn machine, its lower balls, as root k."""
+    """Write a real branch of the nominal machine, its lower balls, as root k."""
     # The axes are the rows of the transposed rotation.
     x0, x1, x2, x3 = quaternion(triangle_axes(b))
     put_real_part(roots, k, (-x1, -x2, -x3, x0))
@@ -291,11 +291,11 @@ def as_built_branches(
 ):
     """Solve N poses R (N, 3, 3), o (N, 3) [m] for all branches.
 
-    `machines` (2, 3, 6, 3) are axes, pivots and balls of the drawn machine and of the one as built, in units of `unit`,
+    `machines` (2, 3, 6, 3) are axes, pivots and balls of the nominal and of the calibrated machine, in units of `unit`,
     the middle platform's radius [m]. Written are the poses; b_i (N, 8, 3, 3) and leg lengths without offsets (N, 8, 6)
     [m], NaN where a branch is not real; the b_i of all roots (N, 8, 3, 3) if that array has a length; as `is_carried`
-    (N, 8) 1 where the branch of the drawn machine was followed to the root under its label, 0 where it ended on the way
-    or where a real root has a label left over, 2 where neither machine has the branch; and `Status` (N,).
+    (N, 8) 1 if the branch of the nominal machine was tracked to the root with its label, 0 if it ended on the way
+    or a real root has a remaining label, 2 if neither machine has the branch; and `Status` (N,).
     """
     scratch, elimination = _allocate_pose_scratch(), allocate_elimination()
     roots, followed = np.empty(8 * POINTS), np.empty(9 * POINTS)
@@ -402,7 +402,7 @@ def _assign_left_over(
 
 @jit
 def _put_nearest(rotation: Rows, position: Vector, scratch: PoseScratch, nearest: FloatArray) -> bool:
-    """Write the roots to which Newton's method leads at once from the drawn TT+ and TT-; return whether it does."""
+    """Write the roots to which Newton's method leads at once from the nominal TT+ and TT-; return whether it does."""
     frame = pose_frame(rotation, position, 1.0)
     tt, tf, ft, ff = families(frame, 1.0)
     radicand, noise = discriminant(tt), frame.noise
@@ -429,7 +429,7 @@ def _put_nearest(rotation: Rows, position: Vector, scratch: PoseScratch, nearest
 def as_built_physical_branch(rotation, position, machines, unit, limits, rotation_copy, position_copy, joints, lengths):
     """Solve N poses for the physical branch.
 
-    Poses and machines as for `as_built_branches`, limits and results as for `physical_branch` of drawn machines; the
+    Poses and machines as for `as_built_branches`, limits and results as for `physical_branch` of nominal machines; the
     lengths are those without offsets.
     """
     scratch, elimination, own = _allocate_pose_scratch(), allocate_elimination(), np.empty(6)

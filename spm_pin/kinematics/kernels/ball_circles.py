@@ -93,47 +93,50 @@ def circle_centres(x, z, pivots, planes, centres):
 
 
 @kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, f8, "
-    "f8[:,:,::1], b1[::1])"
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(1)}, "
+    "f8[:,:,:,::1], b1[:,::1])"
 )
-def home_states(centres, radii, axes, balls, up, joints, is_elsewhere):
-    """Find the physical states of N stages by Newton's method from the level ones.
+def home_states(centres, radii, axes, balls, ups, joints, is_elsewhere):
+    """Find the physical states of N machines of m stages, 1 or 2, by Newton's method from the level ones.
 
-    The circles of the legs have `centres` (N, 3, 3) [m], `radii` (N, 3) [m] and `axes` (3, 3), in {B} of a lower stage
-    and in {m} of an upper one, of which `up` is -1; `balls` (3, 3) [m] are in the platform's frame. Written are the
-    balls (N, 3, 3) [m], NaN where no physical state was found, and whether Newton's method ended in another aspect
-    (N,): then there may be a physical state all the same.
+    The circles of the legs have `centres` (N, 3m, 3) [m], `radii` (N, 3m) [m] and `axes` (3m, 3), in {B} of a lower
+    stage and in {m} of an upper one; `balls` (3m, 3) [m] are in the platform's frame and `ups` (m,) the stages'
+    `PlacedLegs.up`. Written are the balls (N, m, 3, 3) [m], NaN where no physical state was found, and whether Newton's
+    method ended in another aspect (N, m): then there may be a physical state all the same.
     """
-    own = rows_at(balls, 0)
-    squares = squared_sides(own)
-    for n in range(len(radii)):
-        stage = circles_at(axes, centres[n], radii[n], squares)
-        e, b, converged = solution(stage, level_balls(stage, own, up))
-        is_home = is_home_state(stage, e, b, up)
-        is_elsewhere[n] = converged and not is_home
-        joints[n] = np.nan
-        if converged and is_home:
-            put_rows(b, joints[n])
+    for k in range(len(ups)):
+        leg, own = 3 * k, rows_at(balls, 3 * k)
+        squares = squared_sides(own)
+        for n in range(len(radii)):
+            stage = circles_at(axes[leg:], centres[n, leg:], radii[n, leg:], squares)
+            e, b, converged = solution(stage, level_balls(stage, own, ups[k]))
+            is_home = is_home_state(stage, e, b, ups[k])
+            is_elsewhere[n, k] = converged and not is_home
+            joints[n, k] = np.nan
+            if converged and is_home:
+                put_rows(b, joints[n, k])
 
 
 @kernel(
-    f"void({readonly_array(3)}, {readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, {readonly_array(2)}, "
-    f"{readonly_array(2)}, {readonly_array(2)}, f8[:,:,::1])"
+    f"void({readonly_array(4)}, {readonly_array(3)}, {readonly_array(2)}, {readonly_array(3)}, {readonly_array(2)}, "
+    f"{readonly_array(2)}, {readonly_array(2)}, f8[:,:,:,::1])"
 )
 def follow_states(joints, start, start_radii, end, end_radii, axes, balls, end_joints):
-    """Follow N states of a stage, its balls (N, 3, 3) [m], to other circles, which change in proportion.
+    """Follow N states of m stages, their balls (N, m, 3, 3) [m], to other circles, which change in proportion.
 
-    The circles have the centres `start` and `end` (N, 3, 3) [m] and radii (N, 3) [m]; `axes` and `balls` are as for
+    The circles have the centres `start` and `end` (N, 3m, 3) [m] and radii (N, 3m) [m]; `axes` and `balls` are as for
     `home_states`. Written are the balls, NaN where there are none at the start, and where the path meets a singularity.
     """
-    squares = squared_sides(rows_at(balls, 0))
-    for n in range(len(end_radii)):
-        first = circles_at(axes, start[n], start_radii[n], squares)
-        last = circles_at(axes, end[n], end_radii[n], squares)
-        b, arrived = followed(first, last, rows_at(joints[n], 0))
-        end_joints[n] = np.nan
-        if arrived:
-            put_rows(b, end_joints[n])
+    for k in range(joints.shape[1]):
+        leg = 3 * k
+        squares = squared_sides(rows_at(balls, leg))
+        for n in range(len(end_radii)):
+            first = circles_at(axes[leg:], start[n, leg:], start_radii[n, leg:], squares)
+            last = circles_at(axes[leg:], end[n, leg:], end_radii[n, leg:], squares)
+            b, arrived = followed(first, last, rows_at(joints[n, k], 0))
+            end_joints[n, k] = np.nan
+            if arrived:
+                put_rows(b, end_joints[n, k])
 
 
 @kernel(f"void({readonly_array(3)}, {readonly_array(2)}, f8[:,:,::1], f8[:,::1])")
@@ -148,16 +151,16 @@ def platform_frames(joints, balls, rotation, position):
         position[n, 0], position[n, 1], position[n, 2] = place
 
 
-@kernel(f"void({readonly_array(3)}, {readonly_array(3)}, {readonly_array(2)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
-def join_stages(lower, upper, balls, rotation, position, joints):
-    """Put the states of a lower and of an upper stage together, whose balls (N, 3, 3) [m] are in {B} and in {m}.
+@kernel(f"void({readonly_array(4)}, {readonly_array(2)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
+def join_stages(stages, balls, rotation, position, joints):
+    """Put the states of a lower and of an upper stage together, whose balls (N, 2, 3, 3) [m] are in {B} and in {m}.
 
     Written are R (N, 3, 3), o (N, 3) [m] and the b_i (N, 3, 3) [m], NaN where either has none.
     """
     own, own_upper = rows_at(balls, 0), rows_at(balls, 3)
     axes, axes_upper = triangle_axes(own), triangle_axes(own_upper)
-    for n in range(len(lower)):
-        b, c = rows_at(lower[n], 0), rows_at(upper[n], 0)
+    for n in range(len(stages)):
+        b, c = rows_at(stages[n, 0], 0), rows_at(stages[n, 1], 0)
         turn, place = frame_of_triangle(triangle_axes(b), axes, b, own)
         turn_m, place_m = frame_of_triangle(triangle_axes(c), axes_upper, c, own_upper)
         r, o = pose_of_frames(turn, place, turn_m, place_m)

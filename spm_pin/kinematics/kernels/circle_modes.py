@@ -337,7 +337,7 @@ def real_modes(stage: Circles, found: ModeScratch, balls: FloatArray) -> tuple[i
 
 @jit
 def _carried(drawn: Circles, stage: Circles, start: Rows) -> tuple[Rows, bool]:
-    """Follow the balls `start` of a mode from the drawn stage to the stage itself; return them, and if they got there.
+    """Follow the balls `start` of a mode from the nominal stage to the stage itself; return them and the success.
 
     The errors grow in steps, each of which is taken if `circles.is_next_to_solution`.
     """
@@ -372,7 +372,7 @@ def _put_labelled(
     balls: FloatArray,
     merged: BoolArray,
 ) -> None:
-    """Write the balls of `count` modes `roots` (16, 3, 3), NaN for none, under the labels of the drawn stage's `modes`.
+    """Write the balls of `count` modes `roots` (16, 3, 3), NaN if missing, under the labels of the nominal `modes`.
 
     Each of the latter is followed while the errors grow, and gives its label to the root where it ends. Where two have
     met, labels are left over: they go to the roots left over, those of the same mode and sheet first, and are marked as
@@ -437,11 +437,11 @@ def _put_stage(
     balls: FloatArray,
     merged: BoolArray,
 ) -> tuple[int, bool, bool, bool]:
-    """Write the balls of a stage's real modes (16, 3, 3), NaN for none, under the labels of the drawn stage's.
+    """Write the balls of a stage's real modes (16, 3, 3), NaN for none, under the labels of the nominal stage's.
 
-    `sizes` are the circumradii of the drawn stage's triangle and pivots [m], and +1 or -1 for the side on which the
+    `sizes` are the circumradii of the nominal stage's triangle and pivots [m], and +1 or -1 for the side on which the
     sheet + is; `work` (2, 16, 3, 3) is overwritten. Returned are how many modes there are, whether these are all, and,
-    of a drawn stage of RPS legs, which of T, F is continuous.
+    of a nominal stage of RPS legs, which of T, F is continuous.
     """
     r, base, up = sizes
     roots, modes = work[0], work[1]
@@ -469,11 +469,11 @@ def _put_stage(
 def modes_of_stages(
     centres, radii, axes, balls, drawn, is_rps, is_drawn, r, base_radius, up, joints, merged, continuous, status
 ):
-    """Find all assembly modes of N stages, under the labels of the drawn stage's.
+    """Find all assembly modes of N stages, under the labels of the nominal stage's.
 
     The circles are as for `ball_circles.home_states`; `drawn` (3, 3, 3) are axes, pivots and balls [m] of the drawn
     stage, with the circumradii of its platform and base [m]. Written are the balls (N, 16, 3, 3) [m], NaN where a mode
-    is not real; which labels are `merged` (N, 16); which of the modes T, F of a drawn stage of RPS legs are
+    is not real; which labels are `merged` (N, 16); which of the modes T, F of a nominal stage of RPS legs are
     `continuous` (N, 2); and `Status` (N,), continuous families not counted.
     """
     found, scratch, work = allocate_mode_scratch(), allocate_stage_scratch(), np.empty((2, MODES, 3, 3))

@@ -1,4 +1,4 @@
-"""All assembly modes of a drawn machine for a batch of leg lengths.
+"""All assembly modes of a nominal machine for a batch of leg lengths.
 
 The equations of a stage are `spm_pin.formulas.stages`. With ψ the azimuth of the tilt w, p = |w|²,
 A = Im(λ e^{iψ}) / κ = p sin 3ψ and B = Re(λ e^{iψ}), p is the root of a quadratic, `stages.tilt_quadratic`, and ψ of a

@@ -8,6 +8,7 @@ from spm_pin.formulas.circles import Circles, is_home_state
 from spm_pin.formulas.planar_legs import (
     PRS_LEGS,
     RPS_LEGS,
+    from_middle,
     prs_circle,
     prs_reading,
     prs_slope,
@@ -34,8 +35,8 @@ _READING, _COSINE, _ROD_X, _ROD_Z, _HOME, _ROWS = 22, 25, 28, 31, 34, 35
 
 
 @jit
-def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray) -> None:
-    """Write the readings of the legs, of RRS legs their sines and cosines, and x and z of their rods."""
+def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray, middles: FloatArray) -> None:
+    """Write the readings of the legs, of RRS legs sines and cosines from the middles, and x and z of their rods."""
     for leg in range(3):
         x, z, reading, cosine = _X + leg, _Z + leg, _READING + leg, _COSINE + leg
         along, up = _ROD_X + leg, _ROD_Z + leg
@@ -46,7 +47,7 @@ def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray) -> None:
         elif kind == PRS_LEGS:
             fixed = vector_at(numbers[leg], 0)
             for k in range(TILE):
-                tile[reading, k] = prs_reading(tile[x, k], tile[z, k], fixed)
+                tile[reading, k] = prs_reading(tile[x, k], tile[z, k], middles[leg], fixed)
                 circle = prs_circle(tile[reading, k], fixed)
                 tile[along, k], tile[up, k] = tile[x, k] - circle.x, tile[z, k] - circle.z
         else:
@@ -54,23 +55,24 @@ def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray) -> None:
             for k in range(TILE):
                 c, s = rrs_crank(tile[x, k], tile[z, k], fixed)
                 scale = fixed[0] / (tile[x, k] * tile[x, k] + tile[z, k] * tile[z, k])
-                tile[cosine, k], tile[reading, k] = c, s
                 tile[along, k], tile[up, k] = tile[x, k] - scale * c, tile[z, k] - scale * s
+                tile[cosine, k], tile[reading, k] = from_middle(c, s, middles[leg])
 
 
 @kernel(
     f"void({readonly_array(2)}, {readonly_array(1)}, {readonly_array(3)}, {readonly_array(3)}, i8, "
-    f"{readonly_array(2)}, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], u1[:,::1])"
+    f"{readonly_array(2)}, {readonly_array(1)}, f8, f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], u1[:,::1])"
 )
 def poses_of_stages(
-    normals, heights, legs, planes, kind, numbers, up, rotation, position, readings, cosines, is_physical
+    normals, heights, legs, planes, kind, numbers, middles, up, rotation, position, readings, cosines, is_physical
 ):
     """Find the poses of a stage's platform with N normals (N, 3) and heights (N,) [m], in mode T, and in F.
 
     `legs` (3, 3, 3) are axes, pivots and balls [m], `planes` (2, 3, 3) the directions of x and z of the legs' planes,
-    and `numbers` (3, n) those fixed in the legs. Written are, for m modes, 1 or 2, R (N, m, 3, 3) and t (N, m, 3) [m],
-    NaN where there is none; readings without offsets (N, m, 3), NaN out of a leg's reach, of RRS legs multiples of
-    their sines, and in `cosines`, if it has a length, of the cosines; and which are physical (N, m).
+    `numbers` (3, n) those fixed in the legs, and `middles` (3,) those of `planar_legs.crank_middle`. Written are, for m
+    modes, 1 or 2, R (N, m, 3, 3) and t (N, m, 3) [m], NaN where there is none; readings without offsets (N, m, 3), NaN
+    out of a leg's reach, of RRS legs less `middles` multiples of their sines, and in `cosines`, if it has a length, of
+    the cosines; and which are physical (N, m).
     """
     axes, pivots = rows_at(legs[0], 0), rows_at(legs[1], 0)
     stage = stage_constants(axes, pivots, rows_at(legs[2], 0))
@@ -97,7 +99,7 @@ def poses_of_stages(
                     (tile[_ROTATION + 6, k], tile[_ROTATION + 7, k], tile[_ROTATION + 8, k]),
                 ) = r
                 tile[_POSITION, k], tile[_POSITION + 1, k], tile[_POSITION + 2, k] = t
-            _put_readings(tile, kind, numbers)
+            _put_readings(tile, kind, numbers, middles)
             for k in range(TILE):
                 rods = multiples(vector(tile, _ROD_X, k), outward)
                 rods = combinations(rods, vector(tile, _ROD_Z, k), forward)

@@ -1,6 +1,6 @@
 """Newton's method on three quadrics from eight points side by side, real or complex.
 
-A point is a unit quaternion, up to a factor, at which the three quadratic forms of a machine as built vanish. Points
+A point is a unit quaternion, up to a factor, at which the three quadratic forms of a calibrated machine vanish. Points
 are one flat array, so that loops over them are vectorised: row i begins at i * POINTS. Rows 0 to 3 hold the real parts,
 rows 4 to 7 the imaginary ones.
 """
@@ -17,7 +17,7 @@ from spm_pin.support.arguments import FloatArray
 
 POINTS = 8
 _SIZE, _LAST, STATE, ROWS = 8 * POINTS, 9 * POINTS, 10 * POINTS, 11
-"""Where the rows of the last step's size, of the size before and of the states begin; and the number of rows."""
+"""First rows of the size of the last step, of the size of the step before, and of the states; number of rows."""
 PENDING, CONVERGED, FAILED = 0.0, 1.0, 2.0
 """States. Steps move the points that are pending."""
 

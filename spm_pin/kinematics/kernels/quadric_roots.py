@@ -47,7 +47,7 @@ points, with the polynomial's roots in two more rows."""
 
 _LONGEST = 60  # iterations for the polynomial; 8 to 12 are usual
 _RE, _IM = ROWS * POINTS, (ROWS + 1) * POINTS
-"""Where the rows of the polynomial's roots begin, beside the points: loops over a single array are vectorised."""
+"""First rows of the polynomial's roots, beside the points: loops over a single array are vectorised."""
 _VALUE, _VALUE_I, _MOVED = 0, POINTS, 2 * POINTS  # rows of the points that hold other things before
 
 _NORMALS = np.array([[3.0, 1.0, -2.0, 5.0], [1.0, 4.0, 2.0, -3.0], [-2.0, 3.0, 6.0, 1.0], [7.0, -2.0, 3.0, 4.0]])
@@ -59,7 +59,7 @@ as long as that is above the square root of the precision."""
 _ANGLES, _FIRST_ANGLES = 2.0 * np.pi / 9.0 * np.arange(POINTS), 2.0 * np.pi / POINTS * np.arange(POINTS) + 0.4
 _COSINES, _SINES = np.cos(_ANGLES), np.sin(_ANGLES)  # the ninth roots of unity, without the last
 _FIRST_COSINES, _FIRST_SINES = np.cos(_FIRST_ANGLES), np.sin(_FIRST_ANGLES)
-"""Where the iteration for the polynomial begins, over the radius."""
+"""Starts of the iteration for the polynomial, divided by the radius."""
 _TURNED = 2.0 * np.pi / 9.0 * (np.outer(np.arange(9), np.arange(5)) % 9)
 _COSINE_TABLE, _SINE_TABLE = np.cos(_TURNED) * (2.0 / 9.0), np.sin(_TURNED) * (2.0 / 9.0)
 
@@ -327,7 +327,7 @@ def _made_real(points: FloatArray, k: int) -> bool:
 
 @jit
 def _add(roots: FloatArray, count: int, points: FloatArray, k: int, sign: float) -> int:
-    """Append point k, its imaginary part times a sign, if it is none of the roots found; return their number."""
+    """Append point k, its imaginary part times a sign, if it differs from the roots found; return their number."""
     y = imaginary_part(points, k)
     put_real_part(roots, count, real_part(points, k))
     put_imaginary_part(roots, count, (sign * y[0], sign * y[1], sign * y[2], sign * y[3]))

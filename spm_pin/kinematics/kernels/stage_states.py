@@ -2,8 +2,8 @@
 
 A stage is three legs, each of which keeps its ball in a plane. Its middle platform has three freedoms: (x, y), two
 components of the unit quaternion (x0, x, y, x3), and the height Z of the triangle's centre, divided by its radius r.
-The three planes give x3 and the centre's other coordinates: zero and (-2r xy, r (y² - x²)) in the machine as drawn, and
-a few steps of Newton's method from there in one as built. So a state exists for all (x, y) in the unit circle. See
+The three planes give x3 and the centre's other coordinates: zero and (-2r xy, r (y² - x²)) in the nominal machine, and
+a few steps of Newton's method from there in a calibrated one. So a state exists for all (x, y) in the unit circle. See
 `docs/theory/reachable_set.md`.
 
 The upper stage is the same seen from {m}. A stage of mode F has its balls turned by half a turn about the platform's
@@ -48,20 +48,20 @@ from spm_pin.formulas.wrenches import pairs
 from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, vector_at
 from spm_pin.support.arguments import FloatArray
 
-AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND = 0, 3, 6, 9, 12, 15, 18, 19
-"""Where a leg's numbers begin in a row (20,) of `legs`: see `mechanism.Legs`, and `LegKind.number`."""
+AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND, MIDDLE = 0, 3, 6, 9, 12, 15, 18, 19, 20
+"""Where a leg's numbers begin in a row (21,) of `legs`: see `Legs`, `LegKind.number` and `planar_legs.crank_middle`."""
 ROTATION, CENTRE, READINGS, DETERMINANT, ROOMS, STAGE_NUMBERS = 0, 9, 12, 15, 16, 19
-"""Where a stage's rotation, centre [m], readings, determinant and rooms of the legs [m], see `planar_legs.Room`, begin
-in `values` (19,); and the length of it."""
+"""Offsets of a stage's rotation, centre [m], readings, determinant and rooms of the legs [m], see `planar_legs.Room`,
+in `values` (19,); and the length of that array."""
 SPIN, VELOCITY, RATES, SLOPE_NUMBERS = 0, 3, 6, 13
-"""Where the derivatives begin in the rows of `slopes` (13, 3): the rotation's, as a rotation vector, the centre's, and
-those of the three readings, the determinant and the three rooms, in this order; and the number of rows."""
+"""First rows of derivatives in `slopes` (13, 3): of the rotation, as a rotation vector, of the centre, and
+of the three readings, the determinant and the three rooms, in this order; and the number of rows."""
 NO_STATE, OTHER_ASPECT, BEYOND, INSIDE = 0, 1, 2, 3
-"""Where the coordinates are: where no state exists, in another aspect, slightly beyond a forward singularity or one of
-a leg, or in the wanted aspect and within reach of the legs."""
+"""Classes of coordinates: no state exists; in another aspect; slightly beyond a forward singularity or one of
+a leg; in the wanted aspect and within reach of the legs."""
 _BEYOND = -0.05
-"""Least determinant, in units in which it is about 1 at home, and least room of a leg over r, of a stage that counts as
-slightly beyond a singularity: so far searches may step."""
+"""Smallest determinant, in units in which it is about 1 at home, and smallest room of a leg over r, of a stage that is
+slightly beyond a singularity: searches may step that far."""
 _STEPS = 12  # Newton steps for x3 and the centre at most
 
 
@@ -89,7 +89,7 @@ def _leg_state(leg: FloatArray, x: float, z: float) -> LegState:
     if leg[KIND] == PRS_LEGS:
         return prs_state(x, z, vector_at(leg, NUMBERS))
     if leg[KIND] == RRS_LEGS:
-        return rrs_state(x, z, vector_at(leg, NUMBERS))
+        return rrs_state(x, z, leg[MIDDLE], vector_at(leg, NUMBERS))
     return rps_state(x, z, vector_at(leg, NUMBERS))
 
 
@@ -105,9 +105,9 @@ def evaluate_stage(
 ) -> int:
     """Write the `values` (19,) of a stage and their derivatives `slopes` (13, 3) by its three coordinates.
 
-    Returned is where the stage is, `NO_STATE` to `INSIDE`. `legs` (3, 20) are in {B} of a lower stage, in {m} of an
+    Returned is where the stage is, `NO_STATE` to `INSIDE`. `legs` (3, 21) are in {B} of a lower stage, in {m} of an
     upper one; `radius` is r [m], `upward` the sign of Z at home, and `aspect` the wanted one, see `stages.HOME_ASPECT`,
-    whose negative is the home's aspect of a stage that hangs.
+    whose negative is the home assembly region of a stage that hangs.
     """
     x, y, z = coordinates[0], coordinates[1], radius * coordinates[2]
     axes, pivots, corners = vectors_at(legs, AXIS), vectors_at(legs, PIVOT), vectors_at(legs, BALL)
@@ -191,7 +191,7 @@ def evaluate_stage(
         return OTHER_ASPECT
     if aspect == ANY_ASPECT:
         return INSIDE if room > 0.0 else BEYOND
-    # In the home's aspect at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
+    # In the home assembly region at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
     if abs(aspect) == HOME_ASPECT:
         negative = negative_pairs(c) if aspect > 0.0 else 6.0 - negative_pairs(c)
         if negative > 1.0 or not upward * z > 0.0:
