@@ -50,12 +50,9 @@ def equilibrium(state: spm.stages.StageConfiguration) -> npt.NDArray[np.float64]
     legs, arms = state.stage.legs, state.balls - state.translation
     # The reading's change per move of the ball within its plane, by differences of the legs' own formula.
     outward, upward = legs.planes
-    changes = []
+    changes, middles = [], state.stage.crank_middles
     for axis in range(2):
-        ends = (
-            legs.readings(state.places + sign * STEP * np.eye(2)[axis], state.machine.crank_middles)
-            for sign in (1.0, -1.0)
-        )
+        ends = (legs.readings(state.places + sign * STEP * np.eye(2)[axis], middles) for sign in (1.0, -1.0))
         changes.append(np.subtract(*ends) / (2.0 * STEP))
     # By virtual work an effort t pushes the ball by t times the gradient of the reading.
     along = changes[0][:, None] * outward + changes[1][:, None] * upward

@@ -201,7 +201,9 @@ class Polytope:
         """
         x = self.rows[..., self._part(part)]
         # Term by term: NumPy takes several times as long to reduce a short last axis.
-        squares = sum(x[..., k] * x[..., k] for k in range(x.shape[-1]))
+        squares = x[..., 0] * x[..., 0]
+        for k in range(1, x.shape[-1]):
+            squares += x[..., k] * x[..., k]
         with np.errstate(divide="ignore", invalid="ignore"):
             radii = np.where(squares == 0.0, np.inf, np.minimum(self.upper, -self.lower) / np.sqrt(squares))
         return self._around_zero(np.asarray(reduce(np.minimum, np.moveaxis(radii, -1, 0))))

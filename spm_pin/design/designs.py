@@ -209,14 +209,9 @@ def _evaluate_some(
     if boxes:
         whole = np.flatnonzero(rows[:, 0] == 1.0)
         certified = np.zeros(len(machines))
-        certified[whole] = free_of_singularities([_as_manipulator(machines[k]) for k in whole], boxes)
+        certified[whole] = free_of_singularities([machines[k] for k in whole], boxes)
         rows = np.column_stack([rows, certified])
     return first, rows
-
-
-def _as_manipulator(machine: Manipulator | Stage) -> Manipulator:
-    """Return a machine with the same stages: a stage twice."""
-    return machine if isinstance(machine, Manipulator) else Manipulator.of_stages(machine, machine)
 
 
 def _number(function: Function, machine: Manipulator | Stage) -> float:

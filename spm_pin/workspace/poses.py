@@ -11,9 +11,12 @@ from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.stages import HOME_ASPECT
+from spm_pin.kinematics import stage_displacement
+from spm_pin.kinematics.either_machine import or_of_stage
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.machine import (
@@ -24,12 +27,14 @@ from spm_pin.machine import (
     Manipulator,
     PoseLike,
     SolutionSet,
+    Stage,
     StageConfiguration,
+    StageSolutions,
     Status,
     as_rigid_transform,
     joint_angles,
 )
-from spm_pin.machine.branch_of_state import branch_sign, family, physical, tilt_cosine_sum
+from spm_pin.machine.branch_of_state import branch_sign, family, physical
 from spm_pin.machine.configuration import check_state
 from spm_pin.machine.manipulator import check_same_machine
 from spm_pin.support.arguments import (
@@ -159,10 +164,10 @@ def _segment_distance2(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArra
 class Reachability:
     """Reachability of poses of shape (...), with margins."""
 
-    branches: SolutionSet
-    """All eight branches of each pose, limits not applied, shape (...)."""
+    branches: SolutionSet | StageSolutions
+    """All eight branches of each pose, limits not applied, shape (...); of a stage both modes of the tilt."""
     allowed: BoolArray
-    """True for branches that count and respect all limits, shape (..., 8)."""
+    """Which of them count and respect all limits, shape (..., 8), of a stage (..., 2), as all that follows."""
     leg_margin: FloatArray
     """Distance of the worst leg of a branch from its limits [m], for RRS legs at the knee, shape (..., 8); negative
     outside, infinite without limits, NaN where the branch is not real."""
@@ -185,13 +190,13 @@ class Reachability:
 
     @property
     def branch(self) -> IntArray:
-        """Place in `BRANCHES` of the allowed branch whose stages tilt least, shape (...); -1 if missing."""
-        score = np.where(self.allowed, tilt_cosine_sum(self.branches.configurations), -np.inf)
+        """Place among the labels of the allowed branch that tilts least, shape (...); -1 where there is none."""
+        score = self.branches.preference(self.allowed)
         return np.where(self.allowed.any(axis=-1), score.argmax(axis=-1), -1).astype(np.intp)
 
     @property
-    def configuration(self) -> Configuration:
-        """The state of that branch, shape (...); NaN if missing."""
+    def configuration(self) -> Configuration | StageConfiguration:
+        """The state of that branch, shape (...); NaN where there is none."""
         return self.branches.pick(np.maximum(self.branch, 0), np.asarray(self.allowed.any(axis=-1)))
 
 
@@ -205,6 +210,40 @@ class NearestPose:
     """Distance from the given pose, see `pose_distance` [m]; a float for one pose."""
 
 
+def _reachable_by_stage(
+    machine: Stage,
+    height: npt.ArrayLike,
+    limits: LegLimits | None = None,
+    *,
+    joints: JointLimits | None = None,
+    branch: str = "physical",
+    **place: Any,
+) -> Reachability:
+    """Find which modes of heights and tilts respect limits; `place` are further arguments of `stages.inverse`."""
+    limits = machine.limits if limits is None else machine.check_limits(limits)
+    return _reachability(stage_displacement.inverse(machine, height, **place), limits, joints, branch)
+
+
+def _reachability(
+    branches: SolutionSet | StageSolutions, limits: LegLimits | None, joints: JointLimits | None, branch: str
+) -> Reachability:
+    choice(branch, "branch", ("physical", "any", *branches.labels))
+    joints = JointLimits() if joints is None else check_instance(joints, JointLimits, "joints")
+    states = branches.configurations
+    leg_margin = np.where(states.exists, np.inf, np.nan)
+    if limits is not None:
+        leg_margin = limits.margin(states.readings, states.machine.legs.largest_slopes)
+    angle_margin, clearance_margin = joints.angle_margin(states), joints.clearance_margin(states)
+    with np.errstate(invalid="ignore"):
+        allowed = (leg_margin >= 0.0) & (angle_margin >= 0.0) & (clearance_margin >= 0.0)
+    if branch == "physical":
+        allowed &= states.is_at_home if isinstance(states, StageConfiguration) else physical(states)
+    elif branch != "any":
+        allowed &= np.array([label == branch for label in branches.labels])
+    return Reachability(branches, allowed, leg_margin, angle_margin, clearance_margin)
+
+
+@or_of_stage(_reachable_by_stage)
 def reachable(
     machine: Manipulator,
     pose: PoseLike,
@@ -215,10 +254,13 @@ def reachable(
 ) -> Reachability:
     """Find which branches of poses respect limits, and by how much.
 
+    A stage is asked for a height and a tilt instead of a pose, with the arguments of `spm_pin.stages.inverse`; its
+    branches are the modes T and F.
+
     Parameters
     ----------
-    machine : Manipulator
-        The manipulator.
+    machine : Manipulator or Stage
+        The machine.
     pose : pose of shape (...)
         Of {m} in {B}, translation in metres.
     limits : LegLimits, optional
@@ -242,21 +284,7 @@ def reachable(
     (True, 'TT+', 0.05)
     """
     limits = given_limits(machine, limits)
-    choice(branch, "branch", ("physical", "any", *BRANCHES))
-    joints = JointLimits() if joints is None else check_instance(joints, JointLimits, "joints")
-    branches = inverse_displacement(machine, pose)
-    states = branches.configurations
-    leg_margin = np.where(states.exists, np.inf, np.nan)
-    if limits is not None:
-        leg_margin = limits.margin(states.readings, machine.legs.largest_slopes)
-    angle_margin, clearance_margin = joints.angle_margin(states), joints.clearance_margin(states)
-    with np.errstate(invalid="ignore"):
-        allowed = (leg_margin >= 0.0) & (angle_margin >= 0.0) & (clearance_margin >= 0.0)
-    if branch == "physical":
-        allowed &= physical(states)
-    elif branch != "any":
-        allowed &= np.array([label == branch for label in BRANCHES])
-    return Reachability(branches, allowed, leg_margin, angle_margin, clearance_margin)
+    return _reachability(inverse_displacement(machine, pose), limits, joints, branch)
 
 
 def pose_distance(machine: Manipulator, first: PoseLike, second: PoseLike) -> Any:

@@ -96,3 +96,28 @@ def test_the_reach_ends_where_a_condition_does() -> None:
     efforts = np.abs(spm.leg_forces(ends, [0, 0, -least, 0, 0, 0])).max(axis=-1)
     assert efforts.max() == pytest.approx(0.25, rel=1e-6)
     assert (held.tilts < free.tilts - 0.01).any()
+
+
+def test_tilts_are_reachable_within_limits_of_legs_and_of_joints() -> None:
+    rng = np.random.default_rng(1)
+    heights, azimuths, tilts = rng.uniform(0.09, 0.15, 40), rng.uniform(-np.pi, np.pi, 40), rng.uniform(0.0, 0.6, 40)
+    joints = JointLimits(ball_y=(-0.3, 0.3))
+    for stage in (BALANCER, BALANCER.perturbed(1, length=1e-3, angle=1e-2)):
+        answer = spm.workspace.reachable(stage, heights, tilt=tilts, azimuth=azimuths, joints=joints)
+        states = spm.stages.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths)
+        bent = np.abs(spm.machine.joint_angles(states).ball_y).max(axis=-1)
+        expected = states.exists & (states.limit_excess == 0.0).all(axis=-1) & (bent <= 0.3)
+        assert 0 < np.count_nonzero(expected) < 40
+        np.testing.assert_array_equal(answer.reachable, expected)
+        np.testing.assert_array_equal(answer.branch, np.where(expected, 0, -1))
+        np.testing.assert_allclose(answer.configuration.readings[expected], states.readings[expected], atol=1e-12)
+        single = spm.workspace.reachable(stage, heights[0], tilt=tilts[0], azimuth=azimuths[0], joints=joints)
+        assert single.reachable is bool(expected[0])
+    modes = spm.workspace.reachable(BALANCER, 0.12, branch="any").allowed
+    np.testing.assert_array_equal(modes, [True, False])
+    with pytest.raises(spm.ArgumentError) as caught:
+        spm.workspace.reachable(BALANCER, 0.12, branch="TT+")
+    assert caught.value.argument == "branch"
+    with pytest.raises(spm.ArgumentError) as caught:
+        spm.workspace.reachable(BALANCER, 0.12, limits=spm.LegLimits(0.1, 0.2))
+    assert caught.value.argument == "limits"
