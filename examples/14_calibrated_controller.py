@@ -52,7 +52,7 @@ program, c = folder / "follow_path", folder / "nominal"
 inputs = sources / "follow_path.c", c / "spm_kinematics.c"
 run("cc", "-std=c99", "-O2", "-I", c, *inputs, "-lm", "-o", program)
 
-# Ten thousand ticks along a closed path of 4 cm and 2°, on the model as drawn and on the one identified.
+# Ten thousand ticks along a closed path of 4 cm and 2°, on the nominal and on the identified model.
 start = spm.forward_physical(nominal, [1.2, 1.3, 1.4, 1.2, 1.3, 1.4])
 phase = np.linspace(0.0, 2.0 * np.pi, 10_000)[:, None]
 position = start.translation + 0.02 * np.sin(phase * [1, 2, 3])

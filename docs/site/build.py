@@ -45,7 +45,7 @@ PUBLIC = {
     "spm_pin.workspace": "what the terminal platform reaches",
     "spm_pin.capability": "what limits of the legs allow: polytopes of wrenches, twists, accelerations; reactions",
     "spm_pin.design": "many designs in one call, and Pareto fronts of dimensions",
-    "spm_pin.calibration": "machines as built identified from measurements, and what tolerances cost",
+    "spm_pin.calibration": "calibration: machines identified from measurements, and the effect of tolerances",
     "spm_pin.proofs": "leg limits proved free of singularities, by interval arithmetic",
     "spm_pin.sweeps": "metrics over any number of poses or leg lengths",
     "spm_pin.loops": "any robot with closed loops in Pinocchio: files, closing, mobility, dynamics",

@@ -52,9 +52,9 @@ class ClosedChain:
 
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. The chain finds joint values q [rad, m]
     that close the loops, in the order of `joint_names`; rates, forces and dynamics at q are methods of its `state`.
-    Arguments are of one state or of a batch (..., nq), and leading axes of several broadcast. Pinocchio answers one
+    Arguments are of one state or of a batch (..., nq), and leading axes of several broadcast. Pinocchio computes one
     state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
-    `inverse_kinematics` without `near`, are vectorised closed forms. nq = nv = 18, of a stage 9; the actuators are the
+    `inverse_kinematics` without `near`, are vectorised. nq = nv = 18, of a stage 9; the actuators are the
     n = 6 or 3 legs.
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
@@ -254,7 +254,7 @@ class ClosedChain:
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joints (..., nq) of readings (..., n) [m], of RRS legs [rad].
 
-        By default in the physical assembly mode of each member, in closed form, angles in [-π, π]; see
+        By default in each member's physical assembly mode, by Newton's method on each stage, angles in [-π, π]; see
         `spm_pin.forward_physical`. With `near` (nq,), a closed q, the mechanism goes from there to the first member by
         changing all readings in proportion, and on to each from the one before, in C order, in the assembly mode that
         it comes to, angles continuous and not reduced to one turn.

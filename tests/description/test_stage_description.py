@@ -196,8 +196,8 @@ def test_servos_have_the_limits_of_the_stage() -> None:
     model = mujoco.MjModel.from_xml_string(mjcf_text(stage))
     np.testing.assert_allclose(model.actuator_ctrlrange, np.tile([-0.6, 1.2], (3, 1)), atol=1e-12)
     assert [model.actuator(k).name for k in range(3)] == ["leg_1_servo", "leg_2_servo", "leg_3_servo"]
-    # What joints' values are less than readings by is in a comment.
-    (zeros,) = re.findall(r"the values of their joints, and (.*?)\. Their", mjcf_text(stage))
+    # A comment has the differences of readings and joint values.
+    (zeros,) = re.findall(r"the value of its joint plus (.*?)\. Their", mjcf_text(stage))
     np.testing.assert_array_equal(np.array(zeros.split(), float), home_readings(stage) + stage.legs.offsets)
     assert (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE).all()
     motors = mujoco.MjModel.from_xml_string(mjcf_text(stage, actuators="motors"))

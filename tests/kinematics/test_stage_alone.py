@@ -299,18 +299,18 @@ def test_why_there_is_no_solution_is_said() -> None:
     assert "out of reach of r_1" in spm.stages.inverse_physical(BALANCER, 0.2).missing_reason
     assert "angles are in radians" in repr(spm.stages.inverse(BALANCER, 0.12, tilt=2.0, azimuth=0.0))
     assert "tilt is 57°" in repr(spm.stages.inverse_physical(BALANCER, 0.12, roll=1.0))
-    with pytest.raises(spm.ArgumentError, match=r"tilt: .*radians.*, got 15\. Given in degrees"):
+    with pytest.raises(spm.ArgumentError, match=r"tilt: .*radians.*, got 15\. Are they in degrees"):
         spm.stages.inverse(BALANCER, 0.12, tilt=15.0, azimuth=0.0)
     absent = spm.stages.inverse_physical(BALANCER, [0.12, 0.8]).readings
     with pytest.raises(spm.ArgumentError, match=r"got nan at index \(1, 0\)\. .* a missing solution"):
         spm.stages.forward_physical(BALANCER, absent)
-    with pytest.raises(spm.ArgumentError, match=r"got -0\.1\. To the other side"):
+    with pytest.raises(spm.ArgumentError, match=r"got -0\.1\. For a tilt to the opposite side"):
         spm.stages.inverse(BALANCER, 0.12, tilt=-0.1, azimuth=0.0)
     with pytest.raises(
         spm.ArgumentError, match=r"a Manipulator, got Stage\. For a stage use the functions of spm_pin\.stages"
     ):
         spm.inverse_physical(BALANCER, 0.12)  # type: ignore[arg-type]
-    with pytest.raises(spm.ArgumentError, match=r"azimuth: .*radians.*, got 15\. Given in degrees"):
+    with pytest.raises(spm.ArgumentError, match=r"azimuth: .*radians.*, got 15\. Are they in degrees"):
         spm.stages.inverse(BALANCER, 0.12, tilt=0.1, azimuth=15.0)
     with pytest.raises(spm.ArgumentError, match=r"readings: .*r_1, r_2, r_3 in radians, got shape"):
         spm.stages.forward(BALANCER, [0.1, 0.2])

@@ -31,7 +31,7 @@ enum @PREFIX@status {
 /* A machine. Leg i moves in the plane through its pivot that is normal to its axis, and holds the centre of a ball of the
    middle platform there. Its encoder reads the offset and @READINGS@. */
 typedef struct {
-    double dimensions[3]; /* of the drawing: E, from O to a lower revolute joint; C, from o to an upper one; d */
+    double dimensions[3]; /* of the nominal machine: E, O to a lower revolute joint; C, o to an upper one; d */
     double axes[18];      /* unit vectors: of the lower legs in {B}, of the upper legs in {m} */
     double pivots[18];    /* in the same frames */
     double balls[18];     /* in {n} */
