@@ -222,7 +222,8 @@ class _Run:
         forces[kinematics.actuated] = tau
         for frame, load in self._loads.items():
             forces += kinematics.frame_jacobian(frame).T @ load(t, q, v)
-        return kinematics.accelerations(v, forces), tau, float(forces @ v)
+        a = kinematics.compiled_accelerations(v, forces)
+        return kinematics.accelerations(v, forces) if a is None else a, tau, float(forces @ v)
 
     def record(self, t: float, y: FloatArray, act: Any) -> None:
         """Record the motion at a time."""
