@@ -265,9 +265,9 @@ class ClosedChain:
         return self._follow(self._follower(frame, chosen), _matrices(pose), 2, near, "pose")
 
     def compile(self) -> None:
-        """Compile the loops over paths and batches, once for all robots and sessions: about 20 s, later half a second.
+        """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        Batches do so by themselves. A control loop calls this before it starts: its single calls never wait for the
+        Batches of `forward` and `inverse` do so by themselves. A control loop calls this before it starts: its single calls never wait for the
         compiler, and take a millisecond, instead of some ten microseconds, as long as nothing is compiled.
         """
         from spm_pin.loops.dynamics_kernel import accelerate

@@ -185,13 +185,14 @@ def _bias(tree, q, rates, rotations, origins, twists, drifts, bias):  # type: ig
 
 
 @jit
-def _factorise(a, order, factors, tolerance, rank):  # type: ignore[no-untyped-def]
+def _factorise(a, order, factors, norms, w, tolerance, rank):  # type: ignore[no-untyped-def]
     """Factorise in place the transposed rows (nv, m) by Householder's reflections with pivoting; return the rank.
 
-    It is that of rows that are independent to `tolerance`, unless it is given, as a number that is not negative.
+    It is that of rows that are independent to `tolerance`, unless it is given, as a number that is not negative. Norms
+    (m,) are zero, and w (m,) is memory.
     """
     nv, rows = a.shape
-    norms, w, least, k = np.zeros(rows), np.empty(rows), 0.0, 0
+    least, k = 0.0, 0
     for i in range(nv):
         for j in range(rows):
             norms[j] += a[i, j] * a[i, j]
@@ -349,8 +350,8 @@ def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untype
     if not gap <= AGREEMENT:
         return False
     # Rows as columns, the last ones of joints that are held.
-    factored, order, factors = np.zeros((nv, rows)), np.arange(rows), np.empty(rows)
-    opening, bias = np.zeros(rows), np.zeros(rows)
+    factored, order, memory = np.zeros((nv, rows)), np.arange(rows), np.zeros((5, rows))
+    opening, bias, factors, norms, w = memory[0], memory[1], memory[2], memory[3], memory[4]
     speed = 0.0
     for k in range(nv):
         rate = v[k] / tree.units[k]
@@ -363,11 +364,13 @@ def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untype
         opening[first + k] = v[tree.held[k]] / tree.units[tree.held[k]]
     if not _largest(opening) <= AGREEMENT * speed:
         return False
-    rank = _factorise(factored, order, factors, max(DEPENDENCE * gap, INDEPENDENT), rank)
+    rank = _factorise(factored, order, factors, norms, w, max(DEPENDENCE * gap, INDEPENDENT), rank)
     if rank < rows and nv - rank > regular:
         return False
-    columns, twists, drifts = np.zeros((nv + count, 6)), np.empty((count, 6)), np.empty((count, 6))
-    bodies = np.empty((count, 10))
+    # One array costs less than four.
+    memory = np.zeros((nv + 4 * count, 10))
+    columns, bodies = memory[: nv + count], memory[nv + count : nv + 2 * count]
+    twists, drifts = memory[nv + 2 * count : nv + 3 * count], memory[nv + 3 * count :]
     _motion(tree, rotations, origins, v, columns, twists, drifts, bodies)
     _bias(tree, q, v, rotations, origins, twists, drifts, bias)
     # The least accelerations are the last column, beside the basis.

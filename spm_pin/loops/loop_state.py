@@ -352,7 +352,7 @@ class LoopState:
 
     @property
     def _nv(self) -> int:
-        return int(self._chain.model.nv)
+        return self.kinematics.zero_velocity.size
 
     @property
     def _rows(self) -> int:
@@ -386,7 +386,7 @@ class LoopState:
 
     def _forces(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
         """Return generalized forces (nv,) of actuators (n,) and of wrenches."""
-        forces = np.zeros(self._nv)
+        forces = self.kinematics.zero_velocity.copy()
         forces[self.kinematics.actuated] = tau
         for frame, load in zip(frames, loads, strict=True):
             forces += self.kinematics.frame_jacobian(frame).T.dot(load)

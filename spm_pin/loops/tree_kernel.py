@@ -656,7 +656,7 @@ class _Announcement(event.Listener):
 
     def on_start(self, event: Any) -> None:
         if not self._announced:
-            _LOG.warning("spm_pin: compiling the loops of closed chains for this machine, once (about 20 s)")
+            _LOG.warning("spm_pin: compiling the loops of closed chains for this machine, once (about half a minute)")
         self._announced = True
 
     def on_end(self, event: Any) -> None:
@@ -687,13 +687,15 @@ class Kernel:
                 digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()
                 self._function.__qualname__ = f"{self._function.__name__}_{digest[:16]}"
                 signature = tuple(map(numba.typeof, arguments))
+                compiled: Any
                 try:
                     with event.install_listener("numba:compile", _Announcement()):
                         compiled = numba.njit(signature, error_model="numpy", nogil=True, cache=True)(self._function)
                 except Exception as error:  # nowhere to keep it, or a damaged file, which may raise anything
                     _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
                     compiled = numba.njit(signature, error_model="numpy", nogil=True)(self._function)
-                self._compiled = compiled
+                # The function behind the dispatcher, which looks for the types of all arguments in a microsecond.
+                self._compiled = next(iter(compiled.overloads.values())).entry_point
             return self._compiled
 
 
