@@ -6,6 +6,7 @@ import difflib
 import math
 import threading
 from collections.abc import Sequence
+from functools import cached_property
 from os import PathLike
 from typing import Any, Self
 
@@ -18,7 +19,7 @@ from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.assembly import assemble
 from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
 from spm_pin.loops.constraint_rows import ConstraintRows, LoopKinematics
-from spm_pin.loops.following import Follower
+from spm_pin.loops.following import Follower, Problem
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
 from spm_pin.loops.links import find_frame
 from spm_pin.loops.loop_state import LoopState
@@ -109,6 +110,7 @@ class ClosedChain:
         for name in self.held:
             self._joint(name, "held")
         self._held_in_v = self.indices_in_v(*self.held)
+        self.regular_dof = -1  # degrees of freedom at regular configurations, once they are known
         self._followers: dict[Any, Follower] = {}
         self._lock = threading.Lock()
 
@@ -263,12 +265,24 @@ class ClosedChain:
         return self._follow(self._follower(frame, chosen), _matrices(pose), 2, near, "pose")
 
     def compile(self) -> None:
-        """Compile the loops over paths and batches, once for all robots and sessions: about 20 s, later half a second.
+        """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        Batches do so by themselves. A control loop calls this before it starts: its single calls never wait for the
+        Batches of `forward` and `inverse` do so by themselves. A control loop calls this before it starts: its single calls never wait for the
         compiler, and take a millisecond, instead of some ten microseconds, as long as nothing is compiled.
         """
+        from spm_pin.loops.dynamics_kernel import accelerate
+
         self._follower(None, ()).compile()
+        q, zeros = self.q0.copy(), np.zeros(self.model.nv)
+        accelerate(self.tree, q, zeros, zeros, -1, -1, zeros.copy())
+
+    @cached_property
+    def tree(self) -> Any:
+        """The chain as arrays for the compiled dynamics, which read them only."""
+        from spm_pin.loops import tree_kernel
+
+        problem = Problem(self.rows, np.arange(self.model.nv), self.actuated_in_q, self.actuated_in_v)
+        return tree_kernel.boxed(tree_kernel.tree_of(problem, self._held_in_v))
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> LoopState:
         """Return the `LoopState` at joint values q (..., nq) and velocities v (..., nv), zero by default."""

@@ -120,7 +120,7 @@ class LoopState:
         for index in np.ndindex(batch):
             q, v, *arguments = (array[index] for array in members)
             if self._batch:
-                self._move(q, v)
+                self._move(q.copy(), v.copy())
             try:
                 result: Any = function(*arguments)
             except (SingularConfigurationError, ClosureError) as error:
@@ -138,13 +138,16 @@ class LoopState:
         """Return the same as `_each_member` for a function that takes a regular q, closed, and v that keeps it so."""
 
         def member(*arguments: FloatArray) -> Result:
-            if not self._is_closed:
-                self.kinematics.check_closed(self._rates)
-                check_regular(self._chain, self.kinematics)
-                self._is_closed = True
+            self._check_closed()
             return function(*arguments)
 
         return self._each_member(member, shape, **arrays)
+
+    def _check_closed(self) -> None:
+        if not self._is_closed:
+            self.kinematics.check_closed(self._rates)
+            check_regular(self._chain, self.kinematics)
+            self._is_closed = True
 
     def gap(self) -> FloatArray:
         """Return the residual of each row of the closures and joint equalities [m, rad], shape (..., m)."""
@@ -245,10 +248,15 @@ class LoopState:
         """
 
         def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
-            return self.kinematics.accelerations(self._rates, self._forces(tau, frames, loads))
+            forces = self._forces(tau, frames, loads)
+            a = self.kinematics.compiled_accelerations(self._rates, forces)
+            if a is None:
+                self._check_closed()
+                a = self.kinematics.accelerations(self._rates, forces)
+            return a
 
         frames, arrays = self._read_wrenches(wrenches)
-        return self._each_closed_member(member, (self._nv,), tau=self._actuator_values(tau, "tau"), **arrays)
+        return self._each_member(member, (self._nv,), tau=self._actuator_values(tau, "tau"), **arrays)
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.
@@ -344,7 +352,7 @@ class LoopState:
 
     @property
     def _nv(self) -> int:
-        return int(self._chain.model.nv)
+        return self.kinematics.zero_velocity.size
 
     @property
     def _rows(self) -> int:
@@ -378,8 +386,8 @@ class LoopState:
 
     def _forces(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
         """Return generalized forces (nv,) of actuators (n,) and of wrenches."""
-        forces = np.zeros(self._nv)
-        np.add.at(forces, self.kinematics.actuated, tau)
+        forces = self.kinematics.zero_velocity.copy()
+        forces[self.kinematics.actuated] = tau
         for frame, load in zip(frames, loads, strict=True):
             forces += self.kinematics.frame_jacobian(frame).T.dot(load)
         return forces

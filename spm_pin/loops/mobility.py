@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -130,19 +129,15 @@ def _moving(model: Any, scaled: FloatArray) -> list[str]:
     return [name for name, j in joints if sizes[j.idx_v : j.idx_v + j.nv].max() > DETERMINED]
 
 
-_REGULAR: WeakKeyDictionary[Any, int] = WeakKeyDictionary()
-"""Degrees of freedom of chains at regular configurations."""
-
-
 def check_regular(chain: Any, kinematics: StateKinematics) -> None:
     """Raise `SingularConfigurationError` at a singularity of the loops, where some velocities lead to no motion."""
     space = kinematics.space
     dof = space.basis.shape[1]
     # If all rows are independent, the configuration is regular.
-    if space.rank == len(kinematics.labels) or dof <= _REGULAR.get(chain, -1):
+    if space.rank == len(kinematics.labels) or dof <= chain.regular_dof:
         return
-    _REGULAR[chain] = min([dof, *(near.shape[1] for near in _nearby(chain, kinematics.q, space.basis))])
-    if dof > _REGULAR[chain]:
+    chain.regular_dof = min([dof, *(near.shape[1] for near in _nearby(chain, kinematics.q, space.basis))])
+    if dof > chain.regular_dof:
         raise SingularConfigurationError("constraint", space.least)
 
 

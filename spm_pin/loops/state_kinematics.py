@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import sys
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -73,17 +74,16 @@ class Drive(NamedTuple):
 class StateKinematics:
     """Residuals, Jacobians and factorisations of a chain at one q, each computed on first use.
 
-    `q` (nq,) are the joint values of the last `evaluate`; `data`, a pinocchio.Data, has the joint placements, Jacobians
-    and frames there, and other algorithms may work in it at the same q. Rows are those of the chain's closures and
+    `q` (nq,) are the joint values of the last `evaluate`. Rows are those of the chain's closures and
     joint equalities, then one for each velocity of joints that are held. `rank` of them are independent; with None, as
     many as seem so at q, which is right in closed loops alone.
     """
 
     def __init__(self, chain: Any) -> None:
         self.model, self.rows, self.actuated = chain.model, chain.rows, chain.actuated_in_v
-        self.data = self.model.createData()
+        self._chain, self._data = chain, self.model.createData()
         self.q, self.zero_velocity = np.zeros(0), np.zeros(self.model.nv)
-        self._values: bytes | None = None
+        self._values, self._has_placements = b"", False
         self.rank: int | None = None
         rows, nv, held = self.rows, self.model.nv, chain.indices_in_v(*chain.held)
         self._held = np.eye(nv)[held]
@@ -103,17 +103,21 @@ class StateKinematics:
                 moved[joint.idx_v : joint.idx_v + joint.nv] = 1.0
 
     def evaluate(self, q: FloatArray) -> None:
-        """Evaluate the kinematics at q (nq,), unless q is unchanged."""
+        """Move to q (nq,); what is known of the same q is kept."""
         values, self.q = q.tobytes(), q
-        if values == self._values:
-            return
-        self._values = None
-        pin.computeJointJacobians(self.model, self.data, q)
-        pin.updateFramePlacements(self.model, self.data)
-        self._values = values
-        known = self.__dict__
-        for name in _CACHED:
-            known.pop(name, None)
+        if values != self._values:
+            self._values, self._has_placements = values, False
+            for name in _CACHED & self.__dict__.keys():
+                del self.__dict__[name]
+
+    @property
+    def data(self) -> Any:
+        """The pinocchio.Data with joint placements, Jacobians and frames; algorithms may work in it at the same q."""
+        if not self._has_placements:
+            pin.computeJointJacobians(self.model, self._data, self.q)
+            pin.updateFramePlacements(self.model, self._data)
+            self._has_placements = True
+        return self._data
 
     @cached_property
     def _placed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -237,6 +241,16 @@ class StateKinematics:
         if missed and missed > COMPATIBLE * (largest(bias / self.row_units) + largest(v / self.units) ** 2):
             raise SingularConfigurationError("constraint", self.space.least)
         return least
+
+    def compiled_accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray | None:
+        """Return the same as `accelerations`, or None: nothing is compiled, or the state is not regular and closed."""
+        kernel = sys.modules.get(f"{__package__}.dynamics_kernel")
+        if kernel is None or not kernel.accelerate.is_loaded:
+            return None
+        accelerations = np.empty(v.size)
+        rank = -1 if self.rank is None else self.rank
+        tree, regular = self._chain.tree, self._chain.regular_dof
+        return accelerations if kernel.accelerate(tree, self.q, v, forces, rank, regular, accelerations) else None
 
     def accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray:
         """Return the joint accelerations (nv,) under generalized forces (nv,), gravity and the closures' forces."""

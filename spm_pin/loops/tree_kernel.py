@@ -36,7 +36,7 @@ inlined: Any = register_jitable(error_model="numpy", forceinline=True)
 
 
 class Tree(NamedTuple):
-    """A `Problem` as arrays; the last ones are written by `aim`."""
+    """A `Problem` as arrays, and the masses of its bodies; the last ones are written by `aim`."""
 
     parents: IntArray
     kinds: IntArray
@@ -47,6 +47,7 @@ class Tree(NamedTuple):
     linear: FloatArray
     angular: FloatArray
     joints: IntArray
+    carriers: IntArray
     units: FloatArray
     ends: IntArray
     scales: FloatArray
@@ -68,6 +69,12 @@ class Tree(NamedTuple):
     row_counts: IntArray
     frame_rotation: FloatArray
     frame_place: FloatArray
+    gravity: FloatArray
+    masses: FloatArray
+    levers: FloatArray
+    inertias: FloatArray
+    armatures: FloatArray
+    held: IntArray
     end_rotations: FloatArray
     end_places: FloatArray
     driven_rates: FloatArray
@@ -79,9 +86,9 @@ class Tree(NamedTuple):
     pose_places: FloatArray
 
 
-def tree_of(problem: Any) -> Tree:
-    """Return a `following.Problem` as arrays."""
-    rows, joints = problem.rows, list(problem.rows.model.joints)[1:]
+def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> Tree:
+    """Return a `following.Problem` as arrays; `held` are velocities that are zero in dynamics."""
+    rows, joints, inertias = problem.rows, list(problem.rows.model.joints)[1:], list(problem.rows.model.inertias)[1:]
     linear, angular = rows.screws
     placements = [rows.model.jointPlacements[joint.id] for joint in joints]
     unknowns = np.full(rows.model.nv, -1)
@@ -105,6 +112,7 @@ def tree_of(problem: Any) -> Tree:
         stacked(linear, 3),
         stacked(angular, 3),
         whole(np.repeat(np.arange(len(joints)), [joint.nv for joint in joints])),
+        whole(rows.model.createData().parents_fromRow),
         stacked(rows.units),
         whole(rows.joints).reshape(-1, 2) - 1,
         stacked(0.25 * rows.loop_lengths),
@@ -126,6 +134,12 @@ def tree_of(problem: Any) -> Tree:
         whole(problem.row_counts),
         stacked(frame.rotation, 9),
         stacked(frame.translation, 3),
+        stacked(rows.model.gravity.linear, 3),
+        stacked([inertia.mass for inertia in inertias]),
+        stacked([inertia.lever for inertia in inertias], 3),
+        stacked([inertia.inertia for inertia in inertias], 9),
+        stacked(rows.model.armature),
+        whole(held),
         stacked([end.rotation for ends in rows.placements for end in ends], 9),
         stacked([end.translation for ends in rows.placements for end in ends], 3),
         np.zeros(rows.model.nv),
@@ -163,16 +177,17 @@ def _borrow(typing, tree):  # type: ignore[no-untyped-def]
     return tree(tree), generate
 
 
-_borrowed: Any = intrinsic(_borrow)
+borrowed: Any = intrinsic(_borrow)
 
 
 @inlined
-def _vector(array, k):  # type: ignore[no-untyped-def]
+def vector(array, k):  # type: ignore[no-untyped-def]
+    """Return the first three numbers of a row."""
     return array[k, 0], array[k, 1], array[k, 2]
 
 
 @inlined
-def _matrix(array, k):  # type: ignore[no-untyped-def]
+def matrix(array, k):  # type: ignore[no-untyped-def]
     """Return a rotation matrix, row by row, of the first nine numbers of a row."""
     m = array
     return m[k, 0], m[k, 1], m[k, 2], m[k, 3], m[k, 4], m[k, 5], m[k, 6], m[k, 7], m[k, 8]
@@ -185,7 +200,8 @@ def _put(matrix, array, k):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _product(a, b):  # type: ignore[no-untyped-def]
+def product(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two rotation matrices."""
     return (
         a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
         a[0] * b[1] + a[1] * b[4] + a[2] * b[7],
@@ -200,12 +216,14 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _transposed(a):  # type: ignore[no-untyped-def]
+def transposed(a):  # type: ignore[no-untyped-def]
+    """Return the transpose of a rotation matrix."""
     return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]
 
 
 @inlined
-def _times(a, x):  # type: ignore[no-untyped-def]
+def times(a, x):  # type: ignore[no-untyped-def]
+    """Return a rotation matrix times a vector."""
     return (
         a[0] * x[0] + a[1] * x[1] + a[2] * x[2],
         a[3] * x[0] + a[4] * x[1] + a[5] * x[2],
@@ -214,17 +232,20 @@ def _times(a, x):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _sum(x, y):  # type: ignore[no-untyped-def]
+def plus(x, y):  # type: ignore[no-untyped-def]
+    """Return the sum of two vectors."""
     return x[0] + y[0], x[1] + y[1], x[2] + y[2]
 
 
 @inlined
-def _scaled(x, k):  # type: ignore[no-untyped-def]
+def scaled(x, k):  # type: ignore[no-untyped-def]
+    """Return a multiple of a vector."""
     return k * x[0], k * x[1], k * x[2]
 
 
 @inlined
-def _norm(x):  # type: ignore[no-untyped-def]
+def length(x):  # type: ignore[no-untyped-def]
+    """Return the length of a vector."""
     return math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
 
 
@@ -262,53 +283,53 @@ def _of_quaternion(x, y, z, w):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _placed(tree, q):  # type: ignore[no-untyped-def]
+def placed(tree, q):  # type: ignore[no-untyped-def]
     """Return rotation matrices (joints, 9) and origins (joints, 3) of the joints' frames in the world."""
     count = len(tree.kinds)
     rotations, origins = np.empty((count, 9)), np.empty((count, 3))
     for joint in range(count):
         kind, at, v, parent = tree.kinds[joint], tree.in_q[joint], tree.in_v[joint], tree.parents[joint]
-        base, place = _matrix(tree.rotations, joint), _vector(tree.places, joint)
+        base, place = matrix(tree.rotations, joint), vector(tree.places, joint)
         if parent >= 0:
-            carrier = _matrix(rotations, parent)
-            place = _sum(_times(carrier, place), _vector(origins, parent))
-            base = _product(carrier, base)
+            carrier = matrix(rotations, parent)
+            place = plus(times(carrier, place), vector(origins, parent))
+            base = product(carrier, base)
         if kind == HINGE:
-            base = _product(base, _about(_vector(tree.angular, v), math.cos(q[at]), math.sin(q[at])))
+            base = product(base, _about(vector(tree.angular, v), math.cos(q[at]), math.sin(q[at])))
         elif kind == SLIDE:
-            place = _sum(place, _times(base, _scaled(_vector(tree.linear, v), q[at])))
+            place = plus(place, times(base, scaled(vector(tree.linear, v), q[at])))
         elif kind == UNBOUNDED:
-            base = _product(base, _about(_vector(tree.angular, v), q[at], q[at + 1]))
+            base = product(base, _about(vector(tree.angular, v), q[at], q[at + 1]))
         elif kind == PLANAR:
-            place = _sum(place, _times(base, (q[at], q[at + 1], 0.0)))
-            base = _product(base, _about((0.0, 0.0, 1.0), q[at + 2], q[at + 3]))
+            place = plus(place, times(base, (q[at], q[at + 1], 0.0)))
+            base = product(base, _about((0.0, 0.0, 1.0), q[at + 2], q[at + 3]))
         else:
             if kind != BALL:
-                place = _sum(place, _times(base, (q[at], q[at + 1], q[at + 2])))
+                place = plus(place, times(base, (q[at], q[at + 1], q[at + 2])))
                 at += 3
             if kind != TRANSLATION:
-                base = _product(base, _of_quaternion(q[at], q[at + 1], q[at + 2], q[at + 3]))
+                base = product(base, _of_quaternion(q[at], q[at + 1], q[at + 2], q[at + 3]))
         _put(base, rotations, joint)
         origins[joint, 0], origins[joint, 1], origins[joint, 2] = place
     return rotations, origins
 
 
 @inlined
-def _axes(tree, rotations, loop, which):  # type: ignore[no-untyped-def]
+def axes_of(tree, rotations, loop, which):  # type: ignore[no-untyped-def]
     """Return the rotation matrix of frame 1 or 2 of a closure in the world."""
-    joint, own = tree.ends[loop, which], _matrix(tree.end_rotations, 2 * loop + which)
-    return _product(_matrix(rotations, joint), own) if joint >= 0 else own
+    joint, own = tree.ends[loop, which], matrix(tree.end_rotations, 2 * loop + which)
+    return product(matrix(rotations, joint), own) if joint >= 0 else own
 
 
 @inlined
-def _point(tree, rotations, origins, loop, which):  # type: ignore[no-untyped-def]
+def point_of(tree, rotations, origins, loop, which):  # type: ignore[no-untyped-def]
     """Return the origin of frame 1 or 2 of a closure in the world."""
-    joint, own = tree.ends[loop, which], _vector(tree.end_places, 2 * loop + which)
-    return _sum(_times(_matrix(rotations, joint), own), _vector(origins, joint)) if joint >= 0 else own
+    joint, own = tree.ends[loop, which], vector(tree.end_places, 2 * loop + which)
+    return plus(times(matrix(rotations, joint), own), vector(origins, joint)) if joint >= 0 else own
 
 
 @inlined
-def _left_side(form, gap, r):  # type: ignore[no-untyped-def]
+def left_side(form, gap, r):  # type: ignore[no-untyped-def]
     """Return the left side of one of the eight equations that a closure can have, by R and R1ᵀ (p2 - p1)."""
     if form == 0:
         return gap[0]
@@ -347,17 +368,17 @@ def _derivative(form, v, w, r):  # type: ignore[no-untyped-def]
 def _aim_pose(tree, s):  # type: ignore[no-untyped-def]
     """Move the pose that is to be reached to its place at a share of the path, as `Problem.place` does."""
     end = 2 * tree.pose
-    rotation = _matrix(tree.pose_rotations, 1)
+    rotation = matrix(tree.pose_rotations, 1)
     for i in range(3):
         tree.end_places[end, i] = tree.pose_places[1, i]
     if s != 1.0:
         angle = tree.pose_turn[0]
-        axis = _scaled((tree.turn[0], tree.turn[1], tree.turn[2]), 1.0 / angle if angle > 0.0 else 0.0)
-        rotation = _product(_about(axis, math.cos(s * angle), math.sin(s * angle)), _matrix(tree.pose_rotations, 0))
+        axis = scaled((tree.turn[0], tree.turn[1], tree.turn[2]), 1.0 / angle if angle > 0.0 else 0.0)
+        rotation = product(_about(axis, math.cos(s * angle), math.sin(s * angle)), matrix(tree.pose_rotations, 0))
         for i in range(3):
             start = tree.pose_places[0, i]
             tree.end_places[end, i] = start + s * (tree.pose_places[1, i] - start)
-    _put(_product(_matrix(tree.frame_rotation, 0), _transposed(rotation)), tree.end_rotations, end + 1)
+    _put(product(matrix(tree.frame_rotation, 0), transposed(rotation)), tree.end_rotations, end + 1)
 
 
 @inlined
@@ -377,15 +398,15 @@ def _equalities(tree, q, c):  # type: ignore[no-untyped-def]
 def _residual(tree, q, s):  # type: ignore[no-untyped-def]
     if tree.pose >= 0:
         _aim_pose(tree, s)
-    rotations, origins = _placed(tree, q)
+    rotations, origins = placed(tree, q)
     c, row = np.empty(len(tree.row_units)), 0
     for loop in range(len(tree.ends)):
-        axes = _transposed(_axes(tree, rotations, loop, 0))
-        r = _product(axes, _axes(tree, rotations, loop, 1))
-        p2 = _point(tree, rotations, origins, loop, 1)
-        gap = _times(axes, _sum(p2, _scaled(_point(tree, rotations, origins, loop, 0), -1.0)))
+        axes = transposed(axes_of(tree, rotations, loop, 0))
+        r = product(axes, axes_of(tree, rotations, loop, 1))
+        p2 = point_of(tree, rotations, origins, loop, 1)
+        gap = times(axes, plus(p2, scaled(point_of(tree, rotations, origins, loop, 0), -1.0)))
         for _ in range(tree.row_counts[loop]):
-            c[row] = _left_side(tree.forms[row], gap, r) / tree.row_units[row]
+            c[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
             row += 1
     _equalities(tree, q, c)
     return c
@@ -395,33 +416,39 @@ def _residual(tree, q, s):  # type: ignore[no-untyped-def]
 def _linearised(tree, q, s):  # type: ignore[no-untyped-def]
     if tree.pose >= 0:
         _aim_pose(tree, s)
-    rotations, origins = _placed(tree, q)
+    rotations, origins = placed(tree, q)
+    return linearised_at(tree, q, rotations, origins)
+
+
+@jit
+def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
+    """Return c (m,), J (m, p), and speeds and turns (closures, nv) of joints that are placed."""
     nv, loops = len(tree.units), len(tree.ends)
     c, jacobian = np.empty(len(tree.row_units)), np.zeros((len(tree.row_units), len(tree.columns)))
     speeds, turns = np.zeros((loops, nv)), np.zeros((loops, nv))
     start = 0
     for loop in range(loops):
-        axes = _transposed(_axes(tree, rotations, loop, 0))
-        r = _product(axes, _axes(tree, rotations, loop, 1))
-        p2 = _point(tree, rotations, origins, loop, 1)
-        gap = _times(axes, _sum(p2, _scaled(_point(tree, rotations, origins, loop, 0), -1.0)))
+        axes = transposed(axes_of(tree, rotations, loop, 0))
+        r = product(axes, axes_of(tree, rotations, loop, 1))
+        p2 = point_of(tree, rotations, origins, loop, 1)
+        gap = times(axes, plus(p2, scaled(point_of(tree, rotations, origins, loop, 0), -1.0)))
         end = start + tree.row_counts[loop]
         for row in range(start, end):
-            c[row] = _left_side(tree.forms[row], gap, r) / tree.row_units[row]
+            c[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
         for k in range(tree.first_columns[loop], tree.first_columns[loop + 1]):
             column = tree.loop_columns[k]
             joint = tree.joints[column]
             scale = tree.loop_signs[k] * tree.units[column]
-            own = _product(axes, _matrix(rotations, joint))
-            w = _times(own, _scaled(_vector(tree.angular, column), scale))
-            arm = _times(axes, (p2[0] - origins[joint, 0], p2[1] - origins[joint, 1], p2[2] - origins[joint, 2]))
-            v = _times(own, _scaled(_vector(tree.linear, column), scale))
+            own = product(axes, matrix(rotations, joint))
+            w = times(own, scaled(vector(tree.angular, column), scale))
+            arm = times(axes, (p2[0] - origins[joint, 0], p2[1] - origins[joint, 1], p2[2] - origins[joint, 2]))
+            v = times(own, scaled(vector(tree.linear, column), scale))
             v = (
                 v[0] + w[1] * arm[2] - w[2] * arm[1],
                 v[1] + w[2] * arm[0] - w[0] * arm[2],
                 v[2] + w[0] * arm[1] - w[1] * arm[0],
             )
-            speeds[loop, column], turns[loop, column] = _norm(v) / tree.scales[loop], _norm(w)
+            speeds[loop, column], turns[loop, column] = length(v) / tree.scales[loop], length(w)
             unknown = tree.unknowns[column]
             if unknown >= 0:
                 for row in range(start, end):
@@ -486,7 +513,7 @@ def _moved(tree, q, s, x):  # type: ignore[no-untyped-def]
         else:
             _turn_quaternion(q, at + 3, 0.5 * step[v + 3 : v + 6])
             own = _of_quaternion(q[at + 3], q[at + 4], q[at + 5], q[at + 6])
-            move = _times(own, (step[v], step[v + 1], step[v + 2]))
+            move = times(own, (step[v], step[v + 1], step[v + 2]))
             for i in range(3):
                 q[at + i] += move[i]
             _turn_quaternion(q, at + 3, 0.5 * step[v + 3 : v + 6])
@@ -565,7 +592,7 @@ def _rotation_vector(r, vector):  # type: ignore[no-untyped-def]
         q[j], q[k] = r[3 * i + j] + r[3 * j + i], r[3 * i + k] + r[3 * k + i]
     if q[3] < 0.0:
         q *= -1.0
-    size = _norm(q)
+    size = length(q)
     scale = 2.0 / q[3] if size < 1e-12 * q[3] else 2.0 * math.atan2(size, q[3]) / size
     for k in range(3):
         vector[k] = scale * q[k]
@@ -580,19 +607,19 @@ def _aim(tree, q, target):  # type: ignore[no-untyped-def]
             column = tree.driven_in_v[k]
             tree.driven_rates[column] = (target[k] - q[tree.driven[k]]) / tree.units[column]
         return
-    rotations, origins = _placed(tree, q)
+    rotations, origins = placed(tree, q)
     joint = tree.ends[tree.pose, 1]
-    carrier = _matrix(rotations, joint)
-    start = _product(carrier, _matrix(tree.frame_rotation, 0))
-    place = _sum(_times(carrier, _vector(tree.frame_place, 0)), _vector(origins, joint))
+    carrier = matrix(rotations, joint)
+    start = product(carrier, matrix(tree.frame_rotation, 0))
+    place = plus(times(carrier, vector(tree.frame_place, 0)), vector(origins, joint))
     _put(start, tree.pose_rotations, 0)
     tree.pose_places[0, 0], tree.pose_places[0, 1], tree.pose_places[0, 2] = place
     for i in range(3):
         for j in range(3):
             tree.pose_rotations[1, 3 * i + j] = target[4 * i + j]
         tree.pose_places[1, i] = target[4 * i + 3]
-    _rotation_vector(_product(_matrix(tree.pose_rotations, 1), _transposed(start)), tree.turn)
-    tree.pose_turn[0] = _norm(tree.turn)
+    _rotation_vector(product(matrix(tree.pose_rotations, 1), transposed(start)), tree.turn)
+    tree.pose_turn[0] = length(tree.turn)
 
 
 _follow, _go_on = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, _matrix_times, jit)
@@ -600,7 +627,7 @@ _follow, _go_on = continuation.make_follower(_residual, _linearised, _moved, _le
 
 def _run(trees, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
     """Write q of all targets; return the number of those reached, and the status, share and steps of the last path."""
-    tree = _borrowed(trees[0])
+    tree = borrowed(trees[0])
     q, status, done, steps = starts[0], continuation.DONE, 1.0, 0
     jacobian = np.empty((0, 0))
     inverse = jacobian
@@ -629,21 +656,23 @@ class _Announcement(event.Listener):
 
     def on_start(self, event: Any) -> None:
         if not self._announced:
-            _LOG.warning("spm_pin: compiling the paths of closed chains for this machine, once (about 20 s)")
+            _LOG.warning("spm_pin: compiling the loops of closed chains for this machine, once (about half a minute)")
         self._announced = True
 
     def on_end(self, event: Any) -> None:
         pass
 
 
-class _Kernel:
-    """The compiled `_run`, made or loaded from Numba's cache at its first call."""
+class Kernel:
+    """A compiled function, made or loaded from Numba's cache at its first call."""
 
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._compiled: Callable[..., tuple[int, int, float, int]] | None = None
+    def __init__(self, function: Callable[..., Any], *modules: str) -> None:
+        """`modules` are the files that the function is compiled from."""
+        self._function, self._modules, self._lock = function, modules, threading.Lock()
+        self._compiled: Callable[..., Any] | None = None
 
-    def __call__(self, *arguments: Any) -> tuple[int, int, float, int]:
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the compiled function."""
         return (self._compiled or self._compile(arguments))(*arguments)
 
     @property
@@ -651,21 +680,23 @@ class _Kernel:
         """Whether a call starts at once."""
         return self._compiled is not None
 
-    def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., tuple[int, int, float, int]]:
+    def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         with self._lock:
             if self._compiled is None:
-                # Numba's cache looks at this file alone: the name that is kept has a digest of all that is compiled.
-                sources = [Path(str(module)).read_bytes() for module in (__file__, continuation.__file__)]
-                _run.__qualname__ = f"_run_{hashlib.sha256(b''.join(sources)).hexdigest()[:16]}"
+                # Numba's cache looks at one file alone: the name that is kept has a digest of all that is compiled.
+                digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()
+                self._function.__qualname__ = f"{self._function.__name__}_{digest[:16]}"
                 signature = tuple(map(numba.typeof, arguments))
+                compiled: Any
                 try:
                     with event.install_listener("numba:compile", _Announcement()):
-                        compiled = numba.njit(signature, error_model="numpy", nogil=True, cache=True)(_run)
+                        compiled = numba.njit(signature, error_model="numpy", nogil=True, cache=True)(self._function)
                 except Exception as error:  # nowhere to keep it, or a damaged file, which may raise anything
                     _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
-                    compiled = numba.njit(signature, error_model="numpy", nogil=True)(_run)
-                self._compiled = compiled
+                    compiled = numba.njit(signature, error_model="numpy", nogil=True)(self._function)
+                # The function behind the dispatcher, which looks for the types of all arguments in a microsecond.
+                self._compiled = next(iter(compiled.overloads.values())).entry_point
             return self._compiled
 
 
-run = _Kernel()
+run = Kernel(_run, __file__, str(continuation.__file__))

@@ -324,3 +324,23 @@ def test_mujoco_accelerates_alike() -> None:
         assert np.abs(a - expected).max() <= 1e-9 * np.abs(a).max()
         assert np.abs(a - data.qacc[places]).max() <= 2e-3 * np.abs(a).max()
         assert chain.mobility(q).undriven == ("left_ball", "right_ball")
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_compiled_accelerations_are_the_interpreted_ones(name: str) -> None:
+    """The same equations by Pinocchio and LAPACK; open loops and velocities that open them are left to these."""
+    chain, rng = mechanism(name), np.random.default_rng(9)
+    chain.compile()
+    for q, v in states(name):
+        forces = generalized(chain, q, *forces_of(chain, rng))
+        state = chain.state(q, v)
+        state.forward_dynamics(np.zeros(len(chain.actuated)))
+        expected = state.kinematics.accelerations(v, forces)
+        a = state.kinematics.compiled_accelerations(v, forces)
+        assert a is not None
+        assert np.abs(a - expected).max() <= 1e-12 * np.abs(expected).max()
+        moved = pin.integrate(chain.model, q, 0.1 * chain.rows.units)
+        assert chain.state(moved, v).kinematics.compiled_accelerations(v, forces) is None
+    q, v = states(name)[0]
+    opens = chain.state(q).kinematics.compiled_accelerations(rng.normal(size=chain.model.nv), np.zeros(chain.model.nv))
+    assert opens is None
