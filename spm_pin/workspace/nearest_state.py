@@ -21,9 +21,14 @@ _RIM = 1e-9
 """Least of 1 - x² - y² of a stage."""
 _FAR = 1e6
 """The objective where there is no state."""
-_COARSE, _FINE, _POLISHED = {"maxiter": 10, "ftol": 1e-6}, {"maxiter": 200, "ftol": 1e-16}, 2
-"""Steps of a search at most, and the change of half the squared distance over the machine's size squared at its end;
-and how many of the nearest ends of coarse searches are finished."""
+_ROUNDS, _FINE = ((10, 12), (15, 4)), {"maxiter": 200, "ftol": 1e-16}
+"""Steps of each search in a round at most, and how many ends are left after it; and of the last one, with the change of
+half the squared distance over the machine's size squared at its end."""
+_COARSE = 1e-6
+"""This change at the end of the searches before the last."""
+_VIOLATED, _SAME = 0.1, 0.05
+"""What an end beyond its limits counts per unit, beside the objective; and the distance in the coordinates within which
+ends are one."""
 _ROUNDING = 1e-9
 """By how much a result may be beyond its limits, over the machine's size, and is moved to them."""
 
@@ -34,12 +39,16 @@ def nearest_state(states: StateSet, target: FloatArray, starts: FloatArray, body
     The searches begin at `starts` (M, 2, 3), states within the limits; the first of them where none ends there.
     """
     problem = _Problem(states, target, body)
-    coarse = [problem.search(start.ravel(), _COARSE) for start in starts]
-    # Searches that end at one place are one.
-    ends = sorted({(round(float(end.fun), 9), *end.x.tolist()) for end in coarse})
+    places = [start.ravel() for start in starts]
+    for steps, count in _ROUNDS:
+        ends = sorted((problem.coarse_end(place, steps) for place in places), key=lambda end: end[0])
+        places = []
+        for _, place in ends:
+            if len(places) < count and all(np.abs(place - other).max() > _SAME for other in places):
+                places.append(place)
     best, least = np.asarray(starts[0]), np.inf
-    for _, *place in ends[:_POLISHED]:
-        found = problem.search(np.array(place), _FINE)
+    for place in places:
+        found = problem.search(place, _FINE)
         distance = problem.objective(found.x)[0]
         if distance < least and problem.is_state(found.x):
             best, least = np.array(found.x).reshape(2, 3), distance
@@ -71,6 +80,11 @@ class _Problem:
         # Not at the top: it takes longer to import than all else that a command needs.
         minimize: Any = import_module("scipy.optimize").minimize
         return minimize(self.objective, start, jac=True, method="SLSQP", constraints=room, options=options)
+
+    def coarse_end(self, start: FloatArray, steps: int) -> tuple[float, FloatArray]:
+        """Return how good the end of a search of a few steps is, the less the better, and where it is (6,)."""
+        end = self.search(start, {"maxiter": steps, "ftol": _COARSE})
+        return float(end.fun) + _VIOLATED * max(0.0, -float(self.room(end.x).min())), end.x
 
     def is_state(self, x: FloatArray) -> bool:
         """Return whether x (6,) is a state of the set: within its limits, and both stages in their aspects."""
