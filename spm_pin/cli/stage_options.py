@@ -127,8 +127,9 @@ def _read_stage(typed: Typed, arguments: Typed, *, required: bool) -> Stage | No
         kind = _read_kind(typed, lengths)
         with options.warnings_as_notes("--unit: "):
             stage = Stage(lengths["base"], lengths["platform"], kind)  # type: ignore[arg-type]
-        readings = Readings(stage, unit)
-        limits = None if typed["limits"] is None else readings.read_limits("--limits", *typed["limits"])
+        if typed["limits"] is None:
+            return stage
+        limits = Readings(stage, unit).read_limits("--limits", *typed["limits"])
         return Stage(stage.base_radius, stage.platform_radius, stage.legs, limits)
     except GeometryError as error:
         raise error.replaced(argument=named.get(error.argument, f"--{error.argument}")) from error

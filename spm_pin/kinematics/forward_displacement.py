@@ -170,6 +170,20 @@ def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Config
     return state
 
 
+def states_of_stages(machine: Manipulator, readings: FloatArray) -> tuple[Configuration, tuple[int, int]]:
+    """Return the physical states of lower and of upper stages with readings (N, 6), put together in any pairs.
+
+    Where only one stage has a state it counts too. Returned are states (n,), and how many differ in each stage: the
+    first n of the lower and m of the upper stage, after which they repeat; no states if a stage has none.
+    """
+    balls = physical_balls(machine.legs, readings)
+    halves = [balls[np.isfinite(balls[:, k, 0, 0]), k] for k in range(2)]
+    first, second = map(len, halves)
+    pairs = np.arange(max(first, second) if first and second else 0)
+    joined = np.stack([half[pairs % max(len(half), 1)] for half in halves], axis=1)
+    return _joined(machine, pairs.shape, joined), (first, second)
+
+
 def starting_configuration(machine: Manipulator) -> Configuration:
     """Return a regular configuration of the manipulator: the paper's solution 3, in proportion to the home lengths."""
     _, places = homes(machine)

@@ -267,8 +267,8 @@ class ClosedChain:
     def compile(self) -> None:
         """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        Batches of `forward` and `inverse` do so by themselves. A control loop calls this before it starts: its single calls never wait for the
-        compiler, and take a millisecond, instead of some ten microseconds, as long as nothing is compiled.
+        Batches of `forward` and `inverse` do so by themselves. A control loop calls this before it starts: its single
+        calls never wait for the compiler, and before compiling take a millisecond instead of some ten microseconds.
         """
         from spm_pin.loops.dynamics_kernel import accelerate
 

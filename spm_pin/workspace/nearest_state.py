@@ -21,9 +21,14 @@ _RIM = 1e-9
 """Smallest 1 - x² - y² of a stage."""
 _FAR = 1e6
 """The objective for missing states."""
-_COARSE, _FINE, _POLISHED = {"maxiter": 10, "ftol": 1e-6}, {"maxiter": 200, "ftol": 1e-16}, 2
-"""Largest number of steps of a search, and tolerance of half the squared distance over the machine's size squared;
-and the number of the nearest ends of coarse searches that are refined."""
+_ROUNDS, _FINE = ((10, 12), (15, 4)), {"maxiter": 200, "ftol": 1e-16}
+"""Largest number of steps of each search in a round, and number of ends kept after it; and the same for the last search,
+with the tolerance of half the squared distance over the machine's size squared."""
+_COARSE = 1e-6
+"""This tolerance in the searches before the last."""
+_VIOLATED, _SAME = 0.1, 0.05
+"""Weight of the excess over the limits beside the objective; and the distance in the coordinates below which two ends
+are considered the same."""
 _ROUNDING = 1e-9
 """Largest excess of a result beyond its limits, relative to the machine's size, that is moved to them."""
 
@@ -34,12 +39,16 @@ def nearest_state(states: StateSet, target: FloatArray, starts: FloatArray, body
     The searches begin at `starts` (M, 2, 3), states within the limits; the first of them is the result if all fail.
     """
     problem = _Problem(states, target, body)
-    coarse = [problem.search(start.ravel(), _COARSE) for start in starts]
-    # Searches that end at one point count once.
-    ends = sorted({(round(float(end.fun), 9), *end.x.tolist()) for end in coarse})
+    places = [start.ravel() for start in starts]
+    for steps, count in _ROUNDS:
+        ends = sorted((problem.coarse_end(place, steps) for place in places), key=lambda end: end[0])
+        places = []
+        for _, place in ends:
+            if len(places) < count and all(np.abs(place - other).max() > _SAME for other in places):
+                places.append(place)
     best, least = np.asarray(starts[0]), np.inf
-    for _, *place in ends[:_POLISHED]:
-        found = problem.search(np.array(place), _FINE)
+    for place in places:
+        found = problem.search(place, _FINE)
         distance = problem.objective(found.x)[0]
         if distance < least and problem.is_state(found.x):
             best, least = np.array(found.x).reshape(2, 3), distance
@@ -71,6 +80,11 @@ class _Problem:
         # Not at the top: SciPy's optimisers take longer to import than the rest of a command.
         minimize: Any = import_module("scipy.optimize").minimize
         return minimize(self.objective, start, jac=True, method="SLSQP", constraints=room, options=options)
+
+    def coarse_end(self, start: FloatArray, steps: int) -> tuple[float, FloatArray]:
+        """Return how good the end of a search of a few steps is, the less the better, and where it is (6,)."""
+        end = self.search(start, {"maxiter": steps, "ftol": _COARSE})
+        return float(end.fun) + _VIOLATED * max(0.0, -float(self.room(end.x).min())), end.x
 
     def is_state(self, x: FloatArray) -> bool:
         """Return whether x (6,) is a state of the set: within its limits, and both stages in their aspects."""

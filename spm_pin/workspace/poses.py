@@ -54,8 +54,8 @@ _PAIRS = {n: np.array([(i, j) for i in range(n) for j in range(i + 1, n) if j !=
 """Pairs of the legs of a stage, or of a manipulator, that have no joint in common, by their indices."""
 _ANGLES = {"hip": "passive"} | {name: name for name in ("ball_x", "ball_y", "ball_z")}
 """Names of the limits of angles, and of the angles."""
-_CANDIDATES, _STARTS = 100, 12
-"""States of few whose platform joints are nearest to the target's, and how many unlike ones of them are starts."""
+_STARTS = 32
+"""How many unlike states of few are starts: the one whose platform joints are nearest to the target's, and others."""
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
 _FREE_SAMPLE, _FREE_STARTS, _SEED = 4096, 32, 20_140_131
@@ -390,8 +390,8 @@ def _nearest_within(
         pairs, places = states.pairs_of_few(joints)
         ends = []
         for target in targets:
-            nearest = np.argsort(((places - target) ** 2).sum(axis=-1))[:_CANDIDATES]
-            ends.append(nearest_state(states, target, _unlike(pairs[nearest], _STARTS), joints))
+            order = np.argsort(((places - target) ** 2).sum(axis=-1))
+            ends.append(nearest_state(states, target, _unlike(pairs[order], _STARTS), joints))
         return states.states(np.array(ends).reshape(-1, 2, 3))
     states, start = states_around(near, limits)
     result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)

@@ -17,7 +17,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.formulas.leg_constants import TANGENT_SIGNS
 from spm_pin.formulas.stages import ANY_ASPECT, HOME_ASPECT
 from spm_pin.kinematics.batches import run_kernel
-from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.forward_displacement import states_of_stages
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator
 from spm_pin.machine.branch_of_state import FAMILIES, family, physical, stage_coordinates
@@ -41,8 +41,9 @@ _UPWARD = np.array([1.0, -1.0])
 """Sign of Z at home of each stage."""
 _SAMPLE, _SEED = 20_000, 20_140_131
 """Number of states in `StateSet.sample`, and the seed of the samples, fixed so that results repeat."""
-_FEW, _FEWEST = 48, 6
-"""Sets of readings tried for `StateSet.few`, few enough not to compile kernels for, and how many have to exist."""
+_TRIED, _FEW, _FEWEST = 48, 22, 6
+"""Sets of readings tried for `StateSet.few`, few enough not to compile kernels for, how many states of a stage are kept
+at most, and how many must exist."""
 _MIN_BATCH = 4096
 """Stages that are worth a thread."""
 _BOXES, _HALVINGS = 20_000, 12
@@ -315,15 +316,16 @@ class StateSet:
 
         The legs of one stage say nothing about the other stage's: each stage is drawn by itself.
         """
-        readings = rng.uniform(self.minimum, self.maximum, (count, 6))
-        halves = []
-        for stage in range(2):
-            legs = np.tile(self.readings(self.sample[:1]), (count, 1))
-            legs[:, 3 * stage : 3 * stage + 3] = readings[:, 3 * stage : 3 * stage + 3]
-            states = forward_physical(self.machine, legs)
-            halves.append(self.coordinates(states[states.exists])[:, stage])
-        number = min(map(len, halves))
-        return np.stack([half[:number] for half in halves], axis=1)
+        lower, upper = self._stages_in_readings(count, rng)
+        number = min(len(lower), len(upper))
+        return np.stack([lower[:number], upper[:number]], axis=1)
+
+    def _stages_in_readings(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Draw `count` sets of readings; return coordinates of the lower stages (n, 3) and upper ones that exist."""
+        drawn = rng.uniform(self.minimum, self.maximum, (count, 6))
+        states, (first, second) = states_of_stages(self.machine, drawn)
+        coordinates = self.coordinates(states)
+        return coordinates[:first, 0], coordinates[:second, 1]
 
     @cached_property
     def few(self) -> tuple[FloatArray, FloatArray]:
@@ -332,11 +334,10 @@ class StateSet:
         Each state of the lower stage is combined with each of the upper one. None if the set is empty.
         """
         rng = np.random.default_rng(_SEED)
-        drawn = forward_physical(self.machine, rng.uniform(self.minimum, self.maximum, (_FEW, 6)))
-        if np.count_nonzero(drawn.exists) >= _FEWEST:
-            lower, upper = np.moveaxis(self.coordinates(drawn[drawn.exists]), 1, 0)
-        else:
+        lower, upper = self._stages_in_readings(_TRIED, rng)
+        if min(len(lower), len(upper)) < _FEWEST:
             lower, upper = (self.draw_stages(stage, _FEW, rng)[0] for stage in range(2))
+        lower, upper = lower[:_FEW], upper[:_FEW]
         return lower, upper
 
     def pairs_of_few(self, body: FloatArray) -> tuple[FloatArray, FloatArray]:

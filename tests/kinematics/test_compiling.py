@@ -200,11 +200,11 @@ def package(tmp_path: Path) -> Path:
     return tmp_path / "site"
 
 
-def start(package: Path, **environment: object) -> subprocess.Popen[str]:
+def start(package: Path, program: str = SOLVE, **environment: object) -> subprocess.Popen[str]:
     kept = {key: value for key, value in os.environ.items() if not key.startswith(("NUMBA", "XDG"))}
     kept |= {"PYTHONPATH": str(package), "PYTHONDONTWRITEBYTECODE": "1", ENVIRONMENT: "compiled"}
     kept |= {key: str(value) for key, value in environment.items()}
-    command = [sys.executable, "-c", SOLVE]
+    command = [sys.executable, "-c", program]
     pipe = subprocess.PIPE
     return subprocess.Popen(command, env=kept, cwd=package, text=True, stdout=pipe, stderr=pipe)
 
@@ -238,6 +238,31 @@ def test_a_kernel_is_compiled_once_for_all_processes_until_a_formula_changes(pac
     first, *others = ANSWER[0]
     changed = (2.0 * np.array(first) - NUMBERS[0, 0]).tolist()
     assert out.strip() == str([[changed, *others]])
+
+
+INTERRUPTED = """
+import _thread, numpy as np
+from numba.core import event
+from spm_pin.kinematics.kernels.ball_circles import circle_centres
+class Interrupting(event.Listener):
+    def on_start(self, event): _thread.interrupt_main()
+    def on_end(self, event): pass
+numbers = np.arange(27.0).reshape(3, 3, 3) ** 2
+points = np.empty((1, 3, 3))
+try:
+    with event.install_listener("numba:compile", Interrupting()):
+        circle_centres(numbers[0, :1], numbers[0, 1:2], numbers[0], numbers[1:], points)
+except KeyboardInterrupt:
+    assert circle_centres._compiled is None
+else:
+    raise AssertionError("not interrupted")
+"""
+
+
+def test_a_kernel_whose_compiling_is_interrupted_is_compiled_by_the_next_call(package: Path, tmp_path: Path) -> None:
+    process = start(package, program=INTERRUPTED + SOLVE, NUMBA_CACHE_DIR=tmp_path / "cache")
+    assert has_compiled(process)
+    assert not has_compiled(start(package, NUMBA_CACHE_DIR=tmp_path / "cache"))
 
 
 @pytest.mark.parametrize("method", [m for m in ("fork", "spawn") if m in multiprocessing.get_all_start_methods()])
