@@ -216,6 +216,7 @@ def determinants(configuration: Configuration | StageConfiguration) -> FloatArra
     the determinant of v_x, v_y and ω_z in the equations of the legs' planes [m]. NaN for a member that does not exist,
     or for a leg without length.
     """
+    check_state(configuration)
     if isinstance(configuration, StageConfiguration):
         return stage_rates.determinants(configuration) * configuration.stage.platform_radius ** np.array([3, 1])
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants

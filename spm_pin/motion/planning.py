@@ -170,7 +170,7 @@ def plan(
             raise UnreachableError(name, "a state that keeps the rules of the plan", broken)
     for (before, first), (name, state) in pairwise(zip(names, states, strict=True)):
         if np.linalg.norm(state.readings - first.readings) <= 1e-12 * machine.ball_side:
-            raise ArgumentError(name, f"another state than {before}", "the same: a motion of no length")
+            raise ArgumentError(name, f"another state than {before}", "the same state")
     if line == "poses":
         return _along_poses(rules, states, certificate)
     places = [state.readings for state in states]

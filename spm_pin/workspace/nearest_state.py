@@ -22,8 +22,8 @@ _RIM = 1e-9
 _FAR = 1e6
 """The objective for missing states."""
 _ROUNDS, _FINE = ((10, 12), (15, 4)), {"maxiter": 200, "ftol": 1e-16}
-"""Largest number of steps of each search in a round, and number of ends kept after it; and the same for the last search,
-with the tolerance of half the squared distance over the machine's size squared."""
+"""Largest number of steps of each search in a round, and number of ends kept after it; and the same for the last
+search, with the tolerance of half the squared distance over the machine's size squared."""
 _COARSE = 1e-6
 """This tolerance in the searches before the last."""
 _VIOLATED, _SAME = 0.1, 0.05
