@@ -24,6 +24,7 @@ from spm_pin.loops.forward_simulation import LoopMotion, simulate
 from spm_pin.loops.links import find_frame
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.mobility import Mobility, mobility
+from spm_pin.loops.state_kinematics import read_vectors
 from spm_pin.support.arguments import (
     FloatArray,
     IntArray,
@@ -209,7 +210,7 @@ class ClosedChain:
         ClosureError
             The loops do not close from the guess. The error has the largest gap, its loop, and the likely cause.
         """
-        q = self._read_q(self.q0 if q_guess is None else q_guess, "q_guess", single=True)
+        q = self._read_q(self.q0 if q_guess is None else q_guess, "q_guess", single=True).copy()
         free = np.setdiff1d(np.flatnonzero(self.rows.concerns()), self._held_in_v)
         return assemble(LoopKinematics(self.rows), q, free)
 
@@ -229,7 +230,7 @@ class ClosedChain:
         ArgumentError
             The actuated joints do not determine the others, or are more than the degrees of freedom.
         """
-        targets = real_array(values, "values", (len(self.actuated),), "of the actuated joints in rad and m")
+        targets = read_vectors(values, "values", len(self.actuated), "of the actuated joints in rad and m")
         return self._follow(self._follower(None, ()), targets, 1, near, "values")
 
     def inverse(
@@ -303,10 +304,11 @@ class ClosedChain:
 
     def _read_q(self, q: npt.ArrayLike, argument: str, *, single: bool = False) -> FloatArray:
         meaning = "joint values in rad and m in Pinocchio's order"
-        array = real_array(q, argument, (self.model.nq,), meaning)
+        array = read_vectors(q, argument, self.model.nq, meaning)
         if single and array.ndim != 1:
             raise ArgumentError(argument, f"shape ({self.model.nq},), {meaning}", f"shape {array.shape}")
-        if not pin.isNormalized(self.model, array, 1e-6) if array.ndim == 1 else False:
+        is_flat = self.model.nq == self.model.nv
+        if not (is_flat or array.ndim > 1 or pin.isNormalized(self.model, array, 1e-6)):
             raise ArgumentError(
                 argument,
                 "quaternions of unit length",
@@ -327,6 +329,8 @@ class ClosedChain:
         self, follower: Follower, targets: FloatArray, axes: int, near: npt.ArrayLike | None, argument: str
     ) -> FloatArray:
         starts = self.close() if near is None else self._read_q(near, "near")
+        if starts.ndim == 1 and targets.ndim == axes:
+            return follower.run(starts, targets[None], True).reshape(-1)
         batch, is_path = targets.shape[: targets.ndim - axes], starts.ndim == 1
         if not is_path:
             batch = broadcastable(argument, batch, "near", starts.shape[:-1])

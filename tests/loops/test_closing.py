@@ -102,3 +102,12 @@ def test_quaternions_have_unit_length() -> None:
     with pytest.raises(ArgumentError) as caught:
         chain.close(chain.q0 * 2.0)
     assert "unit length" in caught.value.expected
+
+
+def test_a_result_is_an_array_of_its_own() -> None:
+    """A guess that is closed already, and the default one, are not handed out."""
+    chain = four_bar()
+    q = chain.close()
+    again = chain.close(q)
+    assert q.flags.writeable
+    assert not np.shares_memory(again, q)
