@@ -19,8 +19,7 @@ from PIL import Image
 
 import spm_pin as spm
 from spm_pin.description.visuals import section_size
-from spm_pin.display.rendering import Colour, Solid, arrow, bounds, camera_axes, render, robot_solids
-from spm_pin.support.notebook import VIEW
+from spm_pin.display.rendering import VIEW, Colour, Solid, arrow, bounds, camera_axes, render, robot_solids
 
 FRAMES, SECONDS = 36, 4.0
 WIDTH, HEIGHT, DPI = 1200, 700, 100

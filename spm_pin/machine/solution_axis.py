@@ -217,11 +217,11 @@ class Solutions(ABC, Generic[S]):
         candidates = self.is_physical
         if near is not None:
             return self._nearest(near, candidates)
-        score = self.preference(candidates)
+        score = self._preference(candidates)
         return self.pick(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
 
     @abstractmethod
-    def preference(self, candidates: BoolArray) -> FloatArray:
+    def _preference(self, candidates: BoolArray) -> FloatArray:
         """Return a score for each solution (..., n), the largest for the chosen one; -inf for no candidate."""
 
     def one(self) -> S:

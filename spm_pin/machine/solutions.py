@@ -194,7 +194,7 @@ class SolutionSet(Solutions[Configuration]):
         inside[..., some] &= limits.contains(self.configurations[..., some].readings)
         return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
 
-    def preference(self, candidates: BoolArray) -> FloatArray:
+    def _preference(self, candidates: BoolArray) -> FloatArray:
         """Prefer, of two solutions on either side of an inverse singularity, the one with less tilted stages."""
         score = np.where(candidates, 0.0, -np.inf)
         several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)

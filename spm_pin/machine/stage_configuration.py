@@ -219,7 +219,7 @@ class StageSolutions(Solutions[StageConfiguration]):
         """True for solutions reached from the level platform without a forward singularity, shape (..., n)."""
         return self.configurations.is_at_home
 
-    def preference(self, candidates: BoolArray) -> FloatArray:
+    def _preference(self, candidates: BoolArray) -> FloatArray:
         """Prefer the one that tilts least."""
         return np.where(candidates, np.cos(self.configurations.tilt), -math.inf)
 

@@ -191,7 +191,7 @@ class Reachability:
     @property
     def branch(self) -> IntArray:
         """Place among the labels of the allowed branch that tilts least, shape (...); -1 where there is none."""
-        score = self.branches.preference(self.allowed)
+        score = self.branches._preference(self.allowed)
         return np.where(self.allowed.any(axis=-1), score.argmax(axis=-1), -1).astype(np.intp)
 
     @property

@@ -15,12 +15,11 @@ from spm_pin.crosscheck.paper.jacobian import Table5Mistakes
 from spm_pin.design import DesignProblem, Designs, Front
 from spm_pin.display import reach_figure, stage_figure
 from spm_pin.display.figures import agreement_figure, certificate_figure, front_figure, motion_figure, path_figure
-from spm_pin.display.rendering import camera_axes
+from spm_pin.display.rendering import VIEW, camera_axes
 from spm_pin.display.writing import new_figure, save_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.motion import plan, time_optimal
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.support.notebook import VIEW
 
 GEOMETRY = spm.Manipulator.paper()
 

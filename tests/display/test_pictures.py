@@ -23,9 +23,8 @@ from spm_pin.description.robot import read_robot
 from spm_pin.description.tree import joint_values
 from spm_pin.description.visuals import part_placements, read_obj, section_size, visual_parts
 from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
-from spm_pin.display.rendering import AXIS_COLOURS, TRIAD, camera_axes, robot_solids
+from spm_pin.display.rendering import AXIS_COLOURS, TRIAD, VIEW, camera_axes, robot_solids
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.support.notebook import VIEW
 
 PAPER = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))

@@ -121,7 +121,7 @@ def test_arguments_that_are_no_shell_or_axes_are_refused() -> None:
         sections_figure(SHELL.mesh, np.empty((0, 3)), np.empty(0, np.int8))  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, match="two-dimensional"):
         draw_shell(SHELL, ax=Figure().add_subplot(projection="3d"))
-    with pytest.raises(ArgumentError, match=r"a plane through the shell, got Z = 210 m\. Metres"):
+    with pytest.raises(ArgumentError, match=r"a plane through the shell, got Z = 210 m\. Is it in metres"):
         drawn(Plane.level(210.0))
 
 

@@ -236,13 +236,10 @@ def test_the_robot_of_two_stages_is_one_on_the_other_turned_over(machine: str) -
     np.testing.assert_allclose(state.pose.as_matrix(), expected, rtol=0, atol=1e-13)
 
 
-def test_what_takes_robots_alone_says_where_a_stage_s_own_is() -> None:
-    with pytest.raises(
-        spm.ArgumentError, match=r"machine: expected a Manipulator, got Stage\. .*Manipulator\.of_stages"
-    ):
-        spm.certify(BALANCER)  # type: ignore[arg-type]
-    with pytest.raises(spm.ArgumentError, match=r"got StageConfiguration. .* spm_pin\.stages"):
-        spm.singularities(spm.stages.inverse_physical(BALANCER, 0.12))  # type: ignore[arg-type]
+def test_what_takes_manipulators_alone_says_where_a_stage_s_own_is() -> None:
+    with pytest.raises(spm.ArgumentError, match=r"Manipulator\.of_stages") as refused:
+        spm.workspace.sample_reachable(BALANCER, 10)  # type: ignore[arg-type]
+    assert (refused.value.argument, refused.value.received) == ("machine", "Stage")
 
 
 def test_the_upper_stage_keeps_its_limits() -> None:

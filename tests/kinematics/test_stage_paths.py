@@ -35,7 +35,6 @@ def test_a_tilt_meets_the_limit_and_the_leg_s_end_where_the_reach_has_them() -> 
     assert "whose actuator no longer moves its ball" in end.detail
     assert tilt_at(end.parameter, 1.0) == pytest.approx(float(free.tilts[0, 0]), abs=1e-6)
     assert set(path.labels) == {"T"}
-    assert "legs [rad] along the path" in path._repr_html_()
     top, bottom = path_figure(path).axes
     np.testing.assert_array_equal(top.lines[1].get_ydata(), path.configurations.readings[:, 1])
     assert top.get_ylabel() == "leg reading [rad]"

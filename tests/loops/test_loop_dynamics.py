@@ -231,7 +231,7 @@ def test_bad_input_is_refused() -> None:
     assert "roll" in refused("frame", state.actuator_jacobian, "rol").cause
     refused("frame", state.forward_dynamics, [0.0, 0.0], {"nowhere": np.zeros(6)})
     refused("wrenches", state.forward_dynamics, [0.0, 0.0], [1.0] * 6)
-    refused("wrenches['roll']", state.forward_dynamics, [0.0, 0.0], {"roll": [1.0] * 5})
+    refused("wrenches", state.forward_dynamics, [0.0, 0.0], {"roll": [1.0] * 5})
     refused("a", state.inverse_dynamics, np.ones(8))
     refused("v", chain.state(q, np.ones(8)).forward_dynamics, [0.0, 0.0])
     massless = ankle(mass=0.0)

@@ -157,7 +157,7 @@ def test_a_payload_weighs_at_rest_and_pushes_when_it_is_moved() -> None:
     [
         ({"leg_forces": 1.0}, "at rest"),
         ({"leg_rates": 1.0}, "neither"),
-        ({"leg_forces": [[100.0] * 6, [-100.0] * 6]}, "least"),
+        ({"leg_forces": [[100.0] * 6, [-100.0] * 6]}, "minima below maxima"),
         ({"leg_forces": [-100.0, 100.0]}, r"shape \(2,\)"),
         ({"leg_accelerations": 1.0, "leg_rates": [1.0] * 5}, "shape"),
         ({"leg_accelerations": 1.0, "twist": (1.0, -1.0)}, "positive"),

@@ -148,7 +148,7 @@ def test_a_stage_of_slides_has_two_states_in_one_aspect() -> None:
     # Carriages as the package reads them.
     x0 = np.sqrt(1.0 - np.abs(pair) ** 2)
     radii, heights = on_arrays(corners)(x0, pair.real, pair.imag, 0.0, 0.0)
-    readings = [prs_reading(x - epsilon, z, (rod, np.pi / 2.0, -1.0)) for x, z in zip(radii, heights, strict=True)]
+    readings = [prs_reading(x - epsilon, z, 0.0, (rod, np.pi / 2.0, -1.0)) for x, z in zip(radii, heights, strict=True)]
     np.testing.assert_allclose(readings, slides, atol=1e-15)
 
 
