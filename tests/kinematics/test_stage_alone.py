@@ -303,10 +303,6 @@ def test_why_there_is_no_solution_is_said() -> None:
         spm.stages.forward_physical(BALANCER, absent)
     with pytest.raises(spm.ArgumentError, match=r"got -0\.1\. For a tilt to the opposite side"):
         spm.stages.inverse(BALANCER, 0.12, tilt=-0.1, azimuth=0.0)
-    with pytest.raises(
-        spm.ArgumentError, match=r"a Manipulator, got Stage\. For a stage use the functions of spm_pin\.stages"
-    ):
-        spm.inverse_physical(BALANCER, 0.12)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match=r"azimuth: .*radians.*, got 15\. Are they in degrees"):
         spm.stages.inverse(BALANCER, 0.12, tilt=0.1, azimuth=15.0)
     with pytest.raises(spm.ArgumentError, match=r"readings: .*r_1, r_2, r_3 in radians, got shape"):
