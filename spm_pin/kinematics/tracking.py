@@ -84,18 +84,17 @@ class FollowedPath(Generic[S]):
     """A solution along a path."""
 
     parameters: FloatArray
-    """Where the path was solved, from 0 to 1, or to where the solution ends, shape (n,)."""
+    """Parameters at which the path was solved, from 0 to 1, or up to the end of the solution, shape (n,)."""
     configurations: S
     """The solution there, batch of shape (n,)."""
     labels: tuple[str, ...]
     """Label of the solution at each parameter, n of them."""
     events: tuple[Event, ...]
-    """In the order of their parameters."""
+    """Events, in the order of their parameters."""
     certified: BoolArray | None = None
-    """Which configurations a certificate covers, if one was given, shape (n,).
+    """True for each configuration that the certificate covers, if one was given, shape (n,).
 
-    A path on straight lines between leg lengths is in the certified limits as a whole if it is so at both ends of each
-    line.
+    A path of straight lines between leg lengths is within the certified limits if both ends of each line are.
     """
 
     def __repr__(self) -> str:
