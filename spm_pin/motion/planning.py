@@ -115,11 +115,11 @@ def plan(
     ----------
     machine : Manipulator or Stage
         The machine.
-    start, goal : Configuration, pose, or array_like of shape (6,), of a stage StageConfiguration, or (3,)
-        The states: a configuration in the physical mode, a pose of {m} in {B}, or readings: leg lengths [m], of RRS
-        legs angles [rad]. The state of a tilt and a height is ``spm.inverse_physical(stage, height, tilt=…)``.
-    limits : LegLimits, of a stage StageLimits or a pair, optional
-        Of the readings; by default those of `machine`.
+    start, goal : Configuration, pose, or array_like of shape (6,); for a stage StageConfiguration, or (3,)
+        The states: a configuration in the physical mode, a pose of {m} in {B}, or readings [m] ([rad] for RRS legs).
+        The state of a tilt and a height is ``spm.inverse_physical(stage, height, tilt=…)``.
+    limits : LegLimits, or StageLimits or a pair for a stage, optional
+        Limits of the readings; by default those of `machine`.
     via : sequence of the same
         States to pass on the way, in order.
     joint_limits : JointLimits, optional
@@ -127,10 +127,10 @@ def plan(
     margin : float
         Distance to forward singularities: least |det J| of a stage over d³.
     line : {"legs", "poses"}
-        What is tried: a straight line in the leg lengths, and if that breaks a rule a way around; or one in the poses
+        Kind of path: a straight line in the leg lengths, and if that breaks a rule a path around; or one in the poses
         and no other, o on a line and the platform turning about one axis (with `via`, cubic splines through the poses).
         A line of poses does not pass inverse singularities, level poses of a manipulator for example; one of legs may.
-        Of a stage, whose shift and torsion follow, the height is on a line and the normal turns about one axis.
+        For a stage, whose shift and torsion follow, the height is on a line and the normal turns about one axis.
     certificate : Certificate, optional
         Result of `spm_pin.certify`: a plan within it is marked as certified.
     tries : int
@@ -233,7 +233,7 @@ def _sentence(reason: str) -> str:
 
 
 def _along_poses(rules: _PathRules, states: list[State], certificate: Certificate | None) -> MotionPlan:
-    """Return the plan straight in poses, or the reason why there is none."""
+    """Return the plan straight in poses, or the reason why it does not exist."""
     machine = rules.machine
     poses = np.array([state.pose.as_matrix() for state in states])
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)
