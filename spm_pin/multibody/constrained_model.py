@@ -6,7 +6,7 @@ velocities v of the mechanism that the closures admit solve, for a twist t of m 
     K v = (W t, 0),    K = [W Jm; Jc],        N v = (ṙ, 0),    N = [S; Jc],
 
 of which N comes down to the columns of the passive joints in Jc. W selects the freedoms: all six of a manipulator's
-platform; of a stage the velocity along z and the angular velocities about the axes x and y of the platform, which turn
+platform; for a stage the velocity along z and the angular velocities about the axes x and y of the platform, which turn
 its normal. The parasitic motion follows from them.
 
 Singular values need one unit: lengths are in units of d, the middle platform's side. And they should not depend on
@@ -162,7 +162,7 @@ class ConstrainedModel:
         self.side = machine.ball_side
         self._fixed_sizes = sum(base for base, _ in machine.stage_radii) + self.side
         self._fixed_sizes += sum(float(kind.links.sum()) for kind in machine.legs.kinds)
-        # Of a step of order one in each joint: 1 rad, or d.
+        # Units of a step of order one in each joint: 1 rad, or d.
         self._are_lengths = np.array(machine.legs.units) == "m"
         self.units = np.ones(len(names))
         self.units[self.legs[self._are_lengths]] = self.side
@@ -358,7 +358,7 @@ class TreeKinematics:
 
     @cached_property
     def velocities_of_twists(self) -> FloatArray:
-        """X: twists of m, of a stage (v_z, ω_x, ω_y), to velocities of the mechanism's joints, shape (joints, n)."""
+        """Map X from twists of m, or (v_z, ω_x, ω_y) for a stage, to joint velocities, shape (joints, n)."""
         velocities = self.inverse_factors.solve(self._unit_twists)
         if not self.constrained.is_stage:
             return velocities
