@@ -1,6 +1,6 @@
 """Closed joint values by Newton's method: from an open q nearby, and by continuation from another closed one.
 
-The target of the continuation are readings, or a pose of the platform (normal and height for a stage): as many
+The target of the continuation is a set of readings, or a pose of the platform (normal and height for a stage): as many
 equations as joints. The first Newton step from a point of the path is along the path's tangent; if the corrections
 after it are large compared with it, the step is shortened. The step is also shortened if the determinant of the
 equations changes its sign, or changes too much, over the step or half of it. The determinant is zero at a fold, where a

@@ -37,7 +37,7 @@ from spm_pin.machine.stage import Stage
 from spm_pin.support.arguments import FloatArray, IntArray, frozen, real_array
 
 AGREEMENT = 1e-9
-"""Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""
+"""Relative difference of lengths up to which it is taken for rounding; above it they are of another robot."""
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.
 
@@ -131,7 +131,7 @@ class ConstrainedModel:
     """A Pinocchio model that holds the mechanism's tree, perhaps with another robot's, and its closures; immutable.
 
     The joints of the mechanism, eighteen or nine, are counted in Pinocchio's order, which is that of a chain's own q.
-    `prefix` stands before the names of its links and joints in the model. `freedoms` are the rows of a twist that a
+    `prefix` is prepended to the names of its links and joints in the model. `freedoms` are the rows of a twist that a
     caller gives: all six, or v_z, ω_x and ω_y of a stage.
     """
 
@@ -142,20 +142,21 @@ class ConstrainedModel:
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(machine)}
         names = sorted(joints, key=lambda name: joints[name].idx_q)
         self.names, self._prefix = tuple(prefix + name for name in names), prefix
-        # Where they are in the model's q and v, and where all other degrees of freedom are in v.
+        # Indices of the joints in the model's q and v, and of all other degrees of freedom in v.
         self.in_q = np.array([joints[name].idx_q for name in names], dtype=np.intp)
         self.in_v = np.array([joints[name].idx_v for name in names], dtype=np.intp)
         self.others = np.setdiff1d(np.arange(model.nv), self.in_v)
-        # Among them: the actuated ones in the order of the legs, the other joints, and those that stand for each ball.
+        # Among them: the actuated joints in the order of the legs, the other joints, and those that represent each
+        # ball.
         self.legs = frozen(self.joint_indices(*actuated_joints(machine)))
         self.passive = np.setdiff1d(np.arange(len(names)), self.legs)
         corners = [leg[2:] for leg in machine.legs.names[::3]]
         orders = [[f"ball_{leg}_{axis}" for axis in axes] for leg, axes in zip(corners, ("xyz", "zyx"), strict=False)]
         self.balls = tuple(self.joint_indices(*ball) for ball in orders)
-        # Where the actuators are in v: all of another robot, then the legs.
+        # Indices of the actuators in v: all of another robot, then the legs.
         self.actuated = frozen(np.concatenate([self.others, self.in_v[self.legs]]))
         self._actuated_in_q = self.in_q[self.legs]
-        # Offsets aside; RPS legs have no negative length.
+        # Without offsets; RPS legs have no negative length.
         self.home_readings = home_readings(machine)
         self.least_readings = machine.legs.least_readings
         # d, and the part of platforms and links in the length of a loop [m].
@@ -242,7 +243,7 @@ class TreeKinematics:
         self._twist_scale = np.array([1.0 / self._side] * 3 + [1.0] * 3)[constrained.freedoms]
         count = len(constrained.freedoms)
         self._unit_twists = self._scaled(np.eye(count), np.zeros((len(constrained.names) - count, count)))
-        # Where the balls' middle angles are in q.
+        # Indices of the balls' middle angles in q.
         self._middles = [int(constrained.in_q[ball[1]]) for ball in constrained.balls]
         # Pinocchio updates these in place: no look-up at each q.
         self._points = [self.data.oMf[frame].translation for frame in constrained.frames]
@@ -363,7 +364,7 @@ class TreeKinematics:
         if not self.constrained.is_stage:
             return velocities
         freedoms = (self.platform_jacobian @ velocities)[self.constrained.freedoms]
-        # v_z is given in both; ω_x and ω_y say little of how the normal of a steep platform turns.
+        # v_z is an argument of both; ω_x and ω_y hardly determine the turn of the normal of a steep platform.
         sigma = float(np.linalg.svd(freedoms[1:, 1:], compute_uv=False)[-1])
         if sigma <= SINGULAR:
             raise SingularConfigurationError("inverse", sigma)
@@ -422,7 +423,7 @@ class TreeKinematics:
                 raise ArgumentError("q", expected, f"{math.degrees(angle):.9g}°", cause)
 
     def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
-        """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
+        """Raise unless q is closed and v keeps it closed, to `AGREEMENT`."""
         gap = self.widest_gap
         if gap > AGREEMENT * self._side:
             raise ClosureError(gap, 0, "Rounded or guessed joint values? The method project closes the loops")
@@ -453,7 +454,7 @@ class TreeKinematics:
         rates, others = np.abs(v), self.constrained.others
         bound = largest(np.abs(self.constraint_jacobian).dot(rates))
         if len(others):
-            # Another robot moves both ends of a gap alike: what is left of the difference is rounding of their speeds.
+            # Another robot moves both ends of a gap alike: the remaining difference is rounding of their speeds.
             ends = map(self.frame_jacobian, self.constrained.frames)
             bound += max(largest(np.abs(end[:3, others]).dot(rates[others])) for end in ends)
         return bound

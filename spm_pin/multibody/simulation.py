@@ -60,7 +60,7 @@ class Simulation:
     closure_gap: FloatArray
     """The widest of the gaps [m], shape (n,)."""
     end: SimulationEnd
-    """Why it ended there."""
+    """Reason why it ended there."""
     detail: str
     """The leg, or the reason why no step was possible; may be empty."""
     limit_excess: FloatArray

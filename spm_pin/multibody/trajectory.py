@@ -105,7 +105,7 @@ class JointTrajectory:
     """All joints of a chain at given times; made by `ClosedChain.joint_trajectory`."""
 
     joint_names: tuple[str, ...]
-    """As in the URDF, in the order of the columns."""
+    """Names of the joints as in the URDF, in the order of the columns."""
     times: FloatArray
     """Times [s], shape (n,)."""
     positions: FloatArray
