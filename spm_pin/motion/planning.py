@@ -1,4 +1,4 @@
-"""Paths from one state to another in the physical mode: a straight line where it is safe, else a way around.
+"""Paths from one state to another in the physical mode: a straight line where it is safe, otherwise a path around.
 
 Readings within limits are a box, and a point of it has at most one configuration in the physical mode; that is proved
 for RPS legs as drawn, not for others. So a path is planned in the readings: a straight line first; where that
@@ -72,7 +72,7 @@ class MotionPlan:
     certified: bool
     """True if a certificate covers every sample: no state of it is forward singular, between samples neither."""
     reason: str
-    """Why there is no path, or what is wrong with the straight one."""
+    """Reason why there is no path, or the rule that the straight one breaks."""
     margin: float
     """Least |det J| of a stage over d³ along it, d the side of the triangle of balls; NaN without a path."""
 
@@ -271,7 +271,7 @@ def _finished(path: MotionPath, states: State, method: str, reason: str, certifi
 
 @dataclass(frozen=True)
 class _PathRules:
-    """The rules of a path; the leg limits of `machine` play no part."""
+    """The rules of a path; the leg limits of `machine` are not applied."""
 
     machine: AnyMachine
     limits: LegLimits | None
@@ -345,7 +345,7 @@ class _Node(NamedTuple):
 def _find_corners(
     rules: _PathRules, start: FloatArray, goal: FloatArray, tries: int, rng: np.random.Generator
 ) -> tuple[list[FloatArray] | None, str]:
-    """Return the corners of a way from start to goal, None if none was found; and what is wrong with the line."""
+    """Return the corners of a path from start to goal, None if not found; and the rule that the line breaks."""
     reason = rules.explain_line(line_states(rules.machine, start, goal))
     if not reason:
         return [start, goal], ""
