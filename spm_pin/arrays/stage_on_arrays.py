@@ -49,7 +49,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
         Normal of the platform in {B}, of any length. Zero, NaN and directions within 1.4 mrad of -z (9° in float32)
         have no state: there the legs hardly hold the torsion.
     height : array, shape (...)
-        Of the platform's origin above the pivots [m].
+        Height of the platform's origin above the pivots [m].
 
     Returns
     -------
