@@ -54,7 +54,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     Returns
     -------
     StageState
-        As mode T of `spm_pin.stages.inverse`: whether it is in the home assembly region is not asked.
+        Mode T of `spm_pin.stages.inverse`; whether it is in the home assembly region is not tested.
     """
     machine = stage_machine(check_instance(stage, Stage, "stage"))
     library = library_of(normal=normal, height=height[..., None] if is_array_api_obj(height) else height)

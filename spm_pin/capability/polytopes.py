@@ -70,7 +70,7 @@ class HalfSpaces(NamedTuple):
 
 
 class Ellipsoid(NamedTuple):
-    """Ellipsoids of shape (...) in the space of k forces, moments, or of what they stand for, k = 3 but for motions."""
+    """Ellipsoids of shape (...) in the space of k components of a wrench, twist or acceleration; mostly k = 3."""
 
     centre: FloatArray
     """Shape (..., k)."""
@@ -137,7 +137,7 @@ class Polytope:
     def vertices(self) -> FloatArray:
         """The 64 vertices, shape (..., 64, 6): in number k leg i is at its upper limit if bit i of k is set.
 
-        Of motions of a stage 8, shape (..., 8, 3). Raises `SingularConfigurationError` where the set has no end:
+        For motions of a stage 8, shape (..., 8, 3). Raises `SingularConfigurationError` where the set is unbounded:
         wrenches at an inverse singularity, twists and accelerations at a forward one; `ArgumentError` for wrenches onto
         a stage. With rows added by `within` only a `section` has vertices.
         """

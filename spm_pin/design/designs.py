@@ -126,7 +126,7 @@ def evaluate_designs(
         singularities; not tried where some leg lengths have no configuration. Where the legs of a stage have equal
         limits, a sixth of its states is searched. 0 leaves the column out.
     seed : int
-        Of the sequence.
+        Seed of the sequence.
     scheduler, workers
         As for `spm_pin.sweeps.run_sweep`, but by default everything runs in this process. A script that uses more
         processes must call this below ``if __name__ == "__main__":``.
@@ -278,8 +278,8 @@ class DesignProblem:
         Least and largest values of columns, such as {"certified": 1, "conditioning_low": 1 / 60} for condition numbers
         of at most 60, and {"footprint": 1.2}.
     functions : dict of str to callable, optional
-        Columns for aims and bounds, see `evaluate_designs`. A store knows those of a task by its poses, your own by
-        their names alone.
+        Columns for aims and bounds, see `evaluate_designs`. A store identifies those of a task by its poses, your own
+        by their names alone.
     metrics : iterable of Metric, optional
         Metrics of your own, or those of the package with other parameters, for their "_mean" and "_low".
     """
@@ -451,7 +451,7 @@ def pareto_front(
         As for `evaluate_designs`; certificates are made where an aim or a bound is "certified". Processes are started
         once for the search, and need ``if __name__ == "__main__":`` as in `evaluate_designs`.
     seed : int
-        Of the search and of the states.
+        Seed of the search and of the states.
     progress : callable, optional
         Called with the current task, the number of completed generations and that of all.
 

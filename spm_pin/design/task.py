@@ -82,7 +82,7 @@ class Task:
         height, tilt, azimuth, roll, pitch, normal
             As for `spm_pin.stages.inverse`.
         wrench
-            As of the class.
+            As for the class.
         """
         heights = np.atleast_1d(real_array(height, "height", (), "of the platform's origin in metres"))
         normals = np.atleast_2d(normals_of_request(tilt, azimuth, roll, pitch, normal))

@@ -193,7 +193,7 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., min(m, n))
-        From large to small, each accurate to rounding of the largest.
+        Singular values from large to small, each accurate to rounding of the largest.
     """
     from spm_pin.kinematics.kernels import singularity_kernels as kernels
 

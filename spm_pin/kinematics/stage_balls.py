@@ -54,7 +54,7 @@ class Modes(NamedTuple):
 
 
 def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Modes:
-    """Return all modes with readings (N, 3), under the labels of the drawn stage."""
+    """Return all modes with readings (N, 3), with the labels of the nominal stage."""
     modes = _modes(stage, _stage_circles(stage, readings), drawing)
     return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
 

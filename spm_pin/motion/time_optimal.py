@@ -123,7 +123,8 @@ def time_optimal(
     Returns
     -------
     TimedMotion
-        From time 0; its efforts are the legs' forces with the payload. The limits hold in its rows, to 1e-9 of them.
+        Motion from time 0; its efforts are the legs' forces with the payload. Its rows keep the limits, to 1e-9 of
+        them.
 
     Raises
     ------

@@ -265,7 +265,7 @@ class TreeKinematics:
 
     @cached_property
     def gap(self) -> FloatArray:
-        """From the origin of `frame_a` to that of `frame_b` of each closure, in the universe's axes [m], (n, 3)."""
+        """Gaps from the origin of `frame_a` to that of `frame_b`, in the universe's axes [m], (n, 3)."""
         return np.asarray(self.constrained.signs.dot(np.concatenate(self._points).reshape(-1, 3)))
 
     @cached_property

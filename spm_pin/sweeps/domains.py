@@ -119,7 +119,7 @@ class Sample:
 
     count: int
     seed: int
-    """From 0 to 2¹²⁸."""
+    """Seed, from 0 to 2¹²⁸."""
 
     def __post_init__(self) -> None:
         for argument, least, most in (("count", 1, 2**53), ("seed", 0, 2**128)):
@@ -353,7 +353,7 @@ class SweepPlan:
     machine: Manipulator | Stage
     domain: Domain
     metrics: tuple[Metric, ...]
-    """In the order of their names."""
+    """Metrics, in the order of their names."""
     chunk: tuple[int, ...]
     """Shape of a chunk along the dimensions of the domain."""
     version: str

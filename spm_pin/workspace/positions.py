@@ -105,7 +105,7 @@ class Estimate:
     ) -> Estimate:
         """Estimate the size of a part of `whole` from uniform samples, of which `hits` are in it: Clopper and Pearson.
 
-        Of `undecided` samples it is not known whether they hit: the lower end counts none of them, the upper end all.
+        `undecided` samples may be hits or not: the lower end counts none of them, the upper end all.
         """
         from scipy import stats  # takes as long to load as all the rest
 
@@ -380,7 +380,7 @@ def orientation_workspace(
     machine, limits, rng
         As for `reachable_volume`.
     position : array_like, shape (3,)
-        Of o in {B} [m].
+        Position of o in {B} [m].
     samples : int
         States of the lower stage to try.
 

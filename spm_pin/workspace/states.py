@@ -71,7 +71,7 @@ class Stages:
 
 @dataclass(frozen=True, eq=False)
 class StateSet:
-    """The states of a machine of one family and one aspect, and which of them are within limits."""
+    """The states of a machine in one family and one aspect, and a test of its limits."""
 
     machine: Manipulator
     minimum: FloatArray
