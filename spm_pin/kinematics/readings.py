@@ -14,7 +14,7 @@ from spm_pin.support.arguments import LARGEST_RATIO, FloatArray, first_offender,
 
 
 def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArray:
-    """Read readings (..., n) of these legs, none so large that a machine of this size [m] is lost in its rounding."""
+    """Check readings (..., n) of these legs; they must not be so large that rounding exceeds the `size` [m]."""
     meaning = f"in {legs.unit_text()}"
     read = real_array(readings, "readings", (len(legs.names),), f"{', '.join(legs.names)} {meaning}")
     own, farthest = np.asarray(read - legs.offsets), _farthest(legs.units, size)
