@@ -1,7 +1,7 @@
 """Paths from one state to another in the physical mode: a straight line where it is safe, otherwise a path around.
 
 Readings within limits are a box, and a point of it has at most one configuration in the physical mode; that is proved
-for RPS legs as drawn, not for others. So a path is planned in the readings: a straight line first; where that
+for nominal RPS legs, not for others. So a path is planned in the readings: a straight line first; where that
 breaks a rule, two trees grow towards each other (RRT-Connect: Kuffner and LaValle, IEEE International Conference on
 Robotics and Automation, 2000), and what they find is shortened and made smooth. The rules are checked at samples not
 farther apart than `paths.STEP`. A `Certificate` proves the rule about forward singularities in between as well.
