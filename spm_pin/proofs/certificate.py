@@ -56,7 +56,8 @@ _FIRST_LEVEL = 3
 _SLOPE = 1.7320508075689
 """A little more than √3, so that rounding leaves no box out."""
 _FLAT = 1e-10
-"""Least Z² of a level state over its legs' length squared: above this it exists, and `joined` finds it."""
+"""Least Z² of a level state over its legs' length squared: above this it exists, and is accurate enough for
+`joined`."""
 
 
 @dataclass(frozen=True)
