@@ -60,8 +60,8 @@ def nonsingular_changes(machine: spm.Manipulator) -> list[NonsingularChange]:
 def circle(epsilon: float) -> Array:
     """Return a path (M, 3) of constant tilt and height, between two states with equal legs a third of a turn apart.
 
-    Of the tilts whose determinant keeps its sign one is taken that is large, of a stage that is not high, and whose
-    determinant does not come near zero.
+    Among the tilts whose determinant keeps its sign, a large one of a low stage is used, whose determinant does not
+    come near zero.
     """
     p = np.linspace(0.01, 0.99, 99)
     along = reduced_determinant(p[:, None], epsilon, np.linspace(-1.0, 1.0, 41))

@@ -136,7 +136,7 @@ def _placed(turn: Rotation) -> Array:
 def _readings(wanted: StageConfiguration, radii: Array, rises: Array) -> Array:
     """Return the readings for balls (n, 3) at these radii, and so much above the plate's centre, by their legs."""
     places = np.stack([radii - wanted.stage.base_radius, wanted.height[:, None] + rises], axis=-1)
-    return np.asarray(wanted.stage.kind.readings(places))
+    return np.asarray(wanted.stage.kind.readings(places, wanted.stage.crank_middles))
 
 
 # What is computed of each machine

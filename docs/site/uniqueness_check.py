@@ -54,7 +54,7 @@ def over(denominator: int, numerator: int = 1) -> int:
 
 
 def square_root(number: int) -> int | None:
-    """Return a square root modulo the prime, None where there is none."""
+    """Return a square root modulo the prime, None if the number is not a square."""
     root = pow(number, (PRIME + 1) // 4, PRIME)
     return root if equal(root * root, number) else None
 

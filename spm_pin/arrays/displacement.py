@@ -61,7 +61,7 @@ class State(NamedTuple):
     """
 
     rotation: Array
-    """From {m} to {B}, shape (..., 3, 3)."""
+    """Rotation from {m} to {B}, shape (..., 3, 3)."""
     translation: Array
     """o in {B} [m], shape (..., 3)."""
     middle_joints: Array
@@ -92,7 +92,7 @@ def inverse_displacement(machine: Manipulator | Array, rotation: Array, translat
     machine : Manipulator or array, shape (..., 3)
         A nominal machine, or dimensions E, C, d [m].
     rotation : array, shape (..., 3, 3)
-        From {m} to {B}. It is not checked.
+        Rotation from {m} to {B}. It is not checked.
     translation : array, shape (..., 3)
         o in {B} [m].
     """

@@ -49,12 +49,12 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
         Normal of the platform in {B}, of any length. Zero, NaN and directions within 1.4 mrad of -z (9° in float32)
         have no state: there the legs hardly hold the torsion.
     height : array, shape (...)
-        Of the platform's origin above the pivots [m].
+        Height of the platform's origin above the pivots [m].
 
     Returns
     -------
     StageState
-        As mode T of `spm_pin.stages.inverse`: whether it is in the home assembly region is not asked.
+        Mode T of `spm_pin.stages.inverse`; whether it is in the home assembly region is not tested.
     """
     machine = stage_machine(check_instance(stage, Stage, "stage"))
     library = library_of(normal=normal, height=height[..., None] if is_array_api_obj(height) else height)

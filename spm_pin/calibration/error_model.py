@@ -36,7 +36,7 @@ def error_jacobian(configuration: Configuration | StageConfiguration) -> FloatAr
     -------
     ndarray, shape (..., 6, n)
         Rows (v, ω): displacement of the platform's origin [m] and rotation [rad], in {B}; columns
-        `Machine.parameter_names`, nine of each RPS leg, per metre or radian. At singularities as
+        `Machine.parameter_names`, nine for each RPS leg, per metre or radian. At singularities as
         `spm_pin.platform_jacobian`.
 
     Examples
@@ -72,7 +72,7 @@ def error_jacobian(configuration: Configuration | StageConfiguration) -> FloatAr
     rows[..., 0, :2] = turning[..., None] * (legs.plane_turns[:, None] @ tilts)[:, 0]
     rows[..., 1, :2] = -((state.balls - state.leg_bases)[..., None, :] @ (frames @ tilts))[..., 0, :]
     rows[..., 1, :] *= outward
-    # Of each leg the motions (..., legs, 6) that its two equations make.
+    # Motions (..., legs, 6) that the two equations of each leg cause.
     sides = np.swapaxes(stage_inverses(state), -1, -2).reshape(*state.shape, len(legs.kinds), 2, 3, 6)
     along_leg, along_axis = (sides[..., k, :, :].reshape(*state.shape, count, 6) for k in range(2))
     moved = along_leg[..., None] * rows[..., 0, None, :] + along_axis[..., None] * rows[..., 1, None, :]

@@ -1,4 +1,4 @@
-"""The frames in which a platform is measured: where a tracker sees {B}, and where its target is on the platform.
+"""The frames in which a platform is measured: {B} in a tracker's frame, and its target on the platform.
 
 An IMU and a ruler are a tracker that sees less: its z is the vertical, and its target an IMU and a point of the plate.
 """
@@ -25,7 +25,7 @@ _ROUNDS = 10
 
 @dataclass(frozen=True)
 class Frames:
-    """Poses (4, 4) of {B} seen from the tracker, and of the target in the platform's frame."""
+    """Poses (4, 4) of {B} in the tracker's frame, and of the target in the platform's frame."""
 
     base: FloatArray
     target: FloatArray
@@ -94,17 +94,17 @@ class Frames:
         return Frames(*frames)
 
     def seen(self, states: Batched) -> FloatArray:
-        """Return what the tracker sees of the target in states (N,): poses (N, 4, 4)."""
+        """Return the poses (N, 4, 4) of the target in the tracker's frame, in states (N,)."""
         return np.asarray(self.base @ states.pose.as_matrix() @ self.target)
 
     def motions(self, states: Any, twists: FloatArray) -> FloatArray:
-        """Return what the tracker sees of the platform's twists (v, ω) in {B}, (N, 6, k) each."""
+        """Return twists (N, 6, k) of the target in the tracker's frame for twists (v, ω) of the platform in {B}."""
         lever = states.rotation @ self.target[:3, 3]
         linear = twists[:, :3] + np.cross(twists[:, 3:], lever[..., None], axis=1)
         return np.concatenate([self.base[:3, :3] @ linear, self.base[:3, :3] @ twists[:, 3:]], axis=1)
 
     def jacobian(self, states: Any) -> FloatArray:
-        """Return how what is seen moves per error of the machine's parameters and of the frames, (N, 6, n + 12)."""
+        """Return the measured twists per error of the machine's parameters and of the frames, (N, 6, n + 12)."""
         point = self.base[:3, :3] @ (states.rotation @ self.target[:3, 3] + states.translation)[..., None]
         turns = np.tile(np.eye(3), (len(states), 1, 1))
         frames = np.zeros((len(states), 6, 12))

@@ -38,7 +38,7 @@ from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, as_bool, 
 
 _LOSSES = ("linear", "soft_l1", "huber", "cauchy")
 _UNKNOWN = 0.3
-"""Standard deviation, in radians or sides of the middle platform, from which on a combination is not determined."""
+"""Standard deviation, in radians or sides of the middle platform, above which a combination is not determined."""
 _CONVERGED, _EVALUATIONS = 1e-9, 100
 """Relative changes at which an iteration ends, and the most evaluations it may take."""
 _DIRECT = 20
@@ -46,7 +46,7 @@ _DIRECT = 20
 _CHANCE = 1e-6
 """Probability that a good measurement is taken for an outlier, all measurements together."""
 _GROSS = 100.0
-"""Times the noise from which on residuals are no matter of the noise."""
+"""Ratio of residuals to the noise above which noise does not explain them."""
 _MISFIT = 9.0
 """Largest reduced χ² of a fit: residuals three times what the noise explains."""
 _MANUFACTURE = 0.04
@@ -54,7 +54,7 @@ _MANUFACTURE = 0.04
 have errors of 1 % of d."""
 
 _SWEEPS, _GAIN = 20, 1e-6
-"""Passes of exchanges over all chosen poses at most, and the relative gain below which no pose is exchanged."""
+"""Maximum number of exchange passes over all chosen poses, and the relative gain below which no pose is exchanged."""
 _RIDGE = 1e-6
 """Information, relative to that of a pose, from which the first choice starts."""
 
@@ -75,7 +75,7 @@ class Calibration(Generic[M]):
     status: str
     """"fits"; or "outliers", "misfit", "not converged" or "another nominal": then `machine` raises an error."""
     reason: str
-    """The reason why the machine is not to be used, with the likely cause; empty if it fits."""
+    """Reason why the machine must not be used, with the likely cause; empty if it fits."""
     reason_rows: tuple[int, ...]
     """The rows of the measurements that `reason` names, counted from zero."""
     chi_square: float
@@ -95,9 +95,9 @@ class Calibration(Generic[M]):
     base: RigidTransform
     """Pose of {B} in the frame of the measurements, whose z is the IMU's vertical; the identity unless estimated."""
     target: RigidTransform
-    """Pose of what was measured, target or IMU, in the platform's frame; the identity unless estimated."""
+    """Pose of the target or of the IMU in the platform's frame; the identity unless estimated."""
     components: tuple[str, ...]
-    """What was measured: "x", "y", "z" [m], "turn_x", "turn_y", "turn_z" [rad], or some of them."""
+    """Measured components: "x", "y", "z" [m], "turn_x", "turn_y", "turn_z" [rad], or some of them."""
     before: FloatArray
     """Predicted less measured components with the initial machine [m, rad], shape (N, components): displacements and
     the rotation vector in {B}, or height and turns of the levelled platform; NaN where nothing was measured."""
@@ -184,9 +184,9 @@ def identify(
         The machine as it is known before.
     poses : RigidTransform of shape (N,), array_like (N, 4, 4), array_like (N, 3), or Inclinations
         Measured poses of the platform in {B}; positions of its origin alone [m]; or tilts and heights. With `frames`,
-        those of a target on the platform as a tracker sees them, or of an IMU and a mark.
+        those of a target on the platform in a tracker's frame, or of an IMU and a mark.
     readings : array_like, shape (N, legs)
-        Readings of the legs, in the order of `Legs.names`, at these poses [m], of RRS legs [rad].
+        Readings of the legs, in the order of `Legs.names`, at these poses [m] ([rad] for RRS legs).
     parameters : collection of str, optional
         What to identify: `Machine.parameter_names`, components such as "pivot_x", "direction", "pivot", "ball",
         "offset", "crank", "rod", or legs; all if not given. The others keep their values.
@@ -198,10 +198,10 @@ def identify(
         Standard deviation of the readings [m, rad], one or one of each leg, or covariances (legs, legs) or
         (N, legs, legs).
     frames : bool
-        Whether to estimate where the tracker sees {B}, `Calibration.base`, and where its target is on the platform,
-        `Calibration.target`. Errors that move all legs of a stage alike are then not seen, as they move such a frame.
-        An IMU's frames are the tilt of the base and the mounting on the platform, and those of a ruler its zero and
-        the mark that it measures.
+        Whether to estimate the pose of {B} in the tracker's frame, `Calibration.base`, and of its target on the
+        platform, `Calibration.target`. Errors that move all legs of a stage as one body are then not observable, since
+        they equal a motion of such a frame. An IMU's frames are the tilt of the base and the mounting on the platform,
+        and those of a ruler its zero and the mark that it measures.
     tolerances : mapping of str to float, or array_like, optional
         Standard deviations of the parameters of machines as they are made, as for `tolerance`. What the measurements
         show badly then stays as near to `machine`, with the platform known as well as without.
@@ -217,7 +217,7 @@ def identify(
     Raises
     ------
     MeasurementError
-        If readings are in another unit or such that the machine has no state, columns are exchanged, rows shifted or
+        If readings are in another unit, or the machine has no state with them, columns are exchanged, rows shifted or
         rotations transposed, or if the measurements are too few or too much alike to determine the parameters.
 
     Examples
@@ -265,7 +265,7 @@ def identify(
         return np.asarray(whitening @ data.slopes(*machine_of(unknown)) @ scaled)
 
     first = np.zeros(basis.shape[1])
-    # What is known before, as further rows.
+    # Prior knowledge, as further rows.
     prior = scaled[:own][made > 0.0] / made[made > 0.0, None]
     names = *start.parameter_names, *FRAME_PARAMETERS
     _check_determined(np.concatenate([*jacobian(first), prior]), basis, count, names)
@@ -312,11 +312,13 @@ def _visible_basis(
 ) -> tuple[FloatArray, FloatArray]:
     """Return orthonormal combinations of scaled parameters that measurements show, (n + 12, k), and the others.
 
-    Those are (l, n + 12). Of `wanted` parameters of the machine, and of frames if they are unknown.
+    The others are (l, n + 12). Only `wanted` parameters of the machine are used, and those of frames if they are
+    unknown.
     """
     hidden = gauge_directions(start, frames.base, frames.target, has_lengths=observable.lengths > 0)
     hidden = hidden / _scale(start)[:, None]
-    # What is not seen of the frames, such as the turn of a target of which positions alone are measured, is free.
+    # Components of the frames that are not observable, such as the turn of a target whose position alone is measured,
+    # are free.
     used = np.concatenate([np.full(len(wanted), True), observable.frames])
     free = np.concatenate([wanted, np.full(12, are_unknown)]) & used
     # Those combinations of the invisible errors that leave the other parameters alone.
@@ -373,7 +375,7 @@ def _fit(
 ) -> _Fit:
     """Fit residuals (N, n), of which `counts` (N,) of each row were measured, and `prior` times the unknowns.
 
-    By least squares if that explains them, else by a robust loss that finds the outliers.
+    Least squares are used if they explain the residuals, otherwise a robust loss that finds the outliers.
     """
 
     def minimize(
@@ -400,7 +402,7 @@ def _fit(
         robust, converged = minimize(direct, loss)
         return _judged(whitened(robust), robust, converged, counts, accept_outliers=True)
     unknown, scale, converged = first, max(float(np.median(np.abs(whitened(first)))), 1.0), True
-    # First what is far off at the start too counts as good, then less and less, down to the noise.
+    # At first even large residuals count as good; the threshold then decreases to the noise.
     while converged:
         unknown, converged = minimize(unknown, "soft_l1" if loss == "linear" else loss, scale)
         if scale == 1.0:
@@ -415,7 +417,7 @@ def _fit(
             return robust_fit
         unknown, converged = minimize(unknown, rows=~outliers)
         residuals = whitened(unknown)
-        # Rows that fit the machine of the others were only far off while wrong rows bent the fit.
+        # Rows that fit the machine of the other rows were only outliers while wrong rows distorted the fit.
         left = outliers & _outliers(residuals, len(unknown), counts)
         if not converged or not left.any() or np.array_equal(left, outliers):
             return _judged(residuals, unknown, converged, counts, outliers)
@@ -482,7 +484,7 @@ def _check_determined(slopes: FloatArray, basis: FloatArray, count: int, paramet
 def _outliers(whitened: FloatArray, unknowns: int, counts: IntArray) -> BoolArray:
     """Return which rows (N, n) of whitened residuals, `counts` (N,) numbers each, do not belong to the others."""
     squares, total = (whitened**2).sum(axis=-1), int(counts.sum())
-    # The noise may have been given too small: the median tells its size. The fit takes part of it away.
+    # The given noise may be too small: the median estimates it. The fit absorbs a part of it.
     medians, largest = (chdtri(counts, p) for p in (0.5, _CHANCE / len(squares)))
     left = max(1.0 - unknowns / total, 1.0 / total)
     return np.asarray(squares > max(float(np.median(squares / medians)), left) * largest)
@@ -509,11 +511,11 @@ def choose_poses(
     count : int
         Number of poses.
     candidates : int, Configuration or StageConfiguration
-        What to choose from: states of shape (M,), or the number of states drawn uniformly within the leg limits.
+        Candidates: states of shape (M,), or the number of states drawn uniformly within the leg limits.
     parameters, pose_noise, reading_noise, frames
         As for `identify`.
     measured : {"poses", "positions", "inclinations"}
-        What will be measured: poses, positions of the origin alone, or tilts and heights, see `Inclinations`.
+        Quantities to be measured: poses, positions of the origin alone, or tilts and heights, see `Inclinations`.
     rng : numpy.random.Generator, seed, or None
         Source of the candidates.
 
@@ -558,7 +560,7 @@ def _exchanged(rows: FloatArray, count: int) -> list[int]:
     chosen: list[int] = []
 
     def best(base: FloatArray) -> tuple[int, FloatArray]:
-        """Return the candidate that adds most to the determinant of this information, and what each candidate adds."""
+        """Return the candidate that increases the determinant of this information most, and each one's increase."""
         inner = np.eye(rows.shape[1]) + rows @ np.linalg.inv(base) @ np.swapaxes(rows, -1, -2)
         gains = np.linalg.slogdet(inner)[1]
         free = np.where(np.isin(np.arange(len(rows)), chosen), -np.inf, gains)

@@ -1,4 +1,4 @@
-"""Measurements and readings: their file, their uncertainty, and mistakes in them that can be named."""
+"""Measurements and readings: their file, their uncertainty, and the detection of common mistakes in them."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from spm_pin.support.motion_table import POSITION, MotionTable
 from spm_pin.support.pose import homogeneous
 
 _SUSPICIOUS = 0.02
-"""Median error, in sides of the middle platform, from which on exchanged columns are looked for."""
+"""Median error, in sides of the middle platform, above which exchanged columns are looked for."""
 _LEVELS = "roll", "pitch", "height"
-"""Columns of what an IMU and a ruler show."""
+"""Columns of the measurements of an IMU and a ruler."""
 _SUBSET = 40
 """Measurements, evenly spread over all, with which exchanged columns are tried."""
 TRACKER_NOISE, LEVEL_NOISE = (1e-5, 1e-5), (5e-4, 2e-3)
@@ -75,7 +75,7 @@ class Measurements:
     """N measurements and readings, checked."""
 
     poses: FloatArray  # measured poses of the target (N, 4, 4); what is not measured of them is arbitrary or NaN
-    readings: FloatArray  # readings of the legs, (N, legs) [m], of RRS legs [rad]
+    readings: FloatArray  # readings of the legs, (N, legs) [m] ([rad] for RRS legs)
     observable: Observable  # what is measured of the poses
     frames: Frames  # of the tracker
 
@@ -123,11 +123,11 @@ class Measurements:
 
     @cached_property
     def present(self) -> BoolArray:
-        """Which components of which rows were measured, (N, n)."""
+        """Mask of the measured components of each row, (N, n)."""
         return ~np.isnan(self.observable.errors(np.tile(np.eye(4), (len(self.poses), 1, 1)), self.poses))
 
     def states(self, machine: Any) -> Batched:
-        """Return the states (N,) of a machine with the readings; absent where it has none."""
+        """Return the states (N,) of a machine with the readings; missing if it has no such state."""
         impossible = np.any(self._impossible(machine), axis=-1)
         possible = np.where(impossible[:, None], machine.legs.offsets + 1.0, self.readings)
         states: Batched = forward_physical(machine, possible).transformed(
@@ -317,15 +317,15 @@ def read_measurements(path: str | Path) -> tuple[Any, FloatArray]:
     """Read a CSV file of measurements.
 
     The heading names the columns, in any order: x, y, z, the position of the platform in {B} [m]; qx, qy, qz, qw, if
-    measured, its rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m], of RRS
-    legs [rad], or r_1 to r_3 of a stage. Instead of a position roll and pitch [rad], height [m], or all three, as
+    measured, its rotation from {m} to {B} as a unit quaternion, scalar last; r_b1 to r_c3, the readings [m] ([rad] for
+    RRS legs), or r_1 to r_3 for a stage. Instead of a position roll and pitch [rad], height [m], or all three, as
     `Inclinations` takes them; cells may be empty there. A warning lists other columns, which are not used. A
     `MeasurementError` names the line and column of what cannot be read.
 
     Returns
     -------
     poses : RigidTransform, shape (N,), ndarray, shape (N, 3), or Inclinations
-        Poses, or positions if there is no quaternion; or what an IMU and a ruler show.
+        Poses, or positions if there is no quaternion; or `Inclinations`, from an IMU and a ruler.
     readings : ndarray, shape (N, legs)
         Readings of the legs [m, rad].
     """

@@ -1,4 +1,4 @@
-"""What is measured of a platform: its pose, its position, or what an IMU on it and a ruler show."""
+"""Measured quantities of a platform: its pose, its position, or the tilt and height from an IMU and a ruler."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Observable:
 
     components: tuple[str, ...]
     is_levelled: bool = False
-    """Whether only z, and the vertical as the platform sees it, are measured."""
+    """Whether only z, and the vertical in the platform's frame, are measured."""
 
     @property
     def lengths(self) -> int:
@@ -35,7 +35,7 @@ class Observable:
 
     @property
     def frames(self) -> BoolArray:
-        """Which of `frames.FRAME_PARAMETERS` can be seen, (12,)."""
+        """Mask of the observable `frames.FRAME_PARAMETERS`, (12,)."""
         has_turns = self.lengths < len(self.components)
         base = [not self.is_levelled or name in ("turn_x", "turn_y", *self.components) for name in (*_PLACE, *_TURN)]
         return np.array([*base, *3 * [self.lengths > 0], *3 * [has_turns]])
@@ -80,7 +80,7 @@ class Observable:
 POSES, POSITIONS = Observable((*_PLACE, *_TURN)), Observable(_PLACE)
 INCLINATIONS = Observable(("z", "turn_x", "turn_y"), is_levelled=True)
 OBSERVABLES = {"poses": POSES, "positions": POSITIONS, "inclinations": INCLINATIONS}
-"""What may be measured, by the names of `choose_poses`."""
+"""Kinds of measurements, by the names of `choose_poses`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +90,12 @@ class Inclinations:
     Parameters
     ----------
     roll, pitch : array_like, shape (N,), optional
-        Of the IMU, as in ROS: it sees the vertical at (-sin pitch, cos pitch sin roll, cos pitch cos roll) [rad]. Those
-        of `StageConfiguration.roll` and `.pitch` but for the torsion.
+        Roll and pitch of the IMU [rad], as in ROS: in its frame the vertical is (-sin pitch, cos pitch sin roll, cos
+        pitch cos roll). Those of `StageConfiguration.roll` and `.pitch` but for the torsion.
     height : array_like, shape (N,), optional
-        Of the platform's origin, or of another mark on it, along the vertical [m].
+        Height of the platform's origin, or of another mark on it, along the vertical [m].
 
-    NaN is what was not measured, of either.
+    Either may be NaN where it was not measured.
     """
 
     roll: Any = None
@@ -147,7 +147,7 @@ def _column(value: npt.ArrayLike, name: str) -> FloatArray:
 
 
 def _rotations(angles: FloatArray) -> FloatArray:
-    """Return the rotations (N, 3, 3) of roll and pitch (N, 2) without yaw; NaN where they are."""
+    """Return the rotations (N, 3, 3) of roll and pitch (N, 2) without yaw; NaN where roll or pitch is NaN."""
     matrices = Rotation.from_euler("xy", np.nan_to_num(angles)).as_matrix()
     missing = np.asarray(np.isnan(angles).any(axis=-1))
     return np.where(missing[:, None, None], np.nan, matrices)

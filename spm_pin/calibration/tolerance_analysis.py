@@ -92,9 +92,9 @@ def tolerance(
     tolerances : mapping of str to float, or array_like, shape (n,)
         Standard deviations [m, rad]: of each of `Machine.parameter_names`, or under names of parameters, components
         such as "pivot_x", kinds ("direction", "pivot", "ball", "offset", and "rod", "crank" of legs that have them) or
-        legs; a later name replaces an earlier one, what is not named has no error.
+        legs; a later name replaces an earlier one, and parameters without a name have no error.
     states : Configuration, StageConfiguration or int
-        Where: states of shape (N,), or the number of states to draw uniformly within the leg limits.
+        States of shape (N,), or the number of states to draw uniformly within the leg limits.
     samples : int
         Random machines for the Monte Carlo analysis; 0 for none.
     rng : numpy.random.Generator, seed, or None

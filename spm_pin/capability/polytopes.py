@@ -70,7 +70,7 @@ class HalfSpaces(NamedTuple):
 
 
 class Ellipsoid(NamedTuple):
-    """Ellipsoids of shape (...) in the space of k forces, moments, or of what they stand for, k = 3 but for motions."""
+    """Ellipsoids of shape (...) in the space of k components of a wrench, twist or acceleration; mostly k = 3."""
 
     centre: FloatArray
     """Shape (..., k)."""
@@ -110,9 +110,9 @@ class Polytope:
     """Points x with lower <= rows · x <= upper, for states of shape (...); NaN for a state that does not exist.
 
     x is a wrench (f, m) [N, N m], a twist (v, ω) [m/s, rad/s] or its time derivative, at o in {B}; its "linear" part
-    is (x_1, x_2, x_3), the "angular" one the rest. Of a stage it is such a wrench, or its motion (v_z, ω_x, ω_y) or the
-    time derivative of that: then v_z is the "linear" part, the velocity of its tilt the "angular" one. Made by
-    `wrench_polytope`, `velocity_polytope` and `acceleration_polytope`.
+    is (x_1, x_2, x_3), the "angular" one the rest. For a stage x is such a wrench, or the motion (v_z, ω_x, ω_y) of the
+    stage, or the time derivative of that motion: then v_z is the "linear" part, the velocity of the tilt the "angular"
+    one. Made by `wrench_polytope`, `velocity_polytope` and `acceleration_polytope`.
     """
 
     rows: FloatArray
@@ -137,7 +137,7 @@ class Polytope:
     def vertices(self) -> FloatArray:
         """The 64 vertices, shape (..., 64, 6): in number k leg i is at its upper limit if bit i of k is set.
 
-        Of motions of a stage 8, shape (..., 8, 3). Raises `SingularConfigurationError` where the set has no end:
+        For motions of a stage 8, shape (..., 8, 3). Raises `SingularConfigurationError` where the set is unbounded:
         wrenches at an inverse singularity, twists and accelerations at a forward one; `ArgumentError` for wrenches onto
         a stage. With rows added by `within` only a `section` has vertices.
         """
@@ -211,9 +211,9 @@ class Polytope:
     def ellipsoid(self, part: str = "linear") -> Ellipsoid:
         """Return the section, where the other part is zero, of the ellipsoid Σ ((y_i - middle_i) / half range_i)² <= 1.
 
-        `part` as for `ball`. NaN where the ellipsoid has no such section, or one without end. Of a parallelotope, the
-        ellipsoid in all dimensions is the one of largest volume inside it, which touches all facets. With other rows it
-        is inside, not the largest.
+        `part` as for `ball`. NaN if the ellipsoid has no such section, or an unbounded one. In a parallelotope, the
+        ellipsoid in all dimensions is the one of largest volume inside it, which touches all facets. In other polytopes
+        it is inside, but not the largest.
         """
         half = 0.5 * (self.upper - self.lower)
         scaled = self.rows[..., self._part(part)] / half[..., None]
@@ -301,19 +301,19 @@ def wrench_polytope(
     ----------
     configuration : Configuration or StageConfiguration
         States of shape (...).
-    force_limits : array_like, shape (), (6,) or (2, 6), of a stage (), (3,) or (2, 3)
-        Largest effort of each actuator in either sense [N], of RRS legs [N m]; or the least, which is negative, and the
-        largest. A positive one increases the reading: an RPS leg pushes.
+    force_limits : array_like, shape (), (6,) or (2, 6); for a stage (), (3,) or (2, 3)
+        Largest effort of each actuator in either sense [N] ([N m] for RRS legs); or the least, which is negative, and
+        the largest. A positive effort increases the reading: an RPS leg pushes.
     load : array_like, shape (..., 6), optional
-        A wrench onto the platform that is there besides [N, N m]: the weight of a payload, or of all bodies,
+        An additional wrench onto the platform [N, N m]: the weight of a payload, or of all bodies,
         ``-chain.state(q, v).platform_dynamics().gravity``. Leading axes broadcast with those of `configuration`.
 
     Returns
     -------
     Polytope
-        Of wrenches (f, m) [N, N m] at o in {B}, applied from outside as those of `leg_forces`; what the platform exerts
-        has the opposite sign. At singularities as `platform_jacobian`. Of a stage it has no end where the structure
-        holds, until `within` limits the reactions.
+        Wrenches (f, m) [N, N m] at o in {B}, applied from outside as those of `leg_forces`; what the platform exerts
+        has the opposite sign. At singularities as `platform_jacobian`. For a stage it is unbounded in directions that
+        the structure supports, until `within` limits the reactions.
 
     Examples
     --------
@@ -337,14 +337,14 @@ def velocity_polytope(configuration: State, rate_limits: npt.ArrayLike) -> Polyt
     ----------
     configuration : Configuration or StageConfiguration
         States of shape (...).
-    rate_limits : array_like, shape (), (6,) or (2, 6), of a stage (), (3,) or (2, 3)
-        Largest rate of each reading [m/s], of RRS legs [rad/s], in either sense; or the least, which is negative, and
+    rate_limits : array_like, shape (), (6,) or (2, 6); for a stage (), (3,) or (2, 3)
+        Largest rate of each reading [m/s] ([rad/s] for RRS legs), in either sense; or the least, which is negative, and
         the largest.
 
     Returns
     -------
     Polytope
-        Of twists (v, ω) [m/s, rad/s] at o in {B}, of a stage of motions (v_z, ω_x, ω_y); at singularities as
+        Twists (v, ω) [m/s, rad/s] at o in {B}, or motions (v_z, ω_x, ω_y) for a stage; at singularities as
         `inverse_jacobian`.
     """
     bounds = _limits_of(configuration, rate_limits, "rate_limits", "rates of the readings", "m/s", "rad/s")
@@ -367,17 +367,18 @@ def acceleration_polytope(
         States of shape (...).
     force_limits : array_like
         As for `wrench_polytope`.
-    mass : array_like, shape (..., 6, 6), of a stage (..., 3, 3)
+    mass : array_like, shape (..., 6, 6); for a stage (..., 3, 3)
         Λ of ``chain.state(q, v).platform_dynamics()``, the mass of all bodies reflected at o, or of the platform alone:
-        of a stage whose platform has the 6 x 6 M at o it is Pᵀ M P, P from `spm_pin.stages.parasitic_jacobian`.
-    load : array_like, shape (..., 6), of a stage (..., 3), optional
+        for a stage whose platform has the 6 x 6 matrix M at o it is Pᵀ M P, with P from
+        `spm_pin.stages.parasitic_jacobian`.
+    load : array_like, shape (..., 6); for a stage (..., 3), optional
         The wrench onto the platform besides [N, N m]; with `dynamics` from that call, ``-dynamics.bias -
-        dynamics.gravity`` for the robot's own velocity and weight. Of a stage Pᵀ w of a wrench w.
+        dynamics.gravity`` for the robot's own velocity and weight. For a stage it is Pᵀ w of a wrench w.
 
     Returns
     -------
     Polytope
-        Of time derivatives of the twist, of a stage of its motion, [m/s², rad/s²] at o in {B}; singularities as in
+        Time derivatives of the twist, or of the motion for a stage, [m/s², rad/s²] at o in {B}; at singularities as
         `wrench_polytope`.
     """
     bounds = _limits_of(configuration, force_limits, "force_limits", "efforts of the actuators", "N", "N m")

@@ -1,4 +1,4 @@
-"""`spm-pin calibrate`, the machine as built from measurements and leg readings, and `tolerance`, what errors cost."""
+"""`spm-pin calibrate`, which identifies a machine from measurements and readings, and `spm-pin tolerance`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def calibrate(
         Argument(
             metavar="CSV",
             help="Columns x y z \\[m], qx qy qz qw if measured; or roll pitch \\[rad], height \\[m], or all three; and "
-            "readings r_b1 to r_c3, of a stage r_1 to r_3 \\[m or rad].",
+            "readings r_b1 to r_c3 (r_1 to r_3 for a stage) \\[m or rad].",
         ),
     ],
     out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,

@@ -57,7 +57,7 @@ def as_command_of_stage(command: Callable[..., None]) -> Callable[[Callable[[], 
     It has the options of a stage in place of `machine_file`; --stage alone if the command has some of the others.
     """
     names = inspect.signature(command).parameters.keys()
-    table = _STAGE | {"unit": (LengthUnit, "UNIT", "Of the lengths among these options; metres if not given.")}
+    table = _STAGE | {"unit": (LengthUnit, "UNIT", "Unit of the lengths among these options; metres if not given.")}
     needed = ["stage"] if names & table.keys() else []
     if needed:
         table = {"stage": (Path, "FILE", "YAML file of a stage, see spm-pin stage write.")}

@@ -236,10 +236,12 @@ def sweep(
         Option(metavar="ALPHA BETA LAMBDA", help="X-Y-X angles in degrees, each a range or one number."),
     ] = None,
     height: Annotated[
-        str | None, Option(metavar=_RANGE, help="Of a stage, --machine: height of its platform, in --unit.")
+        str | None, Option(metavar=_RANGE, help="For a stage as --machine: height of its platform, in --unit.")
     ] = None,
-    tilt: Annotated[str | None, Option(metavar=_RANGE, help="Of a stage: its tilt in degrees.")] = None,
-    azimuth: Annotated[str | None, Option(metavar=_RANGE, help="Of a stage: where it is lowest, in degrees.")] = None,
+    tilt: Annotated[str | None, Option(metavar=_RANGE, help="For a stage: its tilt in degrees.")] = None,
+    azimuth: Annotated[
+        str | None, Option(metavar=_RANGE, help="For a stage: direction in which it is lowest, in degrees.")
+    ] = None,
     legs: Annotated[list[str] | None, Option(metavar=_RANGE, help=_LEGS)] = None,
     samples: Annotated[int | None, Option(min=1, help=_SAMPLES)] = None,
     seed: Annotated[int, Option(min=0, help="Seed of the random points.")] = 0,

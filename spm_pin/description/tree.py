@@ -43,7 +43,7 @@ def joint_values(configuration: Configuration | StageConfiguration) -> dict[str,
 
 
 def machine_of(states: Mapping[str, Configuration | StageConfiguration], machine: Machine | None) -> Machine:
-    """Return the common machine of named states and of a URDF; raise an error if there is none."""
+    """Return the common machine of named states and of a URDF; raise an error if they differ."""
     if not isinstance(states, Mapping):
         raise DescriptionError("states", "a mapping of names to configurations", type(states).__name__)
     machines = [check_state(state, "states").machine for state in states.values()]

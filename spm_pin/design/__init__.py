@@ -1,4 +1,4 @@
-"""Dimensions compared and searched: many machines over one sample of states, and fronts of what they can do."""
+"""Comparison and search of dimensions: many machines over one sample of states, and Pareto fronts of their metrics."""
 
 from spm_pin.design.designs import VARIABLES, DesignProblem, Designs, Front, evaluate_designs, pareto_front
 from spm_pin.design.task import Task

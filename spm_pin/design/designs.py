@@ -1,4 +1,4 @@
-"""Dimensions compared and searched: many machines over one sample of leg lengths, and Pareto fronts by NSGA-II."""
+"""Comparison and search of dimensions: many machines over one sample of leg lengths, and Pareto fronts by NSGA-II."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ Rows = tuple[int, FloatArray]
 _TOGETHER = 16
 """Machines in a batch, at most: some tenths of a second for 10⁴ states each."""
 SIZES = ("assembled", "volume", "footprint")
-"""Columns that are no statistics of metrics, besides "certified" and those of functions."""
+"""Columns that are not statistics of metrics, besides "certified" and those of functions."""
 Function = Callable[[Any], float]
 """A number of a machine."""
 _STAGES = ("", "lower_", "upper_")
@@ -80,13 +80,14 @@ class Designs:
 
     - "assembled": share of the leg lengths with a physical configuration; below 1 a forward singularity is within the
       limits.
-    - "volume": of the poses of these configurations, ∫ |det ∂(o, R)/∂l| dl [m³ rad³]; a pose that several of them have
-      counts as often. Of a stage it is that of heights and normals [m sr]. Holds where "certified" is 1: it has no
-      bound at a forward singularity, and comes out small.
+    - "volume": volume of the poses of these configurations, ∫ |det ∂(o, R)/∂l| dl [m³ rad³]; a pose with several
+      configurations is counted once for each. For a stage it is the volume of heights and normals [m sr]. It is
+      reliable where "certified" is 1: the integrand is unbounded at a forward singularity, and the estimate then too
+      small.
     - "footprint": area of the base circle π E² [m²].
     - "certified": 1 where the limits are proved free of forward singularities, 0 where they are not, or the proof takes
       more than the boxes allowed; if asked for.
-    - the names of functions that are given.
+    - the names of given functions: their values.
     - "<metric>_mean" and "<metric>_low": mean of a metric of `spm_pin.sweeps` and the value that it exceeds at all but
       one in twenty of the configurations.
     """
@@ -112,25 +113,25 @@ def evaluate_designs(
     Parameters
     ----------
     machines : iterable of Manipulator, or of Stage
-        Machines with finite leg limits. One whose limits hold no configuration has NaN in its row, and stops nothing.
+        Machines with finite leg limits. A machine without a configuration within its limits has NaN in its row.
     metrics : metrics or their names
-        Of `spm_pin.sweeps`, or your own; those of a state.
+        Metrics of states: those of `spm_pin.sweeps`, or your own.
     functions : dict of str to callable, optional
         Columns by their names, each a function of a machine that returns a number: your own, or those of a
-        `Task`, `task.margin` and `task.effort`. They are sent to other processes where there are some.
+        `Task`, `task.margin` and `task.effort`. They are sent to other processes, if any are used.
     states : int
-        Sets of readings for each machine: a Sobol sequence, the same shares of the strokes for all.
+        Number of sets of readings for each machine: a Sobol sequence, with the same shares of the strokes for all.
     boxes : int
         Prove as `certify` does, with at most so many boxes for a stage, that the limits are free of forward
         singularities; not tried where some leg lengths have no configuration. Where the legs of a stage have equal
         limits, a sixth of its states is searched. 0 leaves the column out.
     seed : int
-        Of the sequence.
+        Seed of the sequence.
     scheduler, workers
-        As for `spm_pin.sweeps.run_sweep`, but without them all is done in this process. A script that asks for more
-        calls this below ``if __name__ == "__main__":``.
+        As for `spm_pin.sweeps.run_sweep`, but by default everything runs in this process. A script that uses more
+        processes must call this below ``if __name__ == "__main__":``.
     progress : callable, optional
-        Called with what is being done, the machines done and all machines.
+        Called with the current task, the number of evaluated machines and that of all machines.
 
     Returns
     -------
@@ -180,7 +181,7 @@ def _checked_functions(functions: dict[str, Function]) -> dict[str, Function]:
 
 
 def leg_ranges(machine: Machine) -> tuple[FloatArray, FloatArray]:
-    """Return the least readings and the strokes of the legs, shapes (legs,) [m], of RRS legs [rad]."""
+    """Return the least readings and the strokes of the legs, of shape (legs,) each [m] ([rad] for RRS legs)."""
     assert machine.limits is not None
     low, high = machine.limits.ends
     return low.copy(), high - low
@@ -236,23 +237,23 @@ def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Manipula
 
 
 def _densities(points: Points) -> FloatArray:
-    """Return the volume of poses per volume of readings (M,); of a stage that of heights and normals [m sr]."""
+    """Return the volume of poses (of heights and normals for a stage [m sr]) per volume of readings, (M,)."""
     machine = points.machine
     if isinstance(points.reached, StageConfiguration):
         return tilt_densities(points.reached, np.nan_to_num(points.platform_jacobians))
-    # The determinant of G from what the conditioning needs as well: singular values of the twist (v, L ω) by rates of
-    # knees.
+    # The determinant of G from the singular values that the conditioning needs as well: of the twist (v, L ω) by rates
+    # of knees.
     sizes = np.nan_to_num(points.singular_values().prod(axis=-1)) / machine.platform_radius**3
     return np.asarray(sizes * machine.legs.largest_slopes.prod())
 
 
 def variables_of(machine: Machine) -> tuple[str, ...]:
-    """Return those of `VARIABLES` that a machine has."""
+    """Return the `VARIABLES` that a machine has."""
     return VARIABLES if isinstance(machine, Manipulator) else (*_DIMENSIONS[:2], *_OF_LEGS)
 
 
 def _stages_and_name(machine: Machine, variable: str) -> tuple[range, str]:
-    """Return the stages of a machine that a variable concerns, and the name of what it is there."""
+    """Return the stages of a machine that a variable concerns, and the name of the variable in a stage."""
     for stage, prefix in enumerate(_STAGES[1:]):
         if variable.startswith(prefix):
             return range(stage, stage + 1), variable.removeprefix(prefix)
@@ -266,20 +267,21 @@ class DesignProblem:
     Parameters
     ----------
     machine : Manipulator or Stage
-        A drawn machine with finite leg limits: what is not free is as in this one, and it is compared with the others.
+        A nominal machine with finite leg limits: the values that are not free are those of this machine, which is also
+        the reference of the result.
     free : dict of str to (low, high)
         Ranges of some of `VARIABLES` [m, rad].
     aims : dict of str to "max" or "min"
-        Columns of `Designs`, such as "volume" or "payload_low", or names of `functions`. Of one aim the front is one
-        machine.
+        Columns of `Designs`, such as "volume" or "payload_low", or names of `functions`. With a single aim the front is
+        one machine.
     at_least, at_most : dict of str to float, optional
         Least and largest values of columns, such as {"certified": 1, "conditioning_low": 1 / 60} for condition numbers
         of at most 60, and {"footprint": 1.2}.
     functions : dict of str to callable, optional
-        Columns for aims and bounds, see `evaluate_designs`. A store knows those of a task by its poses, your own by
-        their names alone.
+        Columns for aims and bounds, see `evaluate_designs`. A store identifies those of a task by its poses, your own
+        by their names alone.
     metrics : iterable of Metric, optional
-        Metrics of your own, or the package's with other parameters, for their "_mean" and "_low".
+        Metrics of your own, or those of the package with other parameters, for their "_mean" and "_low".
     """
 
     machine: Manipulator | Stage
@@ -354,7 +356,7 @@ class DesignProblem:
             raise ArgumentError(f"free[{name!r}]", expected, f"{low:g} and {high:g}", "In mm or cm?")
 
     def machine_of(self, values: FloatArray) -> Manipulator | Stage:
-        """Return the machine of values (k,) of the free variables, in their order; `GeometryError` if they are none."""
+        """Return the machine of values (k,) of the free variables, in order; `GeometryError` if infeasible."""
         machine, (low, stroke) = self.machine, leg_ranges(self.machine)
         dimensions = {name: getattr(machine, name) for name in _DIMENSIONS if hasattr(machine, name)}
         kinds = list(machine.legs.kinds)
@@ -391,7 +393,7 @@ class DesignProblem:
         return self.machine.legs.kinds[stages.start].unit if of_readings else "rad" if of_legs == "direction" else "m"
 
     def objectives(self, designs: Designs) -> tuple[FloatArray, FloatArray]:
-        """Return what is to be small (N, m), and what must not be positive (N, c); the last is 1 where numbers lack."""
+        """Return objectives to minimize (N, m) and constraints g <= 0 (N, c); the last is 1 if a number is missing."""
         signs = [-1.0 if sense == "max" else 1.0 for sense in self.aims.values()]
         values = np.stack([designs.columns[name] for name in self.aims], axis=-1) * signs
         bounds = [least - designs.columns[name] for name, least in self.at_least.items()]
@@ -403,7 +405,7 @@ class DesignProblem:
 
 @dataclass(frozen=True)
 class Front:
-    """The machines of a search that no other one beats in all aims, in the order of the first aim."""
+    """The Pareto-optimal machines of a search, in the order of the first aim."""
 
     problem: DesignProblem
     """The free dimensions, aims and bounds of the search."""
@@ -434,7 +436,7 @@ def pareto_front(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Front:
-    """Search for the machines that no other one beats in all aims, by NSGA-II.
+    """Search for the Pareto-optimal machines of a problem, by NSGA-II.
 
     Parameters
     ----------
@@ -444,14 +446,14 @@ def pareto_front(
         JSON file of the search: problem, seed, versions, and all machines evaluated, written after each generation. A
         search that was interrupted goes on from it, and a finished one is read from it; another search's is refused.
     population, generations : int
-        Machines of a generation, and how many of these there are.
+        Number of machines of a generation, and number of generations.
     states, boxes, scheduler, workers
         As for `evaluate_designs`; certificates are made where an aim or a bound is "certified". Processes are started
         once for the search, and need ``if __name__ == "__main__":`` as in `evaluate_designs`.
     seed : int
-        Of the search and of the states.
+        Seed of the search and of the states.
     progress : callable, optional
-        Called with what is being done, the generations done and all of them.
+        Called with the current task, the number of completed generations and that of all.
 
     Returns
     -------
@@ -495,7 +497,7 @@ def pareto_front(
     stored = _read(path, definition, column_names(chosen, needed, own))
 
     def evaluate(client: Client | None, values: FloatArray, generation: int) -> tuple[Designs, BoolArray]:
-        """Return the numbers of machines, and which can be built: of others they are NaN, the machine is the first."""
+        """Return the numbers of machines and which are feasible; others have NaN, and the initial machine."""
         built = [_built(problem, each) for each in values]
         exist = np.array([each is not None for each in built])
         some = tuple(each or problem.machine for each in built)
@@ -534,7 +536,7 @@ def pareto_front(
     reference = evaluate_designs([problem.machine], chosen, functions=own, **options)
     values, bounds = problem.objectives(every)
     feasible = np.flatnonzero((bounds <= 0.0).all(axis=-1))
-    # In the order of the first aim, and of equal rows the first.
+    # In the order of the first aim; of equal rows only the first is kept.
     kept = feasible[np.unique(values[feasible], axis=0, return_index=True)[1]]
     kept = kept[np.sort(NonDominatedSorting().do(values[kept], only_non_dominated_front=True))]
     best = {name: column[kept] for name, column in columns.items()}
@@ -542,7 +544,7 @@ def pareto_front(
 
 
 def _built(problem: DesignProblem, values: FloatArray) -> Manipulator | Stage | None:
-    """Return the machine of free variables, None where they make none, such as rods that reach no ball."""
+    """Return the machine of free variables, None if they are not feasible, such as rods that reach no ball."""
     try:
         return problem.machine_of(values)
     except GeometryError:
@@ -550,13 +552,13 @@ def _built(problem: DesignProblem, values: FloatArray) -> Manipulator | Stage | 
 
 
 def _identity(function: Function) -> str | None:
-    """Return what tells a task's function from another's; None of other functions."""
+    """Return the identity of the task of a function; None if it is not a task's function."""
     task = getattr(function, "__self__", None)
     return task.identity if isinstance(task, Task) else None
 
 
 def _read(path: Path, definition: dict[str, Any], names: list[str]) -> list[dict[str, Any]]:
-    """Return the generations in a file of the search, none if there is no file."""
+    """Return the generations in a file of the search, an empty list if the file does not exist."""
     if not path.exists():
         return []
     expected = "a file of this very search"

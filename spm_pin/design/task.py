@@ -1,4 +1,4 @@
-"""The task that dimensions are searched for: poses or tilts that a machine has to reach, and the load on it there."""
+"""Task of a search for dimensions: poses or tilts that a machine has to reach, and the load on it there."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from spm_pin.sweeps.points import Poses, Tilts
 class Task:
     """Poses that a machine has to reach in one branch, all along a path or in any order, under a load.
 
-    Its methods are functions of a `Manipulator`, as searches for dimensions take them; those of a task made by
-    `of_tilts` are functions of a `Stage`.
+    Its methods are functions of a `Manipulator`, for use in searches for dimensions; for a task made by `of_tilts` they
+    are functions of a `Stage`.
 
     Parameters
     ----------
     poses : pose of shape (n,), or PlatformPath
-        Of {m} in {B}, translation in metres; of a path so many as `samples`, evenly spaced in its time.
+        Poses of {m} in {B}, translation in metres; those of a path are `samples` poses, evenly spaced in its time.
     wrench : array_like, shape (6,) or (n, 6), optional
         (f, m): force [N] and moment [N m] at o, in {B}, onto the platform from outside; a newton down if not given.
     samples : int
@@ -82,7 +82,7 @@ class Task:
         height, tilt, azimuth, roll, pitch, normal
             As for `spm_pin.stages.inverse`.
         wrench
-            As of the class.
+            As for the class.
         """
         heights = np.atleast_1d(real_array(height, "height", (), "of the platform's origin in metres"))
         normals = np.atleast_2d(normals_of_request(tilt, azimuth, roll, pitch, normal))
@@ -103,14 +103,14 @@ class Task:
         return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
     def margin(self, machine: Manipulator | Stage) -> float:
-        """Return how far the worst leg at the worst pose is inside its limits [m], of RRS legs at the knee.
+        """Return the distance of the worst leg at the worst pose from its limits [m], at the knee for RRS legs.
 
-        Negative outside; NaN where no physical branch leads through all poses. Of two that do the better one counts.
+        Negative outside; NaN if no physical branch contains all poses. If two do, the larger value is returned.
         """
         return self._along(machine)[0]
 
     def effort(self, machine: Manipulator | Stage) -> float:
-        """Return the largest effort of an actuator at any pose [N], of RRS legs [N m], in the branch of `margin`.
+        """Return the largest effort of an actuator at any pose [N] ([N m] for RRS legs), in the branch of `margin`.
 
         NaN if no branch exists, or a pose is singular.
         """

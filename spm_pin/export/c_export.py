@@ -151,9 +151,9 @@ def c_sources(machine: Manipulator, *, prefix: str = "spm_", masses: Masses | No
     machine : Manipulator
         The machine that is built in, nominal or calibrated. The functions take others too.
     prefix : str
-        What all names begin with.
+        Prefix of all names.
     masses : Masses, optional
-        Of the bodies, for the weights; assumed ones by default, see `urdf_text`.
+        Masses of the bodies, for the weights; assumed ones by default, see `urdf_text`.
 
     Returns
     -------

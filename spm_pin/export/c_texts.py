@@ -45,7 +45,7 @@ def marks(machine: Machine, prefix: str) -> dict[str, str]:
     """Return what the templates of all exports have in place of marks; `prefix` is that of names in C.
 
     `TITLE` names a machine after its legs, such as "3RPS-3SPR manipulator" or "3-RRS stage". `MACHINE_FILE` is the
-    first line of the file of a machine, by which C knows it: version of the format, kind, units.
+    first line of the file of a machine, which identifies it for C: version of the format, kind, units.
     """
     version, (lower, *upper) = import_module("spm_pin").__version__, [kind.name for kind in machine.legs.kinds]
     title = f"3{lower}-3{upper[0][::-1]} manipulator" if upper else f"3-{lower} stage"

@@ -1,4 +1,4 @@
-"""Functions that take a `Manipulator` or a `Stage`: which of two functions is called is decided here."""
+"""Dispatch of functions that take a `Manipulator` or a `Stage`, by the type of their first argument."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class OfEither(Protocol[P, R, Q, T]):
 def or_of_stage(of_stage: Callable[Q, T]) -> Callable[[Callable[P, R]], OfEither[P, R, Q, T]]:
     """Return a decorator of a function of a manipulator, which calls `of_stage` if the first argument is a stage.
 
-    A stage is asked for a tilt and a height where a manipulator is asked for a pose, so that their arguments differ.
+    Their arguments differ: a pose for a manipulator is a tilt and a height for a stage.
     """
 
     def decorate(of_manipulator: Callable[P, R]) -> OfEither[P, R, Q, T]:

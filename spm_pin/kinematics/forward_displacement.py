@@ -39,14 +39,14 @@ _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 
 @or_of_stage(stage_displacement.forward)
 def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> SolutionSet:
-    """Find all configurations that six leg lengths allow; of a stage as `spm_pin.stages.forward`.
+    """Find all configurations with given leg lengths; for a stage see `spm_pin.stages.forward`.
 
     Parameters
     ----------
     machine : Manipulator or Stage
         The manipulator. Its leg limits are not applied.
-    readings : array_like, shape (..., 6), of a stage (..., 3)
-        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], in a drawn machine from revolute joint to ball joint centre.
+    readings : array_like, shape (..., 6); for a stage (..., 3)
+        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], in a nominal machine from revolute joint to ball joint centre.
 
     Returns
     -------
@@ -113,14 +113,14 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
 def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
     """Find the physical configuration with these readings, in which an assembled machine is.
 
-    Of a stage as `spm_pin.stages.forward_physical`.
+    For a stage see `spm_pin.stages.forward_physical`.
 
     Parameters
     ----------
     machine : Manipulator or Stage
         The manipulator. Its leg limits are not applied.
-    readings : array_like, shape (..., 6), of a stage (..., 3)
-        What the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 show [m]: in a drawn machine the leg lengths.
+    readings : array_like, shape (..., 6); for a stage (..., 3)
+        Readings of the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]: in a nominal machine the leg lengths.
     near : Configuration, optional
         A state of the machine before. Its leading axes broadcast with those of `readings`.
 

@@ -47,7 +47,7 @@ def inverse_displacement(
 ) -> SolutionSet:
     """Find all configurations with a given pose of the platform: the branches.
 
-    A stage is asked for a height and a tilt instead of a pose, with the arguments of `spm_pin.stages.inverse`.
+    For a stage the arguments are a height and a tilt instead of a pose, as for `spm_pin.stages.inverse`.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def _method(machine: Manipulator) -> _Method:
 def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
     """Find the physical configuration for a pose, in which an assembled machine is.
 
-    A stage is asked for a height and a tilt instead of a pose, with the arguments of `spm_pin.stages.inverse_physical`.
+    For a stage the arguments are a height and a tilt instead of a pose, as for `spm_pin.stages.inverse_physical`.
 
     Parameters
     ----------
@@ -355,5 +355,5 @@ def _vertical_families(rotation: FloatArray, place: FloatArray) -> IntArray:
 
 @or_of_stage(stage_displacement.physical_at_poses)
 def physical_at_poses(machine: Manipulator, pose: PoseLike) -> Configuration:
-    """Return the physical states of poses (...); of a stage their heights and normals count."""
+    """Return the physical states of poses (...); for a stage only their heights and normals are used."""
     return inverse_physical(machine, pose)

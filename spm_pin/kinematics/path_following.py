@@ -37,7 +37,7 @@ def follow(
 ) -> FollowedPath[Configuration]:
     """Follow one solution along a path of poses or of leg lengths.
 
-    Of a stage the path is one of readings, or of heights and tilts, with the arguments of `spm_pin.stages.follow`.
+    For a stage the path is one of readings, or of heights and tilts, with the arguments of `spm_pin.stages.follow`.
 
     Parameters
     ----------

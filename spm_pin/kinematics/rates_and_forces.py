@@ -48,9 +48,9 @@ def inverse_jacobian(configuration: State) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (..., 6, 6), of a stage (..., 3, 3)
+    ndarray, shape (..., 6, 6); for a stage (..., 3, 3)
         Rows the legs, r_b1, r_b2, r_b3, r_c1, r_c2, r_c3; columns the twist (v, ω): velocity of o [m/s], angular
-        velocity of m [rad/s], both in {B}, of a stage its motion (v_z, ω_x, ω_y).
+        velocity of m [rad/s], both in {B}; for a stage its motion (v_z, ω_x, ω_y).
         Singular, but right, at a forward singularity. A single state raises `SingularConfigurationError`, and a member
         of a batch is NaN, at an inverse or a constraint singularity, where a twist has no leg rates or no unique ones;
         and, as "forward", where a leg has no length, hence no direction.
@@ -67,11 +67,11 @@ def platform_jacobian(configuration: State) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (..., 6, 6), of a stage (..., 6, 3)
+    ndarray, shape (..., 6, 6); for a stage (..., 6, 3)
         Rows the twist (v, ω) of m at o, in {B} [m/s, rad/s]; columns the legs, as in `inverse_jacobian`. Singular, but
         right, at an inverse singularity. A single state raises `SingularConfigurationError`, and a member of a batch is
-        NaN, at a forward or a constraint singularity, where the legs do not hold the platform. Of a stage the parasitic
-        motion is included, and the rows `spm_pin.stages.MOTION` are the inverse of its `inverse_jacobian`.
+        NaN, at a forward or a constraint singularity, where the legs do not hold the platform. For a stage the
+        parasitic motion is included, and the rows `spm_pin.stages.MOTION` are the inverse of its `inverse_jacobian`.
     """
     if isinstance(configuration, StageConfiguration):
         return stage_rates.platform_jacobian(configuration)
@@ -87,14 +87,15 @@ def leg_rates(configuration: State, twist: npt.ArrayLike) -> FloatArray:
     ----------
     configuration : Configuration or StageConfiguration
         States of shape (...).
-    twist : array_like, shape (..., 6), of a stage (..., 3)
-        (v, ω) of m at o in {B} [m/s, rad/s], of a stage its motion (v_z, ω_x, ω_y). Leading axes broadcast with those
+    twist : array_like, shape (..., 6); for a stage (..., 3)
+        (v, ω) of m at o in {B} [m/s, rad/s]; for a stage its motion (v_z, ω_x, ω_y). Leading axes broadcast with those
         of `configuration`.
 
     Returns
     -------
-    ndarray, shape (..., 6), of a stage (..., 3)
-        Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s], of RRS legs [rad/s]; at singularities as `inverse_jacobian`.
+    ndarray, shape (..., 6); for a stage (..., 3)
+        Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s] ([rad/s] for RRS legs); at singularities as
+        `inverse_jacobian`.
     """
     check_state(configuration)
     of_stage = isinstance(configuration, StageConfiguration)
@@ -116,10 +117,11 @@ def leg_forces(configuration: State, wrench: npt.ArrayLike) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (..., 6), of a stage (..., 3)
-        What the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 exert [N], of RRS legs [N m]; positive increases the
-        reading: an RPS leg pushes. Weights and friction are left out. At singularities as `platform_jacobian`. What
-        else the joints carry: `spm_pin.capability.joint_reactions`, and of a stage `spm_pin.stages.joint_loads`.
+    ndarray, shape (..., 6); for a stage (..., 3)
+        Efforts of the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [N] ([N m] for RRS legs); a positive effort
+        increases the reading: an RPS leg pushes. Weights and friction are left out. At singularities as
+        `platform_jacobian`. Other loads of the joints: `spm_pin.capability.joint_reactions`, and for a stage
+        `spm_pin.stages.joint_loads`.
     """
     check_state(configuration)
     load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration, 6)
@@ -206,7 +208,7 @@ def force_matrices(configuration: Configuration) -> FloatArray:
 
 
 def stage_inverses(configuration: State) -> FloatArray:
-    """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), with twists (v, ω) at o in {B} [m/s, rad/s] for rows; of a stage one.
+    """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), J_b⁻¹ alone for a stage; rows are twists (v, ω) at o in {B} [m/s, rad/s].
 
     NaN where `platform_jacobian` is; a single singular state raises an error.
     """
@@ -261,8 +263,8 @@ def compliance(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLi
     ----------
     configuration : Configuration or StageConfiguration
         States of shape (...).
-    legs : array_like, shape (..., 6), of a stage (..., 3), or ()
-        Stiffness of each actuator with its leg, by the reading: [N/m], of RRS legs [N m/rad]; one number for all.
+    legs : array_like, shape (..., 6); for a stage (..., 3), or ()
+        Stiffness of each actuator with its leg, by the reading: [N/m] ([N m/rad] for RRS legs); one number for all.
     structure : array_like of such a shape, optional
         Stiffness of each leg and its joints along the axis of its revolute joint, at the ball joint [N/m]; rigid by
         default.
@@ -271,8 +273,8 @@ def compliance(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLi
     -------
     ndarray, shape (..., 6, 6)
         Maps (f, m) at o in {B} [N, N m] to a displacement of o [m] and a small rotation [rad] in {B}; symmetric.
-        With rigid structures of rank 3 of a stage, and less than 6 at an inverse singularity; at others as
-        `platform_jacobian`.
+        With rigid structures its rank is 3 for a stage, and less than 6 at an inverse singularity; at other
+        singularities as `platform_jacobian`.
     """
     check_state(configuration)
     along = _compliances(legs, "legs", configuration)
@@ -298,10 +300,10 @@ def stiffness(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLik
     -------
     ndarray, shape (..., 6, 6)
         Maps a displacement of o [m] and a small rotation [rad] to (f, m) at o [N, N m], all in {B}; symmetric and
-        positive definite. Of a stage with a rigid structure it is (..., 3, 3): a displacement along z and rotations
-        about x and y, which the parasitic ones follow, to the f_z, m_x and m_y that hold it. At singularities as
-        `compliance`; with a rigid structure it raises, or is NaN, at an inverse one as well, where the legs' lengths do
-        not show some motion of the platform: its stiffness is infinite there.
+        positive definite. For a stage with a rigid structure the shape is (..., 3, 3): it maps a displacement along z
+        and rotations about x and y, with the parasitic motion that follows from them, to the f_z, m_x and m_y that hold
+        it. At singularities as `compliance`; with a rigid structure it raises, or is NaN, at an inverse singularity as
+        well, where some motion of the platform changes no leg length: its stiffness is infinite there.
 
     Examples
     --------

@@ -115,7 +115,7 @@ def singularities(
 
     Returns
     -------
-    Singularities, of a stage StageSingularities
+    Singularities, or StageSingularities for a stage
         Their kinds and distances.
 
     Notes
@@ -193,7 +193,7 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
     Returns
     -------
     ndarray, shape (..., min(m, n))
-        From large to small, each accurate to rounding of the largest.
+        Singular values from large to small, each accurate to rounding of the largest.
     """
     from spm_pin.kinematics.kernels import singularity_kernels as kernels
 
@@ -212,9 +212,9 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
 def determinants(configuration: Configuration | StageConfiguration) -> FloatArray:
     """Return det J_b, det J_c and det K of states (...) alone [m³], (..., 3), as `Singularities.determinants`.
 
-    Of a stage (..., 2): det J of its six forces [m³], zero at forward singularities, and what is zero at inverse ones,
-    the determinant of v_x, v_y and ω_z in the equations of the legs' planes [m]. NaN for a member that does not exist,
-    or for a leg without length.
+    For a stage the shape is (..., 2): det J of its six forces [m³], which is zero at forward singularities, and the
+    determinant of v_x, v_y and ω_z in the equations of the legs' planes [m], which is zero at inverse ones. NaN for a
+    member that does not exist, or for a leg without length.
     """
     check_state(configuration)
     if isinstance(configuration, StageConfiguration):

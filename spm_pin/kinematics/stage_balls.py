@@ -54,13 +54,13 @@ class Modes(NamedTuple):
 
 
 def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Modes:
-    """Return all modes with readings (N, 3), under the labels of the drawn stage."""
+    """Return all modes with readings (N, 3), with the labels of the nominal stage."""
     modes = _modes(stage, _stage_circles(stage, readings), drawing)
     return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
 
 
 def physical_balls(legs: Legs, readings: FloatArray) -> FloatArray:
-    """Return the balls (N, m, 3, 3) [m] of m stages in the home's aspect with readings (N, 3m), NaN for none."""
+    """Return the balls (N, m, 3, 3) [m] of m stages in the home assembly region with readings (N, 3m), or NaN."""
     from spm_pin.kinematics.kernels.ball_circles import home_states
 
     locked, count = _circles(legs, readings), len(legs.kinds)
@@ -83,12 +83,12 @@ def physical_balls(legs: Legs, readings: FloatArray) -> FloatArray:
 
 
 def followed_balls(legs: Legs, balls: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return where balls (N, m, 3, 3) [m] are led from readings (N, 3m) to others, NaN for a way that is singular."""
+    """Return balls (N, m, 3, 3) [m] tracked from readings (N, 3m) to others, NaN if a singularity is on the path."""
     from spm_pin.kinematics.kernels.ball_circles import follow_states
 
     parts, here = 1, _circles(legs, start)
     if "rad" in legs.units:
-        # Each crank is led along chords of its end's arc.
+        # The end of each crank moves along chords of its arc.
         turns = np.nan_to_num(np.abs(end - start))[:, np.array(legs.units) == "rad"].max(initial=0.0)
         parts += int(turns / LONGEST_CHORD)
     for part in range(1, parts + 1):
@@ -101,7 +101,7 @@ def followed_balls(legs: Legs, balls: FloatArray, start: FloatArray, end: FloatA
 
 
 def _home_modes(stage: PlacedLegs, locked: CentresAndRadii, readings: FloatArray) -> FloatArray:
-    """Return the balls (N, 3, 3) [m] of the first of all modes that is in the home's aspect, NaN where none is."""
+    """Return the balls (N, 3, 3) [m] of the first mode that is in the home assembly region, NaN where no mode is."""
     unlabelled = Drawing(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
     modes = _in_working_mode(stage, _modes(stage, locked, unlabelled).balls, readings[:, None])
     (centres, _), none = locked, np.zeros(3)

@@ -34,7 +34,7 @@ _MIN_BATCH_PER_THREAD = 1 << 14
 _UNIT = 1e-6
 """Largest difference of a normal's length from 1 that counts as rounding."""
 _STEEP = 0.9
-"""Cosine of a tilt, 26°, beyond which it may be in another unit, and is named if it is out of reach."""
+"""Cosine of a tilt, 26°, beyond which an error names the tilt in degrees: it may be in another unit."""
 
 
 def inverse(
@@ -60,8 +60,8 @@ def inverse(
         where the platform is lowest: from x towards y, within a turn, with the legs at -30°, 90° and 210°
         [rad].
     roll, pitch : array_like, shape (...), optional
-        Instead: the normal is Rx(roll) Ry(pitch) z [rad], so that without torsion they are those of ROS; if only one is
-        given the other is zero.
+        Instead of tilt and azimuth: the normal is Rx(roll) Ry(pitch) z [rad], so that without torsion they are those of
+        ROS; if only one is given the other is zero.
     normal : array_like, shape (..., 3), optional
         Instead: the platform's normal in {B}, of any length but zero. Without any of these the platform is level.
 
@@ -117,7 +117,8 @@ def inverse_physical(
     -------
     StageConfiguration
         Of shape (...): in mode T, and reached from the level platform without a forward singularity. `.exists` is
-        False, and everything NaN, if missing. `.limit_excess` says which readings are beyond the limits.
+        False, and everything NaN, if there is no such state. `.limit_excess` is the excess of readings beyond the
+        limits.
 
     Examples
     --------
@@ -237,7 +238,7 @@ def forward_physical(
 
 
 def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) -> tuple[Any, ...]:
-    """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and which are physical, for mode T, and for F if two."""
+    """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and a mask of physical states, for T, and for F if two."""
     from spm_pin.kinematics.kernels.one_stage import poses_of_stages
 
     legs, kind = stage.legs, stage.kind
@@ -367,7 +368,7 @@ def _read_normal(normal: npt.ArrayLike) -> FloatArray:
 
 
 def read_stage_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:
-    """Read what encoders of this stage may show (..., 3)."""
+    """Check readings (..., 3) of the encoders of this stage."""
     read = read_readings(check_instance(stage, Stage, "stage").legs, stage.size, readings)
     if stage.unit == "m":
         _check_unit(stage, read - stage.legs.offsets, "readings", "lengths")
@@ -375,7 +376,7 @@ def read_stage_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:
 
 
 def _check_unit(stage: Stage, lengths: FloatArray, argument: str, meaning: str) -> None:
-    """Raise `ArgumentError` for lengths in another unit, with which cylinders would have a state as well."""
+    """Raise `ArgumentError` for lengths in another unit, with which cylinders would also have a state."""
     longest = float(np.abs(lengths).max(initial=0.0))
     if unit := likely_unit(stage, longest):
         expected = f"{meaning} in metres, in proportion to a stage about {stage.size:.3g} m high"

@@ -92,7 +92,7 @@ def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
 
 
 def motion_rows(jacobian: FloatArray) -> FloatArray:
-    """Return the rows of G (..., 6, legs) of a machine's freedoms: all of a manipulator, of a stage those `MOTION`."""
+    """Return the rows of G (..., 6, legs) of a machine's freedoms: all for a manipulator, `MOTION` for a stage."""
     return jacobian if jacobian.shape[-1] == 6 else jacobian[..., MOTION, :]
 
 

@@ -38,7 +38,7 @@ _MOST_UNCLEAR = 100
 _AT_END = 1e-4
 """Share of its largest value below which κ of a leg shows that a path ends at the edge of the leg's reach."""
 _MOST_EVENTS = 4
-"""Events that the text of a path shows."""
+"""Maximum number of events in the text of a path."""
 
 
 class EventKind(enum.StrEnum):
@@ -53,10 +53,10 @@ class EventKind(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happens at one parameter."""
+    """An event at one parameter."""
 
     kind: EventKind
-    """Kind of the event: a singularity, a limit, a new label, the end."""
+    """Kind of the event: a singularity, a limit, a new label, or the end."""
     parameter: float
     """Parameter of the path at which it happens, from 0 to 1."""
     detail: str
@@ -84,18 +84,17 @@ class FollowedPath(Generic[S]):
     """A solution along a path."""
 
     parameters: FloatArray
-    """Where the path was solved, from 0 to 1, or to where the solution ends, shape (n,)."""
+    """Parameters at which the path was solved, from 0 to 1, or up to the end of the solution, shape (n,)."""
     configurations: S
     """The solution there, batch of shape (n,)."""
     labels: tuple[str, ...]
     """Label of the solution at each parameter, n of them."""
     events: tuple[Event, ...]
-    """In the order of their parameters."""
+    """Events, in the order of their parameters."""
     certified: BoolArray | None = None
-    """Which configurations a certificate covers, if one was given, shape (n,).
+    """True for each configuration that the certificate covers, if one was given, shape (n,).
 
-    A path on straight lines between leg lengths is in the certified limits as a whole if it is so at both ends of each
-    line.
+    A path of straight lines between leg lengths is within the certified limits if both ends of each line are.
     """
 
     def __repr__(self) -> str:
@@ -137,7 +136,7 @@ def followed(
 
 
 def _start(solutions: Solutions[S], start: S | str | None) -> int:
-    """Return the place of the solution to follow."""
+    """Return the index of the solution to follow."""
     if isinstance(start, str):
         if start not in solutions.labels or not solutions[start].exists:
             real = [label for label, exists in zip(solutions.labels, solutions.exists, strict=True) if exists]
@@ -178,7 +177,7 @@ class Tracker(Generic[S]):
         while self.parameters[-1] < stop:
             here = self.parameters[-1]
             ahead = min(stop, here + self._step)
-            # What a step of rounding would leave before the stop is not worth one.
+            # A remainder of the size of rounding before the stop is not worth a step.
             ahead = stop if stop - ahead < 0.1 * _SHORTEST_STEP else ahead
             solutions = self.solve(ahead)
             place, clear = self._nearest(solutions, ahead)

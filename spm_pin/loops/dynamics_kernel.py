@@ -188,7 +188,7 @@ def _bias(tree, q, rates, rotations, origins, twists, drifts, bias):  # type: ig
 def _factorise(a, order, factors, norms, w, tolerance, rank):  # type: ignore[no-untyped-def]
     """Factorise in place the transposed rows (nv, m) by Householder's reflections with pivoting; return the rank.
 
-    It is that of rows that are independent to `tolerance`, unless it is given, as a number that is not negative. Norms
+    A nonnegative `rank` is used as given; otherwise it is the number of rows that are independent to `tolerance`. Norms
     (m,) are zero, and w (m,) is memory.
     """
     nv, rows = a.shape
@@ -260,9 +260,9 @@ def _reflect(a, factors, rank, x):  # type: ignore[no-untyped-def]
 
 @jit
 def _project(tree, columns, twists, drifts, bodies, x, a, moved, forces):  # type: ignore[no-untyped-def]
-    """Replace forces (nv,) by what they exceed those of accelerations a by, and write M x (nv, dof) to `moved`.
+    """Subtract the forces of accelerations a from `forces` (nv,), and write M x (nv, dof) to `moved`.
 
-    Bodies become those of all that they carry.
+    Inertias of bodies become the composite ones, with all bodies that they carry.
     """
     count, free = len(tree.kinds), x.shape[1] - 1
     wrenches, nv = drifts, len(a)  # each is read before it is written
@@ -416,10 +416,10 @@ def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untype
 
 
 def _run(trees, q, v, forces, rank, regular, a):  # type: ignore[no-untyped-def]
-    """Write accelerations (nv,) under forces (nv,); return whether they were found, and nothing is to be said.
+    """Write accelerations (nv,) under forces (nv,); return True if they were found and no error is to be raised.
 
-    The rank of the rows is to be found if it is negative; `regular` are the degrees of freedom of regular
-    configurations, of which more are a singularity.
+    The rank of the rows is computed if it is negative; `regular` is the number of degrees of freedom in regular
+    configurations: a larger one is a singularity.
     """
     return _accelerate(borrowed(trees[0]), q, v, forces, rank, regular, a)
 

@@ -118,28 +118,29 @@ def simulate(
 
     By SciPy's DOP853 with projection onto the closures after each step. It ends early at a singularity of the loops,
     and where velocities or forces have no bound; `end` and `detail` of the result say so. Singularities are looked for
-    where rates are computed: a motion goes straight on through one that is between. Limits of joints play no part.
+    where rates are computed: a motion passes through one in between. Limits of joints are not applied.
 
     Parameters
     ----------
     q, v : array_like, shapes (nq,) and (nv,)
         Closed joint values, and velocities that keep them so, at the first time.
     tau : array_like (n,), callable, or None
-        Of the actuators [N, N m]: constant, or a function (t, q, v) → (n,); None lets them move freely. A function
-        without `period` is smooth in its arguments: it is called several times a step, and not in order.
+        Efforts of the actuators [N, N m]: constant, or a function (t, q, v) → (n,); None lets them move freely. A
+        function without `period` is smooth in its arguments: it is called several times a step, and not in order.
     times : array_like, shape (k,)
-        When to record [s], increasing; the motion begins at the first.
+        Times to record [s], increasing; the motion begins at the first.
     wrenches : mapping of str, optional
         By name of a frame, (f, m) at its origin in the axes of the world: constant (6,), or a function as `tau`.
     events : mapping of str to callable, optional
         By name, functions of q (nq,), such as a distance that remains: the run ends where one becomes negative. They
         are looked at after each step, and located on its interpolant.
     period : float, optional
-        Of a digital controller [s]: `tau` is called once at the start of each period, in order, and its answer held.
+        Sampling period of a digital controller [s]: `tau` is called once at the start of each period, in order, and its
+        answer held.
     tolerance : float
-        Of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3.
+        Error of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3.
     progress : callable, optional
-        Called with what is being done, how many thousandths of the run are done, and 1000; it may raise to interrupt.
+        Called with the current task, the completed thousandths of the run, and 1000; it may raise to interrupt.
         By default a line on the terminal after five seconds.
     """
     recorded = real_array(times, "times", (), "in seconds")

@@ -60,7 +60,8 @@ class LoopState:
     kinematics : StateKinematics
         Pinocchio's data, Jacobians and factorisations at a single q; do not change it.
     failures : dict of tuple of int to SpmError
-        Of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is NaN.
+        Errors of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is
+        NaN.
     """
 
     def __init__(self, chain: Any, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:

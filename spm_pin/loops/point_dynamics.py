@@ -12,7 +12,7 @@ from spm_pin.support.arguments import FloatArray
 
 
 class PointDynamics:
-    """Accelerations under forces of a tree whose loops are closed by points, and the memory it works in.
+    """Solver of accelerations under forces of a tree whose loops are closed by points, with its memory.
 
     `ends` are, for each closure, joint and placement of its first and of its second point. At closed q any rank is
     right; at q with open loops, the closures have to be independent.

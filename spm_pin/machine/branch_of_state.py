@@ -62,7 +62,7 @@ def _stages(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def stage_coordinates(configuration: Batched, modes: str = "TT") -> FloatArray:
-    """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, shape (..., 2, 3); of a stage one.
+    """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, (..., 2, 3); (..., 1, 3) for a stage.
 
     x and y are parts of the quaternion of the middle platform, turned by half a turn about its normal in mode F; Z is
     the height of its centre. NaN where there is no configuration, or one of other modes.

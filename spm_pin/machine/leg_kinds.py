@@ -241,8 +241,8 @@ class RRS(LegKind):
     """A servo's crank and a rod: an actuated revolute joint, a second one and a ball.
 
     A reading is the angle of the crank in the leg's plane [rad]: 0 radially outwards, π/2 towards the middle platform.
-    Of the angles that differ by turns it is the one nearest to the middle of the machine's limits of this leg, which
-    may be anywhere and up to a turn apart; without two limits the one from -π/2 to 3π/2, offset aside.
+    Among the angles that differ by full turns it is the one nearest to the middle of the machine's limits of this leg,
+    which may be anywhere and up to a turn apart; without two limits the one from -π/2 to 3π/2, offset aside.
 
     Parameters
     ----------

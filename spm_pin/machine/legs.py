@@ -343,7 +343,7 @@ class Legs:
     def planes(self) -> tuple[FloatArray, FloatArray]:
         """Unit vectors x, radially outwards, and z, towards the balls, of the legs' planes, (6, 3) or (3, 3) each.
 
-        As the axes they are in {B} for lower legs and in {m} for upper legs.
+        They are in {B} for lower legs and in {m} for upper legs, as the axes are.
         """
         outward, forward = _plane_axes(vector_of(self.axes), *self._signs)
         return frozen(np.stack(outward, axis=-1)), frozen(np.stack(forward, axis=-1))

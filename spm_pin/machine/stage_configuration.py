@@ -169,7 +169,7 @@ class StageConfiguration(Batched):
 
     @cached_property
     def readings(self) -> FloatArray:
-        """Readings of the legs' encoders, shape (..., 3): [m], of RRS legs [rad]; NaN for a ball out of reach."""
+        """Readings of the legs' encoders, shape (..., 3): [m] ([rad] for RRS legs); NaN for a ball out of reach."""
         return frozen(self.stage.legs.readings(self.places, self.stage.crank_middles))
 
     @cached_property

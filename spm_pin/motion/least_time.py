@@ -28,11 +28,11 @@ Clock = Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
 """A function of times (m,) [s], which gives s, ṡ and s̈ there."""
 
 _FASTEST = 1e16
-"""Largest x where no limit is, in units of that of a motion which keeps all limits."""
+"""Largest x without a limit, in units of that of a motion which keeps all limits."""
 _LEAST = 1e-3
 """Smallest x, in units of the same."""
 _SPLITS, _MOST_POINTS = 4, 40_000
-"""Times that parts are split at most, each time into four, and points of a grid from which on none is split."""
+"""Maximum number of times that parts are split, each time into four, and points of a grid above which none is split."""
 _BROKEN = 5e-4
 """Share of a limit by which it may be broken between three points of a part before the part is split."""
 
@@ -56,7 +56,7 @@ class _HalfPlanes:
 
     @classmethod
     def from_rows(cls, points: FloatArray, limits: LimitRows, nodes: IntArray) -> _HalfPlanes:
-        """Return those that matter on a grid of some of the points at which limits are known, `nodes` (n,) of them."""
+        """Return the limits on a coarser grid, of `nodes` (n,) of the points at which limits are known."""
         index = np.stack([nodes[:-1], (nodes[:-1] + nodes[1:]) // 2, nodes[1:]], axis=-1)
         steps, rows = np.diff(points[nodes]), limits[index.ravel()]
         shares = (points[index] - points[nodes[:-1], None]) / steps[:, None]
@@ -87,7 +87,7 @@ def _hull(normals: FloatArray) -> IntArray:
     """Return the indices of the normals (p, 2) of half-planes n · v <= 1 that are not implied by others."""
     size = np.abs(normals).max(axis=0)
     size[size == 0.0] = 1.0
-    # x < 0 is not looked at.
+    # x < 0 is not considered.
     points = np.concatenate([normals / size, [[0.0, -1e-6], [1e-6, 0.0], [-1e-6, 0.0]]])
     try:
         vertices = ConvexHull(points).vertices

@@ -37,9 +37,9 @@ _PIECES = 400
 _POINTS = 5
 """Points of each polynomial at which the programme keeps the limits, at first."""
 _ROUNDS = 4
-"""Programmes solved at most: each keeps the limits also where the one before did not."""
+"""Maximum number of programmes: each also keeps the limits where the previous one did not."""
 _ACCEPTED = 0.9995
-"""Share of y, keeping all limits, from which on no other programme is solved."""
+"""Share of y, keeping all limits, above which no further programme is solved."""
 _LEAST = 1e-6
 """Smallest coefficient of y, as a share of the fastest constant y."""
 _LEFT = 1e-12
@@ -197,5 +197,5 @@ class _Programme:
         solver = ca.nlpsol("limited_jerk", "ipopt", problem, quiet)
         bounds = {"lbg": np.concatenate([lower, -ones]), "ubg": np.concatenate([upper, ones])}
         unknowns = np.asarray(solver(x0=start.c / top, lbx=_LEAST, **bounds)["x"])[:, 0]
-        # Where IPOPT has not converged, what it ended with is slowed down.
+        # If IPOPT has not converged, its last result is slowed down.
         return BSpline(start.t, top * np.maximum(unknowns, _LEAST), 3) if np.isfinite(unknowns).all() else start

@@ -51,14 +51,14 @@ class LegMotion(NamedTuple):
 class LegPath:
     """A twice continuously differentiable path through given leg lengths, over a parameter from 0 to 1.
 
-    A straight line between two; through more, quintic polynomials from each to the next, on which no leg leaves the
-    range between its two lengths: limits that the points keep are kept all along. The parameter grows with the distance
-    between them, √Σ(difference of a length)².
+    Two points are joined by a straight line; more points by quintic polynomials from each to the next, on which no leg
+    leaves the range between its two lengths: if the points are within the leg limits, so is the whole path. The
+    parameter grows with the distance between them, √Σ(difference of a length)².
 
     Parameters
     ----------
-    lengths : array_like, shape (n, 6), of a stage (n, 3)
-        Readings where it passes [m], of RRS legs [rad], in order, at least two and no two in succession the same.
+    lengths : array_like, shape (n, 6); for a stage (n, 3)
+        Readings on the path [m] ([rad] for RRS legs), in order, at least two; consecutive readings must differ.
     """
 
     def __init__(self, lengths: npt.ArrayLike) -> None:
@@ -228,7 +228,7 @@ class LimitRows:
 
 
 class MotionLimits:
-    """Limits of a motion, as `time_optimal` takes them, for legs of these names; None where there is none."""
+    """Limits of a motion for legs with these names, as in `time_optimal`; None for a quantity without a limit."""
 
     def __init__(
         self,
@@ -296,7 +296,7 @@ class MotionLimits:
 
 
 def _largest(value: npt.ArrayLike | None, argument: str, unit: str, count: int) -> FloatArray | None:
-    """Return the positive limits of the legs (count,); None if there are none."""
+    """Return the positive limits of the legs (count,), or None without limits."""
     if value is None:
         return None
     meaning = f"a limit of each leg or of all in {unit}"

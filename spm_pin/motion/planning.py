@@ -1,7 +1,7 @@
-"""Paths from one state to another in the physical mode: a straight line where it is safe, else a way around.
+"""Paths from one state to another in the physical mode: a straight line where it is safe, otherwise a path around.
 
 Readings within limits are a box, and a point of it has at most one configuration in the physical mode; that is proved
-for RPS legs as drawn, not for others. So a path is planned in the readings: a straight line first; where that
+for nominal RPS legs, not for others. So a path is planned in the readings: a straight line first; where that
 breaks a rule, two trees grow towards each other (RRT-Connect: Kuffner and LaValle, IEEE International Conference on
 Robotics and Automation, 2000), and what they find is shortened and made smooth. The rules are checked at samples not
 farther apart than `paths.STEP`. A `Certificate` proves the rule about forward singularities in between as well.
@@ -72,7 +72,7 @@ class MotionPlan:
     certified: bool
     """True if a certificate covers every sample: no state of it is forward singular, between samples neither."""
     reason: str
-    """Why there is no path, or what is wrong with the straight one."""
+    """Reason why there is no path, or the rule that the straight one breaks."""
     margin: float
     """Least |det J| of a stage over d³ along it, d the side of the triangle of balls; NaN without a path."""
 
@@ -115,11 +115,11 @@ def plan(
     ----------
     machine : Manipulator or Stage
         The machine.
-    start, goal : Configuration, pose, or array_like of shape (6,), of a stage StageConfiguration, or (3,)
-        The states: a configuration in the physical mode, a pose of {m} in {B}, or readings: leg lengths [m], of RRS
-        legs angles [rad]. The state of a tilt and a height is ``spm.inverse_physical(stage, height, tilt=…)``.
-    limits : LegLimits, of a stage StageLimits or a pair, optional
-        Of the readings; by default those of `machine`.
+    start, goal : Configuration, pose, or array_like of shape (6,); for a stage StageConfiguration, or (3,)
+        The states: a configuration in the physical mode, a pose of {m} in {B}, or readings [m] ([rad] for RRS legs).
+        The state of a tilt and a height is ``spm.inverse_physical(stage, height, tilt=…)``.
+    limits : LegLimits, or StageLimits or a pair for a stage, optional
+        Limits of the readings; by default those of `machine`.
     via : sequence of the same
         States to pass on the way, in order.
     joint_limits : JointLimits, optional
@@ -127,10 +127,10 @@ def plan(
     margin : float
         Distance to forward singularities: least |det J| of a stage over d³.
     line : {"legs", "poses"}
-        What is tried: a straight line in the leg lengths, and if that breaks a rule a way around; or one in the poses
+        Kind of path: a straight line in the leg lengths, and if that breaks a rule a path around; or one in the poses
         and no other, o on a line and the platform turning about one axis (with `via`, cubic splines through the poses).
         A line of poses does not pass inverse singularities, level poses of a manipulator for example; one of legs may.
-        Of a stage, whose shift and torsion follow, the height is on a line and the normal turns about one axis.
+        For a stage, whose shift and torsion follow, the height is on a line and the normal turns about one axis.
     certificate : Certificate, optional
         Result of `spm_pin.certify`: a plan within it is marked as certified.
     tries : int
@@ -233,7 +233,7 @@ def _sentence(reason: str) -> str:
 
 
 def _along_poses(rules: _PathRules, states: list[State], certificate: Certificate | None) -> MotionPlan:
-    """Return the plan straight in poses, or the reason why there is none."""
+    """Return the plan straight in poses, or the reason why it does not exist."""
     machine = rules.machine
     poses = np.array([state.pose.as_matrix() for state in states])
     path = PlatformPath(np.linspace(0.0, 1.0, len(poses)), poses)
@@ -271,7 +271,7 @@ def _finished(path: MotionPath, states: State, method: str, reason: str, certifi
 
 @dataclass(frozen=True)
 class _PathRules:
-    """The rules of a path; the leg limits of `machine` play no part."""
+    """The rules of a path; the leg limits of `machine` are not applied."""
 
     machine: AnyMachine
     limits: LegLimits | None
@@ -345,7 +345,7 @@ class _Node(NamedTuple):
 def _find_corners(
     rules: _PathRules, start: FloatArray, goal: FloatArray, tries: int, rng: np.random.Generator
 ) -> tuple[list[FloatArray] | None, str]:
-    """Return the corners of a way from start to goal, None if none was found; and what is wrong with the line."""
+    """Return the corners of a path from start to goal, None if not found; and the rule that the line breaks."""
     reason = rules.explain_line(line_states(rules.machine, start, goal))
     if not reason:
         return [start, goal], ""

@@ -38,7 +38,8 @@ _LONGEST = 10**6
 _SHORT_PERIOD = 1e-3
 """A last period shorter than this share of a whole one is added to the one before."""
 _SLOWDOWNS = 16
-"""Times that a motion is slowed down at most until its rows keep all limits, each time by four times as much more."""
+"""Maximum number of times that a motion is slowed down until its rows keep all limits, each time by four times as
+much."""
 _ROUNDING, _RESERVE = 1e-10, 1e-9
 """Share of a limit by which it may be exceeded, and by how much more than that a motion is slowed down at first."""
 
@@ -108,7 +109,7 @@ def time_optimal(
     twist : (float, float), optional
         Largest speed of o [m/s] and of turning [rad/s] of the terminal platform.
     payload : RigidBody, optional
-        Carried by the terminal platform besides what the chain's masses have, in {m}.
+        Additional payload of the terminal platform, besides the chain's masses, in {m}.
     leg_jerks : array_like, shape (legs,) or (), optional
         Largest jerk of each leg [m/s³], on the average between two rows too. The motion also begins and ends without
         acceleration. Its duration approaches that without a limit where the limit is large.
@@ -122,7 +123,8 @@ def time_optimal(
     Returns
     -------
     TimedMotion
-        From time 0; its efforts are the legs' forces with the payload. The limits hold in its rows, to 1e-9 of them.
+        Motion from time 0; its efforts are the legs' forces with the payload. Its rows keep the limits, to 1e-9 of
+        them.
 
     Raises
     ------

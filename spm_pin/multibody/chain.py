@@ -54,8 +54,8 @@ class ClosedChain:
     that close the loops, in the order of `joint_names`; rates, forces and dynamics at q are methods of its `state`.
     Arguments are of one state or of a batch (..., nq), and leading axes of several broadcast. Pinocchio computes one
     state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
-    `inverse_kinematics` without `near`, are vectorised. nq = nv = 18, of a stage 9; the actuators are the
-    n = 6 or 3 legs.
+    `inverse_kinematics` without `near`, are vectorised. nq = nv = 18, or 9 for a stage; the actuators are the n = 6 or
+    3 legs.
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
     of the batch says why. Joint values of a calibrated machine are zero at the nominal home, where its loops are open
@@ -66,11 +66,11 @@ class ClosedChain:
     machine : Manipulator or Stage
         Dimensions, legs, and the limits that set the zero of the tree.
     prefix : str
-        Before the name of every link and joint.
+        Prefix of the names of all links and joints.
     model : pinocchio.Model
         The spanning tree; do not change it.
     closures : tuple of Closure
-        In the order of all results per closure.
+        Closures, in the order of all results per closure.
     joint_names : tuple of str
         Names of the joints in the order of q.
     leg_indices : ndarray, shape (n,)
@@ -115,7 +115,7 @@ class ClosedChain:
         return chain if masses is None else chain.with_masses(masses)
 
     def with_masses(self, masses: Masses) -> ClosedChain:
-        """Return this chain with other masses, or with a payload besides what it carries already."""
+        """Return this chain with other masses, or with an additional payload."""
         urdf = with_masses(self._urdf, check_instance(masses, Masses, "masses"), self.prefix)
         return type(self)(urdf, self.machine, self.prefix)
 
@@ -130,7 +130,7 @@ class ClosedChain:
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> ChainState:
         """Return the state of joint values q (..., nq) and velocities v (..., nv), by default at rest.
 
-        Its methods are all that follows from q and v: rates, forces, dynamics, singularities, the configuration.
+        Its methods return what follows from q and v: rates, forces, dynamics, singularities, the configuration.
         """
         return ChainState(self._constrained).update(q, v)
 
@@ -147,7 +147,7 @@ class ClosedChain:
 
     @cached_property
     def loops(self) -> LoopChain:
-        """The same chain in `spm_pin.loops`, for what concerns any robot: mobility, forces of the closures."""
+        """The same chain in `spm_pin.loops`, for functions of any robot: mobility, forces of the closures."""
         closures = [LoopClosure("point", Anchor(c.frame_a), Anchor(c.frame_b), c.name) for c in self.closures]
         return LoopChain(self.model, closures, [self.joint_names[k] for k in self.leg_indices])
 
@@ -170,7 +170,7 @@ class ClosedChain:
         return pin.RobotWrapper(self.model, self.collision_model, self.visual_model)
 
     def mounted_on(self, other: Any, frame: str, placement: Any = None) -> MountedChain:
-        """Return this chain carried by another robot, as an arm carries a tool, in one model with its loops closed.
+        """Return this chain mounted on another robot, as a tool on an arm, in one model with its loops closed.
 
         `other` is a pinocchio.Model or pinocchio.RobotWrapper whose base stays where it is, `frame` one of its frames
         such as `tool0`, `placement` the pinocchio.SE3 of {B} in it, by default the identity. No link, joint or frame
@@ -190,8 +190,8 @@ class ClosedChain:
     def joint_values(self, configuration: Configuration | StageConfiguration) -> FloatArray:
         """Return q (..., nq) of a configuration of the chain's machine, in closed form: angles in [-π, π].
 
-        Its leg limits play no part. The configuration is closed to 1e-9 of the middle platform's side at least, and the
-        tree as far as it is; members of a batch that do not exist are NaN.
+        Its leg limits are not applied. The configuration is closed to 1e-9 of the middle platform's side at least, and
+        the tree as far as it is; members of a batch that do not exist are NaN.
         """
         state = check_state(configuration, existing=not np.shape(getattr(configuration, "exists", True)))
         if state.machine is not self.machine:
@@ -226,7 +226,7 @@ class ClosedChain:
         return self._constrained.readings(self._constrained.read_q(q))
 
     def readings(self, q: npt.ArrayLike) -> FloatArray:
-        """Return what the encoders show in q (..., nq), shape (..., n): [m], of RRS legs [rad]."""
+        """Return the readings of the encoders in q (..., nq), shape (..., n) [m] ([rad] for RRS legs)."""
         return np.asarray(self._constrained.readings(self._constrained.read_q(q)) + self.machine.legs.offsets)
 
     def with_readings(self, q: npt.ArrayLike, readings: npt.ArrayLike) -> FloatArray:
@@ -252,15 +252,16 @@ class ClosedChain:
         return np.array(state._each_member(lambda: close_loops(state.kinematics, state.kinematics.q, most=50), shape))
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
-        """Return all joints (..., nq) of readings (..., n) [m], of RRS legs [rad].
+        """Return all joint values (..., nq) for readings (..., n) [m] ([rad] for RRS legs).
 
         By default in each member's physical assembly mode, by Newton's method on each stage, angles in [-π, π]; see
         `spm_pin.forward_physical`. With `near` (nq,), a closed q, the mechanism goes from there to the first member by
         changing all readings in proportion, and on to each from the one before, in C order, in the assembly mode that
         it comes to, angles continuous and not reduced to one turn.
 
-        Readings that the physical mode cannot have are an `ArgumentError`, in a batch NaN. A path that does not lead to
-        a member, as one that ends at a forward or a constraint singularity, is an error for a batch as well.
+        Readings that the physical mode cannot have raise `ArgumentError`; in a batch they give NaN. A path that does
+        not lead to a member, for instance because it ends at a forward or a constraint singularity, is an error for a
+        batch as well.
         """
         if near is None:
             expected = "readings that the physical assembly mode can have"
@@ -269,13 +270,13 @@ class ClosedChain:
         return self._follow(near, follow_legs, self._without_offsets(readings), axes=(1,))
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
-        """Return all joints (..., nq) of a pose (...) of the terminal platform, {m} in {B}.
+        """Return all joint values (..., nq) for a pose (...) of the terminal platform, {m} in {B}.
 
-        Of a stage the height and the normal of the pose count: its shift and torsion follow from them. By default in
-        the physical branch of each member, in closed form, angles in [-π, π]; see
-        `spm_pin.kinematics.inverse_physical`. With `near` (nq,), a closed q, the platform moves and turns from there
-        to the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
-        that it comes to. Leg limits play no part. Errors are those of `forward_kinematics`, at inverse singularities
+        For a stage only the height and the normal of the pose are used: shift and torsion follow from them. By default
+        in the physical branch of each member, in closed form, angles in [-π, π]; see
+        `spm_pin.kinematics.inverse_physical`. With `near` (nq,), a closed q, the platform moves and turns from there to
+        the first member in proportion, and on to each from the one before, as in `forward_kinematics`, in the branch
+        that it comes to. Leg limits are not applied. Errors are those of `forward_kinematics`, at inverse singularities
         instead of forward ones.
         """
         transform = as_rigid_transform(pose)
@@ -307,7 +308,7 @@ class ClosedChain:
     def _follow(
         self, near: npt.ArrayLike, follow: Callable[..., FloatArray], *targets: FloatArray, axes: tuple[int, ...]
     ) -> FloatArray:
-        """Return q of each target, from that of the one before; a target is of so many axes of each array."""
+        """Return q of each target, starting from the one before; `axes` counts the axes of a target per array."""
         q = self._constrained.read_q(near, "near", single=True)
         kinematics: TreeKinematics = self._at(q).kinematics
         kinematics.check_closed()
@@ -379,19 +380,19 @@ class ClosedChain:
         q0, v0 : array_like, shape (nq,)
             Joint values and velocities of a closed mechanism at the first time.
         forces : array_like (n,), callable, or None
-            Of the legs [N], of RRS legs torques [N m]: constant, or a function (t, q, v) → (n,); None lets them move
+            Forces of the legs [N] ([N m] for RRS legs): constant, or a function (t, q, v) → (n,); None lets them move
             freely. A function without `period` is smooth in its arguments alone: it is called several times a step, and
             not in order.
         times : array_like, shape (n,)
             Times to record [s], increasing; the motion begins at the first.
         wrench : array_like (6,), or callable, optional
-            Onto the terminal platform: constant, or a function (t, q, v) → (6,).
+            Wrench onto the terminal platform: constant, or a function (t, q, v) → (6,).
         period : float, optional
-            Of a digital controller [s]: `forces` is called once at the start of each period, in order, and its
-            answer held. It may keep a state of its own.
+            Sampling period of a digital controller [s]: `forces` is called once at the start of each period, in order,
+            and its answer held. It may keep a state of its own.
         tolerance : float
-            Of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the energy
-            to about 1e-12 of itself in a second of falling.
+            Error of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the
+            energy to about 1e-12 of itself in a second of falling.
         """
         return run_simulation(self.loops, self._constrained, q0, v0, times, forces, wrench, period, tolerance)
 

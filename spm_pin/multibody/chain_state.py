@@ -39,16 +39,16 @@ class PlatformDynamics(NamedTuple):
     """The mechanism's equations of motion at its platform, Λ ṫ + C t + G = J_fᵀ f + w.
 
     t = (v, ω) is the twist of m at o and ṫ its time derivative, f are the leg forces, w is the wrench applied onto m,
-    all in {B}. The masses of all bodies are in it. Of a stage t is the motion (v_z, ω_x, ω_y), and w the part of the
-    wrench that works along it, `platform_jacobian` @ `inverse_jacobian` transposed times the wrench.
+    all in {B}. The masses of all bodies are included. For a stage t is the motion (v_z, ω_x, ω_y), and w the part of
+    the wrench that does work along it, `platform_jacobian` @ `inverse_jacobian` transposed times the wrench.
     """
 
     mass: FloatArray
-    """Λ, reflected at o, shape (..., 6, 6), of a stage (..., 3, 3); symmetric and positive definite."""
+    """Λ, reflected at o, shape (..., 6, 6); for a stage (..., 3, 3); symmetric and positive definite."""
     coriolis: FloatArray
-    """C, of the same shape, of the factorization for which Λ̇ - 2 C is skew."""
+    """C, of the same shape, in the factorization for which Λ̇ - 2 C is skew-symmetric."""
     bias: FloatArray
-    """C t [N, N m], shape (..., 6), of a stage (..., 3)."""
+    """C t [N, N m], shape (..., 6); for a stage (..., 3)."""
     gravity: FloatArray
     """G, of the same shape: minus what the weights of all bodies exert at o."""
 
@@ -57,9 +57,9 @@ class NaturalFrequencies(NamedTuple):
     """Vibrations of the platform on elastic legs, slowest first."""
 
     frequencies: FloatArray
-    """[Hz], shape (..., 6), of a stage (..., 3)."""
+    """Natural frequencies [Hz], shape (..., 6); for a stage (..., 3)."""
     modes: FloatArray
-    """Small displacements (of o [m], rotation [rad]) in {B} as rows, shape (..., 6, 6), of a stage (..., 3, 3), in the
+    """Small displacements (of o [m], rotation [rad]) in {B} as rows, shape (..., 6, 6); for a stage (..., 3, 3), in the
     order of the frequencies; Mᵀ Λ M = 1 of the columns."""
 
 
@@ -230,12 +230,13 @@ class ConstrainedState:
     def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return leg forces and forces in the cut balls (3 n,) that give the tree's generalized forces (joints,)."""
         legs, kinematics = self._constrained.legs, self.kinematics
-        # The actuators do not act on the passive joints: these give λ, and the legs what is left.
+        # The actuators do not act on the passive joints: their rows give λ, and the rows of the legs the remaining
+        # forces.
         cuts = kinematics.forward_factors.solve_transposed(torques.take(self._constrained.passive))
         return torques.take(legs) - cuts.dot(kinematics.own_constraint_jacobian).take(legs), cuts
 
     def _bias(self) -> tuple[FloatArray, FloatArray]:
-        """Return the accelerations where no joint accelerates: of the gaps, J̇c v (3 n,), and of m (6,)."""
+        """Return the accelerations at zero joint accelerations: of the gaps, J̇c v (3 n,), and of m (6,)."""
         if self._drift is None:
             kinematics, constrained = self.kinematics, self._constrained
             model, data = kinematics.model, kinematics.data
@@ -248,7 +249,7 @@ class ConstrainedState:
         return self._drift
 
     def _check_closed(self) -> None:
-        """Raise unless q is closed and v keeps it so; looked at once for each q and v."""
+        """Raise unless q is closed and v keeps it closed; checked once for each q and v."""
         if not self._closed:
             self.kinematics.check_closed(self._rates)
             self._closed = True
@@ -258,7 +259,7 @@ class ChainState(ConstrainedState):
     """The state of a `ClosedChain`: a `ConstrainedState` with methods that a mounted chain does not have.
 
     Wrenches are (f, m) [N, N m] onto the terminal platform at o in the axes of {B}, twists (v, ω) [m/s, rad/s] of it.
-    The platform of a stage has three freedoms: its *motion* (v_z, ω_x, ω_y) stands where a manipulator has a twist, and
+    The platform of a stage has three freedoms: its *motion* (v_z, ω_x, ω_y) replaces the twist of a manipulator, and
     the parasitic v_x, v_y and ω_z follow. The n legs are in the order of `Machine.legs.names`, and a positive leg force
     pushes, to extend the leg. `joints` are 18, or 9 of a stage.
     Methods that use rates or forces take a closed q, and raise `ArgumentError` where a ball joint's middle angle is
@@ -284,7 +285,7 @@ class ChainState(ConstrainedState):
         return Configuration.from_arrays(cast(Manipulator, machine), rotation, translation, points)
 
     def inverse_jacobian(self) -> FloatArray:
-        """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; of a stage (..., 3, 3).
+        """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; for a stage (..., 3, 3).
 
         Raises at an inverse or a constraint singularity.
         """
@@ -364,7 +365,7 @@ class ChainState(ConstrainedState):
     def joint_accelerations(self, acceleration: npt.ArrayLike) -> FloatArray:
         """Return the accelerations of all joints (..., joints) for one of the terminal platform (..., 6).
 
-        That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}; of a stage that
+        That is the time derivative of the twist: of the point o [m/s²], and angular [rad/s²], in {B}; for a stage that
         of its motion (..., 3). Raises at an inverse or a constraint singularity.
         """
         kinematics, freedoms = self.kinematics, self._constrained.freedoms
@@ -458,9 +459,9 @@ class ChainState(ConstrainedState):
     def natural_frequencies(self, stiffness: npt.ArrayLike) -> NaturalFrequencies:
         """Return the small vibrations of the platform with its motors held, on legs that are elastic: Λ ẍ + K x = 0.
 
-        `stiffness` K (..., 6, 6), of a stage (..., 3, 3), is the platform's as of `spm_pin.stiffness`, with a rigid
-        structure of a stage; what weights add to it is left out.
-        Raises at an inverse or a constraint singularity.
+        `stiffness` K (..., 6, 6) is that of the platform from `spm_pin.stiffness`; for a stage (..., 3, 3), with a
+        rigid structure. The contribution of the weights to it is neglected. Raises at an inverse or a constraint
+        singularity.
         """
         meaning = "in N/m, N/rad, N and N m/rad, as of spm_pin.stiffness"
         n = len(self._constrained.freedoms)

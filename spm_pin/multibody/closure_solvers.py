@@ -1,11 +1,11 @@
 """Closed joint values by Newton's method: from an open q nearby, and by continuation from another closed one.
 
-Continuation leads to readings, or to a pose of the platform, of a stage its normal and its height: as many equations
-as joints. The first
-Newton step from a point of the path is the path's tangent; where the corrections after it are no small part of it, the
-step is shortened. So it is, too, where the determinant of the equations changes its sign or too much over the step or
-half of it. The determinant is zero at a fold, where a path ends, and its sign is another on the other side: steps
-become shorter in proportion to what is left, and none passes the fold or leads to another assembly mode or branch.
+The target of the continuation is a set of readings, or a pose of the platform (normal and height for a stage): as many
+equations as joints. The first Newton step from a point of the path is along the path's tangent; if the corrections
+after it are large compared with it, the step is shortened. The step is also shortened if the determinant of the
+equations changes its sign, or changes too much, over the step or half of it. The determinant is zero at a fold, where a
+path ends, and has the opposite sign beyond it: steps become shorter in proportion to the remaining distance, and none
+passes the fold or leads to another assembly mode or branch.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SHORTEST_STEP = 1e-6
 MOST_CORRECTIONS = 8
 
 Equations = Callable[[float, FloatArray], tuple[FloatArray, Callable[[], FloatArray]]]
-"""Of a share of the path, from 0 to 1, and q: the residual [m], and a function that returns the Newton step."""
+"""Function of a share of the path, from 0 to 1, and q: returns the residual [m], and a function for the Newton step."""
 
 
 def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> FloatArray:
@@ -87,7 +87,7 @@ def follow_legs(kinematics: TreeKinematics, q: FloatArray, readings: FloatArray)
 def follow_pose(kinematics: TreeKinematics, q: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
     """Return q of another pose of m, turned and moved in proportion; raises at an inverse singularity.
 
-    Of a stage, the normal and the height of the pose count.
+    For a stage only the normal and the height of the pose are used.
     """
     side = kinematics.constrained.side
     between = _turn_of_normals if kinematics.constrained.is_stage else _turn

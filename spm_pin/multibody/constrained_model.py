@@ -6,7 +6,7 @@ velocities v of the mechanism that the closures admit solve, for a twist t of m 
     K v = (W t, 0),    K = [W Jm; Jc],        N v = (ṙ, 0),    N = [S; Jc],
 
 of which N comes down to the columns of the passive joints in Jc. W selects the freedoms: all six of a manipulator's
-platform; of a stage the velocity along z and the angular velocities about the axes x and y of the platform, which turn
+platform; for a stage the velocity along z and the angular velocities about the axes x and y of the platform, which turn
 its normal. The parasitic motion follows from them.
 
 Singular values need one unit: lengths are in units of d, the middle platform's side. And they should not depend on
@@ -37,7 +37,7 @@ from spm_pin.machine.stage import Stage
 from spm_pin.support.arguments import FloatArray, IntArray, frozen, real_array
 
 AGREEMENT = 1e-9
-"""Lengths that differ by this share of the robot's own are taken for rounded, more for another robot's."""
+"""Relative difference of lengths up to which it is taken for rounding; above it they are of another robot."""
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.
 
@@ -50,12 +50,12 @@ _MEANINGS = {
     **dict.fromkeys(("q", "q0", "near"), "joint values in rad and m in Pinocchio's order"),
     **dict.fromkeys(("v", "v0", "a"), "rates of the joints in Pinocchio's order"),
     **dict.fromkeys(("other", "chain"), "in Pinocchio's order"),
-    "readings": "of the legs in m, of RRS legs in rad",
-    "leg_rates": "of the legs in m/s, of RRS legs in rad/s",
-    "leg_accelerations": "of the legs in m/s², of RRS legs in rad/s²",
+    "readings": "of the legs in m, for RRS legs in rad",
+    "leg_rates": "of the legs in m/s, for RRS legs in rad/s",
+    "leg_accelerations": "of the legs in m/s², for RRS legs in rad/s²",
     "forces": "of the actuators in N and N m",
-    "twist": "(v, ω) at o in {B} in m/s and rad/s, of a stage (v_z, ω_x, ω_y)",
-    "acceleration": "of o in m/s², angular in rad/s², in {B}, of a stage of (v_z, ω_x, ω_y)",
+    "twist": "(v, ω) at o in {B} in m/s and rad/s, for a stage (v_z, ω_x, ω_y)",
+    "acceleration": "of o in m/s², angular in rad/s², in {B}, for a stage of (v_z, ω_x, ω_y)",
     "wrench": "(f, m) in N and N m in the axes of {B}",
 }
 """Meaning of each argument, for messages."""
@@ -131,7 +131,7 @@ class ConstrainedModel:
     """A Pinocchio model that holds the mechanism's tree, perhaps with another robot's, and its closures; immutable.
 
     The joints of the mechanism, eighteen or nine, are counted in Pinocchio's order, which is that of a chain's own q.
-    `prefix` stands before the names of its links and joints in the model. `freedoms` are the rows of a twist that a
+    `prefix` is prepended to the names of its links and joints in the model. `freedoms` are the rows of a twist that a
     caller gives: all six, or v_z, ω_x and ω_y of a stage.
     """
 
@@ -142,27 +142,28 @@ class ConstrainedModel:
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(machine)}
         names = sorted(joints, key=lambda name: joints[name].idx_q)
         self.names, self._prefix = tuple(prefix + name for name in names), prefix
-        # Where they are in the model's q and v, and where all other degrees of freedom are in v.
+        # Indices of the joints in the model's q and v, and of all other degrees of freedom in v.
         self.in_q = np.array([joints[name].idx_q for name in names], dtype=np.intp)
         self.in_v = np.array([joints[name].idx_v for name in names], dtype=np.intp)
         self.others = np.setdiff1d(np.arange(model.nv), self.in_v)
-        # Among them: the actuated ones in the order of the legs, the other joints, and those that stand for each ball.
+        # Among them: the actuated joints in the order of the legs, the other joints, and those that represent each
+        # ball.
         self.legs = frozen(self.joint_indices(*actuated_joints(machine)))
         self.passive = np.setdiff1d(np.arange(len(names)), self.legs)
         corners = [leg[2:] for leg in machine.legs.names[::3]]
         orders = [[f"ball_{leg}_{axis}" for axis in axes] for leg, axes in zip(corners, ("xyz", "zyx"), strict=False)]
         self.balls = tuple(self.joint_indices(*ball) for ball in orders)
-        # Where the actuators are in v: all of another robot, then the legs.
+        # Indices of the actuators in v: all of another robot, then the legs.
         self.actuated = frozen(np.concatenate([self.others, self.in_v[self.legs]]))
         self._actuated_in_q = self.in_q[self.legs]
-        # Offsets aside; RPS legs have no negative length.
+        # Without offsets; RPS legs have no negative length.
         self.home_readings = home_readings(machine)
         self.least_readings = machine.legs.least_readings
         # d, and the part of platforms and links in the length of a loop [m].
         self.side = machine.ball_side
         self._fixed_sizes = sum(base for base, _ in machine.stage_radii) + self.side
         self._fixed_sizes += sum(float(kind.links.sum()) for kind in machine.legs.kinds)
-        # Of a step of order one in each joint: 1 rad, or d.
+        # Units of a step of order one in each joint: 1 rad, or d.
         self._are_lengths = np.array(machine.legs.units) == "m"
         self.units = np.ones(len(names))
         self.units[self.legs[self._are_lengths]] = self.side
@@ -242,7 +243,7 @@ class TreeKinematics:
         self._twist_scale = np.array([1.0 / self._side] * 3 + [1.0] * 3)[constrained.freedoms]
         count = len(constrained.freedoms)
         self._unit_twists = self._scaled(np.eye(count), np.zeros((len(constrained.names) - count, count)))
-        # Where the balls' middle angles are in q.
+        # Indices of the balls' middle angles in q.
         self._middles = [int(constrained.in_q[ball[1]]) for ball in constrained.balls]
         # Pinocchio updates these in place: no look-up at each q.
         self._points = [self.data.oMf[frame].translation for frame in constrained.frames]
@@ -264,7 +265,7 @@ class TreeKinematics:
 
     @cached_property
     def gap(self) -> FloatArray:
-        """From the origin of `frame_a` to that of `frame_b` of each closure, in the universe's axes [m], (n, 3)."""
+        """Gaps from the origin of `frame_a` to that of `frame_b`, in the universe's axes [m], (n, 3)."""
         return np.asarray(self.constrained.signs.dot(np.concatenate(self._points).reshape(-1, 3)))
 
     @cached_property
@@ -358,12 +359,12 @@ class TreeKinematics:
 
     @cached_property
     def velocities_of_twists(self) -> FloatArray:
-        """X: twists of m, of a stage (v_z, ω_x, ω_y), to velocities of the mechanism's joints, shape (joints, n)."""
+        """Map X from twists of m, or (v_z, ω_x, ω_y) for a stage, to joint velocities, shape (joints, n)."""
         velocities = self.inverse_factors.solve(self._unit_twists)
         if not self.constrained.is_stage:
             return velocities
         freedoms = (self.platform_jacobian @ velocities)[self.constrained.freedoms]
-        # v_z is given in both; ω_x and ω_y say little of how the normal of a steep platform turns.
+        # v_z is an argument of both; ω_x and ω_y hardly determine the turn of the normal of a steep platform.
         sigma = float(np.linalg.svd(freedoms[1:, 1:], compute_uv=False)[-1])
         if sigma <= SINGULAR:
             raise SingularConfigurationError("inverse", sigma)
@@ -422,7 +423,7 @@ class TreeKinematics:
                 raise ArgumentError("q", expected, f"{math.degrees(angle):.9g}°", cause)
 
     def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
-        """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
+        """Raise unless q is closed and v keeps it closed, to `AGREEMENT`."""
         gap = self.widest_gap
         if gap > AGREEMENT * self._side:
             raise ClosureError(gap, 0, "Rounded or guessed joint values? The method project closes the loops")
@@ -453,7 +454,7 @@ class TreeKinematics:
         rates, others = np.abs(v), self.constrained.others
         bound = largest(np.abs(self.constraint_jacobian).dot(rates))
         if len(others):
-            # Another robot moves both ends of a gap alike: what is left of the difference is rounding of their speeds.
+            # Another robot moves both ends of a gap alike: the remaining difference is rounding of their speeds.
             ends = map(self.frame_jacobian, self.constrained.frames)
             bound += max(largest(np.abs(end[:3, others]).dot(rates[others])) for end in ends)
         return bound

@@ -24,7 +24,7 @@ class MountedChain:
     Attributes
     ----------
     chain : ClosedChain
-        The chain, as it is by itself.
+        The chain by itself.
     model : pinocchio.Model
         Both trees; do not change it.
     chain_indices, other_indices : ndarray

@@ -48,9 +48,9 @@ class Simulation:
     a: FloatArray
     """Joint accelerations, shape (n, nv)."""
     readings: FloatArray
-    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, legs)."""
+    """Readings of the legs' encoders [m] ([rad] for RRS legs), shape (n, legs)."""
     leg_forces: FloatArray
-    """Forces of the actuators [N], of RRS legs torques [N m], shape (n, legs); positive increases the reading."""
+    """Forces of the actuators [N] ([N m] for RRS legs), shape (n, legs); positive increases the reading."""
     kinetic: FloatArray
     """Kinetic energy of all bodies [J], shape (n,)."""
     potential: FloatArray
@@ -60,11 +60,11 @@ class Simulation:
     closure_gap: FloatArray
     """The widest of the gaps [m], shape (n,)."""
     end: SimulationEnd
-    """Why it ended there."""
+    """Reason why it ended there."""
     detail: str
     """The leg, or the reason why no step was possible; may be empty."""
     limit_excess: FloatArray
-    """By how much readings are above their limits, or below them (negative), shape (n, legs); 0 within."""
+    """Excess of readings above their limits, or below them (negative), shape (n, legs); 0 within."""
 
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"

@@ -105,7 +105,7 @@ class JointTrajectory:
     """All joints of a chain at given times; made by `ClosedChain.joint_trajectory`."""
 
     joint_names: tuple[str, ...]
-    """As in the URDF, in the order of the columns."""
+    """Names of the joints as in the URDF, in the order of the columns."""
     times: FloatArray
     """Times [s], shape (n,)."""
     positions: FloatArray
@@ -118,7 +118,7 @@ class JointTrajectory:
     efforts: FloatArray
     """Forces of the actuators under gravity [N, N m], shape (n, nv); zero in passive joints."""
     readings: FloatArray
-    """Readings of the legs' encoders [m], of RRS legs [rad], shape (n, legs)."""
+    """Readings of the legs' encoders [m] ([rad] for RRS legs), shape (n, legs)."""
     pose: RigidTransform
     """Poses (n,) of the terminal platform, {m} in {B}."""
     actuated: tuple[int, ...]
@@ -172,8 +172,8 @@ class JointTrajectory:
     def to_csv(self, path: str | Path | None = None) -> str:
         """Return a table, and write it to a file if `path` is given.
 
-        One row a time, with a heading: `time`; the readings `r_b1` to `r_c3`, of a stage `r_1` to `r_3`; the pose as
-        `x`, `y`, `z` [m] and the quaternion `qx`, `qy`, `qz`, `qw`; for each joint `position`, `velocity`,
+        One row a time, with a heading: `time`; the readings `r_b1` to `r_c3`, or `r_1` to `r_3` for a stage; the pose
+        as `x`, `y`, `z` [m] and the quaternion `qx`, `qy`, `qz`, `qw`; for each joint `position`, `velocity`,
         `acceleration` and `effort` as `name.position`. Numbers have the digits that float64 needs.
         `spm_pin.display.read_recording` and `spm_pin.calibration.read_measurements` take their columns of it.
         """

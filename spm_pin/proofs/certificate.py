@@ -1,7 +1,7 @@
 """Certificates that leg limits hold no forward singularity, so that six readings mean one configuration.
 
-One machine is certified with its least determinants and a counterexample; of many it is only decided which are free of
-forward singularities, all their symmetric stages at once. Derivation: `docs/theory/proofs.md`.
+For one machine the result has its least determinants and a counterexample; for many machines only which are free of
+forward singularities, with all their symmetric stages at once. Derivation: `docs/theory/proofs.md`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from spm_pin.support.arguments import BoolArray, FloatArray, real_array, real_nu
 _ROUNDING = 1e-15
 """Rounding of a parameter of a machine, in metres per metre of its size, and in radians."""
 _SAME = 1e-6
-"""Configurations whose balls are nearer to each other, in middle sides, are the same beside a fold."""
+"""Distance of balls, in middle sides, below which configurations next to a fold are the same."""
 _LINES = 1_000
 """Lines of readings along which a forward singularity is looked for."""
 _FIRST_LEVEL = 3
@@ -56,7 +56,8 @@ _FIRST_LEVEL = 3
 _SLOPE = 1.7320508075689
 """A little more than √3, so that rounding leaves no box out."""
 _FLAT = 1e-10
-"""Least Z² of a level state over its legs' length squared: above this it exists, and is known to `joined`."""
+"""Least Z² of a level state over its legs' length squared: above this it exists, and is accurate enough for
+`joined`."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ class Certificate:
     limits: LegLimits
     """Limits of the readings."""
     stages: tuple[StageProof, ...]
-    """The subdivision of each stage, of a manipulator of the lower and of the upper one."""
+    """Subdivision of each stage: for a manipulator of the lower and of the upper one."""
     witness: Configuration | StageConfiguration | None
     """A forward singular configuration within the limits, where one was found; None otherwise. It lies in a box that is
     joined to the home through other boxes of the nominal machine alone, without errors, so it may still not be joined
@@ -80,7 +81,7 @@ class Certificate:
     def holds(self) -> bool:
         """True if it is proved that no configuration joined to the home within the limits is singular.
 
-        Forward singular, or in a singularity of a leg itself, beyond which its working mode is another.
+        Singular means forward singular, or in a singularity of a leg itself, beyond which its working mode changes.
         """
         return all(proof.bound > 0.0 for proof in self.stages)
 
@@ -181,7 +182,7 @@ class Certificate:
         return ", ".join(f"{reading:.6f} {unit}" for reading, unit in zip(state.readings, units, strict=True))
 
     def _whose(self) -> list[str]:
-        """Return what the machine does at the readings of the singular configuration, and what would help."""
+        """Return a text on the behaviour at the readings of the singular configuration, and on remedies."""
         assert self.witness is not None
         physical = forward_physical(self.machine, self.witness.readings)
         apart = np.abs(physical.balls - self.witness.balls).max() / self.machine.ball_side
@@ -207,20 +208,20 @@ def certify(
 ) -> Certificate:
     """Prove that leg limits exclude forward singularities, and singularities of legs.
 
-    What is joined, within the limits, to the physical configuration at their middle is proved free of them, by interval
-    branch and bound over all orientations without torsion and all heights, stage by stage. It follows that readings
-    within the limits have exactly one configuration there, and that no straight line of readings meets a singularity;
-    see `docs/theory/proofs.md`.
+    The region that is joined, within the limits, to the physical configuration at their middle is proved free of them,
+    by interval branch and bound over all orientations without torsion and all heights, stage by stage. It follows that
+    readings within the limits have exactly one configuration there, and that no straight line of readings meets a
+    singularity; see `docs/theory/proofs.md`.
 
     Parameters
     ----------
     machine : Manipulator or Stage
-        For a calibrated machine it is proved for all machines that are as near to the nominal one, the choice of the
-        frame {n} of the balls aside.
+        For a calibrated machine the proof is for all machines that are as near to the nominal one, apart from the
+        choice of the frame {n} of the balls.
     limits : LegLimits, optional
-        Limits of the readings, finite, of a stage `StageLimits` or a pair; by default those of the machine.
+        Finite limits of the readings, for a stage `StageLimits` or a pair; by default those of the machine.
     boxes : int
-        Boxes to look at in each stage, at most.
+        Maximum number of boxes in each stage.
     length_error : float
         Prove it for every machine of which no coordinate of a pivot or a ball, no rod or crank, and no offset of a
         reading differs by more than this from that of `machine` [m]. Its dimensions are among these, with the same
@@ -232,7 +233,7 @@ def certify(
     Returns
     -------
     Certificate
-        It may not hold: then it has a singular configuration, if one was found, and the boxes left undecided.
+        If it does not hold, it contains a singular configuration, if one was found, and the undecided boxes.
     """
     check_machine(machine)
     nominal = machine.nominal
@@ -279,20 +280,20 @@ def largest_certified_limits(
 ) -> Certificate:
     """Find the widest leg limits around given readings that are proved free of forward singularities.
 
-    All readings may differ from their centre by the same amount, and have one unit. No limits hold in which a line from
-    the centre meets a forward singularity; just within the nearest one of many is tried first, then the width is
-    bisected.
+    All readings may differ from their centre by the same amount, and must have one unit. Limits cannot be certified if
+    a line from the centre meets a forward singularity within them; a width just within the nearest of many such
+    singularities is tried first, then the width is bisected.
 
     Parameters
     ----------
     machine : Manipulator or Stage
         Its dimensions.
-    centre : array_like, shape (6,), of a stage (3,), or (), optional
-        Readings in the middle [m], of RRS legs [rad]; by default the middle of the machine's limits.
+    centre : array_like, shape (6,); for a stage (3,), or (), optional
+        Readings in the middle [m] ([rad] for RRS legs); by default the middle of the machine's limits.
     tolerance : float
-        How far below the widest half-width that certifies the result may stay, relative to it.
+        Largest difference from the widest half-width that can be certified, relative to it.
     boxes : int
-        Boxes to look at in each stage for each limits tried, at most.
+        Maximum number of boxes in each stage, for each limits tried.
     length_error, angle_error : float
         Prove it for all machines within these errors [m, rad], see `certify`.
 
@@ -362,8 +363,8 @@ def _widened(machine: Machine, errors: tuple[float, float]) -> tuple[float, floa
 def _deviation(machine: Machine, nominal: Machine) -> tuple[float, float]:
     """Return the largest errors of a machine's lengths [m] and angles [rad] against a nominal one.
 
-    Infinite if of other legs, or if one platform hangs and the other stands. The frame {n} is where the balls are
-    nearest to the nominal ones, if that is better.
+    Infinite if the legs are of other kinds, or if one platform hangs and the other does not. The frame {n} is where the
+    balls are nearest to the nominal ones, if that is better.
     """
     if machine.is_nominal and machine.dimensions == nominal.dimensions and machine.legs.kinds == nominal.legs.kinds:
         return 0.0, 0.0
@@ -385,7 +386,7 @@ def _deviation(machine: Machine, nominal: Machine) -> tuple[float, float]:
 
 
 def free_of_singularities(machines: Sequence[Manipulator | Stage], boxes: int) -> BoolArray:
-    """Return which machines (N,) are proved free of forward singularities within their limits.
+    """Return a mask (N,) of the machines that are proved free of forward singularities within their limits.
 
     At most `boxes` are looked at for a stage. Where its legs have equal limits, the stage is the same after a turn by
     120° about its axis, and in a mirror, which exchanges legs; a sixth of its states, 0 <= y <= √3 x, stands for all: a

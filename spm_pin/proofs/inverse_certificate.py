@@ -38,7 +38,7 @@ Cells = tuple[Interval, Interval]
 """x and y of cells of one stage."""
 
 _SAMPLES = 2_000
-"""States among which a singular one, and the least |det K|, are looked for."""
+"""Number of states among which a singular one, and the least |det K|, are looked for."""
 _PAIRS = 100
 """Pairs of samples between which a singular one is looked for."""
 _DEEPEST = 20
@@ -63,7 +63,7 @@ class InverseCertificate:
     undecided: FloatArray
     """Boxes in which det K may be zero, low and high ends, shape (N, 4, 2).
 
-    Of x and y of the lower and the upper stage.
+    Coordinates are x and y of the lower and the upper stage.
     """
     witness: Configuration | None
     """A configuration of the region with det K = 0 to rounding, where one was found."""
@@ -96,14 +96,14 @@ class InverseCertificate:
 def certify_inverse(
     machine: Manipulator, limits: LegLimits | None = None, *, boxes: int = 300_000, forward: Certificate | None = None
 ) -> InverseCertificate:
-    """Prove that leg limits exclude inverse singularities, of what is joined to the home within them.
+    """Prove that no configuration joined to the home within leg limits is inverse singular.
 
     Parameters
     ----------
     machine, limits, boxes
         As for `spm_pin.certify`, without errors; `boxes` for the pairs of stages as well.
     forward : Certificate, optional
-        What `spm_pin.certify` returned for these; computed if it is not given.
+        Result of `spm_pin.certify` for the same arguments; computed if not given.
 
     Returns
     -------
@@ -169,7 +169,7 @@ class _StageCells:
     def __init__(self, region: StageRegion, proof: StageProof) -> None:
         boxes = np.concatenate([proof.proved, proof.undecided])
         self._region = region
-        # Above the legs' bases the sign of a corner's height is known, if no box says otherwise.
+        # Above the legs' bases the sign of a corner's height is known, unless a box contradicts it.
         heights = region.corners(*columns(boxes))[1]
         self._upward = all((height.low > 0.0).all() for height in heights)
         side = 1 << _GRID
@@ -180,7 +180,7 @@ class _StageCells:
             self._occupied[i:k, j:m] = True
 
     def contain(self, level: int, position: Int64Array) -> BoolArray:
-        """Return for which cells (N, 2) of a level there may be a height with lengths within the limits."""
+        """Return a mask of cells (N, 2) of a level with a possible height for lengths within the limits."""
         cell = position >> (level - _GRID)
         region, (x, y) = self._region, _ends(level, position)
         radii, rises = region.corners(x, y, Interval.from_numbers(0.0))

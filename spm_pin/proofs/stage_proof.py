@@ -11,14 +11,14 @@ its circle follow. The stage is forward singular where
 
     D = m12 m23 m31 + m21 m32 m13 = 0,   m_ij = (z_i - h_i) (ρ + s_i + ρ_j / 2) + (z_j - h_i) (ρ_i - ρ - s_i).
 
-The centre is the pivot of an RPS leg. Of others it is enclosed from the reading, that from the box of states and the
-limits, and κ has to keep the sign of the working mode. In a machine with errors the quaternion has a small fourth
-component x3, and each of these numbers differs by what is bounded over all machines.
+The centre is the pivot of an RPS leg. For other legs it is enclosed from the reading, the reading from the box of
+states and the limits, and κ has to keep the sign of the working mode. In a machine with errors the quaternion has a
+small fourth component x3, and each of these numbers differs by what is bounded over all machines.
 
-The cube of the states (x, y, Z) is divided into eight again and again: what has no readings within the limits goes;
-what keeps the signs of D and κ is proved; of the others only what is joined to a given state, through touching boxes,
-is divided further. That one state has the readings in the middle of the limits is proved by subdivision, until
-Krawczyk's test succeeds. Derivation and theorem: `docs/theory/proofs.md`.
+The cube of the states (x, y, Z) is divided into eight again and again: boxes without readings within the limits are
+dropped; boxes where D and κ keep their signs are proved; of the others only those joined to a given state, through
+touching boxes, are divided further. That one state has the readings in the middle of the limits is proved by
+subdivision, until Krawczyk's test succeeds. Derivation and theorem: `docs/theory/proofs.md`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ Int64Array = npt.NDArray[np.int64]
 _FIRST_LEVEL = 4
 """The subdivision begins with cells of 1/16 of the cube's edge."""
 _SEARCH = 30_000
-"""Boxes after which a singular state is looked for; then again whenever four times as many have been seen."""
+"""Number of boxes after which a singular state is looked for, again after four times as many, and so on."""
 _ROUNDING = 1e-9
 """Uncertainty of the start, in units of the cube's edges."""
 _STARTS, _STEPS = 2_000, 60
@@ -117,9 +117,9 @@ class StageValues(NamedTuple):
 
 @dataclass(frozen=True)
 class StageRegion:
-    """The states of a stage that are searched, those of one machine or of all within errors.
+    """The searched states of a stage, for one machine or for all machines within errors.
 
-    Of N stages at once, whose boxes are then N, it has arrays (N,) for numbers, and (3, N) for the limits.
+    For N stages at once, with N boxes, numbers are arrays (N,), and limits arrays (3, N).
     """
 
     leg_base_radius: float | FloatArray
@@ -141,7 +141,7 @@ class StageRegion:
 
     @cached_property
     def numbers(self) -> tuple[tuple[Interval, ...], ...]:
-        """The numbers that are fixed in each leg, of all machines."""
+        """The constant numbers of each leg, for all machines."""
         spread = {"direction": self.angle_error, "sign": 0.0}
         errors = [spread.get(field.name, self.length_error) for field in fields(self.legs)]
         return tuple(
@@ -182,7 +182,7 @@ class StageRegion:
 
     @cached_property
     def error_bounds(self) -> ErrorBounds:
-        """Bounds of all that the errors change."""
+        """Bounds of all quantities that depend on the errors."""
         pivot, ball = np.sqrt([2.0, 3.0]) * self.length_error * _UP
         leaning = np.sqrt(2.0) * self.angle_error * self.longest * _UP
         corner = (leaning + pivot + ball) * _UP
@@ -220,7 +220,7 @@ class StageRegion:
         ]
 
     def evaluate(self, x: Interval, y: Interval, z: Interval) -> StageValues:
-        """Return what is known of states."""
+        """Return bounds for states."""
         bounds = self.error_bounds
         radii, heights = self.corners(x, y, z)
         base = Interval.from_numbers(self.leg_base_radius) + bounds.pivot
@@ -247,7 +247,7 @@ class StageRegion:
         return StageValues([leg.reading for leg in legs], squares, determinant, reduce(np.logical_or, missed), works)
 
     def _leg(self, leg: int, x: Interval, z: Interval) -> LegEnclosure:
-        """Return what is known of a leg whose ball is at x and z of its nominal plane."""
+        """Return bounds for a leg whose ball is at x and z of its nominal plane."""
         if isinstance(self.legs, RPS):
             return LegEnclosure((x.square() + z.square()).root(), ZERO, ZERO, np.asarray(False), np.asarray(1.0))
         formulas, numbers, limits = _ON_INTERVALS[type(self.legs)], self.numbers[leg], self.readings[leg]
@@ -271,12 +271,12 @@ _ON_INTERVALS = {kind: kind.bound(partial(bind, **INTERVALS)) for kind in KINDS.
 
 
 def rounded_down(bound: float) -> str:
-    """Return a proved lower bound as a text of three digits that does not overstate it."""
+    """Return a proved lower bound as text, rounded down to three digits."""
     return f"{float(Context(prec=3, rounding=ROUND_FLOOR).create_decimal(float(bound))):.3g}"
 
 
 def _less(value: Interval, other: Interval) -> Interval:
-    """Return a difference, and what it is taken from where nothing is."""
+    """Return a difference; a subtrahend `ZERO` costs no operation."""
     return value if other is ZERO else value - other
 
 
@@ -287,7 +287,7 @@ def _largest(value: Interval | float) -> FloatArray:
 
 
 def region_coordinates(configuration: Batched) -> FloatArray:
-    """Return the states (x, y, Z [m]) of the stages, shape (..., stages, 3); NaN where there is none in mode T."""
+    """Return the states (x, y, Z [m]) of the stages, shape (..., stages, 3); NaN for states not in mode T."""
     coordinates = stage_coordinates(configuration)
     return _MIRROR[: coordinates.shape[-2]] * coordinates
 
@@ -344,7 +344,7 @@ def prove_stage(region: StageRegion, start: FloatArray, *, most: int = 300_000) 
     seen, singular, search_at = len(cells), None, _SEARCH
     while True:
         kept = kept[joined(scale, kept, start)]
-        # A proved box is divided again while its bound is far below the least value met: a bound is to be of use.
+        # A proved box is divided again while its bound is far below the least value met, so that the bound is useful.
         least = float(kept["centre"][kept["bound"] > 0.0].min(initial=at_start))
         unfinished = (kept["bound"] <= 0.5 * least) & (kept["level"] < DEEPEST)
         count = int(unfinished.sum())
@@ -397,7 +397,7 @@ def _ends(scale: FloatArray, boxes: Boxes) -> FloatArray:
 
 
 def _measure(region: StageRegion, scale: FloatArray, boxes: Boxes) -> Boxes:
-    """Return the boxes that may hold readings within the limits, with what is known of |det J| in them."""
+    """Return the boxes that may hold readings within the limits, with bounds of |det J| in them."""
     boxes = examine(region, scale, boxes)
     boxes["centre"] = _value(region, [Interval.from_numbers(x) for x in _ends(scale, boxes).mean(axis=-1).T])
     return boxes
@@ -457,7 +457,8 @@ def _touching(boxes: Boxes) -> Int64Array:
     for fine in levels:
         members = ordered[fine][0]
         for coarse in levels[levels <= fine]:
-            # Of its own size half of those around it: of their other half it is one. Larger ones are at its corners.
+            # Of boxes of the same size only half are compared, since pairs are symmetric. Larger boxes are at the
+            # corners.
             steps = _NEIGHBOURS[14:] if coarse == fine else 2 * _CORNERS - 1
             around = position[members][:, None, :] + steps
             inside = ((around >= 0) & (around < 1 << int(fine))).all(axis=-1)
@@ -529,7 +530,7 @@ def _determinant(region: StageRegion, states: FloatArray) -> tuple[FloatArray, F
 
 
 def has_one_state(region: StageRegion, boxes: FloatArray) -> bool:
-    """Return whether just one state in boxes (N, 3, 2) is proved to have the readings in the middle of the limits."""
+    """Return whether boxes (N, 3, 2) are proved to have exactly one state with the middle readings of the limits."""
     middle_readings = 0.5 * (region.minimum + region.maximum)
     region = replace(region, minimum=middle_readings, maximum=middle_readings, length_error=0.0, angle_error=0.0)
     for _ in range(_ROUNDS):
@@ -574,7 +575,7 @@ def _krawczyk(region: StageRegion, box: FloatArray) -> bool:
 
 
 def _places(region: StageRegion, x: Interval, y: Interval, z: Interval) -> list[tuple[Interval, Interval]]:
-    """Return where the balls are, radially and towards the middle platform, from their pivots."""
+    """Return the positions of the balls from their pivots, radially and towards the middle platform."""
     base = Interval.from_numbers(region.leg_base_radius)
     return [(radius - base, height) for radius, height in zip(*region.corners(x, y, z), strict=True)]
 

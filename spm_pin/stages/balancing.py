@@ -31,18 +31,18 @@ both along the platform's x and y; the platform's roll, pitch [rad] and height [
 their rates."""
 
 STEPS = 20
-"""Steps of the simulation, each of 1 ms, in one of the environment."""
+"""Number of simulation steps, of 1 ms each, in one step of the environment."""
 _TRIES = 256
 
 
 class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
     """A ball on the platform of a stage, which falls off unless the platform tilts against it.
 
-    An action is where the three actuators are to go, -1 for the least reading and 1 for the largest, see `action`; they
-    go there no faster than the description's limits of velocity. 50 actions are a second. An observation has the
-    components of `OBSERVATION`, of which places and angles have bounds, and rates none. The reward is 1 - (distance
-    from the middle of the plate / its radius)², and the episode is terminated where the ball leaves the plate. Made by
-    `gymnasium.make` it is truncated after ten seconds.
+    An action is the target of the three actuators, -1 for the least reading and 1 for the largest, see `action`; their
+    velocity is limited as in the description. The rate is 50 actions per second. An observation has the components of
+    `OBSERVATION`: positions and angles have bounds, rates do not. The reward is 1 - (distance from the middle of the
+    plate / its radius)², and the episode is terminated where the ball leaves the plate. Made by `gymnasium.make` it is
+    truncated after ten seconds.
 
     `reset` chooses a random tilt, height, and position of the ball within half the plate's radius, at rest. All joint
     values are computed in closed form, so that the loops are closed to rounding. Its `options` may have `readings` (3,)
@@ -96,7 +96,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         self.observation_space = gymnasium.spaces.Box(-most, most, dtype=np.float64)
 
     def _largest_observation(self) -> FloatArray:
-        """Return the largest magnitudes of an observation's components (10,): rates have none in a simulation."""
+        """Return the largest magnitudes of an observation's components (10,): infinite for rates."""
         height, longest = self.stage.size, np.abs(self.stage.reading_limits - self.stage.legs.offsets).max()
         bounds = dict.fromkeys(OBSERVATION, math.inf) | {"roll": math.pi, "pitch": 0.5 * math.pi}
         bounds["height"] = height + (longest if self.stage.unit == "m" else 0.0)
@@ -146,7 +146,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         for _ in range(STEPS):
             self.data.ctrl += np.clip(goal - self.data.ctrl, -self._steps, self._steps)
             mujoco.mj_step(self.model, self.data)
-        # Values derived from q belong to the beginning of the last step.
+        # Values derived from q are those at the beginning of the last step.
         mujoco.mj_forward(self.model, self.data)
         observation, info = self._observed()
         has_fallen = info["has_fallen"]

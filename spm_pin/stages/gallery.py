@@ -24,7 +24,7 @@ class RealMachine:
     The moving plate of a 3-SPR is the plate of pivots; the stage is the machine seen from there.
     """
     height: float
-    """At which the source has it stand level: of the balls' centre above the plane of the pivots [m]."""
+    """Height of the balls' centre above the plane of the pivots in the source's level position [m]."""
     source: str
     """Source of the numbers: a repository of github.com with the file and the commit that was read, or a paper."""
     assumed: str
@@ -32,7 +32,7 @@ class RealMachine:
 
     @property
     def stage(self) -> Stage:
-        """The stage, of two the lower."""
+        """The stage, the lower one of two."""
         return self.stages[0]
 
 
@@ -42,8 +42,8 @@ def gallery() -> dict[str, RealMachine]:
     Returns
     -------
     dict
-        Of `RealMachine`, with dimensions in metres. `docs/howto/gallery.md` shows them, with what they reach and how
-        far the formulas are off that their programs use.
+        Values are `RealMachine`, with dimensions in metres. `docs/howto/gallery.md` shows them, with what they reach
+        and how far the formulas are off that their programs use.
 
     Examples
     --------
@@ -136,7 +136,7 @@ def gallery() -> dict[str, RealMachine]:
 
 
 def _with_legs_across(kind: PRS, radius: float, limits: tuple[float, float]) -> Stage:
-    """Return a stage whose legs stand at 0, 90 and 180°."""
+    """Return a stage whose legs are at 0, 90 and 180°."""
     axes = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     places = radius * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     return Stage(radius, radius, Legs(axes, places, places, np.zeros(3), (kind,)), limits)

@@ -40,7 +40,7 @@ _PARTS, _ROUNDS, _FEW = np.linspace(0.0, 1.0, 17), 11, 5
 """Number of parts and rounds in which an interval is divided: to 6e-14 of it, or with few rounds to 1e-6."""
 _MOST_DIRECTIONS = 10_000
 _REGULAR = 1e-6
-"""Distance to singularities, see `StageSingularities`, up to which a home is none: its digits are lost there."""
+"""Least distance to singularities of a home, see `StageSingularities`: closer to one, its digits are lost."""
 _BESIDE = 1e-6
 """Distance beyond the end of the reach at which its cause is determined [rad]."""
 
@@ -104,7 +104,7 @@ def height_range(stage: Stage) -> tuple[float, float]:
     Returns
     -------
     lowest, highest : float
-        Heights of the platform's origin above the pivots: of several such ranges the widest, NaN if missing.
+        Heights of the platform's origin above the pivots: the widest of several such ranges, NaN if there is no range.
     """
     return _height_range(check_instance(stage, Stage, "stage"))
 
@@ -169,7 +169,7 @@ def _middle_state(stage: Stage) -> StageConfiguration:
 def reach(
     stage: Stage, heights: npt.ArrayLike | None = None, *, directions: int = 72, where: Condition | None = None
 ) -> StageReach:
-    """Find how far a stage tilts in every direction, at one height or several.
+    """Find the largest tilts of a stage in every direction, at one height or several.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def reach(
     heights : array_like, shape () or (n,), optional
         Heights of the platform's origin above the pivots [m]; by default nine within `height_range`.
     directions : int
-        How many azimuths, 1 to 10,000.
+        Number of azimuths, 1 to 10,000.
     where : callable, optional
         Takes states (n,) and returns which of them count besides, (n,): a bound of a metric, as
         `spm_pin.sweeps.condition` makes it, or limits of balls and hinges, `spm_pin.workspace.JointLimits`.
@@ -186,7 +186,7 @@ def reach(
     Returns
     -------
     StageReach
-        Largest tilts to 1e-12 rad, and what ends them. States are tried every half degree up to a right angle.
+        Largest tilts to 1e-12 rad, and the reason why they end. States are tried every half degree up to a right angle.
 
     Examples
     --------
@@ -335,7 +335,7 @@ def _counts(state: StageConfiguration, where: Condition | None = None) -> BoolAr
 def _last_good(
     counts: Callable[[FloatArray], BoolArray], good: FloatArray, bad: FloatArray, rounds: int = _ROUNDS
 ) -> FloatArray:
-    """Return the numbers (..., 1), between some that count and others that do not, up to which they count."""
+    """Return the last numbers (..., 1) that satisfy `counts`, between `good`, which do, and `bad`, which do not."""
     for _ in range(rounds):
         parts = good + (bad - good) * _PARTS
         inside = counts(parts)
@@ -368,7 +368,7 @@ def _largest_tilts(
 
 
 def _ends(stage: Stage, heights: FloatArray, azimuths: FloatArray, tilts: FloatArray) -> npt.NDArray[np.int8]:
-    """Return what ends largest tilts."""
+    """Return the reason why largest tilts end."""
     is_level, is_whole = np.isfinite(tilts), tilts == _LARGEST_TILT
     beyond = np.where(is_level & ~is_whole, tilts + _BESIDE, 0.0)
     both = inverse(stage, heights, tilt=beyond, azimuth=azimuths)

@@ -36,7 +36,7 @@ _WRITTEN_OUT = {
     6: "Is it a position and three angles? spm.pose(a[..., :3], rpy=a[..., 3:]), or xyx=..., rotvec=...",
     7: "Is it a position and a quaternion? spm.pose(a[..., :3], quat=a[..., 3:]), scalar last: x, y, z, w",
 }
-"""How to convert six or seven numbers to a pose."""
+"""Hints for the conversion of six or seven numbers to a pose."""
 _TRANSFORM = "Is it a homogeneous transform? scipy.spatial.transform.RigidTransform.from_matrix(a) makes a pose of it"
 _ROTATION = "a rotation matrix"
 _POSITION = "a position in metres"

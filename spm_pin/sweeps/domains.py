@@ -43,7 +43,7 @@ _ARGUMENTS: dict[Space, str] = {"pose": "x, y, z, xyx", "tilt": "height, tilt, a
 _RESERVED = {*_LENGTHS, *_ANGLES, "sample", "status", "sweep"}
 """Names in a store that no metric may have."""
 _MOST_VALUES = 10**8
-"""Values along one axis; they are held in memory."""
+"""Maximum number of values along one axis; they are kept in memory."""
 _BLOCK = 8192
 """Points evaluated together: enough for little time outside kernels, few enough to need some megabytes."""
 FORMAT = 6
@@ -54,7 +54,7 @@ FORMAT = 6
 class Axis:
     """One coordinate of a domain, named as in `AXES`, and its values from `start` to `stop` [m or rad].
 
-    A reading is a length or an angle as the machine's legs are: `SweepPlan.unit` knows.
+    Whether a reading is a length or an angle depends on the machine's legs: see `SweepPlan.unit`.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Axis:
     def from_range(name: str, value: AxisRange, sampled: bool) -> Axis:
         """Read an `AxisRange`."""
         unit, ends = "radians" if name in _ANGLES else "metres", "start, stop" if sampled else "start, stop, count"
-        unit += ", of RRS legs in radians" if name in _ALL_LEGS else ""
+        unit += ", for RRS legs in radians" if name in _ALL_LEGS else ""
         expected = f"one value or ({ends}), in {unit}"
         numbers = real_array(value, name, (), expected)
         if numbers.shape not in ((), (2 if sampled else 3,)):
@@ -104,7 +104,7 @@ class Axis:
 
     @property
     def description(self) -> str:
-        """One line that says what the coordinate is."""
+        """Description of the coordinate, one line."""
         return (_LENGTHS | _ANGLES)[self.name]
 
 
@@ -119,7 +119,7 @@ class Sample:
 
     count: int
     seed: int
-    """From 0 to 2¹²⁸."""
+    """Seed, from 0 to 2¹²⁸."""
 
     def __post_init__(self) -> None:
         for argument, least, most in (("count", 1, 2**53), ("seed", 0, 2**128)):
@@ -225,7 +225,7 @@ def tilt_grid(height: AxisRange, tilt: AxisRange, azimuth: AxisRange) -> Domain:
     Parameters
     ----------
     height : float or (start, stop, count)
-        Of the platform's origin above the pivots [m]: one value, or equally spaced ones with both ends among them.
+        Height of the platform's origin above the pivots [m]: one value, or equally spaced ones including both ends.
     tilt, azimuth : float or (start, stop, count)
         Angle between the platform's normal and z, from 0 to less than π, and where the normal leans [rad], likewise.
 
@@ -241,14 +241,14 @@ def tilt_grid(height: AxisRange, tilt: AxisRange, azimuth: AxisRange) -> Domain:
 def leg_grid(
     lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange] | None = None, *others: AxisRange
 ) -> Domain:
-    """Describe a lattice of readings, which of RPS legs are lengths.
+    """Describe a lattice of readings, which are lengths for RPS legs.
 
     Parameters
     ----------
     lower, upper : float, (start, stop, count), or three of these
-        Readings of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m], of RRS legs [rad]: the
-        same for the three, or one after another in a list. A tuple of three numbers is a range. Of a stage the first
-        alone, for r_1, r_2, r_3.
+        Readings of the lower legs r_b1, r_b2, r_b3 and of the upper legs r_c1, r_c2, r_c3 [m] ([rad] for RRS legs): one
+        value for all three legs, or a list of three. A tuple of three numbers is a range. For a stage only `lower`, for
+        r_1, r_2, r_3.
     """
     return _leg_domain(lower, upper, others)
 
@@ -322,7 +322,7 @@ def _angles(xyx: Sequence[AxisRange] | None, others: tuple[AxisRange, ...]) -> l
 
 
 def _refuse(others: tuple[AxisRange, ...], argument: str, expected: str) -> None:
-    """Raise `ArgumentError` where ranges are given one after another that belong together."""
+    """Raise `ArgumentError` if ranges that belong in one list are given as separate arguments."""
     if others:
         raise ArgumentError(argument, expected, f"{len(others)} more ranges one after another")
 
@@ -353,7 +353,7 @@ class SweepPlan:
     machine: Manipulator | Stage
     domain: Domain
     metrics: tuple[Metric, ...]
-    """In the order of their names."""
+    """Metrics, in the order of their names."""
     chunk: tuple[int, ...]
     """Shape of a chunk along the dimensions of the domain."""
     version: str
@@ -363,18 +363,18 @@ class SweepPlan:
     def make(
         cls, machine: Manipulator | Stage, domain: Domain, metrics: Iterable[str | Metric], chunk: int
     ) -> SweepPlan:
-        """Make a plan of metrics, each given by its name or as it is, with chunks of at most `chunk` points."""
+        """Make a plan of metrics, each given by its name or as a `Metric`, with chunks of at most `chunk` points."""
         check_machine(machine)
         check_instance(domain, Domain, "domain", "Made by pose_grid, leg_grid, pose_sample or leg_sample?")
         spaces, names = AXES[type(machine)], tuple(axis.name for axis in domain.axes)
         if spaces.get(domain.space) != names:
             expected = f"coordinates of a {type(machine).__name__}: {' or '.join(map(', '.join, spaces.values()))}"
-            cause = "Of a stage tilt_grid or leg_grid(readings) makes them, of a manipulator pose_grid or leg_grid"
+            cause = "For a stage use tilt_grid or leg_grid(readings), for a manipulator pose_grid or leg_grid"
             raise ArgumentError("domain", expected, ", ".join(names), cause)
         for axis, least in zip(domain.axes, machine.legs.free_limits.minimum, strict=True):
             if axis.name in _ALL_LEGS and axis.start <= least:
                 raise ArgumentError(axis.name, "positive lengths in metres", f"{axis.start:g}")
-        # By name, so that their order makes no other sweep.
+        # Sorted by name, so that the sweep does not depend on their order.
         ordered = tuple(sorted(resolve_metrics(metrics), key=lambda metric: metric.name))
         reserved = [metric.name for metric in ordered if metric.name in _RESERVED]
         if reserved:
@@ -383,7 +383,7 @@ class SweepPlan:
 
     @classmethod
     def from_definition(cls, content: dict[str, Any]) -> SweepPlan:
-        """Make a plan from its `text` as JSON; metrics that are none of this package's are named, but not computed."""
+        """Make a plan from its `text` as JSON; metrics of other packages have names, but no function."""
         machine, domain = machine_from_data(content["geometry"], "geometry"), content["domain"]
         axes, sample = tuple(Axis(**axis) for axis in domain["axes"]), domain["sample"]
         domain = Domain(domain["space"], axes, sample and Sample(**sample))
@@ -464,7 +464,7 @@ class SweepPlan:
 
 def package_version() -> str:
     """Return the version of this package."""
-    # By name: the root imports every floor, and no floor the root.
+    # By name: the root imports every layer, and no layer imports the root.
     return str(import_module("spm_pin").__version__)
 
 

@@ -41,15 +41,16 @@ class Metric:
     name : str
         Name of the variable in the results: letters, digits and underscores.
     unit : str
-        As udunits writes it, or "1".
+        Unit in the notation of udunits, or "1".
     description : str
-        One line that says what it is and where it is NaN.
+        Description of the metric, and where it is NaN, in one line.
     function : callable
-        Takes `Points`, and the parameters by keyword; returns an array of shape (N,). It is sent to worker processes.
+        Function of `Points`, and of the parameters by keyword; returns an array of shape (N,). It is sent to worker
+        processes.
     dtype : str
-        How it is stored: a float such as "float64", or a signed integer.
+        Type in the store: a float such as "float64", or a signed integer.
     flags : dict of str to int
-        Meanings of integers, where they stand for something.
+        Meanings of integers, if the values are codes.
     parameters : dict
         Values of the function's keyword-only arguments, as JSON holds them; their defaults if not given.
     version : str or int, optional
@@ -228,7 +229,7 @@ def unavailable(points: Points, **parameters: Any) -> npt.ArrayLike:
 
 
 def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Metric, ...]:
-    """Return metrics, each given by its name or as it is."""
+    """Return metrics, each given by its name or as a `Metric`."""
     is_list = isinstance(metrics, Iterable) and not isinstance(metrics, str | Metric)
     given: list[Any] = list(metrics) if is_list else [metrics]  # type: ignore[arg-type]
     chosen: tuple[Any, ...] = tuple(METRICS.get(each) if isinstance(each, str) else each for each in given)
@@ -250,7 +251,7 @@ def prepare_metrics(metrics: Iterable[Metric], points: Points) -> None:
 def condition(
     metric: str | Metric, *, least: float | None = None, most: float | None = None
 ) -> Callable[[Configuration | StageConfiguration], BoolArray]:
-    """Return a condition on states, as volumes take it: that a metric is between `least` and `most`.
+    """Return a condition on states, for volumes: a metric is between `least` and `most`.
 
     Parameters
     ----------
@@ -285,7 +286,7 @@ def condition(
 
 
 def _is_within(metric: Metric, least: float, most: float, states: Configuration | StageConfiguration) -> BoolArray:
-    # States may be outside limits of the machine, where others were given to the function that asks.
+    # States may be outside the limits of the machine, if the calling function was given other limits.
     machine = dataclasses.replace(states.machine, limits=None)
     readings = states.readings.reshape(-1, len(machine.legs.names))
     values = metric.evaluate(Points(machine, "legs", readings))
@@ -309,7 +310,7 @@ def _check_manipulator(points: Points, metric: str) -> None:
 
 def _branch(points: Points) -> npt.ArrayLike:
     _check_manipulator(points, "branch")
-    # Where the state was computed from leg lengths it is one of the branches up to rounding.
+    # A state that was computed from leg lengths is one of the branches up to rounding.
     branches, physical = points.solutions.configurations, points.physical
     gaps = np.abs(branches.compared_points - physical.compared_points[:, None]).max(axis=(-1, -2))
     gaps = np.where(np.isnan(gaps), np.inf, gaps)
@@ -324,7 +325,7 @@ def _assembly_modes(points: Points) -> npt.ArrayLike:
 
 
 def _leg_margin(points: Points) -> npt.ArrayLike:
-    """Return the margin of the worst leg; of the physical branches of a pose the one with the largest margin counts."""
+    """Return the margin of the worst leg, in the physical branch of a pose with the largest margin."""
     if points.machine.limits is None:
         raise ArgumentError("machine", "one with leg limits, of which a margin can be left", "none")
     scale = points.machine.legs.largest_slopes
@@ -409,7 +410,7 @@ _ROWS = (
     ),
     Metric("platform_tilt", "rad", f"angle between Z of the base and the platform's normal; {_ABSENT}",
            lambda points: _tilt(points.physical.rotation[..., 2])),
-    Metric("leg_margin", "m", "how far the worst leg is inside its limits, of RRS legs at the knee, negative outside; "
+    Metric("leg_margin", "m", "how far the worst leg is inside its limits, for RRS legs at the knee, negative outside; "
            "NaN where no physical configuration exists, leg limits aside", _leg_margin),
     Metric("conditioning", "1", f"inverse condition number of the Jacobian {_HOMOGENEOUS}; {_ABSENT}", _conditioning),
     Metric("isotropy", "1", f"geometric over arithmetic mean of the eigenvalues of G G^T {_HOMOGENEOUS}; {_ABSENT}",
@@ -438,4 +439,4 @@ _ROWS = (
 METRICS: Mapping[str, Metric] = MappingProxyType({row.name: row for row in _ROWS[1:]})
 """The metrics of the package by name; with other parameters, ``METRICS["payload"](push=900.0)``."""
 STATUS = _ROWS[0]
-"""In every store, where it distinguishes "not computed" from "no value here"."""
+"""Stored in every sweep, where it distinguishes "not computed" from "no value here"."""

@@ -58,10 +58,10 @@ class Points:
     machine : Manipulator or Stage
         The machine; its leg limits, if it has any, decide what is reachable.
     space : {"pose", "tilt", "legs"}
-        Kind of the coordinates: of a manipulator "pose", of a stage "tilt", and of both "legs".
-    coordinates : ndarray, shape (N, 6), of a stage (N, 3)
-        x, y, z [m] and the X-Y-X angles [rad]; height [m], tilt and azimuth [rad]; or the readings of the legs [m], of
-        RRS legs [rad].
+        Kind of the coordinates: "pose" for a manipulator, "tilt" for a stage, "legs" for both.
+    coordinates : ndarray, shape (N, 6); for a stage (N, 3)
+        x, y, z [m] and the X-Y-X angles [rad]; height [m], tilt and azimuth [rad]; or the readings of the legs [m]
+        ([rad] for RRS legs).
     """
 
     def __init__(self, machine: Manipulator | Stage, space: Space, coordinates: FloatArray) -> None:
@@ -89,20 +89,20 @@ class Points:
     def branch_readings(self) -> FloatArray:
         """Readings of the legs in all branches of the pose, shape (N, 8, 6), NaN where one is not real.
 
-        Of a stage those of the modes T and F of the tilt, (N, 2, 3).
+        For a stage the readings in the modes T and F of the tilt, (N, 2, 3).
         """
         return self._branches[0]
 
     @cached_property
     def branches_within(self) -> BoolArray:
-        """Which branches are real and within the leg limits, shape (N, 8), of a stage (N, 2)."""
+        """Mask of the branches that are real and within the leg limits, shape (N, 8); for a stage (N, 2)."""
         return frozen(self.limits.contains(self.branch_readings))
 
     @cached_property
     def solutions(self) -> SolutionSet | StageSolutions:
-        """All branches of the pose, leg limits aside, a `SolutionSet` of shape (N,); of a stage the modes of the tilt.
+        """All branches of the pose, leg limits not applied, of shape (N,); for a stage the modes of the tilt.
 
-        Where points are readings, of the pose of `assembled`; no branch exists where that does not.
+        If points are readings, the pose is that of `assembled`; where it does not exist, no branch exists.
         """
         solutions = self._requests.solved_by(inverse_displacement, self.machine)
         if self.space != "legs":
@@ -114,7 +114,7 @@ class Points:
 
     @cached_property
     def physical(self) -> Configuration | StageConfiguration:
-        """The physical configuration, shape (N,); NaN where there is none within the leg limits."""
+        """The physical configuration, shape (N,); NaN where it does not exist within the leg limits."""
         return self.reached.transformed(lambda values, _: _spread(values, self.reachable))
 
     @property
@@ -146,12 +146,12 @@ class Points:
 
     @cached_property
     def sigma(self) -> FloatArray:
-        """Smallest singular values of J_b, J_c and K of the M `reached` points, (M, 3), of a stage `sigma` (M, 2)."""
+        """Smallest singular values of J_b, J_c and K at the M `reached` points, (M, 3); for a stage `sigma`, (M, 2)."""
         return frozen(singularities(self.reached).sigma)
 
     @cached_property
     def determinants(self) -> FloatArray:
-        """Values of det J_b, det J_c and det K over d³ at the M `reached` points, (M, 3), of a stage det J_b (M, 1)."""
+        """Values of det J_b, det J_c, det K over d³ at the M `reached` points, (M, 3); for a stage det J_b, (M, 1)."""
         return frozen(determinants(self.reached) / self.machine.ball_side**3)
 
     @cached_property
@@ -160,9 +160,10 @@ class Points:
         return frozen(platform_jacobian(self.reached))
 
     def singular_values(self, length: float | None = None) -> FloatArray:
-        """Return those of G for the twist (v, Lω), L = `length` [m] or C, shape (M, 6), falling; NaN as G is.
+        """Return the singular values of G for the twist (v, Lω), L = `length` [m] or C, (M, 6), descending.
 
-        Of a stage for its motion (v_z, Lω_x, Lω_y), (M, 3). Rates of RRS legs are those of their knees [m/s].
+        NaN where G is. For a stage those for its motion (v_z, Lω_x, Lω_y), (M, 3). Rates of RRS legs are those of their
+        knees [m/s].
         """
         length = self.machine.platform_radius if length is None else length
         if length not in self._singular_values:

@@ -1,4 +1,4 @@
-"""Run a sweep, on one machine or many, and continue it wherever it stopped; and the processes that do the work.
+"""Sweeps on one computer or many, their continuation after a stop, and their worker processes.
 
 Chunks, or other tasks, are computed by this process, by others of this machine, or by those of a Dask scheduler.
 """
@@ -42,12 +42,12 @@ if TYPE_CHECKING:
 CHUNK = 2**18
 """Points in a chunk by default: a fraction of a second's work, and two megabytes per metric."""
 PointProgress = Callable[[int, int], None]
-"""A function that is called with the points done and all points."""
+"""A function that is called with the number of completed points and that of all points."""
 Chunk = tuple[int, ...]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _AHEAD = 1000
-"""Chunks that a scheduler is given at a time, so that neither it nor this process holds a list of all of them."""
+"""Maximum number of chunks submitted to a scheduler at a time, so that no process keeps a list of all of them."""
 _KEEP_MEMORY = {
     f"distributed.nanny.pre-spawn-environ.MALLOC_{name}_THRESHOLD_": size
     for name, size in (("TRIM", 2**26), ("MMAP", 2**25))
@@ -55,7 +55,7 @@ _KEEP_MEMORY = {
 """Without this, Dask's default, freed memory returns to the system at once, and NumPy's temporary arrays take twice
 as long."""
 _IGNORE_INTERRUPTS = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-"""Run by workers as they start: a terminal sends Ctrl-C to them too, and the process that drives them handles it."""
+"""Run by workers at their start: a terminal sends Ctrl-C to them too, and the main process handles it."""
 _PATIENCE = 15
 """Timeout of a connection to a scheduler [s]."""
 
@@ -73,17 +73,17 @@ class SweepStatus:
     points: int
     """Number of points of the whole sweep."""
     metrics: tuple[str, ...]
-    """Names of what is computed."""
+    """Names of the metrics."""
     shape: dict[str, int]
     """Dimensions of the results."""
     version: str
-    """Version of the package that computes it."""
+    """Version of the package that computes the sweep."""
     own_metrics: tuple[str, ...] = ()
-    """Names of those metrics that are not of this package: without their functions the sweep cannot go on."""
+    """Names of metrics that are not of this package: without their functions the sweep cannot continue."""
 
     @property
     def complete(self) -> bool:
-        """True if nothing is left to do."""
+        """True if all chunks are complete."""
         return self.done == self.total
 
 
@@ -110,18 +110,18 @@ def run_sweep(
     metrics : iterable of str or Metric
         Names from `METRICS`, or metrics of your own. Those continue a store only with a `version`.
     store : path
-        Folder of the results, in Zarr v3; on a file system that all workers see. If it exists it must be of this very
-        sweep: what is complete in it is verified and kept.
+        Folder of the results, in Zarr v3; on a file system that all workers can access. If it exists it must be of this
+        very sweep: what is complete in it is verified and kept.
     scheduler : str or distributed.Client, optional
         Address of a Dask scheduler, such as ``tcp://head:8786``, or a client; processes on this machine if not given.
     workers : int, optional
         Number of processes on this machine; one per processor if not given. With 1 the work is done in this process.
         The others import the main module: a script that calls this needs ``if __name__ == "__main__":``.
     chunk : int
-        Most points per chunk: the unit of work, of storage, and of loss when a worker is killed.
+        Maximum number of points per chunk: the unit of work, of storage, and of loss if a worker is killed.
     progress : callable, optional
-        Called with the number of points done and of all points, after every chunk. If not given, a line on the terminal
-        shows them after some seconds.
+        Called with the number of completed points and that of all points, after every chunk. If not given, a line on
+        the terminal shows them after some seconds.
 
     Returns
     -------
@@ -249,7 +249,7 @@ def run_tasks(
 def processes(count: int, scheduler: str | Client | None, workers: int | None) -> Iterator[Client | None]:
     """Start processes for `count` tasks at a time, or connect to a scheduler's, until the end of the `with` block.
 
-    Its value is None if this process is to do all. `ArgumentError` without the scheduler.
+    Its value is None if this process does all the work. Raises `ArgumentError` if the scheduler cannot be reached.
     """
     if scheduler is None and 1 in (workers, count):
         yield None
@@ -273,7 +273,7 @@ def processes(count: int, scheduler: str | Client | None, workers: int | None) -
                 n_workers=min(workers or CPU_COUNT, count),
                 threads_per_worker=1,
                 dashboard_address="127.0.0.1:0",
-                # What fails is raised here; of lines that close while a sweep is interrupted nothing need be said.
+                # Failures are raised here; connections that close while a sweep is interrupted need no message.
                 silence_logs=logging.CRITICAL + 1,
                 preload=[_IGNORE_INTERRUPTS],
                 env={"SPM_PIN_THREADS": "1", "NUMBA_NUM_THREADS": "1"},

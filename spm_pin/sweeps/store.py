@@ -1,4 +1,4 @@
-"""The results of a sweep on disk: a Zarr v3 group in which every chunk is either complete or not there.
+"""The results of a sweep on disk: a Zarr v3 group in which every chunk is either complete or missing.
 
 Each chunk of each variable ends with its CRC32C, by Zarr's own codec. Beside the variables is the array `sweep/done`: 1
 for every chunk that is complete, written after the chunk's bytes have reached the disk. A chunk with this mark whose
@@ -30,7 +30,7 @@ from spm_pin.sweeps.metrics import STATUS
 _LOCK = "sweep/lock"
 _DONE = "sweep/done"
 _SHOWN = 4
-"""Differences between a store and a sweep that a message spells out."""
+"""Maximum number of differences between a store and a sweep in a message."""
 _CHUNK = r"c(\.\d+)*"
 _UNREADABLE = (SpmError, LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError)
 """Exceptions raised while damaged contents of a store are read."""
@@ -56,12 +56,12 @@ class StoreError(SpmError):
 
 
 class StoreLockedError(StoreError):
-    """Another process is at work on a store."""
+    """Another process is using the store."""
 
 
 @contextlib.contextmanager
 def as_store_error(path: Path, reading: str = "") -> Iterator[None]:
-    """Turn an `OSError`, and where `reading` says what is read also errors of its contents, into a `StoreError`."""
+    """Turn an `OSError` into a `StoreError`; if `reading` names a part of the store, also errors of its contents."""
     try:
         yield
     except StoreError:
@@ -94,7 +94,7 @@ class Store:
         self._names = tuple(metric.name for metric in plan.variables)
         with as_store_error(path, "metadata"):
             group = zarr.open_group(path, mode="r+", zarr_format=3)
-            # A chunk of nothing but fill values is a file like the others: a missing one is always an accident.
+            # A chunk of fill values alone is also written to a file: a missing file is always an accident.
             self._arrays: dict[str, Any] = {
                 name: group[name].with_config({"write_empty_chunks": True})  # type: ignore[union-attr]
                 for name in (*self._names, _DONE)
@@ -104,14 +104,14 @@ class Store:
     def create(cls, path: Path, plan: SweepPlan) -> Store:
         """Open the store; if it does not exist or is an empty folder, create it atomically with the folders above it.
 
-        An existing store is refused for a metric without a version: its values may be those of another function.
+        Raises an error for an existing store and a metric without a version: its values may be of another function.
         """
         is_new = False
         with as_store_error(path):
             if not path.exists() or (path.is_dir() and not any(path.iterdir())):
                 if not path.parent.exists():
                     path.parent.mkdir(parents=True, exist_ok=True)
-                # A process that is killed leaves this hidden folder behind: no later one can find out whose it is.
+                # A process that is killed leaves this hidden folder behind: a later one cannot identify its owner.
                 with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
                     draft = Path(folder, "store")
                     _create(draft, plan)
@@ -121,7 +121,7 @@ class Store:
                         draft.rename(path)
                         is_new = True
                     except OSError:
-                        # Another process may have made a store in the meantime; whether of this sweep is seen below.
+                        # Another process may have made a store in the meantime; it is compared with this sweep below.
                         if not (path / "zarr.json").exists():
                             raise
                 _synchronise(path.parent)
@@ -134,7 +134,7 @@ class Store:
         return store
 
     def is_complete(self, index: tuple[int, ...]) -> bool:
-        """Return whether the chunk at `index` has been written, and is still as it was."""
+        """Return whether the chunk at `index` has been written and is undamaged."""
         with as_store_error(self.path):
             try:
                 region = self.plan.domain.region(index, self.plan.chunk)
@@ -149,7 +149,7 @@ class Store:
         """Write the chunk at `index`, then mark it as complete."""
         region = self.plan.domain.region(index, self.plan.chunk)
         with as_store_error(self.path):
-            # What a failure leaves of a chunk written anew is not to pass for the whole.
+            # A partly rewritten chunk, after a failure, must not count as complete.
             self._file(_DONE, index).unlink(missing_ok=True)
             for name in self._names:
                 self._arrays[name][region] = values[name]
@@ -201,7 +201,7 @@ def completed_count(path: Path) -> int:
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock of a store, a file in it, which the system releases however its holder ends."""
+    """Hold the lock of a store, a file in it, which the system releases in any case when the process ends."""
     from filelock import FileLock, Timeout
 
     file = path / _LOCK

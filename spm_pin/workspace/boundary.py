@@ -137,7 +137,7 @@ class ClosedMesh:
         return number.reshape(array.shape[:-1])
 
     def contains(self, points: npt.ArrayLike) -> BoolArray:
-        """Return which of `points` (..., 3) [m] are inside, with a winding number that is not zero, shape (...)."""
+        """Return a mask (...) of the `points` (..., 3) [m] inside the mesh, with a nonzero winding number."""
         return np.asarray(self.winding_number(points) != 0)
 
     def distance(self, points: npt.ArrayLike) -> FloatArray:
@@ -187,7 +187,7 @@ class BoundaryPoints:
     at_limit: npt.NDArray[np.int8]
     """-1 for a leg at its minimum, 1 at its maximum, 0 for a free one, shape (n, 6)."""
     violation: FloatArray
-    """Residuals of the conditions of a nearest point, shape (n,); rounding."""
+    """Residuals of the conditions of a nearest point, shape (n,), of the size of rounding."""
 
 
 @dataclass(frozen=True)
@@ -254,7 +254,7 @@ def _globally_nearest(states: StateSet, points: FloatArray) -> NearestPoints:
 
 
 class _Grid:
-    """A grid whose ends are outside the reachable set, and which of its nodes are in it."""
+    """A grid whose ends are outside the reachable set, and a mask of its reachable nodes."""
 
     def __init__(self, states: StateSet, spacing: float, progress: Progress | None) -> None:
         self.set, self.spacing, self.progress = states, spacing, progress
@@ -321,14 +321,14 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
             good = member.reached
             within[left[good]], outermost[left[~good]] = member.coordinates[good], member.coordinates[~good]
             low[left], high[left] = np.where(good, middle, low[left]), np.where(good, high[left], middle)
-        # Outwards from one state, another may be missed: just outside, nothing must be reachable.
+        # The search outwards from one state may miss another state: just outside, nothing must be reachable.
         outside = np.minimum(high[left] + _CHECK_DISTANCE, 1.0)
         member = search_states(states, inner[left] + outside[:, None] * along[left])
         farther = np.flatnonzero(member.reached & (outside < 1.0))
         left = left[farther]
         within[left], low[left], high[left] = member.coordinates[farther], outside[farther], 1.0
-    # In the outermost state, legs are beyond their limits by what is left of the residual. Beside a forward singularity
-    # such readings may lead elsewhere: those of the last state within do not.
+    # In the outermost state, legs exceed their limits by the remaining residual. Next to a forward singularity such
+    # readings may belong to another state: those of the last state within do not.
     vertices = inner + low[:, None] * along
     readings = np.clip(states.readings(outermost), states.minimum, states.maximum)
     reached = forward_physical(states.machine, readings).translation

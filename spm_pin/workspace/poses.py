@@ -55,11 +55,11 @@ _PAIRS = {n: np.array([(i, j) for i in range(n) for j in range(i + 1, n) if j !=
 _ANGLES = {"hip": "passive"} | {name: name for name in ("ball_x", "ball_y", "ball_z")}
 """Names of the limits of angles, and of the angles."""
 _STARTS = 32
-"""How many unlike states of few are starts: the one whose platform joints are nearest to the target's, and others."""
+"""Number of start states: the one whose platform joints are nearest to the target's, and others far from it."""
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
 _FREE_SAMPLE, _FREE_STARTS, _SEED = 4096, 32, 20_140_131
-"""Size of the sample from which starts are taken without leg limits, how many are taken, and its seed."""
+"""Size of the sample from which starts are taken without leg limits, number of starts, and seed."""
 _SPREADS = 4 * (0.1, 0.3, 1.0)
 """Without leg limits searches begin again at these distances from where they ended, in the coordinates."""
 _OFF_THE_EDGE = 1e-5
@@ -101,7 +101,7 @@ class JointLimits:
             object.__setattr__(self, "clearance", clearance)
 
     def angle_margin(self, configuration: Configuration | StageConfiguration) -> FloatArray:
-        """Return how far the worst angle is inside its limits, shape (...) [rad].
+        """Return the distance of the worst angle from its limits, shape (...) [rad].
 
         Negative outside, infinite without limits, NaN where a state does not exist.
         """
@@ -114,7 +114,7 @@ class JointLimits:
         return np.where(configuration.exists, margin, np.nan)
 
     def clearance_margin(self, configuration: Configuration | StageConfiguration) -> FloatArray:
-        """Return by how much the nearest legs keep more than the clearance, shape (...) [m]; as `angle_margin`."""
+        """Return the distance of the nearest legs minus the clearance, shape (...) [m]; see `angle_margin`."""
         if self.clearance is None:
             return np.where(check_state(configuration).exists, np.inf, np.nan)
         return leg_clearance(configuration) - self.clearance
@@ -128,7 +128,7 @@ def leg_clearance(configuration: Configuration | StageConfiguration) -> FloatArr
     does not exist.
     """
     check_state(configuration)
-    # Of RPS legs the first segment has no length.
+    # For RPS legs the first segment has no length.
     points = [configuration.leg_bases, configuration.circle_centres, configuration.balls]
     points = [np.broadcast_to(each, configuration.balls.shape) for each in points]
     segments = [*pairwise(points[configuration.machine.legs.are_rps :])]
@@ -165,9 +165,9 @@ class Reachability:
     """Reachability of poses of shape (...), with margins."""
 
     branches: SolutionSet | StageSolutions
-    """All eight branches of each pose, limits not applied, shape (...); of a stage both modes of the tilt."""
+    """All eight branches of each pose, limits not applied, shape (...); for a stage both modes of the tilt."""
     allowed: BoolArray
-    """Which of them count and respect all limits, shape (..., 8), of a stage (..., 2), as all that follows."""
+    """Mask of branches that count and keep all limits, shape (..., 8); for a stage (..., 2), as in all fields below."""
     leg_margin: FloatArray
     """Distance of the worst leg of a branch from its limits [m], for RRS legs at the knee, shape (..., 8); negative
     outside, infinite without limits, NaN where the branch is not real."""
@@ -190,13 +190,13 @@ class Reachability:
 
     @property
     def branch(self) -> IntArray:
-        """Place among the labels of the allowed branch that tilts least, shape (...); -1 where there is none."""
+        """Index of the label of the allowed branch that tilts least, shape (...); -1 if no branch is allowed."""
         score = self.branches._preference(self.allowed)
         return np.where(self.allowed.any(axis=-1), score.argmax(axis=-1), -1).astype(np.intp)
 
     @property
     def configuration(self) -> Configuration | StageConfiguration:
-        """The state of that branch, shape (...); NaN where there is none."""
+        """The state of that branch, shape (...); NaN if no branch is allowed."""
         return self.branches.pick(np.maximum(self.branch, 0), np.asarray(self.allowed.any(axis=-1)))
 
 
@@ -254,8 +254,8 @@ def reachable(
 ) -> Reachability:
     """Find which branches of poses respect limits, and by how much.
 
-    A stage is asked for a height and a tilt instead of a pose, with the arguments of `spm_pin.stages.inverse`; its
-    branches are the modes T and F.
+    For a stage the arguments are a height and a tilt instead of a pose, as for `spm_pin.stages.inverse`; its branches
+    are the modes T and F.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def reachable(
     Returns
     -------
     Reachability
-        Of shape (...), with all branches and their margins. A pose out of reach is no error.
+        Result of shape (...), with all branches and their margins. A pose out of reach raises no error.
 
     Examples
     --------
@@ -446,7 +446,7 @@ def _nearest_real(machine: Manipulator, matrices: FloatArray, branch: str, near:
         again = nearest_states(states, targets, around, joints)
         nearer = np.flatnonzero(again.distance < result.distance)
         result.update(nearer, again, nearer)
-    # Where the branch begins to be real it meets another: a step along what keeps the pose there tells them apart.
+    # Where the branch becomes real it meets another: a step along the motion that keeps the pose separates them.
     step = _OFF_THE_EDGE * np.linalg.svd(states.jacobians(result.coordinates))[2][:, -1].reshape(-1, 2, 3)
     room = 0.5 * (1.0 - np.hypot(*np.moveaxis(result.coordinates[..., :2], -1, 0)).max(axis=-1))
     step *= np.minimum(room / _OFF_THE_EDGE, 1.0)[:, None, None]

@@ -1,4 +1,4 @@
-"""Reachable positions: which they are, the nearest ones to others, the orientations at one, and their volume.
+"""Reachable positions: their set, the nearest ones to other points, the orientations at one, and their volume.
 
 Rotations are described by tilt and torsion, R = Rz(φ) Ry(θ) Rz(σ - φ): the platform's normal leans by the tilt θ
 towards the azimuth φ, and the platform is turned by the torsion σ about it. The uniform measure of rotations is
@@ -41,7 +41,7 @@ from spm_pin.workspace.states import StateSet, check_finite, pose_densities, sta
 _OPTIMALITY_TOLERANCE = 1e-6
 """Violation of Eq. (1) of `docs/theory/reachable_set.md`, above which the search has not converged."""
 _TRIED = 8
-"""States that satisfy a condition from which one at a point is looked for."""
+"""Number of states that satisfy a condition, from which the search for one at a point starts."""
 CONFIDENCE = 0.95
 """Probability with which the intervals of volumes from samples hold the volume."""
 ROTATIONS = 8.0 * np.pi**2
@@ -63,7 +63,7 @@ class PositionReach:
     readings: FloatArray
     """Readings within the limits that put o there [m], shape (..., 6); there may be others."""
     undecided: BoolArray
-    """Points where no state was found, and no nearest one either: `distance` is an upper bound, shape (...)."""
+    """Points without a state and without a nearest one: `distance` is an upper bound there, shape (...)."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Estimate:
     ) -> Estimate:
         """Estimate the size of a part of `whole` from uniform samples, of which `hits` are in it: Clopper and Pearson.
 
-        Of `undecided` samples it is not known whether they hit: the lower end counts none of them, the upper end all.
+        `undecided` samples may be hits or not: the lower end counts none of them, the upper end all.
         """
         from scipy import stats  # takes as long to load as all the rest
 
@@ -158,7 +158,7 @@ def _counted_ends(values: FloatArray, unseen: float, confidence: float) -> tuple
 
 
 def reachable_position(machine: Manipulator, points: npt.ArrayLike, limits: LegLimits | None = None) -> PositionReach:
-    """Find which positions o can reach in some orientation, in the physical mode, and the nearest to the others.
+    """Find the positions that o can reach in some orientation, in the physical mode, and the nearest to the others.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def reachable_volume(
     samples : int
         Points for "sampling".
     spacing : float
-        Of the coarser grid for "mesh" [m], see `reachable_boundary`.
+        Spacing of the coarser grid for "mesh" [m], see `reachable_boundary`.
     rng : Generator or int, optional
         Source of randomness, or its seed.
     """
@@ -247,7 +247,7 @@ def pose_volume(
 ) -> Estimate:
     """Estimate the volume of the poses that are reachable in the physical mode, in m³ rad³; all rotations have 8π².
 
-    Of a stage it is the volume of the heights and normals that are reached, in m sr; all normals have 4π.
+    For a stage it is the volume of the reachable heights and normals, in m sr; all normals have 4π.
 
     Parameters
     ----------
@@ -265,8 +265,8 @@ def pose_volume(
     states with the same pose. A ratio of two such volumes, of the same seed, is a share of the poses. The interval is
     Student's; with `where` the wider of that and one of the effective number of states that count, in `method`.
 
-    Of a stage readings are drawn and weighted with |det ∂(height, normal)/∂readings|, which has no bound at a forward
-    singularity: where the limits hold one the estimate may come out small.
+    For a stage, readings are drawn and weighted with |det ∂(height, normal)/∂readings|, which is unbounded at a forward
+    singularity: if the limits contain one, the estimate may be too small.
     """
     count = whole_number(samples, "samples", least=2)
     check_machine(machine)
@@ -287,7 +287,7 @@ def pose_volume(
 def _counting(values: FloatArray, satisfied: BoolArray, method: str) -> tuple[FloatArray, str, float]:
     """Return weights of the states (N,) that satisfy a condition, the method, and the weight of one not drawn."""
     hits = int(satisfied.sum())
-    # The fewer count, the less is known of a state that was not drawn.
+    # The fewer states count, the larger is the uncertainty from states that were not drawn.
     unseen = float(np.quantile(values, _LARGE)) / max(hits, 1)
     return np.where(satisfied, values, 0.0), f"{method}; {hits} of {len(values)} states count", unseen
 
@@ -356,7 +356,7 @@ class OrientationWorkspace:
     def largest_tilt(self, sectors: int = 36) -> tuple[FloatArray, FloatArray]:
         """Return the middles of `sectors` equal sectors of azimuth and the largest tilt found in each [rad].
 
-        NaN for a sector with no state. A sample finds a little less than there is.
+        NaN for a sector without a state. The largest tilt of a sample is a little below the true one.
         """
         from scipy import stats
 
@@ -380,7 +380,7 @@ def orientation_workspace(
     machine, limits, rng
         As for `reachable_volume`.
     position : array_like, shape (3,)
-        Of o in {B} [m].
+        Position of o in {B} [m].
     samples : int
         States of the lower stage to try.
 

@@ -45,15 +45,15 @@ _TRIED, _FEW, _FEWEST = 48, 22, 6
 """Sets of readings tried for `StateSet.few`, few enough not to compile kernels for, how many states of a stage are kept
 at most, and how many must exist."""
 _MIN_BATCH = 4096
-"""Stages that are worth a thread."""
+"""Number of stages that are worth a thread."""
 _BOXES, _HALVINGS = 20_000, 12
 """Boxes of a stage's cover with which its refinement ends, and refinements at most; each halves the boxes' sides."""
 _RESERVE = 1.2
-"""Growth of the bound on how far balls move in a box, for a calibrated machine has a little torsion."""
+"""Factor of the bound on the motion of balls in a box, since a calibrated machine has a little torsion."""
 _DRAWN_TOGETHER, _LEAST_TRIED = 50_000, 1_000_000
-"""Stages drawn together at most, and tried at least before a set is taken for one that is too small to be hit."""
+"""Maximum number of stages drawn together, and minimum number of trials before a set counts as too small to be hit."""
 _CHUNK, _MOST_CHUNKS = 20_000, 1000
-"""Reachable states drawn together at most, and how often."""
+"""Maximum number of reachable states drawn together, and of such draws."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Stages:
 
 @dataclass(frozen=True, eq=False)
 class StateSet:
-    """The states of a machine of one family and one aspect, and which of them are within limits."""
+    """The states of a machine in one family and one aspect, and a test of its limits."""
 
     machine: Manipulator
     minimum: FloatArray
@@ -226,7 +226,7 @@ class StateSet:
         return np.where((error <= 1e-11 * (1.0 + distance))[:, None], upper, np.nan)
 
     def contains(self, stage: int, coordinates: FloatArray) -> BoolArray:
-        """Test which coordinates (N, 3) of one stage are states of the set."""
+        """Return a mask of the coordinates (N, 3) of one stage that are states of the set."""
         stages = self.stages(stage, coordinates)
         within = self.admits(stages.readings, slice(3 * stage, 3 * stage + 3))
         return np.asarray(stages.in_aspect & within.all(axis=-1))
@@ -273,9 +273,10 @@ class StateSet:
         return np.asarray(centres[(nearest < 1.0) & ~(outside > _RESERVE * bound + 1e-12)])
 
     def _outside(self, stage: int, stages: Stages) -> FloatArray:
-        """Return a lower bound of how far the worst ball is from where its leg is within limits, (N,) [m].
+        """Return a lower bound of the distance of the worst ball from the region within its leg's limits, (N,) [m].
 
-        In a leg's plane that region ends at the circles of both limits and, but of RPS legs, where the leg is singular.
+        In a leg's plane that region ends at the circles of both limits and, except for RPS legs, where the leg is
+        singular.
         """
         legs, own = slice(3 * stage, 3 * stage + 3), self.machine.legs
         arms = self.legs[stage, :, 6:9] @ stages.rotation.mT + stages.centre[:, None] - own.pivots[legs]
@@ -314,7 +315,7 @@ class StateSet:
     def draw_in_readings(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draw `count` sets of readings uniformly; return the coordinates of the states among them, (n, 2, 3).
 
-        The legs of one stage say nothing about the other stage's: each stage is drawn by itself.
+        The legs of the two stages are independent: each stage is drawn by itself.
         """
         lower, upper = self._stages_in_readings(count, rng)
         number = min(len(lower), len(upper))
@@ -459,7 +460,7 @@ def sample_reachable(
     rng : Generator or int, optional
         Source of randomness, or its seed.
     progress : callable, optional
-        Called with what is being done, how many states are found, and of how many.
+        Called with the current task, the number of states found, and `count`.
 
     Returns
     -------

@@ -65,7 +65,7 @@ def readings_of_legs(machine: Manipulator, b: ca.SX, rotation: ca.SX, translatio
         x, z = (ca.dot(turn @ ca.SX(direction[leg]), vector) for direction in planes)
         reading = _READINGS[type(kind)](x, z, *kind.numbers[leg % 3].tolist())
         if kind.unit == "rad":
-            # Of the angles that differ by turns the one nearest to the middle of the limits, or to π/2.
+            # Among the angles that differ by full turns, use the one nearest to the middle of the limits, or to π/2.
             reading -= 2.0 * np.pi * ca.floor((reading - machine.crank_middles[leg]) / (2.0 * np.pi) + 0.5)
         shown.append(reading + machine.legs.offsets[leg])
     readings: ca.SX = ca.vertcat(*shown)
