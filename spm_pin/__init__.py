@@ -97,7 +97,11 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return import_module(f"spm_pin.{name}")
     if name == "Geometry":
-        warnings.warn("spm_pin.Geometry is spm_pin.Manipulator since version 0.4", DeprecationWarning, stacklevel=2)
+        warnings.warn(
+            "spm_pin.Geometry is now spm_pin.Manipulator, and arguments called geometry are now machine",
+            DeprecationWarning,
+            stacklevel=2,
+        )
         name = "Manipulator"
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

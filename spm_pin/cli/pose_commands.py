@@ -135,10 +135,10 @@ def _nearest_lines(reach: Record | None, unit: LengthUnit) -> list[str]:
 
 
 def _pose_options(reach: Record, unit: LengthUnit) -> str:
-    """Return the options to enter a nearest pose, to a tenth of a micrometre and a millionth of a degree."""
+    """Return the options to enter a nearest pose, to a tenth of a micrometre and 1e-5 degrees."""
     translation = " ".join(unit.text(x, 2) for x in reach["translation"])
     named = "" if unit is LengthUnit.M else f" --unit {unit}"
-    return f"--translation {translation} --rpy {' '.join(fixed(x, 6) for x in reach['rpy'])}{named}"
+    return f"--translation {translation} --rpy {' '.join(fixed(x, 5) for x in reach['rpy'])}{named}"
 
 
 def _records(

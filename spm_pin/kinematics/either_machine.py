@@ -7,6 +7,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any, ParamSpec, Protocol, TypeVar, cast, overload
 
+from spm_pin.errors import ArgumentError
 from spm_pin.machine.machine import check_machine
 from spm_pin.machine.stage import Stage
 
@@ -32,15 +33,23 @@ def or_of_stage(of_stage: Callable[Q, T]) -> Callable[[Callable[P, R]], OfEither
     """
 
     def decorate(of_manipulator: Callable[P, R]) -> OfEither[P, R, Q, T]:
-        first = next(iter(inspect.signature(of_manipulator).parameters))
+        names = {
+            True: [*inspect.signature(of_stage).parameters],
+            False: [*inspect.signature(of_manipulator).parameters],
+        }
+        first = names[False][0]
 
         @functools.wraps(of_manipulator)
         def function(*args: Any, **kwargs: Any) -> Any:
             if not args and first in kwargs:
                 args = (kwargs.pop(first),)
-            chosen: Any = of_manipulator
-            if args and isinstance(check_machine(args[0], first), Stage):
-                chosen = of_stage
+            is_stage = bool(args) and isinstance(check_machine(args[0], first), Stage)
+            for name in kwargs if args else ():
+                if name not in names[is_stage] and name in names[not is_stage]:
+                    expected = f"the arguments {', '.join(names[is_stage])} for a {type(args[0]).__name__}"
+                    cause = "A manipulator is asked for a pose, a stage for a height and a tilt"
+                    raise ArgumentError(name, expected, name, cause)
+            chosen: Any = of_stage if is_stage else of_manipulator
             return chosen(*args, **kwargs)
 
         return cast("OfEither[P, R, Q, T]", function)

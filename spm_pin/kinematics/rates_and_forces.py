@@ -354,7 +354,7 @@ def principal_stiffness(
 def _compliances(value: npt.ArrayLike, argument: str, configuration: State) -> FloatArray:
     """Return 1 / stiffness of a force of each leg, shape (..., legs)."""
     names = configuration.machine.legs.names
-    meaning = f"the stiffness of {names[0]} to {names[-1]} in N/m, or one for all"
+    meaning = f"the stiffness of {names[0]} to {names[-1]} in N/m, for RRS legs in N m/rad, or one for all"
     cause = "A rigid leg has a large stiffness, not none"
     inverses = 1.0 / leg_values(value, argument, meaning, most=_STIFFEST, cause=cause, count=len(names))
     broadcastable(argument, inverses.shape[:-1], "configuration", configuration.shape)

@@ -20,7 +20,7 @@ from spm_pin.kinematics.stage_rates import determinants
 from spm_pin.kinematics.tracking import EventKind, FollowedPath, Watch, followed
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration, StageSolutions
-from spm_pin.support.arguments import check_instance, whole_number
+from spm_pin.support.arguments import broadcastable, check_instance, whole_number
 
 _KINDS = (
     (EventKind.FORWARD_SINGULARITY, "the actuators do not hold the platform"),
@@ -84,7 +84,7 @@ def follow(
     else:
         assert height is not None
         heights, normals = read_heights(stage, height), normals_of_request(tilt, azimuth, roll, pitch, normal)
-        heights = np.broadcast_to(heights, np.broadcast_shapes(heights.shape, normals.shape[:-1]))
+        heights = np.broadcast_to(heights, broadcastable("height", heights.shape, "the tilts", normals.shape[:-1]))
         points = np.concatenate([np.broadcast_to(normals, (*heights.shape, 3)), heights[..., None]], axis=-1)
     if points.ndim != 2 or len(points) < 2:
         raise ArgumentError("readings" if height is None else "height", "two points or more, (n,)", points.shape[:-1])

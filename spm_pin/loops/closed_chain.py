@@ -255,10 +255,10 @@ class ClosedChain:
         ClosureError, ArgumentError
             As `forward`.
         """
-        chosen = tuple(sorted(set(rows)))
+        chosen = tuple(sorted(set(rows))) if isinstance(rows, Sequence | np.ndarray) else ()
         if not chosen or not set(chosen) <= set(range(6)) or len(chosen) != len(tuple(rows)):
             raise ArgumentError("rows", "different numbers from 0, 1, 2 (position) and 3, 4, 5 (rotation)", repr(rows))
-        if find_frame(self.model, frame) is None:
+        if not isinstance(frame, str) or find_frame(self.model, frame) is None:
             names = [f.name for f in self.model.frames]
             close = difflib.get_close_matches(str(frame), names, n=3)
             cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else ""

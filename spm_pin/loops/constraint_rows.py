@@ -24,7 +24,7 @@ import pinocchio as pin
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality
 from spm_pin.loops.links import find_frame
-from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, type_and_value
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
 """First index of the equations of each form among the eight of a closure, and their number."""
@@ -90,6 +90,8 @@ class ConstraintRows:
             self.closures += (Closure("weld", Anchor("universe"), Anchor(pose[0]), f"pose of {pose[0]}"),)
         self.joints, self.placements, names = [], [], []
         for k, closure in enumerate(self.closures):
+            if not isinstance(closure, Closure):
+                raise ArgumentError(f"closures[{k}]", "a Closure", type_and_value(closure))
             if closure.kind not in _FORMS_OF_KIND:
                 raise ArgumentError("closures", f"kinds {', '.join(_FORMS_OF_KIND)}", repr(closure.kind))
             names.append(closure.name or f"{closure.kind} of {closure.first.frame} and {closure.second.frame}")

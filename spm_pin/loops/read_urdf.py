@@ -254,6 +254,9 @@ def _read_yaml(source: str | PathLike[str]) -> tuple[list[Closure], dict[str, An
         raise DescriptionError(at, "well-formed YAML", str(getattr(error, "problem", error))) from None
     if not isinstance(content, dict):
         raise DescriptionError(where, "a mapping with closed_loop and type", type(content).__name__)
+    if "closed_loop" not in content:
+        keys = ", ".join(map(str, content)) or "none"
+        raise DescriptionError(where, "the key closed_loop", keys, "Is it a file of something else?")
     pairs, kinds = content.get("closed_loop") or [], content.get("type") or []
     for key in ("closed_loop", "type", "name_mot", "joint_name", "joint_type"):
         if not isinstance(content.get(key) or [], list):

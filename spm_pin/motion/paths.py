@@ -240,12 +240,12 @@ class MotionLimits:
         twist: Any = None,
     ) -> None:
         count = len(legs)
-        self.leg_rates = _largest(leg_rates, "leg_rates", "m/s", count)
-        self.leg_accelerations = _largest(leg_accelerations, "leg_accelerations", "m/s²", count)
-        self.leg_jerks = _largest(leg_jerks, "leg_jerks", "m/s³", count)
+        self.leg_rates = _largest(leg_rates, "leg_rates", "m/s, for RRS legs in rad/s", count)
+        self.leg_accelerations = _largest(leg_accelerations, "leg_accelerations", "m/s², for RRS legs in rad/s²", count)
+        self.leg_jerks = _largest(leg_jerks, "leg_jerks", "m/s³, for RRS legs in rad/s³", count)
         self.leg_forces = None
         if leg_forces is not None:
-            meaning = "forces of the legs in N"
+            meaning = "forces of the legs in N, for RRS legs in N m"
             self.leg_forces = leg_bounds(leg_forces, "leg_forces", meaning, most=_LARGEST, count=count)
         elif leg_accelerations is None:
             cause = "Without them the motion would start with a jump"
@@ -263,8 +263,11 @@ class MotionLimits:
             short = np.maximum(along.static - forces[1], forces[0] - along.static)
             if (short > 0.0).any():
                 point, leg = np.unravel_index(int(short.argmax()), short.shape)
-                holds = f"{chain.machine.legs.names[leg]} from {forces[0][leg]:g} to {forces[1][leg]:g} N"
-                needed = f"{along.static[point, leg]:.4g} N needed at rest at parameter {along.parameters[point]:.4g}"
+                unit = {"m": "N", "rad": "N m"}[chain.machine.legs.units[leg]]
+                holds = f"{chain.machine.legs.names[leg]} from {forces[0][leg]:g} to {forces[1][leg]:g} {unit}"
+                needed = (
+                    f"{along.static[point, leg]:.4g} {unit} needed at rest at parameter {along.parameters[point]:.4g}"
+                )
                 expected = "forces that hold the machine along the path"
                 raise ArgumentError("leg_forces", expected, f"{needed}, {holds}", "Too heavy?")
             blocks.append((along.inertial, along.centrifugal, along.static, *forces))

@@ -95,6 +95,10 @@ class JointLimits:
                 if not low < high:
                     cause = "Minimum and maximum exchanged?" if low > high else ""
                     raise ArgumentError(name, "a minimum below the maximum, in radians", f"({low:g}, {high:g})", cause)
+                if max(x for x in (abs(low), abs(high), 0.0) if np.isfinite(x)) > 2.0 * np.pi:
+                    raise ArgumentError(
+                        name, "angles in radians, within one turn", f"({low:g}, {high:g})", "In degrees?"
+                    )
                 object.__setattr__(self, name, (low, high))
         if self.clearance is not None:
             clearance = real_number(self.clearance, "clearance", "a distance in metres, not negative", least=0.0)

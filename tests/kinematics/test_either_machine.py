@@ -42,3 +42,17 @@ def test_what_is_no_machine_is_refused(function: object) -> None:
         function(spm.RPS(), [1.0] * 3)  # type: ignore[operator]
     assert error.value.argument == "machine"
     assert error.value.expected == "a Manipulator or a Stage"
+
+
+def test_arguments_of_the_other_machine_are_named() -> None:
+    stage, height = stage_and_height("RRS")
+    for name, call in (
+        ("height", lambda: spm.inverse_physical(spm.Manipulator.paper(), height=1.2)),
+        ("pose", lambda: spm.inverse_physical(stage, pose=np.eye(4))),
+    ):
+        with pytest.raises(ArgumentError, match="asked for a pose, a stage for a height") as refused:
+            call()  # type: ignore[no-untyped-call]
+        assert refused.value.argument == name
+    with pytest.raises(ArgumentError) as refused:
+        spm.follow(stage, height=[height, height, height], roll=[0.0, 0.1], pitch=0.0)
+    assert refused.value.argument == "height"

@@ -280,6 +280,13 @@ def test_wrong_arguments_are_named() -> None:
     with pytest.raises(ArgumentError) as caught:
         chain.inverse("tip", pin.SE3.Identity(), chain.q0, rows=(0, 6))
     assert caught.value.argument == "rows"
+    for frame, rows, argument in (("tip", 3, "rows"), ("tip", None, "rows"), (None, (0, 1), "frame")):
+        with pytest.raises(ArgumentError) as caught:
+            chain.inverse(frame, pin.SE3.Identity(), chain.q0, rows=rows)  # type: ignore[arg-type]
+        assert caught.value.argument == argument
+    with pytest.raises(ArgumentError) as caught:
+        ClosedChain(chain.model, [3], ["left"])  # type: ignore[list-item]
+    assert (caught.value.argument, caught.value.index) == ("closures", "0")
     with pytest.raises(ArgumentError) as caught:
         ClosedChain(chain.model, chain.closures, ["lift"])
     assert (caught.value.argument, "left" in caught.value.cause) == ("actuated", True)

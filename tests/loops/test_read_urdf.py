@@ -207,6 +207,7 @@ FAULTS = {
     ),
     "a tag on nothing": (LINKAGE.replace('body_B name="rocker"', 'body_B name="gone"'), None, "a link or site"),
     "not YAML": (LINKAGE, "closed_loop: [['tip', 'end']\ntype", "well-formed YAML"),
+    "a file of something else": (LINKAGE, "closed_loops: [['tip', 'end']]\ntype: ['3d']", "the key closed_loop"),
     "a list": (LINKAGE, "closed_loop:\n- [tip]\ntype: ['3d']", "a pair of links"),
     "a kind too few": (LINKAGE, "closed_loop: [['tip', 'end']]\ntype: []", "1 entries"),
     "an unknown kind": (LINKAGE, "closed_loop: [['tip', 'end']]\ntype: ['4d']", "one of 3d"),

@@ -121,3 +121,9 @@ def test_tilts_are_reachable_within_limits_of_legs_and_of_joints() -> None:
     with pytest.raises(spm.ArgumentError) as caught:
         spm.workspace.reachable(BALANCER, 0.12, limits=spm.LegLimits(0.1, 0.2))
     assert caught.value.argument == "limits"
+
+
+def test_limits_in_degrees_are_refused() -> None:
+    with pytest.raises(spm.ArgumentError, match="degrees") as refused:
+        JointLimits(ball_x=(-25.0, 25.0))
+    assert refused.value.argument == "ball_x"
