@@ -213,7 +213,8 @@ class PRS(LegKind):
     direction : float, or three
         Direction of the slide in the leg's plane [rad]: 0 is radially outwards, π/2 towards the middle platform.
     sign : int, or three
-        Working mode: -1 if the carriage is behind the ball, seen along the slide, +1 if it is ahead.
+        Working mode: -1 if the carriage is behind the ball, seen along the slide, +1 if it is ahead. With +1 and slides
+        that rise by more than 0.05 rad the platform hangs below the carriages at home, otherwise it is above them.
     """
 
     rod: Number

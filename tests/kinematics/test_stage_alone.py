@@ -447,3 +447,11 @@ def test_two_stages_are_the_robot() -> None:
 
     found = fsolve(lengths, [0.0, 0.0, 0.0, 0.0, 0.0, 1.0], xtol=1e-13)
     np.testing.assert_allclose(found[3:], alone.translation, atol=1e-12)
+
+
+def test_errors_of_radial_slides_do_not_turn_a_stage_over() -> None:
+    nominal = Stage(0.3, 0.2, spm.PRS(rod=0.4, direction=0.0, sign=1))
+    state = spm.stages.inverse_physical(nominal, 0.3, tilt=0.2, azimuth=0.5)
+    for seed in range(10):
+        built = spm.stages.forward_physical(nominal.perturbed(seed, length=1e-4, angle=1e-4), state.readings)
+        np.testing.assert_allclose(built.balls, state.balls, rtol=0, atol=5e-3)
