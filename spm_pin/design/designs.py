@@ -60,7 +60,7 @@ _OF_LEGS = ("minimum", "stroke", *dict.fromkeys(name for kind in KINDS.values() 
 VARIABLES = (*_DIMENSIONS, *(f"{stage}{name}" for stage in _STAGES for name in _OF_LEGS))
 """Names of variables that may be free: E, C, d [m]; and of all legs, or of a stage's, the least reading, the stroke and
 the numbers that are fixed in PRS and RRS legs, such as "lower_crank" [m, rad]. A machine of one stage has neither d nor
-the names with "lower_" and "upper_"."""
+the names that begin with lower or upper."""
 _LOW = 0.05
 """Share of the configurations at which a metric may be below its "_low"."""
 _NARROWEST = 1e-6

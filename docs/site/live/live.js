@@ -412,9 +412,9 @@ function start(kinematics, meshes) {
       lines.push(`turned = Rotation.from_euler("xyz", ${list(values.pose.slice(3))}, degrees=True)`);
       lines.push(`pose = spm.pose(${list(values.pose.slice(0, 3))}, rotation=turned)`);
     } else {
-      lines.push("", `pose = spm.forward_physical(spm.Geometry.paper(), ${list(values.legs)}).pose`);
+      lines.push("", `pose = spm.forward_physical(spm.Manipulator.paper(), ${list(values.legs)}).pose`);
     }
-    find("pre").textContent = [...lines, "branches = spm.inverse_displacement(spm.Geometry.paper(), pose)"].join("\n");
+    find("pre").textContent = [...lines, "branches = spm.inverse_displacement(spm.Manipulator.paper(), pose)"].join("\n");
   }
 
   function update() {
