@@ -124,7 +124,7 @@ class PoseError(ArgumentError):
 
 
 class UnreachableError(ArgumentError):
-    """A state of a motion that is out of reach or beyond the limits."""
+    """A state that is out of reach or beyond the limits."""
 
 
 class SelectionError(ArgumentError, LookupError):

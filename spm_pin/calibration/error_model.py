@@ -154,7 +154,7 @@ def gauge_directions(machine: Machine, base: FloatArray, target: FloatArray, *, 
 
 
 def parameter_scale(machine: Machine) -> FloatArray:
-    """Return the unit of each parameter's error (n,): a radian, or the side of the middle platform [m]."""
+    """Return the unit of each parameter's error (n,): a radian, or the side of the triangle of balls [m]."""
     return np.where(np.array(machine.parameter_units) == "rad", 1.0, machine.ball_side)
 
 

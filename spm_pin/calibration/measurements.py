@@ -268,8 +268,8 @@ def covariances(
 ) -> FloatArray:
     """Read standard deviations or covariances of measurements with this many components, as (count, n, n).
 
-    One number, a pair for components that are `lengths` and for the others, n numbers, or a covariance (n, n) or
-    (count, n, n).
+    `noise` is one standard deviation, a pair (for the first `lengths` components and for the rest), n standard
+    deviations, or covariances (n, n) or (count, n, n).
     """
     array = real_array(noise, argument, (), "standard deviations in metres and radians, or covariances")
     if (np.abs(array) > LARGEST).any() or (array.ndim < 2 and (array <= 0.0).any()):

@@ -43,7 +43,7 @@ AngleError = Annotated[float, Option(help="Errors of the revolute axes to prove 
 
 
 def largest_of(help_text: str) -> Any:
-    """Return an option for a limit: one number, or one for each leg, separated by commas."""
+    """Return a command-line option for an upper limit: one number, or one for each leg, separated by commas."""
     return Option(metavar="X", help=f"Largest {help_text}")
 
 

@@ -120,12 +120,12 @@ class Convergence:
 
     @property
     def limit(self) -> float:
-        """The polynomial at 1/n = 0 [m³]."""
+        """Volume extrapolated to infinitely fine meshes: the polynomial in 1/n² at 1/n = 0 [m³]."""
         return self._extrapolated(slice(None))
 
     @property
     def error(self) -> float:
-        """Change of the limit without the coarsest or the finest mesh [m³], a bound on the limit's error."""
+        """Bound on the error of `limit`: its larger change if the coarsest or the finest mesh is left out [m³]."""
         return max(abs(self.limit - self._extrapolated(part)) for part in (slice(1, None), slice(None, -1)))
 
     @property

@@ -29,11 +29,12 @@ class Task:
     Parameters
     ----------
     poses : pose of shape (n,), or PlatformPath
-        Poses of {m} in {B}, translation in metres; those of a path are `samples` poses, evenly spaced in its time.
+        Poses of {m} in {B}, translation in metres. A path is sampled at `samples` poses, evenly spaced in its time.
     wrench : array_like, shape (6,) or (n, 6), optional
-        (f, m): force [N] and moment [N m] at o, in {B}, onto the platform from outside; a newton down if not given.
+        (f, m): force [N] and moment [N m] at o, in {B}, onto the platform from outside; by default a force of 1 N along
+        -Z.
     samples : int
-        Poses along a path.
+        Number of poses at which a path is sampled.
     """
 
     poses: Any

@@ -164,7 +164,7 @@ def draw_capability(
     view: tuple[float, float] = VIEW,
     dpi: float = 200.0,
 ) -> Axes:
-    """Draw a configuration, and a section of a polytope of `spm_pin.capability` with its zero at o.
+    """Draw a configuration, and a section of a polytope of `spm_pin.capability` with its origin placed at o.
 
     Parameters
     ----------

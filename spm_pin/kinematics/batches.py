@@ -162,7 +162,10 @@ def flat_batch(array: FloatArray, shape: tuple[int, ...], inner: int) -> FloatAr
 
 
 def broadcast(array: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Return `np.broadcast_to(array, shape)`, which takes as long as a kernel, only if it is needed."""
+    """Broadcast an array to a shape; arrays that have it already are returned as they are.
+
+    `np.broadcast_to` takes as long as a kernel.
+    """
     return array if array.shape == shape else np.broadcast_to(array, shape)
 
 

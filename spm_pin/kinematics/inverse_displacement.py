@@ -239,7 +239,7 @@ def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuratio
 
 
 def branch_lengths(machine: Manipulator, pose: PoseLike) -> tuple[FloatArray, npt.NDArray[np.int8]]:
-    """Find the leg lengths of all branches only, for maps and filters.
+    """Compute only the leg lengths of all branches, for maps and filters.
 
     Parameters
     ----------
@@ -250,7 +250,7 @@ def branch_lengths(machine: Manipulator, pose: PoseLike) -> tuple[FloatArray, np
     -------
     leg_lengths : ndarray, shape (..., 8, 6)
         r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m] of the branches in the order of `BRANCHES`, NaN where one is not real:
-        the same bits as from `inverse_displacement`, with a third of the memory.
+        bitwise equal to those of `inverse_displacement`, with a third of the memory.
     status : ndarray of int8, shape (...)
         `Status` of each pose.
     """

@@ -60,20 +60,21 @@ def inverse(
         where the platform is lowest: from x towards y, within a turn, with the legs at -30°, 90° and 210°
         [rad].
     roll, pitch : array_like, shape (...), optional
-        Instead of tilt and azimuth: the normal is Rx(roll) Ry(pitch) z [rad], so that without torsion they are those of
-        ROS; if only one is given the other is zero.
+        Instead of tilt and azimuth: the normal is Rx(roll) Ry(pitch) z [rad], so that for a platform without torsion
+        roll and pitch equal those of ROS; if only one is given the other is zero.
     normal : array_like, shape (..., 3), optional
-        Instead: the platform's normal in {B}, of any length but zero. Without any of these the platform is level.
+        Instead of tilt and azimuth: the platform's normal in {B}, of any length but zero. Without any of these the
+        platform is level.
 
     Returns
     -------
     StageSolutions
         The modes T, without torsion, and F, turned by half a turn, along the last axis, each with the whole pose: so
         `.rotation` is (..., 2, 3, 3), and `.configurations.shift` and `.torsion` are the parasitic motion. `.readings`
-        (..., 2, 3). NaN if missing. `.status` (...) is `Status.OK`, or `UNREACHABLE` if neither exists:
-        no platform has this normal, which includes those within 1.4 mrad of -z, where the legs hardly determine the
-        torsion, or a leg does not reach its ball. `.physical()` is the one that an assembled machine is in,
-        and `nearest_reachable` returns the nearest tilt if this one is out of reach.
+        has shape (..., 2, 3). Arrays of a missing mode are NaN. `.status` (...) is `Status.OK`, or `UNREACHABLE` if
+        neither exists, because no platform pose has this normal, which includes those within 1.4 mrad of -z, where the
+        legs hardly determine the torsion, or a leg does not reach its ball. `.physical()` is the one that an assembled
+        machine is in, and `nearest_reachable` returns the nearest tilt if this one is out of reach.
 
     Examples
     --------

@@ -51,7 +51,7 @@ class StageSingularities:
     """A combination of `SingularityKind`, shape (...).
 
     `FORWARD` if the platform can move with locked actuators, `INVERSE` if tilt and height do not determine its
-    motion, so that both operation modes meet, with `CONSTRAINT` if the structure's own three forces are dependent, and
+    motion, so that the modes T and F meet, with `CONSTRAINT` if the structure's own three forces are dependent, and
     `LEG` if an actuator does not move its ball.
     """
     forward: FloatArray
@@ -68,7 +68,7 @@ class StageSingularities:
 
     @property
     def sigma(self) -> FloatArray:
-        """`forward` and `inverse`, shape (..., 2)."""
+        """Smallest singular values `forward` and `inverse`, stacked, shape (..., 2)."""
         return np.stack([self.forward, self.inverse], axis=-1)
 
     def __repr__(self) -> str:

@@ -301,7 +301,7 @@ class LoopKinematics:
         return Linearised(rows.left_sides(q, placed[2]) / rows.row_units, jacobian * self._columns, speeds, turns)
 
     def open_closures(self, q: FloatArray) -> tuple[FloatArray, FloatArray, str]:
-        """Return gaps [m] and angles [rad] of all closures, and the name of the loop that is open most."""
+        """Return gaps [m] and angles [rad] of all closures, and the name of the one with the largest scaled error."""
         pin.forwardKinematics(self.rows.model, self.data, q)
         sides = np.abs(self.rows.left_sides(q, self.rows.placements_of(self.data)[2]))
         gaps, angles = np.zeros((2, len(self.rows.closures)))

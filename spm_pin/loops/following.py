@@ -103,7 +103,10 @@ def linearised(problem: Problem, q: FloatArray, s: float) -> tuple[FloatArray, F
 
 
 def moved(problem: Problem, q: FloatArray, s: float, x: FloatArray) -> FloatArray:
-    """Return q after the unknown joints have moved by x (p,), the driven ones where they are at a share of the path."""
+    """Return q with the unknown joints moved by x (p,), and the driven ones at their values for path parameter s.
+
+    s runs from 0 to 1.
+    """
     problem._all[problem.columns] = x * problem.rows.units[problem.columns]
     q = pin.integrate(problem.rows.model, q, problem._all)
     if problem.pose < 0:

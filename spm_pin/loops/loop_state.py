@@ -226,7 +226,7 @@ class LoopState:
         return self._each_closed_member(member, (6, self._count))
 
     def twist(self, frame: str) -> FloatArray:
-        """Return the twist of a frame, shape (..., 6)."""
+        """Return the twist (v, ω) of a frame at its origin, in the universe's axes [m/s, rad/s], shape (..., 6)."""
         index = self._frame(frame)
         return self._each_member(lambda: self.kinematics.frame_jacobian(index) @ self._rates, (6,))
 
@@ -339,8 +339,8 @@ class LoopState:
     def actuator_mass(self) -> FloatArray:
         """Return the mass matrix of all bodies in the actuators' coordinates, shape (..., n, n).
 
-        At rest and without gravity, actuator forces are this matrix times their accelerations, a free base held.
-        Raises as `joint_jacobian`.
+        At rest, without gravity and with a free base held fixed, actuator forces are this matrix times the actuator
+        accelerations. Raises as `joint_jacobian`.
         """
 
         def member() -> FloatArray:

@@ -53,7 +53,7 @@ class Drive(NamedTuple):
     rank: int
 
     def inverse(self) -> FloatArray:
-        """Return the least velocities for each rate, shape (dof, n)."""
+        """Return the pseudoinverse of A (dof, n): minimum-norm admissible velocities for unit actuator rates."""
         left, right = self.left[:, : self.rank] / self.sizes[: self.rank], self.right[: self.rank]
         return np.asarray(right.T @ left.T / self.scales)
 
@@ -215,7 +215,7 @@ class StateKinematics:
         return np.asarray(pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED))
 
     def mass_matrix(self) -> FloatArray:
-        """Return M (nv, nv)."""
+        """Return the joint-space mass matrix M, shape (nv, nv)."""
         half = np.triu(pin.crba(self.model, self.data, self.q))
         return np.asarray(half + np.triu(half, 1).T)
 

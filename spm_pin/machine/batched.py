@@ -113,7 +113,7 @@ class Batched(ABC):
     @property
     @abstractmethod
     def compared_points(self) -> FloatArray:
-        """Points by whose displacement states are compared, as rows in {B} [m], shape (..., n, 3)."""
+        """Points whose displacements measure the distance between two states, as rows in {B} [m], shape (..., n, 3)."""
 
     @abstractmethod
     def where(self, kept: BoolArray) -> Self:

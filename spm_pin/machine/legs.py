@@ -452,9 +452,9 @@ class Legs:
         return angles, pivots.max(axis=-1), balls.max(axis=-1), offsets
 
     def readings(self, places: FloatArray, middles: FloatArray) -> FloatArray:
-        """Return what the encoders show (..., 6) of balls at x and z (..., 6, 2) [m]; NaN out of a leg's reach.
+        """Return the readings (..., 6) for ball positions (x, z) in the planes of their legs (..., 6, 2) [m].
 
-        `middles` (6,) are the `Machine.crank_middles`.
+        NaN if a leg cannot reach the ball. `middles` (6,) are the `Machine.crank_middles`.
         """
         return self._of_stages("readings", places, middles) + self.offsets
 

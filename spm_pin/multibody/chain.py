@@ -147,7 +147,7 @@ class ClosedChain:
 
     @cached_property
     def loops(self) -> LoopChain:
-        """The same chain in `spm_pin.loops`, for functions of any robot: mobility, forces of the closures."""
+        """The same chain in `spm_pin.loops`, for functions of any closed chain: mobility, forces of closures."""
         closures = [LoopClosure("point", Anchor(c.frame_a), Anchor(c.frame_b), c.name) for c in self.closures]
         return LoopChain(self.model, closures, [self.joint_names[k] for k in self.leg_indices])
 

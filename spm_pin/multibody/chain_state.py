@@ -174,7 +174,7 @@ class ConstrainedState:
     def constraint_jacobian(self) -> FloatArray:
         """Return the derivative of `closure_gap` by q, shape (..., 12, nv), three rows per closure; exact at any q.
 
-        Its transpose maps forces onto the closures' `frame_b`, with the opposite onto `frame_a`, to generalized forces.
+        Its transpose maps forces on `frame_b` of the closures (and opposite forces on `frame_a`) to generalized forces.
         """
         shape = 3 * len(self._constrained.closures), self._constrained.model.nv
         return self._each_member(lambda: self.kinematics.constraint_jacobian.copy(), shape)

@@ -209,8 +209,8 @@ class Boundary(ClosedMesh):
     def sample(self, count: int, rng: np.random.Generator | int | None = None) -> BoundaryPoints:
         """Return `count` random points of the boundary, about uniformly over its area.
 
-        They are chosen on the mesh, moved outwards until out of reach, then to the nearest reachable point. Where that
-        search has not converged, for less than one in a hundred in the widest limits, `violation` is large.
+        They are chosen on the mesh, moved outwards until out of reach, then to the nearest reachable point. If that
+        search does not converge (less than 1 % of points, with the widest limits), `violation` is large.
         """
         rng, count = generator(rng, "rng"), whole_number(count, "count", least=1)
         doubled = self._doubled_normals

@@ -81,7 +81,7 @@ class StateSet:
     family: str = "TT"
     """The modes of the stages."""
     aspects: tuple[float, float] = (HOME_ASPECT, HOME_ASPECT)
-    """The aspects of the stages: 2 for the home's, 1 and -1 for those with this sign of the determinant, 0 for any."""
+    """Aspects of the stages: 2 is the home assembly region, 1 and -1 a sign of the determinant, 0 any state."""
 
     @property
     def radius(self) -> float:
@@ -139,8 +139,9 @@ class StateSet:
     def constants(self, body: FloatArray = CENTRE, margin: float = 0.0) -> tuple[object, ...]:
         """Return the constants of the searches of `state_search`, for points `body` (K, 3) of {m} [m].
 
-        Determinants are to be larger than `margin`, where the aspect matters, and rooms of legs than `margin` times
-        the size. RPS legs have an end of their reach where they have no length: their limits say enough.
+        Determinants are to exceed `margin`, except for stages of `ANY_ASPECT`, and the distance of each ball from the
+        singularities of its own leg is to exceed `margin` times the size. For RPS legs, which are singular only at
+        length zero, the limits of the readings suffice.
         """
         legs, aspects = self.machine.legs, self._signed_aspects
         least = np.where(aspects == ANY_ASPECT, -np.inf, margin)
@@ -352,7 +353,7 @@ class StateSet:
 
     @cached_property
     def sample(self) -> FloatArray:
-        """States within the limits, (n, 2, 3), always the same."""
+        """States within the limits, (n, 2, 3), drawn from a fixed seed."""
         return self.draw(_SAMPLE, np.random.default_rng(_SEED))
 
     @cached_property

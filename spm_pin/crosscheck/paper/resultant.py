@@ -200,8 +200,9 @@ def solve(machine: Manipulator, pose: PoseLike) -> ComplexArray:
 def inverse_displacement(machine: Manipulator, pose: PoseLike, *, refine: int = 4) -> SolutionSet:
     """Return the paper's real solutions under the canonical labels, without discriminants.
 
-    `refine` Newton steps on Eq. (13) are taken. Solutions whose imaginary parts are below 1e-7, in units of d
-    times the steepness of the lines, are real, those closer together are one. The status is `Status.UNSOLVED` where a
+    `refine` Newton steps on Eq. (13) are taken. A solution is real if no imaginary part of its joint positions exceeds
+    1e-7 d (1 + s), with s the largest slope of the three lines; real solutions whose joint positions differ by no more
+    than this are merged. The status is `Status.UNSOLVED` where a
     line is vertical, or so steep that the solutions contradict one another.
     """
     transform = as_rigid_transform(pose)

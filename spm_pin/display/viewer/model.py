@@ -124,7 +124,7 @@ class SessionState:
 
     @cached_property
     def forces(self) -> FloatArray | None:
-        """Forces of the legs (6,) [N]; None if they cannot hold every load."""
+        """Forces of the legs (6,) [N]; None if there are loads that the legs cannot balance."""
         try:
             return leg_forces(self.shown, self.wrench)
         except SingularConfigurationError:
