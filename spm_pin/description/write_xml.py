@@ -21,8 +21,9 @@ from spm_pin.machine import Configuration, Stage, StageConfiguration
 from spm_pin.machine.joint_angles import home_readings
 from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import FloatArray, check_instance, choice, real_number
+from spm_pin.support.xml_elements import Value, document, element, texts, written
 
-Value = str | float | Iterable[float]
+_ORIGIN = "Written by spm_pin, which is the place for changes."
 
 SERVO = 200.0
 """Natural frequency of the machine on its servos [rad/s]: they deflect by g / SERVO² = 0.25 mm under its weight."""
@@ -123,8 +124,8 @@ def mjcf_text(
         stem = PurePosixPath(shape.mesh).stem
         count = sum(PurePosixPath(file).stem == stem for file, _ in files)
         files.setdefault((shape.mesh, shape.size), f"{stem}_{count + 1}" if count else stem)
-    assets = [_element("mesh", name=name, file=file, scale=size) for (file, size), name in files.items()]
-    assets += [_element("material", name=name, rgba=rgba) for name, rgba in robot.materials.items()]
+    assets = [element("mesh", name=name, file=file, scale=size) for (file, size), name in files.items()]
+    assets += [element("material", name=name, rgba=rgba) for name, rgba in robot.materials.items()]
     zeros = home_readings(machine) + machine.legs.offsets
     driven = list(_servos(robot, machine, zeros) if kind == "servos" else _motors(robot))
     body = _body(robot, robot.base, home, _sites(robot), files, shapes)
@@ -141,34 +142,34 @@ def mjcf_text(
             state["qpos"] += [*ball.at_rest(stage, robot.frames(values)[platform]), 1.0, 0.0, 0.0, 0.0]
         if kind == "servos":
             state["ctrl"] = (zeros + [values[joint] for joint in robot.motors]).tolist()
-        keys.append(_element("key", name=name, **state))
+        keys.append(element("key", name=name, **state))
     velocities = [joint.limits["velocity"] for joint in robot.moving]
-    root = _element(
+    root = element(
         "mujoco",
-        _element("compiler", angle="radian", autolimits="true"),
+        element("compiler", angle="radian", autolimits="true"),
         # Rigid closures: steps that resolve the constraints' time constant, and no softening under load.
-        _element("option", timestep="0.001", integrator="implicitfast", **rolling),
-        _element("default", _element("equality", solref="0.002 1", solimp="0.9999 0.9999 0.001 0.5 2")),
-        _element(
+        element("option", timestep="0.001", integrator="implicitfast", **rolling),
+        element("default", element("equality", solref="0.002 1", solimp="0.9999 0.9999 0.001 0.5 2")),
+        element(
             "visual",
-            _element("headlight", ambient="0.4 0.4 0.4", diffuse="0.6 0.6 0.6"),
-            _element("global", offwidth="1280", offheight="960"),
+            element("headlight", ambient="0.4 0.4 0.4", diffuse="0.6 0.6 0.6"),
+            element("global", offwidth="1280", offheight="960"),
         ),
-        _element("asset", *assets),
-        _element("worldbody", body, *balls),
-        _element("equality", *(_connection(robot, closure, by_sites) for closure in robot.closures)),
-        _element("actuator", *driven),
-        _element("custom", _element("numeric", name="velocity_limit", data=velocities)),
-        _element("keyframe", *keys),
+        element("asset", *assets),
+        element("worldbody", body, *balls),
+        element("equality", *(_connection(robot, closure, by_sites) for closure in robot.closures)),
+        element("actuator", *driven),
+        element("custom", element("numeric", name="velocity_limit", data=velocities)),
+        element("keyframe", *keys),
         model=robot.name,
     )
-    return _document(root)
+    return document(root, _ORIGIN)
 
 
 def _motors(robot: Robot) -> Iterable[Element]:
     for joint, motor in robot.motors.items():
         effort = robot.joints[joint].limits["effort"]
-        yield _element("motor", name=motor, joint=joint, ctrllimited="true", ctrlrange=(-effort, effort))
+        yield element("motor", name=motor, joint=joint, ctrllimited="true", ctrlrange=(-effort, effort))
 
 
 def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
@@ -178,14 +179,14 @@ def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
     """
     said = "ctrl is the reading of each leg, in metres, for cranks in radians: the value of its joint plus "
     assumed = "Their largest forces are assumed, and all masses that were not given, by the machine's size."
-    yield ElementTree.Comment(f" {said}{_written(zeros)}. {assumed} ")
+    yield ElementTree.Comment(f" {said}{written(zeros)}. {assumed} ")
     mass = sum(link.mass for name, link in robot.links.items() if robot.carrier(name)[0] != robot.base)
     for (joint, motor), zero, arm in zip(robot.motors.items(), zeros, machine.legs.largest_slopes, strict=True):
         limits, stiffness = robot.joints[joint].limits, SERVO**2 * mass / 3.0 * arm**2
         values: dict[str, Value] = {"name": motor.removesuffix("motor") + "servo", "joint": joint, "gainprm": stiffness}
         values |= {"biastype": "affine", "biasprm": (-stiffness * zero, -stiffness, -2.0 * stiffness / SERVO)}
         values |= {"ctrllimited": "true", "ctrlrange": (limits["lower"] + zero, limits["upper"] + zero)}
-        yield _element("general", **values, forcelimited="true", forcerange=(-limits["effort"], limits["effort"]))
+        yield element("general", **values, forcelimited="true", forcerange=(-limits["effort"], limits["effort"]))
 
 
 def _stage_under(ball: Ball, machine: Machine) -> Stage:
@@ -208,13 +209,13 @@ def _ball(ball: Ball, stage: Stage, body: Element, platform: str, home: FloatArr
         "solref": (0.004, 1.0),
     }
     size, colour = (radius, half), (0.867, 0.878, 0.890, 0.9)
-    plate = _element(
+    plate = element(
         "geom", name=f"{platform}_plate", type="cylinder", size=size, pos=(0.0, 0.0, height - half), rgba=colour, **both
     )
     next(each for each in body.iter("body") if each.get("name") == platform).append(plate)
-    solid = _element("geom", type="sphere", size=ball.radius, mass=ball.mass, rgba=(0.835, 0.369, 0.0, 1.0), **both)
+    solid = element("geom", type="sphere", size=ball.radius, mass=ball.mass, rgba=(0.835, 0.369, 0.0, 1.0), **both)
     name = platform.removesuffix("platform") + "ball"
-    return _element("body", _element("freejoint", name=f"{name}_free"), solid, name=name, pos=ball.at_rest(stage, home))
+    return element("body", element("freejoint", name=f"{name}_free"), solid, name=name, pos=ball.at_rest(stage, home))
 
 
 def _sites(robot: Robot) -> dict[str, dict[str, FloatArray]]:
@@ -255,20 +256,20 @@ def _body(
             place = _pose_of(joint.placement.matrix @ joint.motion(value))
         if effort > 0.0:
             values |= {"actuatorfrclimited": "true", "actuatorfrcrange": (-effort, effort)}
-        parts.append(_element("joint", name=joint.name, **values))
-    parts.append(_element("inertial", mass=link.mass, diaginertia=link.moments, **_place(link.inertial)))
+        parts.append(element("joint", name=joint.name, **values))
+    parts.append(element("inertial", mass=link.mass, diaginertia=link.moments, **_place(link.inertial)))
     for shape in link.visuals:
         seen = {"material": shape.material, "contype": "0", "conaffinity": "0"}
-        parts.append(_element("geom", **_solid(shape, "2", meshes), **seen))
+        parts.append(element("geom", **_solid(shape, "2", meshes), **seen))
     for shape in () if collisions == "none" else link.collisions:
         solid = _solid(shape, "3", meshes)
         if collisions == "simple" and shape.kind == "cylinder":
             solid |= _without_cylinder(*shape.size)
-        parts.append(_element("geom", **solid))
+        parts.append(element("geom", **solid))
     for frame, pose in sites.get(name, {}).items():
-        parts.append(_element("site", name=f"{frame}_site", size="0.005", **_pose_of(pose)))
+        parts.append(element("site", name=f"{frame}_site", size="0.005", **_pose_of(pose)))
     parts += [_body(robot, each.child, home, sites, meshes, collisions) for each in robot.order if each.parent == name]
-    return _element("body", *parts, name=name, **place)
+    return element("body", *parts, name=name, **place)
 
 
 def _solid(shape: Shape, group: str, meshes: Mapping[tuple[str, Numbers], str]) -> dict[str, Value]:
@@ -290,9 +291,9 @@ def _without_cylinder(radius: float, length: float) -> dict[str, Value]:
 def _connection(robot: Robot, closure: Closure, by_sites: bool) -> Element:
     if by_sites:
         sites = {"site1": f"{closure.frame_a}_site", "site2": f"{closure.frame_b}_site"}
-        return _element("connect", name=closure.name, **sites)
+        return element("connect", name=closure.name, **sites)
     (body_a, pose), (body_b, _) = (robot.carrier(end) for end in (closure.frame_a, closure.frame_b))
-    return _element("connect", name=closure.name, body1=body_a, body2=body_b, anchor=pose[:3, 3])
+    return element("connect", name=closure.name, body1=body_a, body2=body_b, anchor=pose[:3, 3])
 
 
 def _pose_of(pose: FloatArray) -> dict[str, Value]:
@@ -333,30 +334,30 @@ def sdf_text(
     if loops == "joints" and not is_assembled:
         raise DescriptionError("loops", "drake for a machine whose loops are open at zero", loops)
     ends = {"parent": "world", "child": robot.base}
-    model = _element(
+    model = element(
         "model",
-        _element("joint", *_texts(**ends), name=f"{robot.base}_to_world", type="fixed"),
+        element("joint", *texts(**ends), name=f"{robot.base}_to_world", type="fixed"),
         *(_sdf_link(robot, name, link) for name, link in robot.links.items()),
         *map(_sdf_joint, robot.joints.values()),
         *(_sdf_closure(closure, loops) for closure in robot.closures),
         name=robot.name,
     )
-    return _document(_element("sdf", model, **{"version": "1.9", "xmlns:drake": "http://drake.mit.edu"}))
+    return document(element("sdf", model, **{"version": "1.9", "xmlns:drake": "http://drake.mit.edu"}), _ORIGIN)
 
 
 def _pose(placement: Placement, **relative: str) -> Element:
-    return _element("pose", text=(*placement.xyz, *placement.rpy), **relative)
+    return element("pose", text=(*placement.xyz, *placement.rpy), **relative)
 
 
 def _sdf_link(robot: Robot, name: str, link: Link) -> Element:
     moments = dict(zip(("ixx", "iyy", "izz"), link.moments, strict=True))
-    inertia = _element("inertia", *_texts(**moments, ixy=0.0, ixz=0.0, iyz=0.0))
+    inertia = element("inertia", *texts(**moments, ixy=0.0, ixz=0.0, iyz=0.0))
     carrier = robot.joint_to.get(name)
     shapes = {"visual": link.visuals, "collision": link.collisions}
-    return _element(
+    return element(
         "link",
         None if carrier is None else _pose(Placement(), relative_to=carrier.name),
-        _element("inertial", _pose(link.inertial), *_texts(mass=link.mass), inertia),
+        element("inertial", _pose(link.inertial), *texts(mass=link.mass), inertia),
         *(
             _sdf_shape(robot, tag, f"{name}_{tag}_{i}", shape)
             for tag, solids in shapes.items()
@@ -368,53 +369,28 @@ def _sdf_link(robot: Robot, name: str, link: Link) -> Element:
 
 def _sdf_shape(robot: Robot, tag: str, name: str, shape: Shape) -> Element:
     if shape.kind == "mesh":
-        solid = _texts(uri=shape.mesh, scale=shape.size)
+        solid = texts(uri=shape.mesh, scale=shape.size)
     elif shape.kind == "box":
-        solid = _texts(size=shape.size)
+        solid = texts(size=shape.size)
     else:
-        solid = _texts(**dict(zip(("radius", "length"), shape.size, strict=False)))
-    parts = [_pose(shape.placement), _element("geometry", _element(shape.kind, *solid))]
+        solid = texts(**dict(zip(("radius", "length"), shape.size, strict=False)))
+    parts = [_pose(shape.placement), element("geometry", element(shape.kind, *solid))]
     if shape.material:
         colour = robot.materials[shape.material]
-        parts.append(_element("material", *_texts(ambient=colour, diffuse=colour)))
-    return _element(tag, *parts, name=name)
+        parts.append(element("material", *texts(ambient=colour, diffuse=colour)))
+    return element(tag, *parts, name=name)
 
 
 def _sdf_joint(joint: Joint) -> Element:
-    parts = [_pose(joint.placement, relative_to=joint.parent), *_texts(parent=joint.parent, child=joint.child)]
+    parts = [_pose(joint.placement, relative_to=joint.parent), *texts(parent=joint.parent, child=joint.child)]
     if joint.moves:
-        parts.append(_element("axis", *_texts(xyz=joint.axis), _element("limit", *_texts(**joint.limits))))
-    return _element("joint", *parts, name=joint.name, type=joint.kind)
+        parts.append(element("axis", *texts(xyz=joint.axis), element("limit", *texts(**joint.limits))))
+    return element("joint", *parts, name=joint.name, type=joint.kind)
 
 
 def _sdf_closure(closure: Closure, loops: str) -> Element:
     if loops == "joints":
-        return _element("joint", *_texts(parent=closure.frame_a, child=closure.frame_b), name=closure.name, type="ball")
+        return element("joint", *texts(parent=closure.frame_a, child=closure.frame_b), name=closure.name, type="ball")
     ends = {"body_A": closure.frame_a, "p_AP": "0 0 0", "body_B": closure.frame_b, "p_BQ": "0 0 0"}
     tag = "drake:ball_constraint"
-    return _element(tag, *_texts(**{f"{tag}_{key}": end for key, end in ends.items()}))
-
-
-def _written(value: Any) -> str:
-    """Return a text, or numbers with all their digits."""
-    return value if isinstance(value, str) else " ".join(repr(float(x) + 0.0) for x in np.atleast_1d(value))
-
-
-def _element(tag: str, *children: Element | None, text: Any = None, **attributes: Value) -> Element:
-    """Return an element with its text and attributes; children may be None."""
-    made = ElementTree.Element(tag, {name: _written(value) for name, value in attributes.items()})
-    made.text = None if text is None else _written(text)
-    made.extend(child for child in children if child is not None)
-    return made
-
-
-def _texts(**values: Value) -> list[Element]:
-    """Return an element for each value, with the value as its text."""
-    return [_element(tag, text=value) for tag, value in values.items()]
-
-
-def _document(root: Element) -> str:
-    """Return the text of an XML file, with a comment above its root that states its origin."""
-    ElementTree.indent(root)
-    body = ElementTree.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0"?>\n<!-- Written by spm_pin, which is the place for changes. -->\n{body}\n'
+    return element(tag, *texts(**{f"{tag}_{key}": end for key, end in ends.items()}))

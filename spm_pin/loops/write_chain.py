@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -17,6 +16,7 @@ from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
 from spm_pin.loops.links import JointKind, find_frame, place
 from spm_pin.support.arguments import FloatArray, type_and_value
+from spm_pin.support.xml_elements import document, element, texts
 
 _URDF = {"hinge": "revolute", "slide": "prismatic", "free": "floating", "ball": "revolute"}
 _SDF = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
@@ -50,13 +50,13 @@ def mjcf_text(chain: Any) -> str:
             ends = {"site1": f"{name}_first", "site2": f"{name}_second"}
             for site, anchor in zip(ends.values(), (one, other), strict=True):
                 robot.sites.append((str(site), anchor))
-        welds.append(_element("connect", name=name, **ends))
+        welds.append(element("connect", name=name, **ends))
     for closure in chain.closures:
         if closure.kind == "weld":
             one, other = map(robot.anchor, (closure.first, closure.second))
             relative = one.placement * other.placement.inverse()
             welds.append(
-                _element(
+                element(
                     "weld",
                     name=closure.name or None,
                     body1=one.frame,
@@ -76,21 +76,21 @@ def mjcf_text(chain: Any) -> str:
         coefficients[: len(shifted.coef)] = shifted.coef
         coefficients[0] += equality.zero - zeros[0]
         ends = {"joint1": equality.joint, "joint2": equality.driver}
-        welds.append(_element("joint", name=equality.name or None, polycoef=coefficients, **ends))
+        welds.append(element("joint", name=equality.name or None, polycoef=coefficients, **ends))
     keys = {"q0": chain.q0, **getattr(chain, "configurations", {})}
-    root = _element(
+    root = element(
         "mujoco",
-        _element("compiler", angle="radian", autolimits="true", fusestatic="false"),
-        _element("option", gravity=model.gravity.linear),
+        element("compiler", angle="radian", autolimits="true", fusestatic="false"),
+        element("option", gravity=model.gravity.linear),
         # Rigid closures, as stiff as steps of 1 ms allow.
-        _element("default", _element("equality", solref="0.002 1", solimp="0.9999 0.9999 0.001 0.5 2")),
-        _element("worldbody", *robot.tree(None, _mjcf_body)),
-        _element("equality", *welds),
-        _element("actuator", *(_element("motor", name=f"{joint}_motor", joint=joint) for joint in chain.actuated)),
-        _element("keyframe", *(_element("key", name=name, qpos=_qpos(model, q)) for name, q in keys.items())),
+        element("default", element("equality", solref="0.002 1", solimp="0.9999 0.9999 0.001 0.5 2")),
+        element("worldbody", *robot.tree(None, _mjcf_body)),
+        element("equality", *welds),
+        element("actuator", *(element("motor", name=f"{joint}_motor", joint=joint) for joint in chain.actuated)),
+        element("keyframe", *(element("key", name=name, qpos=_qpos(model, q)) for name, q in keys.items())),
         model=model.name or "robot",
     )
-    return _document(root)
+    return document(root)
 
 
 def urdf_texts(chain: Any) -> tuple[str, str]:
@@ -116,31 +116,29 @@ def urdf_texts(chain: Any) -> tuple[str, str]:
     mimics = {}
     for equality in chain.equalities:
         offset, factor = _line(equality)
-        mimics[equality.joint] = _element("mimic", joint=equality.driver, multiplier=factor, offset=offset)
+        mimics[equality.joint] = element("mimic", joint=equality.driver, multiplier=factor, offset=offset)
     parts: list[Element] = []
     roots = robot.roots()
     base = roots[0] if len(roots) == 1 and not robot.bodies[roots[0]].joints else "world"
     if base == "world":
-        parts.append(_element("link", name=base))
+        parts.append(element("link", name=base))
     for name, body in robot.bodies.items():
         parts.append(_urdf_link(name, body.inertia))
         if name != base:
             parts.append(_urdf_joint(robot, name, body, base, mimics))
     for name, anchor in robot.sites:
-        parts.append(_element("link", name=name))
+        parts.append(element("link", name=name))
         parts.append(_fixed(name, base if anchor.frame == "world" else anchor.frame, anchor.placement))
     for joint in chain.actuated:
-        interface = _element("hardwareInterface", text="hardware_interface/EffortJointInterface")
-        kind = _element("type", text="transmission_interface/SimpleTransmission")
-        motor = _element("actuator", _element("mechanicalReduction", text="1"), name=f"{joint}_motor")
+        interface = element("hardwareInterface", text="hardware_interface/EffortJointInterface")
+        kind = element("type", text="transmission_interface/SimpleTransmission")
+        motor = element("actuator", element("mechanicalReduction", text="1"), name=f"{joint}_motor")
         parts.append(
-            _element(
-                "transmission", kind, _element("joint", interface, name=joint), motor, name=f"{joint}_transmission"
-            )
+            element("transmission", kind, element("joint", interface, name=joint), motor, name=f"{joint}_transmission")
         )
     if not balls:
-        parts += _drake(robot, chain.closures, base, texts=False)
-    root = _element("robot", *parts, **{"name": chain.model.name or "robot", "xmlns:drake": "http://drake.mit.edu"})
+        parts += _drake(robot, chain.closures, base, as_texts=False)
+    root = element("robot", *parts, **{"name": chain.model.name or "robot", "xmlns:drake": "http://drake.mit.edu"})
     lists = {
         "closed_loop": [names for names, _ in loops],
         "type": [kind for _, kind in loops],
@@ -148,7 +146,7 @@ def urdf_texts(chain: Any) -> tuple[str, str]:
         "joint_name": balls,
         "joint_type": ["SPHERICAL"] * len(balls),
     }
-    return _document(root), "".join(f"{key}: {value}\n" for key, value in lists.items())
+    return document(root), "".join(f"{key}: {value}\n" for key, value in lists.items())
 
 
 def sdf_text(chain: Any) -> str:
@@ -168,8 +166,8 @@ def sdf_text(chain: Any) -> str:
     mimics = {}
     for equality in chain.equalities:
         offset, factor = _line(equality)
-        lines = _texts(multiplier=factor, offset=offset, reference=0.0)
-        mimics[equality.joint] = _element("mimic", *lines, joint=equality.driver)
+        lines = texts(multiplier=factor, offset=offset, reference=0.0)
+        mimics[equality.joint] = element("mimic", *lines, joint=equality.driver)
     parts: list[Element] = []
     for name, body in robot.bodies.items():
         parts += _sdf_body(robot, name, body, chain.actuated, mimics)
@@ -177,16 +175,16 @@ def sdf_text(chain: Any) -> str:
         for count, closure in enumerate(chain.closures):
             one, other = map(robot.anchor, (closure.first, closure.second))
             kind = {"point": "ball", "weld": "fixed"}.get(closure.kind, "revolute")
-            axis = _element("axis", *_texts(xyz=(0.0, 0.0, 1.0))) if kind == "revolute" else None
+            axis = element("axis", *texts(xyz=(0.0, 0.0, 1.0))) if kind == "revolute" else None
             if other.frame == "world" or robot.floats(other.frame):
                 one, other = other, one  # the child of a joint that closes a loop has a parent already
-            ends = _texts(parent=one.frame, child=other.frame)
-            pose = _element("pose", text=_xyzrpy(other.placement), relative_to=other.frame)
-            parts.append(_element("joint", pose, *ends, axis, name=closure.name or f"closure{count}", type=kind))
+            ends = texts(parent=one.frame, child=other.frame)
+            pose = element("pose", text=_xyzrpy(other.placement), relative_to=other.frame)
+            parts.append(element("joint", pose, *ends, axis, name=closure.name or f"closure{count}", type=kind))
     else:
-        parts += _drake(robot, chain.closures, "world", texts=True)
-    model = _element("model", *parts, name=chain.model.name or "robot")
-    return _document(_element("sdf", model, **{"version": "1.11", "xmlns:drake": "http://drake.mit.edu"}))
+        parts += _drake(robot, chain.closures, "world", as_texts=True)
+    model = element("model", *parts, name=chain.model.name or "robot")
+    return document(element("sdf", model, **{"version": "1.11", "xmlns:drake": "http://drake.mit.edu"}))
 
 
 class _Body(NamedTuple):
@@ -320,7 +318,7 @@ class _Robot:
         for site, anchor in self.sites:
             if anchor.frame == name:
                 at = _pos_quat(anchor.placement)
-                found.append(_element("site", name=site, size=0.005, **at))
+                found.append(element("site", name=site, size=0.005, **at))
         return found
 
 
@@ -364,8 +362,8 @@ def _mjcf_body(robot: _Robot, name: str, body: _Body) -> Element:
             expected = "moments of inertia of a body, none above the sum of the others, for MuJoCo"
             raise DescriptionError("chain", expected, f"{name!r}: {one:.3g}, {other:.3g}, {most:.3g} kg m²")
         full = (*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2])
-        inertia = _element("inertial", pos=body.inertia.lever, mass=body.inertia.mass, fullinertia=full)
-    return _element(
+        inertia = element("inertial", pos=body.inertia.lever, mass=body.inertia.mass, fullinertia=full)
+    return element(
         "body", *joints, inertia, *robot.tree(name, _mjcf_body), name=name, **_pos_quat(robot.placement(body))
     )
 
@@ -376,7 +374,7 @@ def _mjcf_joint(robot: _Robot, body: _Body, i: int) -> Element:
     if kind == "free":
         if body.parent != "world" or not model.jointPlacements[i].isIdentity(0.0):
             raise DescriptionError("chain", "free joints of the world, for MuJoCo", repr(name))
-        return _element("freejoint", name=name)
+        return element("freejoint", name=name)
     at = body.pose.inverse() * robot.data.oMi[i]
     values: dict[str, Any] = {"name": name, "type": kind}
     values |= {} if kind == "slide" else {"pos": at.translation}
@@ -390,28 +388,28 @@ def _mjcf_joint(robot: _Robot, body: _Body, i: int) -> Element:
             values["actuatorfrcrange"] = (-effort, effort)
     dynamics = {"armature": model.armature, "damping": model.damping, "frictionloss": model.upperDryFrictionLimit}
     values |= {key: table[joint.idx_v] for key, table in dynamics.items() if table[joint.idx_v]}
-    return _element("joint", **values)
+    return element("joint", **values)
 
 
 def _urdf_link(name: str, inertia: Any) -> Element:
     if not inertia.mass:
-        return _element("link", name=name)
+        return element("link", name=name)
     moments = inertia.inertia
     keys = {
         key: moments["xyz".index(key[1]), "xyz".index(key[2])] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     }
-    origin = _element("origin", xyz=inertia.lever, rpy=np.zeros(3))
-    inertial = _element("inertial", origin, _element("mass", value=inertia.mass), _element("inertia", **keys))
-    return _element("link", inertial, name=name)
+    origin = element("origin", xyz=inertia.lever, rpy=np.zeros(3))
+    inertial = element("inertial", origin, element("mass", value=inertia.mass), element("inertia", **keys))
+    return element("link", inertial, name=name)
 
 
 def _fixed(name: str, parent: str, placement: Any) -> Element:
-    ends = [_element("parent", link=parent), _element("child", link=name)]
-    return _element("joint", *ends, _origin(placement), name=f"{name}_fixed", type="fixed")
+    ends = [element("parent", link=parent), element("child", link=name)]
+    return element("joint", *ends, _origin(placement), name=f"{name}_fixed", type="fixed")
 
 
 def _origin(placement: Any) -> Element:
-    return _element("origin", xyz=placement.translation, rpy=pin.rpy.matrixToRpy(placement.rotation))
+    return element("origin", xyz=placement.translation, rpy=pin.rpy.matrixToRpy(placement.rotation))
 
 
 def _urdf_joint(robot: _Robot, name: str, body: _Body, base: str, mimics: Mapping[str, Element]) -> Element:
@@ -421,21 +419,21 @@ def _urdf_joint(robot: _Robot, name: str, body: _Body, base: str, mimics: Mappin
     (i,) = body.joints
     joint, label = robot.model.joints[i], robot.model.names[i]
     kind = robot.kinds[label]
-    parts = [_element("parent", link=parent), _element("child", link=name), _origin(robot.placement(body))]
+    parts = [element("parent", link=parent), element("child", link=name), _origin(robot.placement(body))]
     if kind in ("hinge", "slide"):
         axis = (body.pose.inverse() * robot.data.oMi[i]).rotation @ robot.axis(i)
         limits = _limits(robot.model, joint)
         dynamics = {"damping": robot.model.damping, "friction": robot.model.upperDryFrictionLimit}
-        parts += [_element("axis", xyz=axis), _element("limit", **limits)]
-        parts.append(_element("dynamics", **{key: table[joint.idx_v] for key, table in dynamics.items()}))
+        parts += [element("axis", xyz=axis), element("limit", **limits)]
+        parts.append(element("dynamics", **{key: table[joint.idx_v] for key, table in dynamics.items()}))
         unlimited = kind == "hinge" and not np.isfinite([limits["lower"], limits["upper"]]).all()
     else:
         unlimited = False
         if kind == "ball":
-            parts.append(_element("limit", lower=-np.pi, upper=np.pi, effort=0.0, velocity=1e3))
+            parts.append(element("limit", lower=-np.pi, upper=np.pi, effort=0.0, velocity=1e3))
     if label in mimics:
         parts.append(mimics[label])
-    return _element("joint", *parts, name=label, type="continuous" if unlimited else _URDF[kind])
+    return element("joint", *parts, name=label, type="continuous" if unlimited else _URDF[kind])
 
 
 def _limits(model: Any, joint: Any) -> dict[str, float]:
@@ -454,9 +452,9 @@ def _sdf_body(
     # Without these lines a link has a mass of 1 kg.
     tensor = inertia.inertia if inertia.mass else np.zeros((3, 3))
     keys = {key: tensor["xyz".index(key[1]), "xyz".index(key[2])] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
-    centre = _element("pose", text=(*inertia.lever, 0.0, 0.0, 0.0)) if inertia.mass else None
-    inertial = _element("inertial", centre, *_texts(mass=inertia.mass), _element("inertia", *_texts(**keys)))
-    yield _element("link", _element("pose", text=_xyzrpy(body.pose)), inertial, name=name)
+    centre = element("pose", text=(*inertia.lever, 0.0, 0.0, 0.0)) if inertia.mass else None
+    inertial = element("inertial", centre, *texts(mass=inertia.mass), element("inertia", *texts(**keys)))
+    yield element("link", element("pose", text=_xyzrpy(body.pose)), inertial, name=name)
     kind = robot.kinds[robot.model.names[body.joints[0]]] if body.joints else None
     if kind == "free":
         if body.parent != "world":
@@ -464,9 +462,9 @@ def _sdf_body(
                 "chain", "free joints of the world, for SDF", repr(robot.model.names[body.joints[0]])
             )
         return
-    ends = _texts(parent=body.parent, child=name)
+    ends = texts(parent=body.parent, child=name)
     if kind is None:
-        yield _element("joint", *ends, name=f"{name}_fixed", type="fixed")
+        yield element("joint", *ends, name=f"{name}_fixed", type="fixed")
         return
     (i,) = body.joints
     joint, label = robot.model.joints[i], robot.model.names[i]
@@ -477,14 +475,14 @@ def _sdf_body(
         limits["effort"] = (limits["effort"] if np.isfinite(limits["effort"]) else -1.0) if label in actuated else 0.0
         limits = {key: value for key, value in limits.items() if np.isfinite(value)}
         dynamics = {"damping": robot.model.damping, "friction": robot.model.upperDryFrictionLimit}
-        lines = _texts(**{key: table[joint.idx_v] for key, table in dynamics.items()})
+        lines = texts(**{key: table[joint.idx_v] for key, table in dynamics.items()})
         following = mimics.get(label)
-        parts = [*_texts(xyz=direction), _element("limit", *_texts(**limits)), _element("dynamics", *lines), following]
-        axis = _element("axis", *parts)
-    yield _element("joint", *ends, axis, name=label, type=_SDF[kind])
+        parts = [*texts(xyz=direction), element("limit", *texts(**limits)), element("dynamics", *lines), following]
+        axis = element("axis", *parts)
+    yield element("joint", *ends, axis, name=label, type=_SDF[kind])
 
 
-def _drake(robot: _Robot, closures: Sequence[Closure], base: str, *, texts: bool) -> Iterator[Element]:
+def _drake(robot: _Robot, closures: Sequence[Closure], base: str, *, as_texts: bool) -> Iterator[Element]:
     """Yield Drake's ball constraints, whose values are attributes in URDF files, texts in SDF files."""
     tag = "drake:ball_constraint"
     for _, one, other in _pairs(robot, closures, welds=True):
@@ -492,11 +490,11 @@ def _drake(robot: _Robot, closures: Sequence[Closure], base: str, *, texts: bool
         for anchor, body, point in ((one, "body_A", "p_AP"), (other, "body_B", "p_BQ")):
             values[body] = base if anchor.frame == "world" else anchor.frame
             values[point] = anchor.placement.translation
-        if texts:
-            yield _element(tag, *_texts(**{f"{tag}_{key}": value for key, value in values.items()}))
+        if as_texts:
+            yield element(tag, *texts(**{f"{tag}_{key}": value for key, value in values.items()}))
         else:
             keys = {"body_A": "name", "body_B": "name"}
-            yield _element(tag, *(_element(f"{tag}_{k}", **{keys.get(k, "value"): v}) for k, v in values.items()))
+            yield element(tag, *(element(f"{tag}_{k}", **{keys.get(k, "value"): v}) for k, v in values.items()))
 
 
 def _scalar_first(rotation: FloatArray) -> FloatArray:
@@ -519,26 +517,3 @@ def _qpos(model: Any, q: FloatArray) -> FloatArray:
             end = joint.idx_q + joint.nq
             qpos[end - 4 : end] = np.roll(qpos[end - 4 : end], 1)
     return qpos
-
-
-def _written(value: Any) -> str:
-    """Return a text, or numbers with all their digits."""
-    return value if isinstance(value, str) else " ".join(repr(float(x) + 0.0) for x in np.atleast_1d(value))
-
-
-def _element(tag: str, *children: Element | None, text: Any = None, **attributes: Any) -> Element:
-    """Return an element with its text and attributes; children and attributes may be None."""
-    made = ElementTree.Element(tag, {name: _written(value) for name, value in attributes.items() if value is not None})
-    made.text = None if text is None else _written(text)
-    made.extend(child for child in children if child is not None)
-    return made
-
-
-def _texts(**values: Any) -> list[Element]:
-    """Return an element for each value, which is its text."""
-    return [_element(tag, text=value) for tag, value in values.items()]
-
-
-def _document(root: Element) -> str:
-    ElementTree.indent(root)
-    return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
