@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
+from spm_pin.errors import ArgumentError
+from spm_pin.loops.batched_state import BatchedState, Result, ResultShape
 from spm_pin.loops.mobility import check_regular
 from spm_pin.loops.state_kinematics import (
     AGREEMENT,
@@ -19,9 +20,7 @@ from spm_pin.loops.state_kinematics import (
     read_joint_values,
     read_vectors,
 )
-from spm_pin.support.arguments import FloatArray, broadcastable
-
-Result = TypeVar("Result")
+from spm_pin.support.arguments import FloatArray
 
 
 class Energy(NamedTuple):
@@ -38,7 +37,7 @@ class Energy(NamedTuple):
         return self.kinetic + self.potential
 
 
-class LoopState:
+class LoopState(BatchedState):
     """State (q, v) of a `ClosedChain`: rates, Jacobians, forces and dynamics.
 
     `ClosedChain.state` creates it; control loops create one and call `update`, which allocates no new memory. For one q
@@ -65,24 +64,9 @@ class LoopState:
     """
 
     def __init__(self, chain: Any, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
+        super().__init__(chain.model.nv)
         self._chain, self.kinematics = chain, StateKinematics(chain)
-        self.failures: dict[tuple[int, ...], SpmError] = {}
-        self._batch: tuple[int, ...] = ()
         self.update(q, v)
-
-    def __repr__(self) -> str:
-        several = f" of a batch of shape {self._batch}" if self._batch else ""
-        return f"<{type(self).__name__}{several}: {self._chain.model.nv} degrees of freedom of the tree>"
-
-    @property
-    def q(self) -> FloatArray:
-        """Joint values, shape (..., nq); a copy."""
-        return self._q.copy()
-
-    @property
-    def v(self) -> FloatArray:
-        """Joint velocities, shape (..., nv); a copy."""
-        return self._v.copy()
 
     def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
         """Move to other joint values (..., nq) and velocities (..., nv), zero by default; return this state."""
@@ -93,47 +77,21 @@ class LoopState:
             self._batch, self._q, self._v = (), joints.copy(), rates
             self._move(self._q, rates)
         else:
-            self._batch = broadcastable("v", rates.shape[:-1], "q", joints.shape[:-1])
-            self._q, self._v = (np.broadcast_to(x, (*self._batch, x.shape[-1])).copy() for x in (joints, rates))
+            self._set_batch(joints, rates)
         return self
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:
-        """Set q (nq,) and v (nv,) for the functions that `_each_member` runs."""
         self.kinematics.evaluate(q)
         self._rates, self._is_closed = v, False
 
-    def _each_member(
-        self, function: Callable[..., Result], shape: tuple[int, ...] | list[tuple[int, ...]], **arrays: FloatArray
-    ) -> Result:
+    def _each_member(self, function: Callable[..., Result], shape: ResultShape, **arrays: FloatArray) -> Result:
         """Return the results of a function of one q and v, and of one member of each array, for all members.
 
-        `shape` is that of a result, or a list of shapes if the function returns several. For a single state and single
-        arguments, the function's own result is returned.
+        For a single state and single arguments, the function's own result is returned.
         """
         if not self._batch and all(array.ndim == 1 for array in arrays.values()):
             return function(*arrays.values())
-        batch = self._batch
-        for name, array in arrays.items():
-            batch = broadcastable(name, array.shape[:-1], "the other arguments", batch)
-        members = [np.broadcast_to(x, (*batch, x.shape[-1])) for x in (self._q, self._v, *arrays.values())]
-        results: Any = [np.full((*batch, *each), np.nan) for each in (shape if isinstance(shape, list) else [shape])]
-        self.failures = {}
-        for index in np.ndindex(batch):
-            q, v, *arguments = (array[index] for array in members)
-            if self._batch:
-                self._move(q.copy(), v.copy())
-            try:
-                result: Any = function(*arguments)
-            except (SingularConfigurationError, ClosureError) as error:
-                self.failures[index] = error
-                continue
-            except ArgumentError as error:
-                received = f"{error.received} at batch index {index}"
-                raise error.replaced(received=received) from error
-            for array, value in zip(results, result if isinstance(shape, list) else [result], strict=True):
-                array[index] = value
-        outcome: Result = results if isinstance(shape, list) else results[0]
-        return outcome
+        return self._each_of_batch(function, shape, arrays)
 
     def _each_closed_member(self, function: Callable[..., Result], shape: Any, **arrays: FloatArray) -> Result:
         """Return the same as `_each_member` for a function that takes a regular q, closed, and v that keeps it so."""
@@ -350,10 +308,6 @@ class LoopState:
             return np.asarray(0.5 * (mass + mass.T))
 
         return self._each_closed_member(member, (self._count, self._count))
-
-    @property
-    def _nv(self) -> int:
-        return self.kinematics.zero_velocity.size
 
     @property
     def _rows(self) -> int:

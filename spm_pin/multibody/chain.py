@@ -26,6 +26,7 @@ from spm_pin.description.tree import srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
+from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
 from spm_pin.loops.closures import Anchor
 from spm_pin.loops.closures import Closure as LoopClosure
@@ -36,7 +37,7 @@ from spm_pin.machine.machine import check_machine
 from spm_pin.machine.manipulator import Manipulator, check_rps, check_same_machine
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration
-from spm_pin.multibody.chain_state import ChainState, at_index
+from spm_pin.multibody.chain_state import ChainState
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
 from spm_pin.multibody.constrained_model import AGREEMENT, ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.mounting import MountedChain, mount

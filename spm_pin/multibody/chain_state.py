@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Self, TypeVar, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 from scipy.linalg import LinAlgError, eigh
 
-from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
+from spm_pin.errors import ArgumentError
+from spm_pin.loops.batched_state import BatchedState, Result, ResultShape
 from spm_pin.loops.loop_state import Energy
 from spm_pin.loops.point_dynamics import PointDynamics
 from spm_pin.machine.configuration import Configuration
@@ -32,7 +33,7 @@ from spm_pin.multibody.constrained_model import (
     TreeKinematics,
     read_vectors,
 )
-from spm_pin.support.arguments import FloatArray, broadcastable, symmetric_matrices
+from spm_pin.support.arguments import FloatArray, symmetric_matrices
 
 
 class PlatformDynamics(NamedTuple):
@@ -63,10 +64,7 @@ class NaturalFrequencies(NamedTuple):
     order of the frequencies; Mᵀ Λ M = 1 of the columns."""
 
 
-Result = TypeVar("Result")
-
-
-class ConstrainedState:
+class ConstrainedState(BatchedState):
     """Joint values q and velocities v of a model with closures, and quantities computed from them.
 
     Made by the method `state` of `ClosedChain` and `MountedChain`, and moved by `update`, without new memory:
@@ -83,27 +81,14 @@ class ConstrainedState:
         NaN, or the `ArgumentError` where a ball joint's middle angle is ±90°, by its index.
     """
 
+    _kept_argument = "q"
+
     def __init__(self, constrained: ConstrainedModel) -> None:
+        super().__init__(constrained.model.nv)
         self._constrained = constrained
         self.kinematics = TreeKinematics(constrained)
-        self.failures: dict[tuple[int, ...], SpmError] = {}
         self._solver: PointDynamics | None = None
-        self._batch: tuple[int, ...] = ()
         self._q, self._v = self.kinematics.q, self.kinematics.zero_velocity
-
-    def __repr__(self) -> str:
-        several = f" of a batch of shape {self._batch}" if self._batch else ""
-        return f"<{type(self).__name__}{several}: {self._constrained.model.nv} degrees of freedom of the tree>"
-
-    @property
-    def q(self) -> FloatArray:
-        """Joint values, shape (..., nq); a copy."""
-        return self._q.copy()
-
-    @property
-    def v(self) -> FloatArray:
-        """Joint velocities, shape (..., nv); a copy."""
-        return self._v.copy()
 
     def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
         """Move to other joint values (..., nq) and velocities (..., nv), zero by default; return this state."""
@@ -114,48 +99,23 @@ class ConstrainedState:
             self._batch, self._q, self._v = (), joints.copy(), rates
             self._move(self._q, rates)
         else:
-            self._batch = broadcastable("v", rates.shape[:-1], "q", joints.shape[:-1])
-            self._q, self._v = (np.broadcast_to(x, (*self._batch, x.shape[-1])).copy() for x in (joints, rates))
+            self._set_batch(joints, rates)
         return self
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:
-        """Set q (nq,) and v (nv,) for the functions that `_each_member` runs."""
         self.kinematics.evaluate(q)
         self._rates = v
         self._drift: tuple[FloatArray, FloatArray] | None = None
         self._closed = False
 
-    def _each_member(
-        self, function: Callable[..., Result], shape: tuple[int, ...] | list[tuple[int, ...]], **arrays: FloatArray
-    ) -> Result:
+    def _each_member(self, function: Callable[..., Result], shape: ResultShape, **arrays: FloatArray) -> Result:
         """Return the results of a function of one q and v, and of one member of each array, for all members.
 
-        `shape` is that of a result, or a list of shapes if the function returns several. For a single state and single
-        arguments, the function's own result is returned.
+        For a single state and single arguments, the function's own result is returned.
         """
         if not self._batch and all(array.ndim == 1 for array in arrays.values()):
             return function(*arrays.values())
-        batch = self._batch
-        for name, array in arrays.items():
-            batch = broadcastable(name, array.shape[:-1], "the other arguments", batch)
-        members = [np.broadcast_to(x, (*batch, x.shape[-1])) for x in (self._q, self._v, *arrays.values())]
-        results: Any = [np.full((*batch, *each), np.nan) for each in (shape if isinstance(shape, list) else [shape])]
-        self.failures = {}
-        for index in np.ndindex(batch):
-            q, v, *arguments = (array[index] for array in members)
-            if self._batch:
-                self._move(q, v)
-            try:
-                result: Any = function(*arguments)
-            except (SingularConfigurationError, ClosureError, ArgumentError) as error:
-                if isinstance(error, ArgumentError) and error.argument != "q":
-                    raise at_index(error, index) from error
-                self.failures[index] = error
-                continue
-            for array, value in zip(results, result if isinstance(shape, list) else [result], strict=True):
-                array[index] = value
-        outcome: Result = results if isinstance(shape, list) else results[0]
-        return outcome
+        return self._each_of_batch(function, shape, arrays)
 
     def _each_closed_member(self, function: Callable[..., Result], shape: Any, **arrays: FloatArray) -> Result:
         """Return the same as `_each_member` for a function that takes q to be closed."""
@@ -483,15 +443,3 @@ class ChainState(ConstrainedState):
 def _wrench(wrench: npt.ArrayLike | None) -> dict[str, FloatArray]:
     """Return a wrench (..., 6) as an argument of `_each_member`, if there is one."""
     return {} if wrench is None else {"wrench": read_vectors(wrench, "wrench", 6)}
-
-
-def at_index(error: SpmError, index: tuple[int, ...]) -> SpmError:
-    """Return an error that also says which member of a batch it is about; `()` for a single one."""
-    if not index:
-        return error
-    if isinstance(error, SingularConfigurationError):
-        return SingularConfigurationError(error.kind, error.sigma_min, index)
-    if isinstance(error, ClosureError):
-        return ClosureError(error.residual, error.iterations, f"At batch index {index}. {error.cause}")
-    assert isinstance(error, ArgumentError)
-    return error.replaced(received=f"{error.received} at batch index {index}")
