@@ -34,8 +34,8 @@ from spm_pin.formulas import ball_motions, circles, leg_constants, leg_planes, v
 from spm_pin.formulas import branches as formulas
 from spm_pin.formulas import joint_values as values
 from spm_pin.machine import BRANCHES, Manipulator
-from spm_pin.machine.manipulator import check_rps
-from spm_pin.support.arguments import FloatArray, as_bool, check_instance, choice
+from spm_pin.machine.manipulator import check_manipulator, check_rps
+from spm_pin.support.arguments import FloatArray, as_bool, choice
 
 Dimensions = Manipulator | Literal["symbolic"] | None
 
@@ -205,7 +205,7 @@ def bodies(machine: Manipulator | None = None, masses: Masses | None = None) -> 
         in {m}; then for each leg the mass of its cylinder, and times the distance of its centre from the pivot, and the
         mass of its rod, and times the distance of its centre from the ball.
     """
-    symbolic = Manipulator.paper() if machine is None else check_instance(machine, Manipulator, "machine")
+    symbolic = Manipulator.paper() if machine is None else check_manipulator(machine)
     check_rps(symbolic, "weights of the bodies in CasADi and C")
     robot = read_robot(symbolic, masses=masses)
     moments: dict[str, Any] = {}

@@ -25,7 +25,8 @@ from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations, prin
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
 from spm_pin.machine import BRANCHES, Configuration, Manipulator, Status
-from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress, check_instance, whole_number
+from spm_pin.machine.manipulator import check_manipulator
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress, whole_number
 from spm_pin.support.pose import inverse_command
 
 LEG_SPACE = 0.8
@@ -207,7 +208,7 @@ def compare_in_batches(
     """
     poses = whole_number(poses, "poses", "a whole number, at least 1", least=1)
     seed = whole_number(seed, "seed", "a whole number, at least 0", most=1 << 128)
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     rng = np.random.default_rng(seed)
     inner = max(1, round(LEG_SPACE * poses))
     drawn = [in_leg_space(machine, inner, rng), on_all_rotations(machine, poses - inner, rng)]

@@ -7,7 +7,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.kinematics.random_states import random_states
 from spm_pin.machine import Configuration, Manipulator, pose
-from spm_pin.support.arguments import FloatArray, check_instance, generator, whole_number
+from spm_pin.machine.manipulator import check_manipulator
+from spm_pin.support.arguments import FloatArray, generator, whole_number
 
 
 def in_leg_space(machine: Manipulator, count: int, rng: np.random.Generator | int) -> RigidTransform:
@@ -31,7 +32,7 @@ def on_all_rotations(machine: Manipulator, count: int, rng: np.random.Generator 
 
 
 def _checked(machine: Manipulator, count: int, rng: np.random.Generator | int) -> tuple[int, np.random.Generator]:
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     return whole_number(count, "count", "a number of poses up to 10⁹", most=10**9), generator(rng)
 
 

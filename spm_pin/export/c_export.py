@@ -46,7 +46,8 @@ from spm_pin.kinematics.random_states import random_states
 from spm_pin.kinematics.singularity_kinds import SINGULAR
 from spm_pin.machine import BRANCHES, FAMILIES, Configuration, Manipulator
 from spm_pin.machine.joint_angles import joint_angles, joint_names, value_names
-from spm_pin.support.arguments import FloatArray, check_instance
+from spm_pin.machine.manipulator import check_manipulator
+from spm_pin.support.arguments import FloatArray
 
 STATUSES = {
     "OK": (0, "the result is complete and finite"),
@@ -161,7 +162,7 @@ def c_sources(machine: Manipulator, *, prefix: str = "spm_", masses: Masses | No
         The texts of `spm_kinematics.h`, `spm_kinematics.c`, `spm_kinematics_test.c` and `CMakeLists.txt` by their
         names, of `spm_machine.txt`, the numbers of the machine, and of `spm_read_machine.h`, which reads them.
     """
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     smallest, largest = min(machine.dimensions), max(machine.dimensions)
     if largest > _SPREAD * smallest:
         expected = f"dimensions within a factor of {_SPREAD:g}, for the answers of the test program to keep ten digits"

@@ -25,8 +25,8 @@ import numpy.typing as npt
 
 from spm_pin.errors import PoseError
 from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.manipulator import Manipulator
-from spm_pin.support.arguments import LARGEST_RATIO, FloatArray, check_instance, first_offender, whole_number
+from spm_pin.machine.manipulator import Manipulator, check_manipulator
+from spm_pin.support.arguments import LARGEST_RATIO, FloatArray, first_offender, whole_number
 from spm_pin.support.pose import EXACT, PoseLike, checked_pose, unchecked_pose
 
 _MIN_CHECKED = 1 << 17
@@ -190,7 +190,7 @@ def read_pose(machine: Manipulator, pose: PoseLike) -> tuple[tuple[int, ...], Fl
     """
     from spm_pin.kinematics.kernels.branch_kernels import are_valid
 
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     rotation, position = unchecked_pose(pose)
     shape, flat, places = position.shape[:-1], rotation.reshape(-1, 3, 3), position.reshape(-1, 3)
     farthest = 2.0 * (LARGEST_RATIO + 1.0) * sum(machine.dimensions)

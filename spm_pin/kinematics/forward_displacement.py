@@ -20,10 +20,10 @@ from spm_pin.kinematics.stage_balls import STAGE_MODES, Drawing, Modes, all_mode
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import homes
 from spm_pin.machine.machine import unit_hint
-from spm_pin.machine.manipulator import Manipulator, check_same_machine
+from spm_pin.machine.manipulator import Manipulator, check_manipulator, check_same_machine
 from spm_pin.machine.solution_axis import Status
 from spm_pin.machine.solutions import Degeneracy, SolutionSet
-from spm_pin.support.arguments import FloatArray, IntArray, broadcastable, check_instance
+from spm_pin.support.arguments import FloatArray, IntArray, broadcastable
 
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
@@ -78,7 +78,7 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
     """
     from spm_pin.kinematics.kernels.circle_modes import join_modes
 
-    legs = check_instance(machine, Manipulator, "machine").legs
+    legs = check_manipulator(machine).legs
     checked = read_readings(legs, sum(machine.dimensions), readings)
     shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
     is_drawn = machine.is_nominal and legs.are_rps
@@ -154,7 +154,7 @@ def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Config
     >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
     array([-11.0818,  32.9691, -12.8831])
     """
-    legs = check_instance(machine, Manipulator, "machine").legs
+    legs = check_manipulator(machine).legs
     checked = read_readings(legs, sum(machine.dimensions), readings)
     if near is not None:
         _check_near(machine, checked, near)

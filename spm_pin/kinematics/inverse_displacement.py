@@ -32,7 +32,7 @@ from spm_pin.kinematics.either_machine import or_of_stage
 from spm_pin.machine.branch_of_state import BRANCHES
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LEGS
-from spm_pin.machine.manipulator import Manipulator
+from spm_pin.machine.manipulator import Manipulator, check_manipulator
 from spm_pin.machine.solution_axis import Status
 from spm_pin.machine.solutions import Degeneracy, SolutionSet
 from spm_pin.support.arguments import FloatArray, IntArray, as_bool, check_instance, whole_number
@@ -141,7 +141,7 @@ class BranchMemory:
     """Memory for the branches of one batch after another, with `size` poses each; see `inverse_displacement`."""
 
     def __init__(self, machine: Manipulator, size: int) -> None:
-        self._machine = check_instance(machine, Manipulator, "machine")
+        self._machine = check_manipulator(machine)
         self._size = whole_number(size, "size", "the number of poses of a batch", least=0)
         results = _method(machine).results
         self.arrays = [x if isinstance(x, np.ndarray) else new_result(self._size, x) for x in results]
@@ -221,7 +221,7 @@ def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuratio
     >>> spm.inverse_physical(machine, pose).leg_lengths.round(3)
     array([1.2  , 1.2  , 1.399, 1.25 , 1.2  , 1.501])
     """
-    legs = check_instance(machine, Manipulator, "machine").legs
+    legs = check_manipulator(machine).legs
     if near is not None or not legs.are_rps:
         return inverse_displacement(machine, pose).physical(near)
     shape, rotation, position = read_pose(machine, pose)

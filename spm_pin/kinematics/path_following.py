@@ -21,8 +21,8 @@ from spm_pin.kinematics.tracking import CertifiedLimits, EventKind, FollowedPath
 from spm_pin.machine.batched import Batched
 from spm_pin.machine.branch_of_state import physical
 from spm_pin.machine.configuration import Configuration, check_configuration
-from spm_pin.machine.manipulator import Manipulator
-from spm_pin.support.arguments import FloatArray, as_array, check_instance, real_array, type_and_value, whole_number
+from spm_pin.machine.manipulator import Manipulator, check_manipulator
+from spm_pin.support.arguments import FloatArray, as_array, real_array, type_and_value, whole_number
 from spm_pin.support.pose import as_rigid_transform, pose
 
 
@@ -59,7 +59,7 @@ def follow(
     FollowedPath
         With its events, each at its parameter to 1e-9.
     """
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     samples = whole_number(samples, "samples", least=1, most=10**9)
     if certificate is not None and not hasattr(certificate, "covers"):
         raise ArgumentError("certificate", "a Certificate", type(certificate).__name__)

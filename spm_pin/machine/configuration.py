@@ -13,7 +13,8 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, masked
 from spm_pin.machine.legs import LEGS, triangle_frames, triangle_sides
-from spm_pin.machine.manipulator import Manipulator
+from spm_pin.machine.machine import ALONE
+from spm_pin.machine.manipulator import Manipulator, check_manipulator
 from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
@@ -51,7 +52,7 @@ class Configuration(Batched):
     _solved = "leg_lengths"
 
     def __init__(self, machine: Manipulator, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
-        check_instance(machine, Manipulator, "machine")
+        check_manipulator(machine)
         transform = as_rigid_transform(pose)
         joints = real_array(
             middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3 in {B} in metres", allow_nan=True
@@ -267,6 +268,8 @@ def check_state(value: Any, argument: str = "configuration", *, existing: bool =
 
 
 def _cause_of_kind(value: Any) -> str:
+    if isinstance(value, Batched):
+        return ALONE
     several = hasattr(type(value), "physical")
     return "Choose one of its solutions: .physical(), .nearest(near), or a label such as ['TT+']" if several else ""
 

@@ -241,6 +241,10 @@ class Machine(ABC):
             return cls.from_data(read_yaml(path), "")
 
 
+ALONE = "For a stage use the functions of spm_pin.stages; Manipulator.of_stages joins two stages"
+"""Cause of an error where a manipulator or its state is required and a stage or its state was given."""
+
+
 def check_machine(value: M, argument: str = "machine") -> M:
     """Return `value` if it is a `Manipulator` or a `Stage`."""
     if not isinstance(value, Machine):

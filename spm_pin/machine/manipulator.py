@@ -27,7 +27,7 @@ from spm_pin.machine.legs import (
     Legs,
     StageLimits,
 )
-from spm_pin.machine.machine import Machine
+from spm_pin.machine.machine import ALONE, Machine
 from spm_pin.machine.machine_files import (
     legs_as_data,
     limits_as_data,
@@ -231,6 +231,11 @@ def machine_from_yaml(path: str | Path) -> Manipulator | Stage:
     """Read a machine of either kind from a YAML file."""
     with raised_as(GeometryError, file=str(path)):
         return machine_from_data(read_yaml(path), "")
+
+
+def check_manipulator(value: Any, argument: str = "machine") -> Manipulator:
+    """Return `value` if it is a manipulator."""
+    return check_instance(value, Manipulator, argument, ALONE * isinstance(value, Stage))
 
 
 def check_same_machine(machine: Machine, expected: Machine, argument: str, owner: str) -> None:

@@ -14,7 +14,7 @@ from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES, branch_sign, fam
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LEGS
 from spm_pin.machine.machine import unit_hint
-from spm_pin.machine.manipulator import Manipulator
+from spm_pin.machine.manipulator import Manipulator, check_manipulator
 from spm_pin.machine.solution_axis import Solutions, Status, following
 from spm_pin.support import notebook
 from spm_pin.support.arguments import (
@@ -22,7 +22,6 @@ from spm_pin.support.arguments import (
     FloatArray,
     boolean_array,
     broadcastable,
-    check_instance,
     first_offender,
     real_array,
 )
@@ -113,7 +112,7 @@ class SolutionSet(Solutions[Configuration]):
             False where the method failed. There, and where a family has more than two solutions, the status is
             `Status.UNSOLVED` and all solutions are missing.
         """
-        check_instance(machine, Manipulator, "machine")
+        check_manipulator(machine)
         transform = as_rigid_transform(pose)
         joints = real_array(middle_joints, "middle_joints", (3, 3), "rows b_1, b_2, b_3", allow_nan=True)
         if joints.ndim < 3 or joints.shape[-3] == 0:

@@ -29,7 +29,7 @@ from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LegLimits
-from spm_pin.machine.manipulator import Manipulator, check_rps
+from spm_pin.machine.manipulator import Manipulator, check_manipulator, check_rps
 from spm_pin.proofs.certificate import Certificate, certify, stage_regions
 from spm_pin.proofs.stage_proof import Int64Array, StageProof, StageRegion, columns, rounded_down
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
@@ -110,7 +110,7 @@ def certify_inverse(
     InverseCertificate
         With a witness for limits in which det K changes its sign, as between 1.1 and 1.5 m of the paper's machine.
     """
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     check_rps(machine, "certificates of poses")
     if not machine.is_nominal:
         cause = "Use its nominal machine, machine.nominal, or the file without its legs"

@@ -56,11 +56,6 @@ def check_instance(value: Any, kind: type[Kind], argument: str, cause: str = "")
     """Return `value` if it is an instance of `kind`."""
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        if type(value).__name__ in ("Stage", "StageConfiguration") and kind.__name__ in (
-            "Manipulator",
-            "Configuration",
-        ):
-            cause = "For a stage use the functions of spm_pin.stages; Manipulator.of_stages joins two stages"
         raise ArgumentError(argument, f"{article} {kind.__name__}", type(value).__name__, cause)
     return value
 

@@ -35,8 +35,8 @@ from spm_pin.machine import (
     joint_angles,
 )
 from spm_pin.machine.branch_of_state import branch_sign, family, physical
-from spm_pin.machine.configuration import check_state
-from spm_pin.machine.manipulator import check_same_machine
+from spm_pin.machine.configuration import check_configuration, check_state
+from spm_pin.machine.manipulator import check_manipulator, check_same_machine
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -293,7 +293,7 @@ def reachable(
 
 def pose_distance(machine: Manipulator, first: PoseLike, second: PoseLike) -> Any:
     """Return the root mean square displacement of c_1, c_2, c_3 between poses (...) of {m} in {B} [m], (...)."""
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     matrices = [as_rigid_transform(pose, name).as_matrix() for pose, name in ((first, "first"), (second, "second"))]
     return _distance(machine, *matrices)
 
@@ -377,7 +377,7 @@ def nearest_reachable_pose(
 
 
 def _check_near(machine: Manipulator, near: Configuration, limits: LegLimits) -> None:
-    if check_instance(near, Configuration, "near").shape or not near.exists:
+    if check_configuration(near, "near").shape or not near.exists:
         raise ArgumentError("near", "a single Configuration that exists", repr(near))
     check_same_machine(near.machine, machine, "near", "`machine`")
     if not limits.contains(near.readings):

@@ -21,12 +21,12 @@ from spm_pin.kinematics.forward_displacement import states_of_stages
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator
 from spm_pin.machine.branch_of_state import FAMILIES, family, physical, stage_coordinates
+from spm_pin.machine.manipulator import check_manipulator
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     IntArray,
     Progress,
-    check_instance,
     choice,
     generator,
     whole_number,
@@ -378,7 +378,7 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
 
 def given_limits(machine: Manipulator, limits: LegLimits | None) -> LegLimits | None:
     """Return leg limits, or those of the manipulator, which may have none."""
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     return machine.limits if limits is None else machine.check_limits(limits)
 
 

@@ -25,11 +25,11 @@ from spm_pin.crosscheck.nlp import loop_equations
 from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, newton
 from spm_pin.errors import ArgumentError
 from spm_pin.machine import Configuration, Manipulator, PoseLike, SolutionSet, Status, as_rigid_transform
+from spm_pin.machine.manipulator import check_manipulator
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
     IntArray,
-    check_instance,
     choice,
     type_and_value,
     whole_number,
@@ -111,7 +111,7 @@ def search(
     is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten seeds each.
     In calibrated machines none was missed in 4680 searches, with errors of 0.1, 1 and 3 mm, and as many mrad.
     """
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     starts = whole_number(starts, "starts", "a positive whole number", least=1)
     seed = whole_number(seed, "seed", "a whole number, not negative", most=1 << 128)
     choice(solver, "solver", SOLVERS)

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.machine.manipulator import Manipulator
-from spm_pin.support.arguments import FloatArray, check_instance, real_array, type_and_value
+from spm_pin.machine.manipulator import Manipulator, check_manipulator
+from spm_pin.support.arguments import FloatArray, real_array, type_and_value
 
 _SHAPES = (9, 9), (9, 6), (6, 9), (6, 6)
 """Shapes of the derivatives that `leg_jacobian` returns."""
@@ -164,7 +164,7 @@ def inverse_jacobian(derivatives: Sequence[npt.ArrayLike | ca.DM]) -> FloatArray
 
 
 def _symbols(machine: Manipulator) -> tuple[ca.SX, ca.SX, ca.SX]:
-    check_instance(machine, Manipulator, "machine")
+    check_manipulator(machine)
     return ca.SX.sym("b", 9), ca.SX.sym("R", 3, 3), ca.SX.sym("o", 3)
 
 
