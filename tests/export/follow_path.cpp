@@ -1,8 +1,8 @@
 // Set-points one after the other, one in each tick, and again where they come too fast. Prints the commands of all ticks. The
 // first file has the machine, member by member, and the readings of the start; the second poses: positions and quaternions.
 #include <cstdio>
-#include <cstdlib>
 #include <fstream>
+#include "read_start.hpp"
 #include "spm_set_points.hpp"
 using namespace spm_robot;
 
@@ -10,21 +10,9 @@ int main(int, char ** arguments)
 {
   constexpr double PERIOD = 0.001;
   SetPoints set_points;
-  std::ifstream file(arguments[1]), poses(arguments[2]);
-  std::string header;
-  std::getline(file, header);
-  const auto next = [&](const std::string & name, double * numbers, std::size_t size) {
-      std::string word;
-      file >> word;
-      bool is_whole = word == name;
-      for (std::size_t i = 0; i < size; ++i) {
-        is_whole = is_whole && file >> word;
-        numbers[i] = std::strtod(word.c_str(), nullptr);
-      }
-      return is_whole;
-    };
+  std::ifstream poses(arguments[2]);
   Readings start{}, rate{}, acceleration{};
-  if (!read_machine(set_points.machine, next) || !next("start", start.data(), 6)) {return 3;}
+  if (!read_start(arguments[1], set_points.machine, start)) {return 3;}
   rate.fill(0.1);
   acceleration.fill(1.0);
   set_points.frame = "base";

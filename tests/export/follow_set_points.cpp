@@ -6,9 +6,9 @@
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
-#include <fstream>
 #include <random>
 #include "count_allocations.hpp"
+#include "read_start.hpp"
 #include "spm_set_points.hpp"
 using namespace spm_robot;
 
@@ -25,21 +25,8 @@ int main(int count, char ** arguments)
 
   SetPoints set_points;
   const spm_geometry & machine = set_points.machine;
-  std::ifstream file(arguments[2]);
-  std::string header;
-  std::getline(file, header);
-  const auto next = [&](const std::string & name, double * numbers, std::size_t size) {
-      std::string word;
-      file >> word;
-      bool is_whole = word == name;
-      for (std::size_t i = 0; i < size; ++i) {
-        is_whole = is_whole && file >> word;
-        numbers[i] = std::strtod(word.c_str(), nullptr);
-      }
-      return is_whole;
-    };
   Readings start{};
-  if (!read_machine(set_points.machine, next) || !next("start", start.data(), 6)) {return 3;}
+  if (!read_start(arguments[2], set_points.machine, start)) {return 3;}
   set_points.frame = "base";
   set_points.largest_step.fill(0.05);
   set_points.timeout = 0.5;
